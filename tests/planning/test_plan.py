@@ -453,7 +453,7 @@ def test_a_plan_refuses_a_faulty_servo(tmp_path):
     ("changes", "words"),
     [
         ({"terms": '"scale_factor", "tan_beta", "k0", "k3", "servo"'}, "this plan cannot separate .*k3.*servo"),
-        ({"terms": '"scale_factor", "k0", "servo"'}, "'servo' turns with the output angle"),
+        ({"terms": '"scale_factor", "k0", "servo"'}, "'servo' depends on the output angle"),
     ],
 )
 def test_a_plan_refuses_what_the_calibration_refuses(tmp_path, changes, words):

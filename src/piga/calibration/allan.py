@@ -111,7 +111,10 @@ def allan_deviation(
         If the arrays differ in length.
     """
     if not angle.size == t.size == begins.size:
-        raise ArgumentError(f"angle, t, begins: {angle.size}, {t.size} and {begins.size} samples")
+        raise ArgumentError(
+            f"angle, t, begins: {angle.size}, {t.size} and {begins.size} samples",
+            remedy="give one angle and one mark for each time",
+        )
     from scipy.special import chdtri
 
     stretches, step = _even_stretches(angle, t, begins)

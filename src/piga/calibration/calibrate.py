@@ -314,7 +314,7 @@ def _joint_calibration(
     """Calibrate several runs or summaries of runs together."""
     if method not in (None, "information") or phase_source not in (None, "output"):
         raise CalibrationError(
-            "several runs are calibrated together by method 'information' with phase_source 'output'",
+            "several runs can be calibrated together only with method 'information' and phase_source 'output'",
             remedy="leave method and phase_source out, or calibrate the runs one by one",
         )
     fit = fit_jointly(items, terms, phase, per_run)

@@ -78,7 +78,7 @@ def test_a_slip_of_the_counter_is_taken_off_what_follows(offset, angle, clean):
         check(BENCH, found, clean)
         texts = [event.detail for event in found.quality.events if event.kind == "outlier-jump"]
         assert len(texts) == 1
-        assert texts[0].endswith("taken off what follows")
+        assert texts[0].endswith("all later readings are corrected")
 
 
 @pytest.mark.only_compiled

@@ -92,7 +92,7 @@ def test_increment_across_a_bad_sample_is_exact() -> None:
 
 def test_too_much_is_refused() -> None:
     run = record(np.random.default_rng(34), **NOISE)
-    with pytest.raises(piga.DataError, match=r"% of the samples do not lie on any path"):
+    with pytest.raises(piga.DataError, match=r"% of the samples contradict the reference"):
         piga.calibrate(spiked(run, 34, 0.5, 1.0)[0], TERMS)
 
 

@@ -198,7 +198,7 @@ def test_methods_that_do_not_hold_the_terms_say_so(method):
 
 def test_servo_needs_the_phase_of_tan_beta_and_belongs_to_the_instrument():
     run = recorded(head(3))
-    with pytest.raises(CalibrationError, match="'servo' turns with the output angle"):
+    with pytest.raises(CalibrationError, match="'servo' depends on the output angle"):
         calibrate(run, ["scale_factor", "k0", "servo"])
     with pytest.raises(ArgumentError, match="servo"):
         calibrate(run, TERMS, per_run=["servo"])
@@ -272,7 +272,7 @@ def test_doing_nothing_holds_both_meanings_of_a_cube():
     assert under["k3"] == pytest.approx(by_k3, rel=1e-6)
     note = next(note for note in found.notes if "servo" in note)
     assert "a choice of meaning" in note
-    assert "holds both" in note
+    assert "covers both" in note
     assert not any(entry.terms == ("k3",) for entry in found.diagnostics.missing_terms)
 
 
@@ -285,10 +285,10 @@ def test_a_sound_record_has_no_such_row():
 @pytest.mark.only_compiled
 def test_an_asked_k3_is_said_to_be_a_choice_and_k_holds_both():
     found = on_a_head([*TERMS[:5], "k3"], positions=8)
-    note = next(note for note in found.notes if "k3 may as well be the servo" in note)
+    note = next(note for note in found.notes if "k3 may be the effect of the servo" in note)
     assert "0.8885" in note
     assert float(re.search(r"([+-]\d+\.?\d*) ppm", note)[1]) == pytest.approx(13.0, abs=1.5)
-    assert "holds both" in note
+    assert "covers both" in note
     assert "centrifuge" in note
     scale = found["scale_factor"]
     assert scale.value == pytest.approx(TRUTH["scale_factor"] * (1.0 - 1.3e-5), rel=2e-6)
@@ -319,7 +319,7 @@ def test_phi_holds_the_damping_that_the_model_lacks():
     assert abs(phi.value - PHI) > 3.0 * plain
     assert abs(phi.value - PHI) < phi.expanded
     assert row.contributions["phi"] > 3.0 * plain
-    assert any("servo_damping" in note and "hold this" in note for note in found.notes)
+    assert any("servo_damping" in note and "cover this" in note for note in found.notes)
     whole = calibrate(given(run, angle="2e-6 rad"), TERMS)
     assert DAMPING_LEFT not in [row.source for row in whole.budget]
     assert whole["phi"].std < 0.3 * phi.std

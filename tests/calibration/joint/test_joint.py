@@ -93,7 +93,7 @@ def test_summary_stands_in_for_the_raw_data(runs: list[piga.Run], tmp_path: Path
             pytest.approx(b.std, rel=1e-9),
         )
     assert [run.raw for run in merged.runs] == [False, True]
-    assert any("takes part by its summary" in remark for remark in merged.remarks)
+    assert any("is a summary" in remark for remark in merged.remarks)
     asked_anew = piga.calibrate([old, runs[1]], [*TERMS, "k3"])
     assert asked_anew["k3"].std < 1e-4
 

@@ -128,7 +128,7 @@ def test_temperatures_of_reference_of_a_joint_calibration() -> None:
     runs, _ = joint_test(np.random.default_rng(54), seconds=5.0, rate=2.0)
     warm = [replace(run, temperature=293.15 + 3.0 * np.sin(run.segment_index)) for run in runs]
     other = replace(warm[1], model=msgspec.structs.replace(warm[1].model, temperature_reference="25 degC"))
-    with pytest.raises(piga.CalibrationError, match="different temperatures of reference"):
+    with pytest.raises(piga.CalibrationError, match="different reference temperatures"):
         piga.calibrate([warm[0], other], ["scale_factor", "k0", "k0_T"])
 
 

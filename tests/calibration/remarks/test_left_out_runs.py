@@ -82,7 +82,7 @@ def test_an_asked_k3_holds_the_servo_as_well():
     scale = found["scale_factor"]
     assert scale.value == pytest.approx(BY_K3, rel=2e-6)
     assert abs(scale.value - TRUTH["scale_factor"]) < scale.expanded
-    note = next(note for note in found.notes if "k3 may as well be the servo" in note)
+    note = next(note for note in found.notes if "k3 may be the effect of the servo" in note)
     assert float(re.search(r"([+-]\d+\.?\d*) ppm", note)[1]) == pytest.approx(13.0, abs=1.0)
 
 

@@ -250,9 +250,9 @@ def _meanings(rows: list[TermSet]) -> tuple[str, ...]:
             if "servo" in row.terms and own is not None and other is not None:
                 size = "k3 g^2" if cube == "k3" else "what k2o takes of it"
                 notes.append(
-                    f"scale_factor is {own.value:.8g} {own.unit} with servo and {other.value:.8g} with {cube} in its place: where "
-                    f"a_x^2 + a_t^2 never changes this is a choice of meaning (they differ by {size}), which BIC and prediction "
-                    "do not make; a servo of finite stiffness has the term servo"
+                    f"scale_factor is {own.value:.8g} {own.unit} with servo and {other.value:.8g} with {cube} "
+                    f"instead (difference {size}); where a_x^2 + a_t^2 never changes, BIC and prediction cannot "
+                    "choose between them; a servo of finite stiffness has the term servo"
                 )
     return tuple(notes)
 
@@ -418,7 +418,9 @@ class Weighed:
 def _refuse_servo_alone(terms: tuple[str, ...]) -> None:
     """Raise if terms of the servo come without the coupling, whose phase they need."""
     if set(SERVO_TERMS) & set(terms) and "tan_beta" not in terms:
-        raise CalibrationError("the terms of the servo need the phase that tan_beta carries")
+        raise CalibrationError(
+            "the terms of the servo need the phase of tan_beta", remedy="add 'tan_beta' to the terms"
+        )
 
 
 def _reduce(design: Design, fit: Fit, edges: NDArray[np.int64]) -> tuple[list[Reduction], float]:

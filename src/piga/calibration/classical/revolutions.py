@@ -295,7 +295,9 @@ def fit_revolutions(run: Run, request: Request) -> RevolutionFit:
     """
     if request.harmonics:
         raise CalibrationError(
-            "method 'revolutions' averages harmonics of the output angle out", remedy="use method 'information'"
+            "method 'revolutions' cannot estimate harmonics of the output angle: they average out over "
+            "whole turns",
+            remedy="use method 'information'",
         )
     positions = find_positions(run)
     linear_terms = tuple(name for name in request.terms if name != "tan_beta")
@@ -313,8 +315,9 @@ def fit_revolutions(run: Run, request: Request) -> RevolutionFit:
     pulled = "tan_beta" in request.terms
     if columns.shape[1] < len(linear_terms) + pulled:
         raise CalibrationError(
-            f"{columns.shape[1]} positions with whole turns for {len(linear_terms) + pulled} coefficients",
-            remedy="record more positions",
+            f"{columns.shape[1]} positions with whole turns are too few for {len(linear_terms) + pulled} "
+            "coefficients",
+            remedy="record more positions, or leave terms out",
         )
     return _gauss_newton(positions, design, columns, summary.solve()[0], pulled, examination)
 
@@ -363,8 +366,8 @@ def name_revolutions(fit: RevolutionFit, request: Request) -> tuple[tuple[Coeffi
     if fit.square is not None and not fit.shows_pulling:
         std = float(np.sqrt(fit.covariance[-1, -1]))
         note = (
-            f"the pulling of the mean rate does not show tan_beta (tan_beta^2 = {fit.square:.2g}, standard "
-            f"uncertainty {std:.2g}): it is not in the result; use method 'information'"
+            f"the mean rates do not show tan_beta (tan_beta^2 = {fit.square:.2g}, standard uncertainty "
+            f"{std:.2g}): it is not in the result; use method 'information'"
         )
     return (*_named(fit, request, fit.covariance), note)
 

@@ -387,7 +387,7 @@ def _events(
     words = {
         "spike": "samples off the path of the output are left out",
         "stuck": "samples during which the output stood still are left out",
-        "jump": "no increment is formed across it, and it is taken off what follows",
+        "jump": "no increment is formed across it, and all later readings are corrected by it",
     }
     events = []
     sides = [outlier for outlier in outliers if outlier.kind == "jump" and outlier.row in one_sided]
@@ -396,7 +396,10 @@ def _events(
             f"{outlier.time:.6g} s ({one_sided[outlier.row]})" for outlier in sides[: OUTLIERS.named]
         )
         more = " and more" if len(sides) > OUTLIERS.named else ""
-        text = "no increment is formed across it, and it is taken off these readings alone: the others carry the phase"
+        text = (
+            "no increment is formed across it, and only these readings are corrected by it: the others "
+            "carry the phase"
+        )
         events.append(Event("outlier-jump", len(sides), sides[0].row, f"t = {listed}{more}: {text}"))
         counts = counts | {"jump": counts["jump"] - len(sides)}
     for kind, text in words.items():
@@ -418,6 +421,7 @@ def _perhaps_a_slip(before_gap: tuple[Outlier, ...]) -> str:
     listed = ", ".join(f"{one.samples} from t = {one.time:.6g} s" for one in before_gap[: OUTLIERS.named])
     more = " and more" if len(before_gap) > OUTLIERS.named else ""
     return (
-        f". The last readings before a gap ({listed}{more}) are too few to tell wrong readings from a slip of the counter. "
-        "A slip stays: the phase of what follows is then another, and phase = 'per-segment' shows it"
+        f". The last readings before a gap ({listed}{more}) are too few to separate wrong readings "
+        "from a slip of the counter. If the counter slipped, the phase after it is another one: "
+        "phase = 'per-segment' shows it"
     )

@@ -187,8 +187,8 @@ def _fit(
     mode = weighting_mode(design, request.method)
     if design.rows <= len(design.names) + len(set(design.groups)):
         raise CalibrationError(
-            f"the record has {design.rows} increments for {len(design.names)} parameters",
-            remedy="record longer",
+            f"the record has {design.rows} increments, too few for {len(design.names)} parameters",
+            remedy="record longer, or leave terms out",
         )
     given = _given_noise(request)
     step = run.median_step

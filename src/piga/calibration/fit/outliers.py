@@ -328,9 +328,10 @@ def refuse_if_too_many(flags: Flags) -> None:
     share = count_flags(flags, 1) / flags.size
     if share > OUTLIERS.largest_share:
         raise DataError(
-            f"{100.0 * share:.0f} % of the samples do not lie on any path that the reference allows; up to "
-            f"{100.0 * OUTLIERS.largest_share:.0f} % would be left out",
-            remedy="check the wiring of the output, its unit and the reference; calibrate a part that is sound",
+            f"{100.0 * share:.0f} % of the samples contradict the reference; at most "
+            f"{100.0 * OUTLIERS.largest_share:.0f} % can be left out",
+            remedy="check the wiring of the output, its unit and the reference, or calibrate a sound part of "
+            "the record",
         )
 
 

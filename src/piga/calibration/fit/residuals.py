@@ -283,7 +283,7 @@ def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...
         if white
         else COUNTED
         if counting > WHITENESS.white
-        else "not white: the model or the noise description misses something",
+        else "not white: the model or the noise description is incomplete",
     )
 
 

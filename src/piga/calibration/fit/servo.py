@@ -318,18 +318,19 @@ def _remedy(terms: set[str], per_segment: bool) -> str:
     if "servo_damping" in terms:
         if per_segment:
             return (
-                "with a phase for each segment the damping turns nothing that phi does not: use phase = 'shared', or "
-                "leave servo_damping out"
+                "with one phase per segment, phi takes up the whole effect of the damping: use phase = "
+                "'shared', or leave servo_damping out"
             )
-        return "|a_x| takes one size: add positions or levels with another |a_x|, or leave servo_damping out"
+        return "|a_x| has one size only: add positions or levels with another |a_x|, or leave servo_damping out"
     if "k3" in terms:
         return (
-            "a_x^2 + a_t^2 never changes, so that a_x a_t^2 is a_x less a_x^3: leave 'k3' out (or 'servo'; K differs by "
-            "k3 g^2); or calibrate it together with a run on a centrifuge or a vibration table (a_x changes, a_t does not)"
+            "a_x^2 + a_t^2 never changes, so a_x a_t^2 cannot be separated from a_x less a_x^3: leave "
+            "'k3' out (or 'servo'; K differs by k3 g^2); or calibrate it together with a run on a "
+            "centrifuge or a vibration table (a_x changes, a_t does not)"
         )
     if terms & {"scale_factor", "k1"}:
         return (
-            "a_t never changes, so that a_x a_t^2 is a_x: calibrate it together with a run on a dividing head, give "
-            "[instrument] servo, or leave servo out"
+            "a_t never changes, so a_x a_t^2 cannot be separated from a_x: calibrate it together with a "
+            "run on a dividing head, give [instrument] servo, or leave servo out"
         )
     return "add positions or levels with another a_x and another transverse force, or leave servo out"

@@ -205,18 +205,18 @@ def _check_one_instrument(items: Sequence[Run | RunSummary]) -> None:
         if item.serial != first.serial:
             raise CalibrationError(
                 f"run '{names[0]}' is of instrument '{first.serial}', run '{name}' of '{item.serial}'",
-                remedy="a joint calibration is of one instrument; correct [instrument] serial if they are the same",
+                remedy="a joint calibration is for one instrument; correct [instrument] serial if they are the same",
             )
         if abs(item.scale_factor / first.scale_factor - 1.0) > 1e-9:
             raise CalibrationError(
-                f"run '{names[0]}' and run '{name}' name different nominal scale factors",
+                f"run '{names[0]}' and run '{name}' have different nominal scale factors",
                 remedy="write the same [instrument] scale_factor in all run files of an instrument",
             )
         digests = tuple(sorted(d for f, d in item.input_sha256.items() if not f.endswith(".toml")))
         if digests and digests in seen:
             raise CalibrationError(
                 f"run '{name}' has the same data as run '{seen[digests]}'",
-                remedy="name each run once: counted twice it would halve the uncertainty for nothing",
+                remedy="name each run once",
             )
         seen[digests] = name
 
@@ -225,8 +225,8 @@ def _check_temperature(wish: Wish, summaries: list[RunSummary]) -> None:
     references = {summary.temperature_reference for summary in summaries}
     if len(references) > 1 and {"k0_T", "k1_T"} & set(wish.terms):
         raise CalibrationError(
-            "the runs name different temperatures of reference",
-            remedy="write the same [model] temperature_reference",
+            "the runs have different reference temperatures",
+            remedy="write the same [model] temperature_reference in all run files",
         )
 
 
@@ -502,5 +502,8 @@ def check_items(items: object) -> list[Run | RunSummary]:
     given = list(items) if isinstance(items, (list, tuple)) else [items]
     runs = [item for item in given if isinstance(item, (Run, RunSummary))]
     if not runs or len(runs) < len(given):
-        raise ArgumentError("calibrate: a run, or a list of runs and run summaries, is needed")
+        raise ArgumentError(
+            "calibrate: a run, or a list of runs and run summaries, is needed",
+            remedy="pass a Run, or a list of Run and RunSummary",
+        )
     return runs

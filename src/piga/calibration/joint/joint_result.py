@@ -224,7 +224,7 @@ def _joint_quality(records: list[RunRecord]) -> Quality:
 
 def _notes_on_summaries(records: list[RunRecord]) -> tuple[str, ...]:
     return tuple(
-        f"run '{record.name}' takes part by its summary: its residual figures are those of its own fit"
+        f"run '{record.name}' is a summary: its residual figures are those of its own fit"
         for record in records
         if not record.raw
     )

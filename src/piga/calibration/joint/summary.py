@@ -195,7 +195,7 @@ class RunSummary(Result):
         missing = [name for name in columns if name not in held]
         if missing:
             raise CalibrationError(
-                f"the summary of run '{self.name}' holds no column for {', '.join(missing)}",
+                f"the summary of run '{self.name}' has no column for {', '.join(missing)}",
                 remedy="summarise the run again with these terms",
             )
         if "scale_factor" in held and "scale_factor" not in shared:
@@ -250,7 +250,7 @@ def prepare(run: Run, request: Request, name: str) -> LiveRun:
 def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str, ...]:
     """Terms to leave out of a fit that cannot tell these terms apart: one of them, with its partner."""
     if not confounded or len(terms) == 1:
-        raise ArgumentError("the run determines nothing", remedy="check its reference and its output")
+        raise ArgumentError("the run determines no coefficient", remedy="check its reference and its output")
     order = {term: LAST_TO_GO.index(term) + 1 if term in LAST_TO_GO else 0 for term in confounded}
     chosen = min(reversed(confounded), key=order.__getitem__)
     wave = harmonic(chosen)

@@ -259,8 +259,9 @@ def notes_in_words(
     for coefficient in coefficients:
         if coefficient.name == "tan_beta" and coefficient.value < 4.0 * coefficient.std:
             notes.append(
-                "tan_beta is not well above its uncertainty: phi is hardly determined; the limits of tan_beta are those of "
-                "a size that cannot be negative, 0 where no coupling at all would give this estimate as often"
+                "tan_beta is not well above its uncertainty: phi is hardly determined; the limits of "
+                "tan_beta respect that a size cannot be negative: the lower one is 0 if an instrument "
+                "without coupling would give this estimate as often"
             )
     loose = _loose(coefficients)
     if loose:
@@ -271,16 +272,16 @@ def notes_in_words(
     ratio, without_it = scatter.segment_scatter_ratio or 0.0, scatter.segment_scatter_ratio_without_it or 0.0
     if ratio > SEPARATION.scatter:
         notes.append(
-            f"the mean rates of the segments scatter {ratio:.1f} times more than the noise "
-            f"explains ({force * 1e6:.2g} ug rms): an effect of the stand or of the servo that "
-            "the model does not hold; the standard uncertainties do not include it"
+            f"the mean rates of the segments scatter {ratio:.1f} times more than the noise explains "
+            f"({force * 1e6:.2g} ug rms): the stand or the servo has an effect that the model lacks; the "
+            "standard uncertainties do not include it"
         )
     elif without_it > SEPARATION.scatter:
         notes.append(
-            f"the mean rates of the segments scatter {without_it:.1f} times more "
-            f"than the noise of the angle explains ({force * 1e6:.2g} ug rms): the standard "
-            "uncertainties include it as noise, but an effect of the stand or of the servo that the model does not hold, "
-            "the same at every visit of a position, does not average out"
+            f"the mean rates of the segments scatter {without_it:.1f} times more than the noise of the "
+            f"angle explains ({force * 1e6:.2g} ug rms): the standard uncertainties include this as "
+            "noise, but an effect of the stand or of the servo that is the same at every visit of a "
+            "position does not average out"
         )
     return tuple(notes)
 

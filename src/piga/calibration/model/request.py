@@ -115,8 +115,8 @@ def check_per_run(per_run: tuple[str, ...], terms: tuple[str, ...]) -> None:
             )
         if name == "tan_beta" or harmonic(name) or name in SERVO_TERMS:
             raise ArgumentError(
-                f"per_run: '{name}' turns with the output angle and belongs to the instrument",
-                remedy="its phase is of the run as it is",
+                f"per_run: '{name}' depends on the output angle and belongs to the instrument",
+                remedy="leave it out of per_run: every run has its own phase already",
             )
 
 
@@ -124,7 +124,7 @@ def _check_record(run: Run, request: Request) -> None:
     for name in request.terms:
         if name in ("k0_T", "k1_T") and run.temperature is None:
             raise CalibrationError(
-                f"term '{name}' needs the temperature, the record has none",
+                f"term '{name}' needs the temperature, but the record has none",
                 remedy="add [data] temperature = { column = '...', unit = 'degC' }, or leave the term out",
             )
     check_servo(request)
@@ -133,9 +133,9 @@ def _check_record(run: Run, request: Request) -> None:
     if request.phase == "shared" and turning and len(set(run.phase_group)) > 1:
         at = next(i for i, group in enumerate(run.phase_group) if group != run.phase_group[0])
         raise CalibrationError(
-            f"phase 'shared' is not possible: from segment '{run.labels[at]}' on the zero of the output angle is "
-            f"lost ({len(set(run.phase_group))} independent parts): between segments the counter may have rolled "
-            "over unseen",
+            "phase 'shared' is not possible: the zero of the output angle is lost at segment "
+            f"'{run.labels[at]}' ({len(set(run.phase_group))} independent parts): the counter may have "
+            "rolled over unseen before it",
             remedy="set phase = 'per-segment' (run file [model], or --phase per-segment)",
         )
     if request.phase_source == "input" and request.phase != "shared":
@@ -154,7 +154,7 @@ def _check_record(run: Run, request: Request) -> None:
         raise CalibrationError(
             f"[estimation] x0 has {len(request.x0)} values, {len(request.terms) + 1} are needed: tan_beta, phi, then "
             "k0, k1, k2",
-            remedy="correct x0",
+            remedy="give one starting value for each",
         )
 
 
@@ -171,12 +171,12 @@ def check_servo(request: Request) -> None:
         return
     if "tan_beta" not in request.terms:
         raise CalibrationError(
-            f"term '{asked[0]}' turns with the output angle and needs the phase that 'tan_beta' carries",
+            f"term '{asked[0]}' depends on the output angle and needs the phase of 'tan_beta'",
             remedy="add 'tan_beta' to the terms",
         )
     if request.method in ("published", "revolutions"):
         raise CalibrationError(
-            f"method '{request.method}' does not hold the term '{asked[0]}'",
+            f"method '{request.method}' cannot estimate the term '{asked[0]}'",
             remedy="use method 'information', 'rate' or 'recursive', or leave the term out",
         )
 

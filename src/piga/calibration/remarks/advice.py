@@ -195,8 +195,8 @@ def unit_words(ratio: float, factor: Factor, run: Run, *, output: bool) -> str:
             places.append(f"output (wanted in {unit}) {'divided' if larger else 'multiplied'} by {size}")
         places.append(f"scale_factor {times}")
     return (
-        f"the scale factor comes out {ratio:.4g} times the nominal one, near the factor {size} of mixed-up units: "
-        f"right may be {', or '.join(places)}; not applied"
+        f"the scale factor comes out {ratio:.4g} times the nominal one, near the factor {size} of "
+        f"mixed-up units: check {', or '.join(places)}; not applied"
     )
 
 

@@ -185,10 +185,11 @@ def cubic_doubt(
     change[at] = max((value - coefficients[at].value for value in under.values()), key=abs)
     named = ", ".join(f"{value:.8g} with {name}" for name, value in under.items())
     words = (
-        f"the residuals hold a cube of a_x ({size:.3g} g/g^3): a_x^2 + a_t^2 never changes here, so that no record of "
-        f"this stand can say whether it is the servo or k3. scale_factor would be {named} {unit_of('scale_factor')}; "
-        "its uncertainty holds both. Add 'servo' (and 'servo_damping') to [model] terms if the servo has a finite "
-        "stiffness, as every servo has; a run on a centrifuge or [instrument] servo decides"
+        f"the residuals contain a cube of a_x ({size:.3g} g/g^3): a_x^2 + a_t^2 never changes here, "
+        f"so no record of this stand can separate servo from k3. scale_factor would be {named} "
+        f"{unit_of('scale_factor')}; its uncertainty covers both. Every servo has a finite stiffness: "
+        "add 'servo' (and 'servo_damping') to [model] terms; a run on a centrifuge or [instrument] "
+        "servo decides"
     )
     return LeftOut(CUBIC_SOURCE, change, words)
 
@@ -207,10 +208,11 @@ def asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[Le
 def asked_words(scale: Coefficient, shift: float) -> str:
     """The note on a requested ``k3``; with ``servo`` in its place the scale factor changes by ``shift``."""
     return (
-        "k3 may as well be the servo: a_x^2 + a_t^2 never changes here, and with 'servo' in the place of 'k3' the fit "
-        f"is the same and scale_factor is {scale.value + shift:.8g} instead of {scale.value:.8g} {scale.unit}, "
-        f"{1e6 * shift / scale.value:+.3g} ppm. The uncertainty of scale_factor holds both. The choice is one of meaning: "
-        "a run on a centrifuge, calibrated together with this one, or [instrument] servo makes it"
+        "k3 may be the effect of the servo: a_x^2 + a_t^2 never changes here, and with 'servo' "
+        f"instead of 'k3' the fit is the same; scale_factor is then {scale.value + shift:.8g} instead "
+        f"of {scale.value:.8g} {scale.unit}, {1e6 * shift / scale.value:+.3g} ppm. The uncertainty of "
+        "scale_factor covers both. A run on a centrifuge, calibrated together with this one, or "
+        "[instrument] servo decides"
     )
 
 
@@ -237,9 +239,9 @@ def damped(
         if c.name == "phi"
     )
     words = (
-        f"the residuals hold a wave of the gimbal angle that grows with the square of a_x (servo_damping = {damping:.3g} "
-        f"g/g^3): taken out it turns {turned}, and the uncertainties hold this. Add 'servo_damping' to [model] terms to "
-        "take it out"
+        "the residuals contain a wave of the gimbal angle that grows with the square of a_x "
+        f"(servo_damping = {damping:.3g} g/g^3): its effect turns {turned}, and the uncertainties "
+        "cover this. Add 'servo_damping' to [model] terms to take it out"
     )
     return LeftOut(
         DAMPING_SOURCE, change * (1.0 + std / size), words if test.probability <= LEFT_OUT.clear else ""
@@ -264,8 +266,8 @@ def odd_square(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ..
     if abs(odd.value) <= LEFT_OUT.seen * odd.std:
         return ()
     words = (
-        "k2o takes much of what the stiffness of the servo makes of this record, and scale_factor depends on which of "
-        "them is asked for: compare the sets with 'k2o' and with 'servo' in its place (--compare)"
+        "k2o takes up much of the effect of the servo's stiffness, and scale_factor depends on which "
+        "of the two is estimated: compare the sets with 'k2o' and with 'servo' instead (--compare)"
     )
     return (words,)
 
@@ -479,6 +481,6 @@ def _lacking_words(
     )
     quoted = " and ".join(f"'{name}'" for name in names)
     return (
-        f"the runs together have the signature of {sizes}, which the model lacks; with it they give {moved}. The "
-        f"uncertainties hold this shift. Add {quoted} to [model] terms if it makes sense"
+        f"the runs together show {sizes}, which the model lacks; with it they give {moved}. The "
+        f"uncertainties cover this shift. Add {quoted} to [model] terms if it makes sense"
     )

@@ -231,8 +231,9 @@ def _sole_words(table: dict[str, SegmentLeverage], common: list[Coefficient]) ->
         if sole:
             verb = "rests" if len(sole) == 1 else "rest"
             sentences.append(
-                f"{', '.join(sole)} {verb} on segment '{label}' alone (more than {100.0 * LEVERAGE.determines:.0f} % of the "
-                "information): an error there is not seen; add a position or level like it"
+                f"{', '.join(sole)} {verb} on segment '{label}' alone (more than "
+                f"{100.0 * LEVERAGE.determines:.0f} % of the information): no residual shows an error there; "
+                "add a position or level like it"
             )
     return _few(sentences)
 

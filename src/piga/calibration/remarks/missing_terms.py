@@ -555,17 +555,18 @@ def suggestions_in_words(
         )
         under = entry.scale_factor_under
         meaning = (
-            "; no record of this stand can tell servo from k3, for a_x^2 + a_t^2 never changes: scale_factor becomes "
+            "; no record of this stand can separate servo from k3, because a_x^2 + a_t^2 never changes: "
+            "scale_factor becomes "
             + " and ".join(f"{value:.8g} with {name}" for name, value in under.items())
             + f" {unit_of('scale_factor')}, a choice of meaning"
-            + (", and its uncertainty here holds both" if held else "")
+            + (", and its uncertainty here covers both" if held else "")
             + "; a servo of finite stiffness has 'servo', and 'servo_damping' with it"
             if under
             else ""
         )
         alike = f"; {', '.join(entry.alike)} would explain nearly as much" if entry.alike else ""
         if turned and entry.terms == ("servo_damping",):
-            meaning += "; the uncertainties hold this shift"
+            meaning += "; the uncertainties cover this shift"
         notes.append(
             f"the residuals have the signature of a missing term: {sizes} would lower their sum of squares by "
             f"{_two_digits(100.0 * entry.chi2_fall)} % and move {entry.coefficient} by {_two_digits(entry.largest_shift)} "

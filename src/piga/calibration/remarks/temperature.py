@@ -89,7 +89,7 @@ class Unseen:
                 f"{self.growth:.3g} times as large; or {held}"
             )
         elif math.isinf(self.growth):
-            cure = f"the temperature moves in step with the positions, so that no term tells them apart: {held}"
+            cure = f"the temperature moves in step with the positions, so no term can separate them: {held}"
         else:
             cure = (
                 "the temperature moves in step with the positions, and with 'k0_T' the fit's standard uncertainty of "
