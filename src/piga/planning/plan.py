@@ -27,7 +27,7 @@ from piga.planning.candidates import (
     information_tables,
 )
 from piga.planning.criterion import (
-    LARGEST_POWER,
+    SEARCH,
     Criterion,
     Mixture,
     PlanLimits,
@@ -52,12 +52,27 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-STANDARD = (4, 6, 12, 24)
-"""Numbers of evenly spaced positions in the standard plans."""
-STRETCHES = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Durations in the figure, relative to the planned duration."""
-ATTEMPTS = 12
-"""Most durations tried to reach a wanted uncertainty."""
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """Settings of a plan (own choices).
+
+    Attributes
+    ----------
+    standard:
+        Numbers of evenly spaced positions in the standard plans.
+    stretches:
+        Durations in the figure, relative to the planned duration.
+    attempts:
+        Most durations tried to reach a wanted uncertainty.
+    """
+
+    standard: tuple[int, ...] = (4, 6, 12, 24)
+    stretches: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0, 4.0)
+    attempts: int = 12
+
+
+PLAN = PlanSettings()
 
 
 @dataclass(frozen=True)
@@ -157,7 +172,7 @@ class _Search:
         if kind == "wanted":
             wanted = self.request.wanted
             chosen = [names.index(n) for n in wanted]
-            return Criterion(rows[chosen] / np.array(list(wanted.values()))[:, None], LARGEST_POWER)
+            return Criterion(rows[chosen] / np.array(list(wanted.values()))[:, None], SEARCH.largest_power)
         chosen = [names.index(n) for n in plan.coefficients or names]
         sizes = np.array([self.request.wanted.get(n, self.scale[names.index(n)]) for n in names])
         return Criterion((rows / sizes[:, None])[chosen], 0.0 if kind == "D" else 1.0)
@@ -276,7 +291,7 @@ def _standard(
     if head is None:
         places: list[tuple[str, tuple[Candidate, ...]]] = [("all levels", usable)]
     else:
-        places = [(f"{n} positions", _evenly(request, head, n)) for n in STANDARD]
+        places = [(f"{n} positions", _evenly(request, head, n)) for n in PLAN.standard]
     plans = []
     for name, chosen in places:
         dwell = _whole_samples(request, (duration + request.move) / len(chosen) - request.move)
@@ -371,7 +386,7 @@ def _stretched(
 ) -> tuple[tuple[float, Prediction, Prediction], ...]:
     """The planned and the last standard plan for other durations; ``here`` is the row of the planned duration."""
     rows = []
-    for factor in STRETCHES:
+    for factor in PLAN.stretches:
         if factor == 1.0:
             rows.append(here)
             continue
@@ -405,7 +420,7 @@ def _cheapest(search: _Search, best: Prediction) -> Cheapest:
     bound = math.exp(mixture.value) - request.move
     begin = best_mixture(search.per_second(), criterion.guarded())
     duration = max(bound, request.minimum_dwell)
-    for _ in range(ATTEMPTS):
+    for _ in range(PLAN.attempts):
         visits = _search_visits(search, criterion, begin, duration)
         plan = predict(request, "cheapest", visits)
         ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())

@@ -29,7 +29,7 @@ from piga.reports.render.page import (
     write_page,
 )
 from piga.trend.history import YEAR, CoefficientTrend, Trend
-from piga.trend.trend_line import LIMIT, Forecast
+from piga.trend.trend_line import TREND, Forecast
 from piga.units import DAY
 
 _GRID = 80
@@ -152,7 +152,7 @@ def _line(trend: CoefficientTrend, start: dt.datetime, scale: TrendScale, last: 
 
 
 def _control(trend: CoefficientTrend, start: dt.datetime) -> Panel:
-    chart = trend.chart
+    chart, limit = trend.chart, TREND.control_limit
     seen = np.isfinite(chart.score)
     x = _dates(start, chart.time[seen])
     ends = x[[0, -1]] if x.size > 1 else x[[0, 0]] + np.array([-0.5, 0.5])
@@ -161,8 +161,8 @@ def _control(trend: CoefficientTrend, start: dt.datetime) -> Panel:
         Series(x, chart.average[seen], "moving average", role="model"),
         Series(x, chart.limit[seen], "limit of the average", role="model", dashed=True),
         Series(x, -chart.limit[seen], "", role="model", dashed=True),
-        Series(ends, [LIMIT, LIMIT], "limit of a score", role="warning", dashed=True),
-        Series(ends, [-LIMIT, -LIMIT], "", role="warning", dashed=True),
+        Series(ends, [limit, limit], "limit of a score", role="warning", dashed=True),
+        Series(ends, [-limit, -limit], "", role="warning", dashed=True),
     ]
     return Panel(DATE, Axis("deviation from the forecast", "std"), tuple(series), title="Control chart")
 

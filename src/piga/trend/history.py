@@ -27,7 +27,6 @@ from piga.records.terms import shown_unit
 from piga.results import Reported, Result, plotted
 from piga.threads import with_one_thread
 from piga.trend.trend_line import (
-    LIMIT,
     TREND,
     Forecast,
     TrendModel,
@@ -74,7 +73,7 @@ class Point:
     @property
     def outside(self) -> bool:
         """True when the value lies beyond the control limits."""
-        return abs(self.score) > LIMIT
+        return abs(self.score) > TREND.control_limit
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -43,12 +43,18 @@ class TrendSettings:
         Smallest standard uncertainty, relative to the largest value; prevents infinite weights.
     least_days:
         Fewest days for a line with uncertainty.
+    smoothing:
+        Weight of the newest score in the moving average of the control chart.
+    control_limit:
+        Control limit of scores and of their moving average, in its standard deviations.
     """
 
     low_sum: float = 0.2
     doubt: float = 0.01
     tiny: float = 1e-12
     least_days: int = 3
+    smoothing: float = 0.2
+    control_limit: float = 3.0
 
 
 TREND = TrendSettings()
@@ -321,25 +327,19 @@ def _not_exact(values: Array, variances: Array) -> Array:
     return np.maximum(variances, (TREND.tiny * float(np.abs(values).max() or 1.0)) ** 2)
 
 
-SMOOTHING = 0.2
-"""Weight of the newest score in the moving average of the control chart."""
-LIMIT = 3.0
-"""Control limit of scores and of their moving average, in its standard deviations."""
-
-
-def moving_average(scores: Array, weight: float = SMOOTHING) -> tuple[Array, Array]:
+def moving_average(scores: Array, weight: float = TREND.smoothing) -> tuple[Array, Array]:
     """Exponentially weighted moving average of the scores, and its control limit.
 
     For independent standard normal scores the variance after ``n`` of them is
     ``w/(2 - w) (1 - (1 - w)^(2 n))``.
     """
     averages, limits = np.full(scores.size, np.nan), np.full(scores.size, np.nan)
-    average, seen = 0.0, 0
+    average, seen, most = 0.0, 0, TREND.control_limit
     for i, score in enumerate(scores):
         if math.isnan(score):
             continue
         seen += 1
-        average = weight * float(np.clip(score, -LIMIT, LIMIT)) + (1.0 - weight) * average
+        average = weight * float(np.clip(score, -most, most)) + (1.0 - weight) * average
         averages[i] = average
-        limits[i] = LIMIT * math.sqrt(weight / (2.0 - weight) * (1.0 - (1.0 - weight) ** (2 * seen)))
+        limits[i] = most * math.sqrt(weight / (2.0 - weight) * (1.0 - (1.0 - weight) ** (2 * seen)))
     return averages, limits

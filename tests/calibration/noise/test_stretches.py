@@ -11,7 +11,7 @@ import pytest
 from piga._kernels.estimation.noise import add_waves
 from piga.calibration.fit.one_run import fit_run, refine_counted
 from piga.calibration.model import design as design_module
-from piga.calibration.model.design import Design
+from piga.calibration.model.design import DESIGN, Design
 from piga.calibration.model.request import Request
 from piga.calibration.noise.stretches import SawTooth, empty_stretches, find_stretches, follow, looks_white
 from piga.records.run import Run
@@ -40,7 +40,7 @@ def test_sums_do_not_depend_on_the_blocks(size: int, bad: float, monkeypatch: py
     run = scenario.record(np.random.default_rng(4))
     left_out = (np.random.default_rng(5).random(run.size) < bad) & ~run.begins
     run = replace(run, left_out=left_out if bad else None)
-    monkeypatch.setattr(design_module, "CHUNK", size)
+    monkeypatch.setattr(design_module, "DESIGN", replace(DESIGN, chunk=size))
     design = Design(
         run,
         Request(("scale_factor", "k0"), "shared", "output", "information", None, None, 293.15),

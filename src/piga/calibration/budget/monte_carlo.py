@@ -23,11 +23,36 @@ from piga.records.terms import si_factor
 
 Array = NDArray[np.float64]
 
-BLOCK = 10_000
-"""Trials per block. The adaptive procedure checks for convergence after each block (JCGM 101, 7.9.4)."""
-MOST = 1_000_000
-SEED = 101
-"""Fixed seed: the same record gives the same digits."""
+
+@dataclass(frozen=True)
+class MonteCarloSettings:
+    """Settings of the Monte Carlo propagation (JCGM 101; else own choices).
+
+    Attributes
+    ----------
+    block:
+        Trials per block. The adaptive procedure checks for convergence after each block (JCGM 101, 7.9.4).
+    most:
+        Most trials of the adaptive procedure.
+    seed:
+        Fixed seed: the same record gives the same digits.
+    doubtful:
+        Ratio of tan_beta to its standard uncertainty below which its interval is not linear (Rice-like).
+    far:
+        Search range of the upper limit [standard uncertainties above the estimate].
+    halvings:
+        Bisection steps of this search.
+    """
+
+    block: int = 10_000
+    most: int = 1_000_000
+    seed: int = 101
+    doubtful: float = 6.0
+    far: float = 10.0
+    halvings: int = 60
+
+
+MONTE_CARLO = MonteCarloSettings()
 
 
 @dataclass(frozen=True)
@@ -119,19 +144,19 @@ def propagate_distributions(
     first_order:
         Limits of the first-order intervals to be tested, (2, m).
     trials:
-        Number of trials. None: adaptive, until every figure is stable to its tolerance, at most ``MOST``.
+        Number of trials. None: adaptive, until every figure is stable to its tolerance, at most ``MONTE_CARLO.most``.
     """
     values: list[Array] = []
     figures: list[Array] = []
     for block in _blocks(base, covariance, degrees, sources):
         values.append(results(block))
-        if len(values) * BLOCK >= (MOST if trials is None else trials):
+        if len(values) * MONTE_CARLO.block >= (MONTE_CARLO.most if trials is None else trials):
             break
         if trials is None:
             figures.append(_figures(values[-1]))
             if len(values) > 1 and _stable(np.array(figures)):
                 break
-    drawn = np.sort(np.concatenate(values)[: trials or MOST], axis=0)
+    drawn = np.sort(np.concatenate(values)[: trials or MONTE_CARLO.most], axis=0)
     std = drawn.std(axis=0, ddof=1)
     symmetric = np.quantile(drawn, (0.025, 0.975), axis=0)
     delta = tolerance(std)
@@ -142,15 +167,15 @@ def propagate_distributions(
 
 
 def _blocks(base: Array, covariance: Array, degrees: float, sources: list[Contribution]) -> Iterator[Array]:
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(MONTE_CARLO.seed)
     values, vectors = np.linalg.eigh(covariance)
     factor = vectors * np.sqrt(np.maximum(values, 0.0))
     while True:
-        drawn = rng.standard_normal((BLOCK, base.size)) @ factor.T
+        drawn = rng.standard_normal((MONTE_CARLO.block, base.size)) @ factor.T
         if math.isfinite(degrees):
-            drawn *= np.sqrt(degrees / rng.chisquare(degrees, BLOCK))[:, None]
+            drawn *= np.sqrt(degrees / rng.chisquare(degrees, MONTE_CARLO.block))[:, None]
         for source in sources:
-            drawn += source_draws(source, BLOCK, rng) @ np.atleast_2d(source.change)
+            drawn += source_draws(source, MONTE_CARLO.block, rng) @ np.atleast_2d(source.change)
         yield base + drawn
 
 
@@ -168,17 +193,10 @@ def _stable(figures: Array) -> bool:
     """
     count = len(figures)
     spread = figures.std(axis=0, ddof=1) / math.sqrt(count)
-    within = (BLOCK - 1) * np.sum(figures[:, 1] ** 2, axis=0)
-    between = BLOCK * (count - 1) * figures[:, 0].var(axis=0, ddof=1)
-    std = np.sqrt((within + between) / (count * BLOCK - 1))
+    within = (MONTE_CARLO.block - 1) * np.sum(figures[:, 1] ** 2, axis=0)
+    between = MONTE_CARLO.block * (count - 1) * figures[:, 0].var(axis=0, ddof=1)
+    std = np.sqrt((within + between) / (count * MONTE_CARLO.block - 1))
     return bool((2.0 * spread <= tolerance(std)).all())
-
-
-DOUBTFUL = 6.0
-"""Ratio of tan_beta to its standard uncertainty below which its interval is not linear (Rice-like)."""
-
-FAR, HALVINGS = 10.0, 60
-"""Search range of the upper limit [standard uncertainties above the estimate]; number of bisection steps."""
 
 
 def put_to_the_test(
@@ -190,7 +208,7 @@ def put_to_the_test(
     several phases, and methods other than whitened least squares, always use the first order.
     """
     coupling = [c for c in coefficients if c.name == "tan_beta"]
-    weak = any(c.value < DOUBTFUL * c.std for c in coupling)
+    weak = any(c.value < MONTE_CARLO.doubtful * c.std for c in coupling)
     able = fit.mode == "increments" and len(fit.solution.jacobians) == 1
     if wanted == "gum" or not able or (wanted == "auto" and not weak):
         return coefficients, None
@@ -275,8 +293,8 @@ def size_limits(value: float, std: float, degrees: float) -> tuple[float, float]
     def size_at(probability: float) -> float:
         if chndtr(ratio**2, 2.0, 0.0) <= probability:
             return 0.0
-        low, high = 0.0, ratio + FAR
-        for _ in range(HALVINGS):
+        low, high = 0.0, ratio + MONTE_CARLO.far
+        for _ in range(MONTE_CARLO.halvings):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if chndtr(ratio**2, 2.0, middle**2) > probability else (low, middle)
         return 0.5 * (low + high)

@@ -60,6 +60,10 @@ class RevolutionSettings:
         Fewest degrees of freedom of a result.
     walk_shares:
         Trial values for the share of the random walk in the scatter of turns.
+    steps:
+        Most Gauss-Newton steps.
+    settled:
+        Relative size of the step that ends them.
     """
 
     steady: float = 2e-3
@@ -68,13 +72,11 @@ class RevolutionSettings:
     clear: float = 4.0
     least_freedom: int = 3
     walk_shares: int = 41
+    steps: int = 50
+    settled: float = 1e-12
 
 
 REVOLUTIONS = RevolutionSettings()
-
-
-STEPS, SETTLED = 50, 1e-12
-"""Most Gauss-Newton steps; relative size of the step that ends them."""
 
 
 @dataclass(frozen=True)
@@ -333,7 +335,7 @@ def _gauss_newton(
         known = run.output + omega[:, 0] - columns[-1]
     square, size = 0.0, np.abs(run.output)
     weight, sign = 1.0 / positions.std, np.sign(run.output)
-    for _ in range(STEPS):
+    for _ in range(REVOLUTIONS.steps):
         K = (
             float(linear[design.names.index("scale_factor")])
             if design.estimates_scale_factor
@@ -352,7 +354,7 @@ def _gauss_newton(
         change = np.linalg.lstsq(scaled / norm, miss * weight, rcond=1e-12)[0] / norm
         linear = linear + change[: linear.size]
         square += float(change[-1]) if pulled else 0.0
-        if np.abs(change * norm).max() <= SETTLED * np.linalg.norm(size * weight):
+        if np.abs(change * norm).max() <= REVOLUTIONS.settled * np.linalg.norm(size * weight):
             break
     covariance = np.linalg.pinv((scaled / norm).T @ (scaled / norm), rcond=1e-14) / np.outer(norm, norm)
     pulling = square if pulled else None

@@ -44,10 +44,24 @@ from piga.records.spool import square_sum
 
 Array = NDArray[np.float64]
 
-MAX_REFITS = 4
-"""Most fits; the noise levels are usually stable after two or three."""
-MAX_ROUNDS = 5
-"""Most rounds of leaving samples out and fitting again; two or three are usual."""
+
+@dataclass(frozen=True)
+class FitSettings:
+    """Settings of the fit of one run (own choices).
+
+    Attributes
+    ----------
+    refits:
+        Most fits; the noise levels are usually stable after two or three.
+    rounds:
+        Most rounds of leaving samples out and fitting again; two or three are usual.
+    """
+
+    refits: int = 4
+    rounds: int = 5
+
+
+FIT = FitSettings()
 
 
 @dataclass(frozen=True)
@@ -160,7 +174,7 @@ def fit_run(
     raw.forget()
     noise = first_noise(misses)
     flags = find_flags(misses, noise, resolution)
-    for _ in range(MAX_ROUNDS):
+    for _ in range(FIT.rounds):
         if not flags.any() or is_misfit(run, misses, flags):
             return plain
         refuse_if_too_many(flags)
@@ -194,7 +208,7 @@ def _fit(
     step = run.median_step
     noise = given or starting_noise(run.resolution, step)
     information = None
-    for refit in range(MAX_REFITS):
+    for refit in range(FIT.refits):
         design = settled_design(design, mode, noise)
         summaries = reduce_segments(design, mode, noise)
         examination = examine(design, summaries)

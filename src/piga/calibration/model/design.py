@@ -108,16 +108,33 @@ def given_servo(run: Run) -> dict[str, float]:
     return {"servo": terms.servo} | damping
 
 
-CHUNK = 1 << 16
-"""Rows per block."""
-CACHE_BYTES = 256 << 20
-"""Memory limit for blocks that are kept for the next pass."""
-MAX_BEND = 0.3
-"""Largest sag of the output angle between samples [rad] that the product integration may correct to first order
-(its error is then below ``bend^2/4`` of tan_beta)."""
-MAX_CHANGE = 0.5
-"""Largest relative change of K inside the regressors; above it the model does not fit the record."""
-THREADS = 2
+@dataclass(frozen=True)
+class DesignSettings:
+    """Settings of the columns of a record (own choices).
+
+    Attributes
+    ----------
+    chunk:
+        Rows per block.
+    cache_bytes:
+        Memory for blocks that are kept for the next pass [bytes].
+    most_bend:
+        Largest sag of the output angle between samples [rad] that the product integration may correct to first
+        order. Its error is then below ``bend^2/4`` of tan_beta.
+    most_change:
+        Largest relative change of K inside the regressors. Above it the model does not fit the record.
+    threads:
+        Threads that fill blocks.
+    """
+
+    chunk: int = 1 << 16
+    cache_bytes: int = 256 << 20
+    most_bend: float = 0.3
+    most_change: float = 0.5
+    threads: int = 2
+
+
+DESIGN = DesignSettings()
 
 
 @dataclass(frozen=True)
@@ -219,7 +236,7 @@ class Design:
     def with_scale_factor(self, scale_factor: float) -> Design:
         """The same model with another K inside the regressors; returns itself if they do not depend on K."""
         relative = abs(scale_factor / self.scale_factor - 1.0)
-        absurd = relative > MAX_CHANGE
+        absurd = relative > DESIGN.most_change
         if relative < 1e-12 or absurd or (self.run.base_rate is None and relative < 1e-3):
             return self
         return Design(self.run, self.request, scale_factor, self.servo)
@@ -240,13 +257,13 @@ class Design:
 
     def blocks(self) -> Iterator[Block]:
         """All blocks in order, built in advance on other threads."""
-        keep = self.run.size * (len(self.names) + 2) * 8 <= CACHE_BYTES
-        with workers(self.run.size, THREADS) as pool:
+        keep = self.run.size * (len(self.names) + 2) * 8 <= DESIGN.cache_bytes
+        with workers(self.run.size, DESIGN.threads) as pool:
             pending = []
             for index in range(len(self._ranges)):
                 built = self._cache.get(index)
                 pending.append(built if built is not None else pool.submit(self._build, index))
-                if len(pending) > THREADS + 1:
+                if len(pending) > DESIGN.threads + 1:
                     yield self._take(pending.pop(0), keep)
             for item in pending:
                 yield self._take(item, keep)
@@ -421,8 +438,8 @@ class Design:
             bend = np.abs(self.scale_factor / 8.0 * h * steps(run.f[:, 0], part))
             if bend.max() > worst:
                 worst, at = float(bend.max()), part.start + int(np.argmax(bend))
-        if worst > MAX_BEND:
-            rate = np.sqrt(worst / MAX_BEND) / (run.t[at] - run.t[at - 1])
+        if worst > DESIGN.most_bend:
+            rate = np.sqrt(worst / DESIGN.most_bend) / (run.t[at] - run.t[at - 1])
             raise DataError(
                 f"row {run.row[at]}: between two samples the output angle bends by {worst:.2g} rad; its "
                 "cross-coupling cannot be integrated",
@@ -431,7 +448,7 @@ class Design:
 
 
 def _ranges(run: Run) -> list[tuple[int, int, int]]:
-    """Row ranges of the blocks: within one segment, about CHUNK rows; (start, stop, segment).
+    """Row ranges of the blocks: within one segment, about ``DESIGN.chunk`` rows; (start, stop, segment).
 
     No block ends at a sample that is left out, because its interval belongs to the next sample.
     """
@@ -441,7 +458,7 @@ def _ranges(run: Run) -> list[tuple[int, int, int]]:
         segment, end = int(run.segment_index[left]), int(right)
         start = int(left)
         while start < end:
-            stop = min(start + CHUNK, end)
+            stop = min(start + DESIGN.chunk, end)
             while run.left_out is not None and stop < end and run.left_out[stop - 1]:
                 stop += 1
             ranges.append((start, stop, segment))

@@ -25,11 +25,27 @@ KNOTS = 32
 DRIFT_NAMES = tuple(f"drift step {k + 1}" for k in range(KNOTS))
 """Names of the drift columns in a summary."""
 
-UNSEEN = 1e-12
-"""Size of a phase's column, relative to the largest column, below which no sample shows the phase."""
-ITERATIONS = 50
-SCAN = 72
-"""Phases tried for each group before refinement; the cost has at most two minima on the circle."""
+
+@dataclass(frozen=True)
+class SolutionSettings:
+    """Settings of the solution (own choices).
+
+    Attributes
+    ----------
+    unseen:
+        Size of a phase's column, relative to the largest column, below which no sample shows the phase.
+    iterations:
+        Most Gauss-Newton steps for a coupling that several phases share; a few are usual.
+    scan:
+        Phases tried for each group before refinement; the cost has at most two minima on the circle.
+    """
+
+    unseen: float = 1e-12
+    iterations: int = 50
+    scan: int = 72
+
+
+SOLUTION = SolutionSettings()
 
 
 @dataclass(frozen=True)
@@ -266,7 +282,7 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
     amplitudes = _amplitudes_given(layout, phases, factors)
     cost = _cost(layout, amplitudes, phases, factors)
     damping = 0.0
-    for _ in range(ITERATIONS):
+    for _ in range(SOLUTION.iterations):
         R, residual = _linearised(layout, amplitudes, phases, factors)
         step = _damped_step(R, residual, damping)
         new_amplitudes, new_phases = amplitudes + step[: layout.size], phases + step[layout.size :]
@@ -316,9 +332,9 @@ def _least_squares(factor: Array) -> Array:
 
 
 def _scan(layout: Layout, amplitudes: Array, factor: Array, group: int) -> float:
-    """Best of ``SCAN`` phases for one group."""
+    """Best of ``SOLUTION.scan`` phases for one group."""
     m = factor.shape[0] - 1
-    trial = 2.0 * np.pi * np.arange(SCAN) / SCAN - np.pi
+    trial = 2.0 * np.pi * np.arange(SOLUTION.scan) / SOLUTION.scan - np.pi
     costs = [np.sum((factor[:m, :m] @ layout.linear(amplitudes, p, group) - factor[:m, m]) ** 2) for p in trial]
     return float(trial[int(np.argmin(costs))])
 
@@ -373,7 +389,7 @@ def _inverse_information(R: Array, first_phase: int) -> Array:
     """
     scale = np.linalg.norm(R, axis=0)
     seen = np.ones(scale.size, np.bool_)
-    seen[first_phase:] = scale[first_phase:] > UNSEEN * scale.max()
+    seen[first_phase:] = scale[first_phase:] > SOLUTION.unseen * scale.max()
     scale = scale[seen]
     scale[scale == 0.0] = 1.0
     _, r = np.linalg.qr(R[:, seen] / scale)

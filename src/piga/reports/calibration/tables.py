@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,14 +16,46 @@ from piga.reports.render.numbers import count, fixed, pretty_unit, printed, rela
 from piga.reports.render.page import Cell, Judgement, Table, TableColumn
 from piga.units import ARCSEC, G0
 
-_SHOWN_SEGMENTS = 60
-SHOWN_NAMES = 14
-"""Coefficients with columns in a table."""
-_SHOWN_OUTLIERS = 30
+
+@dataclass(frozen=True)
+class TableSettings:
+    """What the tables of a calibration show (own choices).
+
+    Attributes
+    ----------
+    segments:
+        Segments with a row.
+    coefficients:
+        Coefficients with columns in a table.
+    outliers:
+        Outliers with a row.
+    many:
+        Above this number, degrees of freedom are shown as ``> 1000``.
+    across:
+        Coefficients beside each other in a table of the page: they fit the screen and A4.
+    sensitivities_across:
+        Coefficients beside each other in a table of short numbers.
+    negligible:
+        Contributions below this, in standard uncertainties of the coefficient, are not shown (0.0001 % of the
+        variance).
+    slight:
+        Share of the variance below which a source is left out on the terminal.
+    leverage:
+        Segments in the table of leverage, those with the most first.
+    """
+
+    segments: int = 60
+    coefficients: int = 14
+    outliers: int = 30
+    many: int = 1000
+    across: int = 4
+    sensitivities_across: int = 6
+    negligible: float = 1e-3
+    slight: float = 0.01
+    leverage: int = 24
 
 
-MANY = 1000
-"""Above this number, degrees of freedom are shown as ``> 1000``."""
+TABLES = TableSettings()
 
 
 def judgement(cal: Calibration, subject: str = "") -> Judgement:
@@ -65,8 +97,8 @@ def freedom(coefficient: Coefficient) -> str:
     nu = coefficient.degrees_of_freedom
     if math.isnan(nu):
         return "–"
-    if MANY < nu < math.inf:
-        return f"> {count(MANY)}"
+    if TABLES.many < nu < math.inf:
+        return f"> {count(TABLES.many)}"
     return "∞" if math.isinf(nu) else count(round(nu)) if nu >= 100.0 else f"{nu:.3g}"
 
 
@@ -144,7 +176,7 @@ def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
 def correlation_table(cal: Calibration) -> Table | None:
     """Correlation matrix of the common coefficients, or None when there is but one."""
     common = [row for row, coefficient in enumerate(cal.coefficients) if coefficient.segment is None]
-    index = common[:SHOWN_NAMES]
+    index = common[: TABLES.coefficients]
     if len(index) < 2:
         return None
     covariance = np.asarray(cal.covariance, dtype=float)[np.ix_(index, index)]
@@ -175,10 +207,10 @@ def segment_table(cal: Calibration) -> Table:
     """One row per segment; of very many the ones with the largest residuals."""
     shown = list(cal.segments)
     notes: tuple[str, ...] = ()
-    if len(shown) > _SHOWN_SEGMENTS:
-        worst = sorted(range(len(shown)), key=lambda row: -shown[row].rms)[:_SHOWN_SEGMENTS]
+    if len(shown) > TABLES.segments:
+        worst = sorted(range(len(shown)), key=lambda row: -shown[row].rms)[: TABLES.segments]
         shown = [shown[row] for row in sorted(worst)]
-        notes = (f"The {_SHOWN_SEGMENTS} of {len(cal.segments)} segments with the largest residuals.",)
+        notes = (f"The {TABLES.segments} of {len(cal.segments)} segments with the largest residuals.",)
     unit = residual_quantity(cal)[1]
     phases = {c.owner: c for c in cal.coefficients if c.name == "phi" and c.segment is not None}
     typical = float(np.median([segment.rms for segment in shown])) if shown else 0.0
@@ -260,7 +292,7 @@ def outlier_table(cal: Calibration) -> Table:
         TableColumn("Miss", unit),
     ]
     rows = []
-    for outlier in listed[:_SHOWN_OUTLIERS]:
+    for outlier in listed[: TABLES.outliers]:
         row: list[str | Cell] = [
             outlier.kind,
             f"{outlier.time:.3f}",
@@ -271,8 +303,8 @@ def outlier_table(cal: Calibration) -> Table:
         rows.append(tuple([outlier.run or "–", *row] if named else row))
     if named:
         columns.insert(0, TableColumn("Run", align="text"))
-    more = len(cal.outliers) - _SHOWN_OUTLIERS
-    notes = (f"The first {_SHOWN_OUTLIERS} of {count(len(cal.outliers))} findings.",) if more > 0 else ()
+    more = len(cal.outliers) - TABLES.outliers
+    notes = (f"The first {TABLES.outliers} of {count(len(cal.outliers))} findings.",) if more > 0 else ()
     return Table(tuple(columns), tuple(rows), notes=notes)
 
 
@@ -351,19 +383,13 @@ def scalars(document: dict[str, Any]) -> list[tuple[str, str]]:
             rows.append((key, printed(short(value, 4))))
         elif isinstance(value, (str, int)):
             rows.append((key, str(value)))
-        elif isinstance(value, (list, tuple)) and len(value) <= SHOWN_NAMES:
+        elif isinstance(value, (list, tuple)) and len(value) <= TABLES.coefficients:
             rows.append((key, ", ".join(str(item) for item in value)))
     return rows
 
 
-ACROSS, SENSITIVITIES_ACROSS = 4, 6
-"""Coefficients beside each other in a table of the page: they fit the screen and A4."""
-NOTHING = 1e-3
-"""Contributions below this, in standard uncertainties of the coefficient, are negligible (0.0001 % of the variance)."""
 DESCRIBED = 5
 """Columns of the budget that describe a source: name, type, distribution, standard uncertainty, degrees of freedom."""
-SLIGHT = 0.01
-"""Share of the variance below which a source is left out on the terminal."""
 
 
 def budget_table(cal: Calibration) -> Table:
@@ -371,7 +397,7 @@ def budget_table(cal: Calibration) -> Table:
 
     Without an entry of Type A the standard uncertainties of the fit are put first.
     """
-    coefficients = common_coefficients(cal)[:SHOWN_NAMES]
+    coefficients = common_coefficients(cal)[: TABLES.coefficients]
     sources = _sources(cal, coefficients)
     names = [_friendly_unit(coefficient) for coefficient in coefficients]
     columns = (
@@ -392,7 +418,7 @@ def budget_table(cal: Calibration) -> Table:
 
 def budget_shares(cal: Calibration) -> tuple[list[str], dict[str, list[float]]]:
     """Keys of the coefficients with a budget, and the share [%] of each source in the variance of each."""
-    coefficients = [c for c in common_coefficients(cal)[:SHOWN_NAMES] if c.std > 0.0]
+    coefficients = [c for c in common_coefficients(cal)[: TABLES.coefficients] if c.std > 0.0]
     sources = _sources(cal, coefficients)
     total = {c.key: math.hypot(*(source.contribution(c) for source in sources)) for c in coefficients}
     known = [c for c in coefficients if total[c.key] > 0.0]
@@ -451,7 +477,7 @@ def budget_tables(cal: Calibration) -> tuple[Table, ...]:
     rows = tuple((source_in_words(str(row[0])), *row[1:]) for row in sources.rows if row[1])
     sources = replace(sources, rows=rows, notes=())
     contributions = whole.only([0, *range(DESCRIBED, len(whole.columns))])
-    return (sources, *contributions.parts(1, ACROSS))
+    return (sources, *contributions.parts(1, TABLES.across))
 
 
 def _friendly_unit(coefficient: Coefficient) -> tuple[str, float]:
@@ -468,7 +494,7 @@ def _cells(
         part = abs(contributions.get(coefficient.key, 0.0))
         amount, whole = part * _friendly_unit(coefficient)[1], total.get(coefficient.key, 0.0)
         share = f" ({100.0 * (part / whole) ** 2:.0f} %)" if whole > 0.0 else ""
-        shown = part > NOTHING * coefficient.std
+        shown = part > TABLES.negligible * coefficient.std
         cells.append(Cell(printed(short(amount, 2)) + share) if shown else Cell("–", "quiet"))
     return cells
 
@@ -498,7 +524,7 @@ def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
     ]
     if not rows:
         return ()
-    coefficients = common_coefficients(cal)[:SHOWN_NAMES]
+    coefficients = common_coefficients(cal)[: TABLES.coefficients]
     units = [_friendly_unit(coefficient) for coefficient in coefficients]
     columns = (
         TableColumn("Source", align="text"),
@@ -513,12 +539,12 @@ def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
         )
         for row, given in rows
     )
-    return Table(columns, cells).parts(2, SENSITIVITIES_ACROSS)
+    return Table(columns, cells).parts(2, TABLES.sensitivities_across)
 
 
 def _sensitivity(row: BudgetEntry, coefficient: Coefficient, scale: float) -> str | Cell:
     sensitivity = row.sensitivities.get(coefficient.key)
-    if sensitivity is None or abs(row.contribution(coefficient)) <= NOTHING * coefficient.std:
+    if sensitivity is None or abs(row.contribution(coefficient)) <= TABLES.negligible * coefficient.std:
         return Cell("–", "quiet")
     return printed(short(sensitivity.value * scale, 3))
 
@@ -529,7 +555,7 @@ def budget_text(cal: Calibration) -> list[str]:
         return []
     blocks = [(c, _text_rows(cal, c)) for c in common_coefficients(cal)]
     width = [max(len(row[i]) for _, rows in blocks for row in rows) for i in range(6)]
-    lines = [f"  uncertainty budget (sources below {100 * SLIGHT:.0f} % of a variance left out)"]
+    lines = [f"  uncertainty budget (sources below {100 * TABLES.slight:.0f} % of a variance left out)"]
     for coefficient, rows in blocks:
         lines.append(f"  {coefficient.key} [{shown_unit(coefficient.name, coefficient.unit)[1]}]")
         for source, kind, u, sensitivity, part, share in rows:
@@ -547,7 +573,7 @@ def _text_rows(cal: Calibration, coefficient: Coefficient) -> list[tuple[str, ..
     for row in cal.budget:
         part = abs(row.contribution(coefficient))
         share = (part / whole) ** 2 if whole else 0.0
-        if share < SLIGHT:
+        if share < TABLES.slight:
             continue
         given, effect = row.standard_uncertainty, row.sensitivities.get(coefficient.key)
         entered = f"{short(given.value)} {given.unit}" if given else ""
@@ -574,7 +600,6 @@ PROPAGATION_LEAD = (
     "First order (GUM) against Monte Carlo (JCGM 101, clause 8): 95 % intervals both ways. Good: they agree within the "
     "numerical tolerance; otherwise the Monte Carlo interval is the result."
 )
-_SHOWN = 24
 _ALONE, _SHIFT = 0.9, 3.0
 
 
@@ -583,7 +608,7 @@ def leverage_tables(cal: Calibration) -> tuple[Table, ...]:
     leverage = cal.diagnostics.leverage
     if not leverage:
         return ()
-    most = sorted(leverage, key=lambda label: -leverage[label].leverage)[:_SHOWN]
+    most = sorted(leverage, key=lambda label: -leverage[label].leverage)[: TABLES.leverage]
     names = [c.name for c in common_coefficients(cal)]
     columns = (
         TableColumn("Segment", align="text"),
@@ -600,9 +625,11 @@ def leverage_tables(cal: Calibration) -> tuple[Table, ...]:
         if label in most
     )
     notes = (
-        (f"The {_SHOWN} of {len(leverage)} segments with the most leverage.",) if len(leverage) > _SHOWN else ()
+        (f"The {TABLES.leverage} of {len(leverage)} segments with the most leverage.",)
+        if len(leverage) > TABLES.leverage
+        else ()
     )
-    return Table(columns, rows, notes=notes).parts(2, SENSITIVITIES_ACROSS)
+    return Table(columns, rows, notes=notes).parts(2, TABLES.sensitivities_across)
 
 
 def _share(share: float | None, shift: float | None) -> Cell:
