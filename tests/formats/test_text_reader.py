@@ -60,7 +60,7 @@ def test_a_packed_file_with_a_long_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize("size", [3 << 20, 5 << 20])
 def test_a_long_line_further_on_is_named_by_its_row(tmp_path: Path, size: int) -> None:
     content = HEADER + ROWS + b"1" * size + b"\n" + ROWS
-    with pytest.raises(piga.DataError, match="row 42 has 1 cells, the header has 5"):
+    with pytest.raises(piga.DataError, match="row 42 has 1 cell, the header has 5"):
         read(tmp_path, content)
     masked = read(tmp_path, HEADER + ROWS + b"1" * size + b"\n", data="damaged_rows = 'mask'")
     assert (masked.size, events(masked)) == (40, {"short-row": 1})

@@ -106,6 +106,11 @@ def print_json_list(document: dict[str, Any], name: str, items: Iterable[Any]) -
     write_out("\n ]\n}\n" if between != "\n" else "]\n}\n", needed=True)
 
 
+def counted(count: int, noun: str) -> str:
+    """A number and a noun in the singular or plural."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def say(text: str) -> None:
     """Print a line for people on stdout."""
     write_out(clean(text) + "\n", needed=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from piga.describe.names import Kind, kind_of_name, known_unit, measures, unit_in_name
 from piga.formats.text.time_stamp import forms_of
+from piga.units import G0
 
 Array = NDArray[np.float64]
 
@@ -39,6 +41,10 @@ WORDS: dict[str, str] = {
     "other": "not used",
 }
 """Kinds in words."""
+_PLAIN = re.compile(r"[-+]?\d*[.,]?\d*(?:[eE][-+]?\d+)?")
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:[,.' \u00a0]\d{3})+(?:[.,]\d+)?")
+_UNNAMED = re.compile(r"[A-Z]{1,2}|.*\(:,\d+\)|(?:c|ch|col|column|channel|var|field)[ _-]?\d+", re.IGNORECASE)
+"""Names that say nothing."""
 MOST_LEVELS = 2000
 """Most holds of a stepped column."""
 
@@ -114,7 +120,101 @@ def guess_columns(
     ]
     guesses = _one_output(guesses, numbers)
     guesses = _by_values(guesses, numbers)
-    return [_with_unit(guess, numbers) for guess in guesses]
+    guesses = _triad_by_values(guesses, numbers)
+    return [_with_unit(guess, guesses, numbers) for guess in guesses]
+
+
+FILLS = (-9999.0, -999.0, -99999.0, -9999.9, -999.9, -32768.0, 9999.0, 99999.0, 32767.0, -1e30, 1e30, 9.9e37)
+"""Numbers that loggers write for a missing value."""
+MOST_FILLED = 0.2
+"""Largest share of the rows that such a number may take."""
+FAR = 20.0
+"""A fill value is at least this many usual steps from the values around it and from all other values."""
+
+
+def without_fills(numbers: dict[str, Array], names: tuple[str, ...]) -> dict[str, float]:
+    """Find numbers that mark missing values, and put nan in their place. Returns the number by column."""
+    fills = {}
+    for name in names:
+        value = _fill(numbers[name])
+        if value is not None:
+            fills[name] = value
+            numbers[name] = np.where(numbers[name] == value, np.nan, numbers[name])
+    return fills
+
+
+def _fill(x: Array) -> float | None:
+    """A number of :data:`FILLS` that lies far outside all other values of the column."""
+    for value in FILLS:
+        filled = x == value
+        if not 0 < np.count_nonzero(filled) <= MOST_FILLED * x.size:
+            continue
+        rest = x[~filled & np.isfinite(x)]
+        if rest.size < 3:
+            continue
+        usual = float(np.quantile(np.abs(np.diff(rest)), 0.9))
+        apart = max(rest.min() - value, value - rest.max())
+        if apart > max(FAR * usual, 0.0 if usual else np.ptp(rest)):
+            return value
+    return None
+
+
+MOST_SPIKES = 100
+"""Most spikes of one column that are left out row by row."""
+
+
+def without_spikes(
+    numbers: dict[str, Array], names: tuple[str, ...], rows: NDArray[np.int64]
+) -> dict[str, tuple[float, tuple[tuple[int, int], ...]]]:
+    """Find numbers that mark missing values in a column whose good values pass them, and put nan in their place.
+
+    Returns the number by column, and the first and last row of each spike.
+    """
+    spikes = {}
+    for name in names:
+        x = numbers[name]
+        usual = float(np.nanquantile(np.abs(np.diff(x)), 0.9)) if np.isfinite(x).sum() > 8 else 0.0
+        for value in FILLS:
+            filled = x == value
+            if usual == 0.0 or not 0 < np.count_nonzero(filled) <= MOST_SPIKES:
+                continue
+            edges = np.flatnonzero(np.diff(np.r_[False, filled, False]))
+            starts, ends = edges[::2], edges[1::2] - 1
+            before, after = x[np.maximum(starts - 1, 0)], x[np.minimum(ends + 1, x.size - 1)]
+            apart = np.minimum(
+                np.where(starts > 0, np.abs(before - value), np.inf),
+                np.where(ends + 1 < x.size, np.abs(after - value), np.inf),
+            )
+            far = apart > FAR * usual
+            if far.any():
+                chosen = list(zip(starts[far].tolist(), ends[far].tolist(), strict=True))
+                spikes[name] = value, tuple((int(rows[a]), int(rows[b])) for a, b in chosen)
+                for a, b in chosen:
+                    x = np.where((np.arange(x.size) >= a) & (np.arange(x.size) <= b), np.nan, x)
+                numbers[name] = x
+    return spikes
+
+
+def _triad_by_values(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> list[ColumnGuess]:
+    """Three columns without names whose squares add up to g in nearly every row: the specific force."""
+    if any(guess.kind == "force" for guess in guesses):
+        return guesses
+    for k in range(len(guesses) - 2):
+        three = guesses[k : k + 3]
+        if any(one.kind != "other" or one.unit or one.name not in numbers for one in three):
+            continue
+        size = np.sqrt(sum(numbers[one.name] ** 2 for one in three))
+        typical = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
+        for unit, g in (("g", 1.0), ("m/s^2", G0), ("mg", 1e3), ("ug", 1e6)):
+            if abs(typical / g - 1.0) < 0.01 and np.nanmean(np.abs(size - typical) < 0.02 * typical) > 0.9:
+                names = ", ".join(one.name for one in three)
+                why = f"their names say nothing, but the squares of {names} add up to the square of {typical:.4g} {unit}"
+                triad = [
+                    replace(one, kind="force", axis=axis, unit=unit, reason=why, alternatives=("not used",))
+                    for axis, one in enumerate(three)
+                ]
+                return [*guesses[:k], *triad, *guesses[k + 3 :]]
+    return guesses
 
 
 def _by_name(name: str, logged: str, cells: list[str], x: Array | None) -> ColumnGuess:
@@ -136,8 +236,19 @@ def _by_name(name: str, logged: str, cells: list[str], x: Array | None) -> Colum
     if kind in LIKE and unit and not measures(unit, LIKE[kind]):
         return _by_unit(guess)
     if x is None and kind not in ("segment", "date"):
-        return replace(guess, kind="other", reason="its cells are not numbers", unit="")
+        return replace(guess, kind="other", reason=_no_numbers(cells), unit="")
+    if kind == "other" and measures(unit, "Hz"):
+        why = "its unit is a frequency: piga reads a running count, an angle or a rate such as rev/s, not pulses per second"
+        return replace(guess, reason=why)
     return guess
+
+
+def _no_numbers(cells: list[str]) -> str:
+    """Why a column is not one of numbers, with a cell of it."""
+    example = next((cell for cell in cells if not _PLAIN.fullmatch(cell)), "")
+    if _THOUSANDS.fullmatch(example):
+        return f"cells such as '{example}' have thousands separators: export the log without them"
+    return f"its cells are not numbers, such as '{example[:30]}'" if example else "its cells are not numbers"
 
 
 def _by_unit(guess: ColumnGuess) -> ColumnGuess:
@@ -200,15 +311,24 @@ def _by_value(guess: ColumnGuess, values: Values, kinds: set[str]) -> ColumnGues
         if not kinds & {"counts", "angle", "rate"} and values.whole and not values.stepped and busy:
             why = "its name says nothing, but it holds whole numbers that change in most rows"
             return replace(guess, kind="counts", reason=why, alternatives=("not used",))
+        if "segment" not in kinds and values.whole and values.stepped and _UNNAMED.fullmatch(guess.name):
+            why = "its name says nothing, but it holds whole numbers, each over many rows"
+            return replace(guess, kind="segment", reason=why, alternatives=("not used",))
     return guess
 
 
-def _with_unit(guess: ColumnGuess, numbers: dict[str, Array]) -> ColumnGuess:
-    """Guess a unit that neither header nor name gives."""
+def _with_unit(guess: ColumnGuess, guesses: list[ColumnGuess], numbers: dict[str, Array]) -> ColumnGuess:
+    """Guess a unit that neither header nor name gives. Columns of three axes have one unit."""
     x = numbers.get(guess.name)
     if guess.unit or guess.stamp or x is None or guess.kind not in LIKE:
         return guess
-    size = float(np.nanmax(np.abs(x))) if np.isfinite(x).any() else 0.0
+    axes = {one.axis: one for one in reversed(guesses) if one.kind == guess.kind and one.axis is not None}
+    beside = list(axes.values()) if guess in axes.values() else []
+    stated = {one.unit for one in beside if one.unit}
+    if len(stated) == 1:
+        unit = stated.pop()
+        return replace(guess, unit=unit, reason=f"{guess.reason}; unit {unit} as in the columns beside it")
+    size = max((_size(numbers[one.name]) for one in beside if one.name in numbers), default=_size(x))
     units, why = _units(guess.kind, size, Values.of(x))
     return replace(
         guess,
@@ -216,6 +336,10 @@ def _with_unit(guess: ColumnGuess, numbers: dict[str, Array]) -> ColumnGuess:
         reason=f"{guess.reason}; unit {units[0]} guessed: {why}",
         alternatives=(*guess.alternatives, *(f"unit {other}" for other in units[1:])),
     )
+
+
+def _size(x: Array) -> float:
+    return float(np.nanmax(np.abs(x))) if np.isfinite(x).any() else 0.0
 
 
 def _units(kind: Kind, size: float, values: Values) -> tuple[tuple[str, ...], str]:

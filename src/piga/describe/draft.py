@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.describe.columns import WORDS, ColumnGuess, Values
+from piga.describe.layout import Guess
 from piga.describe.log import LogDescription
 from piga.describe.toml_writer import toml_text, toml_value
-from piga.errors import ArgumentError, UnitError
+from piga.errors import ArgumentError, DataError, UnitError
 from piga.records.run import Run
 from piga.stand.run_reference import read_run
 from piga.units import G0, parse_unit, to_si
@@ -33,6 +36,11 @@ USUAL_COUNTS = tuple(
         | {2**k for k in range(8, 25)}
     )
 )
+EARTH = (
+    "CHECK: the log has no rate of the base. If the stand stood still, the rotation of the Earth is left in the "
+    "coefficients (up to 82 ppm of the scale factor and 82 ug of k0 at 0.8884 rad/s/g): add [data] base_rate, or use "
+    "a [stand] table with the latitude"
+)
 LEAST_SWING = 0.01
 """Transverse specific force [g] from which on ``tan_beta`` is asked for."""
 
@@ -44,6 +52,11 @@ class Question:
     key: str
     words: str
     example: str
+
+    @property
+    def toml(self) -> bool:
+        """True if the example is written in TOML, not a text."""
+        return self.example[:1] in "{[" or self.example.isdigit()
 
 
 QUESTIONS = {
@@ -62,7 +75,6 @@ QUESTIONS = {
         "columns of the specific force along X0, Y0 and Z0",
         '{ columns = ["fx", "fy", "fz"], unit = "g" }',
     ),
-    "data.segment": Question("data.segment", "column that numbers the positions or levels", "position"),
     "stand.latitude": Question("stand.latitude", "latitude of the laboratory", "40 deg"),
     "stand.radius": Question("stand.radius", "radius of the centrifuge at the instrument", "1 m"),
 }
@@ -98,7 +110,25 @@ class RunFileDraft:
         """The run file."""
         order: list[str] = [name for name in ("instrument", "data", "stand", "model") if name in self.document]
         order += [name for name in self.document if name not in order]
-        return toml_text({name: self.document[name] for name in order}, self.comments)
+        comments = dict(self.comments)
+        for one in self.open:
+            table, _, key = one.key.partition(".")
+            comments[f"{table}."] = [
+                *comments.get(f"{table}.", []),
+                f"OPEN: {one.words}. Correct the next line and remove its #.",
+                f"{key} = {one.example if one.toml else toml_value(one.example)}",
+            ]
+        return toml_text({name: self.document[name] for name in order}, comments)
+
+    def completed(self) -> RunFileDraft:
+        """A draft in which every open question has its example as the answer: to check all that is not open."""
+        whole = RunFileDraft({table: dict(part) for table, part in self.document.items()})
+        for one in self.open:
+            whole.put(one.key, setting(f"{one.key}={one.example}")[1])
+        output = whole.document["data"].get("output")
+        if isinstance(output, Mapping) and output.get("kind") == "counts":
+            whole.document["instrument"].setdefault("counts_per_revolution", 72000)
+        return whole
 
 
 def setting(text: str) -> tuple[str, Any]:
@@ -155,7 +185,8 @@ def draft_run_file(
     _time(draft, log)
     output = _output(draft, log)
     _optional(draft, log)
-    _reference(draft, log, settings)
+    _reference(draft, log, output, settings)
+    _fills(draft, log)
     for key, value in settings.items():
         _apply(draft, key, value)
     _instrument(draft, log, output)
@@ -176,7 +207,10 @@ def try_run_file(draft: RunFileDraft, path: Path) -> Run:
     PigaError
         If the log cannot be read with it.
     """
-    run = read_run(path, content=draft.text().encode())
+    try:
+        run = read_run(path, content=draft.text().encode())
+    except DataError as error:
+        run = _without_damage(draft, path, error)
     if len(set(run.phase_group)) > 1 and "phase" not in draft.document.get("model", {}):
         draft.put(
             "model.phase",
@@ -186,6 +220,35 @@ def try_run_file(draft: RunFileDraft, path: Path) -> Run:
         _without_bare_phases(draft, run)
         return read_run(path, content=draft.text().encode())
     return run
+
+
+MOST_DAMAGED = 0.01
+"""Largest share of damaged rows that a draft leaves out by itself."""
+
+
+def _without_damage(draft: RunFileDraft, path: Path, error: DataError) -> Run:
+    """Read the log without a few damaged rows: words that mark missing values, or a footer. The draft says so."""
+    remedy = error.remedy or ""
+    if "damaged_rows = 'mask'" not in remedy:
+        raise error
+    words = re.findall(r"missing = \['([^']*)'\]", remedy)
+    for key, value in (*(("data.missing", [word]) for word in words), ("data.damaged_rows", "mask")):
+        before = draft.document["data"].get(key.partition(".")[2])
+        draft.put(
+            key, value, f"{' '.join(error.message.split(': ', 1)[-1].split())[:200]}: left out and counted"
+        )
+        try:
+            run = read_run(path, content=draft.text().encode())
+        except DataError:
+            run = None
+        if run is not None and run.quality.rows - run.size <= max(MOST_DAMAGED * run.quality.rows, 2):
+            return run
+        draft.comments.pop(key)
+        if before is None:
+            draft.document["data"].pop(key.partition(".")[2])
+        else:
+            draft.document["data"][key.partition(".")[2]] = before
+    raise error
 
 
 def _without_bare_phases(draft: RunFileDraft, run: Run) -> None:
@@ -213,13 +276,19 @@ def _column_words(column: ColumnGuess) -> str:
 
 def _layout(draft: RunFileDraft, log: LogDescription) -> None:
     layout = log.layout
+    if "data.sheet" in log.facts:
+        sheet = log.facts["data.sheet"]
+        others = [f"  or: sheet = {toml_value(other)}" for other in sheet.alternatives]
+        draft.put("data.sheet", sheet.value, sheet.reason, *others)
     if layout is None:
         return
     guesses = {"delimiter": layout.separator, "decimal": layout.decimal}
     if layout.encoding.value not in ("utf-8", "ascii"):
         guesses["encoding"] = layout.encoding
-    if layout.header_row.value > 1:
+    if layout.header_row.value is False or layout.header_row.value > 1 or layout.marked:
         guesses["header_row"] = layout.header_row
+    if layout.skip_rows:
+        guesses["skip_rows"] = Guess(layout.skip_rows, "lines before the numbers")
     if layout.units_row.value is not False:
         guesses["units_row"] = layout.units_row
     for key, guess in guesses.items():
@@ -252,7 +321,25 @@ def _time(draft: RunFileDraft, log: LogDescription) -> None:
         if other not in WORDS.values()
     ]
     value = {"column": column.name, **({"stamp": column.stamp} if column.stamp else {"unit": column.unit})}
+    rounded = _rate_of_rounded(log.numbers.get(column.name, np.empty(0)), column)
+    if rounded is not None:
+        why = f"the times of {column.name} are rounded: each stands in {rounded[1]:g} rows"
+        draft.put("data.sample_rate", f"{rounded[0]:.9g} Hz", why, f"  or: time = {toml_value(value)}", *others)
+        return
     draft.put("data.time", value, column.reason, *others)
+
+
+def _rate_of_rounded(t: Array, column: ColumnGuess) -> tuple[float, float] | None:
+    """Sample rate [Hz] and rows per value of a time that is rounded so far that it repeats. None if it does not."""
+    t = t[np.isfinite(t)]
+    if t.size < 8 or np.median(np.diff(t)) > 0.0:
+        return None
+    at = np.flatnonzero(np.diff(t) > 0.0)
+    if at.size < 3:
+        return None
+    rows, step = float(np.median(np.diff(at))), float(np.median(t[at + 1] - t[at]))
+    seconds = 1.0 if column.stamp else parse_unit(column.unit).factor
+    return (rows / (step * seconds), rows) if rows >= 2.0 else None
 
 
 def _output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
@@ -264,6 +351,12 @@ def _output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
     value: dict[str, Any] = {"column": column.name, "kind": column.kind}
     reasons = [column.reason]
     x = log.numbers.get(column.name, np.empty(0))
+    if column.kind == "counts" and _of_each_sample(log, x):
+        draft.comments["data."] = [
+            f"{column.name} holds the pulses of each sample, not a running count: it follows the specific force itself.",
+            f"piga reads a running count. Add a column with the running sum of {column.name} to the log.",
+        ]
+        return None
     if column.kind == "counts":
         bits = _counter_bits(x)
         if bits is not None:
@@ -283,6 +376,24 @@ def _output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
     return column
 
 
+def _of_each_sample(log: LogDescription, x: Array) -> bool:
+    """True if counts, not their steps, follow the specific force: they are the pulses of each sample."""
+    forces = [log.numbers[one.name] for one in log.of("force") if one.name in log.numbers]
+    themselves = max((abs(_correlation(x, level)) for level in forces), default=0.0)
+    steps = max((abs(_correlation(np.diff(x), level[1:])) for level in forces), default=0.0)
+    return themselves > 0.99 and steps < 0.5
+
+
+def _correlation(y: Array, x: Array) -> float:
+    """Correlation of two columns, without gaps and jumps of y; 0 where one of them is the same everywhere."""
+    good = np.isfinite(x) & np.isfinite(y)
+    good &= np.abs(y) <= 3.0 * np.quantile(np.abs(y[good]), 0.9) if good.any() else False
+    x, y = x[good], y[good]
+    if x.size < 10 or np.std(y) == 0.0 or np.std(x) <= 0.02 * np.abs(x).max():
+        return 0.0
+    return float(np.corrcoef(x, y)[0, 1])
+
+
 def _counter_bits(x: Array) -> tuple[int, str] | None:
     """Width of a counter that folds: the narrowest one that holds its values, if it falls by more than half of it."""
     x = x[np.isfinite(x)]
@@ -293,10 +404,12 @@ def _counter_bits(x: Array) -> tuple[int, str] | None:
     usual = float(np.quantile(np.abs(d), 0.9))
     for bits in WIDTHS:
         span = 2.0**bits
-        if low >= 0.0 and high < span:
+        signed = low < 0.0
+        if -0.5 * span * signed <= low and high < span * (0.5 if signed else 1.0):
             if size > 0.5 * span and usual < 0.25 * span:
                 at = int(np.argmax(np.abs(d)))
-                return bits, f"goes from {x[at]:.0f} to {x[at + 1]:.0f} in one row, and stays below 2^{bits}"
+                inside = f"between -2^{bits - 1} and 2^{bits - 1}" if signed else f"below 2^{bits}"
+                return bits, f"goes from {x[at]:.0f} to {x[at + 1]:.0f} in one row, and stays {inside}"
             return None
     return None
 
@@ -313,9 +426,17 @@ def _fold(x: Array, unit: str) -> tuple[str, str] | None:
     return None
 
 
+def _one_of_each_axis(columns: list[ColumnGuess]) -> list[ColumnGuess]:
+    """The first column of each axis."""
+    first: dict[int | None, ColumnGuess] = {}
+    for column in columns:
+        first.setdefault(column.axis, column)
+    return list(first.values())
+
+
 def _optional(draft: RunFileDraft, log: LogDescription) -> None:
     for kind, key in (("base-rate", "base_rate"),):
-        group = log.of(kind)
+        group = _one_of_each_axis(log.of(kind))
         if [column.axis for column in group] == [0, 1, 2] and len({column.unit for column in group}) == 1:
             value = {"columns": [column.name for column in group], "unit": group[0].unit}
             draft.put(f"data.{key}", value, group[0].reason)
@@ -330,13 +451,90 @@ def _optional(draft: RunFileDraft, log: LogDescription) -> None:
         draft.put("data.sequence", {"column": numbers[0].name}, numbers[0].reason)
 
 
-def _reference(draft: RunFileDraft, log: LogDescription, settings: Mapping[str, Any]) -> None:
+LEAST_RELATED = 0.9
+"""Least correlation of the output rate with the specific force along an axis that is taken for the input axis."""
+
+
+def _from_input_axis(
+    draft: RunFileDraft, log: LogDescription, output: ColumnGuess, names: list[str]
+) -> tuple[list[str], list[str]]:
+    """The columns of the specific force from the input axis on, and why. The output turns with the force along X0."""
+    related = [_related(draft, log, output, name) for name in names]
+    first = int(np.argmax(np.abs(related)))
+    if abs(related[first]) < LEAST_RELATED:
+        if all(np.isfinite(related)) and max(map(abs, related)) > 0.0:
+            size = abs(related[0])
+            return names, [f"CHECK: the output does not follow {names[0]} (correlation {size:.2f})"]
+        return names, []
+    words = []
+    if first and abs(related[0]) < LEAST_RELATED:
+        words.append(
+            f"CHECK: the output turns with {names[first]}, so this is X0; Y0 and Z0 follow in the sense of rotation"
+        )
+        names = [*names[first:], *names[:first]]
+    if related[first] < 0.0 and abs(related[first]) >= LEAST_RELATED:
+        words.append(
+            f"CHECK: the output falls where {names[0]} is positive. piga wants it to rise: change the sign of the output, "
+            "or of X0 and one other axis, in the log"
+        )
+    return names, words
+
+
+def _related(draft: RunFileDraft, log: LogDescription, output: ColumnGuess, name: str) -> float:
+    """Correlation of the output rate with a column of force; 0 where the force is the same everywhere."""
+    read = _rate_and_level(draft, log, output, log.numbers.get(name))
+    if read is None:
+        return 0.0
+    return _correlation(*read)
+
+
+def _seconds(draft: RunFileDraft, log: LogDescription, count: int) -> Array | None:
+    """Time of the rows [s]."""
+    time, rate = draft.document["data"].get("time"), draft.document["data"].get("sample_rate")
+    if isinstance(time, Mapping):
+        t = log.numbers.get(str(time.get("column")))
+        return None if t is None else t * parse_unit(str(time.get("unit", "s"))).factor
+    if rate is None:
+        return None
+    try:
+        return np.arange(count) / to_si(rate, "Hz")
+    except (UnitError, ZeroDivisionError):
+        return None
+
+
+def _rate_and_level(
+    draft: RunFileDraft, log: LogDescription, output: ColumnGuess, force: Array | None
+) -> tuple[Array, Array] | None:
+    """Rate of the output, in its unit per second, and the force at the same times in the unit of its column."""
+    x = log.numbers.get(output.name)
+    if x is None or force is None:
+        return None
+    if output.kind == "rate":
+        return x, force
+    seconds = _seconds(draft, log, x.size)
+    if seconds is None:
+        return None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rate = np.diff(x) / np.diff(seconds)
+    return np.where(np.isfinite(rate), rate, np.nan), 0.5 * (force[1:] + force[:-1])
+
+
+def _reference(
+    draft: RunFileDraft, log: LogDescription, output: ColumnGuess | None, settings: Mapping[str, Any]
+) -> None:
     """The specific force: from its columns, or from the columns of the stand."""
-    group = log.of("force")
+    group = _one_of_each_axis(log.of("force"))
     if [column.axis for column in group] == [0, 1, 2] and len({column.unit for column in group}) == 1:
-        value = {"columns": [column.name for column in group], "unit": group[0].unit}
+        names = [column.name for column in group]
         others = [f"  or: {other}" for other in group[0].alternatives]
-        draft.put("data.reference", value, group[0].reason, *others)
+        if output is not None and output.name in log.numbers:
+            names, why = _from_input_axis(draft, log, output, names)
+            others = [*why, *others]
+        more = [one.name for one in log.of("force") if one not in group]
+        others += [f"  or: column {name}" for name in more]
+        draft.put("data.reference", {"columns": names, "unit": group[0].unit}, group[0].reason, *others)
+        if "base_rate" not in draft.document["data"]:
+            draft.comments["data.reference"].append(EARTH)
         return
     if any(key == "data.reference" or key.startswith("stand.kind") for key in settings):
         return
@@ -349,6 +547,28 @@ def _reference(draft: RunFileDraft, log: LogDescription, settings: Mapping[str, 
             return
 
 
+def _fills(draft: RunFileDraft, log: LogDescription) -> None:
+    """Limits that leave out numbers which mark missing values."""
+    used = json.dumps(draft.document["data"])
+    limits = {
+        name: [value, 1e30] if value < 0.0 else [-1e30, value]
+        for name, value in log.fills.items()
+        if json.dumps(name) in used
+    }
+    spikes = [
+        {"rows": list(rows), "reason": f"{log.spikes[name][0]:g} in {name} marks a missing value"}
+        for name in log.spikes
+        if json.dumps(name) in used
+        for rows in log.spikes[name][1]
+    ]
+    if spikes:
+        before = draft.document["data"].get("leave_out", [])
+        draft.put("data.leave_out", before + spikes, "single rows hold a number that marks a missing value")
+    if limits:
+        marks = ", ".join(f"{value:g} in {name}" for name, value in log.fills.items() if name in limits)
+        draft.put("data.range", limits, f"the log writes {marks} for a missing value: such rows are left out")
+
+
 def _holds(draft: RunFileDraft, log: LogDescription, column: ColumnGuess) -> list[tuple[str, float]] | None:
     """Label and mean value of the stand in each segment, in order. None if it does not hold still."""
     x = log.numbers[column.name]
@@ -357,7 +577,7 @@ def _holds(draft: RunFileDraft, log: LogDescription, column: ColumnGuess) -> lis
         names = [log.label_names[code] if code >= 0 else "" for code in log.labels[np.r_[0, change]]]
     elif Values.of(x).stepped:
         change = np.flatnonzero(np.diff(x) != 0) + 1
-        names = [f"{value:.12g}" for value in x[np.r_[0, change]]]
+        names = _still(draft, log, x, change)
         draft.put(
             "data.segment",
             column.name,
@@ -367,6 +587,27 @@ def _holds(draft: RunFileDraft, log: LogDescription, column: ColumnGuess) -> lis
         return None
     parts = np.split(x, change)
     return [(name, float(np.nanmean(part))) for name, part in zip(names, parts, strict=True) if name]
+
+
+SHORT_HOLD = 0.05
+"""A value of the stand that is held for a smaller share of the longest hold belongs to a move."""
+
+
+def _still(draft: RunFileDraft, log: LogDescription, x: Array, change: NDArray[np.int64]) -> list[str]:
+    """Name of each hold. The rows in which the stand moves are left out; they have no name."""
+    starts = np.r_[0, change]
+    lengths = np.diff(np.r_[starts, x.size])
+    moving = lengths < max(SHORT_HOLD * lengths.max(), 2)
+    if log.rows is not None and moving.any():
+        edges = np.flatnonzero(np.diff(np.r_[False, moving, False]))
+        ends = starts + lengths - 1
+        moves = [
+            {"rows": [int(log.rows[starts[a]]), int(log.rows[ends[b - 1]])], "reason": "the stand moves"}
+            for a, b in zip(edges[::2], edges[1::2], strict=True)
+        ]
+        draft.put("data.leave_out", moves, f"{len(moves)} moves of the stand between the positions")
+        return ["" if part else f"{value:.12g}" for part, value in zip(moving, x[starts], strict=True)]
+    return [f"{value:.12g}" for value in x[starts]]
 
 
 def _head(
@@ -479,21 +720,19 @@ def _counts_of(draft: RunFileDraft, slope: float) -> None:
 
 def _slope(draft: RunFileDraft, log: LogDescription, output: ColumnGuess) -> float | None:
     """Rate of the output over specific force along X0 [units/s per m/s^2], from the force columns of the log."""
-    reference, time = draft.document["data"].get("reference"), draft.document["data"].get("time")
-    if not isinstance(reference, Mapping) or not isinstance(time, Mapping):
-        return None
-    x, t = log.numbers.get(output.name), log.numbers.get(str(time.get("column")))
-    f = log.numbers.get(str(next(iter(reference.get("columns", ("",))))))
-    if x is None or t is None or f is None:
-        return None
-    force = f * parse_unit(str(reference["unit"])).factor
-    seconds = t * parse_unit(str(time.get("unit", "s"))).factor
-    if output.kind == "rate":
-        rate, level = x, force
+    reference = draft.document["data"].get("reference")
+    if isinstance(reference, Mapping):
+        force = log.numbers.get(str(next(iter(reference.get("columns", ("",))))))
+        factor = parse_unit(str(reference["unit"])).factor
+    elif draft.document.get("stand", {}).get("kind") == "dividing-head":
+        column = log.of("stand-angle")[0]
+        force, factor = np.cos(log.numbers[column.name] * parse_unit(column.unit).factor), G0
     else:
-        passed = np.diff(seconds)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            rate, level = np.diff(x) / passed, 0.5 * (force[1:] + force[:-1])
+        return None
+    read = _rate_and_level(draft, log, output, force)
+    if read is None:
+        return None
+    rate, level = read[0], read[1] * factor
     good = (
         np.isfinite(rate) & np.isfinite(level) & (np.abs(level) > 0.3 * np.nanmax(np.abs(level), initial=0.0))
     )

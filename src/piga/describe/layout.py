@@ -9,14 +9,27 @@ from typing import Any
 
 from piga.describe.names import fact, kind_of_name, known_unit
 from piga.errors import DataError
-from piga.formats.text.convention import INFINITE, LINE_END, MISSING, NO_UNIT, unit_text, units_in_names
+from piga.formats.columns import column_letter
+from piga.formats.text.convention import (
+    COMMENT,
+    INFINITE,
+    LINE_END,
+    MISSING,
+    NO_UNIT,
+    single_names,
+    split_line,
+    unit_text,
+    units_in_names,
+)
 from piga.formats.text.encoding import GUESSED
+from piga.formats.text.faults import split_cells
 from piga.formats.text.source import TextSource
 from piga.formats.text.time_stamp import forms_of
 
 MOST_LINES = 400
 """Lines of the head that are examined."""
-SEPARATORS = ("\t", ";", "|", ",")
+SEPARATORS = ("\t", ";", "|", ",", " ")
+"""Separators that are tried, the likelier ones first. A blank stands for any number of blanks and tabs."""
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 _EMPTY = {*MISSING, *INFINITE}
@@ -33,7 +46,12 @@ class Guess:
 
 @dataclass(frozen=True)
 class Layout:
-    """Layout of a text log. Rows are counted from 1; ``facts`` are keys of the run file that the preamble gives."""
+    """Layout of a text log. Rows are counted from 1.
+
+    ``header_row`` is False if no row holds names: the columns are then A, B, C. ``skip_rows``: lines before the numbers
+    of such a file. ``marked``: the row of the names begins with the mark of a comment. ``facts`` are keys of the run file
+    that the preamble gives.
+    """
 
     encoding: Guess
     separator: Guess
@@ -44,6 +62,8 @@ class Layout:
     units: dict[str, str]
     sample: dict[str, list[str]]
     facts: dict[str, Guess]
+    marked: bool = False
+    skip_rows: int = 0
 
 
 def text_layout(path: Path) -> Layout:
@@ -101,21 +121,20 @@ def _layout(head: str, path: Path) -> _Best:
     if not tables:
         raise DataError(
             f"{path}: no table of numbers in the first {len(lines)} rows",
-            remedy="check that this is the log; columns are separated by ; , | or a tab",
+            remedy="check that this is the log; columns are separated by ; , | a tab or blanks",
         )
-    table = max(tables, key=lambda one: (one.width > 1, one.rows * one.width))
+    table = max(tables, key=lambda one: (one.width > 1, one.separator != " ", one.rows * one.width))
     header, units_at = _heads(lines, table)
-    if header is None:
-        raise DataError(
-            f"{path}: row {table.start + 1}: numbers begin here, and no row above holds as many column names",
-            remedy="add a row with the column names above the numbers",
-        )
-    cells = _cells(_bare(lines[header]), table.separator)
     body = [_cells(line, table.separator) for line in lines[table.start :] if line.strip()]
     width = max(len(row) for row in body[:-1] or body)
+    cells = (
+        [column_letter(k) for k in range(width)]
+        if header is None
+        else _cells(_bare(lines[header]), table.separator)
+    )
     if len(cells) == width + 1 and cells[-1] in ("", "Comment"):
         cells = cells[:-1]
-    names, units = units_in_names(tuple(cells))
+    names, units = units_in_names(single_names(tuple(cells)))
     if units_at is not None:
         for name, cell in zip(names, _cells(lines[units_at], table.separator), strict=False):
             if known_unit(unit_text(cell)):
@@ -125,30 +144,39 @@ def _layout(head: str, path: Path) -> _Best:
         for k, name in enumerate(names)
         if name
     }
-    preamble = range(header)
+    above = table.start if header is None else header
     skipped = (
-        "" if header == 0 else f"; rows 1 to {header} are a preamble" if header > 1 else "; row 1 is a preamble"
+        "" if above == 0 else f"; rows 1 to {above} are a preamble" if above > 1 else "; row 1 is a preamble"
     )
-    head_guess = Guess(header + 1, f"the first row above the numbers with {len(cells)} names{skipped}")
+    head_guess = (
+        Guess(False, f"the numbers begin in row {above + 1}, and no row above names them: A, B, C{skipped}")
+        if header is None
+        else Guess(header + 1, f"the first row above the numbers with {len(cells)} names{skipped}")
+    )
     units_guess = (
         Guess(False, "the numbers begin below the names")
         if units_at is None
         else Guess(units_at + 1, "it holds units and no numbers")
     )
-    shown = {"\t": "tab"}.get(table.separator, table.separator)
-    separator = Guess(table.separator, f"'{shown}' splits {table.rows} rows into {table.width} cells each")
-    facts = _facts([lines[k] for k in preamble])
+    shown = {"\t": "a tab", " ": "one or more blanks"}.get(table.separator, f"'{table.separator}'")
+    separator = Guess(table.separator, f"{shown} splits {table.rows} rows into {table.width} cells each")
+    facts = _facts(lines[:above])
     decimal = _decimal(body, table.separator)
-    return _Best(names, (separator, decimal, head_guess, units_guess, names, units, sample, facts))
+    marked = header is not None and _bare(lines[header]) != lines[header]
+    skip = table.start if header is None else 0
+    return _Best(
+        names, (separator, decimal, head_guess, units_guess, names, units, sample, facts, marked, skip)
+    )
 
 
 def _bare(line: str) -> str:
     """A line without the mark of a comment at its start."""
-    return re.sub(r"^ *#+ *", "", line)
+    return COMMENT.sub("", line)
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    return [cell.strip().strip('"').strip() for cell in line.rstrip("\r\n").split(separator)]
+    cells = split_cells(line.rstrip("\r\n"), separator) if separator != " " else None
+    return [cell.strip().strip('"').strip() for cell in cells or split_line(line, separator)]
 
 
 def _is_value(cell: str) -> bool:

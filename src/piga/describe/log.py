@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.describe.columns import ColumnGuess, guess_columns
+from piga.describe.columns import ColumnGuess, guess_columns, without_fills, without_spikes
 from piga.describe.layout import Guess, Layout, text_layout
 from piga.describe.names import kind_of_name
 from piga.errors import DataError, PigaError
@@ -19,13 +19,16 @@ from piga.formats.text.convention import HeadRows, units_in_names
 from piga.formats.text.faults import is_number
 from piga.formats.text.reader import TextStream
 from piga.formats.text.time_stamp import forms_of
-from piga.reading.raw_columns import TEXT_SUFFIXES, file_kind, open_stream
+from piga.reading.raw_columns import TEXT_SUFFIXES, columns_stream, file_kind, open_stream
 from piga.records.run_file import DataTable, OutputColumn
 
 Array = NDArray[np.float64]
 
 MOST_ROWS = 2_000_000
 """Rows of a log whose values are examined."""
+NO_COLUMN = "\N{REPLACEMENT CHARACTER}"
+"""A column that no file has: the reader answers with the names of all columns."""
+_TITLES = re.compile(r"there are \d+ sheets: (.*)")
 _NAMES = re.compile(r"the columns are: (.*)", re.DOTALL)
 
 
@@ -47,6 +50,12 @@ class LogDescription:
         Values of the number columns, at most :data:`MOST_ROWS` of each.
     labels:
         Segment label of each of these rows, as an index into ``label_names``; None without a segment column.
+    fills:
+        Number that marks missing values, by column. It is nan in ``numbers``.
+    spikes:
+        The same where good values of the column pass this number: the number, and the first and last row of each spike.
+    rows:
+        Row of the file of each of these values (text files).
     """
 
     path: Path
@@ -56,6 +65,9 @@ class LogDescription:
     numbers: dict[str, Array] = field(default_factory=dict)
     labels: NDArray[np.int32] | None = None
     label_names: tuple[str, ...] = ()
+    fills: dict[str, float] = field(default_factory=dict)
+    spikes: dict[str, tuple[float, tuple[tuple[int, int], ...]]] = field(default_factory=dict)
+    rows: NDArray[np.int64] | None = None
 
     def of(self, kind: str) -> list[ColumnGuess]:
         """Columns of a kind, by axis."""
@@ -88,9 +100,7 @@ def describe_log(path: str | Path) -> LogDescription:
 def _describe_text(path: Path) -> LogDescription:
     layout = text_layout(path)
     numeric = tuple(
-        name
-        for name, cells in layout.sample.items()
-        if cells and all(is_number(cell, layout.decimal.value) for cell in cells[:-1] or cells)
+        name for name, cells in layout.sample.items() if _mostly_numbers(cells, layout.decimal.value)
     )
     label = _label_column(layout.names, layout.sample)
     stamp = next(
@@ -109,16 +119,37 @@ def _describe_text(path: Path) -> LogDescription:
         separator=layout.separator.value,
         decimal=layout.decimal.value,
         encoding=layout.encoding.value,
-        rows=HeadRows(0, layout.header_row.value, layout.units_row.value),
+        rows=HeadRows(layout.skip_rows, layout.header_row.value, layout.units_row.value),
         mask_damaged=True,
         stamp=stamp,
     )
-    numbers, codes = _collected(stream, read)
+    numbers, codes, rows = _collected(stream, read)
+    fills = without_fills(numbers, numeric)
+    spikes = without_spikes(numbers, numeric, rows)
     valued = {name: numbers[name] for name in numeric}
     columns = guess_columns(layout.names, layout.units, layout.sample, valued)
     return LogDescription(
-        path, layout, tuple(columns), layout.facts, numbers, codes if label else None, tuple(stream.label_names)
+        path,
+        layout,
+        tuple(columns),
+        layout.facts,
+        numbers,
+        codes if label else None,
+        tuple(stream.label_names),
+        fills,
+        spikes,
+        rows,
     )
+
+
+MOST_WORDS = 0.2
+"""Largest share of cells with words in a column of numbers."""
+
+
+def _mostly_numbers(cells: list[str], decimal: str) -> bool:
+    """True for a column of numbers, in which some cells may hold a word for a missing value."""
+    words = sum(not is_number(cell, decimal) for cell in cells[:-1] or cells)
+    return bool(cells) and words <= MOST_WORDS * len(cells) and len(cells) > words
 
 
 def _label_column(names: tuple[str, ...], sample: dict[str, list[str]]) -> str | None:
@@ -127,12 +158,14 @@ def _label_column(names: tuple[str, ...], sample: dict[str, list[str]]) -> str |
     return named[0] if named else None
 
 
-def _collected(stream: RecordStream, names: tuple[str, ...]) -> tuple[dict[str, Array], Any]:
-    """The first rows of a stream: numbers by column, and the codes of the labels."""
+def _collected(stream: RecordStream, names: tuple[str, ...]) -> tuple[dict[str, Array], Any, Any]:
+    """The first rows of a stream: numbers by column, the codes of the labels, and the rows of the file."""
     parts: dict[str, list[Array]] = {name: [] for name in names}
     codes: list[Any] = []
+    places: list[Any] = []
     rows = 0
     for chunk in stream.chunks():
+        places.append(chunk.rows)
         for name in names:
             parts[name].append(chunk.numbers[name])
         if chunk.codes is not None:
@@ -141,40 +174,109 @@ def _collected(stream: RecordStream, names: tuple[str, ...]) -> tuple[dict[str, 
         if rows >= MOST_ROWS:
             break
     joined = {name: np.concatenate(part) if part else np.empty(0) for name, part in parts.items()}
-    return joined, np.concatenate(codes) if codes else None
+    file_rows = np.concatenate(places) if places else np.empty(0, np.int64)
+    return joined, np.concatenate(codes) if codes else None, file_rows
 
 
 def _describe_container(path: Path) -> LogDescription:
-    """A log in another format than text: the columns whose names are known are read."""
-    names, units = units_in_names(_names_in(path))
-    numbers: dict[str, Array] = {}
-    for name in names:
-        if kind_of_name(name)[0] not in ("segment", "date"):
-            try:
-                stream = open_stream(path.parent, DataTable(path.name, OutputColumn(name, "counts")))
-                numbers |= _collected(stream, (name,))[0]
-                units |= stream.units
-            except PigaError:  # a column of text
-                continue
-    label = _label_column(names, {name: ["x"] for name in names})
+    """A log in another format than text: every column of numbers is read."""
+    sheets = _sheets(path)
+    listed = {sheet: _names_in(path, sheet) for sheet in sheets}
+    sheet = max(sheets, key=lambda one: sum(kind_of_name(name)[0] != "other" for name in listed[one]))
+    known = _short_names(listed[sheet], file_kind(path))
+    plain, units = units_in_names(tuple(known))
+    known = dict(zip(plain, known.values(), strict=True))
+    read = _numbers_of(path, sheet, list(known.values()))
+    numbers = {short: read[0][name] for short, name in known.items() if name in read[0]}
+    units |= {short: read[1][name] for short, name in known.items() if name in read[1]}
+    label = _label_column(tuple(known), {name: ["x"] for name in known})
     codes = None
     labels: tuple[str, ...] = ()
     if label is not None and numbers:
-        other = next(iter(numbers))
-        with_label = DataTable(path.name, OutputColumn(other, "counts"), segment=label)
+        other = known[next(iter(numbers))]
+        with_label = DataTable(path.name, OutputColumn(other, "counts"), segment=known[label], sheet=sheet)
         stream = open_stream(path.parent, with_label)
         codes, labels = _collected(stream, (other,))[1], tuple(stream.label_names)
-    columns = guess_columns(names, units, {}, numbers)
-    return LogDescription(path, None, tuple(columns), {}, numbers, codes, labels)
+    fills = without_fills(numbers, tuple(numbers))
+    columns = [
+        replace(guess, name=known[guess.name]) for guess in guess_columns(tuple(known), units, {}, numbers)
+    ]
+    others = [name for name in listed[sheet] if name not in known.values()]
+    columns += [ColumnGuess(name, "other", "it is in another group") for name in others]
+    facts = (
+        {}
+        if len(sheets) < 2
+        else {
+            "data.sheet": Guess(
+                sheet,
+                f"the sheet with the most known names of {len(sheets)}",
+                tuple(one for one in sheets if one != sheet),
+            )
+        }
+    )
+    return LogDescription(
+        path,
+        None,
+        tuple(columns),
+        facts,
+        {known[short]: column for short, column in numbers.items()},
+        codes,
+        labels,
+        {known[short]: value for short, value in fills.items()},
+    )
 
 
-def _names_in(path: Path) -> tuple[str, ...]:
+def _short_names(names: tuple[str, ...], kind: str) -> dict[str, str]:
+    """Full name of each column by its name without groups. Of groups with equal names, that with the most known names."""
+    split = {".mat": "[./]", ".tdms": "/", ".h5": "/", ".hdf5": "/", ".hdf": "/"}.get(kind)
+    short = {name: re.split(split, name)[-1] if split else name for name in names if name}
+    if len(set(short.values())) == len(short):
+        return {one: name for name, one in short.items()}
+    groups: dict[str, dict[str, str]] = {}
+    for name, one in short.items():
+        groups.setdefault(name.removesuffix(one), {})[one] = name
+    return max(groups.values(), key=lambda group: sum(kind_of_name(one)[0] != "other" for one in group))
+
+
+def _numbers_of(path: Path, sheet: str | None, names: list[str]) -> tuple[dict[str, Array], dict[str, str]]:
+    """Values and units of the columns that hold numbers: all at once, or one by one where one of them does not."""
+    if not names:
+        return {}, {}
+    try:
+        stream = columns_stream(path, tuple(names), sheet)
+        return _collected(stream, tuple(names))[0], dict(stream.units)
+    except PigaError:
+        if len(names) == 1:
+            return {}, {}
+    numbers: dict[str, Array] = {}
+    units: dict[str, str] = {}
+    for name in names:
+        one, unit = _numbers_of(path, sheet, [name])
+        numbers |= one
+        units |= unit
+    return numbers, units
+
+
+def _sheets(path: Path) -> list[str | None]:
+    """The sheets of a spreadsheet with several; else one without a name."""
+    if file_kind(path) == ".xlsx":
+        try:
+            open_stream(path.parent, DataTable(path.name, OutputColumn(NO_COLUMN, "counts")))
+        except DataError as error:
+            titles = _TITLES.search(error.message)
+            if titles:
+                return list(re.findall(r"'([^']*)'", titles.group(1)))
+    return [None]
+
+
+def _names_in(path: Path, sheet: str | None) -> tuple[str, ...]:
     """Names of all columns of a container. Its reader lists them when a column is not there."""
     try:
-        open_stream(path.parent, DataTable(path.name, OutputColumn("\N{REPLACEMENT CHARACTER}", "counts")))
+        open_stream(path.parent, DataTable(path.name, OutputColumn(NO_COLUMN, "counts"), sheet=sheet))
     except DataError as error:
         match = _NAMES.search(error.message)
-        if match is None:
+        if match is not None:
+            return tuple(match.group(1).split(", "))
+        if sheet is None:
             raise
-        return tuple(match.group(1).split(", "))
-    raise DataError(f"{path}: no columns", remedy="write the run file by hand: docs/lab-data")
+    return ()

@@ -49,7 +49,7 @@ _WORDS: dict[Kind, tuple[str, ...]] = {
         "角度|转角|输出角|进动角",
     ),
     "time": (
-        "t|time|time ?stamp|elapsed(?: time)?|seconds?|x value|clock|date ?time",
+        "t|ts|time|(?:waveform|elapsed|relative) time|time ?stamp|elapsed(?: time)?|seconds?|x value|clock|date ?time",
         "zeit|zeitpunkt|zeitstempel|uhrzeit|messzeit|sekunden|datum (?:und )?(?:uhr)?zeit",
         "date heure|temps|horodatage|heure|secondes|instant",
         r"时间\w*|时刻|时戳|采样时间|日期时间",
@@ -87,7 +87,8 @@ _BRACKET = re.compile(r"\s*[\[(（【][^\])）】]*[\])）】]?\s*$")
 
 def plain(name: str) -> str:
     """A name in small letters, without unit in brackets, with one space between its words."""
-    text = _BRACKET.sub("", unicodedata.normalize("NFKC", name).strip().lstrip("#").strip())
+    bare = re.sub(r"#\d+$", "", unicodedata.normalize("NFKC", name).strip().lstrip("#"))
+    text = _BRACKET.sub("", bare.strip())
     text = re.sub(r"(?<=[a-zäöüéè])(?=[A-Z][a-z])", " ", text)
     return " ".join(re.sub(r"[_\-./:,;]+", " ", text).casefold().split())
 
@@ -187,7 +188,7 @@ _FACTS: dict[str, tuple[str, ...]] = {
 
 def fact(line: str) -> tuple[str, str] | None:
     """Key of the run file and its text, from a line of a preamble: ``Seriennummer: G-0417``. None if it is none."""
-    parts = re.split(r"[:=：;\t]+|(?<=\S),(?=\s*\S)", line.strip().lstrip("#").strip(), maxsplit=1)
+    parts = re.split(r"[:=：;\t]+|(?<=\S),(?=\s*\S)", line.strip().lstrip("#%").strip(), maxsplit=1)
     if len(parts) != 2:
         return None
     name = plain(parts[0])

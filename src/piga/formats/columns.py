@@ -183,6 +183,8 @@ _COLUMN_OF = re.compile(r"^(.*)\(:,\s*(\d+)\)$")
 
 Label = tuple[NDArray[np.int32], tuple[str, ...]]
 
+MOST_LISTED = 60
+"""Most columns that a message lists."""
 PIECE_ROWS = 1 << 18
 """Rows unpacked at a time. A column of up to this many rows always stays in memory."""
 
@@ -193,10 +195,18 @@ def split_name(name: str) -> tuple[str, int | None]:
     return (match.group(1), int(match.group(2))) if match else (name, None)
 
 
+def matrix_columns(name: str, shape: tuple[int, ...]) -> list[str]:
+    """Names of the columns of an array: its own, or ``f(:,1)`` and so on for a matrix with few columns."""
+    if len(shape) == 2 and 1 < shape[1] <= MOST_LISTED and shape[0] > 1:
+        return [f"{name}(:,{k + 1})" for k in range(shape[1])]
+    return [name]
+
+
 def no_column(path: Path, name: str, present: Iterable[str]) -> DataError:
     """The error for a column that is not in the file. It lists the columns of the file."""
     names = list(present)
-    shown = ", ".join(names[:40]) + (f" and {len(names) - 40} more" if len(names) > 40 else "")
+    more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
+    shown = ", ".join(names[:MOST_LISTED]) + more
     return DataError(
         f"{path}: no column '{name}'; the columns are: {shown or 'none'}",
         remedy="correct the column name in [data]",

@@ -68,14 +68,37 @@ def open_stream(
             mask_damaged=data.damaged_rows == "mask", see=see or len,
         )  # fmt: skip
     _only_text(path, data)
+    return columns_stream(path, numeric, data.sheet, data.segment)
+
+
+def columns_stream(
+    path: Path, numeric: tuple[str, ...], sheet: str | None = None, segment: str | None = None
+) -> RecordStream:
+    """Open a data file that is not text.
+
+    Parameters
+    ----------
+    path:
+        The file.
+    numeric, segment:
+        Names of the number columns and of the segment column.
+    sheet:
+        Name of the sheet of a spreadsheet.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read as requested: at once, or while its chunks are taken.
+    """
+    kind = file_kind(path)
     if kind in (".parquet", ".pq"):
         from piga.formats.containers.parquet_reader import ParquetStream
 
-        return ParquetStream(path, numeric, data.segment, CHUNK_ROWS)
+        return ParquetStream(path, numeric, segment, CHUNK_ROWS)
     from piga.formats.containers.container import SUFFIXES, ContainerStream
 
     if kind in SUFFIXES:
-        return ContainerStream(path, kind, numeric, data.segment, data.sheet, CHUNK_ROWS)
+        return ContainerStream(path, kind, numeric, segment, sheet, CHUNK_ROWS)
     spreadsheet = kind in (".xls", ".xlsm", ".xlsb", ".ods")
     raise DataError(
         f"{path}: piga does not read files of kind '{kind}'",
@@ -97,8 +120,8 @@ def _only_text(path: Path, data: DataTable) -> None:
             raise DataError(f"{path}: [data] {key} is for text files", remedy="leave it out")
     if data.time is not None and data.time.stamp is not None:
         raise DataError(
-            f"{path}: [data] time: time stamps are read from text files only",
-            remedy="log seconds in a number column, or export the file as CSV",
+            f"{path}: [data] time: stamp is for text files",
+            remedy="give unit = 's': dates and time stamps of Parquet and XLSX are read as seconds; text in a cell is not",
         )
 
 

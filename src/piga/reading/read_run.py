@@ -200,7 +200,17 @@ class Assembly:
         return result
 
     def _check_enough(self, base: TimeBase, path: Path) -> None:
-        if self.raw.count < 2 or base.nominal <= 0.0:
+        time = self.run_file.data.time
+        repeated = sum(event.count for event in self.events if event.kind == "conflicting-row")
+        few = self.raw.count < 2 or base.nominal <= 0.0
+        if few and time is not None and 2 * repeated > self.rows_read:
+            raise DataError(
+                f"{self.raw.path}: column '{time.column}' repeats itself in most rows: its times are rounded, or it is "
+                "not the time",
+                remedy="if they are rounded, give [data] sample_rate = '... Hz' in place of time; otherwise name the "
+                "column of the time",
+            )
+        if few:
             raise DataError(
                 f"{self.raw.path}: fewer than two usable rows with increasing time", remedy=f"check {path}"
             )

@@ -172,7 +172,7 @@ class DataTable(TomlTable, frozen=True):
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
     skip_rows: Annotated[int, msgspec.Meta(ge=0, le=MOST_HEAD_ROWS)] = 0
-    header_row: Annotated[int, msgspec.Meta(ge=1, le=MOST_HEAD_ROWS)] | None = None
+    header_row: Annotated[int, msgspec.Meta(ge=1, le=MOST_HEAD_ROWS)] | bool | None = None
     units_row: Annotated[int, msgspec.Meta(ge=1, le=MOST_HEAD_ROWS)] | bool | None = None
     sheet: str | None = None
     missing: Annotated[tuple[str, ...], msgspec.Meta(max_length=100)] = ()

@@ -157,14 +157,19 @@ def stand_reference(
     ArgumentError
         If the table is not valid or does not fit the record. The message names the key.
     """
-    followed, arrays = _known(table, folder, lambda: labels), arrays_like(t)
+    followed, arrays = _known(table, folder, lambda: labels, segment), arrays_like(t)
     force, rate = (arrays.empty((3, t.size)).T for _ in range(2))
     for part in spans(t.size):
         force[part], rate[part] = followed.motion(t[part], segment[part])
     return force, rate
 
 
-def _known(table: dict[str, Any], folder: Path, labels: Callable[[], tuple[str, ...]]) -> FollowedStand:
+def _known(
+    table: dict[str, Any],
+    folder: Path,
+    labels: Callable[[], tuple[str, ...]],
+    segment: NDArray[np.int32] | None = None,
+) -> FollowedStand:
     """A stand whose motion is known. A vibration table is refused: the phase of its drive is unknown."""
     stand, names = _build(table, folder)
     if stand.kind == "vibration-table":
@@ -172,7 +177,7 @@ def _known(table: dict[str, Any], folder: Path, labels: Callable[[], tuple[str, 
             "[stand] kind 'vibration-table': the phase of the drive is not known to the run file",
             remedy="log the reference and give [data] reference",
         )
-    return _followed(stand, names, labels)
+    return _followed(stand, names, labels, segment)
 
 
 def stand_changes(run: Run) -> Iterator[StandChange]:
@@ -238,7 +243,10 @@ def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] 
 
 
 def _followed(
-    stand: Stand, names: tuple[str, ...] | None, labels: Callable[[], tuple[str, ...]]
+    stand: Stand,
+    names: tuple[str, ...] | None,
+    labels: Callable[[], tuple[str, ...]],
+    segment: NDArray[np.int32] | None = None,
 ) -> FollowedStand:
     """The stand, with the time of every segment of the record on its plan."""
     if stand.kind in TIMED:
@@ -248,7 +256,7 @@ def _followed(
     recorded = labels()
     parts = [by_name.get(label.split("/")[0]) for label in recorded]
     if None in parts:
-        parts = list(_in_order(planned, recorded))
+        parts = _in_order(planned, recorded, segment)
     starts, durations = np.array([(part.start, part.duration) for part in parts if part is not None]).T
     return FollowedStand(stand, starts, durations)
 
@@ -261,13 +269,24 @@ def _all_times(followed: FollowedStand, run: Run) -> Array:
     return times
 
 
-def _in_order(planned: list[Segment], labels: tuple[str, ...]) -> list[Segment]:
+def _in_order(
+    planned: list[Segment], labels: tuple[str, ...], segment: NDArray[np.int32] | None
+) -> list[Segment | None]:
+    """The planned part of each segment, in order. Segments whose rows are all left out may be absent from the plan."""
+    used = (
+        np.arange(len(labels))
+        if segment is None
+        else np.unique(np.concatenate([np.unique(segment[part]) for part in spans(segment.size)]))
+    )
+    if len(planned) == used.size < len(labels):
+        order = dict(zip(used.tolist(), planned, strict=True))
+        return [order.get(k, planned[0]) for k in range(len(labels))]
     if len(planned) != len(labels):
         raise ArgumentError(
             f"[stand] has {len(planned)} positions or levels, the record has {len(labels)} segments",
             remedy="name them: positions = { 'label' = 'angle', ... }",
         )
-    return planned
+    return list(planned)
 
 
 def _standard(name: str, written: Any) -> tuple[Any, tuple[str, float]]:

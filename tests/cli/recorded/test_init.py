@@ -64,10 +64,36 @@ def test_what_is_missing_is_named_with_the_option(log: Path) -> None:
     assert run("init", log, "--yes")[0] == 0
     assert 'scale_factor = "0.888' in log.with_suffix(".toml").read_text(encoding="utf-8")
     shutil.copy(LOGS / "labview.lvm", log.parent)
-    _, _, message = run("init", log.with_name("labview.lvm"), "--yes")
-    assert "the log does not say: instrument.scale_factor" in message
-    assert "--set instrument.scale_factor='0.8884 rad/s/g'" in message
-    assert not log.with_name("labview.toml").exists()
+    code, out, _ = run("init", log.with_name("labview.lvm"), "--yes")
+    assert code == 0
+    assert "instrument.scale_factor: nominal scale factor" in out
+    assert "--set instrument.scale_factor='0.8884 rad/s/g'" in out
+    text = log.with_name("labview.toml").read_text(encoding="utf-8")
+    assert '# scale_factor = "0.8884 rad/s/g"' in text
+    _, _, message = run("check", log.with_name("labview.toml"))
+    assert "scale_factor" in message
+
+
+def test_an_open_line_that_is_answered_makes_the_run_file_whole(log: Path) -> None:
+    shutil.copy(LOGS / "labview.lvm", log.parent)
+    run("init", log.with_name("labview.lvm"), "--yes", "--set", "instrument.counts_per_revolution=72000")
+    path = log.with_name("labview.toml")
+    run("init", log.with_name("labview.lvm"), "--yes", "--force")
+    text = path.read_text(encoding="utf-8").replace(
+        "# scale_factor", "counts_per_revolution = 72000\nscale_factor"
+    )
+    path.write_text(text, encoding="utf-8")
+    assert run("check", path)[0] == 0
+
+
+def test_a_log_without_names_gets_a_run_file_with_its_questions(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_bytes(b"1;2;3\n4;5;6\n")
+    code, out, _ = run("init", tmp_path / "x.csv", "--yes")
+    assert code == 0
+    assert "data.output: column of the output" in out
+    text = (tmp_path / "x.toml").read_text(encoding="utf-8")
+    assert "header_row = false" in text
+    assert '# output = { column = "n", kind = "counts" }' in text
 
 
 @pytest.mark.parametrize(("setting", "words"), [
@@ -88,9 +114,7 @@ def test_an_older_run_file_is_kept(log: Path) -> None:
     assert log.with_suffix(".toml").read_text() == "mine"
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"hello\nworld\n", b"\x00\x01\x02" * 100, b"1;2;3\n4;5;6\n", "ä\n".encode("cp1252")]
-)
+@pytest.mark.parametrize("content", [b"", b"hello\nworld\n", b"\x00\x01\x02" * 100, "ä\n".encode("cp1252")])
 def test_files_that_are_no_logs(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "x.csv"
     path.write_bytes(content)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,6 +12,7 @@ import typer
 from piga.cli.common import (
     ForceOption,
     JsonOption,
+    counted,
     note,
     print_json,
     progress,
@@ -46,7 +48,8 @@ def init(
     """Draft a run file for a log.
 
     Guesses encoding, header, units, separator, decimal mark, time stamps, and what each column holds. Every guess stands
-    in the run file with its reason and with what else it may be. In a terminal, what the log does not say is asked.
+    in the run file with its reason and with what else it may be. What the log does not say is asked in a terminal;
+    elsewhere it stands in the run file as an open line.
     """
     from piga.describe import describe_log, draft_run_file, setting
     from piga.records.run_file import read_run_file
@@ -62,16 +65,11 @@ def init(
     asking = not (yes or as_json) and sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     if asking:
         draft = _ask(described, given, target)
-    if draft.open:
-        if not as_json:
-            _print_columns(described)
-        raise ArgumentError(
-            f"{log}: the log does not say: {'; '.join(f'{one.key} ({one.words})' for one in draft.open)}",
-            remedy="give it: " + " ".join(f"--set {one.key}='{one.example}'" for one in draft.open),
-        )
-    read_run_file(target, draft.text().encode())
-    with progress("trying it"):
-        tried = _tried(draft, target)
+    read_run_file(target, draft.completed().text().encode())
+    tried: Run | PigaError | None = None
+    if not draft.open:
+        with progress("trying it"):
+            tried = _tried(draft, target)
     text = draft.text()
     write_by_rename(target, lambda path: write_text(path, text))
     if as_json:
@@ -80,7 +78,12 @@ def init(
     if not asking:
         _print_columns(described)
     say(f"wrote {target}")
-    _say_outcome(target, tried)
+    for line in (line for lines in draft.comments.values() for line in lines if line.startswith("CHECK")):
+        say(line)
+    if tried is None:
+        _say_open(log, draft, target)
+    else:
+        _say_outcome(target, tried)
 
 
 def _ask(described: LogDescription, given: dict[str, Any], target: Path) -> RunFileDraft:
@@ -154,6 +157,18 @@ def _tried(draft: RunFileDraft, target: Path) -> Run | PigaError:
         return error
 
 
+def _say_open(log: Path, draft: RunFileDraft, target: Path) -> None:
+    """What the log does not say, and the two ways to answer."""
+    say(f"{counted(len(draft.open), 'question')} open, since the log does not say it:")
+    for one in draft.open:
+        say(f"  {one.key}: {one.words}")
+    for line in draft.comments.get("data.", []):
+        say(f"  {line}")
+    say(f"Answer in {target} (lines marked OPEN), or run the command again:")
+    answers = " ".join(f"--set {one.key}='{one.example}'" for one in draft.open)
+    say(f"  piga init {shlex.quote(str(log))} --out {shlex.quote(str(target))} --force {answers}")
+
+
 def _say_outcome(target: Path, tried: Run | PigaError) -> None:
     from piga.cli.recorded.check import print_suggestions
 
@@ -161,8 +176,13 @@ def _say_outcome(target: Path, tried: Run | PigaError) -> None:
         say(f"The log cannot be read with it yet: {tried.message}")
         print_suggestions(target)
         return
-    counted = "".join(f"; {event.count} x {event.kind}" for event in tried.quality.events)
-    say(f"It reads {tried.size} of {tried.quality.rows} rows in {len(tried.labels)} segments{counted}")
+    counts: dict[str, int] = {}
+    for event in tried.quality.events:
+        counts[event.kind] = counts.get(event.kind, 0) + event.count
+    events = "".join(f"; {count} x {kind}" for kind, count in counts.items())
+    say(
+        f"It reads {tried.size} of {tried.quality.rows} rows in {counted(len(tried.labels), 'segment')}{events}"
+    )
     say(f"Next: piga check {target}; piga calibrate {target}")
 
 
@@ -171,6 +191,7 @@ def _document(described: LogDescription, draft: RunFileDraft, target: Path) -> d
         "run_file": str(target),
         "document": draft.document,
         "comments": draft.comments,
+        "open": [{"key": one.key, "words": one.words, "example": one.example} for one in draft.open],
         "columns": [
             {
                 "name": column.name,

@@ -18,6 +18,7 @@ from piga.formats.columns import (
     label_text,
     long_column,
     make_table,
+    matrix_columns,
     no_column,
     split_name,
     vector,
@@ -197,7 +198,9 @@ def _names(source: Any) -> list[str]:
             item = group[key]
             if isinstance(item, h5py.Dataset):
                 fields = item.dtype.names
-                names += [f"{prefix}{key}/{part}" for part in fields] if fields else [f"{prefix}{key}"]
+                shape = item.shape[::-1] if _text(item.attrs.get("MATLAB_class")) else item.shape
+                whole = matrix_columns(f"{prefix}{key}", shape or ())
+                names += [f"{prefix}{key}/{part}" for part in fields] if fields else whole
             elif isinstance(item, h5py.Group) and depth < 8:
                 queue.append((f"{prefix}{key}/", item, depth + 1))
     return names

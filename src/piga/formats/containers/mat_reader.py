@@ -17,6 +17,7 @@ from piga.formats.columns import (
     as_label,
     as_numbers,
     make_table,
+    matrix_columns,
     no_column,
     split_name,
     vector,
@@ -60,7 +61,8 @@ def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTabl
     return make_table(path, numbers, labels, {})
 
 
-def _load(path: Path, names: list[str]) -> dict[str, Any]:
+def _load(path: Path, names: list[str] | None) -> dict[str, Any]:
+    """The named variables (None: all). A variable that is there and not named is None."""
     from scipy.io import loadmat, whosmat
 
     try:
@@ -83,19 +85,24 @@ def _column(path: Path, variables: dict[str, Any], name: str) -> NDArray:
     for field in fields[:MAX_LEVELS]:
         names = getattr(getattr(item, "dtype", None), "names", None)
         if not names or field not in names or item is None or item.size != 1:
-            raise no_column(path, name, _names(variables))
+            raise no_column(path, name, _names(path))
         item = item[field].reshape(-1)[0]
     if not isinstance(item, np.ndarray) or item.dtype.names:
-        raise no_column(path, name, _names(variables))
+        raise no_column(path, name, _names(path))
     return vector(path, name, item, column)
 
 
-def _names(variables: dict[str, Any]) -> list[str]:
-    names = []
-    for name, item in variables.items():
-        fields = getattr(getattr(item, "dtype", None), "names", None)
-        names += [f"{name}.{field}" for field in fields] if fields else [name]
-    return names
+def _names(path: Path) -> list[str]:
+    """Names of all columns: vectors, columns of matrices, and these in structs."""
+    return [one for name, item in _load(path, None).items() for one in _names_below(name, item, 0)]
+
+
+def _names_below(name: str, item: object, depth: int) -> list[str]:
+    fields = getattr(getattr(item, "dtype", None), "names", None)
+    if fields and isinstance(item, np.ndarray) and item.size == 1 and depth < MAX_LEVELS:
+        inside = ((f"{name}.{field}", item[field].reshape(-1)[0]) for field in fields)
+        return [one for path, part in inside for one in _names_below(path, part, depth + 1)]
+    return matrix_columns(name, item.shape) if isinstance(item, np.ndarray) else [name]
 
 
 def _cells(values: NDArray) -> list[object]:

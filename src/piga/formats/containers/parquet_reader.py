@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.formats.columns import CHUNK_ROWS, FileChunk, LabelCodes, MissingCount, RawTable, nulls_of, numbers_of
+from piga.formats.columns import (
+    CHUNK_ROWS,
+    FileChunk,
+    LabelCodes,
+    MissingCount,
+    RawTable,
+    nulls_of,
+    numbers_of,
+    plain_values,
+)
 from piga.records.calibration import Event
 from piga.records.limits import MAX_SEGMENTS, MOST_LETTERS, first_line, open_regular
+
+_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+
+
+def is_time(kind: Any) -> bool:
+    """True for the Arrow types of time stamps, times of day and durations. They are read as seconds."""
+    import pyarrow as pa
+
+    return bool(pa.types.is_timestamp(kind) or pa.types.is_time(kind) or pa.types.is_duration(kind))
+
+
+@dataclass
+class TypedClock:
+    """Turns the time stamps of a column into seconds since the first midnight, piece by piece."""
+
+    _first_day: int | None = None
+
+    def seconds(self, column: Any) -> NDArray[np.float64]:
+        """The seconds of an Arrow array (n,). Null entries are nan."""
+        import pyarrow as pa
+
+        per_second = _PER_SECOND[column.type.unit]
+        ticks = plain_values(column, np.int32 if column.type.bit_width == 32 else np.int64).astype(np.int64)
+        empty = nulls_of(column)
+        if pa.types.is_timestamp(column.type):
+            if self._first_day is None and not empty.all():
+                self._first_day = int(ticks[~empty][0] // (86400 * per_second))
+            ticks = ticks - (self._first_day or 0) * 86400 * per_second
+        seconds: NDArray[np.float64] = ticks / per_second
+        seconds[empty] = np.nan
+        return seconds
 
 
 class ParquetStream:
@@ -35,6 +76,9 @@ class ParquetStream:
             check_columns(path, schema, [*self._numeric, *([label] if label else [])], numeric)
             self.expected_rows = source.metadata.num_rows
         self.units = units_of(schema, self._numeric)
+        times = [name for name in self._numeric if is_time(schema.field(name).type)]
+        self.units |= dict.fromkeys(times, "s")
+        self._clocks = {name: TypedClock() for name in times}
         self.label_names: list[str] = []
         self._missed = MissingCount()
 
@@ -84,7 +128,7 @@ class ParquetStream:
     def _column(self, column: Any, name: str, rows: Any) -> Any:
         if column.null_count:
             self._missed.add(name, nulls_of(column), rows)
-        return numbers_of(column)
+        return self._clocks[name].seconds(column) if name in self._clocks else numbers_of(column)
 
 
 def read_labels(path: Path, _numeric: tuple[str, ...], label: str) -> RawTable:
@@ -161,7 +205,7 @@ def check_columns(
         if schema.names.count(name) > 1:
             raise DataError(f"{path}: duplicate column name '{name}'", remedy="rename one of them")
         kind = schema.field(name).type
-        if name in numeric and not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+        if name in numeric and not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or is_time(kind)):
             raise DataError(f"{path}: column '{name}' holds {kind}, not numbers", remedy=remedies[1])
 
 

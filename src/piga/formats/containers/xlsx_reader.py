@@ -6,6 +6,8 @@ import os
 import re
 import zipfile
 from collections.abc import Iterator
+from datetime import datetime, time, timedelta
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -13,11 +15,23 @@ import numpy as np
 
 from piga.errors import DataError
 from piga.formats.columns import RawTable, as_label, column_letter
-from piga.formats.text.convention import INFINITE, MISSING, check_names, is_units_row, units_in_names
+from piga.formats.text.convention import (
+    INFINITE,
+    MISSING,
+    NO_UNIT,
+    check_names,
+    duplicate_name,
+    is_units_row,
+    single_names,
+    unit_text,
+    units_in_names,
+)
 from piga.records.calibration import Event
 from piga.records.limits import MAX_MEMBERS, check_unpacked, extra_missing, first_line, open_regular
 
 MAX_LISTED = 100
+MOST_HEAD = 100
+"""Rows of a sheet within which the column names must stand."""
 _DOCTYPE = re.compile(rb"<!\s*(DOCTYPE|ENTITY)|<\0!\0D\0O\0|\0<\0!\0D\0O", re.IGNORECASE)
 _FORMULA = re.compile(rb"<f[ />]")
 _HIDDEN = re.compile(rb"<row\b[^>]*\bhidden=\"(?:1|true)\"")
@@ -25,7 +39,7 @@ _OVERLAP = 512
 
 
 def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: str | None = None) -> RawTable:
-    """Read the named columns of a sheet. Its first non-empty row holds the names.
+    """Read the named columns of a sheet. The names stand in the first row that holds all of them. Dates become seconds.
 
     Parameters
     ----------
@@ -133,6 +147,11 @@ def _sheet(path: Path, book: Any, name: str | None) -> Any:
     return sheet
 
 
+def _texts(row: tuple[Any, ...]) -> tuple[str, ...]:
+    """The cells of a row as text."""
+    return tuple("" if cell is None else str(cell).strip() for cell in row)
+
+
 class _Sheet:
     """Converts rows of a sheet to columns. Bad cells are collected and reported together."""
 
@@ -144,25 +163,30 @@ class _Sheet:
         self.values: dict[str, list[float]] = {name: [] for name in self.numeric}
         self.labels: list[object] = []
         self.numbers: list[int] = []
+        self.first_day: datetime | None = None
 
     def read(self, rows: Iterator[tuple[Any, ...]]) -> RawTable:
         filled = ((at, row) for at, row in enumerate(rows, 1) if any(cell is not None for cell in row))
-        at, header = next(filled, (0, ()))
-        if not header:
+        head = list(islice(filled, MOST_HEAD))
+        if not head:
             raise DataError(f"{self.path}: the sheet is empty", remedy="check [data] sheet")
-        names = tuple("" if cell is None else str(cell).strip() for cell in header)
+        at, header = self._header(head)
+        names = _texts(header)
         if all(not isinstance(cell, str) for cell in header if cell is not None):
             raise DataError(
                 f"{self.path}: row {at}: the first row holds numbers, not column names",
-                remedy="add a header row with the column names",
+                remedy="add a row with the column names above the numbers",
             )
         check_names(tuple(name for name in names if name), self.path, at)
-        names, units = units_in_names(names)
+        names, units = units_in_names(single_names(names))
         where = self._places(names, at)
-        for number, row in filled:
-            if not self.numbers and is_units_row(["" if cell is None else str(cell) for cell in row]):
-                units |= {n: str(u).strip("[]()（） ") for n, u in zip(names, row, strict=False) if n and u}
-                continue
+        body = [entry for entry in head if entry[0] > at]
+        if body and is_units_row([*_texts(body[0][1])], [*_texts(body[1][1])] if len(body) > 1 else None):
+            written = zip(names, _texts(body.pop(0)[1]), strict=False)
+            units |= {
+                name: unit_text(cell) for name, cell in written if name and unit_text(cell) not in NO_UNIT
+            }
+        for number, row in chain(body, filled):
             self.numbers.append(number)
             for name in self.numeric:
                 self.values[name].append(self._number(row, where[name], name, number))
@@ -170,8 +194,25 @@ class _Sheet:
                 self.labels.append(row[where[self.label]] if where[self.label] < len(row) else None)
         return self._table(units)
 
+    def _header(self, head: list[tuple[int, tuple[Any, ...]]]) -> tuple[int, tuple[Any, ...]]:
+        """Row of the column names: the first that holds all wanted names, else the one that looks most like it."""
+        wanted = {*self.numeric, *([self.label] if self.label else [])}
+        for at, row in head:
+            if wanted <= {*_texts(row), *units_in_names(_texts(row))[0]}:
+                return at, row
+        words = [sum(isinstance(cell, str) for cell in row) for _, row in head]
+        numbers = [sum(isinstance(cell, (int, float)) for cell in row) for _, row in head]
+        begin = next((k for k, count in enumerate(numbers) if count > 1), 0)
+        wide = [k for k in range(begin) if words[k] > 1 and 2 * words[k] >= max(words[:begin])]
+        if wide and len(wide) > 1 and is_units_row([*_texts(head[wide[-1]][1])], [*_texts(head[begin][1])]):
+            return head[wide[-2]]
+        return head[wide[-1] if wide else 0]
+
     def _places(self, names: tuple[str, ...], at: int) -> dict[str, int]:
         wanted = [*self.numeric, *([self.label] if self.label else [])]
+        twice = duplicate_name(self.path, at, wanted, names)
+        if twice is not None:
+            raise twice
         for name in wanted:
             if name not in names:
                 raise DataError(
@@ -184,6 +225,8 @@ class _Sheet:
         cell = row[place] if place < len(row) else None
         if isinstance(cell, (int, float)) and not isinstance(cell, bool):
             return float(cell)
+        if isinstance(cell, (datetime, time, timedelta)):
+            return self._seconds(cell)
         text = "" if cell is None else str(cell).strip()
         if cell is None or (isinstance(cell, str) and (text in MISSING or text in INFINITE)):
             count, first = self.missing.get(name, (0, number))
@@ -196,6 +239,16 @@ class _Sheet:
                 f"row {number}, column '{name}' ({column_letter(place)}): '{text[:40]}' is {kind}, not a number"
             )
         return float("nan")
+
+    def _seconds(self, cell: datetime | time | timedelta) -> float:
+        """Seconds since the midnight before the first date, or of a time of day or duration."""
+        if isinstance(cell, timedelta):
+            return cell.total_seconds()
+        if isinstance(cell, time):
+            return cell.hour * 3600.0 + cell.minute * 60.0 + cell.second + cell.microsecond * 1e-6
+        if self.first_day is None:
+            self.first_day = cell.replace(hour=0, minute=0, second=0, microsecond=0)
+        return (cell - self.first_day).total_seconds()
 
     def _table(self, units: dict[str, str]) -> RawTable:
         if self.bad:

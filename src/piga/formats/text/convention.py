@@ -7,10 +7,12 @@ message names the run-file key that decides.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from piga.errors import DataError, UnitError
+from piga.formats.columns import column_letter
 from piga.formats.text.time_stamp import TimeStamp, forms_of
 from piga.units import parse_unit
 
@@ -18,6 +20,8 @@ SNIFF_BYTES = 1 << 16
 MAX_COLUMNS = 4096
 SEPARATORS = ";\t,|"
 LINE_END = re.compile(r"\r\n|\n|\r")
+COMMENT = re.compile(r"^ *[#%]+ *")
+"""Mark of a comment before the column names."""
 _NUMBER_POINT = re.compile(r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$")
 _NUMBER_COMMA = re.compile(r"^\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*$")
 _THOUSANDS = re.compile(r"^[-+]?[1-9]\d{0,2},\d{3}$")
@@ -48,18 +52,18 @@ class TextFormat:
 class HeadRows:
     """What the run file says about the first rows. Rows are counted from 1.
 
-    ``skip``: lines before the header. ``header``: row of the column names. ``units``: row of the units, False if there
-    is none. None: detected from the file.
+    ``skip``: lines before the header. ``header``: row of the column names. ``units``: row of the units. False: there is
+    none. None: detected from the file.
     """
 
     skip: int = 0
-    header: int | None = None
+    header: int | bool | None = None
     units: int | bool | None = None
 
     @property
     def last(self) -> int:
         """The last row named."""
-        return max(self.skip, self.header or 0, int(self.units or 0))
+        return max(self.skip, int(self.header or 0), int(self.units or 0))
 
 
 def find_format(
@@ -87,35 +91,56 @@ def find_format(
     rows = rows or HeadRows()
     lines = LINE_END.split(text)
     header_at = _header_at(lines, rows, path)
+    if rows.header is False:
+        return _without_names(lines, path, encoding, separator, decimal, header_at)
     sample = [line for line in lines[header_at + 1 :] if line.strip()][:50]
     separator = separator or _find_separator(lines[header_at], sample)
-    line = lines[header_at] if rows.header is None else re.sub(r"^ *#+ *", "", lines[header_at])
-    names = tuple(cell.strip().strip('"').strip() for cell in line.split(separator))
+    line = lines[header_at] if rows.header is None else COMMENT.sub("", lines[header_at])
+    names = tuple(cell.strip().strip('"').strip() for cell in split_line(line, separator))
     if all(_NUMBER_POINT.match(name) for name in names):
         raise DataError(
             f"{path}: row {header_at + 1}: the first row holds numbers, not column names",
-            remedy="add a header row with the column names",
+            remedy="if the file has no column names, add [data] header_row = false: the columns are then A, B, C; "
+            "if the names stand in another row, add [data] header_row = N",
         )
     names = _as_wide_as_data(names, sample, separator)
     check_names(names, path, header_at + 1)
-    names, units = units_in_names(names)
+    names, units = units_in_names(single_names(names))
     skip = header_at + 1
     body = [(i, line) for i, line in enumerate(lines[skip:], start=skip) if line.strip()]
     units_at = _units_at(body, separator, rows, path)
     if units_at is not None:
-        row_units = [unit_text(cell) for cell in lines[units_at].split(separator)]
+        row_units = [unit_text(cell) for cell in split_line(lines[units_at], separator)]
         units.update({n: u for n, u in zip(names, row_units, strict=False) if u not in NO_UNIT})
         skip, body = units_at + 1, [(i, line) for i, line in body if i > units_at]
     if not body:
         raise DataError(f"{path}: a header but no data", remedy="check that the logger wrote data")
-    cells = [line.split(separator) for _, line in body[:50]]
+    cells = [split_line(line, separator) for _, line in body[:50]]
     mark = _decimal_mark(cells, separator, decimal, path, body[0][0] + 1)
     return TextFormat(encoding, separator, mark, names, skip, units, header_at + 1)
 
 
+def split_line(line: str, separator: str) -> list[str]:
+    """Cells of a line of the head. With a blank as separator any number of blanks is one."""
+    return line.split() if separator == " " else line.split(separator)
+
+
+def _without_names(
+    lines: list[str], path: Path, encoding: str, separator: str | None, decimal: str | None, first: int
+) -> TextFormat:
+    """Format of a file whose first row holds data. The columns are named A, B, C, as in a spreadsheet."""
+    body = [line for line in lines[first:] if line.strip()][:50]
+    separator = separator or _find_separator(body[0], body[1:])
+    cells = [split_line(line, separator) for line in body]
+    names = tuple(column_letter(k) for k in range(len(cells[0])))
+    check_names(names, path, first + 1)
+    mark = _decimal_mark(cells, separator, decimal, path, first + 1)
+    return TextFormat(encoding, separator, mark, names, first, {}, first + 1)
+
+
 def _header_at(lines: list[str], rows: HeadRows, path: Path) -> int:
     """Index of the line with the column names: as named, else the first that is neither empty nor a comment."""
-    if rows.header is not None:
+    if isinstance(rows.header, int) and not isinstance(rows.header, bool):
         if rows.header > len(lines) or not lines[rows.header - 1].strip():
             raise DataError(
                 f"{path}: row {rows.header}: [data] header_row names an empty row",
@@ -144,8 +169,8 @@ def _units_at(body: list[tuple[int, str]], separator: str, rows: HeadRows, path:
                 remedy="name the row of the units, counted from 1, or false if there is none",
             )
         return rows.units - 1
-    following = body[1][1].split(separator) if len(body) > 1 else None
-    return body[0][0] if rows.units or is_units_row(body[0][1].split(separator), following) else None
+    following = split_line(body[1][1], separator) if len(body) > 1 else None
+    return body[0][0] if rows.units or is_units_row(split_line(body[0][1], separator), following) else None
 
 
 def _as_wide_as_data(names: tuple[str, ...], sample: list[str], separator: str) -> tuple[str, ...]:
@@ -153,7 +178,7 @@ def _as_wide_as_data(names: tuple[str, ...], sample: list[str], separator: str) 
 
     Some programs end every data row with a separator. LabVIEW names a last column ``Comment`` that has no cells.
     """
-    widths = {line.count(separator) + 1 for line in sample[:-1] if '"' not in line}
+    widths = {len(split_line(line, separator)) for line in sample[:-1] if '"' not in line}
     if widths == {len(names) - 1} and names[-1] in ("", "Comment"):
         return names[:-1]
     if widths == {len(names) + 1} and all(line.endswith(separator) for line in sample[:-1]):
@@ -176,17 +201,34 @@ def _find_separator(header: str, sample: list[str]) -> str:
 
 
 def check_names(names: tuple[str, ...], path: Path, row: int) -> None:
-    """Refuse too many columns and duplicate column names."""
+    """Refuse too many columns."""
     if len(names) > MAX_COLUMNS:
         raise DataError(
-            f"{path}: {len(names)} columns, at most {MAX_COLUMNS} are read", remedy="export fewer columns"
+            f"{path}: row {row}: {len(names)} columns, at most {MAX_COLUMNS} are read",
+            remedy="export fewer columns",
         )
-    repeated = sorted({name for name in names if name and names.count(name) > 1})
-    if repeated:
-        raise DataError(
-            f"{path}: row {row}: duplicate column name '{repeated[0]}'",
-            remedy="rename one of them",
-        )
+
+
+def single_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """The names, those that stand more than once with their number: ``fx#1`` and ``fx#2``."""
+    seen: dict[str, int] = {}
+    numbered = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        numbered.append(f"{name}#{seen[name]}" if name and names.count(name) > 1 else name)
+    return tuple(numbered)
+
+
+def duplicate_name(path: Path, row: int, wanted: Iterable[str], names: tuple[str, ...]) -> DataError | None:
+    """The error for a wanted name that several columns have; None if there is none."""
+    for name in wanted:
+        same = [one for one in names if re.fullmatch(rf"{re.escape(name)}#\d+", one)]
+        if name not in names and len(same) > 1:
+            return DataError(
+                f"{path}: row {row}: duplicate column name '{name}'",
+                remedy=f"name one of them in [data]: {', '.join(repr(one) for one in same[:6])}",
+            )
+    return None
 
 
 _NAME_WITH_UNIT = re.compile(r"^(.*\S)\s*[\[(（]\s*([^\])）]+?)\s*[\])）]$")

@@ -126,7 +126,7 @@ def _look_at(
         faults.add(
             row,
             "long-row" if len(cells) > len(form.names) else "short-row",
-            f"row {row} has {len(cells)} cells, the header has {len(form.names)}",
+            f"row {row} has {len(cells)} cell{'s' if len(cells) != 1 else ''}, the header has {len(form.names)}",
             "; commas as decimal marks need another separator" if many else "",
         )
         return

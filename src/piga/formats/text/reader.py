@@ -20,7 +20,9 @@ from piga.formats.text.convention import (
     SEPARATORS,
     HeadRows,
     TextFormat,
+    duplicate_name,
     find_format,
+    split_line,
     units_in_names,
 )
 from piga.formats.text.faults import Faults, FilePlace, find_faults, split_cells
@@ -29,6 +31,8 @@ from piga.formats.text.time_stamp import StampClock, time_stamp
 from piga.records.calibration import Event
 
 _SPACES_ONLY = re.compile(rb"^[ \t]+\r?\n", re.MULTILINE)
+_BLANKS = re.compile(rb"[ \t]+")
+_EDGES = re.compile(rb"^ | (?=\r?$)", re.MULTILINE)
 _ODD_QUOTES = re.compile(rb'^[^"\n]*"(?:[^"\n]*"[^"\n]*")*[^"\n]*$', re.MULTILINE)
 BLOCK_BYTES = 4 << 20
 """Bytes per block that PyArrow tokenizes on one thread."""
@@ -111,7 +115,7 @@ class TextStream:
 
     def chunks(self) -> Iterator[FileChunk]:
         """The rows in order. A damaged file gives the rows before the first damage, then the error that lists all faults."""
-        for raw, ends in self._source.pieces(self._form.skip):
+        for raw, ends in self._lines():
             piece, table = self._parse_or_mask(raw, ends)
             if table is not None and not (self._faults.total and not self._mask):
                 self._piece_rows, self._piece_bytes = table.num_rows, len(raw)
@@ -126,6 +130,13 @@ class TextStream:
             raise DataError(
                 f"{self._path}: a header but no complete data row", remedy="check that the logger wrote data"
             )
+
+    def _lines(self) -> Iterator[tuple[Bytes, int]]:
+        """Pieces of complete lines and their number. Where blanks separate the columns, one blank is left of many."""
+        pieces = self._source.pieces(self._form.skip)
+        if self._form.separator != " ":
+            return pieces
+        return ((_EDGES.sub(b"", _BLANKS.sub(b" ", bytes(raw))), ends) for raw, ends in pieces)
 
     def events(self) -> list[Event]:
         """Faults and omissions; complete after the last chunk."""
@@ -309,6 +320,9 @@ def _check_columns(form: TextFormat, wanted: list[str], head: str, path: Path) -
     missing = list(dict.fromkeys(name for name in wanted if name not in form.names))
     if not missing:
         return
+    twice = duplicate_name(path, form.header, missing, form.names)
+    if twice is not None:
+        raise twice
     listed = ", ".join(f"'{name}'" for name in missing)
     guessed = "" if form.encoding.startswith("utf") else f" (read as {form.encoding})"
     row = _row_of(wanted, head, form.header)
@@ -326,8 +340,8 @@ def _check_columns(form: TextFormat, wanted: list[str], head: str, path: Path) -
 def _row_of(wanted: list[str], head: str, after: int) -> int | None:
     """The first row after ``after`` whose cells hold all wanted names, whatever its separator."""
     for number, line in enumerate(LINE_END.split(head), start=1):
-        for separator in SEPARATORS if number > after else "":
-            names = tuple(cell.strip().strip('"').strip() for cell in line.split(separator))
+        for separator in f"{SEPARATORS} " if number > after else "":
+            names = tuple(cell.strip().strip('"').strip() for cell in split_line(line, separator))
             if set(wanted) <= {*names, *units_in_names(names)[0]}:
                 return number
     return None

@@ -126,7 +126,7 @@ class TextSource:
     def header_bytes(self, skip: int) -> int:
         """Size of the first ``skip`` lines [bytes]."""
         ends = [match.end() for _, match in zip(range(skip), LINE_END.finditer(self.head), strict=False)]
-        return ends[-1] if len(ends) == skip else len(self.head)
+        return 0 if skip == 0 else ends[-1] if len(ends) == skip else len(self.head)
 
     def _pieces(self, skip: int) -> Iterator[Bytes]:
         rest = b""

@@ -1,0 +1,173 @@
+"""Logs of other programs through ``init``: what is read is what was written, and the coefficients are the true ones."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import piga
+from piga.describe import RunFileDraft, describe_log, draft_run_file, try_run_file
+from tests.describe import foreign
+
+SCALE = {"instrument.scale_factor": "0.8884 rad/s/g"}
+
+
+def drafted(folder: Path, name: str, **settings: object) -> tuple[RunFileDraft, piga.Run]:
+    foreign.LOGS[name](folder / name)
+    draft = draft_run_file(describe_log(folder / name), SCALE | settings, folder=folder)
+    assert draft.open == []
+    return draft, try_run_file(draft, folder / "run.toml")
+
+
+OTHER_PROCESS = (".xlsx", ".tdms", ".h5", ".mat")
+"""Their readers are processes of their own: two seconds each."""
+
+
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=pytest.mark.only_compiled) if name.endswith(OTHER_PROCESS) else name for name in foreign.LOGS
+])  # fmt: skip
+def test_what_is_read_is_what_was_written(tmp_path: Path, name: str) -> None:
+    _, run = drafted(tmp_path, name)
+    truth = foreign.truth()
+    left_out = [50, 51, 700] if name in ("words.csv", "fill.csv", "fill-in-counts.csv") else []
+    used = np.delete(np.arange(truth["t"].size), left_out)
+    np.testing.assert_allclose(run.t - run.t[0], truth["t"][used] - truth["t"][0], atol=2e-6)
+    inside = ~run.begins[1:]
+    read = np.diff(run.output)[inside] * 72000 / (2.0 * np.pi)
+    np.testing.assert_allclose(read, np.diff(truth["counts"][used])[inside], atol=1e-6)
+    np.testing.assert_allclose(run.f / 9.80665, truth["f"][used], atol=3e-8)
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize(
+    "name", ["no-names.csv", "signed-16.csv", "fill-in-counts.csv", "other-axis.csv", "matrix.mat"]
+)
+def test_the_coefficients_are_the_true_ones(tmp_path: Path, name: str) -> None:
+    _, run = drafted(tmp_path, name)
+    result = piga.calibrate(run)
+    assert set(foreign.TRUTH) <= set(result)
+    for term, value in foreign.TRUTH.items():
+        assert abs(result[term].value - value) < 4.0 * result[term].std, term
+        assert result[term].std < 0.02 * abs(value)
+
+
+def test_times_without_decimals_give_the_rate_of_the_samples(tmp_path: Path) -> None:
+    path = tmp_path / "rounded.csv"
+    foreign.text(path, f"{foreign.NAMES},position", [
+        f"{row},{p}" for row, p in zip(foreign.rows(foreign.rounded), foreign.truth()["position"], strict=True)
+    ])  # fmt: skip
+    draft = draft_run_file(describe_log(path), SCALE, folder=tmp_path)
+    assert draft.document["data"]["sample_rate"] == "10 Hz"
+    assert "each stands in 10 rows" in draft.comments["data.sample_rate"][0]
+    assert try_run_file(draft, tmp_path / "run.toml").labels == tuple("123456")
+
+
+def test_times_that_are_rounded_are_named_by_the_reader(tmp_path: Path) -> None:
+    path = tmp_path / "rounded.csv"
+    foreign.text(path, foreign.NAMES, foreign.rows(foreign.rounded))
+    draft = draft_run_file(describe_log(path), SCALE, folder=tmp_path)
+    draft.document["data"].pop("sample_rate")
+    draft.document["data"]["time"] = {"column": "time", "stamp": "DD.MM.YYYY hh:mm:ss.f"}
+    with pytest.raises(piga.DataError, match="column 'time' repeats itself in most rows") as caught:
+        try_run_file(draft, tmp_path / "run.toml")
+    assert "sample_rate" in str(caught.value.remedy)
+
+
+def test_moves_of_a_head_are_left_out(tmp_path: Path) -> None:
+    d = foreign.truth()
+    body, now = [], 0
+    for k, (n, angle) in enumerate(zip(d["counts"], d["angle"], strict=True)):
+        body.append(f"{now / 10:.1f},{n},{angle:.4f}")
+        now += 1
+        if k + 1 < d["t"].size and d["angle"][k + 1] != angle:
+            steps = np.linspace(angle, d["angle"][k + 1], 51)[1:-1]
+            body += [f"{(now + j) / 10:.1f},{n},{x:.4f}" for j, x in enumerate(steps)]
+            now += steps.size
+    foreign.text(tmp_path / "head.csv", "time [s],counts,table angle [deg]", body)
+    draft = draft_run_file(describe_log(tmp_path / "head.csv"), SCALE | {"stand.latitude": "48 deg"})
+    assert draft.open == []
+    assert draft.document["instrument"]["counts_per_revolution"] == 72000
+    assert draft.document["stand"]["positions"] == [f"{angle:g} deg" for angle in foreign.ANGLES]
+    run = try_run_file(draft, tmp_path / "run.toml")
+    assert len(run.labels) == 6
+    assert run.size == d["t"].size
+
+
+def test_pulses_of_each_sample_are_not_taken_for_a_running_count(tmp_path: Path) -> None:
+    pulses = np.diff(foreign.truth()["counts"], prepend=0)
+    foreign.text(tmp_path / "x.csv", foreign.NAMES, foreign.changed(1, lambda k, _: str(pulses[k])))
+    draft = draft_run_file(describe_log(tmp_path / "x.csv"), SCALE)
+    assert [one.key for one in draft.open] == ["data.output"]
+    assert "pulses of each sample, not a running count" in draft.comments["data."][0]
+
+
+@pytest.mark.parametrize(("name", "words"), [
+    ("negative", "the output falls where fx is positive"),
+    ("unrelated", "the output does not follow fx"),
+])  # fmt: skip
+def test_an_output_against_the_force_is_named(tmp_path: Path, name: str, words: str) -> None:
+    sign = -1 if name == "negative" else 1
+    body = foreign.changed(1, lambda k, n: str(sign * int(n)) if name == "negative" else str(k * k))
+    foreign.text(tmp_path / "x.csv", foreign.NAMES, body)
+    draft = draft_run_file(
+        describe_log(tmp_path / "x.csv"), SCALE | {"instrument.counts_per_revolution": 72000}
+    )
+    assert any(words in line for line in draft.comments["data.reference"])
+
+
+def test_the_rotation_of_the_earth_is_named_where_no_rate_is_logged(tmp_path: Path) -> None:
+    draft, _ = drafted(tmp_path, "letters.csv")
+    assert any("rotation of the Earth" in line for line in draft.comments["data.reference"])
+    foreign.text(
+        tmp_path / "w.csv",
+        f"{foreign.NAMES},wx_rad_s,wy_rad_s,wz_rad_s",
+        [f"{row},0,0,0" for row in foreign.rows()],
+    )
+    draft = draft_run_file(describe_log(tmp_path / "w.csv"), SCALE)
+    assert draft.document["data"]["base_rate"]["columns"] == ["wx_rad_s", "wy_rad_s", "wz_rad_s"]
+    assert not any("Earth" in line for line in draft.comments["data.reference"])
+
+
+def test_the_time_of_a_waveform(tmp_path: Path) -> None:
+    from nptdms import ChannelObject, TdmsWriter
+
+    first = foreign.truth()["position"] == 1
+    with TdmsWriter(tmp_path / "x.tdms") as out:
+        out.write_segment([
+            ChannelObject("log", name, values[first], {"wf_increment": 0.1})
+            for name, values in foreign.columns().items() if name != "time"
+        ])  # fmt: skip
+    draft = draft_run_file(
+        describe_log(tmp_path / "x.tdms"), SCALE | {"instrument.counts_per_revolution": 72000}, folder=tmp_path
+    )
+    assert draft.document["data"]["time"] == {"column": "log/waveform time", "unit": "s"}
+    run = try_run_file(draft, tmp_path / "run.toml")
+    np.testing.assert_allclose(np.diff(run.t), 0.1, atol=1e-9)
+
+
+def test_a_name_that_stands_twice_is_named_with_its_numbers(tmp_path: Path) -> None:
+    draft, _ = drafted(tmp_path, "twice.csv")
+    assert draft.document["data"]["reference"]["columns"] == ["fx#1", "fy", "fz"]
+    draft.document["data"]["reference"]["columns"] = ["fx", "fy", "fz"]
+    with pytest.raises(piga.DataError, match="duplicate column name 'fx'") as caught:
+        try_run_file(draft, tmp_path / "run.toml")
+    assert "'fx#1', 'fx#2'" in str(caught.value.remedy)
+
+
+def test_the_run_file_of_every_log_is_valid_toml_with_its_reasons(tmp_path: Path) -> None:
+    for name in ("no-names-preamble.csv", "fill.csv", "footer.csv"):
+        draft, _ = drafted(tmp_path, name)
+        data = tomllib.loads(draft.text())["data"]
+        reason = draft.comments
+        if name == "fill.csv":
+            assert data["range"] == {"fx": [-9999.0, 1e30]}
+            assert "the log writes -9999 in fx" in reason["data.range"][0]
+        elif name == "footer.csv":
+            assert data["damaged_rows"] == "mask"
+            assert "left out and counted" in reason["data.damaged_rows"][0]
+        else:
+            assert data["header_row"] is False
+            assert data["skip_rows"] == 2
