@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pathlib
+import tomllib
 from importlib.resources import files
 
 import pytest
@@ -11,7 +13,7 @@ from hypothesis import strategies as st
 import piga
 from piga.describe.toml_writer import toml_value
 from piga.records.text_files import toml_document
-from piga.workbench.pages.describe import form_fields, text_with
+from piga.workbench.forms import digest, form_fields, form_of_text, sent_text, text_with
 
 TEXT = files("piga.data").joinpath("tumble-a.toml").read_text(encoding="utf-8")
 ALL = [field.path for fields in form_fields(TEXT).values() for field in fields]
@@ -74,3 +76,52 @@ def test_any_value_gives_toml_that_shows_it(path: str, value: str) -> None:
         assert values(changed)[path] == toml_value(document[table][key])
     else:
         assert key not in document.get(table, {})
+
+
+def test_a_field_that_was_typed_is_not_lost_when_a_button_follows_at_once():
+    typed = {"text": [TEXT.replace("\n", "\r\n")], "drawn": [digest(TEXT)], "key:instrument.serial": ['"G-9"']}
+    assert 'serial = "G-9"' in sent_text(typed, "run")
+    edited = typed | {"text": [TEXT.replace('tumble-a"', 'G-10"', 1)]}
+    assert 'serial = "G-10"' in sent_text(
+        edited, "run"
+    )  # the text was changed after the form was drawn: it holds
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("scenario", "twin.toml"),
+        ("platform", "platform-published.toml"),
+        ("plan", "plan-dividing-head.toml"),
+        ("certificate", "certificate.toml"),
+    ],
+)
+def test_every_kind_of_file_has_its_form(file: str, name: str) -> None:
+    text = (pathlib.Path("examples") / name).read_text(encoding="utf-8")
+    tables = form_fields(text, file)
+    shown = {field.path: field.value for fields in tables.values() for field in fields}
+    assert text_with(text, shown, file) == text
+    assert all(field.sentence for fields in tables.values() for field in fields)
+    document = tomllib.loads(text)
+    for table, held in document.items():
+        if isinstance(held, dict):
+            assert {f"{table}.{key}" for key in held} <= set(shown)
+
+
+def test_a_value_never_moves_another_key() -> None:
+    text = "[site]\nlatitude = '40 deg'\n[[environment]]\nname = 'T'\nvalue = '20 degC'\n"
+    assert "environment" not in form_fields(text, "certificate")
+    nested = "[sensors.piga]\nbeta = '74 arcsec'\n"
+    try:
+        changed = text_with(
+            nested, {"sensors.gimbal_noise": "1 arcsec", "sensors.piga": "{ beta = '75 arcsec' }"}, "platform"
+        )
+    except piga.PigaError:
+        return
+    assert tomllib.loads(changed) == {"sensors": {"piga": {"beta": "75 arcsec"}, "gimbal_noise": "1 arcsec"}}
+
+
+def test_text_without_form_keeps_its_message() -> None:
+    form = form_of_text("[instrument", "run")
+    assert form.tables == {}
+    assert "not valid TOML" in form.message

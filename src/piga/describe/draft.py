@@ -217,7 +217,6 @@ def try_run_file(draft: RunFileDraft, path: Path) -> Run:
             "per-segment",
             "the counter may have folded unseen in a gap, so the zero of the output angle is new after it",
         )
-        _without_bare_phases(draft, run)
         return read_run(path, content=draft.text().encode())
     return run
 
@@ -249,22 +248,6 @@ def _without_damage(draft: RunFileDraft, path: Path, error: DataError) -> Run:
         else:
             draft.document["data"][key.partition(".")[2]] = before
     raise error
-
-
-def _without_bare_phases(draft: RunFileDraft, run: Run) -> None:
-    """Leave ``tan_beta`` out if a segment with a phase of its own has no transverse force to show it."""
-    terms = draft.document.get("model", {}).get("terms", [])
-    if "tan_beta" not in terms or draft.comments.get("model.terms") == ["as given"]:
-        return
-    swing = np.zeros(len(run.labels))
-    np.maximum.at(swing, run.segment_index, np.hypot(run.f[:, 1], run.f[:, 2]) / G0)
-    bare = [label for label, size in zip(run.labels, swing, strict=True) if size < LEAST_SWING]
-    if bare:
-        draft.put(
-            "model.terms",
-            [term for term in terms if term != "tan_beta"],
-            f"without tan_beta: in segment {', '.join(bare[:4])} no transverse force shows its phase",
-        )
 
 
 def _column_words(column: ColumnGuess) -> str:

@@ -5,11 +5,21 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
+from importlib import import_module
 from importlib.resources import files
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
+FILES: dict[str, tuple[str, str, str]] = {
+    "run": ("run file", "piga.records.run_file", "RunFile"),
+    "scenario": ("scenario", "piga.stand.scenario", "ScenarioTable"),
+    "plan": ("plan", "piga.planning.plan_file", "PlanTable"),
+    "platform": ("platform scenario", "piga.platform.model.scenario", "ScenarioFile"),
+    "certificate": ("certificate file", "piga.certificate.certificate_file", "CertificateFile"),
+    "triad": ("triad file", "piga.compensation.sets.set_files", "TriadFile"),
+}
+"""Kinds of TOML files: name, module and class of the whole file."""
 MOST_PARTS = 6
 """Most parts of a key's path."""
 
@@ -59,6 +69,13 @@ def words_of(table: str, key: str) -> KeyWords | None:
     if table == "SpecimenTable" and key not in own:
         own = known.get("InstrumentTable", {})
     return own.get(key) or known["*"].get(key)
+
+
+@cache
+def places_of(file: str) -> tuple[KeyPlace, ...]:
+    """All keys of a kind of file, in order."""
+    _, module, name = FILES[file]
+    return tuple(places_in(file, getattr(import_module(module), name)))
 
 
 def places_in(file: str, struct: Any) -> list[KeyPlace]:

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from piga.calibration import TermProspect
+from piga.calibration.model.request import lost_phase
 from piga.records.run import Run
 from piga.records.spool import spans, steps
 from piga.reports.render.decimate import POINTS, envelope_rows
@@ -141,6 +142,7 @@ def check_document(record: Run, prospects: Sequence[TermProspect] = ()) -> dict[
         "force_g": [low / G0, high / G0],
         "phase_kept": len(set(record.phase_group)) == 1,
         "calibration": calibration_words(record),
+        "calibration_possible": calibration_possible(record),
         "input_sha256": record.input_sha256,
         **({"terms": [prospect.document() for prospect in prospects]} if prospects else {}),
     }
@@ -181,9 +183,13 @@ def prospects_text(prospects: Sequence[TermProspect]) -> str:
 
 def calibration_words(run: Run) -> str:
     """Description of a calibration with this run file."""
-    kept = len(set(run.phase_group)) == 1
-    possible = "" if kept or run.model.phase == "per-segment" else " (not possible: the phase was lost)"
+    possible = "" if calibration_possible(run) else " (not possible: the phase was lost)"
     return f"{run.estimation.method}, {len(run.model.terms)} terms, phase {run.model.phase}{possible}"
+
+
+def calibration_possible(run: Run) -> bool:
+    """False if one phase is asked for and the record has lost it."""
+    return lost_phase(run, run.model.terms, run.model.phase, run.estimation.method) is None
 
 
 def write_check(run: Run, path: Path) -> Path:

@@ -33,6 +33,8 @@ PATIENCE = 5.0
 """Time [s] that a stopped job has to end by itself."""
 _WINDOWS = os.name == "nt"
 """On Windows a process is not asked for by its number; only the server that started a job knows that it runs."""
+MOST_DOCUMENT = 20_000_000
+"""Bytes of printed JSON that are read."""
 MOST_TEXT = 200_000
 """Bytes of printed text that a page shows."""
 
@@ -168,6 +170,22 @@ class Jobs:
             stream.seek(max(stream.seek(0, os.SEEK_END) - MOST_TEXT, 0))
             return stream.read().decode("utf-8", "replace")
         return ""
+
+    def document(self, job: Job) -> dict[str, Any]:
+        """What the job printed as JSON.
+
+        Raises
+        ------
+        ValueError
+            If it printed none, or far too much.
+        """
+        path = self._folder / job.key / "out"
+        if path.stat().st_size > MOST_DOCUMENT:
+            raise ValueError("too much was printed")
+        document = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(document, dict):
+            raise ValueError("no table was printed")
+        return document
 
     def stop(self, job: Job) -> None:
         """End a running job. Its results are then absent, as after Ctrl-C in a terminal."""

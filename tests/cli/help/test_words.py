@@ -9,16 +9,16 @@ import msgspec
 import pytest
 from typer.testing import CliRunner
 
-from piga.cli.help.words import FILES, explain, places
+from piga.cli.help.words import explain
 from piga.cli.main import app
-from piga.describe.keys import key_table
+from piga.describe.keys import FILES, key_table, places_of
 from piga.records.run_file import METHOD_WORDS, METHODS
 from piga.records.terms import MEANING, TERM_WORDS, UNITS, term_words
 
 
 @pytest.mark.parametrize("file", FILES)
 def test_every_key_has_a_sentence_and_an_example(file: str) -> None:
-    keys = places(file)
+    keys = places_of(file)
     assert len(keys) > 4
     for place in keys:
         assert place.words.sentence.endswith("."), place.path
@@ -27,7 +27,7 @@ def test_every_key_has_a_sentence_and_an_example(file: str) -> None:
 
 
 def test_no_words_of_a_key_that_is_gone() -> None:
-    used = {(place.table, place.path.rpartition(".")[2]) for file in FILES for place in places(file)}
+    used = {(place.table, place.path.rpartition(".")[2]) for file in FILES for place in places_of(file)}
     names = {key for _, key in used}
     for table, keys in key_table().items():
         for key in keys:

@@ -128,10 +128,8 @@ def _check_record(run: Run, request: Request) -> None:
                 remedy="add [data] temperature = { column = '...', unit = 'degC' }, or leave the term out",
             )
     check_servo(request)
-    coupled = "tan_beta" in request.terms or bool(request.harmonics)
-    turning = coupled and request.method != "revolutions"
-    if request.phase == "shared" and turning and len(set(run.phase_group)) > 1:
-        at = next(i for i, group in enumerate(run.phase_group) if group != run.phase_group[0])
+    at = lost_phase(run, request.terms, request.phase, request.method)
+    if at is not None:
         raise CalibrationError(
             "phase 'shared' is not possible: the zero of the output angle is lost at segment "
             f"'{run.labels[at]}' ({len(set(run.phase_group))} independent parts): the counter may have "
@@ -156,6 +154,14 @@ def _check_record(run: Run, request: Request) -> None:
             "k0, k1, k2",
             remedy="give one starting value for each",
         )
+
+
+def lost_phase(run: Run, terms: tuple[str, ...], phase: str, method: str) -> int | None:
+    """First segment for which one phase of the whole record is asked and lost; None if there is none."""
+    coupled = "tan_beta" in terms or any(map(harmonic, terms))
+    if phase != "shared" or not coupled or method == "revolutions":
+        return None
+    return next((i for i, group in enumerate(run.phase_group) if group != run.phase_group[0]), None)
 
 
 def check_servo(request: Request) -> None:

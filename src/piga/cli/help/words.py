@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import re
-from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -15,24 +14,6 @@ from piga.errors import ArgumentError
 if TYPE_CHECKING:
     from piga.describe.keys import KeyPlace
 
-FILES: dict[str, tuple[str, str, str]] = {
-    "run": ("run file", "piga.records.run_file", "RunFile"),
-    "scenario": ("scenario", "piga.stand.scenario", "ScenarioTable"),
-    "plan": ("plan", "piga.planning.plan_file", "PlanTable"),
-    "platform": ("platform scenario", "piga.platform.model.scenario", "ScenarioFile"),
-    "certificate": ("certificate file", "piga.certificate.certificate_file", "CertificateFile"),
-    "triad": ("triad file", "piga.compensation.sets.set_files", "TriadFile"),
-}
-"""Kinds of TOML files: name, module and class of the whole file."""
-
-
-def places(file: str) -> list[KeyPlace]:
-    """All keys of a kind of file, in order."""
-    from piga.describe.keys import places_in
-
-    _, module, name = FILES[file]
-    return places_in(file, getattr(import_module(module), name))
-
 
 def explain(key: str) -> list[KeyPlace]:
     """The places of a key in all files: ``terms``, ``data.time.stamp`` or ``[data] time``.
@@ -42,8 +23,10 @@ def explain(key: str) -> list[KeyPlace]:
     ArgumentError
         If no file has it. The message names similar keys.
     """
+    from piga.describe.keys import FILES, places_of
+
     wanted = ".".join(re.sub(r"[\[\]]", " ", key.replace(".", " ")).split())
-    every = [place for file in FILES for place in places(file)]
+    every = [place for file in FILES for place in places_of(file)]
     exact = [place for place in every if place.path == wanted]
     ends = [place for place in every if place.path.endswith(f".{wanted}")]
     hits = exact or ends
@@ -60,6 +43,8 @@ def explain(key: str) -> list[KeyPlace]:
 
 def say_keys(hits: list[KeyPlace]) -> None:
     """Print what keys mean. Places with the same meaning are named together."""
+    from piga.describe.keys import FILES
+
     groups: dict[tuple[str, str, str, str], list[KeyPlace]] = {}
     for place in hits:
         groups.setdefault((place.words.sentence, place.words.example, place.kind, place.default), []).append(
@@ -77,6 +62,8 @@ def say_keys(hits: list[KeyPlace]) -> None:
 
 def key_documents(hits: list[KeyPlace]) -> list[dict[str, str]]:
     """The same for ``--json``."""
+    from piga.describe.keys import FILES
+
     return [
         {
             "file": FILES[place.file][0],

@@ -6,6 +6,7 @@
   const input = document.getElementById("file");
   const state = document.getElementById("drop-state");
   const send = async (files) => {
+    let name = "";
     for (const file of files) {
       state.textContent = `${file.name} is copied …`;
       const answer = await fetch(`/upload?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file, headers: { "hx-request": "true" } });
@@ -14,8 +15,10 @@
         state.textContent = page.body.textContent.trim() || "The file was refused.";
         return;
       }
+      name = (await answer.json()).name;
     }
-    location.reload();
+    if (files.length === 1 && !name.endsWith(".toml")) location.href = `/describe/${encodeURIComponent(name)}`;
+    else location.reload();
   };
   input.addEventListener("change", () => send(input.files));
   document.addEventListener("dragover", (event) => { event.preventDefault(); document.body.classList.add("dropping"); });

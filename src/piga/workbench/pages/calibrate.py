@@ -6,6 +6,7 @@ import re
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from piga.errors import ArgumentError, CalibrationError
 from piga.output import CALIBRATION_RESULTS, results
@@ -14,7 +15,8 @@ from piga.records.terms import UNITS, check_terms, meaning_of
 from piga.records.text_files import files_named_in
 from piga.workbench.folder import OutsideError
 from piga.workbench.jobs import Job
-from piga.workbench.pages.common import Workbench, bench_of, form_of, only, redirect, render
+from piga.workbench.pages.asked import TERMS, ask
+from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form
 from piga.workbench.pages.jobs import command_line, job_of
 
 if TYPE_CHECKING:
@@ -58,12 +60,19 @@ def show(request: Request) -> Response:
     )
 
 
+def prospects(request: Request) -> Response:
+    """What the record says of each term, before a calibration; the page puts each verdict beside its term."""
+    bench, name = bench_of(request), request.path_params["name"]
+    answer = ask(bench, name, TERMS, always="again" in request.query_params)
+    return render(request, "calibrate/prospects.html.jinja", name=name, check=answer)
+
+
 async def start(request: Request) -> Response:
     """Start a calibration as the form asks for it."""
     from starlette.concurrency import run_in_threadpool
 
     bench, name = bench_of(request), request.path_params["name"]
-    fields = await form_of(request)
+    fields = await sent_form(request)
     run_file = read_run_file(bench.folder.toml(name))
     terms = tuple(fields.get("term", []))
     terms += tuple(word for word in _SEPARATORS.split(only(fields, "harmonics")) if word)
@@ -175,7 +184,7 @@ def adopt(request: Request) -> Response:
         for pattern in CALIBRATION_RESULTS:
             for path in trial.glob(pattern):
                 shutil.copyfile(path, stage / path.name)
-    return redirect(request, f"/calibrate/{job.subject}")
+    return redirect(request, f"/calibrate/{quote(job.subject)}")
 
 
 def discard(request: Request) -> Response:
@@ -184,7 +193,7 @@ def discard(request: Request) -> Response:
     bench.jobs.stop(job)
     shutil.rmtree(_trial(bench, job), ignore_errors=True)
     bench.jobs.forget(job)
-    return redirect(request, f"/calibrate/{job.subject}")
+    return redirect(request, f"/calibrate/{quote(job.subject)}")
 
 
 def routes() -> list[Any]:
@@ -194,6 +203,7 @@ def routes() -> list[Any]:
     return [
         Route("/calibrate/{name:path}", show, methods=["GET"]),
         Route("/calibrate/{name:path}", start, methods=["POST"]),
+        Route("/term-prospects/{name:path}", prospects),
         Route("/result/{key}", result),
         Route("/result/{key}/adopt", adopt, methods=["POST"]),
         Route("/result/{key}/discard", discard, methods=["POST"]),

@@ -90,7 +90,7 @@ def render(request: Request, template: str, code: int = 200, **values: Any) -> R
     return HTMLResponse(text, status_code=code)
 
 
-async def form_of(request: Request) -> dict[str, list[str]]:
+async def sent_form(request: Request) -> dict[str, list[str]]:
     """The fields of a sent form, each with its values.
 
     Raises

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from piga.errors import ArgumentError
 from piga.records.run_file import read_run_file
 from piga.workbench.folder import Folder
-from piga.workbench.pages.common import bench_of, form_of, only, redirect, render
+from piga.workbench.pages.common import bench_of, only, redirect, render, sent_form
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -56,7 +56,7 @@ async def start(request: Request) -> Response:
     from starlette.concurrency import run_in_threadpool
 
     bench, name = bench_of(request), request.path_params["name"]
-    fields = await form_of(request)
+    fields = await sent_form(request)
     run = bench.folder.toml(name)
     calibration = bench.folder.file(only(fields, "calibration"))
     form = only(fields, "format", FORMATS[0])

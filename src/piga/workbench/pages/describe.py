@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from piga.describe import LogDescription, RunFileDraft, describe_log, draft_run_file, setting
-from piga.describe.keys import places_in
+from piga.describe.columns import WORDS
+from piga.describe.keys import FILES
 from piga.describe.toml_writer import toml_value
 from piga.errors import ArgumentError, PigaError
-from piga.records.run_file import RunFile, read_run_file
+from piga.records.run_file import read_run_file
 from piga.records.text_files import toml_document
 from piga.workbench.folder import Folder
-from piga.workbench.pages.common import bench_of, form_of, only, redirect, render
+from piga.workbench.forms import digest, form_of_text, sent_text, text_with
+from piga.workbench.pages.asked import CHECK, ask
+from piga.workbench.pages.common import bench_of, only, redirect, render, sent_form
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 
 ROWS = 8
 """Rows of the preview."""
+TAKEN_OVER = ("instrument", "stand", "uncertainty")
+"""Tables that an earlier run file can give."""
 
 
 def show(request: Request) -> Response:
@@ -30,36 +34,55 @@ def show(request: Request) -> Response:
     if name.endswith(".toml"):
         path = folder.file(name)
         return _run_file_page(request, name, path.read_text(encoding="utf-8", errors="replace"))
-    return _draft_page(request, name, {})
+    return _written_page(request, name) or _draft_page(request, name, {})
 
 
 def _run_file_page(request: Request, name: str, text: str, message: str = "", code: int = 200) -> Response:
     bench = bench_of(request)
-    job = bench.jobs.latest(name)
-    checked = job if job is not None and job.command[0] == "check" else None
-    try:
-        tables = form_fields(text)
-    except PigaError as error:
-        tables, message = {}, message or str(error)
-    values: dict[str, Any] = {"check": None, "tables": tables}
-    if checked is not None:
-        status = bench.jobs.status(checked)
-        values["check"] = (checked, status, bench.jobs.text(checked, "out"), bench.jobs.text(checked, "err"))
+    form = form_of_text(text, "run", message)
+    check, faulty = None, ""
+    if not form.message:
+        try:
+            read_run_file(bench.folder.toml(name))
+            check = ask(bench, name, CHECK, always="again" in request.query_params)
+        except (PigaError, OSError) as error:
+            faulty = str(error)
     return render(
-        request, "describe/describe-run.html.jinja", code, name=name, text=text, message=message, **values
-    )
+        request, "describe/describe-run.html.jinja", code, name=name, form=form, check=check, faulty=faulty,
+        back=f"/describe/{quote(name)}",
+    )  # fmt: skip
 
 
-def _draft_page(request: Request, name: str, given: dict[str, str], message: str = "") -> Response:
+def _written_page(request: Request, name: str) -> Response | None:
+    """The page of a run file that is being written, or None if none is."""
+    bench = bench_of(request)
+    job = bench.jobs.get(request.query_params.get("job", ""))
+    if job is None or job.command[:2] != ("init", name):
+        return None
+    status = bench.jobs.status(job)
+    if status.state == "done":
+        return redirect(request, f"/describe/{quote(job.result)}")
+    if status.state == "running":
+        return render(request, "describe/describe-wait.html.jinja", name=name, job=job, status=status)
+    given = dict(word.removeprefix("--set=").split("=", 1) for word in job.command if word.startswith("--set="))
+    message = bench.jobs.text(job, "err") or "It was stopped. Nothing was written."
+    return _draft_page(request, name, given, message)
+
+
+def _draft_page(
+    request: Request, name: str, given: dict[str, str], message: str = "", code: int = 200
+) -> Response:
     """The page of a log: its columns, the questions that are open, and the run file so far."""
     folder = bench_of(request).folder
     log = folder.file(name)
     described = describe_log(log)
     draft, message = _draft(described, given, message)
     target = log.with_name(f"{log.name.split('.')[0]}.toml")
+    others = [entry.name for entry in folder.entries() if entry.state in ("ready", "calibrated")]
     return render(
-        request, "describe/describe-log.html.jinja", name=name, described=described, preview=_preview(described),
+        request, "describe/describe-log.html.jinja", code, name=name, described=described, preview=_preview(described),
         draft=draft, given=given, message=message, target=folder.name(target), taken=target.exists(),
+        form=form_of_text(draft.text(), "run"), others=others, words=WORDS,
     )  # fmt: skip
 
 
@@ -85,130 +108,108 @@ def _preview(described: LogDescription) -> list[list[str]]:
     ]
 
 
-@dataclass(frozen=True)
-class Field:
-    """A key of the run file in the form: its path, what it means, and its value as TOML."""
-
-    path: str
-    sentence: str
-    unit: str
-    example: str
-    value: str
-
-
-def form_fields(text: str) -> dict[str, list[Field]]:
-    """The keys of a run file by table, with their values in ``text``.
-
-    Raises
-    ------
-    RunFileError
-        If the text is not TOML.
-    """
-    document = toml_document(Path("run.toml"), text.encode("utf-8"))
-    tables: dict[str, list[Field]] = {}
-    for place in places_in("run", RunFile):
-        table, _, key = place.path.partition(".")
-        if not key or "." in key:
-            continue
-        held = document.get(table)
-        value = toml_value(held[key]) if isinstance(held, dict) and key in held else ""
-        words = place.words
-        tables.setdefault(table, []).append(Field(place.path, words.sentence, words.unit, words.example, value))
-    return tables
-
-
-def text_with(text: str, values: Mapping[str, str]) -> str:
-    """The text of a run file with other values; comments and all other keys stay as they are.
-
-    Parameters
-    ----------
-    text:
-        The run file.
-    values:
-        TOML values by ``table.key``. An empty one removes the key. A value that is not TOML is taken as text.
-
-    Raises
-    ------
-    RunFileError
-        If the text is not TOML, or a value cannot stand in a run file.
-    """
-    import tomlkit
-
-    toml_document(Path("run.toml"), text.encode("utf-8"))
-    document: Any = tomlkit.parse(text)
-    known = {field.path: field.value for fields in form_fields(text).values() for field in fields}
-    for path, value in values.items():
-        table, _, key = path.partition(".")
-        if path not in known or value.strip() == known[path]:
-            continue
-        if not value.strip():
-            document[table].pop(key, None)
-            continue
-        if table not in document:
-            document[table] = tomlkit.table()
-        document[table][key] = _toml(value.strip())
-    changed = str(tomlkit.dumps(document))
-    toml_document(Path("run.toml"), changed.encode("utf-8"))
-    return changed
-
-
-def _toml(value: str) -> Any:
-    """A value as TOML; words that are none are text."""
-    import tomlkit
-    from tomlkit.exceptions import TOMLKitError
-
-    try:
-        return tomlkit.value(value)
-    except (TOMLKitError, ValueError):
-        return value
-
-
 async def sync(request: Request) -> Response:
     """Form and text after one of them was changed: the other one follows."""
-    fields = await form_of(request)
-    text, message = only(fields, "text").replace("\r\n", "\n"), ""
-    try:
-        if only(fields, "side") == "form":
-            values = {
-                key.removeprefix("key:"): held[-1] for key, held in fields.items() if key.startswith("key:")
-            }
-            text = text_with(text, values)
-        tables = form_fields(text)
-    except PigaError as error:
-        message, tables = str(error), {}
-    return render(request, "describe/describe-both.html.jinja", text=text, tables=tables, message=message)
+    fields = await sent_form(request)
+    text, file = only(fields, "text").replace("\r\n", "\n"), only(fields, "file")
+    if file not in FILES:
+        raise ArgumentError(f"{file!r}: is no kind of file", remedy="reload the page")
+    message = ""
+    if only(fields, "side") == "form":
+        values = {key.removeprefix("key:"): held[-1] for key, held in fields.items() if key.startswith("key:")}
+        try:
+            text = text_with(text, values, file)
+        except PigaError as error:
+            message = str(error)
+    return render(request, "describe/both.html.jinja", form=form_of_text(text, file, message))
 
 
 async def change(request: Request) -> Response:
-    """Draft anew with the answers, or write the run file and check it."""
+    """Draft anew with the answers, or write the run file."""
     from starlette.concurrency import run_in_threadpool
 
-    bench, name = bench_of(request), request.path_params["name"]
-    fields = await form_of(request)
-    word, text = only(fields, "do"), only(fields, "text").replace("\r\n", "\n")
-    if word == "draft":
-        given = {
-            key.removeprefix("set:"): values[-1].strip()
-            for key, values in fields.items()
-            if key.startswith("set:") and values[-1].strip()
-        }
-        extra = only(fields, "correction").strip()
-        message = ""
-        if extra:
-            key, _, value = extra.partition("=")
-            given[key.strip()] = value.strip()
-        return await run_in_threadpool(_draft_page, request, name, given, message)
-    if word != "check":
+    name = request.path_params["name"]
+    fields = await sent_form(request)
+    word = only(fields, "do")
+    if word not in ("draft", "take", "check", "phase"):
         raise ArgumentError(f"{word!r}: is no command of this page", remedy="use its buttons")
-    target = only(fields, "target") if not name.endswith(".toml") else name
+    answer = _change_run_file if name.endswith(".toml") else _change_draft
+    return await run_in_threadpool(answer, request, name, word, fields)
+
+
+def _change_run_file(request: Request, name: str, word: str, fields: dict[str, list[str]]) -> Response:
+    folder = bench_of(request).folder
+    text = only(fields, "text").replace("\r\n", "\n")
     try:
-        await run_in_threadpool(_save, bench.folder, target, text, new=target != name)
+        text = sent_text(fields, "run")
+        if word == "phase":
+            text = text_with(folder.file(name).read_text(encoding="utf-8"), {"model.phase": '"per-segment"'})
+        _save(folder, name, text, new=False)
     except PigaError as error:
-        if name.endswith(".toml"):
-            return await run_in_threadpool(_run_file_page, request, name, text, str(error), 422)
-        raise
-    await run_in_threadpool(bench.jobs.start, ("check", target), "Check", target)
-    return redirect(request, f"/describe/{target}")
+        return _run_file_page(request, name, text, str(error), 422)
+    return redirect(request, f"/describe/{quote(name)}")
+
+
+def _change_draft(request: Request, name: str, word: str, fields: dict[str, list[str]]) -> Response:
+    bench = bench_of(request)
+    given = {
+        key.removeprefix("set:"): values[-1].strip()
+        for key, values in fields.items()
+        if key.startswith("set:") and values[-1].strip()
+    }
+    extra = only(fields, "correction").strip()
+    if extra:
+        key, _, value = extra.partition("=")
+        given[key.strip()] = value.strip()
+    if word == "take":
+        given |= _taken_over(bench.folder, bench.folder.file(name), only(fields, "from"))
+    if word != "check":
+        return _draft_page(request, name, given)
+    target = only(fields, "target")
+    try:
+        _check_target(bench.folder, target)
+        text = sent_text(fields, "run")
+        if digest(text) != only(fields, "drafted"):
+            answers = {key: value for key, value in given.items() if key in only(fields, "asked").split()}
+            _save(bench.folder, target, text_with(text, answers), new=True)
+            return redirect(request, f"/describe/{quote(target)}")
+        draft, message = _draft(describe_log(bench.folder.file(name)), given, "")
+        if message or draft.open:
+            still = "; ".join(question.words for question in draft.open)
+            return _draft_page(request, name, given, message or f"The log does not say: {still}.", 422)
+    except PigaError as error:
+        return _draft_page(request, name, given, str(error), 422)
+    settings = [f"--set={key}={value}" for key, value in given.items()]
+    job = bench.jobs.start(("init", name, *settings, "--yes", "--out", target), "Describe", name, target)
+    return redirect(request, f"/describe/{quote(name)}?job={job.key}")
+
+
+def _taken_over(folder: Folder, log: Path, name: str) -> dict[str, str]:
+    """Instrument and uncertainties of another run file, as settings of a draft; the stand, if the log has no reference."""
+    document = toml_document(folder.toml(name))
+    draft = draft_run_file(describe_log(log), {}, folder=log.parent)
+    tables = ("instrument", "uncertainty") if "reference" in draft.document["data"] else TAKEN_OVER
+    return {
+        f"{table}.{key}": toml_value(value)
+        for table in tables
+        for key, value in document.get(table, {}).items()
+    }
+
+
+def _check_target(folder: Folder, name: str) -> Path:
+    """The path of a new run file.
+
+    Raises
+    ------
+    ArgumentError
+        If the name is not one, or is taken.
+    """
+    path = folder.path(name)
+    if path.suffix != ".toml":
+        raise ArgumentError(f"{name}: the name must end in .toml", remedy="e.g. run.toml")
+    if path.exists():
+        raise ArgumentError(f"{name}: exists already", remedy="choose another name")
+    return path
 
 
 def _save(folder: Folder, name: str, text: str, *, new: bool) -> None:
@@ -219,11 +220,7 @@ def _save(folder: Folder, name: str, text: str, *, new: bool) -> None:
     PigaError
         If the text is not a valid run file, or would replace one. Nothing is written then.
     """
-    path = folder.path(name)
-    if path.suffix != ".toml":
-        raise ArgumentError(f"{name}: the name must end in .toml", remedy="e.g. run.toml")
-    if new and path.exists():
-        raise ArgumentError(f"{name}: exists already", remedy="choose another name")
+    path = _check_target(folder, name) if new else folder.path(name)
     folder.write_toml(path, text, read_run_file, new=new)
 
 
@@ -232,7 +229,7 @@ def routes() -> list[Any]:
     from starlette.routing import Route
 
     return [
-        Route("/describe-sync", sync, methods=["POST"]),
+        Route("/form", sync, methods=["POST"]),
         Route("/describe/{name:path}", show, methods=["GET"]),
         Route("/describe/{name:path}", change, methods=["POST"]),
     ]

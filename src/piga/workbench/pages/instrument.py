@@ -6,7 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from piga.errors import ArgumentError
-from piga.workbench.pages.common import Workbench, bench_of, form_of, only, redirect, render
+from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form
 from piga.workbench.pages.compensate import calibrations
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ async def trend(request: Request) -> Response:
     from starlette.concurrency import run_in_threadpool
 
     bench = bench_of(request)
-    fields = await form_of(request)
+    fields = await sent_form(request)
     serial = only(fields, "serial")
     paths = _by_serial(bench).get(serial)
     if not paths:
@@ -80,7 +80,7 @@ async def certificate(request: Request) -> Response:
     from starlette.concurrency import run_in_threadpool
 
     bench = bench_of(request)
-    fields = await form_of(request)
+    fields = await sent_form(request)
     calibration = bench.folder.file(only(fields, "calibration"))
     data = bench.folder.toml(only(fields, "data"))
     out = f"certificate-{_plain(calibration.parent.name)}"
@@ -98,7 +98,7 @@ async def keep(request: Request) -> Response:
     from starlette.concurrency import run_in_threadpool
 
     bench = bench_of(request)
-    fields = await form_of(request)
+    fields = await sent_form(request)
     run = bench.folder.name(bench.folder.toml(only(fields, "run")))
     store = _store(bench, only(fields, "store"))
     results = bench.folder.path(run.removesuffix(".toml") + "-calibration")
@@ -117,7 +117,7 @@ async def ledger(request: Request) -> Response:
     from starlette.concurrency import run_in_threadpool
 
     bench = bench_of(request)
-    fields = await form_of(request)
+    fields = await sent_form(request)
     store, word = _store(bench, only(fields, "store"), there=True), only(fields, "do")
     if word not in LEDGER:
         raise ArgumentError(f"{word!r}: is no command of this page", remedy="use its buttons")

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
+MARKS = ("signals", "check", "terms")
+"""Jobs whose result begins so write no files for the user."""
+
 
 def job_of(request: Request) -> tuple[Workbench, Job]:
     """The job that the address names."""
@@ -82,7 +85,7 @@ def file(request: Request) -> Response:
 def result_files(bench: Workbench, job: Job) -> list[Path]:
     """The files that a job wrote: those of its folder, or its file and the page beside it."""
     place = bench.folder.root / job.result
-    if not job.result or job.result.startswith("signals/"):
+    if not job.result or job.result.partition("/")[0] in MARKS:
         return []
     if place.is_dir():
         return sorted(path for path in place.iterdir() if path.is_file() and not path.name.startswith("."))

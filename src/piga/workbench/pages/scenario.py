@@ -6,11 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from piga.errors import ArgumentError, PigaError
 from piga.records.text_files import toml_document
 from piga.workbench.folder import MOST_TOML, Folder
-from piga.workbench.pages.common import bench_of, form_of, only, redirect, render
+from piga.workbench.pages.common import bench_of, only, redirect, render, sent_form
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -92,12 +93,12 @@ def _runner(kind: Kind) -> Callable[[Request], Any]:
         from starlette.concurrency import run_in_threadpool
 
         bench = bench_of(request)
-        fields = await form_of(request)
+        fields = await sent_form(request)
         path = _saved(bench.folder, only(fields, "name"), only(fields, "text"))
         name = bench.folder.name(path)
         word = only(fields, "do")
         if word == "save":
-            return redirect(request, f"/{kind.key}?file={name}")
+            return redirect(request, f"/{kind.key}?file={quote(name)}")
         words = next((words for words in (item[1] for item in kind.commands) if " ".join(words) == word), None)
         if words is None:
             raise ArgumentError(f"{word!r}: is no command of this page", remedy="use its buttons")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from piga.errors import ArgumentError
 from piga.records.run_file import read_run_file
 from piga.records.text_files import files_named_in
 from piga.workbench.jobs import Job
-from piga.workbench.pages.common import Workbench, bench_of, form_of, only, redirect, render
+from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form
 from piga.workbench.signals import Outline, cache_key, picture, read_outline, rows_between
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def read_again(request: Request) -> Response:
     """Read a record once more after a failure."""
     bench, name = bench_of(request), request.path_params["name"]
     reading(bench, name, again=True)
-    return redirect(request, f"/signals/{name}")
+    return redirect(request, f"/signals/{quote(name)}")
 
 
 def data(request: Request) -> Response:
@@ -93,7 +94,7 @@ async def leave_out(request: Request) -> Response:
     from starlette.concurrency import run_in_threadpool
 
     bench, name = bench_of(request), request.path_params["name"]
-    fields = await form_of(request)
+    fields = await sent_form(request)
     try:
         first, last = float(only(fields, "from")), float(only(fields, "to"))
     except ValueError:
@@ -103,7 +104,7 @@ async def leave_out(request: Request) -> Response:
         raise ArgumentError("a reason is needed", remedy="say why these rows are left out")
     rows = rows_between(cache_of(bench, name), first, last)
     await run_in_threadpool(_leave_out, bench, name, rows, reason)
-    return redirect(request, f"/signals/{name}")
+    return redirect(request, f"/signals/{quote(name)}")
 
 
 def _leave_out(bench: Workbench, name: str, rows: tuple[int, int], reason: str) -> None:
