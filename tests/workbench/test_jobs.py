@@ -112,3 +112,15 @@ def test_only_so_many_run_and_only_so_many_are_kept(jobs: Jobs, monkeypatch: pyt
     after = jobs.start(("check", "tumble-a.toml"), "Check", "tumble-a.toml")
     assert jobs.all() == [after]
     ended(jobs, after)
+
+
+def test_many_pages_may_ask_at_the_same_time(jobs: Jobs) -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    job = jobs.start(("check", "none.toml"), "Check", "none.toml")
+    with ThreadPoolExecutor(8) as pool:
+        while True:
+            states = list(pool.map(lambda _: jobs.status(job).state, range(64)))
+            if states[-1] != "running":
+                break
+    assert set(states) <= {"running", "failed"}

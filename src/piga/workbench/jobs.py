@@ -149,7 +149,7 @@ class Jobs:
         if child is not None:
             with suppress(subprocess.TimeoutExpired):
                 child.wait(PATIENCE if end is not None else 0.0)
-                del self._children[job.key]
+                self._children.pop(job.key, None)  # two pages may ask at the same time
         if end is not None:
             code = int(end.get("code", 1))
             state: State = "stopped" if end.get("stopped") else "failed" if code else "done"
