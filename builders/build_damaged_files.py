@@ -251,7 +251,7 @@ def signals() -> list[Case]:
                used=38),
         repair("sequence-gap", seq, {"sequence-gap": 1, "gap": 1}, used=37, data=sequence),
         error("one-row", text(rows(1)), "fewer than two usable rows"),
-        error("time-stands", changed(lambda b: [r.__setitem__(0, "1.0") for r in b]), "fewer than two usable rows"),
+        error("time-stands", changed(lambda b: [r.__setitem__(0, "1.0") for r in b]), "column .t. repeats itself in most rows"),
         error("all-missing", changed(lambda b: [r.__setitem__(1, "nan") for r in b]), "no row has all"),
     ]  # fmt: skip
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from piga.cli.main import app
 
-LOGS = Path(__file__).resolve().parent.parent / "data" / "logs"
+LOGS = Path(__file__).resolve().parents[2] / "data" / "logs"
 SCALE = "instrument.scale_factor=0.8884 rad/s/g"
 
 
