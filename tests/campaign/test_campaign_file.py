@@ -121,7 +121,7 @@ REFUSED = {
     "two of a name": (SMALL.replace('"walk"', '"white"'), "two cases have the name 'white'"),
     "nothing": ("[campaign]\n", "there is nothing to compute"),
     "no TOML": ("[campaign", "not valid TOML"),
-    "archive and cases": (SMALL + '\n[archive]\nruns = "*.toml"\n', "[archive] stands beside"),
+    "archive and cases": (SMALL + '\n[archive]\nruns = "*.toml"\n', "[archive] cannot be combined"),
     "archive of nothing": ('[archive]\nruns = "no/*.toml"\n', "no file matches no/*.toml"),
     "no segments": (SMALL.replace("tumble = { positions = 6 }\n", "", 1), "has no segments"),
 }
@@ -138,13 +138,13 @@ def test_refused(tmp_path, name):
 
 OF_A_STAND = {
     "grid key": ('[grid]\n"stand.lattitude" = ["1 deg"]\n', "unknown key 'lattitude'"),
-    "grid key through a value": ('[grid]\n"stand.latitude.x" = ["1 deg"]\n', "a key leads through 'latitude'"),
+    "grid key through a value": ('[grid]\n"stand.latitude.x" = ["1 deg"]\n', "the key goes through 'latitude'"),
     "grid table": ('[grid]\n"stnd.latitude" = ["1 deg"]\n', "unknown key 'stnd'"),
     "grid value": ('[grid]\n"stand.latitude" = ["10 deg", "1 m"]\n', "latitude"),
     "truth": ('[grid]\n"truth.k9" = ["1 g"]\n', "unknown key 'k9'"),
     "twin": ('[grid]\n"twin.gain" = [1.0]\n', "gain"),
     "model": ('[grid]\n"model.phas" = ["shared"]\n', "phas"),
-    "k1": ('[grid]\n"truth.k1" = [1e-4]\n', "cannot tell it from the scale factor"),
+    "k1": ('[grid]\n"truth.k1" = [1e-4]\n', "cannot separate it from the scale factor"),
     "empty grid": ('[grid]\n"stand.latitude" = []\n', "the list is empty"),
     "draw key": ('[draw]\n"stand.foo" = { distribution = "uniform", low = 0, high = 1 }\n', "unknown key 'foo'"),
     "draw ends": ('[draw]\n"truth.k0" = { distribution = "uniform", low = "2 g", high = "1 g" }\n', "not below"),
@@ -169,7 +169,7 @@ def test_scenario_that_is_missing_or_none(tmp_path):
     with pytest.raises(RunFileError, match=r"gone\.toml"):
         read_campaign(written(tmp_path, 'scenario = "gone.toml"\n'))
     written(tmp_path, "[instrument]\nserial = 'x'\n", "run.toml")
-    with pytest.raises(RunFileError, match="is no scenario"):
+    with pytest.raises(RunFileError, match="is not a scenario"):
         read_campaign(written(tmp_path, 'scenario = "run.toml"\n'))
 
 

@@ -235,7 +235,7 @@ def test_two_runs_in_one_folder(tmp_path):
 
     release = hold(tmp_path / "out" / "running.lock")
     try:
-        with pytest.raises(PigaError, match="another 'piga campaign run' works there"):
+        with pytest.raises(PigaError, match="another 'piga campaign run' works in this folder"):
             run_campaign(campaign, workers=1)
     finally:
         release()
@@ -279,7 +279,7 @@ def test_disk_full(tmp_path):
     ("options", "words"),
     [
         (["--workers", "0"], "at least one is needed"),
-        (["--workers", "2", "--executor", "dask://127.0.0.1:1"], "--workers goes with the local pool"),
+        (["--workers", "2", "--executor", "dask://127.0.0.1:1"], "--workers is for this machine only"),
     ],
 )
 def test_options(tmp_path, options, words, capsys):

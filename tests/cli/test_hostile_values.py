@@ -46,7 +46,7 @@ HOSTILE = {
     ),
     "dotted table": ("[model]", "[" + ".".join(["a"] * 50000) + "]\n[model]", "a key of more than 16 parts"),
     **{
-        f"encoding {name}": (FILE, f'{FILE}\nencoding = "{name}"', "is not one that text files are read in")
+        f"encoding {name}": (FILE, f'{FILE}\nencoding = "{name}"', "is not supported")
         for name in ("zlib_codec", "rot13", "punycode", "undefined", "idna", "hex", "unicode_escape", "x" * 300)
     },
 }

@@ -83,5 +83,5 @@ def test_sum_of_resampled_increments_is_the_running_velocity_to_the_bit():
 
 
 def test_time_that_jumps_back_is_refused():
-    with pytest.raises(piga.ArgumentError, match=r"t\[2\]: 0.5 s does not lie behind"):
+    with pytest.raises(piga.ArgumentError, match=r"t\[2\]: 0.5 s is not after"):
         Resampler(0.1).push([0.0, 1.0, 0.5], [0.0, 1.0, 1.0])

@@ -44,7 +44,7 @@ def test_the_row_with_the_names_is_named(tmp_path: Path) -> None:
 def test_a_units_row(tmp_path: Path, units: str) -> None:
     run = read(tmp_path, "\n".join([HEADER, units, *body(), ""]))
     assert run.size == 40
-    with pytest.raises(piga.DataError, match="is in 'mg' there, but in 'g'"):
+    with pytest.raises(piga.DataError, match="has the unit 'mg' in the file, but 'g'"):
         read(tmp_path, "\n".join([HEADER, units.replace("g", "mg"), *body(), ""]))
 
 

@@ -136,7 +136,7 @@ def test_a_counter_that_folds_without_a_reference(tmp_path: Path) -> None:
     run = one_column(tmp_path, counts, "counter_bits = 16")
     np.testing.assert_allclose(np.diff(run.output), 509 * 2.0 * np.pi / 72000.0, rtol=1e-9)
     assert events(run) == {"counter-roll-over": 3}
-    with pytest.raises(piga.DataError, match="a roll-over cannot be told"):
+    with pytest.raises(piga.DataError, match="a roll-over cannot be recognised"):
         one_column(tmp_path, [str(30_000 * i % 65536) for i in range(400)], "counter_bits = 16")
 
 

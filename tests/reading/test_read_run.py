@@ -63,7 +63,7 @@ def test_units_row_and_units_in_the_header(tmp_path: Path) -> None:
     assert run.row[0] == 3
     bracketed = read(tmp_path, lines(), header="t [s],n,fx [g],fy (g),fz [g]")
     assert bracketed.size == 40
-    with pytest.raises(piga.DataError, match=r"column 'fx' is in 'm/s\^2' there, but in 'g'"):
+    with pytest.raises(piga.DataError, match=r"column 'fx' has the unit 'm/s\^2' in the file, but 'g'"):
         read(tmp_path, lines(), header="t,n,fx [m/s^2],fy,fz")
 
 

@@ -14,8 +14,8 @@ from tests.records.files import lines, write_log, write_run
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
-        ('{ standard = "1 ppm", half_width = "2 ppm" }', "one of standard and half_width is needed"),
-        ("{ degrees_of_freedom = 8 }", "one of standard and half_width is needed"),
+        ('{ standard = "1 ppm", half_width = "2 ppm" }', "give either standard or half_width"),
+        ("{ degrees_of_freedom = 8 }", "give either standard or half_width"),
         ('{ value = "1 ppm", distribution = "rectangular" }', "'value' of a rectangular distribution could be"),
         ('{ value = "1 ppm", distribution = "arcsine" }', "'value' of a arcsine distribution could be"),
         ('{ half_width = "1 ppm" }', "a normal distribution has no half-width"),

@@ -37,7 +37,7 @@ NAMES = ("t", "n", "fx", "fy", "fz")
     [
         ({"data": "range = { speed = [0.0, 1.0] }"}, "range: 'speed' is not a column in use"),
         ({"data": "range = { fx = [1.0, 0.0] }"}, "range: 'fx': 1 is not below 0"),
-        ({"data": 'segment = "fx"'}, "'fx' is read as numbers already"),
+        ({"data": 'segment = "fx"'}, "'fx' is a number column that is in use already"),
         ({"data": 'sequence = { column = "k", wraps_at = 1 }'}, "wraps_at must be 2 or more"),
         ({"data": 'missing = ["-999"]'}, "'-999' is a number"),
         (
@@ -115,7 +115,7 @@ def test_labels_as_text() -> None:
         ({"base_rate": [[0.0] * 3] * 2}, r"base_rate: shape \(2, 3\)"),
         ({"temperature": [290.0]}, r"temperature: shape \(1,\)"),
         ({"output": [0.0, math.nan, 1.0]}, r"output\[1\] is not finite"),
-        ({"t": [0.0, 1.0, 1.0]}, r"t\[2\] = .*does not come after t\[1\]"),
+        ({"t": [0.0, 1.0, 1.0]}, r"t\[2\] = .*is not after t\[1\]"),
     ],
 )
 def test_arrays_that_do_not_fit(change: dict[str, object], message: str) -> None:
@@ -163,7 +163,7 @@ def test_a_counter_beyond_64_signed_bits(tmp_path: Path) -> None:
     data = columns()
     data["n"] = data["n"].astype(np.uint64) + np.uint64(2**63)
     write_h5(tmp_path / "run.h5", data)
-    with pytest.raises(piga.DataError, match="more than 64 bit integers can"):
+    with pytest.raises(piga.DataError, match="more than a signed 64-bit integer can hold"):
         READERS[".h5"](tmp_path / "run.h5", NAMES, None)
 
 

@@ -248,7 +248,7 @@ def test_a_file_is_added_and_a_wrong_one_is_refused(browser: Browser, place: Pat
     wrong = tmp_path / "tool.exe"
     wrong.write_bytes(b"MZ")
     page.set_input_files("#file", wrong)
-    page.get_by_text("files of this kind are not taken").wait_for()
+    page.get_by_text("files of this kind are not accepted").wait_for()
     browser.faults = [fault for fault in browser.faults if "404" not in fault]
 
 

@@ -354,7 +354,7 @@ def _inline(case: CaseTable) -> dict[str, Any]:
 def _archive_groups(path: Path, file: CampaignFile, count: int) -> tuple[Group, ...]:
     if file.case or file.grid or file.draw or file.scenario:
         raise RunFileError(
-            f"{path}: [archive] stands beside a scenario, a case, a grid or a draw",
+            f"{path}: [archive] cannot be combined with a scenario, a case, a grid or a draw",
             remedy="write two campaign files",
         )
     return (Group("archive", "archive", "", {}, count, 1, 0, 0, 0),)
@@ -373,7 +373,7 @@ def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, An
     points = [dict(zip(file.grid, values, strict=True)) for values in itertools.product(*file.grid.values())]
     designs = file.campaign.designs if file.draw else 1
     if file.campaign.designs > 1 and not file.draw:
-        raise RunFileError(f"{path}: [campaign] designs needs [draw]", remedy="ask for repeats instead")
+        raise RunFileError(f"{path}: [campaign] designs needs [draw]", remedy="add [draw], or use repeats")
     if max(1, len(file.case)) * len(points) * designs > MOST_CASES:
         raise RunFileError(f"{path}: more than {MOST_CASES} cases", remedy="make the grid coarser")
     first = start = 0
@@ -411,8 +411,8 @@ def _subject(path: Path, scenario: str, document: Mapping[str, Any]) -> Subject:
     if "site" in document and "run" in document:
         return "platform"
     raise RunFileError(
-        f"{path.parent / scenario}: is no scenario of 'piga simulate' or 'piga platform'",
-        remedy="name a scenario file; run files belong into [archive]",
+        f"{path.parent / scenario}: is not a scenario of 'piga simulate' or 'piga platform'",
+        remedy="name a scenario file; put run files into [archive]",
     )
 
 
@@ -442,7 +442,7 @@ def _check(plan: Plan) -> None:
             document = plan.document(record)
         except (KeyError, IndexError, ValueError) as error:
             raise RunFileError(
-                f"{plan.path}: {_where(group)}: a key leads through '{error.args[0]}', which is no table",
+                f"{plan.path}: {_where(group)}: the key goes through '{error.args[0]}', which is not a table",
                 remedy="write the key as in the scenario file, e.g. 'twin.damping'",
             ) from None
         try:

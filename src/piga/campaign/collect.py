@@ -228,9 +228,7 @@ def collect(campaign: Campaign) -> Collected:
 
     done = campaign.done()
     if not done and campaign.manifest.records:
-        raise PigaError(
-            f"{campaign.folder}: holds no results yet", remedy="compute them with: piga campaign run"
-        )
+        raise PigaError(f"{campaign.folder}: has no results yet", remedy="compute them with: piga campaign run")
     groups: dict[int, _Group] = {}
     worst: list[tuple[float, int, str, int]] = []
     failures: dict[str, tuple[int, str]] = {}

@@ -93,7 +93,9 @@ class ConstantForceTable(TomlTable, frozen=True):
         def si(key: str, unit: str) -> float:
             value = to_si(getattr(self, key), unit, what=f"[constant_force] {key}")
             if value < 0.0:
-                raise ArgumentError(f"[constant_force] {key}: {value:g} {unit} is negative")
+                raise ArgumentError(
+                    f"[constant_force] {key}: {value:g} {unit} is negative", remedy="use zero or more"
+                )
             return value
 
         seconds, rate = si("seconds", "s"), si("rate", "Hz")
@@ -103,9 +105,11 @@ class ConstantForceTable(TomlTable, frozen=True):
             )
         for key in ("markov_time", "cycle_period"):
             if si(key, "s") == 0.0:
-                raise ArgumentError(f"[constant_force] {key}: 0 s is not positive")
+                raise ArgumentError(
+                    f"[constant_force] {key}: 0 s is not positive", remedy="write a positive time, e.g. '5 s'"
+                )
         if self.kind == "rate" and (si("white", "rad") or si("count", "rad")):
-            raise ArgumentError("[constant_force] white, count: a rate log has neither", remedy="give walk")
+            raise ArgumentError("[constant_force] white, count: not allowed for a rate log", remedy="give walk")
         known = ("scale_factor", "tan_beta", "phi", *PRODUCTS)
         for key in (*self.truth, *self.terms):
             if key not in known:
@@ -147,7 +151,10 @@ class ConstantForceTable(TomlTable, frozen=True):
             parts.append(tumble(t.positions, t.levels, start, t.side))
         if self.centrifuge is not None:
             if parts:
-                raise ArgumentError("[constant_force] centrifuge: cannot be joined with forces or tumble")
+                raise ArgumentError(
+                    "[constant_force] centrifuge: cannot be combined with forces or tumble",
+                    remedy="write two tests under joint",
+                )
             radius = to_si(self.centrifuge.radius, "m", what="[constant_force.centrifuge] radius")
             forces, turning = centrifuge(self.centrifuge.levels, radius)
             parts.append(forces)

@@ -40,7 +40,10 @@ class DaskEngine:
         dask: Any = distributed
         match = _ADDRESS.fullmatch(address)
         if match is None:
-            raise ArgumentError(f"--executor {address}: is not dask://HOST:PORT")
+            raise ArgumentError(
+                f"--executor {address}: is not dask://HOST:PORT",
+                remedy="write e.g. --executor dask://10.0.0.1:8786",
+            )
         self.address = f"{match['host']}:{match['port']}"
         security = dask.Security()
         secure = bool(security.tls_ca_file and security.tls_client_cert)
@@ -63,7 +66,7 @@ class DaskEngine:
         except (OSError, TimeoutError, ValueError, TypeError) as error:
             raise PigaError(
                 f"--executor {address}: no scheduler answers ({_first_line(error)})",
-                remedy="start it, and compare its address and its certificates with these",
+                remedy="start it, and check that its address and certificates are the ones given here",
             ) from None
         self._executor = self._client.get_executor(pure=False)
         self.workers = 0

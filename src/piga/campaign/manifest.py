@@ -172,7 +172,9 @@ def open_campaign(folder: str | Path) -> Campaign:
             f"{folder}: holds no campaign", remedy="plan one: piga campaign plan CAMPAIGN.toml --out DIR"
         ) from None
     except OSError as error:
-        raise PigaError(f"{path}: cannot be read ({error.strerror or error})") from None
+        raise PigaError(
+            f"{path}: cannot be read ({error.strerror or error})", remedy="check that you may read this folder"
+        ) from None
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise PigaError(
             f"{path}: is damaged ({error})", remedy="delete it, then plan the campaign again; its parts stay"
@@ -241,8 +243,9 @@ def _known(campaign: Campaign, wanted: Manifest) -> Campaign:
             if has.software.get(name) != text
         )
         raise PigaError(
-            f"{folder}: was begun with other software ({changed}); its records must not be mixed",
-            remedy="choose another --out, or go on with the software that it was begun with",
+            f"{folder}: was begun with other software ({changed}); records of different software must not "
+            "be mixed",
+            remedy="choose another --out, or continue with the earlier software",
         )
     return campaign
 

@@ -188,7 +188,7 @@ def _lock(folder: Path) -> Callable[[], None]:
         return hold(folder / LOCK)
     except BlockingIOError:
         raise PigaError(
-            f"{folder}: another 'piga campaign run' works there", remedy="wait for it, or stop it"
+            f"{folder}: another 'piga campaign run' works in this folder", remedy="wait for it, or stop it"
         ) from None
     except OSError as error:
         raise PigaError(
@@ -208,11 +208,11 @@ def engine_of(executor: str | None, workers: int | None) -> Engine:
     if executor is None:
         count = (os.cpu_count() or 1) if workers is None else workers
         if count < 1:
-            raise ArgumentError(f"--workers {count}: at least one is needed")
+            raise ArgumentError(f"--workers {count}: at least one is needed", remedy="write e.g. --workers 2")
         return LocalEngine(count)
     if workers is not None:
         raise ArgumentError(
-            "--workers goes with the local pool; with --executor the cluster says how many workers there are",
+            "--workers is for this machine only; with --executor the cluster has its own number of workers",
             remedy="leave --workers out",
         )
     from piga.campaign.dask_engine import DaskEngine
@@ -320,7 +320,10 @@ class _Loop:
             path.parent.mkdir(exist_ok=True)
             path.write_text(text + "\n", encoding="utf-8")
         except OSError as problem:
-            raise PigaError(f"{path}: cannot be written ({problem.strerror or problem})") from None
+            raise PigaError(
+                f"{path}: cannot be written ({problem.strerror or problem})",
+                remedy="make room there, and check that you may write to it",
+            ) from None
 
     def _progress(self) -> Progress:
         now = time.monotonic()

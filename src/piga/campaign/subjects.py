@@ -96,7 +96,10 @@ def _constant_force(plan: Plan, record: RecordName, document: dict[str, Any]) ->
         return read.constant_force.build(name)
     runs = tuple(table.build(f"{name}-{index}") for index, table in enumerate(read.joint, start=1))
     if len(runs) < 2 or len({run.terms for run in runs}) > 1:
-        raise ArgumentError("joint needs two tests or more with the same terms")
+        raise ArgumentError(
+            "joint needs two tests or more with the same terms",
+            remedy="write two [[case.joint]] tables with the same terms",
+        )
     return Joint(name, runs)
 
 
@@ -114,7 +117,7 @@ def _stand(plan: Plan, record: RecordName, document: dict[str, Any]) -> Scenario
             raise RunFileError(f"{path}: [{part}]: {error}", remedy="correct the key or the value") from None
     if table.truth.get("k1"):
         raise RunFileError(
-            f"{path}: [truth] k1: a calibration cannot tell it from the scale factor",
+            f"{path}: [truth] k1: a calibration cannot separate it from the scale factor",
             remedy="leave it out, or change scale_factor",
         )
     return scenario_of(path, table)
@@ -145,7 +148,10 @@ def compute(plan: Plan, record: RecordName, archive: Archive | None = None) -> O
         warnings.simplefilter("ignore", PigaWarning)
         if record.group.subject == "archive":
             if archive is None:
-                raise ArgumentError("the campaign has an archive, and no list of its files is given")
+                raise ArgumentError(
+                    "the campaign has an archive, but the list of its files is missing",
+                    remedy="plan the campaign first: piga campaign plan",
+                )
             return _recalibrated(plan, archive, record.number)
         made = built(plan, record, plan.document(record))
         with_bound = record.repeat < record.group.bounds
@@ -327,7 +333,10 @@ def _check_unchanged(path: Path, digest: str) -> None:
     try:
         now = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
+        raise DataError(
+            f"{path}: cannot be read ({error.strerror or error})",
+            remedy="check that the file is there and that you may read it",
+        ) from None
     if now != digest:
         raise DataError(f"{path}: changed since the campaign was planned", remedy="plan the campaign again")
 

@@ -156,9 +156,10 @@ def check_phase_kept(record: Run, calibration: Calibration, phase: Phase | None,
         return
     at = next(i for i, group in enumerate(record.phase_group) if group != record.phase_group[0])
     raise CalibrationError(
-        f"{record.source}: the zero of the output angle was lost before segment '{record.labels[at]}' (the "
-        "counter may have rolled over unseen in a gap): one phase cannot hold for the whole record",
-        remedy="calibrate with phase = 'per-segment', or compensate the parts one by one, each with its phase",
+        f"{record.source}: the zero of the output angle was lost before segment '{record.labels[at]}' "
+        "(the counter may have rolled over unseen in a gap): one phase cannot be valid for the whole "
+        "record",
+        remedy="calibrate with phase = 'per-segment', or compensate each part by itself, with its own phase",
     )
 
 
@@ -219,7 +220,7 @@ class _Plan:
         )
         if model.needs_temperature and self.record.temperature is None:
             raise CalibrationError(
-                "the calibration has temperature terms, the record has no temperature",
+                "the calibration has temperature terms, but the record has no temperature",
                 remedy="add [data] temperature = { column = '...', unit = 'degC' }",
             )
         return model

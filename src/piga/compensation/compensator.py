@@ -195,7 +195,8 @@ class Compensator:
     ) -> None:
         if kind not in ("angle", "rate"):
             raise ArgumentError(
-                f"kind: '{kind}' is neither 'angle' nor 'rate'", remedy="turn counts into angle"
+                f"kind: '{kind}' is neither 'angle' nor 'rate'",
+                remedy="use 'angle' or 'rate'; convert counts to an angle",
             )
         self.method = check_method(method, calibration)
         self.serial, self.notes = calibration.serial, notes_on(calibration)
@@ -274,7 +275,8 @@ class Compensator:
         temperature = _column(columns, "temperature", n) if columns.get("temperature") is not None else NONE
         if self._model.needs_temperature and not temperature.size:
             raise ArgumentError(
-                "chunk: no 'temperature' for the calibration's temperature terms", remedy="add it"
+                "chunk: the key 'temperature' is missing, and the calibration has temperature terms",
+                remedy="add 'temperature' [K], one value per time",
             )
         base_rate = _rows(columns, "base_rate", n) if columns.get("base_rate") is not None else NO_RATES
         angle = _column(columns, "angle", n) if columns.get("angle") is not None else NONE

@@ -212,7 +212,7 @@ def _used_coefficients(
         if any(c.name == "tan_beta" for c in shared) and phase is None:
             raise CalibrationError(
                 "the calibration has tan_beta but no phi",
-                remedy="calibrate again, or identify the phase at power-up",
+                remedy="calibrate again, or identify the phase at power-up (--identify-phase)",
             )
         return shared
     if phase is not None:
@@ -256,8 +256,9 @@ def _covariance_factor(
     spread = scale > 0.0
     if np.count_nonzero(spread) > at.MOST_TERMS:
         raise CalibrationError(
-            f"the calibration holds {np.count_nonzero(spread)} uncertain coefficients; {at.MOST_TERMS} at most are used",
-            remedy="leave terms out",
+            f"the calibration holds {np.count_nonzero(spread)} uncertain coefficients; at most "
+            f"{at.MOST_TERMS} are supported",
+            remedy="calibrate again with fewer terms",
         )
     size = scale[spread]
     values, vectors = np.linalg.eigh(matrix[np.ix_(spread, spread)] / np.outer(size, size))
@@ -296,8 +297,8 @@ FLAGS = {
 """Bit of each flag."""
 
 MEANING = {
-    "no_increment": "a stretch begins here: no increment is formed into this row, dv is 0 and not known",
-    "locked": "|a_x| < a_t tan(beta): the output stands, a_x is known to the dead zone only",
+    "no_increment": "a stretch begins here: the row has no increment, and its dv is set to 0",
+    "locked": "|a_x| < a_t tan(beta): the output stands still, and a_x is known only to the dead zone",
     "near_critical": "|a_x| below 1.25 a_t tan(beta): next to the dead zone",
     "out_of_range": "specific force outside the calibrated range",
     "temperature": "temperature outside the calibrated range",

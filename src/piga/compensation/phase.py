@@ -124,7 +124,8 @@ class PhaseFinder:
         p = self._model.parameters
         if self._model.tan_beta == 0.0 and p[at.P_OFFSET_Y] == 0.0 and p[at.P_OFFSET_Z] == 0.0:
             raise CalibrationError(
-                "the calibration has no cross-coupling: there is no phase to find", remedy="leave it out"
+                "the calibration has no cross-coupling: there is no phase to find",
+                remedy="leave --identify-phase out",
             )
         self._white, self._walk = max(float(p[at.P_WHITE]), 1e-24), float(p[at.P_WALK])
         self._normal = np.zeros((6, 6))

@@ -277,8 +277,8 @@ class Resampler:
         if not (steps > 0.0).all():
             row = int(np.argmin(steps > 0.0))
             raise ArgumentError(
-                f"t[{row}]: {times[row]:.9g} s does not lie behind the time before",
-                remedy="resample the parts between jumps of the clock one by one",
+                f"t[{row}]: {times[row]:.9g} s is not after the time before",
+                remedy="resample the parts between jumps of the clock separately",
             )
         start = self._state[kernels.START] if known else (times[0] if times.size else 0.0)
         end = times[-1] if times.size else start

@@ -54,7 +54,8 @@ def format_of(path: Path) -> str:
     file_format = FORMATS.get(path.suffix.lower())
     if file_format is None:
         raise ArgumentError(
-            f"{path}: files of kind '{path.suffix}' are not written", remedy="end it in .parquet or .csv"
+            f"{path}: piga does not write files of kind '{path.suffix}'",
+            remedy="use a name that ends in .parquet or .csv",
         )
     return file_format
 

@@ -248,7 +248,7 @@ def as_numbers(path: Path, name: str, values: NDArray) -> NDArray[np.float64] | 
     if values.dtype.kind in "iu":
         if values.size and (int(values.max()) > 2**63 - 1):
             raise DataError(
-                f"{path}: column '{name}' holds {values.max()}, more than 64 bit integers can",
+                f"{path}: column '{name}' holds {values.max()}, more than a signed 64-bit integer can hold",
                 remedy="export the counter as a signed integer",
             )
         return values.astype(np.int64, copy=False)

@@ -29,7 +29,9 @@ def float_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = No
     try:
         array = np.ascontiguousarray(values, dtype=np.float64).reshape(np.shape(values))
     except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{name}: not an array of numbers ({error})") from None
+        raise ArgumentError(
+            f"{name}: not an array of numbers ({error})", remedy="give numbers, or an array of them"
+        ) from None
     if shape is not None and array.shape != shape:
         raise ArgumentError(
             f"{name}: shape {array.shape} instead of {shape}", remedy="give one row per sample time"

@@ -63,7 +63,7 @@ class Instrument:
         if self.scale_factor <= 0.0:
             raise ArgumentError(
                 f"Instrument scale_factor: {scale_factor!r} is not positive",
-                remedy="turn the input axis round instead of giving a negative scale factor",
+                remedy="use a positive value; reverse the input axis instead",
             )
         if abs(self.beta) >= _MAX_BETA:
             raise ArgumentError(

@@ -142,8 +142,9 @@ class Reading:
         if largest >= 0.5 * span * factor:
             rate = largest / self.nominal / (0.5 * span * factor)
             raise DataError(
-                f"{self.path}: column '{self.name}': between samples the output may move by {largest:.3g} rad, more "
-                f"than half of the counter's range ({span * factor:.3g} rad): a roll-over cannot be told",
+                f"{self.path}: column '{self.name}': between samples the output may move by {largest:.3g} "
+                f"rad, more than half of the counter's range ({span * factor:.3g} rad): a roll-over cannot be "
+                "recognised",
                 remedy=f"sample at {1.2 * rate:.3g} Hz or more, or use a wider counter",
             )
 

@@ -222,7 +222,8 @@ class Assembly:
             known, wanted = parse_unit(logged), parse_unit(declared)
             if known.dimension != wanted.dimension or known.factor != wanted.factor:
                 raise DataError(
-                    f"{self.raw.path}: column '{column}' is in '{logged}' there, but in '{declared}' in the run file",
+                    f"{self.raw.path}: column '{column}' has the unit '{logged}' in the file, but '{declared}' in "
+                    "the run file",
                     remedy="correct the one that is wrong",
                 )
         return declared

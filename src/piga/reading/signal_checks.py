@@ -119,8 +119,8 @@ def left_out_rows(
         begin, end = np.searchsorted(rows, low), np.searchsorted(rows, high, side="right")
         if low > high or begin == end:
             raise DataError(
-                f"{path}: [data] leave_out: rows {low} to {high} are no rows of the file",
-                remedy=f"give the first and the last row to leave out; the file has rows {rows[0]} to {rows[-1]}",
+                f"{path}: [data] leave_out: the file has no rows {low} to {high}",
+                remedy=f"give the first and the last row to leave out, from {rows[0]} to {rows[-1]}",
             )
         usable[begin:end] = False
         detail = f"rows {low} to {high} are not used: {entry.reason}"
@@ -253,7 +253,7 @@ def stopped_output(
     expected *= abs(per_step)
     if expected < 10.0:
         return []
-    detail = f"the output stands still, the reference wants {expected:.3g} counts: locked or stuck"
+    detail = f"the output stands still, but the reference expects {expected:.3g} counts: locked or stuck"
     return [Event("stopped-output", run.count, int(rows[run.start]), detail)]
 
 

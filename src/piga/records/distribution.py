@@ -88,7 +88,7 @@ def standard_uncertainty(given: Spread | str | float, like: str, what: str) -> f
     named = [n for n in ("value", "standard", "half_width") if getattr(spread, n) is not None]
     bounded = spread.distribution in DIVISORS
     if len(named) != 1:
-        raise RunFileError(f"{what}: one of standard and half_width is needed", remedy="give exactly one")
+        raise RunFileError(f"{what}: give either standard or half_width", remedy="write exactly one of them")
     if named == ["value"] and bounded:
         raise RunFileError(
             f"{what}: 'value' of a {spread.distribution} distribution could be half-width or standard uncertainty",

@@ -380,7 +380,10 @@ class Run(Result, Reported, Tabular):
         named = np.atleast_1d(np.asarray(rows))
         if named.dtype == np.bool_:
             if named.shape != (self.size,):
-                raise ArgumentError(f"without: {named.size} truth values for {self.size} samples")
+                raise ArgumentError(
+                    f"without: {named.size} truth values for {self.size} samples",
+                    remedy="give one truth value per sample, or rows of run.row",
+                )
             return self._cut(~named, f"without {int(np.count_nonzero(named))} rows")
         strange = named[~np.isin(named, self.row)]
         if strange.size:
@@ -480,7 +483,10 @@ def check_arrays(
             f"kind: '{kind}' is neither 'angle' nor 'rate'", remedy="turn counts into an angle first"
         )
     if t.ndim != 1 or t.size < 2:
-        raise ArgumentError(f"t: shape {t.shape}, needs at least two samples in one dimension")
+        raise ArgumentError(
+            f"t: shape {t.shape}, needs at least two samples in one dimension",
+            remedy="give two or more times, in one dimension",
+        )
     shapes: dict[str, tuple[NDArray[Any], tuple[int, ...]]]
     shapes = {"output": (output, (t.size,)), "f": (f, (t.size, 3)), "segment": (segment, (t.size,))}
     if base_rate is not None:
@@ -500,9 +506,7 @@ def check_arrays(
     same = np.diff(segment) == 0
     if (same & (step <= 0.0)).any():
         index = int(np.argmax(same & (step <= 0.0))) + 1
-        raise ArgumentError(
-            f"t[{index}] = {t[index]!r} does not come after t[{index - 1}]", remedy="sort by time"
-        )
+        raise ArgumentError(f"t[{index}] = {t[index]!r} is not after t[{index - 1}]", remedy="sort by time")
 
 
 GAP = 1.5

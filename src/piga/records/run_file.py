@@ -92,7 +92,7 @@ class ServoTable(TomlTable, frozen=True):
             if entry.value < 0.0 or (positive and entry.value == 0.0):
                 raise RunFileError(
                     f"[instrument] servo.{entry.name}: must be {'positive' if positive else 'zero or more'}",
-                    remedy="correct it; the terms of the servo are those of a servo that integrates",
+                    remedy="correct the value: the terms of the servo need a servo with integral gain",
                 )
         if (self.pendulosity is None) == (self.angular_momentum is None):
             raise RunFileError(
@@ -387,8 +387,8 @@ def _check_units(run_file: RunFile) -> None:
             )
     if (estimation.angle_rms is None) != (estimation.angle_random_walk is None):
         raise RunFileError(
-            "[estimation] angle_rms and angle_random_walk are given together or not at all",
-            remedy="add the other one, '0 rad' or '0 rad/sqrt(s)' if it is absent",
+            "[estimation] angle_rms and angle_random_walk: one of them is missing",
+            remedy="add the other one; write '0 rad' or '0 rad/sqrt(s)' if there is no such noise",
         )
 
 
@@ -416,7 +416,7 @@ def _check_output(run_file: RunFile) -> None:
             )
         if output.unit not in (None, "count", "counts", "1"):
             raise RunFileError(
-                f"[data] output: unit '{output.unit}' does not go with kind 'counts'",
+                f"[data] output: unit '{output.unit}' cannot be used with kind 'counts'",
                 remedy="leave the unit out, or set kind to 'angle' or 'rate'",
             )
     else:
@@ -461,7 +461,8 @@ def _check_faults(run_file: RunFile) -> None:
             raise RunFileError(f"[data] range: '{name}': {low:g} is not below {high:g}", remedy="swap them")
     if data.segment in data.number_columns():
         raise RunFileError(
-            f"[data] segment: '{data.segment}' is read as numbers already", remedy="name a column of its own"
+            f"[data] segment: '{data.segment}' is a number column that is in use already",
+            remedy="name another column for the segments",
         )
     if data.sequence is not None and data.sequence.wraps_at is not None and data.sequence.wraps_at < 2:
         raise RunFileError("[data] sequence: wraps_at must be 2 or more", remedy="e.g. 65536")

@@ -272,8 +272,8 @@ def check_terms(terms: tuple[str, ...], *, where: str = "terms") -> None:
         partner = wave and ("c" if wave[0] == "s" else "s") + str(wave[1])
         if partner and partner not in terms:
             raise RunFileError(
-                f"{where}: '{name}' without '{partner}': the zero of the output angle is not known, so the two "
-                "cannot be told apart",
+                f"{where}: '{name}' without '{partner}': the zero of the output angle is unknown, so one of "
+                "the two alone has no meaning",
                 remedy=f"add '{partner}'",
             )
     if "k1" in terms and "scale_factor" in terms:

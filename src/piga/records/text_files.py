@@ -265,5 +265,5 @@ def _refuse_twice(pairs: list[tuple[str, Any]]) -> None:
     names: set[str] = set()
     for name, _ in pairs:
         if name in names:
-            raise JsonError(f"the key '{name[:60]}' is there twice in one object")
+            raise JsonError(f"the key '{name[:60]}' occurs twice in one object")
         names.add(name)

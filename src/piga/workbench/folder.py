@@ -136,7 +136,7 @@ class Folder:
             real = path.resolve()
             mode = path.stat().st_mode if path.exists() else stat.S_IFREG
         except (OSError, RuntimeError) as error:
-            raise OutsideError(f"{name}: cannot be looked at ({error})", remedy="choose another file") from None
+            raise OutsideError(f"{name}: cannot be read ({error})", remedy="choose another file") from None
         if not real.is_relative_to(self.root) or not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise OutsideError(
                 f"{name} is not a regular file of this folder", remedy="copy the file into the opened folder"
@@ -221,7 +221,8 @@ class Folder:
         path = self.root / (plain[-100:] or "log")
         if file_kind(path) not in (*LOG_SUFFIXES, ".toml"):
             raise OutsideError(
-                f"{wanted!r}: files of this kind are not taken", remedy=f"give one of {', '.join(LOG_SUFFIXES)}"
+                f"{wanted!r}: files of this kind are not accepted",
+                remedy=f"use one of these kinds: {', '.join(LOG_SUFFIXES)}",
             )
         while path.exists() or path.is_symlink():
             path = path.with_name(f"{secrets.token_hex(2)}-{path.name}"[-110:])

@@ -171,7 +171,7 @@ def picture(folder: Path, key: str, first: float, last: float, width: int) -> Ar
     """
     outline = read_outline(folder)
     if outline is None or key not in {signal.key for signal in outline.signals}:
-        raise ArgumentError(f"{key!r}: there is no such signal", remedy="choose one of the page")
+        raise ArgumentError(f"{key!r}: there is no such signal", remedy="choose a signal of the page")
     if not (np.isfinite(first) and np.isfinite(last) and first < last and 0 < width <= MOST_WIDTH):
         raise ArgumentError("the span of the picture is not valid", remedy="reload the page")
     t = np.load(folder / "t.npy", mmap_mode="r")

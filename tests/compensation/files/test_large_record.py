@@ -166,7 +166,7 @@ def test_units_that_contradict_the_run_file(tmp_path: Path) -> None:
     table = pa.parquet.read_table(tmp_path / "run.parquet")
     fields = [field.with_metadata({"unit": "g"}) if field.name == "fy" else field for field in table.schema]
     pa.parquet.write_table(table.cast(pa.schema(fields)), tmp_path / "run.parquet")
-    words = r"column 'fy' is in 'g' there, but in 'm/s\^2' in the run file"
+    words = r"column 'fy' has the unit 'g' in the file, but 'm/s\^2' in the run file"
     with pytest.raises(piga.DataError, match=words):
         to_file(path, calibration_of(CAL, serial="A"), tmp_path / "o.parquet")
     with pytest.raises(piga.DataError, match=words):
@@ -178,7 +178,7 @@ def test_sets_that_do_not_fit_together(tmp_path: Path, monkeypatch: pytest.Monke
     mounted = orthogonal_triad([calibration_of(CAL, serial="A")] * 3)
     runs = [written(tmp_path, name=name) for name in "xy"]
     rate = written(tmp_path, name="z", kind="rate", output='kind = "rate", unit = "rad/s"')
-    with pytest.raises(piga.DataError, match=r"z\.toml: holds rate, .*x\.toml: angle"):
+    with pytest.raises(piga.DataError, match=r"z\.toml: the output is of kind 'rate', .*x\.toml is 'angle'"):
         set_files.compensate_set_files([*runs, rate], mounted, tmp_path / "o.parquet", "parquet")
     short = written(tmp_path, name="z")
     table = pa.parquet.read_table(tmp_path / "z.parquet")

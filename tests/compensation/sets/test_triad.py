@@ -128,5 +128,5 @@ def test_axes_in_one_plane_and_mirrored_axes_are_refused():
     cal = calibration_of({"k0": 0.0})
     with pytest.raises(piga.ArgumentError, match="in one plane"):
         SetCompensator([Mounted(cal, np.eye(3))] * 3)
-    with pytest.raises(piga.ArgumentError, match="instrument 0: the rows are no right-handed"):
+    with pytest.raises(piga.ArgumentError, match="instrument 0: the rows are not a right-handed"):
         SetCompensator([Mounted(cal, np.diag([1.0, 1.0, -1.0]))] * 3)

@@ -40,9 +40,9 @@ def test_faults_name_motion_and_index():
     bad[2, 5, 1] = math.nan
     with pytest.raises(piga.ArgumentError, match=r"motion 2: f: nan at index \(5, 1\)"):
         propagate_fleet(FLEET, T, bad)
-    with pytest.raises(piga.ArgumentError, match=r"do not pair: .*'instruments': 2, 'f': 3"):
+    with pytest.raises(piga.ArgumentError, match=r"do not match: .*'instruments': 2, 'f': 3"):
         propagate_fleet(FLEET[:2], T, INPUTS)
-    with pytest.raises(piga.ArgumentError, match="do not pair"):
+    with pytest.raises(piga.ArgumentError, match="do not match"):
         propagate_fleet([], T, INPUTS[0])
     with pytest.raises(piga.ArgumentError, match="output"):
         propagate_fleet(FLEET, T, INPUTS[0], output="velocity")

@@ -168,7 +168,7 @@ def test_a_document_that_names_a_key_twice_is_not_sound(
         assert written >= number
     found = verify(tmp_path / "forged.sqlite")
     assert not found.sound
-    assert any("the key 'schema' is there twice" in problem for problem in found.problems), found.problems
+    assert any("the key 'schema' occurs twice" in problem for problem in found.problems), found.problems
 
 
 def test_what_is_read_of_an_export_is_what_was_sealed(tmp_path: Path, local: Store) -> None:

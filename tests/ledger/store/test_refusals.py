@@ -357,7 +357,7 @@ def test_one_file_of_two_sizes(sound: Path) -> None:
             r"manifest\.json: .* missing required field",
         ),
         ({"manifest.json": MANIFEST % (b"", 4)}, "does not fit its members"),
-        ({"manifest.json": MANIFEST % (b'"links": 9, ', 4)}, r"the key 'links' is there twice"),
+        ({"manifest.json": MANIFEST % (b'"links": 9, ', 4)}, r"the key 'links' occurs twice"),
         ({"manifest.json": MANIFEST % (b'"other": 9, ', 4)}, r"unknown field `other`"),
         ({"SHA256SUMS-as-is": b"none\n"}, "SHA256SUMS does not fit its members"),
         ({"manifest.json": None}, r"member 'manifest\.json' is missing"),

@@ -103,7 +103,7 @@ def _correlated(document: dict) -> None:
 
 
 IMPOSSIBLE = [
-    (_second_scale_factor, "the coefficient 'scale_factor' is there twice"),
+    (_second_scale_factor, "the coefficient 'scale_factor' occurs twice"),
     (lambda d: _coefficient(d, "scale_factor").update(value=0.0), "scale_factor.*must be positive"),
     (lambda d: _coefficient(d, "scale_factor").update(value=-0.8884), "scale_factor.*must be positive"),
     (lambda d: _coefficient(d, "tan_beta").update(value=-1e-3), "tan_beta.*must not be negative"),
@@ -122,7 +122,7 @@ IMPOSSIBLE = [
     (lambda d: d["model"]["terms"].remove("k0"), "'k0' is not among the terms"),
     (lambda d: d["noise"]["angle_rms"].update(value=-1.0), "noise.angle_rms"),
     (lambda d: d["residual"]["rms"].update(value=-1.0), "residual.rms"),
-    (lambda d: d["quality"].update(used=10**9), "more rows are used or masked than there are"),
+    (lambda d: d["quality"].update(used=10**9), "more rows are used or masked than the record has"),
     (lambda d: d["quality"].update(rows=-1), "quality.rows"),
     (lambda d: d["identifiability"].update(condition=0.5), "identifiability.condition"),
     (lambda d: d.update(degrees_of_freedom=-3.0), "degrees_of_freedom"),
@@ -165,7 +165,7 @@ def test_duplicate_keys(document: dict, tmp_path: Path, before: str, after: str)
     text = json.dumps(document)
     assert before in text
     path.write_text(text.replace(before, after, 1))
-    with pytest.raises(piga.CalibrationError, match="there twice in one object"):
+    with pytest.raises(piga.CalibrationError, match="occurs twice in one object"):
         piga.Calibration.from_json(path)
 
 

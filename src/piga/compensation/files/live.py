@@ -90,7 +90,7 @@ def _line(source: IO[str], number: int) -> str:
     line = source.readline(MAX_LINE)
     if line and not line.endswith("\n"):
         long = len(line) >= MAX_LINE
-        what = f"is longer than {MAX_LINE} characters" if long else "has no end: the stream was cut off there"
+        what = f"is longer than {MAX_LINE} characters" if long else "has no end: the stream was cut off"
         raise DataError(f"standard input: line {number} {what}", remedy="end every line with a line feed")
     return line
 
@@ -100,7 +100,7 @@ def _row(line: str, header: list[str], number: int) -> dict[str, float]:
     values = [float(cell) if _NUMBER.fullmatch(cell) else math.nan for cell in cells]
     if len(cells) != len(header) or not all(map(math.isfinite, values)):
         raise DataError(
-            f"standard input: line {number}: '{line.strip()[:60]}' is no row of {len(header)} numbers",
+            f"standard input: line {number}: '{line.strip()[:60]}' is not a row of {len(header)} numbers",
             remedy="send finite numbers separated by commas",
         )
     return dict(zip(header, values, strict=True))
@@ -152,7 +152,7 @@ def _batches(source: IO[bytes]) -> Iterator[Any]:
         if first is None:
             raise EOFError("it is empty")
         if first.type != "schema":  # the library reads whatever lies there as a schema
-            raise ValueError(f"a message of type '{first.type}' in the place of the schema")
+            raise ValueError(f"a message of type '{first.type}' instead of the schema")
         schema = pa.ipc.read_schema(first)
         _check_names(schema.names)
         for field in schema:
@@ -286,8 +286,8 @@ def _check_names(names: list[str]) -> None:
     elif unknown:
         what = f"the unknown column '{unknown[0][:60]}'"
     elif twice:
-        what = f"the column '{twice[0]}' is there twice"
+        what = f"the column '{twice[0]}' occurs twice"
     elif 0 < len(rates) < len(RATE):
-        what = f"no column '{rates[0]}' beside the other base rates"
+        what = f"no column '{rates[0]}', but the other base rates are there"
     if what:
         raise DataError(f"standard input: {what}", remedy=f"columns in SI: {', '.join(KNOWN)}")

@@ -62,7 +62,7 @@ def rotation(axes: ArrayLike, index: int) -> Array:
         )
     if np.abs(matrix @ matrix.T - np.eye(3)).max() > ORTHOGONAL or np.linalg.det(matrix) < 0.0:
         raise ArgumentError(
-            f"axes of instrument {index}: the rows are no right-handed set of orthogonal unit vectors",
+            f"axes of instrument {index}: the rows are not a right-handed set of orthogonal unit vectors",
             remedy="give X0, Y0, Z0 of the instrument in the common frame, to six digits or more",
         )
     left, _, right = np.linalg.svd(matrix)
@@ -86,7 +86,7 @@ def check_spread(axes: Array) -> None:
     if smallest < 0.05:
         raise ArgumentError(
             f"the input axes lie in one plane (smallest singular value {smallest:.3g})",
-            remedy="check axes, first rows",
+            remedy="check the first row of each axes: the input axes must span space",
         )
 
 
@@ -298,13 +298,17 @@ class SetCompensator:
         psi = _shaped("output", output, (count, n))
         if self._sampled != (rate is not None):
             raise ArgumentError(
-                "rate: a sampled set needs it, a set of angles does not take it", remedy="see sampled"
+                "rate: needed for a set that is sampled, and not allowed for a set of angles",
+                remedy="give rate, and create the set with sampled=True",
             )
         rates = np.zeros((count, 0)) if rate is None else _shaped("rate", rate, (count, n))
         omega = np.zeros((count, 0, 3)) if base_rate is None else _shaped("base_rate", base_rate, (count, n, 3))
         warm = np.zeros((count, 0)) if temperature is None else _shaped("temperature", temperature, (count, n))
         if temperature is None and any(model.needs_temperature for model in self._models):
-            raise ArgumentError("temperature: a calibration has temperature terms", remedy="give it")
+            raise ArgumentError(
+                "temperature: missing, and a calibration has temperature terms",
+                remedy="give the temperature [K] of each instrument, shape (N, n)",
+            )
         before = self._states.copy(), self._set_state.copy()
         marks = find_begins(self._states[0], time) if begins is None else np.asarray(begins, dtype=np.bool_)
         u = np.empty((n if self._uncertainty else 0, 3))
@@ -355,7 +359,7 @@ def _check_finite(**columns: Array) -> None:
         if not np.isfinite(array).all():
             where = [int(i) for i in np.argwhere(~np.isfinite(array))[0]]
             raise ArgumentError(
-                f"{name}{where} is not finite", remedy="leave such samples out of all instruments"
+                f"{name}{where} is not finite", remedy="leave such samples out for all instruments"
             )
 
 

@@ -85,7 +85,7 @@ def read_triad(path: str | Path) -> tuple[list[Path], list[Mounted], list[tuple[
     items = file.triad.instrument
     if len(items) < 3:
         raise RunFileError(
-            f"{path}: [[triad.instrument]] stands {len(items)} times", remedy="three or more are needed"
+            f"{path}: [[triad.instrument]] occurs {len(items)} times", remedy="write it three times or more"
         )
     read = [read_with_digest(path.parent / item.calibration) for item in items]
     mounted = [

@@ -128,14 +128,17 @@ def check_together(records: Sequence[Run]) -> None:
     for index, record in enumerate(records[1:], start=1):
         name, other = record.source or f"record {index}", first.source or "record 0"
         if record.kind != first.kind:
-            raise DataError(f"{name}: holds {record.kind}, {other}: {first.kind}", remedy="log one kind")
+            raise DataError(
+                f"{name}: the output is of kind '{record.kind}', that of {other} is '{first.kind}'",
+                remedy="log the same kind with all instruments",
+            )
         for part in spans(min(record.size, first.size)):
             differs = np.abs(record.t[part] - first.t[part]) > apart
             if differs.any():
                 at = part.start + int(np.argmax(differs))
                 raise DataError(
                     f"{name}: row {record.row[at]}, t = {record.t[at]:.9g} s: the times are not those of {other}",
-                    remedy="sample all instruments together, or bring them to common times first",
+                    remedy="sample all instruments together, or interpolate them to common times first",
                 )
         if record.size != first.size:
             raise DataError(

@@ -72,7 +72,7 @@ def _declared(declared: str, path: Path) -> str:
     if name in ENCODINGS:
         return name
     raise DataError(
-        f"{path}: [data] encoding '{declared[:40]}' is not one that text files are read in",
+        f"{path}: [data] encoding '{declared[:40]}' is not supported",
         remedy=f"one of: {', '.join(ENCODINGS)}",
     )
 

@@ -108,7 +108,7 @@ def _look_at_line(
     try:
         text = line.decode("utf-8")
     except UnicodeDecodeError as error:
-        words = f"row {row}: byte {error.start} of the row is no UTF-8 text"
+        words = f"row {row}: byte {error.start} of the row is not UTF-8 text"
         faults.add(row, "bad-encoding", words, "; or add [data] encoding = '...'")
         return
     _look_at(faults, row, text.rstrip("\r"), form, places, tokens)

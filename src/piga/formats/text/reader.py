@@ -145,7 +145,7 @@ class TextStream:
             events.append(Event("encoding", 1, 1, f"read as {self._source.encoding}"))
         if self._truncated is not None:
             row = self._truncated
-            events.append(Event("truncated-last-line", 1, row, f"row {row} has no line end: not used"))
+            events.append(Event("truncated-last-line", 1, row, f"row {row} has no line end: it is not used"))
         events += self._faults.events()
         blank = self._last_filled - self._form.skip - self._read - self._faults.rows
         if blank > 0:

@@ -95,9 +95,15 @@ def published_closed_form(
     a_t = math.hypot(a_Y, a_Z)
     b = a_t * inst.tan_beta
     if case not in (1, 2, 3, 4) or (case == 1) != (a_x == 0.0):
-        raise ArgumentError(f"case: {case!r} does not fit a_x = {a_x!r} m/s^2", remedy="see piga.regime")
+        raise ArgumentError(
+            f"case: {case!r} does not fit a_x = {a_x!r} m/s^2",
+            remedy="leave case out, or take the one of piga.regime",
+        )
     if (case == 3 and abs(a_x) >= abs(b)) or (case == 4 and abs(a_x) <= abs(b)):
-        raise ArgumentError(f"case: {case!r} has no real value for |a_x/b| = {abs(a_x / b) if b else math.inf}")
+        raise ArgumentError(
+            f"case: {case!r} has no real value for |a_x/b| = {abs(a_x / b) if b else math.inf}",
+            remedy="leave case out, or take the one of piga.regime",
+        )
     K, gamma = inst.scale_factor, math.atan2(a_Z, a_Y)
     p0 = math.tan(0.5 * (inst.alpha0 - gamma))
     phase = np.asarray(K * a_x * np.asarray(t, dtype=float))
@@ -147,7 +153,9 @@ def closed_form_turns(
         raise ArgumentError("t: empty", remedy="give at least one time")
     if not np.isfinite(times).all():
         index = int(np.flatnonzero(~np.isfinite(times))[0])
-        raise ArgumentError(f"t: {times.ravel()[index]} at index {index} is not a finite number")
+        raise ArgumentError(
+            f"t: {times.ravel()[index]} at index {index} is not a finite number", remedy="give finite times"
+        )
     result = np.empty((3, times.size))
     turns, rest = split_turns(inst.alpha0)
     constant_motion_at(exact_rates(inst, a_x, a_Y, a_Z, base_rate), times.ravel(), turns, rest, result)
@@ -235,7 +243,10 @@ def _force(
     if f is None and a_x is not None and a_Y is not None and a_Z is not None:
         return a_x, a_Y, a_Z
     if f is None or scalars or a_x is not None:
-        raise ArgumentError("f: give the specific force once", remedy="f=[a_x, a_Y, a_Z], or a_x, a_Y and a_Z")
+        raise ArgumentError(
+            "f: the specific force is given twice, or not at all",
+            remedy="give f=[a_x, a_Y, a_Z], or a_x, a_Y and a_Z",
+        )
     force = np.asarray(f, dtype=float)
     if force.shape != (3,):
         raise ArgumentError(

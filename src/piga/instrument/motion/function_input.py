@@ -53,7 +53,10 @@ def _evaluated(name: str, function: Force, times: Array, vectorized: bool) -> Ar
         )
     if not np.isfinite(values).all():
         k = int(np.argmax(~np.isfinite(values).all(axis=1)))
-        raise ArgumentError(f"{name}: returned {values[k]} at t = {times[k]} s: not finite numbers")
+        raise ArgumentError(
+            f"{name}: returned {values[k]} at t = {times[k]} s, which is not finite",
+            remedy="return finite numbers at all times of the integration",
+        )
     return values
 
 
@@ -134,14 +137,17 @@ def propagate_function(
     require_increasing("t", times)
     for name, value in (("tolerance", tolerance), ("max_step", max_step)):
         if value is not None and not value > 0.0:
-            raise ArgumentError(f"{name}: {value!r} is not positive")
+            raise ArgumentError(f"{name}: {value!r} is not positive", remedy="use a positive value")
     alpha = np.full(times.size, inst.alpha0)
     if times.size == 1:
         return alpha
     first, span = float(times[0]), float(times[-1] - times[0])
     count = _PANELS if max_step is None else int(np.ceil(min(span / max_step, 1e18) * (1.0 - 1e-12)))
     if count * (DEGREE + 1) > _MOST_EVALUATIONS:
-        raise ArgumentError(f"max_step: {max_step} s takes more than {_MOST_EVALUATIONS} evaluations")
+        raise ArgumentError(
+            f"max_step: {max_step} s takes more than {_MOST_EVALUATIONS} evaluations",
+            remedy="use a larger max_step",
+        )
 
     def rates(at: Array) -> Array:
         return _rates(inst, at, f, base_rate, vectorized)

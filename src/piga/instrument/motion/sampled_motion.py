@@ -319,7 +319,9 @@ def propagate_segments(
         require_finite(name, array)
     if lengths.min() < 0.0:
         k = int(np.argmax(lengths < 0.0))
-        raise ArgumentError(f"durations: {lengths[k]} s at index {k} is negative")
+        raise ArgumentError(
+            f"durations: {lengths[k]} s at index {k} is negative", remedy="use durations of zero or more"
+        )
     ends = np.empty((3, lengths.size))
     turns, rest = split_turns(inst.alpha0)
     segment_motion(lengths, force, omega, inst.scale_factor, inst.tan_beta, turns, rest, ends)
@@ -440,7 +442,7 @@ def propagate_fleet(
         or times do not increase; names the motion and the index.
     """
     if output not in ("angle", "rate"):
-        raise ArgumentError(f"output: {output!r} is not 'angle' or 'rate'")
+        raise ArgumentError(f"output: {output!r} is not 'angle' or 'rate'", remedy="use 'angle' or 'rate'")
     times = time_array("t", t)
     force = float_array("f", f)
     omega = None if base_rate is None else float_array("base_rate", base_rate)
@@ -452,7 +454,7 @@ def propagate_fleet(
     m = max(counts.values(), default=1)
     if not fleet or any(count != m for count in counts.values()):
         raise ArgumentError(
-            f"instruments and inputs do not pair: {counts}",
+            f"instruments and inputs: their numbers do not match: {counts}",
             remedy="give the same number of each, or one for all",
         )
     result = np.empty((m, times.size))

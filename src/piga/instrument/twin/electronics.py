@@ -66,9 +66,15 @@ class Electronics:
 
     def __post_init__(self) -> None:
         if self.sample_rate <= 0.0 or self.counts_per_revolution <= 0.0:
-            raise ArgumentError("electronics sample_rate and counts_per_revolution must be positive")
+            raise ArgumentError(
+                "electronics sample_rate and counts_per_revolution must be positive",
+                remedy="use positive values",
+            )
         if self.counter_bits is not None and not 1 <= self.counter_bits <= 62:
-            raise ArgumentError(f"electronics counter_bits: {self.counter_bits} is outside 1 to 62")
+            raise ArgumentError(
+                f"electronics counter_bits: {self.counter_bits} is outside 1 to 62",
+                remedy="leave it out if the counter never wraps",
+            )
         levels = (
             "angle_noise",
             "angle_random_walk",
@@ -79,7 +85,9 @@ class Electronics:
         )
         for name in levels:
             if getattr(self, name) < 0.0:
-                raise ArgumentError(f"electronics {name}: {getattr(self, name):g} is negative")
+                raise ArgumentError(
+                    f"electronics {name}: {getattr(self, name):g} is negative", remedy="use zero or more"
+                )
         if self.bias_markov > 0.0 and not self.bias_markov_time > 0.0:
             raise ArgumentError(
                 "noise markov: its correlation time is missing or not positive",

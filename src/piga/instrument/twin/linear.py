@@ -201,7 +201,7 @@ def require_stable(p: TwinParameters) -> LoopAnalysis:
         f"the servo loop is unstable: closed-loop pole {worst:.4g} 1/s{oscillates} (nutation "
         f"{p.nutation / (2 * math.pi):.4g} Hz, k_p = {p.proportional_gain:g}, k_i = {p.integral_gain:g}, "
         f"c = {p.damping:g})",
-        remedy="lower the gains, raise the damping or rate gain, or force the run",
+        remedy="lower the gains, or raise the damping or the rate gain; --unstable simulates it all the same",
     )
 
 

@@ -96,7 +96,10 @@ class TwinParameters:
                     remedy="check the value and its unit",
                 )
         if self.float_inertia_x * self.float_inertia_z <= self.product_of_inertia**2:
-            raise ArgumentError("twin parameter product_of_inertia: D^2 must be smaller than A C")
+            raise ArgumentError(
+                "twin parameter product_of_inertia: D^2 must be smaller than A C",
+                remedy="use a smaller product of inertia, or larger moments A and C",
+            )
 
     @property
     def K(self) -> float:

@@ -61,12 +61,19 @@ def _inputs(t: ArrayLike, f: ArrayLike, base_rate: ArrayLike | None) -> tuple[Ar
     force = np.ascontiguousarray(f, dtype=float)
     rate = np.zeros_like(force) if base_rate is None else np.ascontiguousarray(base_rate, dtype=float)
     if times.ndim != 1 or times.size < 2 or not np.all(np.diff(times) > 0):
-        raise ArgumentError("t: needs at least two strictly increasing times")
+        raise ArgumentError(
+            "t: needs at least two strictly increasing times", remedy="give two or more times, sorted"
+        )
     for name, array in (("f", force), ("base_rate", rate)):
         if array.shape != (times.size, 3):
-            raise ArgumentError(f"{name}: shape {array.shape} found, ({times.size}, 3) needed")
+            raise ArgumentError(
+                f"{name}: shape {array.shape} instead of ({times.size}, 3)", remedy="give one row per time"
+            )
         if not np.all(np.isfinite(array)):
-            raise ArgumentError(f"{name}: row {int(np.argwhere(~np.isfinite(array))[0, 0])} is not finite")
+            raise ArgumentError(
+                f"{name}: row {int(np.argwhere(~np.isfinite(array))[0, 0])} is not finite",
+                remedy="repair or leave out this sample",
+            )
     return times, force, rate
 
 
@@ -102,7 +109,7 @@ def slow_manifold(
 
     slowest = -float(np.max(loop_poles(p).real))
     if slowest <= 0.0:
-        raise PigaError("the loop is unstable: it has no slow manifold", remedy='start with the "transient"')
+        raise PigaError("the loop is unstable: it has no slow manifold", remedy="use start = 'transient'")
     H, _ = servo.wheel(p.constants(), t)
     held = replace(p, angular_momentum=H, hunting=0.0, spin_start=1.0)
     duration = 30.0 / slowest
@@ -137,7 +144,8 @@ def _run(
     if failed >= 0:
         raise PigaError(
             f"the twin's motion cannot be followed beyond t = {t[failed]:.6g} s: it is too fast",
-            remedy="the design is unstable or too stiff; look at its linear analysis",
+            remedy="check the design with the linear analysis (piga.instrument.twin.linear): it is unstable or "
+            "too stiff",
         )
     return states, float(error), int(steps)
 
@@ -188,7 +196,9 @@ def run_twin(
     times, force, rate = _inputs(t, f, base_rate)
     held = np.zeros_like(force) if noise is None else np.ascontiguousarray(noise, dtype=float)
     if held.shape != force.shape:
-        raise ArgumentError(f"noise: shape {held.shape} found, {force.shape} needed")
+        raise ArgumentError(
+            f"noise: shape {held.shape} instead of {force.shape}", remedy="give one row per interval"
+        )
     first = _start(p, start, times[0], force[0], rate[0], accuracy)
     states, error, steps = _run(p, times, force, rate, held, first, accuracy)
     return _motion(p, times, states, held[:, 2], error, steps)
@@ -200,7 +210,10 @@ def _start(
     if not isinstance(start, str):
         state = np.asarray(start, dtype=float)
         if state.shape != (servo.STATES,):
-            raise ArgumentError(f"start: a state has {servo.STATES} numbers, got shape {state.shape}")
+            raise ArgumentError(
+                f"start: shape {state.shape}, but a state has {servo.STATES} numbers",
+                remedy="use the last state of a run, slow-manifold or transient",
+            )
         return state
     if start == "transient":
         return np.array([p.alpha0, p.pick_off_null, 0.0, 0.0, 0.0])

@@ -498,7 +498,7 @@ def _contradictions(document: _Document, coefficients: tuple[Coefficient, ...]) 
     names = {c.name for c in coefficients}
     twice = next((key for key, count in Counter(keys).items() if count > 1), None)
     if twice is not None:
-        yield f"the coefficient '{twice}' is there twice"
+        yield f"the coefficient '{twice}' occurs twice"
     if len(set(model.terms)) < len(model.terms):
         yield f"a term is named twice: {', '.join(model.terms)[:80]}"
     for term in model.terms:
@@ -513,7 +513,7 @@ def _contradictions(document: _Document, coefficients: tuple[Coefficient, ...]) 
         if model.phase == "shared" and c.segment is not None:
             yield f"the phase is 'shared', but '{c.key}' is of one segment"
     if max(quality.used, quality.masked) > quality.rows:
-        yield "more rows are used or masked than there are"
+        yield "more rows are used or masked than the record has"
     try:
         dt.datetime.fromisoformat(document.provenance.created)
     except ValueError:
@@ -540,7 +540,8 @@ def _covariance(document: _Document, coefficients: tuple[Coefficient, ...]) -> A
             raise CalibrationError(f"the variance of '{c.key}' is negative", remedy=again)
         if abs(math.sqrt(variance) - c.std) > SAME * max(c.std, math.sqrt(variance)):
             raise CalibrationError(
-                f"the standard uncertainty of '{c.key}' is {c.std:.6g}, the covariance says {math.sqrt(variance):.6g}",
+                f"the standard uncertainty of '{c.key}' is {c.std:.6g}, but the covariance gives "
+                f"{math.sqrt(variance):.6g}",
                 remedy=again,
             )
     scale = np.sqrt(np.diag(matrix))

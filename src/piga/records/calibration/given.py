@@ -72,7 +72,7 @@ def calibration_of(
         residual_max_after=0.0,
         quality=Quality(0, 0, 0),
         condition=math.inf,
-        notes=("the coefficients were given, not estimated from a record: nothing tests them here",),
+        notes=("the coefficients were given, not estimated from a record: no test was made",),
         budget=BudgetTable(),
         diagnostics=Diagnostics(),
         segments=(),

@@ -148,23 +148,24 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
     if coloured is not None and coloured.gain > THRESHOLDS.coloured:
         level = coloured.rms / calibration.scale_factor_nominal / G0 * 1e6
         yield Doubt(
-            f"the rate has coloured noise ({coloured.words}, {level:.2g} ug): the standard uncertainties hold it, as far as a "
-            "record of a few positions shows it; what changes as slowly as the test itself is not seen",
-            "repeat the positions in another order, and record the temperature: what depends on time is then told from "
-            "what depends on position",
+            f"the rate has coloured noise ({coloured.words}, {level:.2g} ug): the standard uncertainties "
+            "include it as far as a record of a few positions shows it; a change that is as slow as the "
+            "test itself is not seen",
+            "repeat the positions in another order, and record the temperature: this separates effects "
+            "of time from effects of position",
         )
     chance = tests.ljung_box_probability
     shown = "p < 1e-300" if chance < 1e-300 else f"p = {chance:.2g}"
     counted = tests.verdict == COUNTED
     if tests.verdict != "white" and not counted and coloured is None:
         yield Doubt(
-            f"the whitened residuals are not white (Ljung-Box, {shown}): the model or the noise description misses "
-            "something, and standard uncertainties may be too small",
-            "look for lines in the residuals against rotation, and for suggested terms",
+            f"the whitened residuals are not white (Ljung-Box, {shown}): the model or the noise "
+            "description is incomplete, and standard uncertainties may be too small",
+            "look for lines in the residuals by revolution order, and for suggested terms",
         )
     if abs(rms - 1.0) > THRESHOLDS.residual_rms:
         yield Doubt(
-            f"the whitened residuals have a root mean square of {rms:.3f} where 1 is expected",
+            f"the whitened residuals have a root mean square of {rms:.3f} instead of 1",
             "check the noise levels that were given, and the residuals of single segments",
         )
     elif counted:

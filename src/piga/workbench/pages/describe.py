@@ -132,7 +132,7 @@ async def change(request: Request) -> Response:
     fields = await sent_form(request)
     word = only(fields, "do")
     if word not in ("draft", "take", "check", "phase"):
-        raise ArgumentError(f"{word!r}: is no command of this page", remedy="use its buttons")
+        raise ArgumentError(f"{word!r}: is not a command of this page", remedy="use its buttons")
     answer = _change_run_file if name.endswith(".toml") else _change_draft
     return await run_in_threadpool(answer, request, name, word, fields)
 

@@ -106,7 +106,7 @@ async def keep(request: Request) -> Response:
     for option in ("operator", "reason"):
         value = " ".join(only(fields, option).split())
         if not value:
-            raise ArgumentError(f"{option}: is needed", remedy="a record says who kept it, and why")
+            raise ArgumentError(f"{option}: is missing", remedy="say who keeps the record, and why")
         command.append(f"--{option}={value}")
     job = await run_in_threadpool(bench.jobs.start, command, "Keep", run)
     return redirect(request, f"/jobs/{job.key}")
@@ -120,7 +120,7 @@ async def ledger(request: Request) -> Response:
     fields = await sent_form(request)
     store, word = _store(bench, only(fields, "store"), there=True), only(fields, "do")
     if word not in LEDGER:
-        raise ArgumentError(f"{word!r}: is no command of this page", remedy="use its buttons")
+        raise ArgumentError(f"{word!r}: is not a command of this page", remedy="use its buttons")
     out = f"{store.partition('.')[0]}-{time.strftime('%Y%m%d-%H%M%S')}.zip" if word == "export" else ""
     command = ["records", word, *([out] if out else []), "--store", store]
     job = await run_in_threadpool(bench.jobs.start, command, LEDGER[word], store, out)
@@ -131,7 +131,7 @@ def _store(bench: Workbench, name: str, *, there: bool = False) -> str:
     """The name of a ledger in the folder, never an address."""
     path = bench.folder.file(name) if there else bench.folder.path(name)
     if path.parent != bench.folder.root or path.suffix not in STORES:
-        raise ArgumentError(f"{name!r}: is no name of a ledger here", remedy="e.g. lab.sqlite")
+        raise ArgumentError(f"{name!r}: cannot be the name of a ledger", remedy="e.g. lab.sqlite")
     return path.name
 
 

@@ -76,7 +76,7 @@ def file(request: Request) -> Response:
     path = place / name if place.is_dir() else place.with_name(name)
     allowed = {item.name for item in result_files(bench, job)}
     if not job.result or name not in allowed or path.is_symlink() or not path.is_file():
-        raise OutsideError(f"{name}: is no result of this job", remedy="choose a listed file")
+        raise OutsideError(f"{name}: is not a result of this job", remedy="choose a listed file")
     if path.suffix == ".html":
         return FileResponse(path, headers={"content-security-policy": REPORT_POLICY}, media_type="text/html")
     return FileResponse(path, filename=name, media_type="application/octet-stream")

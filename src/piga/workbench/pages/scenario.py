@@ -101,7 +101,7 @@ def _runner(kind: Kind) -> Callable[[Request], Any]:
             return redirect(request, f"/{kind.key}?file={quote(name)}")
         words = next((words for words in (item[1] for item in kind.commands) if " ".join(words) == word), None)
         if words is None:
-            raise ArgumentError(f"{word!r}: is no command of this page", remedy="use its buttons")
+            raise ArgumentError(f"{word!r}: is not a command of this page", remedy="use its buttons")
         out = bench.folder.name(path.with_name(f"{path.stem}-{words[-1]}"))
         command = [*words, name, "--out", out, "--force"]
         job = await run_in_threadpool(bench.jobs.start, command, " ".join(words).capitalize(), name, out)
