@@ -15,8 +15,14 @@ Progress = Callable[[float, float, str], bool | None]
 """Function of the work done, the whole work, and what comes now. It returns False to stop the call."""
 
 
-def report(progress: Progress | None, done: float, total: float, what: str) -> None:
-    """Tell ``progress`` where a call is.
+def report(
+    progress: Progress | None,
+    done: float,
+    total: float,
+    what: str,
+    remedy: str = "start again; nothing was written",
+) -> None:
+    """Tell ``progress`` where a call is. ``remedy`` says what to do after a stop.
 
     Raises
     ------
@@ -24,7 +30,7 @@ def report(progress: Progress | None, done: float, total: float, what: str) -> N
         If it returns False.
     """
     if progress is not None and progress(done, total, what) is False:
-        raise CancelledError(f"stopped before: {what}", remedy="start again; nothing was written")
+        raise CancelledError(f"stopped before: {what}", remedy=remedy)
 
 
 class Steps:
@@ -46,6 +52,18 @@ class Steps:
         report(self._progress, self._done, self._total, what)
         self._done += 1
 
+    def within(self, share: float, what: str) -> None:
+        """A part of the present step begins; ``share`` of the step is done (0 to 1)."""
+        report(self._progress, self._done - 1 + share, self._total, what)
+
+    def parts(self, number: int, what: str) -> None:
+        """Part ``number`` (from 0) of the present step begins, where nobody knows how many there are."""
+        self.within(number / (number + 1.0), what)
+
     def finish(self) -> None:
         """All steps are done."""
         report(self._progress, self._total, self._total, "done")
+
+
+SILENT = Steps(None, 0)
+"""Steps that nobody hears of."""

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
 import pytest
 
 import piga
 from piga.progress import Steps, report
+from piga.records.run_file import UncertaintyTable
+from piga.units import G0
 from tests.results.conftest import SCALE, TERMS, a_run
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def heard(call, **settings):
@@ -71,8 +82,6 @@ def test_an_error_of_the_callers_function_reaches_the_caller(run, cal):
 
 
 def test_simulation_platform_plan_and_reproduction_say_their_steps(tmp_path):
-    from pathlib import Path
-
     from piga.earth import Site
     from piga.instrument import Electronics
     from piga.stand import DividingHead, Specimen
@@ -88,10 +97,10 @@ def test_simulation_platform_plan_and_reproduction_say_their_steps(tmp_path):
     found, steps = heard(lambda progress: reproduce("mounting", progress=progress))
     assert found.cases
     assert [step[2] for step in steps] == ["mounting", "done"]
-    plan = piga.read_plan(Path(__file__).parents[2] / "examples" / "plan-dividing-head.toml")
+    plan = piga.read_plan(EXAMPLES / "plan-dividing-head.toml")
     with pytest.raises(piga.CancelledError, match="listing positions"):
         piga.plan_test(plan, progress=lambda *_: False)
-    scenario = piga.platform.load_scenario(Path(__file__).parents[2] / "examples" / "platform-published.toml")
+    scenario = piga.platform.load_scenario(EXAMPLES / "platform-published.toml")
     with pytest.raises(piga.CancelledError, match="simulating"):
         piga.platform.compare(scenario, progress=lambda *_: False)
 
@@ -112,3 +121,149 @@ def test_a_long_record_reports_more_than_once(cal, monkeypatch):
     _, steps = heard(lambda progress: piga.compensate(run, cal, progress=progress))
     assert [step[0] for step in steps] == [0, 400, 800]
     assert spool.BLOCK > 800
+
+
+def long_calls(run: piga.Run, cal: piga.Calibration) -> dict[str, Callable[..., object]]:
+    """Calls that take long on long records, each small here."""
+    run = run.between(0.0, 12.0)
+    other = replace(run, output=run.output + 1e-6 * np.sin(run.t), input_sha256={"other.csv": "1"})
+    budgeted = [
+        replace(one, uncertainty=UncertaintyTable(reference_scale="10 ppm", reference_bias="1 ug"))
+        for one in (run, other)
+    ]
+    axes = [np.roll(np.eye(3), k, axis=1) for k in range(3)]
+    inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=0.4)
+    known = piga.Calibration.from_coefficients({"scale_factor": 0.8884, "tan_beta": inst.tan_beta, "phi": 0.0})
+    runs = [
+        piga.Run.from_arrays(run.t, piga.propagate(inst, run.t, run.f @ a.T), run.f @ a.T, scale_factor=SCALE)
+        for a in axes
+    ]
+    turning = turns_record()
+    return {
+        "joint": lambda progress: piga.calibrate(budgeted, TERMS, progress=progress),
+        "published": lambda progress: piga.calibrate(run, ["tan_beta"], "published", progress=progress),
+        "revolutions": lambda progress: piga.calibrate(
+            turning, ["scale_factor", "k0"], "revolutions", progress=progress
+        ),
+        "budget": lambda progress: piga.calibrate(budgeted[0], TERMS, progress=progress),
+        "compare": lambda progress: piga.compare_models(run, [TERMS[:2], TERMS], progress=progress),
+        "set": lambda progress: piga.compensate_set(
+            runs, [piga.Mounted(known, a) for a in axes], progress=progress
+        ),
+        "rows": lambda progress: piga.compensate(run, cal, progress=progress),
+    }
+
+
+def turns_record() -> piga.Run:
+    """Two positions with eight turns each, at rest."""
+    t = np.arange(0.0, 120.0, 0.1)
+    f = G0 * np.column_stack([np.where(t < 60.0, 1.0, -1.0), 0.05 + 0 * t, 0 * t])
+    inst = piga.Instrument(scale_factor=SCALE, beta="100 arcsec", alpha0=0.4)
+    psi = piga.propagate(inst, t, f) + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
+    return piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, segment=t >= 60.0)
+
+
+LONG = ("joint", "published", "revolutions", "budget", "compare", "set", "rows")
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", LONG)
+def test_a_long_call_tells_its_steps_and_stops_when_told(run, cal, name):
+    call = long_calls(run, cal)[name]
+    _, steps = heard(call)
+    assert len(steps) >= 2
+    assert goes_up(steps)
+    assert len(set(steps)) == len(steps)
+    for last in {0, len(steps) // 2, len(steps) - 1}:
+        told: list[str] = []
+
+        def progress(_done: float, _total: float, what: str, told=told, last=last) -> bool:
+            told.append(what)
+            return len(told) <= last
+
+        with pytest.raises(piga.CancelledError, match="stopped before: "):
+            call(progress=progress)
+        assert len(told) == last + 1
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_joint_calibration_names_its_runs_and_sources(run, cal):
+    _, steps = heard(long_calls(run, cal)["joint"])
+    words = " | ".join(step[2] for step in steps)
+    for said in (
+        "fitting the model to run 1",
+        "fitting the model to run 2",
+        "budget: reference_scale",
+        "reference_bias",
+    ):
+        assert said in words
+
+
+def test_a_set_in_pieces_is_the_set_to_the_bit(run, cal, monkeypatch):
+    call = long_calls(run, cal)["set"]
+    whole = call(progress=None)
+    monkeypatch.setattr("piga.records.spool.BLOCK", 77)
+    parts, steps = heard(call)
+    assert parts == whole
+    assert len(steps) == 1 + -(-whole.size // 77)
+    assert steps[-1][:2] == (whole.size, whole.size)
+
+
+def test_a_stopped_file_is_as_it_was_and_its_parts_go_on(run, cal, tmp_path, monkeypatch):
+    from piga.cli.common import write_by_rename
+    from piga.compensation.files.file_to_file import Parts, compensate_to_file
+
+    monkeypatch.setattr("piga.records.spool.BLOCK", 100)
+    monkeypatch.setattr("piga.compensation.files.file_to_file.PART_ROWS", 200)
+    out = tmp_path / "out.parquet"
+    out.write_text("before")
+
+    def write(parts, stop=None):
+        told = []
+
+        def progress(done: float, total: float, what: str) -> bool:
+            told.append((done, total, what))
+            return stop is None or done < stop
+
+        write_by_rename(
+            out, lambda path: compensate_to_file(run, cal, path, "parquet", parts=parts, progress=progress)
+        )
+        return told
+
+    with pytest.raises(piga.CancelledError, match="nothing was written"):
+        write(None, 500)
+    assert out.read_text() == "before"
+    assert [path.name for path in tmp_path.iterdir()] == ["out.parquet"]
+    parts = Parts(out, "key")
+    with pytest.raises(piga.CancelledError, match="go on with --resume"):
+        write(parts, 500)
+    parts.close()
+    assert out.read_text() == "before"
+    parts = Parts(out, "key")
+    told = write(parts)
+    parts.remove()
+    parts.close()
+    assert [step[0] for step in told] == [0, 400, 500, 600, 700, 800]
+    assert pa.parquet.read_table(out)["ax"].to_numpy().tobytes() == piga.compensate(run, cal).ax.tobytes()
+
+
+@pytest.mark.only_compiled
+def test_a_capstone_and_a_platform_budget_tell_their_steps():
+    scenario = piga.platform.load_scenario(EXAMPLES / "platform-piga.toml")
+    short = replace(scenario, duration=7200.0, calibration_time=3600.0)
+    _, steps = heard(lambda progress: piga.platform.capstone(short, progress=progress))
+    assert goes_up(steps)
+    assert steps[2][2].startswith("navigating, ")
+    sources = dict(list(piga.platform.standard_sources().items())[:2])
+    rows, steps = heard(lambda progress: piga.platform.error_budget(short, sources, progress=progress))
+    assert goes_up(steps)
+    assert [row.source for row in rows] == [*sources, "all together"]
+    assert [step[2] for step in steps][2:-1] == [
+        f"navigating with {name}" for name in (*sources, "all together")
+    ]
+    for call in (
+        piga.platform.capstone,
+        lambda s, progress: piga.platform.error_budget(s, sources, progress=progress),
+    ):
+        with pytest.raises(piga.CancelledError, match="simulating"):
+            call(short, progress=lambda *_: False)

@@ -163,13 +163,13 @@ def _calibration(
     if not isinstance(run, Run):
         runs = check_items(run)
         if len(runs) > 1 or not isinstance(runs[0], Run):
-            return _joint_calibration(runs, terms, method, phase, phase_source, per_run)
+            return _joint_calibration(runs, terms, method, phase, phase_source, per_run, steps)
         run = runs[0]
     request = make_request(run, terms, method, phase, phase_source, per_run)
     if request.method == "published":
-        return _published_calibration(run, request)
+        return _published_calibration(run, request, steps)
     if request.method == "revolutions":
-        return _revolutions_calibration(run, request)
+        return _revolutions_calibration(run, request, steps)
     stated = stated_scatter(run)
     try:
         fit = fit_run(run, request)
@@ -181,7 +181,7 @@ def _calibration(
     except (IdentifiabilityError, DataError) as error:
         raise with_advice(error, advise(run, request)) from None
     steps("adding up the budget")
-    budget = make_budget(fit, coefficients, covariance)
+    budget = make_budget(fit, coefficients, covariance, steps)
     doubts = left_out_terms(without_slow(fit), coefficients)
     for doubt in doubts:
         budget = budget.with_row(doubt.row(coefficients))
@@ -310,6 +310,7 @@ def _joint_calibration(
     phase: str | None,
     phase_source: str | None,
     per_run: list[str] | tuple[str, ...] | None,
+    steps: Steps,
 ) -> Calibration:
     """Calibrate several runs or summaries of runs together."""
     if method not in (None, "information") or phase_source not in (None, "output"):
@@ -317,12 +318,14 @@ def _joint_calibration(
             "several runs can be calibrated together only with method 'information' and phase_source 'output'",
             remedy="leave method and phase_source out, or calibrate the runs one by one",
         )
-    fit = fit_jointly(items, terms, phase, per_run)
-    changes_by_source = list(joint_contributions(fit))
+    fit = fit_jointly(items, terms, phase, per_run, steps)
+    steps("adding up the budget")
+    changes_by_source = list(joint_contributions(fit, steps))
     changes = tuple(change for _, change in changes_by_source)
     type_a, whole = Budget((), changes, tuple(s.in_fit for s, _ in changes_by_source)).covariances(
         fit.covariance
     )
+    steps("looking for missing terms")
     degrees = joint_degrees(fit) * share_of_type_a(type_a, fit.covariance)
     doubts = left_out_of_runs(fit)
     rows = (
@@ -341,15 +344,17 @@ def _joint_calibration(
     return with_given_servo(result, given, moved if given else {})
 
 
-def _revolutions_calibration(run: Run, request: Request) -> Calibration:
+def _revolutions_calibration(run: Run, request: Request, steps: Steps) -> Calibration:
     """Calibration from mean rates over whole turns; Type B by moving the record."""
     cleaned = clean_record(run, request)
+    steps("measuring whole turns")
     fit = fit_revolutions(cleaned[0], request)
     coefficients, covariance, note = name_revolutions(fit, request)
     keys = [coefficient.key for coefficient in coefficients]
     base = np.array([coefficient.value for coefficient in coefficients])
+    steps("adding up the budget")
     changes_by_source = list(
-        contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys))
+        contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys), steps=steps)
     )
     budget = budget_rows(coefficients, covariance, changes_by_source)
     covariance = covariance + sum(
@@ -363,7 +368,7 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
     return with_given_servo(result, given_servo(run), _moved_servo(run))
 
 
-def _published_calibration(run: Run, request: Request) -> Calibration:
+def _published_calibration(run: Run, request: Request, steps: Steps) -> Calibration:
     """Calibration by the published recursion. The residuals are those of its own solution."""
     run = replace(run, servo=())
     published = run_published(run, request)
@@ -382,6 +387,7 @@ def _published_calibration(run: Run, request: Request) -> Calibration:
     linear_request = replace(request, phase="shared", phase_source="input")
     design = Design(run, linear_request, run.scale_factor)
     linear = _linear_values(design, dict(zip(published.names, values, strict=True)))
+    steps("computing residuals")
     mode = weighting_mode(design, "rate")
     noise = noise_of(design, _fixed_solution(design, linear), mode)
     residuals = find_residuals(design, np.tile(linear, (len(run.labels), 1)), noise, mode)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from piga.calibration.budget.uncertainty import SharedSource, Source, contributions
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
+from piga.progress import Steps
 from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient
 from piga.records.calibration.coverage import welch_satterthwaite
 from piga.records.run import Run
@@ -73,6 +74,7 @@ def make_budget(
     fit: Fit,
     coefficients: tuple[Coefficient, ...],
     covariance: Array,
+    steps: Steps,
 ) -> Budget:
     """The budget of a fit: one row per source. ``covariance`` (n, n) is that of the coefficients."""
     base = np.array([coefficient.value for coefficient in coefficients])
@@ -92,7 +94,9 @@ def make_budget(
         for s in range(len(plain)):
             yield solved([*plain[:s], moved[s], *plain[s + 1 :]])
 
-    changes_by_source = list(contributions(fit.design.run, base, lambda run: solved(reduced(run)), one_by_one))
+    changes_by_source = list(
+        contributions(fit.design.run, base, lambda run: solved(reduced(run)), one_by_one, steps=steps)
+    )
     stated = fit.counted is None and bool(fit.weights.stated)
     in_fit = tuple(stated and source.draw == "segment" for source, _ in changes_by_source)
     changes = tuple(change for _, change in changes_by_source)

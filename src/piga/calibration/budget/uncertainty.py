@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.progress import SILENT, Steps
 from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import UNCERTAINTY_UNITS, Draw, drawn_for
@@ -151,15 +152,16 @@ OneByOne = Callable[[Run], Iterable[Array]]
 
 
 def contributions(
-    run: Run, base: Array, estimate: Estimate, one_by_one: OneByOne | None = None
+    run: Run, base: Array, estimate: Estimate, one_by_one: OneByOne | None = None, *, steps: Steps = SILENT
 ) -> Iterator[tuple[Source, Array]]:
     """Change of the coefficients (draws, n; file units) by each source; ``base`` is the unmoved estimate.
 
     ``estimate`` gives the coefficients of a moved record. ``one_by_one`` gives the coefficients with one segment
     moved at a time; by default it calls ``estimate``. A source has one draw, or one draw per segment. Moved records
-    are not kept, because each is as large as the record.
+    are not kept, because each is as large as the record. ``steps`` hears of each source.
     """
-    for source in sources(run):
+    for number, source in enumerate(sources(run)):
+        steps.parts(number, f"adding up the budget: {source.name}")
         if source.draw != "segment":
             moved = [estimate(source.moved)]
         elif one_by_one is not None:

@@ -33,6 +33,7 @@ from piga.calibration.model.solution import Estimate, Layout, merged, name_param
 from piga.calibration.noise.weighting import weighted_blocks
 from piga.calibration.remarks.missing_terms import CUBIC, constant_squares
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
+from piga.progress import Progress, Steps
 from piga.reading.signal_checks import largest_size
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
@@ -162,7 +163,11 @@ PROBE = "k0"
 
 @with_one_thread
 def compare_models(
-    run: Run, term_sets: Sequence[str | Sequence[str]] | None = None, *, phase: str | None = None
+    run: Run,
+    term_sets: Sequence[str | Sequence[str]] | None = None,
+    *,
+    phase: str | None = None,
+    progress: Progress | None = None,
 ) -> ModelComparison:
     r"""Compare sets of terms on one record.
 
@@ -183,6 +188,8 @@ def compare_models(
         Sets of terms, each a list or one text; default: ``[model] compare`` of the run file.
     phase:
         Replaces the setting of the run file.
+    progress:
+        Called as ``progress(done, total, what)`` before each set; it returns False to stop (:mod:`piga.progress`).
 
     Raises
     ------
@@ -190,14 +197,22 @@ def compare_models(
         For an unknown term, or no set.
     CalibrationError
         If the request does not fit the record.
+    CancelledError
+        If ``progress`` returns False.
     """
     wanted = tuple(term_names(terms) for terms in (run.model.compare if term_sets is None else term_sets))
     _check_sets(wanted)
     wanted = _with_servo_first(run, wanted)
+    steps = Steps(progress, 1 + len(wanted))
+    steps("finding the noise")
     union = union_of(wanted)
     request = make_request(run, union, "information", phase, None, ())
     weighed = Weighed.of(run, request)
-    rows = [weighed.compared(terms) for terms in wanted]
+    rows = []
+    for terms in wanted:
+        steps(f"fitting {' '.join(terms)}")
+        rows.append(weighed.compared(terms))
+    steps.finish()
     rows = _with_weights(_with_best_prediction(rows))
     best = _least([row.bic for row in rows])
     return ModelComparison(

@@ -25,6 +25,7 @@ from piga.calibration.model.request import check_per_run, make_request
 from piga.calibration.model.solution import Estimate, Layout, Owner, name_parameters, solve_parts
 from piga.calibration.noise.settings import NOISE
 from piga.errors import ArgumentError, CalibrationError
+from piga.progress import Steps
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_terms, harmonic
@@ -114,8 +115,9 @@ def fit_jointly(
     terms: Sequence[str] | None,
     phase: str | None,
     per_run: Sequence[str] | None,
+    steps: Steps,
 ) -> JointFit:
-    """Reduce the runs that have raw data, merge all summaries and solve.
+    """Reduce the runs that have raw data, merge all summaries and solve. ``steps`` hears of each run.
 
     Raises
     ------
@@ -134,6 +136,7 @@ def fit_jointly(
             live.append(None)
             summaries.append(replace(item, name=name))
             continue
+        steps.within(index / len(items), f"fitting the model to {name}")
         own = wish.terms_of(index)
         request = make_request(item, own, "information", phase, None, ())
         prepared = prepare(item, request, name)
@@ -141,6 +144,7 @@ def fit_jointly(
         summaries.append(summarise(prepared, own))
     _check_temperature(wish, summaries)
     summaries = evident_together(summaries)
+    steps("solving all runs together")
     merged = merge_runs(wish, summaries, live)
     scale_factor = _scale_factor(merged)
     stale = [
@@ -443,8 +447,11 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[SharedSource]:
         yield replace(shared, name=f"{shared.name} ({names})")
 
 
-def joint_contributions(fit: JointFit) -> Iterator[tuple[SharedSource, Array]]:
-    """Changes of the coefficients (draws, n; file units) by one standard uncertainty of each source."""
+def joint_contributions(fit: JointFit, steps: Steps) -> Iterator[tuple[SharedSource, Array]]:
+    """Changes of the coefficients (draws, n; file units) by one standard uncertainty of each source.
+
+    ``steps`` hears of each source.
+    """
     layout, shared = layout_and_columns(fit.wish, fit.summaries)
     base = np.array([c.value for c in fit.coefficients])
     turns = np.array([c.name == "phi" for c in fit.coefficients])
@@ -455,7 +462,8 @@ def joint_contributions(fit: JointFit) -> Iterator[tuple[SharedSource, Array]]:
         moved = np.array([c.value for c in named]) - base
         return np.where(turns, np.angle(np.exp(1j * moved)), moved)
 
-    for source in joint_sources(fit.summaries):
+    for number, source in enumerate(joint_sources(fit.summaries)):
+        steps.parts(number, f"adding up the budget: {source.name}")
         draws = range(source.segments) if source.segments else (None,)
         yield source, np.array([change(source, segment) for segment in draws])
 

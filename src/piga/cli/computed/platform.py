@@ -215,8 +215,9 @@ def compare(
 
     comparison = _compared(scenario)
     s = comparison.run.scenario
-    with progress("budget"):
-        rows = error_budget(s, standard_sources(comparison.preparation.alignment)) if budget else ()
+    with progress("budget") as advance:
+        sources = standard_sources(comparison.preparation.alignment)
+        rows = error_budget(s, sources, progress=advance.show) if budget else ()
         lines = line_budget(s, comparison.preparation.identification) if budget else ()
     document = comparison.document()
     if rows:
@@ -229,12 +230,12 @@ def compare(
 
         with (
             _results(out, "compare", scenario, force, "comparison.json", "capstone.html") as folder,
-            progress("writing data and report"),
+            progress("writing data and report") as advance,
         ):
             _write_json(folder / "comparison.json", document)
             _page(folder, comparison_page(comparison, rows, lines))
             if s.sensors.piga is not None:
-                _page(folder, capstone_page(capstone(s)), "capstone.html")
+                _page(folder, capstone_page(capstone(s, progress=advance.show)), "capstone.html")
     _finish(document, json, _lines_text(comparison, out))
 
 

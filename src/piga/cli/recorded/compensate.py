@@ -286,7 +286,7 @@ def _single(
         nonlocal summary
         with progress("compensating", record.size) as advance:
             summary = compensate_to_file(
-                record, calibration, path, kind, resampler=resampler, advance=advance, parts=parts, watch=watch,
+                record, calibration, path, kind, resampler=resampler, progress=advance.show, parts=parts, watch=watch,
                 inputs=inputs, **options.arguments(),
             )  # fmt: skip
 
@@ -350,7 +350,7 @@ def _together(
             summary.update(
                 compensate_set_files(
                     paths, mounted, path, kind, uncertainty=options.uncertainty, max_age_days=options.max_age,
-                    force=options.force, period=options.period, method=options.method or "exact", advance=advance,
+                    force=options.force, period=options.period, method=options.method or "exact", progress=advance.show,
                     watch=None if report is None else report.outline.piece, inputs=inputs,
                 )
             )  # fmt: skip

@@ -26,6 +26,7 @@ from piga.compensation.result import Compensated, Resampler, notes_on
 from piga.compensation.writers import Inputs, TableWriter
 from piga.errors import ArgumentError
 from piga.output import hold, put_in_place, write_whole
+from piga.progress import Progress, report
 from piga.records.calibration import Calibration
 from piga.records.calibration.document import calibration_to_bytes
 from piga.records.run import Run
@@ -232,7 +233,7 @@ def compensate_to_file(
     kind: str,
     *,
     resampler: Resampler | None = None,
-    advance: Callable[[int], None] = lambda _rows: None,
+    progress: Progress | None = None,
     parts: Parts | None = None,
     watch: Watch | None = None,
     inputs: Inputs = (),
@@ -248,8 +249,9 @@ def compensate_to_file(
         The file, and its format: ``"parquet"`` or ``"csv"``.
     resampler:
         Resamples the rows to its rate.
-    advance:
-        Called with the number of rows of the record that are done.
+    progress:
+        Called as ``progress(done, total, what)`` with the rows of the record that are done; it returns False to stop
+        (:mod:`piga.progress`). ``out`` is then not complete; ``parts`` keep what is done.
     parts:
         Intermediate parts. The rows are written there first, and complete parts are not computed again. The result is
         identical to the bit.
@@ -265,6 +267,15 @@ def compensate_to_file(
     """
     summary, state = FileSummary(), init_state()
     notes = notes_on(calibration)
+    remedy = "start again; nothing was written" if parts is None else "go on with --resume"
+    done_rows = 0
+
+    def advance(count: int) -> None:
+        nonlocal done_rows
+        done_rows += count
+        report(progress, done_rows, record.size, "compensating", remedy)
+
+    advance(0)
     if parts is None:
         with TableWriter(out, kind, notes, inputs) as writer:
             pieces = compensate_in_pieces(record, calibration, state=state, **options)

@@ -26,6 +26,7 @@ from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCom
 from piga.compensation.sets.set_records import check_member, check_together, mounted_on, set_stream
 from piga.compensation.writers import Inputs, TableWriter, inputs_listed
 from piga.errors import RunFileError
+from piga.progress import Progress, report
 from piga.records import Calibration, read_toml
 from piga.records.calibration.document import read_with_digest
 from piga.records.run import Run
@@ -141,7 +142,7 @@ def compensate_set_files(
     force: bool = False,
     period: float | None = None,
     method: str = "exact",
-    advance: Callable[[int], None] = lambda _rows: None,
+    progress: Progress | None = None,
     watch: Watch | None = None,
     inputs: Inputs = (),
 ) -> dict[str, Any]:
@@ -149,8 +150,9 @@ def compensate_set_files(
 
     The files are read one after another, with the checks of :func:`piga.read_run`. The columns of long files are kept on
     disk. The rows are solved piece by piece. With a ``period`` [s] the increments are resampled to that interval.
-    ``watch`` is called with every piece before resampling. ``inputs`` are files read earlier; the files of the records are
-    appended.
+    ``progress`` is called as ``progress(done, total, what)`` with the rows done; it returns False to stop
+    (:mod:`piga.progress`), and ``out`` is then not complete. ``watch`` is called with every piece before resampling.
+    ``inputs`` are files read earlier; the files of the records are appended.
 
     Raises
     ------
@@ -165,12 +167,14 @@ def compensate_set_files(
     give_back()
     check_together(records)
     inputs = [*inputs, *(file for record in records for file in record.input_sha256.items())]
-    counts, velocity, rows = dict.fromkeys(FLAGS, 0), np.zeros(3), 0
+    counts, velocity, rows, solved = dict.fromkeys(FLAGS, 0), np.zeros(3), 0, 0
+    report(progress, 0, records[0].size, "compensating")
     parts = _solved(records, instruments, uncertainty, max_age_days, method, watch is not None)
     notes = notes_on(*(item.calibration for item in instruments))
     with TableWriter(out, kind, notes, inputs) as writer:
         for number, (label, read, part) in enumerate(parts, 1):
-            advance(part.size)
+            solved += part.size
+            report(progress, solved, records[0].size, "compensating")
             if number % (GIVEN_BACK_AFTER if watch is None else GIVEN_BACK_SOONER) == 0:
                 give_back(HELD_BYTES)
             if watch is not None and part.size:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from piga.compensation.phase import integrated_rate
 from piga.compensation.result import CompensatedSet
 from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
 from piga.errors import ArgumentError, DataError
+from piga.progress import Progress, report
 from piga.records.run import Run
 from piga.records.spool import spans
 
@@ -33,11 +34,13 @@ def compensate_set(
     force: bool = False,
     method: str = "exact",
     details: bool = False,
+    progress: Progress | None = None,
 ) -> CompensatedSet:
     """Specific force of whole records of three or more instruments, sampled at the same times.
 
     Records of angles give the mean over each interval. Records of rates give the force at the samples; their angles
-    are integrated from the rates. ``details`` keeps misfits and flags of each instrument.
+    are integrated from the rates. ``details`` keeps misfits and flags of each instrument. ``progress`` is called as
+    ``progress(done, total, what)`` with the rows done; it returns False to stop (:mod:`piga.progress`).
 
     Raises
     ------
@@ -47,6 +50,11 @@ def compensate_set(
         As :class:`SetCompensator`, and for calibrations of other instruments unless ``force``.
     """
     check_together(records)
+    if len(records) != len(instruments):
+        raise ArgumentError(
+            f"{len(records)} records for {len(instruments)} instruments",
+            remedy="give one record for each instrument",
+        )
     for record, item in zip(records, instruments, strict=True):
         check_member(record, item, force)
     first = records[0]
@@ -57,19 +65,44 @@ def compensate_set(
         mounted, method, sampled=sampled, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days,
         details=details,
     )  # fmt: skip
-    outputs = np.array([record.output for record in records])
-    base, warm = [r.base_rate for r in records], [r.temperature for r in records]
-    return stream.push(
-        first.t,
-        outputs
-        if first.kind == "angle"
-        else np.array([integrated_rate(r.t, r.output, begins) for r in records]),
-        rate=None if first.kind == "angle" else outputs,
-        base_rate=None
-        if all(b is None for b in base)
-        else [np.zeros((first.size, 3)) if b is None else b for b in base],
-        temperature=None if any(w is None for w in warm) else [w for w in warm if w is not None],
-        begins=begins,
+    turned = [integrated_rate(r.t, r.output, begins) for r in records] if sampled else None
+    moves = any(record.base_rate is not None for record in records)
+    warm = all(record.temperature is not None for record in records)
+    report(progress, 0, first.size, "compensating")
+    parts = []
+    for rows in spans(first.size):
+        still = np.zeros((rows.stop - rows.start, 3))
+        output = np.array([record.output[rows] for record in records])
+        parts.append(
+            stream.push(
+                first.t[rows],
+                output if turned is None else np.array([angle[rows] for angle in turned]),
+                rate=output if sampled else None,
+                base_rate=[still if r.base_rate is None else r.base_rate[rows] for r in records]
+                if moves
+                else None,
+                temperature=[r.temperature[rows] for r in records if r.temperature is not None]
+                if warm
+                else None,
+                begins=begins[rows],
+            )
+        )
+        report(progress, rows.stop, first.size, "compensating")
+    return joined_set(parts)
+
+
+def joined_set(parts: Sequence[CompensatedSet]) -> CompensatedSet:
+    """Compensated rows that follow one another, as one result."""
+    if len(parts) == 1:
+        return parts[0]
+    lengths = {"misfit": 1, "each": 1}
+    return CompensatedSet(
+        **{
+            field.name: np.concatenate(
+                [getattr(part, field.name) for part in parts], axis=lengths.get(field.name, 0)
+            )
+            for field in fields(CompensatedSet)
+        }
     )
 
 
@@ -123,6 +156,8 @@ def check_together(records: Sequence[Run]) -> None:
     DataError
         If the records differ in their times or in the kind of output.
     """
+    if not records:
+        raise DataError("a set without a record", remedy="give the records of three or more instruments")
     first = records[0]
     apart = APART * (first.t[1] - first.t[0])
     for index, record in enumerate(records[1:], start=1):

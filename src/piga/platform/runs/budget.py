@@ -27,6 +27,7 @@ from piga.platform.navigation.navigator import (
     navigate,
     true_start,
 )
+from piga.progress import Progress, Steps
 from piga.results import Result
 from piga.units import ARCSEC
 
@@ -73,16 +74,36 @@ def standard_sources(alignment: Alignment | None = None) -> dict[str, Perturbati
     }
 
 
-def error_budget(scenario: PlatformScenario, sources: Mapping[str, Perturbation]) -> tuple[BudgetRow, ...]:
-    """Each source alone, then all together, over the scenario's run at rest with perfect gyros and sensors."""
+def error_budget(
+    scenario: PlatformScenario, sources: Mapping[str, Perturbation], *, progress: Progress | None = None
+) -> tuple[BudgetRow, ...]:
+    """Each source alone, then all together, over the scenario's run at rest with perfect gyros and sensors.
+
+    ``progress`` is called as ``progress(done, total, what)`` before each result; it returns False to stop
+    (:mod:`piga.progress`).
+    """
+    steps = Steps(progress, 3 + len(sources))
+    steps("simulating")
     run = simulate(scenario.without_errors())
+    steps("navigating without errors")
     quiet = perturbed_errors(run, Perturbation())
     total = Perturbation()
     for perturbation in sources.values():
         total = total.plus(perturbation)
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         named = {**sources, "all together": total}
-        return tuple(pool.map(lambda item: _row(run, quiet, *item), named.items()))
+        waiting = [(name, pool.submit(_row, run, quiet, name, moved)) for name, moved in named.items()]
+        rows = []
+        try:
+            for name, row in waiting:
+                steps(f"navigating with {name}")
+                rows.append(row.result())
+        except BaseException:  # stopped: what has not begun is not begun
+            for _, row in waiting:
+                row.cancel()
+            raise
+    steps.finish()
+    return tuple(rows)
 
 
 def perturbed_errors(run: PlatformRun, perturbation: Perturbation) -> Errors:

@@ -35,6 +35,7 @@ from piga.platform.model.simulate import (
 )
 from piga.platform.navigation.navigator import Errors, errors, navigate
 from piga.platform.runs.chain import Preparation, prepare
+from piga.progress import Progress, Steps
 from piga.results import Result, plotted
 from piga.units import DAY
 
@@ -130,21 +131,31 @@ def readings(sensors: PigaSensors) -> tuple[TriadReading, ...]:
     )
 
 
-def capstone(scenario: PlatformScenario) -> Capstone:
+def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) -> Capstone:
     """Navigate the scenario with every reading of its gyro accelerometers (model B).
+
+    ``progress`` is called as ``progress(done, total, what)`` before each reading; it returns False to stop
+    (:mod:`piga.progress`).
 
     Raises
     ------
     ArgumentError
         If the scenario has no gyro accelerometers.
+    CancelledError
+        If ``progress`` returns False.
     """
     sensors = scenario.sensors.piga
     if sensors is None:
         raise ArgumentError("this page needs [sensors] accelerometers = 'piga'")
+    ways = readings(sensors)
+    steps = Steps(progress, 2 + len(ways))
+    steps("simulating")
     ideal = simulate(replace(scenario, sensors=replace(scenario.sensors, piga=None)))
+    steps("identifying and aligning")
     preparation = prepare(ideal)
     outcomes = {}
-    for reading in readings(sensors):
+    for reading in ways:
+        steps(f"navigating, {reading.name}")
         run = ideal if reading.sensors is None else _reread(scenario, reading.sensors)
         outcomes[reading.name] = _outcome(run, reading, preparation)
     tripod = next(r.sensors for r in readings(sensors) if r.name == "raw tripod")
@@ -152,6 +163,7 @@ def capstone(scenario: PlatformScenario) -> Capstone:
     times, force = ideal.readouts.times, ideal.truth.force
     one_day = slice(0, min(len(times), round(86164.1 / scenario.step) + 1), max(1, round(60.0 / scenario.step)))
     along = force[one_day] @ mounting_axes(tripod)[:, 0, :].T
+    steps.finish()
     return Capstone(scenario, outcomes, _passage(ideal, tripod), (times[one_day], along))
 
 
