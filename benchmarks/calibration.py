@@ -125,7 +125,7 @@ def cold_command(run: piga.Run, *options: str) -> float:
 SHIPPED = """
 import pathlib, resource, statistics, tempfile, warnings
 import piga
-from piga.cli.recorded.calibrate import copy_example
+from piga.data import copy_example
 warnings.simplefilter("ignore")
 run = piga.read_run(copy_example(pathlib.Path(tempfile.mkdtemp())))
 piga.calibrate(run)

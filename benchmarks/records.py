@@ -22,7 +22,7 @@ from typing import Any
 import measured as figures
 
 import piga
-from piga.cli.recorded.calibrate import copy_example
+from piga.data import copy_example
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store.documents import IDENTITY, Identity, Position, decode, encode, new_id
 from piga.ledger.store.rows import read_head, read_identity

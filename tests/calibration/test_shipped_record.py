@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.cli.recorded.calibrate import copy_example
+from piga.data import copy_example
 
 pytestmark = pytest.mark.only_compiled
 

@@ -300,7 +300,7 @@ def test_damaged_large_and_missing_files(tmp_path, monkeypatch):
         read_dcc(put(tmp_path, b"<a>" * 3000))
     with pytest.raises(DataError, match="cannot be read"):
         read_dcc(tmp_path / "none.xml")
-    monkeypatch.setattr(xml_signature, "MAX_BYTES", 10)
+    monkeypatch.setattr(xml_signature, "MOST_XML_BYTES", 10)
     with pytest.raises(DataError, match="larger than"):
         read_dcc(put(tmp_path, b"<a>" + b" " * 20 + b"</a>"))
 

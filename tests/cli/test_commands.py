@@ -17,7 +17,7 @@ from typer.main import get_command
 import piga as piga_package
 from piga.cli import common
 from piga.cli.main import app
-from piga.cli.recorded.calibrate import copy_example
+from piga.data import copy_example
 from piga.errors import PigaError
 from piga.units import G0
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of

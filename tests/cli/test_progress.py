@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from piga.cli.main import stopped_words
-from piga.cli.recorded.calibrate import copy_example
+from piga.data import copy_example
 from piga.output import results, write_whole
 
 SOURCE = str(Path(__file__).resolve().parents[2] / "src")

@@ -44,7 +44,7 @@ def test_after_an_error_too() -> None:
 CODE = """
 import pathlib, resource, tempfile, warnings
 import piga
-from piga.cli.recorded.calibrate import copy_example
+from piga.data import copy_example
 warnings.simplefilter("ignore")
 run = piga.read_run(copy_example(pathlib.Path(tempfile.mkdtemp())))
 piga.calibrate(run)

@@ -55,7 +55,7 @@ def compiled_by(process: subprocess.Popen[str]) -> list[str]:
 
 
 def test_first_run_compiles_each_kernel_once(tmp_path: Path) -> None:
-    from piga.cli.recorded.calibrate import copy_example
+    from piga.data import copy_example
 
     run = str(copy_example(tmp_path))
     both = [start(tmp_path, "calibrate", run, "--out", str(tmp_path / name)) for name in "ab"]

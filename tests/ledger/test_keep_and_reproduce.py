@@ -239,7 +239,7 @@ def test_other_arithmetic_agrees_to_1e12_kappa(tmp_path: Path) -> None:
     import subprocess
     import sys
 
-    from piga.cli.recorded.calibrate import copy_example
+    from piga.data import copy_example
 
     run = copy_example(tmp_path)
     command = [sys.executable, "-c", "from piga.cli.main import main; main()", "records"]

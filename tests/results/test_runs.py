@@ -80,7 +80,7 @@ def test_the_file_and_the_table_are_one_record(tmp_path):
 
     import pyarrow.csv
 
-    from piga.cli.recorded.calibrate import copy_example
+    from piga.data import copy_example
 
     path = copy_example(tmp_path)
     file = piga.read_run(path)

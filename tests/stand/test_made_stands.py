@@ -62,7 +62,7 @@ def test_a_long_profile_on_disk_is_the_same(tmp_path, monkeypatch, kind):
     (csv.write_csv if kind == "csv" else parquet.write_table)(table, path)
     columns = ("t", "s"), (("x", "y", "z"), "g"), (("z", "z", "x"), "deg/s")
     held = read_profile(path, *columns)
-    monkeypatch.setattr(logged, "MOST_ROWS", 1000)
+    monkeypatch.setattr(logged, "MOST_PROFILE_ROWS", 1000)
     mapped = read_profile(path, *columns)
     assert arrays_like(held.t).folder is None
     assert arrays_like(mapped.t).folder == arrays_like(mapped.force).folder == tmp_path

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.cli.recorded.calibrate import copy_example
+from piga.data import copy_example
 from piga.records.calibration import Amount
 from piga.stand import stand_changes
 from piga.units import ARCSEC, G0

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from piga.errors import ArgumentError
 from piga.records import Run
-from piga.workbench.signals import Outline, picture, read_outline, write_envelopes
+from piga.workbench.signals import SignalOutline, picture, read_outline, write_envelopes
 
 
 def record(size: int, gaps: list[int], seed: int = 1) -> Run:
@@ -113,7 +113,7 @@ def test_wrong_questions(tmp_path: Path, key: str, first: float, last: float, wi
 
 def test_an_outline_is_read_as_it_was_written(tmp_path: Path) -> None:
     outline = write_envelopes(record(100, [50]), tmp_path / "a-1")
-    assert isinstance(outline, Outline)
+    assert isinstance(outline, SignalOutline)
     assert read_outline(tmp_path / "a-1") == outline
 
 
@@ -136,7 +136,9 @@ def test_a_hundred_million_rows(tmp_path: Path) -> None:
     for number, edges in enumerate(levels):
         np.save(folder / f"edges-{number}.npy", edges)
     signals._write_column(folder, "output", values, size, levels)
-    outline = Outline((signals.Signal("output", "", "rev", 1.0, "output"),), float(t[-1]), size, size, (), ())
+    outline = SignalOutline(
+        (signals.Signal("output", "", "rev", 1.0, "output"),), float(t[-1]), size, size, (), ()
+    )
     import json
     from dataclasses import asdict
 

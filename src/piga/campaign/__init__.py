@@ -1,14 +1,14 @@
 """Campaigns: thousands of tests on one machine or many, resumed after any interruption, with the same bits every time."""
 
-from piga.campaign.campaign_file import Plan, read_campaign
+from piga.campaign.campaign_file import CampaignPlan, read_campaign
 from piga.campaign.collect import Collected, collect, document
 from piga.campaign.manifest import Campaign, open_campaign, plan_campaign
 from piga.campaign.run import Progress, RunReport, run_campaign
 
 __all__ = [
     "Campaign",
+    "CampaignPlan",
     "Collected",
-    "Plan",
     "Progress",
     "RunReport",
     "collect",

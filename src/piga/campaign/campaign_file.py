@@ -98,7 +98,7 @@ class CampaignFile(TomlTable, frozen=True):
 
 
 @dataclass(frozen=True)
-class Group:
+class CampaignGroup:
     """Cases whose records are judged together: one scenario at one point of the grid.
 
     ``first`` is the number of its first case, ``start`` the number of its first record.
@@ -138,7 +138,7 @@ class RecordName:
     """The place of a record: its number, group, case, design inside the group, and repeat."""
 
     number: int
-    group: Group
+    group: CampaignGroup
     case: int
     repeat: int
 
@@ -149,13 +149,13 @@ class RecordName:
 
 
 @dataclass(frozen=True)
-class Plan:
+class CampaignPlan:
     """All records of a campaign, in order. ``texts`` holds the bytes of the campaign file and of the scenario files by name."""
 
     path: Path
     file: CampaignFile
     texts: Mapping[str, bytes]
-    groups: tuple[Group, ...]
+    groups: tuple[CampaignGroup, ...]
     documents: Mapping[str, dict[str, Any]] = field(repr=False)
 
     @property
@@ -303,7 +303,7 @@ def _drawn(table: DrawTable, rng: np.random.Generator) -> Any:
 # --- reading -----------------------------------------------------------------------------------------
 
 
-def read_campaign(path: str | Path) -> Plan:
+def read_campaign(path: str | Path) -> CampaignPlan:
     """Read a campaign file and the scenario files that it names.
 
     Raises
@@ -326,7 +326,7 @@ def _bytes(path: Path) -> bytes:
     return toml_bytes(path)
 
 
-def plan_of(path: Path, texts: Mapping[str, bytes], archive: int | None = None) -> Plan:
+def plan_of(path: Path, texts: Mapping[str, bytes], archive: int | None = None) -> CampaignPlan:
     """The plan of a campaign whose files were read before. ``archive``: number of run files of an archive.
 
     Raises
@@ -338,8 +338,8 @@ def plan_of(path: Path, texts: Mapping[str, bytes], archive: int | None = None) 
     documents = {n: toml_document(path.parent / n, raw) for n, raw in texts.items() if n}
     documents |= {f"case {case.name}": _inline(case) for case in file.case if case.constant_force or case.joint}
     if file.archive is not None:
-        return Plan(path, file, texts, _archive_groups(path, file, archive or 0), documents)
-    plan = Plan(path, file, texts, tuple(_groups(path, file, documents)), documents)
+        return CampaignPlan(path, file, texts, _archive_groups(path, file, archive or 0), documents)
+    plan = CampaignPlan(path, file, texts, tuple(_groups(path, file, documents)), documents)
     _check(plan)
     return plan
 
@@ -351,16 +351,16 @@ def _inline(case: CaseTable) -> dict[str, Any]:
     return {"constant_force": dict(case.constant_force or {})}
 
 
-def _archive_groups(path: Path, file: CampaignFile, count: int) -> tuple[Group, ...]:
+def _archive_groups(path: Path, file: CampaignFile, count: int) -> tuple[CampaignGroup, ...]:
     if file.case or file.grid or file.draw or file.scenario:
         raise RunFileError(
             f"{path}: [archive] cannot be combined with a scenario, a case, a grid or a draw",
             remedy="write two campaign files",
         )
-    return (Group("archive", "archive", "", {}, count, 1, 0, 0, 0),)
+    return (CampaignGroup("archive", "archive", "", {}, count, 1, 0, 0, 0),)
 
 
-def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, Any]]) -> Iterator[Group]:
+def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, Any]]) -> Iterator[CampaignGroup]:
     """One group for each scenario and each point of the grid."""
     if file.scenario is None and not file.case:
         raise RunFileError(
@@ -387,7 +387,7 @@ def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, An
             )
         subject = _subject(path, scenario, documents[scenario])
         for point in points:
-            group = Group(
+            group = CampaignGroup(
                 case.name,
                 subject,
                 scenario,
@@ -416,7 +416,7 @@ def _subject(path: Path, scenario: str, document: Mapping[str, Any]) -> Subject:
     )
 
 
-def _check(plan: Plan) -> None:
+def _check(plan: CampaignPlan) -> None:
     """Build the first case of each scenario, and each value of the grid once, so that wrong keys are refused now."""
     from piga.campaign.subjects import built
 
@@ -452,5 +452,5 @@ def _check(plan: Plan) -> None:
             raise RunFileError(f"{plan.path}: {_where(group)}: {text}", remedy=error.remedy) from None
 
 
-def _where(group: Group) -> str:
+def _where(group: CampaignGroup) -> str:
     return group.label if group.name or group.set else "scenario"

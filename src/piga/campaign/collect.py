@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.campaign.campaign_file import Group, Subject
+from piga.campaign.campaign_file import CampaignGroup, Subject
 from piga.campaign.manifest import Campaign
 from piga.campaign.shard import KEY
 from piga.errors import DataError, PigaError
@@ -27,14 +27,31 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 Array = NDArray[np.float64]
-ROWS = 4096
-"""Records that are read together."""
-WORST = 12
-"""Number of worst cases that are kept."""
+
+
+@dataclass(frozen=True)
+class CollectSettings:
+    """Settings of the collection of a campaign (own choices).
+
+    Attributes
+    ----------
+    rows:
+        Records that are read together.
+    worst:
+        Number of worst cases that are kept.
+    messages:
+        Most different failures that are kept with an example.
+    """
+
+    rows: int = 4096
+    worst: int = 12
+    messages: int = 20
+
+
+COLLECT = CollectSettings()
+
 EDGES = np.linspace(-5.0, 5.0, 41)
 """Edges of the histogram of errors over standard uncertainties; values beyond are counted in the outer bins."""
-MESSAGES = 20
-"""Most different failures that are kept with an example."""
 
 
 @dataclass
@@ -105,7 +122,7 @@ def _sum(start: float, values: Array) -> float:
 
 
 @dataclass(frozen=True)
-class Coefficient:
+class CampaignCoefficient:
     """The figures of one coefficient or quantity in one group; what is not known is None.
 
     ``coverage_std_error`` is that of a binomial share. ``bias`` is the mean error, ``spread`` the standard deviation of the errors,
@@ -143,10 +160,10 @@ class GroupResult:
     ``verdicts`` counts how calibrations of an archive compare with the stored ones.
     """
 
-    group: Group
+    group: CampaignGroup
     records: int
     failed: dict[str, int]
-    coefficients: tuple[Coefficient, ...]
+    coefficients: tuple[CampaignCoefficient, ...]
     nees: float | None
     nees_expected: float | None
     verdicts: dict[str, int]
@@ -294,7 +311,7 @@ def _batches(campaign: Campaign, done: list[int]) -> Iterator[pa.RecordBatch]:
         check_part(campaign, shard)
     paths = [str(campaign.part(shard)) for shard in done]
     parts = dataset.dataset(paths, format="parquet")
-    scanner = parts.scanner(batch_size=ROWS, batch_readahead=2, fragment_readahead=1, use_threads=False)
+    scanner = parts.scanner(batch_size=COLLECT.rows, batch_readahead=2, fragment_readahead=1, use_threads=False)
     try:
         for batch in scanner.to_batches():
             if batch.num_rows:
@@ -398,11 +415,11 @@ def _keep_worst(batch: pa.RecordBatch, worst: list[tuple[float, int, str, int]])
     columns, names, _, rows = _flat(batch)
     size = np.nan_to_num(np.abs(columns["z"]), nan=0.0, posinf=0.0)
     numbers = batch.column("record").to_numpy()
-    for at in np.argsort(-size, kind="stable")[:WORST]:
+    for at in np.argsort(-size, kind="stable")[: COLLECT.worst]:
         if size[at] == 0.0:
             break
         entry = (float(size[at]), -int(numbers[rows[at]]), str(names[at]), 1 if columns["z"][at] > 0 else -1)
-        if len(worst) < WORST:
+        if len(worst) < COLLECT.worst:
             heapq.heappush(worst, entry)
         else:
             heapq.heappushpop(worst, entry)
@@ -416,7 +433,7 @@ def _ordered(worst: list[tuple[float, int, str, int]]) -> list[tuple[float, int,
 # --- results -----------------------------------------------------------------------------------------
 
 
-def _result(group: Group, sums: _Group) -> GroupResult:
+def _result(group: CampaignGroup, sums: _Group) -> GroupResult:
     return GroupResult(
         group=group,
         records=sums.records,
@@ -428,11 +445,11 @@ def _result(group: Group, sums: _Group) -> GroupResult:
     )
 
 
-def _coefficient(name: str, sums: Sums, subject: Subject) -> Coefficient:
+def _coefficient(name: str, sums: Sums, subject: Subject) -> CampaignCoefficient:
     n, k = sums.tests, sums.known
     mean = sums.value / n
     std = math.sqrt(max(sums.value2 - n * mean**2, 0.0) / (n - 1)) if n > 1 else None
-    plain = Coefficient(name, sums.unit, n, sums.origin + mean, std, sums.lowest, sums.highest)
+    plain = CampaignCoefficient(name, sums.unit, n, sums.origin + mean, std, sums.lowest, sums.highest)
     if not k:
         return plain
     bias = sums.deviation / k
@@ -440,7 +457,7 @@ def _coefficient(name: str, sums: Sums, subject: Subject) -> Coefficient:
     bound2 = sums.bound2 / sums.bounded if sums.bounded else None
     share = sums.held / k
     truth = subject != "archive"
-    return Coefficient(
+    return CampaignCoefficient(
         name,
         sums.unit,
         n,
@@ -523,9 +540,9 @@ def _group_document(result: GroupResult) -> dict[str, Any]:
     return entry
 
 
-def coefficient_document(c: Coefficient) -> dict[str, Any]:
+def coefficient_document(c: CampaignCoefficient) -> dict[str, Any]:
     """Figures of a coefficient as plain data; what is not known is None."""
-    names = [name for name in Coefficient.__dataclass_fields__ if name != "histogram"]
+    names = [name for name in CampaignCoefficient.__dataclass_fields__ if name != "histogram"]
     return {name: _finite(getattr(c, name)) for name in names}
 
 

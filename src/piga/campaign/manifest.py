@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from piga.campaign.campaign_file import CampaignFile, Plan, plan_of, read_campaign
+from piga.campaign.campaign_file import CampaignFile, CampaignPlan, plan_of, read_campaign
 from piga.campaign.subjects import Archive, compute
 from piga.errors import ArgumentError, PigaError, RunFileError
 from piga.output import write_whole
@@ -70,7 +70,7 @@ class Campaign:
 
     folder: Path
     manifest: Manifest
-    plan: Plan
+    plan: CampaignPlan
 
     @property
     def shards(self) -> int:
@@ -253,7 +253,7 @@ def _known(campaign: Campaign, wanted: Manifest) -> Campaign:
 # --- cutting -----------------------------------------------------------------------------------------
 
 
-def probes(plan: Plan) -> list[int]:
+def probes(plan: CampaignPlan) -> list[int]:
     """Numbers of the records that stand for all others: the first of each group, or an even choice of them."""
     starts = [group.start for group in plan.groups if group.records]
     if len(plan.groups) == 1:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from piga.campaign.collect import EDGES, Coefficient, Collected, GroupResult
+from piga.campaign.collect import EDGES, CampaignCoefficient, Collected, GroupResult
 from piga.records.terms import shown_unit
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.numbers import pretty_unit, printed, short, signed
@@ -27,14 +28,30 @@ from piga.reports.render.page import (
     write_page,
 )
 
-LEVEL = 0.95
-"""Probability of the intervals."""
-SURE = 3.29
-"""Standard errors beyond which a coverage is marked: 99.9 % of sound ones lie within."""
-MOST_GROUPS = 60
-"""Most groups whose tables are on the page; ``coefficients.csv`` has all."""
-MOST_FIGURES = 8
-"""Most coefficients with a figure over the grid."""
+
+@dataclass(frozen=True)
+class CampaignPageSettings:
+    """What the page of a campaign shows (own choices).
+
+    Attributes
+    ----------
+    probability:
+        Probability of the intervals.
+    sure:
+        Standard errors beyond which a coverage is marked: 99.9 % of sound ones lie within.
+    groups:
+        Most groups whose tables are on the page; ``coefficients.csv`` has all.
+    figures:
+        Most coefficients with a figure over the grid.
+    """
+
+    probability: float = 0.95
+    sure: float = 3.29
+    groups: int = 60
+    figures: int = 8
+
+
+SHOWN = CampaignPageSettings()
 
 
 def write_campaign_report(collected: Collected, path: Path) -> Path:
@@ -114,12 +131,12 @@ def _judgement(collected: Collected) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def _tone(c: Coefficient) -> Tone:
+def _tone(c: CampaignCoefficient) -> Tone:
     """Bad where fewer intervals hold than chance explains, doubtful where more hold."""
     if c.coverage is None:
         return ""
-    off = (c.coverage - LEVEL) / math.sqrt(LEVEL * (1.0 - LEVEL) / c.tests)
-    return "bad" if off < -SURE else "doubtful" if off > SURE else ""
+    off = (c.coverage - SHOWN.probability) / math.sqrt(SHOWN.probability * (1.0 - SHOWN.probability) / c.tests)
+    return "bad" if off < -SHOWN.sure else "doubtful" if off > SHOWN.sure else ""
 
 
 def _tiles(collected: Collected, judged: list[GroupResult]) -> tuple[Tile, ...]:
@@ -157,9 +174,9 @@ _LEAD = (
 
 def _intervals(judged: list[GroupResult]) -> list[Block]:
     blocks: list[Block] = [Text(_LEAD, lead=True), FigureBlock(coverage_figure(judged))]
-    blocks += [_interval_table(result) for result in judged[:MOST_GROUPS]]
-    if len(judged) > MOST_GROUPS:
-        blocks.append(Text(f"{len(judged) - MOST_GROUPS} more groups are in coefficients.csv."))
+    blocks += [_interval_table(result) for result in judged[: SHOWN.groups]]
+    if len(judged) > SHOWN.groups:
+        blocks.append(Text(f"{len(judged) - SHOWN.groups} more groups are in coefficients.csv."))
     blocks.append(FigureBlock(error_figure(judged)))
     return blocks
 
@@ -202,18 +219,18 @@ def _percent(share: float | None) -> str:
     return "–" if share is None else f"{100 * share:.1f} %"
 
 
-def _with_error(c: Coefficient) -> str:
+def _with_error(c: CampaignCoefficient) -> str:
     if c.coverage is None or c.coverage_std_error is None:
         return "–"
     return f"{100 * c.coverage:.1f} ± {100 * c.coverage_std_error:.1f}"
 
 
-def _unit(c: Coefficient) -> str:
+def _unit(c: CampaignCoefficient) -> str:
     """Unit in which a coefficient is shown, as on all pages."""
     return pretty_unit(shown_unit(c.name, c.unit)[1]) or "1"
 
 
-def _number(c: Coefficient, value: float | None) -> str:
+def _number(c: CampaignCoefficient, value: float | None) -> str:
     """A value of a coefficient in the unit that is shown."""
     if value is None or not math.isfinite(value):
         return "–"
@@ -337,7 +354,7 @@ def _plain_tables(results: list[GroupResult]) -> list[Block]:
         TableColumn("Highest"),
     )
     blocks: list[Block] = []
-    for result in results[:MOST_GROUPS]:
+    for result in results[: SHOWN.groups]:
         rows = tuple(
             (
                 c.name,
@@ -349,8 +366,8 @@ def _plain_tables(results: list[GroupResult]) -> list[Block]:
         )
         note = f"{result.records} records, {sum(result.failed.values())} failed."
         blocks.append(Table(columns, rows, result.group.label, (note,)))
-    if len(results) > MOST_GROUPS:
-        blocks.append(Text(f"{len(results) - MOST_GROUPS} more groups are in coefficients.csv."))
+    if len(results) > SHOWN.groups:
+        blocks.append(Text(f"{len(results) - SHOWN.groups} more groups are in coefficients.csv."))
     return blocks
 
 
@@ -365,7 +382,7 @@ def _grid_figures(collected: Collected) -> list[Figure]:
     if key is None:
         return []
     names = dict.fromkeys(c.name for r in results for c in r.coefficients)
-    return [_grid_figure(results, key, name) for name in list(names)[:MOST_FIGURES]]
+    return [_grid_figure(results, key, name) for name in list(names)[: SHOWN.figures]]
 
 
 def _as_number(value: object) -> float | None:
@@ -441,14 +458,14 @@ def collected_text(collected: Collected) -> str:
     lines = [
         f"{collected.title}: {collected.computed} of {collected.records} records, {collected.failed} failed"
     ]
-    for result in collected.groups[:MOST_GROUPS]:
+    for result in collected.groups[: SHOWN.groups]:
         lines += ["", result.group.label]
         lines += [_text_line(c) for c in result.coefficients]
         if result.nees is not None:
             lines.append(f"  NEES {result.nees:.3f} (expected {result.nees_expected:.3f})")
         lines += [f"  {count} {name}" for name, count in result.verdicts.items()]
-    if len(collected.groups) > MOST_GROUPS:
-        lines.append(f"and {len(collected.groups) - MOST_GROUPS} more groups")
+    if len(collected.groups) > SHOWN.groups:
+        lines.append(f"and {len(collected.groups) - SHOWN.groups} more groups")
     lines += [
         f"failed: {f.records} x {f.error_class}: {f.message.splitlines()[0]}"
         for f in collected.failures
@@ -458,7 +475,7 @@ def collected_text(collected: Collected) -> str:
     return "\n".join(lines)
 
 
-def _text_line(c: Coefficient) -> str:
+def _text_line(c: CampaignCoefficient) -> str:
     if c.coverage is None:
         spread = "" if c.std is None else f"   std {c.std:.2g}"
         change = "" if c.largest_z is None else f"   largest change {c.largest_z:.2g} u"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from piga.campaign.campaign_file import Plan, RecordName
+from piga.campaign.campaign_file import CampaignPlan, RecordName
 from piga.campaign.constant_force import ConstantForce, Joint
 from piga.campaign.subjects import Outcome, built, seed_of, write_lab_files
 from piga.stand.scenario import Scenario, run_scenario
@@ -23,7 +23,7 @@ FILES = ("scenario.toml", "run*.toml", "run*.parquet", "run.csv", "truth.json")
 """Names of the files of a record."""
 
 
-def write_record(plan: Plan, record: RecordName, folder: Path) -> list[str]:
+def write_record(plan: CampaignPlan, record: RecordName, folder: Path) -> list[str]:
     """Write the files of a record into ``folder``. Returns their names.
 
     A scenario of a stand or a platform is written as it was used, with the seed of the record. A test of constant forces has no

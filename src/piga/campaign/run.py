@@ -26,7 +26,7 @@ from typing import Protocol
 
 from piga.campaign.collect import check_part
 from piga.campaign.manifest import LOCK, Campaign, compile_kernels
-from piga.campaign.shard import THREADS, ShardReport, run_shard, start_worker
+from piga.campaign.shard import THREAD_VARIABLES, ShardReport, run_shard, start_worker
 from piga.errors import ArgumentError, PigaError
 from piga.output import hold
 
@@ -59,8 +59,8 @@ class LocalEngine:
 
     def __init__(self, workers: int) -> None:
         self.workers = workers
-        self._variables = {name: os.environ.get(name) for name in THREADS}
-        os.environ.update(dict.fromkeys(THREADS, "1"))
+        self._variables = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+        os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
         self._pool = self._new()
 
     def _new(self) -> ProcessPoolExecutor:

@@ -21,7 +21,7 @@ from piga.output import write_whole
 if TYPE_CHECKING:
     import pyarrow as pa
 
-THREADS = (
+THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",

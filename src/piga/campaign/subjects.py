@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.campaign.campaign_file import Plan, RecordName
+from piga.campaign.campaign_file import CampaignPlan, RecordName
 from piga.campaign.constant_force import ConstantForce, ConstantForceTable, Joint, errors
 from piga.errors import ArgumentError, DataError, PigaError, PigaWarning, RunFileError, UnitError
 from piga.records.run_file import EstimationTable, ModelTable, TomlTable, UncertaintyTable
@@ -68,7 +68,7 @@ class Archive:
     store: str | None
 
 
-def built(plan: Plan, record: RecordName, document: dict[str, Any]) -> Any:
+def built(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> Any:
     """The scenario of a record, ready to run.
 
     Raises
@@ -89,7 +89,7 @@ class ConstantForceDocument(TomlTable, frozen=True):
     joint: tuple[ConstantForceTable, ...] = ()
 
 
-def _constant_force(plan: Plan, record: RecordName, document: dict[str, Any]) -> ConstantForce | Joint:
+def _constant_force(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> ConstantForce | Joint:
     name = record.group.name
     read = convert_toml(plan.path, document, ConstantForceDocument)
     if read.constant_force is not None:
@@ -103,7 +103,7 @@ def _constant_force(plan: Plan, record: RecordName, document: dict[str, Any]) ->
     return Joint(name, runs)
 
 
-def _stand(plan: Plan, record: RecordName, document: dict[str, Any]) -> Scenario:
+def _stand(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> Scenario:
     path = plan.path.parent / record.group.scenario
     table = convert_toml(path, document, ScenarioTable)
     for part, kind in (
@@ -123,20 +123,20 @@ def _stand(plan: Plan, record: RecordName, document: dict[str, Any]) -> Scenario
     return scenario_of(path, table)
 
 
-def _platform(plan: Plan, record: RecordName, document: dict[str, Any]) -> PlatformScenario:
+def _platform(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> PlatformScenario:
     from piga.platform.model.scenario import scenario_of_document
 
     return scenario_of_document(plan.path.parent / record.group.scenario, document)
 
 
-_BUILDERS: dict[str, Callable[[Plan, RecordName, dict[str, Any]], Any]] = {
+_BUILDERS: dict[str, Callable[[CampaignPlan, RecordName, dict[str, Any]], Any]] = {
     "constant-force": _constant_force,
     "stand": _stand,
     "platform": _platform,
 }
 
 
-def compute(plan: Plan, record: RecordName, archive: Archive | None = None) -> Outcome:
+def compute(plan: CampaignPlan, record: RecordName, archive: Archive | None = None) -> Outcome:
     """Compute a record.
 
     Raises
@@ -162,7 +162,7 @@ def compute(plan: Plan, record: RecordName, archive: Archive | None = None) -> O
         return _platform_run(plan, record, made)
 
 
-def seed_of(plan: Plan, record: RecordName) -> int:
+def seed_of(plan: CampaignPlan, record: RecordName) -> int:
     """Seed of a simulated scenario, as ``piga simulate --seed`` takes it."""
     return int(plan.sequence(record).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
@@ -170,7 +170,9 @@ def seed_of(plan: Plan, record: RecordName) -> int:
 # --- tests with known truth --------------------------------------------------------------------------
 
 
-def _synthetic(plan: Plan, record: RecordName, test: ConstantForce | Joint, *, with_bound: bool) -> Outcome:
+def _synthetic(
+    plan: CampaignPlan, record: RecordName, test: ConstantForce | Joint, *, with_bound: bool
+) -> Outcome:
     run: Any = test.record(np.random.default_rng(plan.sequence(record)))
     calibration = test.calibrate(run)
     bound = np.sqrt(np.diag(test.bound(run))) if with_bound else None
@@ -210,7 +212,7 @@ def of_calibration(calibration: Calibration, truth: Array, bound: Array | None =
     )
 
 
-def _simulated(plan: Plan, record: RecordName, scenario: Scenario, *, with_bound: bool) -> Outcome:
+def _simulated(plan: CampaignPlan, record: RecordName, scenario: Scenario, *, with_bound: bool) -> Outcome:
     """Simulate, write the files of a lab, read them and calibrate: what a user does by hand."""
     from piga.calibration.calibrate import calibrate
     from piga.stand import read_run
@@ -280,7 +282,7 @@ def _bound(test: SimulatedTest, run: Run) -> Array | None:
 # --- platform ----------------------------------------------------------------------------------------
 
 
-def _platform_run(plan: Plan, record: RecordName, scenario: PlatformScenario) -> Outcome:
+def _platform_run(plan: CampaignPlan, record: RecordName, scenario: PlatformScenario) -> Outcome:
     from piga.platform.runs.chain import compare, last_east_lines
 
     models = compare(replace(scenario, seed=seed_of(plan, record))).models
@@ -301,7 +303,7 @@ def _platform_run(plan: Plan, record: RecordName, scenario: PlatformScenario) ->
 # --- archive -----------------------------------------------------------------------------------------
 
 
-def _recalibrated(plan: Plan, archive: Archive, number: int) -> Outcome:
+def _recalibrated(plan: CampaignPlan, archive: Archive, number: int) -> Outcome:
     """Calibrate a run file again, as its stored record was if there is one, and compare with that record."""
     from piga.calibration.calibrate import calibrate
     from piga.stand import read_run

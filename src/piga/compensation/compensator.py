@@ -145,7 +145,7 @@ def run_kernel(
     )
 
 
-KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle")
+ROW_KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle")
 
 
 class Compensator:
@@ -263,11 +263,11 @@ class Compensator:
         return columns | ({} if chunk.temperature is None else {"temperature": chunk.temperature})
 
     def _samples(self, columns: Mapping[str, Any]) -> Chunk:
-        unknown = [name for name in columns if name not in KEYS]
-        missing = [name for name in KEYS[:3] if name not in columns]
+        unknown = [name for name in columns if name not in ROW_KEYS]
+        missing = [name for name in ROW_KEYS[:3] if name not in columns]
         if unknown or missing:
             what = f"lacks '{missing[0]}'" if missing else f"has the unknown key '{unknown[0]}'"
-            raise ArgumentError(f"chunk: {what}", remedy=f"keys: {', '.join(KEYS)}")
+            raise ArgumentError(f"chunk: {what}", remedy=f"keys: {', '.join(ROW_KEYS)}")
         t = np.atleast_1d(np.asarray(columns["t"], dtype=float))
         n = t.size
         output = _column(columns, "output", n)

@@ -18,7 +18,7 @@ from piga.records.terms import harmonic, si_factor
 
 Array = NDArray[np.float64]
 
-MARGIN = 0.05
+RANGE_MARGIN = 0.05
 """Margin beyond the calibrated range before a value is flagged, as a share of the range."""
 
 
@@ -45,7 +45,7 @@ class Limits:
         """Limits from a calibration record: its ``diagnostics.range``, else from the means of its segments.
 
         The range has the optional keys ``a_x`` [low, high] and ``a_t`` [low, high] in m/s^2, and
-        ``temperature`` [low, high] in K. Each range is widened by ``MARGIN``.
+        ``temperature`` [low, high] in K. Each range is widened by ``RANGE_MARGIN``.
         """
         known = calibration.diagnostics.range
         means = [segment.mean_a_x for segment in calibration.segments]
@@ -53,7 +53,7 @@ class Limits:
         transverse, warm = known.get("a_t"), known.get("temperature")
         return Limits(
             a_x=_widened(span) if span else (-math.inf, math.inf),
-            a_t=float(transverse[1]) * (1.0 + MARGIN) if transverse else math.inf,
+            a_t=float(transverse[1]) * (1.0 + RANGE_MARGIN) if transverse else math.inf,
             temperature=_widened(warm, 2.0) if warm else (-math.inf, math.inf),
         )
 
@@ -65,7 +65,9 @@ class Limits:
 
 def _widened(span: Any, least: float = 0.0) -> tuple[float, float]:
     low, high = float(span[0]), float(span[1])
-    margin = max(MARGIN * (high - low), least, MARGIN * max(abs(low), abs(high)) if least == 0.0 else 0.0)
+    margin = max(
+        RANGE_MARGIN * (high - low), least, RANGE_MARGIN * max(abs(low), abs(high)) if least == 0.0 else 0.0
+    )
     return low - margin, high + margin
 
 
@@ -88,7 +90,7 @@ def age_flag(calibration: Calibration, max_age_days: float | None) -> int:
     return at.AGE if age is None or age > max_age_days else 0
 
 
-METHODS = ("exact", "published")
+COMPENSATION_METHODS = ("exact", "published")
 
 
 @dataclass(frozen=True)
@@ -279,8 +281,10 @@ def check_method(method: str | None, calibration: Calibration) -> str:
     """
     if method is None:
         return "published" if calibration.phase_source == "input" else "exact"
-    if method not in METHODS:
-        raise CalibrationError(f"method: '{method}' is not known", remedy=f"one of: {', '.join(METHODS)}")
+    if method not in COMPENSATION_METHODS:
+        raise CalibrationError(
+            f"method: '{method}' is not known", remedy=f"one of: {', '.join(COMPENSATION_METHODS)}"
+        )
     return method
 
 

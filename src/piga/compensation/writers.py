@@ -17,7 +17,7 @@ from piga.errors import ArgumentError
 from piga.formats.parquet_writer import number_column
 from piga.records.calibration.coverage import TYPE_A_ONLY
 
-UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
+WRITTEN_UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
 """Unit of each column that is neither a force nor an increment."""
 
 FORMATS = {".parquet": "parquet", ".pq": "parquet", ".csv": "csv"}
@@ -38,8 +38,8 @@ def inputs_listed(inputs: Inputs) -> list[dict[str, str]]:
 
 def unit_of_column(name: str) -> str:
     """Unit of a column: forces in m/s^2, increments (``dv...``) in m/s."""
-    if name in UNITS:
-        return UNITS[name]
+    if name in WRITTEN_UNITS:
+        return WRITTEN_UNITS[name]
     return "m/s" if name.startswith("dv") else "m/s^2"
 
 

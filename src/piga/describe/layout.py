@@ -26,7 +26,7 @@ from piga.formats.text.faults import split_cells
 from piga.formats.text.source import TextSource
 from piga.formats.text.time_stamp import forms_of
 
-MOST_LINES = 400
+MOST_HEAD_LINES = 400
 """Lines of the head that are examined."""
 SEPARATORS = ("\t", ";", "|", ",", " ")
 """Separators that are tried, the likelier ones first. A blank stands for any number of blanks and tabs."""
@@ -45,7 +45,7 @@ class Guess:
 
 
 @dataclass(frozen=True)
-class Layout:
+class TextLayout:
     """Layout of a text log. Rows are counted from 1.
 
     ``header_row`` is False if no row holds names: the columns are then A, B, C. ``skip_rows``: lines before the numbers
@@ -66,7 +66,7 @@ class Layout:
     skip_rows: int = 0
 
 
-def text_layout(path: Path) -> Layout:
+def text_layout(path: Path) -> TextLayout:
     """Guess the layout of a text log from its first lines.
 
     Raises
@@ -96,7 +96,7 @@ def text_layout(path: Path) -> Layout:
         guess = Guess(
             encoding, "the bytes are not UTF-8, and the column names are words in this encoding", others
         )
-    return Layout(guess, *best.parts)
+    return TextLayout(guess, *best.parts)
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class _Best:
 
 
 def _layout(head: str, path: Path) -> _Best:
-    lines = LINE_END.split(head)[:MOST_LINES]
+    lines = LINE_END.split(head)[:MOST_HEAD_LINES]
     tables = [table for separator in SEPARATORS if (table := _table(lines, separator)) is not None]
     if not tables:
         raise DataError(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.describe.columns import ColumnGuess, guess_columns, without_fills, without_spikes
-from piga.describe.layout import Guess, Layout, text_layout
+from piga.describe.layout import Guess, TextLayout, text_layout
 from piga.describe.names import kind_of_name
 from piga.errors import DataError, PigaError
 from piga.formats.columns import RecordStream
@@ -24,7 +24,7 @@ from piga.records.run_file import DataTable, OutputColumn
 
 Array = NDArray[np.float64]
 
-MOST_ROWS = 2_000_000
+MOST_LOG_ROWS = 2_000_000
 """Rows of a log whose values are examined."""
 NO_COLUMN = "\N{REPLACEMENT CHARACTER}"
 """A column that no file has: the reader answers with the names of all columns."""
@@ -47,7 +47,7 @@ class LogDescription:
     facts:
         Keys of the run file that the preamble gives, such as ``instrument.serial``.
     numbers:
-        Values of the number columns, at most :data:`MOST_ROWS` of each.
+        Values of the number columns, at most :data:`MOST_LOG_ROWS` of each.
     labels:
         Segment label of each of these rows, as an index into ``label_names``; None without a segment column.
     fills:
@@ -59,7 +59,7 @@ class LogDescription:
     """
 
     path: Path
-    layout: Layout | None
+    layout: TextLayout | None
     columns: tuple[ColumnGuess, ...]
     facts: dict[str, Guess] = field(default_factory=dict)
     numbers: dict[str, Array] = field(default_factory=dict)
@@ -171,7 +171,7 @@ def _collected(stream: RecordStream, names: tuple[str, ...]) -> tuple[dict[str, 
         if chunk.codes is not None:
             codes.append(chunk.codes)
         rows += chunk.rows.size
-        if rows >= MOST_ROWS:
+        if rows >= MOST_LOG_ROWS:
             break
     joined = {name: np.concatenate(part) if part else np.empty(0) for name, part in parts.items()}
     file_rows = np.concatenate(places) if places else np.empty(0, np.int64)

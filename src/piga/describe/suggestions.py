@@ -20,17 +20,36 @@ from piga.records.run import Run
 from piga.records.text_files import toml_bytes, toml_document
 from piga.stand.run_reference import read_run
 
-_LINE = re.compile(r"\[(data|model|instrument)\] (\w+ = (?:'[^']*'|\[[^\]]*\]|\d+))(?:,? or (\w+ = '[^']*'))?")
+_FAULT_LINE = re.compile(
+    r"\[(data|model|instrument)\] (\w+ = (?:'[^']*'|\[[^\]]*\]|\d+))(?:,? or (\w+ = '[^']*'))?"
+)
 _MISSING = re.compile(r"no column ((?:'[^']*'(?:, )?)+); the columns are: (.*)", re.DOTALL)
 _SHEETS = re.compile(r"there are \d+ sheets: (.*)")
 _STUCK = re.compile(r"column '([^']*)' stays at its (largest|smallest) value (\S+):")
 _STAMP = re.compile(r"time = \{ column = '[^']*', stamp = '[^']*' \}")
-MOST_STEPS = 8
-"""Most problems that are solved one after the other."""
-SOME_ROWS = 100_000
-"""Rows on which a unit is judged."""
-MOST_RATIO = 1.5
-"""Largest ratio of the output to that of the nominal scale factor."""
+
+
+@dataclass(frozen=True)
+class SuggestionSettings:
+    """Settings of the suggested lines (own choices).
+
+    Attributes
+    ----------
+    problems:
+        Most problems that are solved one after the other.
+    rows:
+        Rows on which a unit is judged.
+    ratio:
+        Largest ratio of the output to that of the nominal scale factor.
+    """
+
+    problems: int = 8
+    rows: int = 100_000
+    ratio: float = 1.5
+
+
+SUGGESTION = SuggestionSettings()
+
 FORCE_UNITS = ("g", "m/s^2", "mg", "ug")
 ANGLE_UNITS = ("deg", "rad", "arcmin", "arcsec", "rev", "mrad")
 RATE_UNITS = ("deg/s", "rad/s", "deg/h", "rpm", "rev/s")
@@ -62,7 +81,7 @@ def suggestions(path: Path) -> list[Suggestion]:
     except PigaError:
         return []
     kept: list[Change] = []
-    for _ in range(MOST_STEPS):
+    for _ in range(SUGGESTION.problems):
         outcome = _read(path, document)
         working = _working(path, document, outcome)
         new = [change for change in working if change[:3] not in [known[:3] for known in kept]]
@@ -136,7 +155,7 @@ def _settles(change: Change, before: Run, after: Run) -> bool:
 
 def _plausible(run: Run) -> bool:
     """True if the output turns about as fast as the nominal scale factor says, or the reference is of the size of g."""
-    some = slice(0, min(run.size, SOME_ROWS))
+    some = slice(0, min(run.size, SUGGESTION.rows))
     a_x, t = run.f[some, 0], run.t[some]
     if run.kind == "rate":
         turned, force = run.output[some], a_x
@@ -147,7 +166,7 @@ def _plausible(run: Run) -> bool:
     if not strong.any():
         return False
     ratio = float(np.median(np.abs(turned[strong] / (run.scale_factor * force[strong]))))
-    return 1.0 / MOST_RATIO < ratio < MOST_RATIO
+    return 1.0 / SUGGESTION.ratio < ratio < SUGGESTION.ratio
 
 
 def _changed(document: Document, change: Change) -> dict[str, Any]:
@@ -159,7 +178,7 @@ def _of_error(error: PigaError, document: Document) -> list[Change]:
     changes: list[Change] = []
     first = error.message.split(": ", 1)[-1][:160]
     remedy = error.remedy or ""
-    for match in _LINE.finditer(remedy):
+    for match in _FAULT_LINE.finditer(remedy):
         for line in match.groups()[1:]:
             if line and "..." not in line:
                 changes += [(match.group(1), key, value, first) for key, value in _parsed(line)]

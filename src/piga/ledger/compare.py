@@ -20,10 +20,25 @@ from piga.ledger.store.store import Store
 from piga.records import Calibration
 from piga.results import Result
 
-TOLERANCE = 1e-12
-"""Relative difference allowed on another platform, per unit of the condition number."""
-NOISE_TOLERANCE = 1e-8
-"""Relative difference allowed for noise levels. They come from a search for an optimum, which is flat."""
+
+@dataclass(frozen=True)
+class CompareSettings:
+    """Differences of two calculations that count as none (own choices).
+
+    Attributes
+    ----------
+    relative:
+        Relative difference allowed on another platform, per unit of the condition number.
+    noise:
+        Relative difference allowed for noise levels. They come from a search for an optimum, which is flat.
+    """
+
+    relative: float = 1e-12
+    noise: float = 1e-8
+
+
+ALLOWED = CompareSettings()
+
 UNCOMPARED = ("created", "software", "source")
 """Provenance entries that are not compared: time, software and folder."""
 
@@ -120,7 +135,7 @@ def _coefficients(a: Calibration, b: Calibration) -> list[Compared]:
     length = math.hypot(a.scale_factor_nominal * 9.80665, *plain)
     tangent = next((abs(c.value) for c in a.coefficients if c.name == "tan_beta"), 1.0)
     allowed = [
-        TOLERANCE * kappa * length / (max(tangent, TOLERANCE) if c.name == "phi" else 1.0)
+        ALLOWED.relative * kappa * length / (max(tangent, ALLOWED.relative) if c.name == "phi" else 1.0)
         for c in a.coefficients
     ]
     pairs = [
@@ -151,7 +166,7 @@ def _nearest_turn(value: float, near: float) -> float:
 def _angles(a: Calibration, b: Calibration) -> list[Compared]:
     kappa = a.condition if math.isfinite(a.condition) else 1.0
     turned = 2.0 * math.pi * max((abs(segment.turns) for segment in a.segments), default=0.0)
-    allowed = TOLERANCE * kappa * max(turned, a.residual_max_before, 1.0)
+    allowed = ALLOWED.relative * kappa * max(turned, a.residual_max_before, 1.0)
     names = ("residual_rms", "residual_rms_before", "residual_max_before", "residual_max_after")
     return [Compared(name, getattr(a, name), getattr(b, name), allowed) for name in names]
 
@@ -162,8 +177,8 @@ def _noise(a: Calibration, b: Calibration) -> list[Compared]:
     white = max(a.angle_rms, a.angle_random_walk * math.sqrt(duration / max(a.quality.used, 1)))
     walk = max(a.angle_random_walk, a.angle_rms / math.sqrt(duration))
     return [
-        Compared("angle_rms", a.angle_rms, b.angle_rms, NOISE_TOLERANCE * white),
-        Compared("angle_random_walk", a.angle_random_walk, b.angle_random_walk, NOISE_TOLERANCE * walk),
+        Compared("angle_rms", a.angle_rms, b.angle_rms, ALLOWED.noise * white),
+        Compared("angle_random_walk", a.angle_random_walk, b.angle_random_walk, ALLOWED.noise * walk),
     ]
 
 

@@ -24,7 +24,7 @@ from piga.units import to_si
 
 Array = NDArray[np.float64]
 
-CHUNK = 20000
+ROWS_AT_ONCE = 20000
 """Profile rows compared at a time."""
 
 
@@ -146,10 +146,10 @@ def _margins(u: Array, skews: Array, clocks: Array, tangent: float, limit: float
     inside = np.zeros((skews.size, clocks.size))
     for k, skew in enumerate(skews):
         axes = _axes(float(skew), clocks)
-        for start in range(0, u.shape[0], CHUNK):
-            ratios = _ratios(u[max(start - 1, 0) : start + CHUNK], axes, tangent)
+        for start in range(0, u.shape[0], ROWS_AT_ONCE):
+            ratios = _ratios(u[max(start - 1, 0) : start + ROWS_AT_ONCE], axes, tangent)
             margins[k] = np.minimum(margins[k], ratios.min(axis=0))
-            inside[k] += np.count_nonzero(ratios[-min(CHUNK, u.shape[0] - start) :] < limit, axis=0)
+            inside[k] += np.count_nonzero(ratios[-min(ROWS_AT_ONCE, u.shape[0] - start) :] < limit, axis=0)
     return margins, inside / u.shape[0]
 
 

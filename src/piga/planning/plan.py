@@ -54,7 +54,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class PlanSettings:
+class StandardPlanSettings:
     """Settings of a plan (own choices).
 
     Attributes
@@ -72,7 +72,7 @@ class PlanSettings:
     attempts: int = 12
 
 
-PLAN = PlanSettings()
+STANDARD_PLANS = StandardPlanSettings()
 
 
 @dataclass(frozen=True)
@@ -291,7 +291,7 @@ def _standard(
     if head is None:
         places: list[tuple[str, tuple[Candidate, ...]]] = [("all levels", usable)]
     else:
-        places = [(f"{n} positions", _evenly(request, head, n)) for n in PLAN.standard]
+        places = [(f"{n} positions", _evenly(request, head, n)) for n in STANDARD_PLANS.standard]
     plans = []
     for name, chosen in places:
         dwell = _whole_samples(request, (duration + request.move) / len(chosen) - request.move)
@@ -386,7 +386,7 @@ def _stretched(
 ) -> tuple[tuple[float, Prediction, Prediction], ...]:
     """The planned and the last standard plan for other durations; ``here`` is the row of the planned duration."""
     rows = []
-    for factor in PLAN.stretches:
+    for factor in STANDARD_PLANS.stretches:
         if factor == 1.0:
             rows.append(here)
             continue
@@ -420,7 +420,7 @@ def _cheapest(search: _Search, best: Prediction) -> Cheapest:
     bound = math.exp(mixture.value) - request.move
     begin = best_mixture(search.per_second(), criterion.guarded())
     duration = max(bound, request.minimum_dwell)
-    for _ in range(PLAN.attempts):
+    for _ in range(STANDARD_PLANS.attempts):
         visits = _search_visits(search, criterion, begin, duration)
         plan = predict(request, "cheapest", visits)
         ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())

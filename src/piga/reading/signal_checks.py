@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError
 from piga.records.calibration import Event
-from piga.records.run_file import LeftOut
+from piga.records.run_file import LeftOutTable
 from piga.records.spool import spans, steps
 from piga.units import G0
 
@@ -104,7 +104,7 @@ def beyond_limits(
 
 
 def left_out_rows(
-    wanted: Sequence[LeftOut], usable: NDArray[np.bool_], rows: NDArray[np.int64], path: Path
+    wanted: Sequence[LeftOutTable], usable: NDArray[np.bool_], rows: NDArray[np.int64], path: Path
 ) -> list[Event]:
     """Clear ``usable`` for the rows that the run file leaves out. Each range is an event with its reason.
 

@@ -29,7 +29,7 @@ LARGEST_SAMPLE = 1e30
 """Largest absolute value of a sample in any unit. A larger value is damage. Squares of smaller values stay finite."""
 MAX_SEGMENTS = 100_000
 """Largest number of different labels in the segment column of a record."""
-MOST_LETTERS = 200
+MOST_NAME_LETTERS = 200
 """Most characters of a name. A file name may have 255 bytes."""
 
 
@@ -107,12 +107,12 @@ def check_label(text: str, what: str) -> None:
     Raises
     ------
     DataError
-        If the text is empty, longer than :data:`MOST_LETTERS`, or holds a control character or line break.
+        If the text is empty, longer than :data:`MOST_NAME_LETTERS`, or holds a control character or line break.
     """
     if not text.strip():
         raise DataError(f"{what} is empty", remedy="give it a name")
-    if len(text) > MOST_LETTERS:
-        raise DataError(f"{what} has {len(text)} characters", remedy=f"use {MOST_LETTERS} or fewer")
+    if len(text) > MOST_NAME_LETTERS:
+        raise DataError(f"{what} has {len(text)} characters", remedy=f"use {MOST_NAME_LETTERS} or fewer")
     odd = next((letter for letter in text if not letter.isprintable() and letter != "\u3000"), None)
     if odd is not None:
         raise DataError(

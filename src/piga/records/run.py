@@ -509,7 +509,7 @@ def check_arrays(
         raise ArgumentError(f"t[{index}] = {t[index]!r} is not after t[{index - 1}]", remedy="sort by time")
 
 
-GAP = 1.5
+LONG_INTERVAL = 1.5
 """A step longer than this many nominal steps is a gap."""
 
 
@@ -519,7 +519,7 @@ def begins_stretch(step: Array, nominal: float) -> NDArray[np.bool_]:
     ``step`` (n,) [s] is the time since the sample before. ``nominal`` [s] is the nominal interval. Files, arrays in
     memory and live streams all use this rule.
     """
-    return np.asarray((step <= 0.0) | (step > GAP * nominal))
+    return np.asarray((step <= 0.0) | (step > LONG_INTERVAL * nominal))
 
 
 @dataclass(frozen=True)
@@ -588,7 +588,7 @@ def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64], 
     longest = 0.0
     for part in spans(t.size):
         step, same = steps(t, part), steps(segment, part) == 0
-        gap = step > GAP * nominal
+        gap = step > LONG_INTERVAL * nominal
         back = step <= 0.0
         if part.start == 0:
             same[0] = False

@@ -112,7 +112,7 @@ class InstrumentTable(TomlTable, frozen=True):
     servo: ServoTable | None = None
 
 
-class Column(TomlTable, frozen=True):
+class ColumnTable(TomlTable, frozen=True):
     """A column with its unit."""
 
     column: str
@@ -150,7 +150,7 @@ class Columns(TomlTable, frozen=True):
     unit: str
 
 
-class LeftOut(TomlTable, frozen=True):
+class LeftOutTable(TomlTable, frozen=True):
     """Rows of the data file that are not used: the first and the last one, and why."""
 
     rows: tuple[int, int]
@@ -166,7 +166,7 @@ class DataTable(TomlTable, frozen=True):
     time: TimeColumn | None = None
     sample_rate: Quantity | None = None
     base_rate: Columns | None = None
-    temperature: Column | None = None
+    temperature: ColumnTable | None = None
     segment: str | None = None
     delimiter: str | None = None
     decimal: Literal[".", ","] | None = None
@@ -178,7 +178,7 @@ class DataTable(TomlTable, frozen=True):
     missing: Annotated[tuple[str, ...], msgspec.Meta(max_length=100)] = ()
     damaged_rows: Literal["refuse", "mask"] = "refuse"
     range: dict[str, tuple[float, float]] | None = None
-    leave_out: Annotated[tuple[LeftOut, ...], msgspec.Meta(max_length=1000)] = ()
+    leave_out: Annotated[tuple[LeftOutTable, ...], msgspec.Meta(max_length=1000)] = ()
     sequence: SequenceColumn | None = None
 
     def number_columns(self) -> list[str]:

@@ -20,7 +20,7 @@ from piga.units import LARGEST
 T = TypeVar("T", bound=msgspec.Struct)
 J = TypeVar("J")
 
-MAX_BYTES = 1 << 20
+MOST_TOML_BYTES = 1 << 20
 """Largest TOML file that is read [bytes]. Run files have a few kilobytes."""
 
 KINDS = {
@@ -34,12 +34,12 @@ KINDS = {
 
 MAX_NAME = 256
 """Longest text that may be a file name [characters]."""
-MOST_PARTS = 16
+MOST_KEY_PARTS = 16
 """Most parts of a dotted key. Keys of the run file have three."""
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
-_DEEP = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_PARTS},}}")
+_DEEP = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_KEY_PARTS},}}")
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
-MOST_NAME = 240
+MOST_FILE_NAME = 240
 """Most bytes of a file name: 255 on most file systems, minus the ending of a file beside it."""
 _FILE_KEYS = ("file", "run", "calibration", "before")
 _UNKNOWN = re.compile(r"unknown field `([^`]*)`")
@@ -55,7 +55,7 @@ def toml_bytes(path: Path) -> bytes:
     RunFileError
         If the file cannot be read or is larger than such files are.
     """
-    return read_whole(path, MAX_BYTES, "the TOML file, not the data file", RunFileError)
+    return read_whole(path, MOST_TOML_BYTES, "the TOML file, not the data file", RunFileError)
 
 
 def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
@@ -65,7 +65,7 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
     ------
     RunFileError
         If the file cannot be read, is not TOML (the message names the line), or holds keys nested deeper
-        than :data:`MOST_PARTS`, integers beyond 64 bits or control characters.
+        than :data:`MOST_KEY_PARTS`, integers beyond 64 bits or control characters.
     """
     try:
         text = (toml_bytes(path) if raw is None else raw).decode("utf-8-sig")
@@ -76,7 +76,7 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
     deep = _DEEP.search(text)
     if deep is not None:
         raise RunFileError(
-            f"{path}: line {text.count(chr(10), 0, deep.start()) + 1}: a key of more than {MOST_PARTS} parts",
+            f"{path}: line {text.count(chr(10), 0, deep.start()) + 1}: a key of more than {MOST_KEY_PARTS} parts",
             remedy="see the documentation for the keys",
         )
     try:
@@ -104,7 +104,7 @@ def _check_values(path: Path, value: object, where: str) -> None:
             remedy="use letters, digits and signs",
         )
     elif isinstance(value, str) and where.rpartition(".")[2] in _FILE_KEYS:
-        long = next((part for part in re.split(r"[/\\]", value) if len(part.encode()) > MOST_NAME), None)
+        long = next((part for part in re.split(r"[/\\]", value) if len(part.encode()) > MOST_FILE_NAME), None)
         if long is not None:
             raise RunFileError(
                 f"{path}: [{where}]: a file name of {len(long)} characters",

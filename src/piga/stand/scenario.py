@@ -17,7 +17,7 @@ from piga.instrument import ErrorModel, Instrument
 from piga.instrument.twin.electronics import Electronics, Temperature
 from piga.instrument.twin.parameters import twin_parameters
 from piga.progress import Progress
-from piga.records.run_file import Column, Columns, Quantity, ServoTable, TomlTable
+from piga.records.run_file import Columns, ColumnTable, Quantity, ServoTable, TomlTable
 from piga.records.terms import UNITS, harmonic, unit_of
 from piga.records.text_files import read_toml
 from piga.stand.imperfections import Imperfections, imperfections
@@ -255,7 +255,7 @@ class ProfileTable(TomlTable, frozen=True, tag_field="kind", tag="profile"):
     """``[stand] kind = "profile"``: a logged profile. The file is relative to the scenario."""
 
     file: str
-    time: Column
+    time: ColumnTable
     force: Columns
     base_rate: Columns | None = None
 

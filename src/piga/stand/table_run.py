@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gzip
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -12,6 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from piga.data import EXAMPLE, copy_example
 from piga.errors import ArgumentError, RunFileError, UnitError
 from piga.formats.tables import WHERE, TableStream, as_arrow, stated_units, with_seconds
 from piga.reading.read_run import read_stream
@@ -20,8 +19,6 @@ from piga.records.run_file import ModelTable, RunFile, check_run_file
 from piga.stand.run_reference import read_run, stand_reference
 from piga.stand.simulate import SimulatedTest
 
-EXAMPLE = "tumble-a"
-"""Name of the shipped record."""
 SI = {
     "time": "s",
     "angle": "rad",
@@ -150,12 +147,6 @@ def example_run() -> Run:
     >>> run.serial, run.size, len(run.labels)
     ('tumble-a', 28824, 24)
     """
-    source = files("piga.data")
     with TemporaryDirectory() as folder:
-        place = Path(folder)
-        (place / f"{EXAMPLE}.csv").write_bytes(
-            gzip.decompress(source.joinpath(f"{EXAMPLE}.csv.gz").read_bytes())
-        )
-        (place / f"{EXAMPLE}.toml").write_bytes(source.joinpath(f"{EXAMPLE}.toml").read_bytes())
-        run = read_run(place / f"{EXAMPLE}.toml")
+        run = read_run(copy_example(Path(folder)))
     return replace(run, source=f"{EXAMPLE}.toml")

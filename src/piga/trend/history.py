@@ -367,10 +367,6 @@ def common_contributions(key: str, figures: Sequence[CalibrationFigures], common
     return table * np.sqrt(parts).reshape(-1, 1)
 
 
-SHORT = 0.25
-"""Length of the history [years] below which a drift per year is an extrapolation and gets a remark."""
-
-
 def alarms_in_words(
     trends: Sequence[CoefficientTrend], names: Sequence[str], times: Sequence[dt.datetime]
 ) -> tuple[str, ...]:
@@ -418,7 +414,7 @@ def remarks_in_words(
         sentences.append(
             f"The records are of {count} day{'s' * (count > 1)}: drift and forecast need three days or more."
         )
-    elif span < SHORT:
+    elif span < TREND.short:
         sentences.append(
             f"The records span {span * 365.25:.0f} days only: a drift per year is an extrapolation."
         )

@@ -43,6 +43,8 @@ class TrendSettings:
         Smallest standard uncertainty, relative to the largest value; prevents infinite weights.
     least_days:
         Fewest days for a line with uncertainty.
+    short:
+        Length of the history [years] below which a drift per year is an extrapolation and gets a remark.
     smoothing:
         Weight of the newest score in the moving average of the control chart.
     control_limit:
@@ -53,6 +55,7 @@ class TrendSettings:
     doubt: float = 0.01
     tiny: float = 1e-12
     least_days: int = 3
+    short: float = 0.25
     smoothing: float = 0.2
     control_limit: float = 3.0
 

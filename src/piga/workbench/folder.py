@@ -41,7 +41,7 @@ class OutsideError(ArgumentError):
 
 
 @dataclass(frozen=True)
-class Entry:
+class FolderEntry:
     """A record in the folder: a run file, or a log that no run file describes.
 
     Attributes
@@ -162,7 +162,7 @@ class Folder:
         if new or not path.is_file() or path.read_bytes() != raw:
             write_whole(path, lambda part: part.write_bytes(raw), replace=not new)
 
-    def entries(self) -> list[Entry]:
+    def entries(self) -> list[FolderEntry]:
         """All records: those with a run file first, then logs without one."""
         files = list(self._files())
         described: set[Path] = set()
@@ -170,7 +170,8 @@ class Folder:
         entries = [self._run_entry(path, described) for path in runs]
         logs = [path for path in files if file_kind(path) in LOG_SUFFIXES and path not in described]
         entries += [
-            Entry(self.name(path), "not described", log=path.name, size=path.stat().st_size) for path in logs
+            FolderEntry(self.name(path), "not described", log=path.name, size=path.stat().st_size)
+            for path in logs
         ]
         return entries
 
@@ -192,7 +193,7 @@ class Folder:
                     return
                 yield path
 
-    def _run_entry(self, path: Path, described: set[Path]) -> Entry:
+    def _run_entry(self, path: Path, described: set[Path]) -> FolderEntry:
         name, serial, log = self.name(path), "", ""
         described.update(_data_files(path))
         try:
@@ -203,11 +204,13 @@ class Folder:
             if not data.is_file():
                 raise ArgumentError(f"{log}: there is no such file beside the run file", remedy="copy it there")
         except (PigaError, OSError) as error:
-            return Entry(name, "faulty", serial, log, message=str(error))
+            return FolderEntry(name, "faulty", serial, log, message=str(error))
         result = path.with_name(f"{path.stem}-calibration")
         done = (result / "calibration.json").is_file()
         state: State = "calibrated" if done else "ready"
-        return Entry(name, state, serial, log, data.stat().st_size, result=self.name(result) if done else "")
+        return FolderEntry(
+            name, state, serial, log, data.stat().st_size, result=self.name(result) if done else ""
+        )
 
     def free_name(self, wanted: str) -> Path:
         """A path in the folder for an uploaded file: the letters and digits of its name, and no existing file's.

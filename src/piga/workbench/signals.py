@@ -69,7 +69,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Outline:
+class SignalOutline:
     """What a page needs to know before it draws: signals, duration [s], samples, segments with times, findings."""
 
     signals: tuple[Signal, ...]
@@ -88,7 +88,7 @@ def cache_key(paths: list[Path]) -> str:
     return hashlib.sha256(json.dumps([FORM, states]).encode()).hexdigest()[:24]
 
 
-def write_envelopes(run: Run, folder: Path) -> Outline:
+def write_envelopes(run: Run, folder: Path) -> SignalOutline:
     """Write the columns and envelopes of a record.
 
     Parameters
@@ -112,7 +112,7 @@ def write_envelopes(run: Run, folder: Path) -> Outline:
     return outline
 
 
-def _write_all(run: Run, folder: Path) -> Outline:
+def _write_all(run: Run, folder: Path) -> SignalOutline:
     begins = _breaks(run)
     t = _shown_time(run, folder / "t.npy")
     np.save(folder / "breaks.npy", begins[1:])
@@ -130,13 +130,13 @@ def _write_all(run: Run, folder: Path) -> Outline:
     return outline
 
 
-def read_outline(folder: Path) -> Outline | None:
+def read_outline(folder: Path) -> SignalOutline | None:
     """The outline of a complete cache; None if there is none."""
     try:
         document = json.loads((folder / "outline.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    return Outline(
+    return SignalOutline(
         tuple(Signal(**item) for item in document["signals"]),
         document["duration"], document["samples"], document["rows"],
         tuple((name, first, last) for name, first, last in document["segments"]),
@@ -329,7 +329,7 @@ def _extremes(low: Array, high: Array, starts: NDArray[np.int64], size: int) -> 
     return least, largest
 
 
-def _outline(run: Run, t: Array, signals: tuple[Signal, ...]) -> Outline:
+def _outline(run: Run, t: Array, signals: tuple[Signal, ...]) -> SignalOutline:
     edges = run.segment_edges()
     segments = tuple(
         (run.labels[int(run.segment_index[first])], float(t[first]), float(t[last - 1]))
@@ -342,7 +342,7 @@ def _outline(run: Run, t: Array, signals: tuple[Signal, ...]) -> Outline:
             index = min(int(np.searchsorted(run.row, event.first_row)), run.size - 1)
             at = float(t[index])
         findings.append(Finding(event.kind, event.count, event.detail, at))
-    return Outline(
+    return SignalOutline(
         signals, float(t[-1]), run.size, run.quality.rows, segments, tuple(findings), run.serial,
         {"interval": run.median_step, "kind": run.kind},
     )  # fmt: skip

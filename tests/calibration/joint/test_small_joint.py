@@ -184,7 +184,7 @@ def test_files_that_are_no_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             RunSummary.from_json(tmp_path / "s.json")
     with pytest.raises(piga.CalibrationError, match="cannot be read"):
         RunSummary.from_json(tmp_path / "none.json")
-    monkeypatch.setattr("piga.calibration.joint.summary.MAX_BYTES", 1)
+    monkeypatch.setattr("piga.calibration.joint.summary.MOST_SUMMARY_BYTES", 1)
     with pytest.raises(piga.CalibrationError, match="larger than 1 bytes"):
         RunSummary.from_json(tmp_path / "s.json")
 

@@ -10,7 +10,7 @@ import pyarrow.parquet
 import pytest
 
 from piga.compensation import FLAGS, SetCompensator, compensate_set
-from piga.compensation.sets.set_files import SetRows
+from piga.compensation.sets.set_files import SetReading
 from piga.records.calibration.coverage import TYPE_A_ONLY
 from piga.reports.compensation import page as compensation_set
 from piga.reports.compensation.figures import (
@@ -41,7 +41,7 @@ def outline_of_set(axes, rows: int, fault: int = -1, pieces: int = 1, **more):
         psi[2, fault] += 1e-4
     stream, found = SetCompensator(mounted, details=True), SetOutline("angle", mounted)
     for part in np.array_split(np.arange(rows), pieces):
-        rows_read = SetRows(t[part], psi[:, part], np.zeros(part.size, bool), None, None)
+        rows_read = SetReading(t[part], psi[:, part], np.zeros(part.size, bool), None, None)
         found.piece("all", rows_read, stream.push(t[part], psi[:, part]))
     return found, mounted
 

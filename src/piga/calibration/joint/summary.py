@@ -393,7 +393,7 @@ def now() -> str:
 
 
 SCHEMA = "piga.run-summary/1"
-MAX_BYTES = 256 << 20
+MOST_SUMMARY_BYTES = 256 << 20
 
 
 def write_summary(summary: RunSummary, path: Path) -> None:
@@ -430,7 +430,7 @@ def read_summary(path: Path) -> RunSummary:
         If the file is missing, damaged, or of another schema.
     """
     settle(path.parent)
-    raw = read_whole(path, MAX_BYTES, "a run summary", CalibrationError)
+    raw = read_whole(path, MOST_SUMMARY_BYTES, "a run summary", CalibrationError)
     try:
         kind = schema_of(raw)
         if kind != SCHEMA:

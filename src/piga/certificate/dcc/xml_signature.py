@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from lxml import etree
 
 
-MAX_BYTES = 32 << 20
+MOST_XML_BYTES = 32 << 20
 """Largest XML file read [bytes]."""
 
 
@@ -34,7 +34,7 @@ def read_xml(path: Path) -> tuple[bytes, etree._Element]:
     DataError
         If the file cannot be read, is too large, is not XML, or declares a document type or entities.
     """
-    raw = read_whole(path, MAX_BYTES, "a certificate in XML")
+    raw = read_whole(path, MOST_XML_BYTES, "a certificate in XML")
     return raw, parse_xml(raw, path)
 
 

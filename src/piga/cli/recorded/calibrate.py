@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import gzip
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from piga.cli.common import ForceOption, JsonOption, files_named_in, print_json, progress, say
+from piga.data import EXAMPLE, copy_example
 from piga.output import CALIBRATION_RESULTS, results
 
 if TYPE_CHECKING:
@@ -194,9 +193,6 @@ def write_results(calibration: Calibration, directory: Path, *, report: bool = T
     return written
 
 
-EXAMPLE = "tumble-a"
-
-
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")] = Path(
         "piga-demo"
@@ -222,12 +218,3 @@ def demo(
     say(f"The record and its run file are in {out}; change {run.name} and run: piga calibrate {run}")
     for path in written:
         say(f"wrote {out / path.name}")
-
-
-def copy_example(folder: Path) -> Path:
-    """Copy the shipped record and its run file into ``folder``. Returns the run file."""
-    source = files("piga.data")
-    (folder / f"{EXAMPLE}.csv").write_bytes(gzip.decompress(source.joinpath(f"{EXAMPLE}.csv.gz").read_bytes()))
-    run = folder / f"{EXAMPLE}.toml"
-    run.write_bytes(source.joinpath(f"{EXAMPLE}.toml").read_bytes())
-    return run

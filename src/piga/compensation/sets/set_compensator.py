@@ -21,8 +21,24 @@ from piga.results import Result
 
 Array = NDArray[np.float64]
 
-ORTHOGONAL = 1e-6
-"""Largest deviation from a rotation that an axes matrix may have."""
+
+@dataclass(frozen=True)
+class SetSettings:
+    """Settings of sets of instruments (own choices).
+
+    Attributes
+    ----------
+    orthogonal:
+        Largest deviation from a rotation that an axes matrix may have.
+    fault_probability:
+        Probability of the flag ``fault`` in a row of a sound set.
+    """
+
+    orthogonal: float = 1e-6
+    fault_probability: float = 1e-6
+
+
+SET = SetSettings()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,7 +76,7 @@ def rotation(axes: ArrayLike, index: int) -> Array:
         raise ArgumentError(
             f"axes of instrument {index}: shape {matrix.shape}", remedy="rows X0, Y0, Z0 of 3 numbers each"
         )
-    if np.abs(matrix @ matrix.T - np.eye(3)).max() > ORTHOGONAL or np.linalg.det(matrix) < 0.0:
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > SET.orthogonal or np.linalg.det(matrix) < 0.0:
         raise ArgumentError(
             f"axes of instrument {index}: the rows are not a right-handed set of orthogonal unit vectors",
             remedy="give X0, Y0, Z0 of the instrument in the common frame, to six digits or more",
@@ -203,10 +219,6 @@ class PublishedSet:
         return CompensatedSet(t, force, dv, np.zeros((0, 3)), np.full(t.size, np.nan), flags)
 
 
-FAULT_PROBABILITY = 1e-6
-"""Probability of the flag ``fault`` in a row of a sound set."""
-
-
 class SetCompensator:
     """Compensate a stream of three or more instruments in any mounting.
 
@@ -335,12 +347,12 @@ class SetCompensator:
 
 
 def fault_threshold(freedom: int) -> float:
-    """Weighted sum of squares that a sound set exceeds with probability ``FAULT_PROBABILITY``."""
+    """Weighted sum of squares that a sound set exceeds with probability ``SET.fault_probability``."""
     if freedom < 1:
         return math.inf
     from scipy.special import chdtri
 
-    return float(chdtri(freedom, FAULT_PROBABILITY))
+    return float(chdtri(freedom, SET.fault_probability))
 
 
 def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -117,7 +117,7 @@ READINGS = 1 << 15
 
 
 @dataclass(frozen=True)
-class SetRows:
+class SetReading:
     """Rows common to all files: ``t`` (n,), ``output`` (N, n), ``begins`` (n,), base rates and temperatures or None."""
 
     t: Array
@@ -127,7 +127,7 @@ class SetRows:
     temperature: list[Array] | None
 
 
-Watch = Callable[[str, SetRows, CompensatedSet], None]
+Watch = Callable[[str, SetReading, CompensatedSet], None]
 """Called with the label of the first instrument's segment, the rows read, and their compensated rows."""
 
 
@@ -201,7 +201,7 @@ def _solved(
     max_age: float | None,
     method: str,
     details: bool,
-) -> Iterator[tuple[str, SetRows, CompensatedSet]]:
+) -> Iterator[tuple[str, SetReading, CompensatedSet]]:
     """Pieces of the records and their compensated rows."""
     sampled, label = records[0].kind == "rate", records[0].labels[0]
     stream = set_stream(
@@ -209,7 +209,7 @@ def _solved(
         details=details,
     )  # fmt: skip
     followers = [RateAngle() for _ in records]
-    waiting: SetRows | None = None
+    waiting: SetReading | None = None
     for rows in _together(records):
         if not sampled:
             part = stream.push(
@@ -225,7 +225,7 @@ def _solved(
         yield label, waiting, _push_sampled(stream, waiting, [f.finish() for f in followers])
 
 
-def _push_sampled(stream: SetCompensator | PublishedSet, rows: SetRows, psi: list[Array]) -> CompensatedSet:
+def _push_sampled(stream: SetCompensator | PublishedSet, rows: SetReading, psi: list[Array]) -> CompensatedSet:
     return stream.push(
         rows.t, np.array(psi), rate=rows.output, base_rate=rows.base_rate, temperature=rows.temperature,
         begins=rows.begins,
@@ -240,7 +240,7 @@ def _read(path: Path, item: Mounted, force: bool, held: int) -> Run:
     return replace(record, f=nothing, segment_index=record.segment_index[:0])
 
 
-def _together(records: Sequence[Run]) -> Iterator[SetRows]:
+def _together(records: Sequence[Run]) -> Iterator[SetReading]:
     """Rows of all records together; more records mean fewer rows at a time."""
     first, step = records[0], max(READINGS // len(records), 1)
     base = any(record.base_rate is not None for record in records)
@@ -249,7 +249,7 @@ def _together(records: Sequence[Run]) -> Iterator[SetRows]:
         part = slice(start, min(start + step, first.size))
         trim()
         still = np.zeros((part.stop - part.start, 3))
-        yield SetRows(
+        yield SetReading(
             np.ascontiguousarray(first.t[part]),
             np.array([record.output[part] for record in records]),
             np.logical_or.reduce([record.begins[part] for record in records]),
@@ -260,10 +260,10 @@ def _together(records: Sequence[Run]) -> Iterator[SetRows]:
         )  # fmt: skip
 
 
-def _split(rows: SetRows, count: int) -> tuple[SetRows, SetRows | None]:
+def _split(rows: SetReading, count: int) -> tuple[SetReading, SetReading | None]:
     """The first ``count`` rows and the rest (None if there is no rest)."""
     head, tail = (
-        SetRows(
+        SetReading(
             rows.t[cut], np.ascontiguousarray(rows.output[:, cut]), rows.begins[cut],
             None if rows.base_rate is None else [values[cut] for values in rows.base_rate],
             None if rows.temperature is None else [values[cut] for values in rows.temperature],
@@ -273,11 +273,11 @@ def _split(rows: SetRows, count: int) -> tuple[SetRows, SetRows | None]:
     return head, tail if tail.t.size else None
 
 
-def _joined(a: SetRows, b: SetRows) -> SetRows:
+def _joined(a: SetReading, b: SetReading) -> SetReading:
     def both(x: list[Array] | None, y: list[Array] | None) -> list[Array] | None:
         return None if x is None or y is None else [np.concatenate(pair) for pair in zip(x, y, strict=True)]
 
-    return SetRows(
+    return SetReading(
         np.concatenate((a.t, b.t)), np.concatenate((a.output, b.output), axis=1),
         np.concatenate((a.begins, b.begins)), both(a.base_rate, b.base_rate), both(a.temperature, b.temperature),
     )  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.compensation.compensate import check_phase_kept, check_serial
-from piga.compensation.model import METHODS, Limits
+from piga.compensation.model import COMPENSATION_METHODS, Limits
 from piga.compensation.phase import integrated_rate
 from piga.compensation.result import CompensatedSet
 from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
@@ -117,8 +117,10 @@ def set_stream(
     ArgumentError
         For an unknown method.
     """
-    if method not in METHODS:
-        raise ArgumentError(f"method: '{method}' is not known", remedy=f"one of: {', '.join(METHODS)}")
+    if method not in COMPENSATION_METHODS:
+        raise ArgumentError(
+            f"method: '{method}' is not known", remedy=f"one of: {', '.join(COMPENSATION_METHODS)}"
+        )
     if method == "published":
         return PublishedSet(mounted, sampled=sampled, max_age_days=max_age_days)
     return SetCompensator(

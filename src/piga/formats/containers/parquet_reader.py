@@ -23,7 +23,7 @@ from piga.formats.columns import (
     plain_values,
 )
 from piga.records.calibration import Event
-from piga.records.limits import MAX_SEGMENTS, MOST_LETTERS, first_line, open_regular
+from piga.records.limits import MAX_SEGMENTS, MOST_NAME_LETTERS, first_line, open_regular
 
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 
@@ -149,11 +149,11 @@ def read_labels(path: Path, _numeric: tuple[str, ...], label: str) -> RawTable:
                     f"{path}: column '{label}' has more than {MAX_SEGMENTS} different segments",
                     remedy="name the column that numbers the positions",
                 )
-    long = next((name for name in names if len(name) > MOST_LETTERS), None)
+    long = next((name for name in names if len(name) > MOST_NAME_LETTERS), None)
     if long is not None:
         raise DataError(
             f"{path}: column '{label}': the label '{long[:40]}...' has {len(long)} characters",
-            remedy=f"use {MOST_LETTERS} or fewer",
+            remedy=f"use {MOST_NAME_LETTERS} or fewer",
         )
     whole = np.concatenate(parts) if parts else np.zeros(0, np.int32)
     return RawTable(path, {}, {label: (whole, tuple(names))}, whole.size, 1, {})

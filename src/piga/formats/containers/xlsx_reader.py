@@ -26,10 +26,10 @@ from piga.formats.text.convention import (
     unit_text,
     units_in_names,
 )
+from piga.formats.text.faults import MAX_LISTED
 from piga.records.calibration import Event
 from piga.records.limits import MAX_MEMBERS, check_unpacked, extra_missing, first_line, open_regular
 
-MAX_LISTED = 100
 MOST_HEAD = 100
 """Rows of a sheet within which the column names must stand."""
 _DOCTYPE = re.compile(rb"<!\s*(DOCTYPE|ENTITY)|<\0!\0D\0O\0|\0<\0!\0D\0O", re.IGNORECASE)

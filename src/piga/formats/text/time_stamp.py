@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import RunFileError
+from piga.units import DAY
 
-DAY = 86400.0
 HALF_DAY = 43200.0
 """A time of day that falls by more passed midnight [s]."""
 ISO = (

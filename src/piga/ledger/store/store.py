@@ -299,14 +299,14 @@ class Store:
             self._check_superseded(connection, document, document.supersedes)
 
     def _check_calibration(self, connection: sa.Connection, document: RecordDocument) -> None:
-        from piga.records.calibration.document import MAX_BYTES, calibration_from_bytes
+        from piga.records.calibration.document import DOCUMENT, calibration_from_bytes
 
         for file in document.files:
             if file.role != "calibration":
                 continue
-            if file.size > MAX_BYTES:
+            if file.size > DOCUMENT.most_bytes:
                 raise StoreError(
-                    f"{file.name}: larger than {MAX_BYTES} bytes",
+                    f"{file.name}: larger than {DOCUMENT.most_bytes} bytes",
                     remedy="a calibration is never so large; check the file",
                 )
             raw = b"".join(read_blob(connection, file.sha256))

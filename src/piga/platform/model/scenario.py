@@ -77,7 +77,7 @@ class RedundancyFile(Struct, forbid_unknown_fields=True, frozen=True):
     initial: Quantity = "0 deg"
 
 
-class TriadTable(Struct, forbid_unknown_fields=True, frozen=True):
+class PlatformTriadTable(Struct, forbid_unknown_fields=True, frozen=True):
     """``[triad]``: rotation vector from inertial axes to the gyro triad at the start."""
 
     attitude: tuple[Quantity, Quantity, Quantity] = ("0 deg", "0 deg", "0 deg")
@@ -144,7 +144,7 @@ class ScenarioFile(Struct, forbid_unknown_fields=True, frozen=True):
     polar: GyroFile = table_field(default_factory=GyroFile)
     equatorial: GyroFile = table_field(default_factory=GyroFile)
     redundancy: RedundancyFile = table_field(default_factory=RedundancyFile)
-    triad: TriadTable = table_field(default_factory=TriadTable)
+    triad: PlatformTriadTable = table_field(default_factory=PlatformTriadTable)
     sensors: SensorsFile = table_field(default_factory=SensorsFile)
     compensation: CompensationFile = table_field(default_factory=CompensationFile)
     identification: IdentificationFile = table_field(default_factory=IdentificationFile)

@@ -56,7 +56,7 @@ class TriadReading:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Outcome(Result):
+class CapstoneOutcome(Result):
     """Errors of one reading: largest horizontal position [m], velocity [m/s]; locked time [s/day]."""
 
     reading: TriadReading
@@ -92,7 +92,7 @@ class Capstone(Result):
     """Outcomes by name, one passage in detail, and the day of input-axis forces (times [s], (n, 3) [m/s^2])."""
 
     scenario: PlatformScenario
-    outcomes: Mapping[str, Outcome]
+    outcomes: Mapping[str, CapstoneOutcome]
     passage: Passage | None
     day: tuple[Array, Array]
 
@@ -173,7 +173,7 @@ def _reread(scenario: PlatformScenario, sensors: PigaSensors) -> PlatformRun:
     )
 
 
-def _outcome(run: PlatformRun, reading: TriadReading, preparation: Preparation) -> Outcome:
+def _outcome(run: PlatformRun, reading: TriadReading, preparation: Preparation) -> CapstoneOutcome:
     s = run.scenario
     made = compensator("B", preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
     every = max(1, round(10.0 / s.step))
@@ -186,7 +186,7 @@ def _outcome(run: PlatformRun, reading: TriadReading, preparation: Preparation) 
     inside = (
         np.zeros(3) if reading.sensors is None else locked(reading.sensors, run.truth.force).mean(axis=0) * DAY
     )
-    return Outcome(
+    return CapstoneOutcome(
         reading,
         error,
         float(error.horizontal.max()),

@@ -8,6 +8,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -44,13 +45,32 @@ Array = NDArray[np.float64]
 T = TypeVar("T")
 
 SCHEMA = "piga.calibration/1"
-MAX_BYTES = 256 << 20
-ROUNDING = 1e-9
-"""Largest rounding error of a correlation. The smallest eigenvalue may be this, times the matrix size, below zero."""
-SAME = 1e-6
-"""Largest relative difference allowed between a standard uncertainty and the square root of its variance."""
-MOST_OUTLIERS = 10_000
-"""Most outliers that are listed one by one. The events of the quality section count all of them."""
+
+
+@dataclass(frozen=True)
+class DocumentSettings:
+    """What a calibration record may hold (own choices).
+
+    Attributes
+    ----------
+    most_bytes:
+        Largest file [bytes].
+    rounding:
+        Largest rounding error of a correlation. The smallest eigenvalue may be this, times the matrix size,
+        below zero.
+    same:
+        Largest relative difference allowed between a standard uncertainty and the square root of its variance.
+    outliers:
+        Most outliers that are listed one by one. The events of the quality section count all of them.
+    """
+
+    most_bytes: int = 256 << 20
+    rounding: float = 1e-9
+    same: float = 1e-6
+    outliers: int = 10_000
+
+
+DOCUMENT = DocumentSettings()
 
 
 class _Quantity(msgspec.Struct, frozen=True):
@@ -187,7 +207,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     if c.runs:
         document["runs"] = [msgspec.to_builtins(run) for run in c.runs]
     if c.outliers:
-        document["outliers"] = [msgspec.to_builtins(outlier) for outlier in c.outliers[:MOST_OUTLIERS]]
+        document["outliers"] = [msgspec.to_builtins(outlier) for outlier in c.outliers[: DOCUMENT.outliers]]
     return document
 
 
@@ -301,7 +321,7 @@ def read_with_digest(path: Path) -> tuple[Calibration, str]:
         As :func:`read_calibration`.
     """
     settle(path.parent)
-    raw = read_whole(path, MAX_BYTES, "a calibration.json", CalibrationError)
+    raw = read_whole(path, DOCUMENT.most_bytes, "a calibration.json", CalibrationError)
     return calibration_from_bytes(raw, path), hashlib.sha256(raw).hexdigest()
 
 
@@ -523,7 +543,7 @@ def _contradictions(document: _Document, coefficients: tuple[Coefficient, ...]) 
 def _covariance(document: _Document, coefficients: tuple[Coefficient, ...]) -> Array:
     """The covariance matrix, after its checks.
 
-    It must be square, symmetric and positive semi-definite (to :data:`ROUNDING` of the correlations), and in the
+    It must be square, symmetric and positive semi-definite (to ``DOCUMENT.rounding`` of the correlations), and in the
     order of the coefficients. Its diagonal must be the squares of their standard uncertainties. The published
     recursion of piga 0.1 left its covariance asymmetric by rounding: there the asymmetry is compared with the largest
     element.
@@ -538,7 +558,7 @@ def _covariance(document: _Document, coefficients: tuple[Coefficient, ...]) -> A
     for c, variance in zip(coefficients, np.diag(matrix), strict=True):
         if variance < 0.0:
             raise CalibrationError(f"the variance of '{c.key}' is negative", remedy=again)
-        if abs(math.sqrt(variance) - c.std) > SAME * max(c.std, math.sqrt(variance)):
+        if abs(math.sqrt(variance) - c.std) > DOCUMENT.same * max(c.std, math.sqrt(variance)):
             raise CalibrationError(
                 f"the standard uncertainty of '{c.key}' is {c.std:.6g}, but the covariance gives "
                 f"{math.sqrt(variance):.6g}",
@@ -548,10 +568,10 @@ def _covariance(document: _Document, coefficients: tuple[Coefficient, ...]) -> A
     scale[scale == 0.0] = 1.0
     correlation = matrix / scale / scale[:, None]
     held = matrix if document.model.method == "published" else correlation
-    if np.abs(held - held.T).max() > ROUNDING * np.abs(held).max():
+    if np.abs(held - held.T).max() > DOCUMENT.rounding * np.abs(held).max():
         raise CalibrationError("the covariance is not symmetric", remedy=again)
     try:
-        np.linalg.cholesky(0.5 * (correlation + correlation.T) + size * ROUNDING * np.eye(size))
+        np.linalg.cholesky(0.5 * (correlation + correlation.T) + size * DOCUMENT.rounding * np.eye(size))
     except np.linalg.LinAlgError:
         raise CalibrationError("the covariance is not positive semi-definite", remedy=again) from None
     return matrix

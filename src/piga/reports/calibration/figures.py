@@ -402,7 +402,7 @@ def run_figures(cal: Calibration) -> tuple[Figure, ...]:
     return tuple(figures)
 
 
-LARGEST = 6
+MOST_SOURCES = 6
 """Sources of the budget that the figure shows."""
 
 
@@ -412,7 +412,7 @@ def budget_figure(cal: Calibration) -> Figure | None:
     if not keys:
         return None
     number = np.arange(1, len(keys) + 1)
-    largest = sorted(shares, key=lambda source: -max(shares[source]))[:LARGEST]
+    largest = sorted(shares, key=lambda source: -max(shares[source]))[:MOST_SOURCES]
     roles: tuple[Role, ...] = ("after", "before", "model", "x", "z", "warning")
     series = []
     for k, (source, role) in enumerate(zip(largest, roles, strict=False)):

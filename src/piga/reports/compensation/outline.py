@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from piga.compensation import FLAGS, Compensated, CompensatedSet, Mounted
 from piga.compensation.compensator import NO_RATES, NONE, Chunk
-from piga.compensation.sets.set_files import SetRows
+from piga.compensation.sets.set_files import SetReading
 from piga.records.calibration import Calibration, Residuals
 from piga.records.run import Run
 from piga.records.spool import Arrays
@@ -277,7 +277,7 @@ class SetOutline(Watch):
         """True if the set has more instruments than unknowns, so that a misfit exists."""
         return len(self.mounted) > 3
 
-    def piece(self, label: str, rows: SetRows, result: CompensatedSet) -> None:
+    def piece(self, label: str, rows: SetReading, result: CompensatedSet) -> None:
         """Add a piece of the readings and their compensation."""
         along = []
         for i, single in enumerate(self.instruments):

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga.reports.render.figure import Axis
 from piga.reports.render.numbers import fixed, power, printed, significant
+from piga.units import DAY
 
 Array = NDArray[np.float64]
 
@@ -22,8 +23,6 @@ LARGEST_PLAIN, SMALLEST_PLAIN = 6, -3
 """Labels are written out for largest values from ``10^SMALLEST_PLAIN`` to below ``10^LARGEST_PLAIN``."""
 OFFSET_STEP = 1e-6
 """Step between ticks, relative to the largest tick, below which a common origin is taken off the labels."""
-DAY = 86400.0
-"""Seconds in a day: the unit of a date axis."""
 _STEPS = (1, 2, 5, 10, 20, 50)
 _DEGREES = (15, 30, 45, 90, 180, 360)
 _SHOWN_DECADES = range(-2, 5)

@@ -87,7 +87,7 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Group:
+class SceneGroup:
     """Shapes of one series (``key``) or of the frame; nothing outside ``clip`` is shown."""
 
     shapes: tuple[Shape, ...]
@@ -101,7 +101,7 @@ class Scene:
 
     width: float
     height: float
-    groups: list[Group] = field(default_factory=list)
+    groups: list[SceneGroup] = field(default_factory=list)
     words: list[Words] = field(default_factory=list)
     scales: list[tuple[Scale, Scale]] = field(default_factory=list)
 
@@ -369,7 +369,7 @@ class _Drawing:
         numbered = list(enumerate(self.panel.series))
         for order, series in sorted(numbered, key=lambda item: item[1].mark not in ("band", "bars")):
             key = series_key(self.layout.figure, self.index, order)
-            self.scene.groups.append(Group(_shapes(series, self.x, self.y), key, clip))
+            self.scene.groups.append(SceneGroup(_shapes(series, self.x, self.y), key, clip))
 
     def _frame(self, label: list[str]) -> None:
         """Grid, axes with ticks, and all words around them."""
@@ -386,7 +386,7 @@ class _Drawing:
             marks += [_segment(x, box.bottom, x, box.bottom + length) for x in xs]
             marks += [_segment(box.left - length, y, box.left, y) for y in ys]
         self.scene.groups.append(
-            Group((Shape("line", tuple(grid), "grid"), Shape("line", tuple(marks), "soft")))
+            SceneGroup((Shape("line", tuple(grid), "grid"), Shape("line", tuple(marks), "soft")))
         )
         if self.layout.has_x_words(self.index):
             self._x_words(x_ticks, across)
@@ -528,13 +528,13 @@ def _error_bars(x: Array, low: Array, high: Array) -> tuple[Array, ...]:
 # -- legend --------------------------------------------------------------------------------------------
 
 
-def _legend(figure: Figure, width: float) -> tuple[list[tuple[Group, list[Words]]], float]:
+def _legend(figure: Figure, width: float) -> tuple[list[tuple[SceneGroup, list[Words]]], float]:
     """Entries in rows above the panels, each name once, and the height that they take."""
     named: dict[str, Series] = {}
     for series in (series for panel in figure.panels for series in panel.series):
         if series.name:
             named.setdefault(series.name, series)
-    entries: list[tuple[Group, list[Words]]] = []
+    entries: list[tuple[SceneGroup, list[Words]]] = []
     x, top, deepest = EDGE, EDGE, 0
     for name, series in named.items():
         lines = wrapped(name, width - 2.0 * EDGE - HANDLE - GAP)
@@ -544,7 +544,7 @@ def _legend(figure: Figure, width: float) -> tuple[list[tuple[Group, list[Words]
         words = [
             Words(line, x + HANDLE + GAP + 2.0, top + (n + 0.85) * LINE * FONT) for n, line in enumerate(lines)
         ]
-        entries.append((Group(_sample(series, x, top + 0.55 * LINE * FONT)), words))
+        entries.append((SceneGroup(_sample(series, x, top + 0.55 * LINE * FONT)), words))
         x, deepest = x + needed + ENTRY_GAP, max(deepest, len(lines))
     return entries, (top + deepest * LINE * FONT if entries else 0.0)
 

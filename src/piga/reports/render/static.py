@@ -13,7 +13,7 @@ import numpy as np
 
 from piga.errors import ArgumentError, PigaError
 from piga.reports.render.figure import Figure, css_variable, light_colour
-from piga.reports.render.scene import POINT, Box, Group, Scene, Shape, Words, figure_scene
+from piga.reports.render.scene import POINT, Box, Scene, SceneGroup, Shape, Words, figure_scene
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -104,7 +104,7 @@ def _clip_svg(figure: Figure, number: int, box: Box) -> str:
     return f'<clipPath id="{figure.key}-clip{number}"><rect {place} {size}/></clipPath>'
 
 
-def _group_svg(figure: Figure, group: Group, clips: list[Box], colours: Colours) -> str:
+def _group_svg(figure: Figure, group: SceneGroup, clips: list[Box], colours: Colours) -> str:
     name = f' id="{group.key}"' if group.key else ""
     clip = "" if group.clip is None else f' clip-path="url(#{figure.key}-clip{clips.index(group.clip)})"'
     return f"<g{name}{clip}>{''.join(_shape_svg(shape, colours) for shape in group.shapes)}</g>"

@@ -23,7 +23,7 @@ from piga.units import conversion_factor
 if TYPE_CHECKING:
     import pyarrow as pa
 
-MOST_ROWS = 1 << 16
+MOST_PROFILE_ROWS = 1 << 16
 """Profiles with more rows lie on disk, as long records do."""
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ def _read_columns(path: Path, wanted: list[str]) -> dict[str, Array]:
     from pyarrow import ArrowException
 
     arrays, row = Arrays(path.parent), 1
-    columns = {name: arrays.growing(most=MOST_ROWS) for name in wanted}
+    columns = {name: arrays.growing(most=MOST_PROFILE_ROWS) for name in wanted}
     try:
         with _batches(path, wanted) as batches:
             for batch in batches:

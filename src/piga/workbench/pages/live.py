@@ -10,12 +10,11 @@ from piga.compensation.model import MEANING
 from piga.errors import ArgumentError
 from piga.units import G0
 from piga.workbench.pages.common import bench_of, render
+from piga.workbench.signals import MOST_WIDTH
 
 if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
-
-MOST_WIDTH = 4096
 
 
 def show(request: Request) -> Response:

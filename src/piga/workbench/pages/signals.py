@@ -14,7 +14,7 @@ from piga.records.run_file import read_run_file
 from piga.records.text_files import files_named_in
 from piga.workbench.jobs import Job
 from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form
-from piga.workbench.signals import Outline, cache_key, picture, read_outline, rows_between
+from piga.workbench.signals import SignalOutline, cache_key, picture, read_outline, rows_between
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -31,7 +31,7 @@ def cache_of(bench: Workbench, name: str) -> Path:
     return bench.folder.state / "signals" / f"{record}-{cache_key(files_named_in(run))}"
 
 
-def reading(bench: Workbench, name: str, *, again: bool = False) -> tuple[Outline | None, Job | None]:
+def reading(bench: Workbench, name: str, *, again: bool = False) -> tuple[SignalOutline | None, Job | None]:
     """The outline of a record; if it is not read yet, the job that reads it or that failed to."""
     cache = cache_of(bench, name)
     outline = read_outline(cache)
