@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from piga.describe import describe_log, draft_run_file
+from piga.describe.layout import text_layout
 from piga.describe.names import fact, kind_of_name, unit_in_name
 from piga.reading.raw_columns import open_stream
 from piga.records.run_file import read_run_file
@@ -119,3 +121,14 @@ def test_facts_of_a_preamble() -> None:
     assert fact("每转脉冲数：72000") == ("instrument.counts_per_revolution", "72000")
     assert fact("Operator: A7") is None
     assert fact("1;2;3") is None
+
+
+@pytest.mark.parametrize("damage", ["\0" * 20, "12:03:04 logger restarted", "1;2"])
+def test_a_damaged_row_near_the_start_does_not_end_the_table(tmp_path: Path, damage: str) -> None:
+    """Else the rows above it would be lost, and the columns without their names."""
+    body = [f"{k / 10},{10 * k},1.0,0.0,0.0" for k in range(60)]
+    body[20] = damage
+    (tmp_path / "x.csv").write_text("\n".join(["t,n,fx,fy,fz", *body]) + "\n")
+    layout = text_layout(tmp_path / "x.csv")
+    assert layout.header_row.value == 1
+    assert layout.names == ("t", "n", "fx", "fy", "fz")

@@ -37,9 +37,8 @@ USUAL_COUNTS = tuple(
     )
 )
 EARTH = (
-    "CHECK: the log has no rate of the base. If the stand stood still, the rotation of the Earth is left in the "
-    "coefficients (up to 82 ppm of the scale factor and 82 ug of k0 at 0.8884 rad/s/g): add [data] base_rate, or use "
-    "a [stand] table with the latitude"
+    "CHECK: no rate of the base is logged. The rotation of the Earth stays in the coefficients (up to 82 ppm of the "
+    "scale factor, 82 ug of k0): give [data] base_rate, or a [stand] table with the latitude in place of the reference"
 )
 LEAST_SWING = 0.01
 """Transverse specific force [g] from which on ``tan_beta`` is asked for."""
@@ -641,7 +640,7 @@ def _site(draft: RunFileDraft, log: LogDescription) -> None:
 def _instrument(draft: RunFileDraft, log: LogDescription, output: ColumnGuess | None) -> None:
     own = draft.document["instrument"]
     serial = log.facts.get("instrument.serial")
-    name = log.path.name.split(".")[0]
+    name = "".join(c if c.isprintable() else "_" for c in log.path.name.split(".")[0])
     if "serial" not in own:
         if serial is not None:
             draft.put("instrument.serial", str(serial.value), serial.reason)
@@ -685,6 +684,11 @@ def _counts_of(draft: RunFileDraft, slope: float) -> None:
         raise ArgumentError(
             error.message, remedy="e.g. --set instrument.scale_factor='0.8884 rad/s/g'"
         ) from None
+    if scale <= 0.0:
+        raise ArgumentError(
+            "instrument.scale_factor: must be positive",
+            remedy="use a positive value; where the output falls with the force, change its sign in the log",
+        )
     value = 2.0 * math.pi * slope / scale
     near = min(USUAL_COUNTS, key=lambda usual: abs(math.log(usual / value)))
     if abs(near / value - 1.0) <= ROUND_COUNTS:
@@ -778,6 +782,9 @@ def _apply(draft: RunFileDraft, key: str, value: Any) -> None:
         at[part] = dict(inner) if isinstance(inner, Mapping) else {}
         at = at[part]
     at[parts[-1]] = value
+    if parts[0] == "data" and parts[1] in ("time", "sample_rate"):
+        at_data = draft.document["data"]
+        at_data.pop("sample_rate" if parts[1] == "time" else "time", None)
     if parts[-1] == "stamp":
         at.pop("unit", None)
     draft.comments[".".join(parts[:2])] = ["as given"]

@@ -183,26 +183,40 @@ def _is_value(cell: str) -> bool:
     return bool(cell in _EMPTY or _NUMBER.fullmatch(cell) or _COMMA.fullmatch(cell) or forms_of([cell]))
 
 
+LEAST_ABOVE = 3
+"""Rows of numbers above a damaged row that show that the table goes on there."""
+
+
 def _table(lines: list[str], separator: str) -> _Table | None:
-    """The rows at the end of the head that this separator splits into the same number of cells, most of them numbers."""
+    """The rows at the end of the head that this separator splits into the same number of cells, most of them numbers.
+
+    A single damaged row does not end the table if rows of numbers stand above it.
+    """
+    filled = [index for index, line in enumerate(lines) if line.strip()]
     width, start, rows = 0, 0, 0
-    for index in range(len(lines) - 1, -1, -1):
-        line = lines[index]
-        if not line.strip():
-            continue
-        cells = _cells(line, separator)
-        values = sum(_is_value(cell) for cell in cells)
-        numbers = sum(_is_value(cell) and cell not in _EMPTY for cell in cells)
-        fits = 2 * values >= len(cells) and numbers > 0
+    for place in range(len(filled) - 1, -1, -1):
+        index = filled[place]
+        cells = _cells(lines[index], separator)
+        fits = _is_row(cells)
         if fits and rows == 0:
             width = len(cells)
         if not fits or (rows > 1 and abs(len(cells) - width) > 1):
             if rows < 2 and index > len(lines) - 4:  # a cut or damaged last row
                 rows, width = 0, 0
                 continue
+            above = [_cells(lines[k], separator) for k in filled[max(place - LEAST_ABOVE, 0) : place]]
+            if len(above) == LEAST_ABOVE and all(_is_row(row, width, empty=False) for row in above):
+                continue
             break
         width, start, rows = (len(cells) if rows == 1 else width), index, rows + 1
     return _Table(separator, start, width, rows) if rows >= 2 else None
+
+
+def _is_row(cells: list[str], width: int | None = None, *, empty: bool = True) -> bool:
+    """True if at least half of the cells are values and one is a number. ``empty``: empty cells count as values."""
+    numbers = sum(_is_value(cell) and cell not in _EMPTY for cell in cells)
+    values = sum(_is_value(cell) for cell in cells) if empty else numbers
+    return 2 * values >= len(cells) and numbers > 0 and width in (None, len(cells))
 
 
 def _heads(lines: list[str], table: _Table) -> tuple[int | None, int | None]:

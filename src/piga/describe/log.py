@@ -91,7 +91,9 @@ def describe_log(path: str | Path) -> LogDescription:
     """
     path = Path(path)
     if not path.is_file():
-        raise DataError(f"{path}: no such file, or a folder", remedy="name the log of the test")
+        raise DataError(
+            f"{path}: no such file, or it is a folder, a pipe or a device", remedy="name the log of the test"
+        )
     if file_kind(path) in TEXT_SUFFIXES:
         return _describe_text(path)
     return _describe_container(path)

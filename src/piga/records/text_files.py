@@ -190,8 +190,24 @@ def _explain(path: Path, message: str, kind: type[msgspec.Struct], raw: dict[str
         return RunFileError(f"{path}: {where} has the unknown key '{unknown.group(1)}'", remedy=remedy)
     if missing:
         return RunFileError(f"{path}: {where} lacks the key '{missing.group(1)}'", remedy="add it")
-    text = _PATH.sub("", message)
-    return RunFileError(f"{path}: {where}: {text[:1].lower()}{text[1:]}", remedy="correct the value")
+    text = _TYPES.sub(_in_words, _PATH.sub("", message))
+    text = re.sub(r"^Invalid enum value (.*)", r"\1 is not one of the allowed values", text).strip()
+    last = keys[-1].split("[")[0] if keys else ""
+    remedy = f"correct the value; piga check --explain {last} shows an example" if last else "correct the value"
+    return RunFileError(f"{path}: {where}: {text[:1].lower()}{text[1:]}", remedy=remedy)
+
+
+_TYPES = re.compile(r"`([a-z]+(?: \| [a-z]+)*)`")
+_TYPE_WORDS = {
+    "object": "a table { ... }", "array": "a list [ ... ]", "str": "text", "int": "a whole number", "float": "a number",
+    "bool": "true or false",
+}  # fmt: skip
+
+
+def _in_words(match: re.Match[str]) -> str:
+    """Types of a message of msgspec in words: ``object | null`` is a table."""
+    words = [_TYPE_WORDS.get(kind, kind) for kind in match.group(1).split(" | ") if kind != "null"]
+    return " or ".join(words) if len(words) < 3 or "a number" not in words else "a number or text"
 
 
 def _field_names(kind: type[msgspec.Struct], keys: list[str]) -> list[str]:

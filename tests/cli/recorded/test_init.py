@@ -100,6 +100,9 @@ def test_a_log_without_names_gets_a_run_file_with_its_questions(tmp_path: Path) 
     ("scale", "is not table.key=value"),
     ("instrument.scale_factor=0.8884 kg", "is given in 'kg'"),
     ("data.sheep=3", "has the unknown key 'sheep'"),
+    ("instrument.scale_factor=-1 rad/s/g", "must be positive"),
+    ("data.output=counter", "[data.output]: expected a table { ... }, got text"),
+    ("model.phase=x", "[model.phase]: 'x' is not one of the allowed values"),
 ])  # fmt: skip
 def test_settings_that_cannot_be_used(log: Path, setting: str, words: str) -> None:
     _, _, message = run("init", log, "--yes", "--set", SCALE, "--set", setting)
@@ -168,3 +171,18 @@ def test_in_a_terminal_it_asks(tmp_path: Path) -> None:
     written = log.with_suffix(".toml").read_text(encoding="utf-8")
     assert 'serial = "Q-5"' in written
     assert 'scale_factor = "0.8884 rad/s/g"' in written
+
+
+def test_the_command_that_answers_keeps_what_was_set(tmp_path: Path) -> None:
+    (tmp_path / "-x.csv").write_bytes(b"1;2;3\n4;5;6\n")
+    _, out, _ = run("init", tmp_path / "-x.csv", "--yes", "--set", "instrument.serial=a b", "--set", SCALE)
+    line = next(line for line in out.splitlines() if line.startswith("  piga init"))
+    assert "--set 'instrument.serial=a b'" in line
+    assert f"--set '{SCALE}'" in line
+
+
+def test_a_rate_replaces_the_time(log: Path) -> None:
+    assert run("init", log, "--yes", "--set", SCALE, "--set", "data.sample_rate=8 Hz")[0] == 0
+    text = log.with_suffix(".toml").read_text(encoding="utf-8")
+    assert 'sample_rate = "8 Hz"' in text
+    assert "\ntime = " not in text

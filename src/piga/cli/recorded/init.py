@@ -81,7 +81,7 @@ def init(
     for line in (line for lines in draft.comments.values() for line in lines if line.startswith("CHECK")):
         say(line)
     if tried is None:
-        _say_open(log, draft, target)
+        _say_open(log, draft, target, settings or [])
     else:
         _say_outcome(target, tried)
 
@@ -91,15 +91,16 @@ def _ask(described: LogDescription, given: dict[str, Any], target: Path) -> RunF
     from piga.describe import draft_run_file, setting
 
     _print_columns(described)
+    left: set[str] = set()
     while True:
         draft = draft_run_file(described, given, folder=target.parent)
-        if draft.open:
-            question = draft.open[0]
-            answer = _answer(f"{question.words} [{question.key}], e.g. {question.example}: ")
+        question = next((one for one in draft.open if one.key not in left), None)
+        if question is not None:
+            words = f"{question.words} [{question.key}], e.g. {question.example}, or Enter to leave it open: "
+            answer = _answer(words)
             if not answer:
-                raise ArgumentError(
-                    f"{question.key}: not given", remedy="nothing was written; run the command again"
-                )
+                left.add(question.key)
+                continue
             try:
                 given |= dict([setting(f"{question.key}={answer}")])
                 draft_run_file(described, given, folder=target.parent)
@@ -157,7 +158,7 @@ def _tried(draft: RunFileDraft, target: Path) -> Run | PigaError:
         return error
 
 
-def _say_open(log: Path, draft: RunFileDraft, target: Path) -> None:
+def _say_open(log: Path, draft: RunFileDraft, target: Path, settings: list[str]) -> None:
     """What the log does not say, and the two ways to answer."""
     say(f"{counted(len(draft.open), 'question')} open, since the log does not say it:")
     for one in draft.open:
@@ -165,8 +166,15 @@ def _say_open(log: Path, draft: RunFileDraft, target: Path) -> None:
     for line in draft.comments.get("data.", []):
         say(f"  {line}")
     say(f"Answer in {target} (lines marked OPEN), or run the command again:")
-    answers = " ".join(f"--set {one.key}='{one.example}'" for one in draft.open)
-    say(f"  piga init {shlex.quote(str(log))} --out {shlex.quote(str(target))} --force {answers}")
+    given = [f"--set {shlex.quote(text)}" for text in settings]
+    answers = " ".join([*given, *(f"--set {one.key}='{one.example}'" for one in draft.open)])
+    say(f"  piga init {_typed(log)} --out {_typed(target)} --force {answers}")
+
+
+def _typed(path: Path) -> str:
+    """A path as it is typed in a shell."""
+    text = str(path)
+    return shlex.quote(f"./{text}" if text.startswith("-") else text)
 
 
 def _say_outcome(target: Path, tried: Run | PigaError) -> None:
@@ -174,6 +182,8 @@ def _say_outcome(target: Path, tried: Run | PigaError) -> None:
 
     if isinstance(tried, PigaError):
         say(f"The log cannot be read with it yet: {tried.message}")
+        if tried.remedy:
+            say(f"  remedy: {tried.remedy}")
         print_suggestions(target)
         return
     counts: dict[str, int] = {}
@@ -183,7 +193,7 @@ def _say_outcome(target: Path, tried: Run | PigaError) -> None:
     say(
         f"It reads {tried.size} of {tried.quality.rows} rows in {counted(len(tried.labels), 'segment')}{events}"
     )
-    say(f"Next: piga check {target}; piga calibrate {target}")
+    say(f"Next: piga check {_typed(target)}; piga calibrate {_typed(target)}")
 
 
 def _document(described: LogDescription, draft: RunFileDraft, target: Path) -> dict[str, Any]:
