@@ -94,8 +94,8 @@ def reproduction_page(found: Reproduction) -> list[str]:
 def errata_page(found: Reproduction) -> list[str]:
     (chapter,) = [chapter for chapter in found.chapters if chapter.id == "errata"]
     text = (
-        "What the publications got wrong, from the same run as [the reproduction](reproduction.md); "
-        "`piga reproduce --only errata` runs this part."
+        "This page lists the errors in the publications. Its numbers come from the same run as "
+        "[the reproduction](reproduction.md). `piga reproduce --only errata` computes them again."
     )
     return [*head("Errata of the publications", text), *chapter_lines(chapter), *sources()]
 

@@ -27,7 +27,7 @@ from piga.studies.recursion import PUBLISHED_PHASE, misread_phase_error, phase_w
 from piga.units import ARCMIN
 
 _T = np.linspace(0.0, 60.0, 1201)
-_WRONG = "the publication is wrong here, so that its number is not one to be met"
+_WRONG = "the publication is wrong here; its number is not a target"
 
 
 def chapter() -> Chapter:
@@ -39,8 +39,8 @@ def chapter() -> Chapter:
 
 
 _INTRODUCTION = (
-    "Each entry sets the published form or number beside the right one, both computed in this run. Verdict 'info' marks the "
-    "wrong number itself; the corrected form is judged."
+    "Each entry compares the published form or number with the correct one. This run computes both. The verdict 'info' marks the "
+    "wrong number itself. The corrected form gets the verdict."
 )
 
 
@@ -49,28 +49,28 @@ def _entries(value: dict[str, float]) -> list[str]:
     wrong = [value[f"errata.sign-{k}"] for k in (2, 3, 4)]
     return [
         (
-            f"1. Sign. The forms 2 to 4 of [Wei2024] carry |r| where the signed r belongs, and form 2 is not mirrored: for a_x < 0 "
+            f"1. Sign. The forms 2 to 4 of [Wei2024] have |r| instead of the signed r, and form 2 is not mirrored. For a_x < 0 "
             f"the rate is wrong by {min(wrong):.3f} to {max(wrong):.3f} rad/s."
         ),
         (
-            "2. Square. In the inversion of form 2 (critical input) the square of (p - 1)/(p + 1) is lost. On the rate: "
-            f"{value['errata.square']:.4f} rad/s at the start, twice what the equation of motion gives."
+            "2. Square. The inversion of form 2 (critical input) loses the square of (p - 1)/(p + 1). The rate at the start "
+            f"is then {value['errata.square']:.4f} rad/s, twice the value of the equation of motion."
         ),
         (
             "3. Phase. The published calibration predicts the phase as the integral of K a_x. The gimbal runs slower, by "
-            f"K V r^2/2: on the run of this page phi settles {abs(value['errata.phase-shift']):.4f} rad below C - asin(r) and a "
-            f"residual of {1e3 * value['errata.phase-residual']:.2f} mg stays, which no choice of tan(beta) and phi "
-            "removes. The measured angle as phase leaves rounding."
+            f"K V r^2/2. On the run of this page phi settles {abs(value['errata.phase-shift']):.4f} rad below C - asin(r), and a "
+            f"residual of {1e3 * value['errata.phase-residual']:.2f} mg remains. No choice of tan(beta) and phi "
+            "removes it. If the measured angle is the phase, only rounding remains."
         ),
         (
-            f"4. Degrees. The phase printed as 0.802 degrees is in radians ({value['errata.degrees']:.1f} deg). Taken as degrees "
-            f"it leaves {value['errata.degrees-effect']:.3f} g of the 0.05 g."
+            f"4. Degrees. The phase that is printed as 0.802 degrees is in radians ({value['errata.degrees']:.1f} deg). If you "
+            f"take it as degrees, {value['errata.degrees-effect']:.3f} g of the error of 0.05 g remain."
         ),
-        f"5. g. The 0.222 m/s of the table of [He2014] is g/w_c with g taken as 10 m/s^2: {value['errata.gravity']:.1f} % high.",
+        f"5. g. The 0.222 m/s of the table of [He2014] is g/w_c with g = 10 m/s^2. It is {value['errata.gravity']:.1f} % too high.",
         (
             "6. Heading and roll. The simulated lines of [He2014] (0.13', 0.16') lie "
-            f"{value['errata.heading-published']:.0f} % and {value['errata.roll-published']:.0f} % above its own formula; ours lie "
-            f"{value['errata.heading-ours']:.1f} % above it."
+            f"{value['errata.heading-published']:.0f} % and {value['errata.roll-published']:.0f} % above its own formula. Our "
+            f"lines are {value['errata.heading-ours']:.1f} % above it."
         ),
     ]
 
@@ -112,7 +112,7 @@ def _sign_cases() -> list[Case]:
                 0.0,
                 float(np.abs(signed - exact).max()),
                 1e-10,
-                "exact once the sign is kept; rounding near the poles of the tangent is left",
+                "exact with the sign; rounding remains near the poles of the tangent",
             )
         )
     return cases
@@ -134,8 +134,8 @@ def _square_cases() -> list[Case]:
     return [
         Case("errata.square", source, "rate at t = 0 with 1 + m for 1 + m^2, m = (p - 1)/(p + 1)", "rad/s", None,
              float(without[0]), None,
-             f"{_WRONG}; the square is lost in the inversion, shown here on the rate. "
-            f"The equation of motion itself gives K (a_x + b sin(alpha0)) = {first:.6f} rad/s at the start"),
+             f"{_WRONG}; the inversion loses the square, shown here with the rate. "
+            f"The equation of motion gives K (a_x + b sin(alpha0)) = {first:.6f} rad/s at the start"),
         Case("errata.square-corrected", source + ", square restored", "largest error of the rate with the square", "rad/s",
              0.0, float(np.abs(with_square - exact).max()), 1e-14, "exact with the square: rounding"),
     ]  # fmt: skip
@@ -151,12 +151,12 @@ def _phase_cases() -> list[Case]:
     return [
         Case("errata.phase-walk", source, "drift of the model's phase against the gimbal, for each K V r^2/2", "1", 1.0,
              float(np.polyfit(predicted, walk, 1)[0]), 0.05,
-             "the first column holds the prediction, a drift of K V r^2/2; the ripple of each revolution, which does not end with "
-             "the record, takes up to 5 % of the slope"),
+             "the first column is the prediction, a drift of K V r^2/2; the ripple of the last revolution is not complete and "
+             "changes the slope by up to 5 %"),
         Case("errata.phase-shift", source, "phi that the recursion finds less C - asin(r)", "rad",
              -0.6 * float(predicted[-1]), raw_state(calibration)[1] - (constant - lead), 0.06 * float(predicted[-1]),
-             "the first column holds the prediction: on an even ramp least squares weighs the drift to 3/5 of its end value; "
-             "a tenth of that for the ripple. The printed 0.802 is C - asin(r) without drift, that is, a run of few revolutions"),
+             "the first column is the prediction: on an even ramp least squares gives 3/5 of the drift at the end; "
+             "a tenth of that is for the ripple. The printed 0.802 is C - asin(r) without drift, as in a run of few revolutions"),
         Case("errata.phase-residual", "[Wei2024] eq. 12-18", "residual that the published calibration leaves", "g", None, left,
              None, f"{_WRONG}: the model has no exact fit. Its phase error times 5 a_x tan(beta) bounds it by {bound:.2e} g; "
              "with the measured angle as phase the residual is rounding"),
@@ -176,7 +176,7 @@ def _degree_cases() -> list[Case]:
     return [
         Case("errata.degrees", source, "the phase printed as '0.802 degrees', in degrees", "deg", None,
              math.degrees(constant - lead), None, f"{_WRONG}: {PUBLISHED_PHASE} is the number of radians"),
-        Case("errata.degrees-effect", source, "error that is left when 0.802 is taken as degrees", "g", None,
+        Case("errata.degrees-effect", source, "remaining error if 0.802 is taken as degrees", "g", None,
              misread_phase_error(), None, f"{_WRONG}: nearly the whole uncompensated error of 0.05 g"),
     ]  # fmt: skip
 
@@ -185,7 +185,7 @@ def _platform_cases() -> list[Case]:
     cases = [
         Case("errata.gravity", "[He2014] table", "east velocity per arcmin over 0.222 m/s, less one", "%", 2.0,
              100.0 * (0.222 / (GRAVITY_OF_TABLE * ARCMIN / CASE_RATE) - 1.0), 0.3,
-             "g = 10 for 9.8 m/s^2 is 2.0 % high; 0.222 is printed to 0.001, which is 0.23 %"),
+             "g = 10 instead of 9.8 m/s^2 is 2.0 % too high; 0.222 is printed to 0.001, which is 0.23 %"),
     ]  # fmt: skip
     lines = last_lines(compared(wobble=False), "A")
     for c in CHANNELS[1:]:
@@ -197,7 +197,7 @@ def _platform_cases() -> list[Case]:
             over = 100.0 * (value / theory - 1.0)
             judged = name == "ours"
             note = (
-                "the Schuler factor adds 0.9 %; fit over two hours, eta at their middle: 2 %"
+                "the Schuler factor adds 0.9 %; the fit is over two hours, with eta at their middle: 2 %"
                 if judged
                 else f"{_WRONG}: its own formula gives {theory / c.scale:.4f}'"
             )
@@ -225,7 +225,7 @@ def _sign_figure() -> Figure:
         "errata-sign",
         "The sign defect: the printed forms for negative input",
         tuple(panels),
-        "With |r| for the signed r the printed forms start at a wrong rate and run to a wrong phase for a_x < 0.",
+        "With |r| instead of the signed r, the printed forms start at a wrong rate and end at a wrong phase for a_x < 0.",
         columns=3,
         height=2.6,
     )
@@ -274,7 +274,7 @@ def _phase_figure() -> Figure:
         "errata-phase",
         "The phase of the published model drifts",
         (upper, lower),
-        "Above: the predicted phase runs ahead of the gimbal by K V r^2/2, with a ripple of r each revolution. Below: what the "
-        "published calibration leaves stays within its phase error times 5 a_x tan(beta).",
+        "Above: the predicted phase runs ahead of the gimbal by K V r^2/2, with a ripple of r in each revolution. Below: the "
+        "residual of the published calibration stays within its phase error times 5 a_x tan(beta).",
         height=2.3,
     )
