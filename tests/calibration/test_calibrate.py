@@ -57,7 +57,7 @@ def test_segments_of_a_right_model_scatter_as_the_noise_says(noise: str) -> None
 
 def test_per_segment_phases_share_tan_beta() -> None:
     run = record(np.random.default_rng(13), per_segment=True)
-    calibration = piga.calibrate(run, TERMS, phase="per-segment")
+    calibration = piga.calibrate(run, TERMS, phases="per-segment")
     assert all(abs(z) < 4.0 for z in errors(calibration).values())
     phases = [c for c in calibration.coefficients if c.name == "phi"]
     assert [c.segment for c in phases] == list(run.labels)
@@ -220,7 +220,7 @@ def test_phase_from_input_leaves_the_published_residual() -> None:
         (["k0_T"], {}, "needs the temperature"),
         (["k0"], {"method": "magic"}, "method: 'magic' is not known"),
         (["k0"], {"method": "published"}, "estimates \\[tan_beta\\]"),
-        (["tan_beta"], {"phase_source": "input", "phase": "per-segment"}, "needs phase = 'shared'"),
+        (["tan_beta"], {"phase_source": "input", "phases": "per-segment"}, "needs phases = 'shared'"),
     ],
 )
 def test_impossible_requests_are_refused_with_the_reason(terms: list[str], options: dict, message: str) -> None:

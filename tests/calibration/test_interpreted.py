@@ -21,7 +21,7 @@ def small(**options: object) -> piga.Run:
 @pytest.mark.parametrize("phase", ["shared", "per-segment"])
 def test_small_record(method: str, phase: str) -> None:
     run = small(per_segment=phase == "per-segment")
-    calibration = piga.calibrate(run, TERMS, method, phase=phase)
+    calibration = piga.calibrate(run, TERMS, method, phases=phase)
     assert all(abs(z) < 4.5 for z in errors(calibration).values()), errors(calibration)
 
 

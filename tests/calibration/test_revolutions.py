@@ -58,7 +58,7 @@ def pulled(beta: float, seed: int) -> piga.Run:
 def test_pulling_gives_tan_beta_without_its_phase() -> None:
     """tan_beta 0.03: the mean rate misses up to 1.5 %; found from it alone, K and k0 unharmed."""
     run = pulled(0.03, 54)
-    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], "revolutions", phase="per-segment")
+    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], "revolutions", phases="per-segment")
     assert calibration["tan_beta"].value == pytest.approx(np.tan(0.03), abs=4.0 * calibration["tan_beta"].std)
     assert calibration["tan_beta"].std < 1e-3
     assert calibration["scale_factor"].value == pytest.approx(0.8884, abs=4.0 * calibration["scale_factor"].std)
@@ -116,7 +116,7 @@ def missed(found: piga.Calibration) -> dict[str, tuple[float, bool]]:
 @pytest.mark.parametrize(("walk", "white"), [(1e-4, 0.0), (5e-5, 1e-4), (0.0, 1e-4)])
 def test_near_lock_the_truth_is_in_reach(walk: float, white: float) -> None:
     run = near_lock(np.random.default_rng([3, 61]), 1, walk, white)[0]
-    found = piga.calibrate(run, ("scale_factor", "tan_beta", "k0"), "revolutions", phase="per-segment")
+    found = piga.calibrate(run, ("scale_factor", "tan_beta", "k0"), "revolutions", phases="per-segment")
     assert all(abs(z) < 4.0 for z, _ in missed(found).values()), missed(found)
     assert len(found.segments) == 14
 
@@ -127,7 +127,7 @@ def test_intervals_near_lock_hold(walk: float, white: float) -> None:
     """300 records: 95 % intervals hold in 92 % at least, and a walk alone is not overstated by more than a quarter."""
     held: dict[str, list[tuple[float, bool]]] = {}
     for run in near_lock(np.random.default_rng([3, 62]), 300, walk, white):
-        found = piga.calibrate(run, ("scale_factor", "tan_beta", "k0"), "revolutions", phase="per-segment")
+        found = piga.calibrate(run, ("scale_factor", "tan_beta", "k0"), "revolutions", phases="per-segment")
         for name, result in missed(found).items():
             held.setdefault(name, []).append(result)
     for name, results in held.items():

@@ -75,9 +75,9 @@ def test_known_coefficients(folder: Path) -> None:
 def test_known_coefficients_with_a_phase_for_each_segment(folder: Path) -> None:
     """The damping turns nothing then that the phases do not; the stiffness is told."""
     run = piga.read_run(folder / "tumble-a.toml")
-    check(piga.calibrate(run, [*WITHOUT, "servo"], phase="per-segment"))
+    check(piga.calibrate(run, [*WITHOUT, "servo"], phases="per-segment"))
     with pytest.raises(piga.IdentifiabilityError, match="servo_damping"):
-        piga.calibrate(run, phase="per-segment")
+        piga.calibrate(run, phases="per-segment")
 
 
 @pytest.mark.parametrize("bits", [16, 24])
@@ -86,7 +86,7 @@ def test_wrapping_counters(folder: Path, bits: int) -> None:
     found = {event.kind: event.count for event in run.quality.events}
     assert found["phase-lost"] == 23
     assert found["counter-roll-over"] > (100 if bits == 16 else 0)
-    check(piga.calibrate(run, [*WITHOUT, "servo"], phase="per-segment"))
+    check(piga.calibrate(run, [*WITHOUT, "servo"], phases="per-segment"))
     with pytest.raises(piga.CalibrationError, match="rolled over unseen"):
         piga.calibrate(run)
 

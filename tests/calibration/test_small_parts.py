@@ -339,7 +339,7 @@ def test_groups_are_turned_to_their_own_phases() -> None:
 @pytest.mark.parametrize("phase", ["shared", "per-segment"])
 def test_a_phase_of_its_own_costs_information(tmp_path: Path, phase: str) -> None:
     """What is known of the others is the inverse of their part of the covariance, a phase that is shared among them."""
-    wish = request(tmp_path, phase=phase)
+    wish = request(tmp_path, phases=phase)
     names = coefficient_names(wish)
     size = len([name for name in names if name != "phi"]) + 1
     spread = np.random.default_rng(6).standard_normal((3, size, size + 3))
@@ -369,7 +369,7 @@ def test_a_phase_that_no_sample_shows_is_not_determined_and_spoils_nothing() -> 
         np.concatenate(t), np.concatenate(psi), np.concatenate(f), scale_factor=inst.scale_factor,
         segment=np.concatenate(segment), serial="P",
     )  # fmt: skip
-    cal = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], phase="per-segment")
+    cal = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], phases="per-segment")
     assert np.isfinite(cal.covariance).all()
     phases = [c for c in cal.coefficients if c.name == "phi"]
     assert [c.std == pytest.approx(np.pi / np.sqrt(3.0)) for c in phases] == [

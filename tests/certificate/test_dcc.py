@@ -39,7 +39,7 @@ needs_schemas = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def per_segment():
-    found = calibration(phase="per-segment", with_residuals=False)
+    found = calibration(phases="per-segment", with_residuals=False)
     return replace(
         found,
         coefficients=tuple(

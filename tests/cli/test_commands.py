@@ -82,7 +82,7 @@ def test_calibrate_json_and_files(tmp_path: Path) -> None:
     [
         (["calibrate", "none.toml"], "none.toml: cannot be read"),
         (["calibrate", "run.toml", "--terms", "kO"], "unknown term 'kO'"),
-        (["calibrate", "run.toml", "--phase", "loose"], "phase: 'loose' is not known"),
+        (["calibrate", "run.toml", "--phases", "loose"], "phases: 'loose' is not known"),
         (["calibrate", "run.toml", "--terms", "scale_factor,k0,k2,k3,k2o"], "this record"),
         (["calibrate", "run.toml", "--out", "run.csv"], "run.csv: cannot be written (is a file)"),
         (["calibrate"], "Missing argument"),

@@ -35,7 +35,7 @@ def calibration_of(
         serial=serial,
         scale_factor_nominal=K_G / G0,
         terms=tuple(key for key in values if not key.startswith("phi")),
-        phase="per-segment" if any(c.segment for c in coefficients) else "shared",
+        phases="per-segment" if any(c.segment for c in coefficients) else "shared",
         phase_source=phase_source,
         method="information",
         coefficients=coefficients,

@@ -87,7 +87,7 @@ def test_a_counter_that_folds_and_a_gap(tmp_path: Path) -> None:
     path, run = drafted(tmp_path, "folded.tsv")
     document = tomllib.loads(path.read_text(encoding="utf-8"))
     assert document["instrument"]["counter_bits"] == 16
-    assert document["model"]["phase"] == "per-segment"
+    assert document["model"]["phases"] == "per-segment"
     assert "tan_beta" in document["model"]["terms"]
     kinds = {event.kind: event.count for event in run.quality.events}
     assert kinds["gap"] == 1

@@ -26,7 +26,7 @@ positions = "{positions}"
 move = "20 s"
 [model]
 terms = [{terms}]
-phase = "{phase}"
+phases = "{phases}"
 [plan]
 duration = "{duration} s"
 whole_revolutions = {whole}
@@ -39,7 +39,7 @@ DEFAULTS = {
     "walk": 1e-5,
     "positions": "0:360:30 deg",
     "terms": '"scale_factor", "tan_beta", "k0", "k2", "m_Y"',
-    "phase": "shared",
+    "phases": "shared",
     "duration": 720,
     "whole": "false",
     "plan": "",

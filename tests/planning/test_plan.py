@@ -93,7 +93,7 @@ def test_slope_of_the_criterion_is_its_derivative():
 def test_tables_agree_with_the_estimator(tmp_path, phase, noise):
     """Summed information of visits is the inverse of the covariance that the calibration reports."""
     wish = request(
-        tmp_path, phase=phase, plan='longest_dwell = "60 s"', terms='"scale_factor", "tan_beta", "k0"', **noise
+        tmp_path, phases=phase, plan='longest_dwell = "60 s"', terms='"scale_factor", "tan_beta", "k0"', **noise
     )
     places = find_candidates(wish)[::2]
     tables = information_tables(wish, places)
@@ -307,7 +307,7 @@ def test_prediction_is_what_repeats_show(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("phase", ["shared", "per-segment"])
 def test_prediction_within_ten_percent_of_a_thousand_repeats(tmp_path, phase):
-    check_repeats(tmp_path, request(tmp_path, duration=400, walk=3e-6, white=5e-5, rate=4, phase=phase), 1000)
+    check_repeats(tmp_path, request(tmp_path, duration=400, walk=3e-6, white=5e-5, rate=4, phases=phase), 1000)
 
 
 def check_repeats(folder, wish, repeats):
@@ -327,7 +327,7 @@ def check_repeats(folder, wish, repeats):
             base_rate=log.base_rate,
             segment=log.segment,
         )
-        found = piga.calibrate(run, terms=list(wish.model.terms), phase=wish.model.phase)
+        found = piga.calibrate(run, terms=list(wish.model.terms), phases=wish.model.phases)
         values.append([found[name].value for name in plan.names if name != "phi"])
     spread = np.std(values, axis=0, ddof=1)
     for name, s in zip([n for n in plan.names if n != "phi"], spread, strict=True):

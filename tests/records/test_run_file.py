@@ -15,9 +15,23 @@ from tests.records.files import write_run
 
 def test_a_valid_file(tmp_path: Path) -> None:
     run_file = read_run_file(write_run(tmp_path))
-    assert run_file.model.phase == "shared"
+    assert run_file.model.phases == "shared"
     assert run_file.data.reference is not None
     assert run_file.data.reference.columns == ("fx", "fy", "fz")
+
+
+def test_the_former_name_of_a_key_is_read(tmp_path: Path) -> None:
+    """A file of version 0.1 says ``phase``. Both names together are refused."""
+    path = write_run(tmp_path)
+    text = path.read_text(encoding="utf-8")
+    for said, wanted in (("phase", "per-segment"), ("phases", "per-segment")):
+        path.write_text(text.replace("[model]\n", f"[model]\n{said} = '{wanted}'\n"), encoding="utf-8")
+        assert read_run_file(path).model.phases == wanted
+    path.write_text(
+        text.replace("[model]\n", "[model]\nphase = 'shared'\nphases = 'shared'\n"), encoding="utf-8"
+    )
+    with pytest.raises(piga.RunFileError, match=r"\[model\]: 'phase' is the former name of 'phases', and both"):
+        read_run_file(path)
 
 
 @pytest.mark.parametrize(
@@ -50,7 +64,7 @@ def test_a_valid_file(tmp_path: Path) -> None:
         ('time = { column = "t", unit = "s" }', 'sample_rate = "0 Hz"', "sample_rate: must be positive"),
         ('"fx", "fy", "fz"', '"fx", "fy"', r"\[data.reference.columns\]"),
         ('terms = ["scale_factor", "k0"]', 'terms = ["kO"]', "unknown term 'kO'"),
-        ('terms = ["scale_factor", "k0"]', 'phase = "loose"', "'loose' is not one of the allowed values"),
+        ('terms = ["scale_factor", "k0"]', 'phases = "loose"', "'loose' is not one of the allowed values"),
         ("[model]", '[uncertainty]\nreference_scale = "-1 ppm"\n[model]', "is negative"),
         ("[model]", '[uncertainty]\nreference_scale = "2 arcsec"\n[model]', "quantity in 'ppm'"),
         ("[model]", '[estimation]\nangle_rms = "1 urad"\n[model]', "one of them is missing"),

@@ -87,7 +87,7 @@ def segment_rows(found):
     return tuple(rows)
 
 
-def calibration(*, serial="G-0417", phase="shared", with_residuals=True, budget=True, **options):
+def calibration(*, serial="G-0417", phases="shared", with_residuals=True, budget=True, **options):
     found = residuals(**options)
     coefficients = [
         Coefficient("scale_factor", 0.88850921, 1.4e-6, "rad/s/g"),
@@ -96,7 +96,7 @@ def calibration(*, serial="G-0417", phase="shared", with_residuals=True, budget=
         Coefficient("k2", 3.1e-7, 1.9e-6, "g/g^2"),
         Coefficient("m_Y", 2.3987e-4, 1.3e-6, "rad"),
     ]
-    if phase == "shared":
+    if phases == "shared":
         coefficients.insert(2, Coefficient("phi", 0.48013, 6.4e-4, "rad"))
     else:
         coefficients += [Coefficient("phi", 0.1 * s, 3e-3, "rad", str(s)) for s in range(SEGMENTS)]
@@ -122,7 +122,7 @@ def calibration(*, serial="G-0417", phase="shared", with_residuals=True, budget=
         serial=serial,
         scale_factor_nominal=0.8884 / G0,
         terms=("scale_factor", "tan_beta", "k0", "k2", "m_Y"),
-        phase=phase,
+        phases=phases,
         phase_source="output",
         method="information",
         coefficients=tuple(coefficients),
@@ -152,7 +152,7 @@ def calibration(*, serial="G-0417", phase="shared", with_residuals=True, budget=
             input_sha256={"run.toml": "9f86d081884c7d65" * 4, "run.csv": "2c26b46b68ffc68f" * 4},
             software="piga 0.1.0",
             created="2026-01-01T00:00:00Z",
-            options={"phase": phase, "robust": True},
+            options={"phases": phases, "robust": True},
         ),
         residuals=found if with_residuals else None,
     )

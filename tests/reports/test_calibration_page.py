@@ -165,7 +165,7 @@ def test_report_without_residuals_still_stands():
 def test_a_phase_that_any_angle_would_do_for_is_not_determined():
     """-2 +- 11 rad is no number; 0.2 +- 0.4 rad is one."""
     for phase in ("shared", "per-segment"):
-        cal = calibration(phase=phase, with_residuals=False)
+        cal = calibration(phases=phase, with_residuals=False)
         at = next(i for i, c in enumerate(cal.coefficients) if c.name == "phi")
         for value, std, shown in ((-2.0, 11.0, True), (0.2, 0.4, False)):
             row = dataclasses.replace(cal.coefficients[at], value=value, std=std)
@@ -179,7 +179,7 @@ def test_a_phase_that_any_angle_would_do_for_is_not_determined():
 
 
 def test_phase_per_segment_stands_in_the_segment_table():
-    page = calibration_page(calibration(phase="per-segment", with_residuals=False))
+    page = calibration_page(calibration(phases="per-segment", with_residuals=False))
     table = tables(page)["segments"][0]
     assert table.columns[-1].heading == "Phase φ"
     assert table.cells[3][-1].text == "0.3000(30)"

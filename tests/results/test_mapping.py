@@ -111,7 +111,7 @@ def test_from_coefficients_compensates_as_the_estimate_does(run, cal):
     phases = piga.Calibration.from_coefficients(
         {"scale_factor": 0.9, "tan_beta": 1e-3, "phi[3]": 0.1, "phi[4]": 0.2}
     )
-    assert phases.phase == "per-segment"
+    assert phases.phases == "per-segment"
     assert phases["phi[4]"].segment == "4"
 
 

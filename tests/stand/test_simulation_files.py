@@ -50,7 +50,7 @@ def test_run_file_truth_and_data_belong_together(tmp_path):
     assert names["phi"] == {"name": "phi", "value": pytest.approx(0.5), "unit": "rad", "segment": None}
     assert names["k0"]["unit"] == "g"
     table = tomllib.loads(run_file_text(scenario, test, "run.parquet"))
-    assert table["model"] == {"terms": ["scale_factor", "tan_beta", "k0"], "phase": "shared"}
+    assert table["model"] == {"terms": ["scale_factor", "tan_beta", "k0"], "phases": "shared"}
 
 
 def test_servo_terms_are_prescribed_to_the_quasi_steady_model_and_predicted_of_the_twin(tmp_path):
@@ -104,7 +104,7 @@ def test_wrapping_counter_loses_its_phase_between_positions(tmp_path):
     scenario = read_scenario(path)
     test = run_scenario(scenario)
     run = saved(scenario, test, tmp_path)
-    assert run.model.phase == "per-segment"
+    assert run.model.phases == "per-segment"
     cal = calibrate(run)
     phases = [c for c in cal.coefficients if c.name == "phi"]
     truth = truth_of(test)

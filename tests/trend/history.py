@@ -24,7 +24,7 @@ def record(values, stds, common=None, *, serial="G-0417"):
         serial=serial,
         scale_factor_nominal=0.0906,
         terms=tuple(name for name in names if name != "phi"),
-        phase="shared",
+        phases="shared",
         phase_source="output",
         method="information",
         coefficients=coefficients,

@@ -98,7 +98,7 @@ def calibrate(
     terms: str | list[str] | tuple[str, ...] | None = None,
     method: str | None = None,
     *,
-    phase: str | None = None,
+    phases: str | None = None,
     phase_source: str | None = None,
     per_run: str | list[str] | tuple[str, ...] | None = None,
     progress: Progress | None = None,
@@ -114,7 +114,7 @@ def calibrate(
     run:
         The record, from :func:`piga.read_run` or :meth:`piga.Run.from_arrays`; or a list of records and
         :class:`piga.calibration.RunSummary` of one instrument, calibrated jointly.
-    terms, method, phase, phase_source, per_run:
+    terms, method, phases, phase_source, per_run:
         Replace the settings of the run files. ``per_run`` names terms that may differ between the runs. Terms are a list or
         one text, ``"scale_factor, tan_beta, k0"``.
     progress:
@@ -142,7 +142,7 @@ def calibrate(
     steps = Steps(progress, STEPS)
     wanted, own = (None if names is None else list(term_names(names)) for names in (terms, per_run))
     with one_thread():
-        result = _calibration(run, wanted, method, phase, phase_source, own, steps)
+        result = _calibration(run, wanted, method, phases, phase_source, own, steps)
     steps.finish()
     for doubt in result.verdict.doubts:
         warnings.warn(doubt.words, CalibrationWarning, stacklevel=2)
@@ -153,7 +153,7 @@ def _calibration(
     run: Run | RunSummary | Sequence[Run | RunSummary],
     terms: list[str] | tuple[str, ...] | None,
     method: str | None,
-    phase: str | None,
+    phases: str | None,
     phase_source: str | None,
     per_run: list[str] | tuple[str, ...] | None,
     steps: Steps,
@@ -163,9 +163,9 @@ def _calibration(
     if not isinstance(run, Run):
         runs = check_items(run)
         if len(runs) > 1 or not isinstance(runs[0], Run):
-            return _joint_calibration(runs, terms, method, phase, phase_source, per_run, steps)
+            return _joint_calibration(runs, terms, method, phases, phase_source, per_run, steps)
         run = runs[0]
-    request = make_request(run, terms, method, phase, phase_source, per_run)
+    request = make_request(run, terms, method, phases, phase_source, per_run)
     if request.method == "published":
         return _published_calibration(run, request, steps)
     if request.method == "revolutions":
@@ -202,7 +202,7 @@ def _calibration(
     said = remarks.result()
     unseen = unseen_bias(without_slow(fit), coefficients, said.missing)
     warm = (unseen.words,) if unseen else ()
-    result = replace(result, remarks=(*warm, *remarks_in_words(coefficients, request.phase)))
+    result = replace(result, remarks=(*warm, *remarks_in_words(coefficients, request.phases)))
     result = with_remarks(result, fit, said, doubts)
     result = with_given_servo(result, given_servo(run), _moved_servo(run))
     compared = compare_models(run).document() if run.model.compare else None
@@ -264,7 +264,7 @@ def _assemble(
         serial=run.serial,
         scale_factor_nominal=run.scale_factor,
         terms=request.terms,
-        phase=request.phase,
+        phases=request.phases,
         phase_source=request.phase_source,
         method=request.method,
         coefficients=coefficients,
@@ -307,7 +307,7 @@ def _joint_calibration(
     items: list[Run | RunSummary],
     terms: list[str] | tuple[str, ...] | None,
     method: str | None,
-    phase: str | None,
+    phases: str | None,
     phase_source: str | None,
     per_run: list[str] | tuple[str, ...] | None,
     steps: Steps,
@@ -318,7 +318,7 @@ def _joint_calibration(
             "several runs can be calibrated together only with method 'information' and phase_source 'output'",
             remedy="leave method and phase_source out, or calibrate the runs one by one",
         )
-    fit = fit_jointly(items, terms, phase, per_run, steps)
+    fit = fit_jointly(items, terms, phases, per_run, steps)
     steps("adding up the budget")
     changes_by_source = list(joint_contributions(fit, steps))
     changes = tuple(change for _, change in changes_by_source)
@@ -384,7 +384,7 @@ def _published_calibration(run: Run, request: Request, steps: Steps) -> Calibrat
         Coefficient(n, float(v), float(s), unit_of(n))
         for n, v, s in zip(published.names, values, std, strict=True)
     )
-    linear_request = replace(request, phase="shared", phase_source="input")
+    linear_request = replace(request, phases="shared", phase_source="input")
     design = Design(run, linear_request, run.scale_factor)
     linear = _linear_values(design, dict(zip(published.names, values, strict=True)))
     steps("computing residuals")

@@ -322,7 +322,7 @@ def _recalibrated(plan: CampaignPlan, archive: Archive, number: int) -> Outcome:
         read_run(path),
         list(asked) if asked else wish.get("terms"),
         (table.method if table else None) or wish.get("method"),
-        phase=wish.get("phase"),
+        phases=wish.get("phase"),
         phase_source=wish.get("phase_source"),
     )
     known = {} if old is None else {c.key: c.value for c in old.coefficients}

@@ -159,7 +159,7 @@ def check_phase_kept(record: Run, calibration: Calibration, phase: Phase | None,
         f"{record.source}: the zero of the output angle was lost before segment '{record.labels[at]}' "
         "(the counter may have rolled over unseen in a gap): one phase cannot be valid for the whole "
         "record",
-        remedy="calibrate with phase = 'per-segment', or compensate each part by itself, with its own phase",
+        remedy="calibrate with phases = 'per-segment', or compensate each part by itself, with its own phase",
     )
 
 

@@ -210,9 +210,9 @@ def try_run_file(draft: RunFileDraft, path: Path) -> Run:
         run = read_run(path, content=draft.text().encode())
     except DataError as error:
         run = _without_damage(draft, path, error)
-    if len(set(run.phase_group)) > 1 and "phase" not in draft.document.get("model", {}):
+    if len(set(run.phase_group)) > 1 and "phases" not in draft.document.get("model", {}):
         draft.put(
-            "model.phase",
+            "model.phases",
             "per-segment",
             "the counter may have folded unseen in a gap, so the zero of the output angle is new after it",
         )

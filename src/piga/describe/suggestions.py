@@ -242,8 +242,8 @@ def _of_run(run: Run, document: Document) -> list[Change]:
             name, side, value = stuck.groups()
             limits = [-1e30, float(value)] if side == "largest" else [float(value), 1e30]
             changes.append(("data", "range", {**data.get("range", {}), name: limits}, event.detail))
-        if event.kind == "phase-lost" and document.get("model", {}).get("phase") != "per-segment":
-            changes.append(("model", "phase", "per-segment", "the zero of the output angle was lost"))
+        if event.kind == "phase-lost" and document.get("model", {}).get("phases") != "per-segment":
+            changes.append(("model", "phases", "per-segment", "the zero of the output angle was lost"))
         if event.kind == "encoding" and "encoding" not in data:
             changes.append(("data", "encoding", event.detail.split()[-1], "to fix what was detected"))
         if event.kind == "implausible-unit":

@@ -122,7 +122,7 @@ def _listed(value: Any) -> Any:
 
 def _facts(a: Calibration, b: Calibration) -> dict[str, tuple[Any, Any]]:
     """The entries that rounding cannot change."""
-    names = ("serial", "terms", "phase", "phase_source", "method", "surplus_observations", "quality")
+    names = ("serial", "terms", "phases", "phase_source", "method", "surplus_observations", "quality")
     facts: dict[str, tuple[Any, Any]] = {name: (getattr(a, name), getattr(b, name)) for name in names}
     facts["coefficients"] = ([c.key for c in a.coefficients], [c.key for c in b.coefficients])
     facts["inputs"] = (a.provenance.input_sha256, b.provenance.input_sha256)

@@ -116,7 +116,7 @@ def prepare_run(
     *,
     terms: list[str] | None = None,
     method: str | None = None,
-    phase: str | None = None,
+    phases: str | None = None,
     phase_source: str | None = None,
     measured: str | None = None,
     supersedes: str | None = None,
@@ -130,7 +130,7 @@ def prepare_run(
         Run file.
     operator, reason:
         Who stores the record, and why.
-    terms, method, phase, phase_source:
+    terms, method, phases, phase_source:
         As for :func:`piga.calibrate`.
     measured:
         Time of the test, in ISO form; UTC if no zone is given.
@@ -148,7 +148,7 @@ def prepare_run(
     from piga.records.calibration.document import calibration_to_bytes
     from piga.stand import read_run
 
-    calibration = calibrate(read_run(run), terms, method, phase=phase, phase_source=phase_source)
+    calibration = calibrate(read_run(run), terms, method, phases=phases, phase_source=phase_source)
     inputs = input_files(run, calibration.provenance.input_sha256)
     draft = Draft(
         calibration.serial,
@@ -222,7 +222,7 @@ def _request(calibration: Calibration) -> dict[str, Any]:
     return {
         "terms": list(calibration.terms),
         "method": calibration.method,
-        "phase": calibration.phase,
+        "phase": calibration.phases,
         "phase_source": calibration.phase_source,
     }
 

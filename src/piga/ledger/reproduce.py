@@ -76,7 +76,7 @@ def reproduce(store: Store, name: str | int) -> Reproduced:
             run,
             wish.get("terms"),
             wish.get("method"),
-            phase=wish.get("phase"),
+            phases=wish.get("phase"),
             phase_source=wish.get("phase_source"),
         )
     then, now = record.document.software, software_identity()

@@ -122,7 +122,7 @@ def noise_of(request: PlanRequest) -> Noise:
 def model_request(request: PlanRequest) -> Request:
     """The request that the calibration of the test will make."""
     model = request.model
-    return Request(tuple(model.terms), model.phase, model.phase_source, "information", None, None, 293.15)
+    return Request(tuple(model.terms), model.phases, model.phase_source, "information", None, None, 293.15)
 
 
 def run_of(
@@ -155,7 +155,7 @@ def coefficient_names(request: PlanRequest) -> tuple[str, ...]:
     """Coefficients common to all positions, in the order of the request; ``phi`` follows tan_beta if it is common."""
     names: list[str] = []
     for name in request.model.terms:
-        names += [name, "phi"] if name == "tan_beta" and request.model.phase == "shared" else [name]
+        names += [name, "phi"] if name == "tan_beta" and request.model.phases == "shared" else [name]
     return tuple(names)
 
 

@@ -150,7 +150,9 @@ def _check(table: PlanTable, model: ModelTable) -> None:
             "[truth] lacks beta: the uncertainty of its phase depends on the size of tan_beta",
             remedy='add the expected size, e.g. beta = "20 arcsec"',
         )
-    check_servo(Request(tuple(model.terms), model.phase, model.phase_source, "information", None, None, 293.15))
+    check_servo(
+        Request(tuple(model.terms), model.phases, model.phase_source, "information", None, None, 293.15)
+    )
     if table.electronics.bias_random_walk != 0.0:
         raise RunFileError(
             "[electronics] bias_random_walk is not part of the noise model of the estimator",
@@ -172,7 +174,7 @@ def _check(table: PlanTable, model: ModelTable) -> None:
 
 
 def _check_names(plan: PlanSettings, model: ModelTable) -> None:
-    known = list(model.terms) + (["phi"] if "tan_beta" in model.terms and model.phase == "shared" else [])
+    known = list(model.terms) + (["phi"] if "tan_beta" in model.terms and model.phases == "shared" else [])
     for key, names in (
         ("coefficients", plan.coefficients or ()),
         ("combination", tuple(plan.combination)),

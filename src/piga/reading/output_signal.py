@@ -183,6 +183,6 @@ class Reading:
         )
         raise DataError(
             f"{self.path}: {listed}: it was reset there",
-            remedy="start a new segment there (a segment column) and use phase = 'per-segment'; "
+            remedy="start a new segment there (a segment column) and use phases = 'per-segment'; "
             "if it wrapped instead, give [instrument] counter_bits",
         )

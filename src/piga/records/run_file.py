@@ -25,11 +25,11 @@ MOST_HEAD_ROWS = 10_000
 LEAST_COUNTS, MOST_COUNTS = 1e-6, 1e15
 """Allowed range of counts per revolution."""
 
-Phase = Literal["shared", "per-segment"]
+Phases = Literal["shared", "per-segment"]
 PhaseSource = Literal["output", "input"]
 Method = Literal["information", "rate", "recursive", "published", "revolutions"]
 
-PHASES: tuple[str, ...] = get_args(Phase)
+PHASES: tuple[str, ...] = get_args(Phases)
 PHASE_SOURCES: tuple[str, ...] = get_args(PhaseSource)
 METHODS: tuple[str, ...] = get_args(Method)
 METHOD_WORDS: dict[str, tuple[str, str]] = {
@@ -193,14 +193,14 @@ class DataTable(TomlTable, frozen=True):
 
 
 class ModelTable(TomlTable, frozen=True):
-    """``[model]``: the terms to estimate and how the phase of the output zero behaves.
+    """``[model]``: the terms to estimate, and whether the record has one phase of the output zero or one for each segment.
 
     ``compare`` lists further sets of terms, which are compared.
     """
 
     terms: tuple[str, ...] = ("scale_factor", "tan_beta", "k0")
     compare: tuple[tuple[str, ...], ...] = ()
-    phase: Phase = "shared"
+    phases: Phases = "shared"
     phase_source: PhaseSource = "output"
     temperature_reference: Quantity = "20 degC"
 

@@ -86,6 +86,24 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
             f"{path}: not valid TOML: {str(error)[:300]}", remedy="see https://toml.io for the syntax"
         ) from None
     _check_values(path, document, "")
+    return _with_new_names(path, document)
+
+
+RENAMED = {("model", "phase"): "phases"}
+"""Keys that had another name before: the new name by table and old name. Files with the old name are read."""
+
+
+def _with_new_names(path: Path, document: dict[str, Any]) -> dict[str, Any]:
+    for (table, old), new in RENAMED.items():
+        entries = document.get(table)
+        if not isinstance(entries, dict) or old not in entries:
+            continue
+        if new in entries:
+            raise RunFileError(
+                f"{path}: [{table}]: '{old}' is the former name of '{new}', and both are given",
+                remedy=f"leave '{old}' out",
+            )
+        document[table] = {new if key == old else key: value for key, value in entries.items()}
     return document
 
 

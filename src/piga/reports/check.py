@@ -184,12 +184,12 @@ def prospects_text(prospects: Sequence[TermProspect]) -> str:
 def calibration_words(run: Run) -> str:
     """Description of a calibration with this run file."""
     possible = "" if calibration_possible(run) else " (not possible: the phase was lost)"
-    return f"{run.estimation.method}, {len(run.model.terms)} terms, phase {run.model.phase}{possible}"
+    return f"{run.estimation.method}, {len(run.model.terms)} terms, phases {run.model.phases}{possible}"
 
 
 def calibration_possible(run: Run) -> bool:
     """False if one phase is asked for and the record has lost it."""
-    return lost_phase(run, run.model.terms, run.model.phase, run.estimation.method) is None
+    return lost_phase(run, run.model.terms, run.model.phases, run.estimation.method) is None
 
 
 def write_check(run: Run, path: Path) -> Path:

@@ -234,7 +234,7 @@ def _model(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
         known = _known_servo(scenario)
         names = [value.name for value in coefficients(test) if value.name not in ("phi", "k1", *known)]
         model["terms"] = names
-    model.setdefault("phase", "shared" if shares_phase(test) else "per-segment")
+    model.setdefault("phases", "shared" if shares_phase(test) else "per-segment")
     return model
 
 

@@ -161,7 +161,7 @@ def test_blocks_when_there_is_one_segment():
 
 @pytest.mark.only_compiled
 def test_own_phases_predict_nothing():
-    found = piga.compare_models(small(4, per_segment=True), [SMALLER, TRUE], phase="per-segment")
+    found = piga.compare_models(small(4, per_segment=True), [SMALLER, TRUE], phases="per-segment")
     assert found.sets[found.best].terms == TRUE
     assert found.sets[1].prediction is None
     assert found.best_prediction is None

@@ -84,10 +84,10 @@ def test_a_slip_of_the_counter_is_taken_off_what_follows(offset, angle, clean):
 @pytest.mark.only_compiled
 def test_the_longer_side_gives_the_phase_where_nothing_else_can(angle, clean):
     """A record of one phase a segment: the other positions say nothing."""
-    before = piga.calibrate(BENCH.run(angle), TERMS, phase="per-segment")
+    before = piga.calibrate(BENCH.run(angle), TERMS, phases="per-segment")
     for ends in ENDS.values():
         run = BENCH.run(spoiled(angle, 2, ends, 50, 0.3))
-        found = piga.calibrate(run, TERMS, phase="per-segment")
+        found = piga.calibrate(run, TERMS, phases="per-segment")
         for one, other in zip(found.coefficients, before.coefficients, strict=True):
             assert one.value == pytest.approx(other.value, abs=other.std), one.key
 

@@ -119,7 +119,7 @@ def test_log_of_rates():
 def test_phase_of_its_own_in_each_segment():
     phases = np.linspace(-2.0, 2.5, 8)
     run = recorded(head(8), seconds=8.0, phases=phases, d=0.0)
-    found = calibrate(given(run), TERMS[:-1], phase="per-segment")
+    found = calibrate(given(run), TERMS[:-1], phases="per-segment")
     check(found, TRUTH, EXACT, list(TERMS[:-1]))
     own = [c.value for c in found.coefficients if c.name == "phi"]
     assert np.abs(np.angle(np.exp(1j * (own - phases)))).max() < 1e-4
@@ -186,7 +186,7 @@ def test_damping_is_refused_where_it_turns_nothing_else_than_the_phase():
     assert "|a_x|" in refused.value.remedy
     own = recorded(head(8), phases=np.linspace(-2.0, 2.5, 8))
     with pytest.raises(IdentifiabilityError, match="tan_beta, servo_damping") as refused:
-        calibrate(given(own), TERMS, phase="per-segment")
+        calibrate(given(own), TERMS, phases="per-segment")
     assert "shared" in refused.value.remedy
 
 

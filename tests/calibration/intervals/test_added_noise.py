@@ -110,12 +110,12 @@ def test_a_summary_alone_says_what_the_run_says(
     kind, compared, at_border, close = kind.partition(" ")[0], 0, 0, 1e-2 if "counts" in kind else 0.0
     for seed in range(4 if scenario is COUNTED else 24):
         run = scenario.record(np.random.default_rng([seed, 9]))
-        run = replace(run, model=msgspec.structs.replace(run.model, phase=phase))
+        run = replace(run, model=msgspec.structs.replace(run.model, phases=phase))
         RunSummary.of(run, scenario.terms).to_json(tmp_path / "s.json")
         read = RunSummary.from_json(tmp_path / "s.json")
         if [noise.name for noise in read.added] != [kind]:
             continue
-        alone = piga.calibrate(run, scenario.terms, phase=phase)
+        alone = piga.calibrate(run, scenario.terms, phases=phase)
         merged = piga.calibrate([read], scenario.terms)
         if lacking(alone) != lacking(merged):  # a chance signature at the border of being clear
             at_border += 1
@@ -181,7 +181,7 @@ def test_a_drift_with_a_phase_per_segment_is_in_joint_calibrations() -> None:
     """However clear it is, it is added and not weighted by; intervals hold the truth."""
     scenario = SCENARIOS["drift"]
     run = scenario.record(np.random.default_rng([2, 9]))
-    run = replace(run, model=msgspec.structs.replace(run.model, phase="per-segment"))
+    run = replace(run, model=msgspec.structs.replace(run.model, phases="per-segment"))
     found = piga.calibrate([RunSummary.of(run, scenario.terms)], scenario.terms)
     still = piga.calibrate([replace(RunSummary.of(run, scenario.terms), added=())], scenario.terms)
     assert found["scale_factor"].value == still["scale_factor"].value

@@ -62,8 +62,8 @@ def test_joint_of_split_record_is_the_record() -> None:
     part = whole.segment_index < 6
     halves = [_rows(whole, part), _rows(whole, ~part)]
     terms = ["scale_factor", "tan_beta", "k0", "m_Y"]
-    split = piga.calibrate(halves, terms, phase="per-segment")
-    once = piga.calibrate(whole, terms, phase="per-segment")
+    split = piga.calibrate(halves, terms, phases="per-segment")
+    once = piga.calibrate(whole, terms, phases="per-segment")
     for name in terms:
         assert split[name].value == pytest.approx(once[name].value, abs=1e-5 * once[name].std)
         assert split[name].std == pytest.approx(once[name].std, rel=1e-6)
@@ -186,7 +186,7 @@ def test_runs_that_do_not_belong_together(runs: list[piga.Run]) -> None:
 
 
 def test_every_segment_with_its_own_phase(runs: list[piga.Run]) -> None:
-    calibration = piga.calibrate(runs, TERMS, phase="per-segment")
+    calibration = piga.calibrate(runs, TERMS, phases="per-segment")
     assert calibration["phi[run 2:3]"].std < 0.5
     shared = piga.calibrate(runs, TERMS)
     for name in TERMS:

@@ -67,6 +67,7 @@ def test_two_small_runs_together(
 def test_a_summary_for_the_raw_data(runs: list[piga.Run], tmp_path: Path) -> None:
     kept = replace(runs[1], uncertainty=UncertaintyTable(reference_scale="10 ppm"))
     RunSummary.of(kept, FEW).to_json(tmp_path / "old.json")
+    assert json.loads((tmp_path / "old.json").read_text(encoding="utf-8"))["phase"] == "shared"
     old = RunSummary.from_json(tmp_path / "old.json")
     assert [source.name for source in old.sources] == ["reference_scale"]
     merged, fresh, plain = (piga.calibrate([runs[0], other], FEW) for other in (old, kept, runs[1]))
@@ -291,7 +292,7 @@ def test_pulling_of_a_strongly_coupled_instrument() -> None:
         output[part] = piga.propagate(start, t[part], f[part])
     output += 1e-5 * rng.standard_normal(t.size)
     run = piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment)
-    found = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], "revolutions", phase="per-segment")
+    found = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], "revolutions", phases="per-segment")
     assert found["tan_beta"].value == pytest.approx(np.tan(0.03), abs=4.5 * found["tan_beta"].std)
     assert found["scale_factor"].value == pytest.approx(0.8884, abs=4.5 * found["scale_factor"].std)
 
@@ -305,8 +306,8 @@ def test_pulling_of_a_strongly_coupled_instrument() -> None:
         (["scale_factor", "k0_T"], {}, "term 'k0_T' needs the temperature"),
         (
             ["scale_factor", "tan_beta"],
-            {"phase": "per-segment", "phase_source": "input"},
-            "needs phase = 'shared'",
+            {"phases": "per-segment", "phase_source": "input"},
+            "needs phases = 'shared'",
         ),
         (["tan_beta", "k0"], {"method": "published"}, r"estimates \[tan_beta\] or \[tan_beta, k0, k1, k2\]"),
     ],

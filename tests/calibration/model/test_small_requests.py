@@ -31,7 +31,7 @@ pytestmark = pytest.mark.compiled
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('phase = "shared"', 'phase = "sideways"', r"\[model\]: .*sideways|\[model\]: invalid enum value"),
+        ('phases = "shared"', 'phases = "sideways"', r"\[model\]: .*sideways|\[model\]: invalid enum value"),
         ('beta = "200 arcsec"\n', "", r"\[truth\] lacks beta(?s:.*)add the expected size"),
         ('output = "angle"', 'output = "angle"\nbias_random_walk = "1e-9 g/sqrt(s)"', "bias_random_walk"),
         ("[plan]", '[noise]\nflicker = "1 ug"\n[plan]', r"\[noise\] is not part"),

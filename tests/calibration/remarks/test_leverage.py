@@ -34,11 +34,11 @@ def without(run, label):
 def test_influence_is_that_of_a_calibration_without_the_segment(phase):
     scenario = SCENARIOS["static"]
     run = known_noise(scenario.record(np.random.default_rng(2)))
-    full = piga.calibrate(run, scenario.terms, phase=phase)
+    full = piga.calibrate(run, scenario.terms, phases=phase)
     for label in ("0", "7"):
         row = full.diagnostics.leverage[label]
         rest = {
-            c.name: c for c in piga.calibrate(without(run, label), scenario.terms, phase=phase).coefficients
+            c.name: c for c in piga.calibrate(without(run, label), scenario.terms, phases=phase).coefficients
         }
         for c in full.coefficients:
             if c.segment is not None:
@@ -56,7 +56,7 @@ def test_leverages_add_up_to_the_number_of_parameters():
     run = scenario.record(np.random.default_rng(2))
     table = piga.calibrate(run, scenario.terms).diagnostics.leverage
     assert sum(row.leverage for row in table.values()) == pytest.approx(6.0, rel=1e-6)
-    table = piga.calibrate(run, scenario.terms, phase="per-segment").diagnostics.leverage
+    table = piga.calibrate(run, scenario.terms, phases="per-segment").diagnostics.leverage
     assert sum(row.leverage for row in table.values()) == pytest.approx(5.0 + len(table), rel=1e-6)
 
 

@@ -53,7 +53,7 @@ def test_the_coupling_is_missed_too():
 @pytest.mark.only_compiled
 def test_a_phase_per_segment_hides_no_missing_term():
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k_XY", 2e-4)
-    found = piga.calibrate(run, TERMS, phase="per-segment")
+    found = piga.calibrate(run, TERMS, phases="per-segment")
     assert found.diagnostics.missing_terms[0].terms == ("k_XY",)
 
 

@@ -50,7 +50,7 @@ def test_what_is_asked_for_held_or_not_recorded_gets_no_remark():
 @pytest.mark.only_compiled
 def test_a_remark_needs_no_phase():
     (shared,) = remarks_of(in_step(SMALL))
-    (free,) = remarks_of(in_step(SMALL), phase="per-segment")
+    (free,) = remarks_of(in_step(SMALL), phases="per-segment")
     assert shared.split(" would ")[0].startswith("the record does not exclude")
     assert free.split(" would ")[0].startswith("the record does not exclude")
 

@@ -37,7 +37,7 @@ def test_each_shell_gets_commands_and_options() -> None:
         _TYPER_COMPLETE_FISH_ACTION="get-args",
         _TYPER_COMPLETE_ARGS="piga calibrate --ph",
     )
-    assert "--phase" in fish
+    assert "--phases" in fish
     assert "--phase-source" in fish
 
 

@@ -98,8 +98,8 @@ def test_a_phase_that_is_lost(tmp_path: Path) -> None:
     run = piga.read_run(path)
     assert "phase-lost" in events(run)
     assert len(set(run.phase_group)) == 2
-    assert ("model", "phase = 'per-segment'") in suggested(path)
-    assert events(piga.read_run(with_line(path, "model", "phase = 'per-segment'"))) == events(run)
+    assert ("model", "phases = 'per-segment'") in suggested(path)
+    assert events(piga.read_run(with_line(path, "model", "phases = 'per-segment'"))) == events(run)
 
 
 def test_an_encoding_that_was_found(tmp_path: Path) -> None:

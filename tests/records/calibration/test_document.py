@@ -20,7 +20,7 @@ from tests.records.files import lines, write_log, write_run
 @pytest.fixture(scope="module")
 def calibration() -> piga.Calibration:
     run = record(np.random.default_rng(1), seconds=5.0, rate=4.0, count=6, per_segment=True)
-    return piga.calibrate(run, [*TERMS, "s2", "c2"], phase="per-segment")
+    return piga.calibrate(run, [*TERMS, "s2", "c2"], phases="per-segment")
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -38,7 +39,7 @@ def joint() -> Calibration:
     return replace(
         calibration(with_residuals=False),
         terms=("scale_factor", "k0"),
-        phase="per-segment",
+        phases="per-segment",
         coefficients=(
             Coefficient("scale_factor", 0.8885, 1e-6, "rad/s/g", interval=(0.888497, 0.888505)),
             Coefficient("k0", 1.6e-3, 1e-6, "g", run="east", degrees_of_freedom=11.0),
@@ -53,6 +54,9 @@ def joint() -> Calibration:
 
 def test_back_from_the_file(joint: Calibration, tmp_path: Path) -> None:
     joint.to_json(tmp_path / "c.json")
+    written = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
+    assert [run["phase"] for run in written["runs"]] == [run.phases for run in joint.runs]
+    assert written["model"]["phase"] == joint.phases
     found = Calibration.from_json(tmp_path / "c.json")
     assert found.coefficients == joint.coefficients
     assert found.runs == joint.runs
@@ -66,7 +70,7 @@ def test_one_run_of_it(joint: Calibration) -> None:
     west = joint.for_run("west")
     assert [c.key for c in west.coefficients] == ["scale_factor", "k0", "phi[up]"]
     assert west["k0"].value == 1.7e-3
-    assert (west.phase, west.angle_rms, west.runs) == ("per-segment", 2e-5, ())
+    assert (west.phases, west.angle_rms, west.runs) == ("per-segment", 2e-5, ())
     np.testing.assert_array_equal(west.covariance, joint.covariance[np.ix_([0, 2, 3], [0, 2, 3])])
     assert joint.for_run("east")["k0"].value == 1.6e-3
     with pytest.raises(CalibrationError, match=r"no run 'south'(?s:.*)runs: east, west"):

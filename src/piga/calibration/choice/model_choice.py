@@ -166,7 +166,7 @@ def compare_models(
     run: Run,
     term_sets: Sequence[str | Sequence[str]] | None = None,
     *,
-    phase: str | None = None,
+    phases: str | None = None,
     progress: Progress | None = None,
 ) -> ModelComparison:
     r"""Compare sets of terms on one record.
@@ -186,7 +186,7 @@ def compare_models(
         The record.
     term_sets:
         Sets of terms, each a list or one text; default: ``[model] compare`` of the run file.
-    phase:
+    phases:
         Replaces the setting of the run file.
     progress:
         Called as ``progress(done, total, what)`` before each set; it returns False to stop (:mod:`piga.progress`).
@@ -206,7 +206,7 @@ def compare_models(
     steps = Steps(progress, 1 + len(wanted))
     steps("finding the noise")
     union = union_of(wanted)
-    request = make_request(run, union, "information", phase, None, ())
+    request = make_request(run, union, "information", phases, None, ())
     weighed = Weighed.of(run, request)
     rows = []
     for terms in wanted:

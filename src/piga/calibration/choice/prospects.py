@@ -98,7 +98,7 @@ def term_prospects(run: Run, terms: str | Sequence[str] | None = None) -> tuple[
     asked = run.model.terms if terms is None else term_names(terms)
     check_terms(asked)
     others = tuple(term for term in _known(run, asked) if term not in asked)
-    own_phases = len(set(run.phase_group)) > 1 or run.model.phase == "per-segment"
+    own_phases = len(set(run.phase_group)) > 1 or run.model.phases == "per-segment"
     phase = "per-segment" if own_phases else "shared"
     wish = union_of((asked, *((*asked, term) for term in others)))
     weighed = Weighed.of(run, make_request(run, wish, "information", phase, "output", ()))

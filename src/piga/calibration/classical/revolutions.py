@@ -277,7 +277,7 @@ def _mean_run(run: Run, table: Array, used: list[tuple[int, slice]]) -> Run:
 
 def clean_record(run: Run, request: Request) -> tuple[Run, tuple]:
     """The record without gross errors of the output, found as in method 'information', and the list of them."""
-    wish = replace(request, method="information", phase="per-segment", phase_source="output")
+    wish = replace(request, method="information", phases="per-segment", phase_source="output")
     try:
         fit = fit_run(run, wish)
     except (CalibrationError, IdentifiabilityError):
@@ -453,7 +453,7 @@ def revolutions_result(
         serial=run.serial,
         scale_factor_nominal=run.scale_factor,
         terms=tuple(name for name in request.terms if any(c.name == name for c in coefficients)),
-        phase=request.phase,
+        phases=request.phases,
         phase_source=request.phase_source,
         method="revolutions",
         coefficients=coefficients,

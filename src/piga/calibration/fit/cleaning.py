@@ -121,13 +121,13 @@ def settle_jumps(
     dict
         Row index of every jump that was not subtracted from all later readings, and what was done instead.
     """
-    stretches = _stretches(run, begins, wrong, flags, free=design.request.phase == "per-segment")
+    stretches = _stretches(run, begins, wrong, flags, free=design.request.phases == "per-segment")
     jumped = [k for k, stretch in enumerate(stretches) if len(stretch.levels) > 1]
     chosen: dict[int, tuple[int, int]] = {}
     for k in jumped:
         stretch = stretches[k]
         chosen[k] = min(stretch.choices(k == 0 or stretch.anew), key=stretch.cost)
-    tied = bool(design.local_names) and design.request.phase == "shared" and not design.point
+    tied = bool(design.local_names) and design.request.phases == "shared" and not design.point
     if tied and len(jumped) <= OUTLIERS.judged:
         _ask_phases(design.of(run), noise, stretches, chosen)
     words: dict[int, str] = {}
@@ -423,5 +423,5 @@ def _perhaps_a_slip(before_gap: tuple[Outlier, ...]) -> str:
     return (
         f". The last readings before a gap ({listed}{more}) are too few to separate wrong readings "
         "from a slip of the counter. If the counter slipped, the phase after it is another one: "
-        "phase = 'per-segment' shows it"
+        "phases = 'per-segment' shows it"
     )

@@ -318,7 +318,7 @@ def _remedy(terms: set[str], per_segment: bool) -> str:
     if "servo_damping" in terms:
         if per_segment:
             return (
-                "with one phase per segment, phi takes up the whole effect of the damping: use phase = "
+                "with one phase per segment, phi takes up the whole effect of the damping: use phases = "
                 "'shared', or leave servo_damping out"
             )
         return "|a_x| has one size only: add positions or levels with another |a_x|, or leave servo_damping out"

@@ -113,7 +113,7 @@ class JointFit:
 def fit_jointly(
     items: Sequence[Run | RunSummary],
     terms: Sequence[str] | None,
-    phase: str | None,
+    phases: str | None,
     per_run: Sequence[str] | None,
     steps: Steps,
 ) -> JointFit:
@@ -138,7 +138,7 @@ def fit_jointly(
             continue
         steps.within(index / len(items), f"fitting the model to {name}")
         own = wish.terms_of(index)
-        request = make_request(item, own, "information", phase, None, ())
+        request = make_request(item, own, "information", phases, None, ())
         prepared = prepare(item, request, name)
         live.append(prepared)
         summaries.append(summarise(prepared, own))

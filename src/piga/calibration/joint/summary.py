@@ -82,7 +82,7 @@ class RunSummary(Result):
     ----------
     name, serial, scale_factor:
         Name of the run (unique in a joint calibration), serial number of the instrument, nominal K [(rad/s)/(m/s^2)].
-    terms, per_run, phase:
+    terms, per_run, phases:
         As requested in its run file.
     noise, degrees_of_freedom:
         Noise levels of this run, and how well the levels in the weights are known: the least degrees of freedom of
@@ -112,7 +112,7 @@ class RunSummary(Result):
     kind: str
     terms: tuple[str, ...]
     per_run: tuple[str, ...]
-    phase: str
+    phases: str
     temperature_reference: float
     time_reference: float
     noise: Noise
@@ -281,7 +281,7 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
         kind=run.kind,
         terms=live.request.terms,
         per_run=live.request.per_run,
-        phase=live.request.phase,
+        phases=live.request.phases,
         temperature_reference=live.request.temperature_reference,
         time_reference=fit.design.time_reference,
         noise=fit.noise,
@@ -399,6 +399,7 @@ MOST_SUMMARY_BYTES = 256 << 20
 def write_summary(summary: RunSummary, path: Path) -> None:
     """Write a summary as JSON with all digits of every float; infinite degrees of freedom are null."""
     document = {"schema": SCHEMA} | msgspec.to_builtins(summary, enc_hook=_plain)
+    document["phase"] = document.pop("phases")
     noise = summary.noise
     document["noise"] = [noise.white, noise.walk, noise.drift, noise.scatter]
     for part in (document, *document["sources"]):
@@ -456,6 +457,8 @@ def _restore(document: dict[str, Any]) -> None:
     noise, sources = document.get("noise"), document.get("sources")
     if not isinstance(noise, list) or not 2 <= len(noise) <= 4:
         raise JsonError("noise: two to four levels are needed")
+    if "phase" in document:
+        document["phases"] = document.pop("phase")
     document["noise"] = dict(zip(("white", "walk", "drift", "scatter"), noise, strict=False))
     for part in (document, *(sources if isinstance(sources, list) else ())):
         if isinstance(part, dict) and part.get("degrees_of_freedom", 0.0) is None:

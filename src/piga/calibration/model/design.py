@@ -184,7 +184,7 @@ class Design:
         self.local_names = self._local_names()
         self.shared_names = self._shared_names()
         self.names = self.local_names + self.shared_names
-        self.per_segment = self.request.phase == "per-segment" and bool(self.local_names)
+        self.per_segment = self.request.phases == "per-segment" and bool(self.local_names)
         count = len(run.labels)
         self.groups = tuple(range(count)) if self.per_segment else (0,) * count
         self.point = run.kind == "rate"

@@ -312,7 +312,7 @@ def _loose(coefficients: tuple[Coefficient, ...]) -> list[str]:
     return [c.segment for c in coefficients if c.segment is not None and not c.determined]
 
 
-def remarks_in_words(coefficients: tuple[Coefficient, ...], phase: str) -> tuple[str, ...]:
+def remarks_in_words(coefficients: tuple[Coefficient, ...], phases: str) -> tuple[str, ...]:
     """Remarks that are not doubts, one sentence each."""
     small = [
         c.key
@@ -326,7 +326,7 @@ def remarks_in_words(coefficients: tuple[Coefficient, ...], phase: str) -> tuple
             f"{', '.join(small)} {verb} smaller than twice {whose} standard uncertainty: the record does not need "
             f"{'it' if len(small) == 1 else 'them'}"
         )
-    if phase == "per-segment" and not _loose(coefficients):
+    if phases == "per-segment" and not _loose(coefficients):
         sentences.append(
             "every segment has its own phase: nothing is assumed about the counter between segments"
         )

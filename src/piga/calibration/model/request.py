@@ -29,7 +29,7 @@ class Request:
     """Terms to estimate, phase handling, method, and noise levels when given (SI)."""
 
     terms: tuple[str, ...]
-    phase: str
+    phases: str
     phase_source: str
     method: str
     angle_rms: float | None
@@ -54,7 +54,7 @@ def make_request(
     run: Run,
     terms: str | list[str] | tuple[str, ...] | None,
     method: str | None,
-    phase: str | None,
+    phases: str | None,
     phase_source: str | None,
     per_run: str | list[str] | tuple[str, ...] | None = None,
 ) -> Request:
@@ -70,7 +70,7 @@ def make_request(
     model, estimation = run.model, run.estimation
     request = Request(
         terms=term_names(terms) if terms is not None else model.terms,
-        phase=phase or model.phase,
+        phases=phases or model.phases,
         phase_source=phase_source or model.phase_source,
         method=method or estimation.method,
         angle_rms=None if estimation.angle_rms is None else to_si(estimation.angle_rms, "rad"),
@@ -83,7 +83,7 @@ def make_request(
         per_run=tuple(per_run) if per_run is not None else estimation.per_run,
     )
     for name, value, allowed in (
-        ("phase", request.phase, PHASES),
+        ("phases", request.phases, PHASES),
         ("phase_source", request.phase_source, PHASE_SOURCES),
         ("method", request.method, METHODS),
     ):
@@ -128,17 +128,17 @@ def _check_record(run: Run, request: Request) -> None:
                 remedy="add [data] temperature = { column = '...', unit = 'degC' }, or leave the term out",
             )
     check_servo(request)
-    at = lost_phase(run, request.terms, request.phase, request.method)
+    at = lost_phase(run, request.terms, request.phases, request.method)
     if at is not None:
         raise CalibrationError(
             "phase 'shared' is not possible: the zero of the output angle is lost at segment "
             f"'{run.labels[at]}' ({len(set(run.phase_group))} independent parts): the counter may have "
             "rolled over unseen before it",
-            remedy="set phase = 'per-segment' (run file [model], or --phase per-segment)",
+            remedy="set phases = 'per-segment' (run file [model], or --phases per-segment)",
         )
-    if request.phase_source == "input" and request.phase != "shared":
+    if request.phase_source == "input" and request.phases != "shared":
         raise CalibrationError(
-            "phase_source 'input' predicts the phase through the whole record and needs phase = 'shared'",
+            "phase_source 'input' predicts the phase through the whole record and needs phases = 'shared'",
             remedy="use phase_source = 'output'",
         )
     if request.method == "published" and tuple(sorted(request.terms)) not in {
@@ -156,10 +156,10 @@ def _check_record(run: Run, request: Request) -> None:
         )
 
 
-def lost_phase(run: Run, terms: tuple[str, ...], phase: str, method: str) -> int | None:
+def lost_phase(run: Run, terms: tuple[str, ...], phases: str, method: str) -> int | None:
     """First segment for which one phase of the whole record is asked and lost; None if there is none."""
     coupled = "tan_beta" in terms or any(map(harmonic, terms))
-    if phase != "shared" or not coupled or method == "revolutions":
+    if phases != "shared" or not coupled or method == "revolutions":
         return None
     return next((i for i, group in enumerate(run.phase_group) if group != run.phase_group[0]), None)
 

@@ -313,7 +313,7 @@ def _fit(run: Run, request: Request, sample: Sample, reading: AdviceReading) -> 
     left_out = ("scale_factor", "k1", *SERVO_TERMS)
     names = [*turning, "k1", *(n for n in request.shared_terms if n not in left_out)]
     rows = _whitened(run, sample, reading, names)
-    free = len(turning) if request.phase != "shared" else 0
+    free = len(turning) if request.phases != "shared" else 0
     if free:
         parts = [rows[:, sample.segment == segment] for segment in np.unique(sample.segment)]
         rows = np.hstack([_without(part, free) for part in parts])

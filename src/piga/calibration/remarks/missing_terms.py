@@ -143,7 +143,7 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
     left_out |= {"k0_T", "k1_T"} if low == high else set()
     left_out |= servo_out_of_reach(design)
     candidates: list[tuple[str, ...]] = [(name,) for name in SINGLE if name not in left_out]
-    if design.request.phase == "shared" or "tan_beta" in terms:
+    if design.request.phases == "shared" or "tan_beta" in terms:
         candidates += [columns for name, columns in PAIRS if name not in terms]
     return candidates
 

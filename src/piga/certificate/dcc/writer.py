@@ -72,7 +72,7 @@ def dcc_document(
         raise DataError(
             f"certificate: the attached calibration has {longest} characters with its {len(calibration.coefficients)} "
             f"coefficients; readers of XML take {MOST_TEXT}",
-            remedy="calibrate with phase = 'shared', or with fewer segments",
+            remedy="calibrate with phases = 'shared', or with fewer segments",
         )
     etree.indent(root)
     return root

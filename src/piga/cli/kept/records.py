@@ -273,7 +273,7 @@ def add(
     ] = None,
     terms: Annotated[str | None, typer.Option(metavar="A,B,...", help="As for piga calibrate.")] = None,
     method: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
-    phase: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
+    phases: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
     phase_source: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
     report: Annotated[bool, typer.Option(help="Write and keep report.html.")] = True,
     as_json: JsonOption = False,
@@ -282,10 +282,10 @@ def add(
     from piga.ledger import prepare_results, prepare_run
 
     wanted = None if terms is None else [name.strip() for name in terms.split(",") if name.strip()]
-    if results is not None and any(option is not None for option in (wanted, method, phase, phase_source)):
+    if results is not None and any(option is not None for option in (wanted, method, phases, phase_source)):
         raise PigaError(
             "--results keeps the result of an earlier piga calibrate unchanged; options of the calibration do not apply",
-            remedy="leave out --terms, --method and --phase...",
+            remedy="leave out --terms, --method and --phases...",
         )
     _check_usable(store)
     if supersedes is not None:
@@ -295,7 +295,7 @@ def add(
             prepared = prepare_results(run, results, operator, reason, measured=measured, supersedes=supersedes)
         else:
             prepared = prepare_run(
-                run, operator, reason, terms=wanted, method=method, phase=phase, phase_source=phase_source,
+                run, operator, reason, terms=wanted, method=method, phases=phases, phase_source=phase_source,
                 measured=measured, supersedes=supersedes, report=report,
             )  # fmt: skip
     with opened(store, create=True) as kept:

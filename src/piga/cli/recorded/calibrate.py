@@ -42,7 +42,7 @@ def calibrate(
     method: Annotated[
         str | None, typer.Option(help="Estimator: information | rate | recursive | published | revolutions.")
     ] = None,
-    phase: Annotated[str | None, typer.Option(help="Phase of the output zero: shared | per-segment.")] = None,
+    phases: Annotated[str | None, typer.Option(help="Phases of the output zero: shared | per-segment.")] = None,
     phase_source: Annotated[
         str | None, typer.Option(help="Angle that turns the coupling: output | input.")
     ] = None,
@@ -77,7 +77,7 @@ def calibrate(
         items = read_items(runs) if compare is None else _with_sets(read_items(runs), compare)
         with progress("calibrating") as advance:
             calibration = _estimate(
-                items, _names(terms), method, phase, phase_source, _names(per_run), advance.show
+                items, _names(terms), method, phases, phase_source, _names(per_run), advance.show
             )
         with progress("writing the report" if report else "writing"):
             written = write_results(calibration, stage, report=report)
@@ -136,7 +136,7 @@ def _estimate(
     items: list[Run | RunSummary],
     terms: list[str] | None,
     method: str | None,
-    phase: str | None,
+    phases: str | None,
     phase_source: str | None,
     per_run: list[str] | None,
     progress: Progress,
@@ -144,17 +144,17 @@ def _estimate(
     from piga.calibration.calibrate import calibrate as estimate
 
     return estimate(
-        items, terms, method, phase=phase, phase_source=phase_source, per_run=per_run, progress=progress
+        items, terms, method, phases=phases, phase_source=phase_source, per_run=per_run, progress=progress
     )
 
 
 def run_calibration(
-    run: Path, terms: list[str] | None, method: str | None, phase: str | None, phase_source: str | None
+    run: Path, terms: list[str] | None, method: str | None, phases: str | None, phase_source: str | None
 ) -> Calibration:
     """Read and calibrate one run, with progress."""
     items = read_items([run])
     with progress("calibrating") as advance:
-        return _estimate(items, terms, method, phase, phase_source, None, advance.show)
+        return _estimate(items, terms, method, phases, phase_source, None, advance.show)
 
 
 def write_summaries(items: list[Run | RunSummary], directory: Path) -> list[Path]:

@@ -58,7 +58,7 @@ class RunRecord(Result):
     name: str
     source: str
     stand: str | None
-    phase: str
+    phases: str
     raw: bool
     rows: int
     angle_rms: float
@@ -154,7 +154,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     serial: str
     scale_factor_nominal: float
     terms: tuple[str, ...]
-    phase: str
+    phases: str
     phase_source: str
     method: str
     coefficients: tuple[Coefficient, ...]
@@ -401,7 +401,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
             self,
             coefficients=tuple(replace(self.coefficients[i], run=None) for i in chosen),
             covariance=self.covariance[np.ix_(chosen, chosen)],
-            phase=record.phase,
+            phases=record.phases,
             angle_rms=record.angle_rms,
             angle_random_walk=record.angle_random_walk,
             budget=BudgetTable(tuple(row.renamed(names) for row in self.budget)),

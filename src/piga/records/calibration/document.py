@@ -8,7 +8,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -36,7 +36,7 @@ from piga.records.calibration import (
     TypeB,
 )
 from piga.records.limits import check_label, read_whole
-from piga.records.run_file import Method, Phase, PhaseSource
+from piga.records.run_file import Method, Phases, PhaseSource
 from piga.records.terms import check_name, unit_of
 from piga.records.text_files import JsonError, decode_json, schema_of
 from piga.units import conversion_factor, from_si
@@ -95,7 +95,7 @@ class _Instrument(msgspec.Struct, frozen=True):
 
 class _Model(msgspec.Struct, frozen=True):
     terms: tuple[str, ...]
-    phase: Phase
+    phase: Phases
     phase_source: PhaseSource
     method: Method
     temperature_reference: _Level = _Level(293.15, "K")
@@ -153,6 +153,26 @@ class _Provenance(msgspec.Struct, frozen=True):
     options: dict[str, Any] = {}
 
 
+class _Run(msgspec.Struct, frozen=True, kw_only=True):
+    """A :class:`RunRecord`. The schema calls its ``phases`` ``phase``."""
+
+    name: str
+    source: str
+    stand: str | None
+    phases: str = msgspec.field(name="phase")
+    raw: bool
+    rows: int
+    angle_rms: float
+    angle_random_walk: float
+    residual_rms: float
+    residual_rms_before: float
+    residual_max_before: float
+    residual_max_after: float
+    quality: Quality
+    undetermined: tuple[str, ...] = ()
+    input_sha256: dict[str, str] = {}
+
+
 class _Document(msgspec.Struct, frozen=True):
     schema: str
     instrument: _Instrument
@@ -169,7 +189,7 @@ class _Document(msgspec.Struct, frozen=True):
     degrees_of_freedom: Level = math.inf
     diagnostics: Diagnostics = Diagnostics()
     segments: tuple[SegmentSummary, ...] = ()
-    runs: tuple[RunRecord, ...] = ()
+    runs: tuple[_Run, ...] = ()
     outliers: tuple[Outlier, ...] = ()
 
 
@@ -205,7 +225,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "provenance": msgspec.to_builtins(c.provenance),
     }
     if c.runs:
-        document["runs"] = [msgspec.to_builtins(run) for run in c.runs]
+        document["runs"] = [msgspec.to_builtins(_Run(**_fields(run))) for run in c.runs]
     if c.outliers:
         document["outliers"] = [msgspec.to_builtins(outlier) for outlier in c.outliers[: DOCUMENT.outliers]]
     return document
@@ -220,7 +240,7 @@ def _subject(c: Calibration) -> dict[str, Any]:
         },
         "model": {
             "terms": list(c.terms),
-            "phase": c.phase,
+            "phase": c.phases,
             "phase_source": c.phase_source,
             "method": c.method,
             "temperature_reference": {"value": c.temperature_reference, "unit": "K"},
@@ -340,7 +360,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         serial=document.instrument.serial,
         scale_factor_nominal=_in_si(document.instrument.scale_factor_nominal, "rad/s/(m/s^2)", path),
         terms=document.model.terms,
-        phase=document.model.phase,
+        phases=document.model.phase,
         phase_source=document.model.phase_source,
         method=document.model.method,
         coefficients=tuple(_coefficient(c) for c in document.coefficients),
@@ -365,7 +385,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         provenance=_provenance(document.provenance),
         temperature_reference=_in_si(document.model.temperature_reference, "K", path),
         time_reference=_in_si(document.model.time_reference, "s", path),
-        runs=document.runs,
+        runs=tuple(RunRecord(**_fields(run)) for run in document.runs),
         outliers=document.outliers,
     )
 
@@ -427,6 +447,10 @@ def _coefficient(entry: _Coefficient) -> Coefficient:
     return Coefficient(
         entry.name, entry.value, entry.std, entry.unit, entry.segment, entry.run, nu, entry.interval
     )
+
+
+def _fields(run: RunRecord | _Run) -> dict[str, Any]:
+    return {f.name: getattr(run, f.name) for f in fields(RunRecord)}
 
 
 def _decode(raw: bytes, path: Path) -> _Document:

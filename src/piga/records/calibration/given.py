@@ -58,7 +58,7 @@ def calibration_of(
         serial=serial,
         scale_factor_nominal=_nominal(given, scale_factor_nominal),
         terms=tuple(c.name for c in given if c.name != "phi"),
-        phase="per-segment" if per_segment else "shared",
+        phases="per-segment" if per_segment else "shared",
         phase_source=_chosen(phase_source),
         method="information",
         coefficients=tuple(given),

@@ -96,7 +96,7 @@ def calibration_text(cal: Calibration) -> str:
     made = [
         f"Calibration of {name} from {files_in_words(cal)}",
         f"  {segments_in_words(cal)}, {period_in_words(total_duration(cal))}, {used} rows used",
-        f"  method {cal.method}, phase {cal.phase}, terms {' '.join(cal.terms)}",
+        f"  method {cal.method}, phases {cal.phases}, terms {' '.join(cal.terms)}",
     ]
     head = [
         *_wrapped(cal.verdict.lines()),
@@ -372,10 +372,10 @@ def _data_tile(cal: Calibration) -> Tile:
 
 def _tested(cal: Calibration) -> Section:
     terms = ", ".join(f"{term} ({meaning_of(term)})" for term in cal.terms)
-    shared, seen = cal.phase == "shared", cal.quality
+    shared, seen = cal.phases == "shared", cal.quality
     phase = "one for the whole record (shared)" if shared else "one for each segment (per-segment)"
     if cal.runs:
-        phase = "; ".join(f"run {run.name}: {run.phase}" for run in cal.runs)
+        phase = "; ".join(f"run {run.name}: {run.phases}" for run in cal.runs)
     rows = [
         ("Instrument", cal.serial),
         ("Data", files_in_words(cal)),

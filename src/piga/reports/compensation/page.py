@@ -221,7 +221,7 @@ def _provenance(facts: CompensationFacts, scale_factor: float) -> Section:
     cal = facts.calibration
     options = {
         "calibration of": f"{cal.serial}, by {cal.provenance.software} on {cal.provenance.created}",
-        "phase of the calibration": cal.phase,
+        "phases of the calibration": cal.phases,
         "scale factor of the indication": f"{printed(short(scale_factor, 8))} (rad/s)/(m/s²)",
         **facts.options,
     }

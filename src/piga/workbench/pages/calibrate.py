@@ -86,7 +86,7 @@ def _options(run_file: RunFile, terms: tuple[str, ...], fields: dict[str, list[s
     options = [] if terms == run_file.model.terms else ["--terms", ",".join(terms)]
     asked = {
         "--method": (only(fields, "method"), run_file.estimation.method, METHODS),
-        "--phase": (only(fields, "phase"), run_file.model.phase, PHASES),
+        "--phases": (only(fields, "phases"), run_file.model.phases, PHASES),
         "--phase-source": (only(fields, "phase_source"), run_file.model.phase_source, PHASE_SOURCES),
     }
     for option, (value, written, allowed) in asked.items():
