@@ -143,7 +143,7 @@ def _change_run_file(request: Request, name: str, word: str, fields: dict[str, l
     try:
         text = sent_text(fields, "run")
         if word == "phase":
-            text = text_with(folder.file(name).read_text(encoding="utf-8"), {"model.phase": '"per-segment"'})
+            text = text_with(folder.file(name).read_text(encoding="utf-8"), {"model.phases": '"per-segment"'})
         _save(folder, name, text, new=False)
     except PigaError as error:
         return _run_file_page(request, name, text, str(error), 422)
