@@ -115,8 +115,15 @@ def test_a_swaying_base_does_not_spoil_it():
 def test_recursive_ends_where_batch_does(sources):
     s = calibration(sensors=NOISE, duration=7200.0, step=16.0 if INTERPRETED else 4.0)
     readouts = simulate(s).readouts
-    batch = identify(readouts, s.place, sources=sources)
-    stepwise = identify_recursively(readouts, s.place, sources=sources)
+    steps, rows = [], []
+    batch = identify(readouts, s.place, sources=sources, progress=lambda *told: steps.append(told))
+    stepwise = identify_recursively(
+        readouts, s.place, sources=sources, progress=lambda *told: rows.append(told)
+    )
+    assert [done for done, _, _ in steps] == list(range(len(steps)))
+    taken = [(done, total) for done, total, what in rows if what == "taking in row by row"]
+    assert taken[0][0] == 0
+    assert all(0 <= done < total for done, total in taken)
     std = np.sqrt(np.diag(batch.covariance))
     apart = np.abs((stepwise.values - batch.values) / std).max()
     assert apart < (

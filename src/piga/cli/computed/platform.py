@@ -25,7 +25,7 @@ from piga.units import ARCSEC
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from piga.platform.model.scenario import Model
+    from piga.platform.model.scenario import Model, PlatformScenario
     from piga.platform.model.simulate import PlatformRun
     from piga.platform.navigation.analysis import Array
     from piga.platform.runs.chain import ModelComparisonRun
@@ -60,12 +60,14 @@ def simulate(
 
     Writes readouts.parquet, truth.parquet and a page.
     """
-    from piga.platform.runs.output import readouts_table, truth_table
+    from piga.platform.model.scenario import load_scenario
+    from piga.platform.runs.output import READOUT_COLUMNS, TRUTH_COLUMNS, readouts_table, truth_table
     from piga.reports.platform.page import simulation_page
 
-    run = _simulated(scenario)
+    read = load_scenario(scenario)
+    _announce(read.steps + 1, READOUT_COLUMNS + TRUTH_COLUMNS, 2, every)
+    run = _simulated(read)
     readouts, truth = (_thinned(table, every) for table in (readouts_table(run.readouts), truth_table(run)))
-    _announce([readouts, truth], every)
     with (
         _results(out, "simulate", scenario, force, "readouts.parquet", "truth.parquet") as folder,
         progress("writing data and report"),
@@ -99,23 +101,26 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
     """
     from piga.errors import PigaError
     from piga.platform.identification.alignment import align as align_platform
+    from piga.platform.model.scenario import load_scenario
     from piga.platform.runs.chain import prepare
     from piga.platform.runs.output import alignment_document
     from piga.reports.platform.page import alignment_page
 
-    run = _simulated(scenario)
+    run = _simulated(load_scenario(scenario))
     if not run.truth.motion.at_rest:
         raise PigaError(
             f"{scenario}: alignment needs a base at rest, [motion] kind = '{run.scenario.motion.kind}'",
             remedy="align on a static scenario",
         )
-    with progress("aligning"):
-        preparation = prepare(run)
+    with progress("aligning") as advance:
+        preparation = prepare(run, advance.show)
         aligned = preparation.alignment
         if aligned is None:
             stretch = run.readouts.first(run.scenario.calibration_time)
             orders = run.scenario.compensation.orders
-            aligned = align_platform(stretch, run.scenario.place, preparation.knowledge, orders=orders)
+            aligned = align_platform(
+                stretch, run.scenario.place, preparation.knowledge, orders=orders, progress=advance.show
+            )
     document = alignment_document(aligned)
     with (
         _results(out, "align", scenario, force, "alignment.json") as folder,
@@ -138,18 +143,23 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
     Writes identification.json and a page.
     """
     from piga.platform.identification.identify import identify_recursively, observability
+    from piga.platform.model.scenario import load_scenario
     from piga.platform.runs.chain import identified
     from piga.platform.runs.output import identification_document
     from piga.reports.platform.page import identification_page
     from piga.reports.render.numbers import rounded
 
-    run = _simulated(scenario)
+    run = _simulated(load_scenario(scenario))
     s = run.scenario
-    with progress("identifying"):
-        identification = identified(run)
+    with progress("identifying") as advance:
+        identification = identified(run, advance.show)
         stretch = run.readouts.first(s.calibration_time)
         recursive = identify_recursively(
-            stretch, s.place, sources=identification.sources, orders=s.compensation.orders
+            stretch,
+            s.place,
+            sources=identification.sources,
+            orders=s.compensation.orders,
+            progress=advance.show,
         )
         sources = observability(stretch, identification)
     document = identification_document(identification, sources)
@@ -172,12 +182,16 @@ def navigate(
 
     Writes navigation-MODEL.parquet and a page.
     """
-    from piga.platform.runs.output import navigation_table
+    from piga.platform.model.scenario import load_scenario
+    from piga.platform.runs.chain import navigated_rows
+    from piga.platform.runs.output import NAVIGATION_COLUMNS, navigation_table
     from piga.reports.platform.page import navigation_page
 
-    comparison = _compared(scenario)
+    read = load_scenario(scenario)
+    models = len(read.compensation.models)
+    _announce(navigated_rows(read), models * NAVIGATION_COLUMNS, models, every)
+    comparison = _compared(read)
     tables = {name: _thinned(navigation_table(run), every) for name, run in comparison.models.items()}
-    _announce(list(tables.values()), every)
     with (
         _results(out, "navigate", scenario, force, "navigation-*.parquet") as folder,
         progress("writing data and report"),
@@ -210,10 +224,11 @@ def compare(
 
     Writes comparison.json and a page, day by day.
     """
+    from piga.platform.model.scenario import load_scenario
     from piga.platform.runs.budget import error_budget, line_budget, standard_sources
     from piga.platform.runs.output import budget_document, line_budget_document
 
-    comparison = _compared(scenario)
+    comparison = _compared(load_scenario(scenario))
     s = comparison.run.scenario
     with progress("budget") as advance:
         sources = standard_sources(comparison.preparation.alignment)
@@ -239,22 +254,18 @@ def compare(
     _finish(document, json, _lines_text(comparison, out))
 
 
-def _simulated(scenario: Path) -> PlatformRun:
-    from piga.platform.model.scenario import load_scenario
+def _simulated(scenario: PlatformScenario) -> PlatformRun:
     from piga.platform.model.simulate import simulate as simulate_platform
 
-    read = load_scenario(scenario)
     with progress("simulating"):
-        return simulate_platform(read)
+        return simulate_platform(scenario)
 
 
-def _compared(scenario: Path) -> ModelComparisonRun:
-    from piga.platform.model.scenario import load_scenario
+def _compared(scenario: PlatformScenario) -> ModelComparisonRun:
     from piga.platform.runs.chain import compare as compare_models
 
-    read = load_scenario(scenario)
     with progress("simulating and navigating") as advance:
-        return compare_models(read, progress=advance.show)
+        return compare_models(scenario, progress=advance.show)
 
 
 def _lines_text(comparison: ModelComparisonRun, out: Path | None) -> str:
@@ -331,13 +342,16 @@ def _thinned(table: Any, every: int) -> Any:
     return thin
 
 
-def _announce(tables: list[Any], every: int) -> None:
-    """Say before writing how large the files will be, if they are large. Parquet packs them to at most this size."""
-    size = sum(table.nbytes for table in tables) / 1e6
+def _announce(rows: int, columns: int, files: int, every: int) -> None:
+    """Say before a run how large its files will be, if they are large. Parquet packs them to at most this size.
+
+    ``columns``: those of all files together.
+    """
+    kept = -(-rows // every)
+    size = 8.0 * kept * columns / 1e6
     if size > LARGE_MB:
-        rows = tables[0].num_rows
         more = "" if every > 1 else "; fewer with --every N"
-        note(f"piga: writing {len(tables)} files of {rows} rows, up to {size:.0f} MB together{more}")
+        note(f"piga: {files} files of {kept} rows will be written, up to {size:.0f} MB together{more}")
 
 
 def _degrees(angle: float) -> float:

@@ -27,6 +27,7 @@ from piga.platform.model.models import Knowledge
 from piga.platform.model.scenario import Place
 from piga.platform.model.simulate import Readouts
 from piga.platform.navigation.navigator import Start, site_start
+from piga.progress import Progress, report
 from piga.results import Result
 
 Array = NDArray[np.float64]
@@ -94,11 +95,13 @@ def _angles(base: Array) -> Array:
 
 
 def align(
-    readouts: Readouts, place: Place, known: Knowledge, *, orders: int = 3, iterations: int = 5
-) -> Alignment:
+    readouts: Readouts, place: Place, known: Knowledge, *, orders: int = 3, iterations: int = 5,
+    progress: Progress | None = None,
+) -> Alignment:  # fmt: skip
     """Align on a record of a base at rest at a known place. The misalignments must be known.
 
-    The method is Gauss-Newton on the exact geometry. The noise levels come from the residuals.
+    The method is Gauss-Newton on the exact geometry. The noise levels come from the residuals. ``progress`` is called as
+    ``progress(done, total, what)`` before each step.
 
     Raises
     ------
@@ -113,7 +116,8 @@ def align(
         eta0=known.eta0,
         eta_rate=known.eta_rate,
     )
-    for _ in range(iterations):
+    for k in range(iterations):
+        report(progress, k, iterations, f"step {k + 1} of {iterations}")
         parts = [group.reduced() for group in _groups(x, readouts, force)]
         solution = solve_with_noise(parts, UNKNOWNS)
         x = _moved(x, solution.step)

@@ -36,6 +36,7 @@ from piga.platform.model.geometry import geodetic_to_earth, specific_force_at_re
 from piga.platform.model.models import Knowledge
 from piga.platform.model.scenario import Gyro, Place
 from piga.platform.model.simulate import Readouts
+from piga.progress import Progress, report
 from piga.results import Result, plotted
 from piga.threads import with_one_thread
 from piga.units import ARCSEC
@@ -198,7 +199,7 @@ _SETTLED = 0.01
 
 @with_one_thread
 def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATIC_SOURCES, orders: int = 3,
-             iterations: int = 6) -> Identification:  # fmt: skip
+             iterations: int = 6, progress: Progress | None = None) -> Identification:  # fmt: skip
     """Batch identification by weighted Gauss-Newton least squares on the exact geometry.
 
     Parameters
@@ -213,6 +214,8 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
         Harmonics of the misalignment over the case turn to identify.
     iterations:
         Largest number of steps. The iteration ends earlier if it has converged.
+    progress:
+        Called as ``progress(done, total, what)`` before each step; it returns False to stop (:mod:`piga.progress`).
 
     Raises
     ------
@@ -223,16 +226,17 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
         20 samples a turn.
     """
     record = ObservedRecord.checked(readouts, sources, orders)
-    return result(record, *gauss_newton(record, place, iterations))
+    return result(record, *gauss_newton(record, place, iterations, progress))
 
 
 def gauss_newton(
-    record: ObservedRecord, place: Place, iterations: int = 6
+    record: ObservedRecord, place: Place, iterations: int = 6, progress: Progress | None = None
 ) -> tuple[Unknowns, list[Reduced], LeastSquares]:
     """Converged unknowns, the rows about the last ones but one, and the last step with its covariance."""
     force = specific_force_at_rest(geodetic_to_earth(place.latitude, place.longitude, place.height))
     x = coarse_unknowns(record.readouts, force, record.orders)
-    for _ in range(max(iterations, 1)):
+    for k in range(max(iterations, 1)):
+        report(progress, k, iterations, f"step {k + 1} of at most {iterations}")
         parts = [group.reduced() for group in record.groups(x)]
         solution = solve_with_noise(parts, record.names)
         x = record.moved(x, solution.step)
@@ -253,20 +257,21 @@ def identify_recursively(
     sources: Sequence[str] = STATIC_SOURCES,
     orders: int = 3,
     points: int = 200,
+    progress: Progress | None = None,
 ) -> Identification:
     """Identify sample by sample, with the history of the estimate.
 
     The rows are linearised once, about a batch solution over the first quarter of the record (at least four case
     turns). That solution also gives the noise levels. Square-root (Givens) updates then add the rows one by one. The
     final estimate agrees with the batch estimate to second order in the error of the first solution. ``points``
-    instants of the history are kept.
+    instants of the history are kept. ``progress`` is called as ``progress(done, total, what)``, with the rows taken in.
     """
     record = ObservedRecord.checked(readouts, sources, orders)
     span = float(readouts.times[-1] - readouts.times[0])
     early = ObservedRecord.checked(readouts.first(max(4.0 * record.periods[1], 0.25 * span)), sources, orders)
-    x, parts, start = gauss_newton(early, place)
+    x, parts, start = gauss_newton(early, place, progress=progress)
     levels = {part.name: level for part, level in zip(parts, start.levels, strict=True)}
-    times, ends = _taken_in(list(record.in_time(x, levels)), len(record.names) + 1, points)
+    times, ends = _taken_in(list(record.in_time(x, levels)), len(record.names) + 1, points, progress)
     values, stds = np.empty((len(ends), len(record.names))), np.empty((len(ends), len(record.names)))
     for k, factor in enumerate(ends):
         inverse = np.linalg.inv(factor[:-1, :-1])
@@ -286,7 +291,9 @@ def identify_recursively(
     return replace(identification, history=history)
 
 
-def _taken_in(stream: list[tuple[Array, Array]], size: int, points: int) -> tuple[Array, Array]:
+def _taken_in(
+    stream: list[tuple[Array, Array]], size: int, points: int, progress: Progress | None
+) -> tuple[Array, Array]:
     """Times (k,) and factors (k, size, size) of ``points`` instants, including the last row."""
     count = sum(len(times) for times, _ in stream)
     scale = np.ones(size)
@@ -294,6 +301,7 @@ def _taken_in(stream: list[tuple[Array, Array]], size: int, points: int) -> tupl
     kept = np.unique(np.linspace(max(count // 20, 4 * size), count - 1, points).astype(np.int64))
     ends, when, block, at, done = np.empty((len(kept), size, size)), [], _PRIOR * np.eye(size), 0, 0
     for times, rows in stream:
+        report(progress, at, count, "taking in row by row")
         rows[:, -size:] /= scale
         slow = rows.shape[1] - size
         factor = _PRIOR * np.eye(rows.shape[1])

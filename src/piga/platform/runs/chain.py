@@ -79,21 +79,21 @@ class ModelComparisonRun(Result):
         }
 
 
-def identified(run: PlatformRun) -> Identification:
+def identified(run: PlatformRun, progress: Progress | None = None) -> Identification:
     """Identification from the calibration stretch of a run, with the sources that its base allows."""
     s = run.scenario
     sources = STATIC_SOURCES if run.truth.motion.at_rest else MOVING_SOURCES
     stretch = run.readouts.first(s.calibration_time)
-    return identify(stretch, s.place, sources=sources, orders=s.compensation.orders)
+    return identify(stretch, s.place, sources=sources, orders=s.compensation.orders, progress=progress)
 
 
-def prepare(run: PlatformRun) -> Preparation:
+def prepare(run: PlatformRun, progress: Progress | None = None) -> Preparation:
     """Identify and align as the scenario asks, from readouts of its calibration stretch only."""
     s, c = run.scenario, run.scenario.compensation
     identification = None
     notes: list[str] = []
     if c.misalignment == "identified" and s.polar_rotation.rate > 0.0:
-        identification = identified(run)
+        identification = identified(run, progress)
         notes += identification.notes
     elif c.misalignment == "identified":
         notes.append("the cases are at rest: nothing can be identified; the true misalignments are used")
@@ -103,7 +103,9 @@ def prepare(run: PlatformRun) -> Preparation:
     aligned = None
     start = true_start(run.truth)
     if "aligned" in (c.attitude, c.drift):
-        aligned = align(run.readouts.first(s.calibration_time), s.place, known, orders=c.orders)
+        aligned = align(
+            run.readouts.first(s.calibration_time), s.place, known, orders=c.orders, progress=progress
+        )
         if c.attitude == "aligned":
             start = aligned.start(with_drift=False)
     drift = _drift(s, aligned)
@@ -136,6 +138,16 @@ def run_model(run: PlatformRun, preparation: Preparation, model: Model, *, every
     return ModelRun(made, navigation, error, lines, theory)
 
 
+def _every(scenario: PlatformScenario) -> int:
+    """Steps per row of the navigation: one row a second."""
+    return max(1, round(1.0 / scenario.step))
+
+
+def navigated_rows(scenario: PlatformScenario) -> int:
+    """Rows that the navigation of each model has."""
+    return scenario.steps // _every(scenario)
+
+
 def compare(scenario: PlatformScenario, *, progress: Progress | None = None) -> ModelComparisonRun:
     """Simulate the scenario and navigate it with every model it names.
 
@@ -153,7 +165,7 @@ def compare(scenario: PlatformScenario, *, progress: Progress | None = None) -> 
     run = simulate(scenario)
     steps("identifying and aligning")
     preparation = prepare(run)
-    every = max(1, round(1.0 / scenario.step))
+    every = _every(scenario)
     models = {}
     for m in named:
         steps(f"navigating, model {m}")

@@ -32,6 +32,10 @@ def _table(columns: dict[str, tuple[Array, str]]) -> pa.Table:
     )
 
 
+READOUT_COLUMNS, TRUTH_COLUMNS, NAVIGATION_COLUMNS = 11, 14, 19
+"""Columns of the tables of a run, so that their size can be told before it."""
+
+
 def readouts_table(r: Readouts) -> pa.Table:
     """Readouts as a table. The increment of a row is that since the previous row; the first row has none."""
     since = np.concatenate([np.full((1, 3), np.nan), r.increments])
