@@ -1,4 +1,4 @@
-"""Campaigns: thousands of tests on one machine or many, resumed after any interruption, with the same bits every time."""
+"""Campaigns: thousands of tests on one machine or many. They resume after any interruption, with identical results."""
 
 from piga.campaign.campaign_file import CampaignPlan, read_campaign
 from piga.campaign.collect import Collected, collect, document

@@ -32,11 +32,11 @@ MOST_CASES = 1_000_000
 
 
 class CampaignTable(TomlTable, frozen=True):
-    """``[campaign]``: what holds for the whole campaign.
+    """``[campaign]``: settings of the whole campaign.
 
     ``designs`` is the number of cases that are drawn for each point of the grid (with ``[draw]``). ``bounds`` is the
     number of records per case for which the Cramer-Rao bound is computed. ``records_per_shard``: how many records are
-    computed together; if it is not given, it is measured when the campaign is planned.
+    computed together. If it is not given, the planning measures it.
     """
 
     title: str = ""
@@ -48,7 +48,7 @@ class CampaignTable(TomlTable, frozen=True):
 
 
 class CaseTable(TomlTable, frozen=True):
-    """``[[case]]``: one scenario by name, with values of its own.
+    """``[[case]]``: one scenario with a name and with its own values.
 
     ``scenario`` names a scenario file. ``set`` replaces values of it. ``constant_force`` describes a test in the campaign
     file itself; several of them in ``joint`` are calibrated together.
@@ -127,7 +127,7 @@ class CampaignGroup:
 
 
 def shown(value: Any) -> str:
-    """A value of a grid as it is read."""
+    """A value of a grid, as text."""
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(shown(part) for part in value)}]"
     return f"{value:g}" if isinstance(value, float) else str(value)
@@ -213,12 +213,12 @@ class CampaignPlan:
 
 
 def replace_value(document: dict[str, Any], key: str, value: Any) -> None:
-    """Set a value of a TOML document by its dotted key. Tables on the way are made; a number picks an entry of a list.
+    """Set a value of a TOML document by its dotted key. Missing tables are made. A number selects an entry of a list.
 
     Raises
     ------
     KeyError
-        If the way leads through a value that is no table.
+        If the key goes through a value that is not a table.
     """
     *tables, last = key.split(".")
     at: Any = document
@@ -264,7 +264,7 @@ def _ends(table: DrawTable) -> tuple[float, float, str]:
 
 
 def _check_draw(table: DrawTable) -> None:
-    """Refuse a distribution that cannot be drawn from.
+    """Refuse an invalid distribution.
 
     Raises
     ------
@@ -345,7 +345,7 @@ def plan_of(path: Path, texts: Mapping[str, bytes], archive: int | None = None) 
 
 
 def _inline(case: CaseTable) -> dict[str, Any]:
-    """The document of a test that stands in the campaign file."""
+    """The document of a test that is written in the campaign file itself."""
     if case.joint:
         return {"joint": [dict(table) for table in case.joint]}
     return {"constant_force": dict(case.constant_force or {})}
@@ -417,7 +417,7 @@ def _subject(path: Path, scenario: str, document: Mapping[str, Any]) -> Subject:
 
 
 def _check(plan: CampaignPlan) -> None:
-    """Build the first case of each scenario, and each value of the grid once, so that wrong keys are refused now."""
+    """Build the first case of each scenario and each value of the grid once. Wrong keys are then refused now."""
     from piga.campaign.subjects import built
 
     for key, table in plan.file.draw.items():

@@ -1,7 +1,7 @@
 """Collect a campaign: read all parts as one Arrow dataset, in the order of the records, and judge them.
 
-Sums are added record by record, in order. So the result has the same bits whatever the cut into shards, the number of
-workers and the interruptions. The memory needed does not grow with the number of records.
+Sums are added record by record, in order. So the result does not depend on the shards, the workers and the
+interruptions, to the bit. The memory does not grow with the number of records.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class Sums:
 
 
 def _sum(start: float, values: Array) -> float:
-    """Add values one after the other: the result does not depend on how they are cut into pieces."""
+    """Add values one after the other: the result does not depend on the pieces."""
     return float(np.add.accumulate(np.concatenate([[start], values]))[-1])
 
 
@@ -126,9 +126,9 @@ class CampaignCoefficient:
     """The figures of one coefficient or quantity in one group; what is not known is None.
 
     ``coverage_std_error`` is that of a binomial share. ``bias`` is the mean error, ``spread`` the standard deviation of the errors,
-    both in ``unit``. ``variance_over_bound`` is the variance of the errors over that of Cramer and Rao. ``nees`` is the mean
-    square of the errors over standard uncertainties, ``nees_expected`` what Student's t lets expect. For quantities without truth
-    ``mean``, ``std``, ``lowest`` and ``highest`` say what was computed.
+    both in ``unit``. ``variance_over_bound`` is the variance of the errors over that of Cramer and Rao. ``nees`` is
+    the mean square of the errors over standard uncertainties, ``nees_expected`` its expected value for Student's t.
+    For quantities without truth, ``mean``, ``std``, ``lowest`` and ``highest`` describe the results.
     """
 
     name: str
@@ -157,7 +157,7 @@ class CampaignCoefficient:
 class GroupResult:
     """The results of one group: figures by coefficient, records that failed by class, NEES of all coefficients together.
 
-    ``verdicts`` counts how calibrations of an archive compare with the stored ones.
+    ``verdicts`` counts the results of the comparison with the stored calibrations of an archive.
     """
 
     group: CampaignGroup
@@ -239,7 +239,7 @@ def collect(campaign: Campaign) -> Collected:
     Raises
     ------
     PigaError
-        If a part is damaged or belongs to another campaign, or if there is none.
+        If a part is damaged or belongs to another campaign, or if there are no parts.
     """
     from piga._version import __version__
 
@@ -411,7 +411,7 @@ def _add(group: _Group, batch: pa.RecordBatch) -> None:
 
 
 def _keep_worst(batch: pa.RecordBatch, worst: list[tuple[float, int, str, int]]) -> None:
-    """Keep the coefficients that are farthest from their truth; of equal ones the first record."""
+    """Keep the coefficients that are farthest from their truth. Of equal ones the first record is kept."""
     columns, names, _, rows = _flat(batch)
     size = np.nan_to_num(np.abs(columns["z"]), nan=0.0, posinf=0.0)
     numbers = batch.column("record").to_numpy()

@@ -1,8 +1,8 @@
 """Simulated tests with constant force in each segment, and the Cramer-Rao bound of their coefficients.
 
-One step of the motion is a closed form (:mod:`piga._kernels.motion.constant_steps`). It shares no code with the estimator.
-A random walk is part of the motion; white noise and counting belong to the reading. The gimbal starts anywhere in every
-segment. A record is made in milliseconds, so these tests serve for campaigns of many thousands.
+One step of the motion is a closed form (:mod:`piga._kernels.motion.constant_steps`). It shares no code with the
+estimator. A random walk is part of the motion. White noise and counting belong to the reading. The gimbal starts at a
+random angle in every segment. A record takes milliseconds, so campaigns of many thousands are possible.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from piga.units import G0, to_si
 Array = NDArray[np.float64]
 
 SCALE = 0.8884
-"""Scale factor if the test does not say another one [(rad/s)/g]."""
+"""Default scale factor [(rad/s)/g]."""
 PHI = 0.48
-"""Phase of the output zero if the test does not say another one [rad]."""
+"""Default phase of the output zero [rad]."""
 PAUSE = 5.0
-"""Time between two segments if the test does not say another one [s]."""
+"""Default time between two segments [s]."""
 
 
 class TumbleTable(TomlTable, frozen=True):

@@ -14,7 +14,7 @@ from piga.campaign.shard import ShardReport, run_shard
 from piga.errors import ArgumentError, PigaError, missing_package
 
 CONNECT = 20.0
-"""Longest wait for the scheduler [s]."""
+"""Longest time to wait for the scheduler [s]."""
 PATIENCE = 60.0
 """A cluster without workers for longer than this ends the run [s]."""
 _ADDRESS = re.compile(r"dask://(?P<host>\[[0-9a-fA-F:.]+\]|[^:/\[\]\s]+):(?P<port>\d{1,5})/?")

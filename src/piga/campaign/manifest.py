@@ -1,8 +1,8 @@
 """The folder of a campaign: manifest, parts, and shards that were set aside.
 
-``manifest.json`` holds the campaign file, the scenario files, the length of a shard and the software. A shard is a range of
-records, and ``parts/part-NNNNN.parquet`` is its result. A shard is done if its part is there; nothing else says so.
-For an archive, ``archive.parquet`` lists the run files with size, time, SHA-256 and stored record.
+``manifest.json`` holds the campaign file, the scenario files, the length of a shard and the software. A shard is a
+range of records, and ``parts/part-NNNNN.parquet`` is its result. A shard is done if its part exists. Nothing else
+marks it. For an archive, ``archive.parquet`` lists the run files with size, time, SHA-256 and stored record.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Campaign:
 
     @cached_property
     def key(self) -> str:
-        """SHA-256 of what determines the numbers. Every part carries it."""
+        """SHA-256 of everything that determines the numbers. Every part holds it."""
         return _key(self.manifest)
 
     @cached_property
@@ -147,7 +147,7 @@ def _key(manifest: Manifest) -> str:
 
 
 def software() -> dict[str, str]:
-    """What determines the numbers on a machine: version of piga, digest of its numeric source, versions of libraries."""
+    """Software that determines the numbers: version of piga, digest of its numeric source, versions of libraries."""
     from piga.ledger.reproduce import NUMERIC_ROOMS, software_identity, source_digest
 
     names = ("piga", "numpy", "scipy", "numba", "compiled")
@@ -254,7 +254,7 @@ def _known(campaign: Campaign, wanted: Manifest) -> Campaign:
 
 
 def probes(plan: CampaignPlan) -> list[int]:
-    """Numbers of the records that stand for all others: the first of each group, or an even choice of them."""
+    """Numbers of the records that represent all others: the first of each group, or an even selection of these."""
     starts = [group.start for group in plan.groups if group.records]
     if len(plan.groups) == 1:
         starts = [round(k * (plan.records - 1) / (CUT.probes - 1)) for k in range(CUT.probes)]
@@ -264,7 +264,7 @@ def probes(plan: CampaignPlan) -> list[int]:
 
 
 def compile_kernels(campaign: Campaign) -> None:
-    """Compute one record, so that the kernels are compiled before workers start: they then load what is compiled."""
+    """Compute one record, so that the kernels are compiled before the workers start. The workers then load them."""
     if campaign.plan.records:
         _try(campaign, 0)
 
@@ -331,7 +331,7 @@ def _facts(path: Path, name: str) -> tuple[str, int, int, str]:
 
 
 def _digest(path: Path) -> str:
-    """SHA-256 of a file; empty for one that cannot be read: its record will say so."""
+    """SHA-256 of a file; empty if it cannot be read. Its record then holds the reason."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:

@@ -132,7 +132,7 @@ def _judgement(collected: Collected) -> tuple[Block, ...]:
 
 
 def _tone(c: CampaignCoefficient) -> Tone:
-    """Bad where fewer intervals hold than chance explains, doubtful where more hold."""
+    """Bad if fewer intervals hold than chance explains, doubtful if more hold."""
     if c.coverage is None:
         return ""
     off = (c.coverage - SHOWN.probability) / math.sqrt(SHOWN.probability * (1.0 - SHOWN.probability) / c.tests)

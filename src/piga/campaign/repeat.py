@@ -1,4 +1,4 @@
-"""Repeat one record of a campaign, and write its files as a lab would have them."""
+"""Repeat one record of a campaign, and write the files that a lab would have."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def write_record(plan: CampaignPlan, record: RecordName, folder: Path) -> list[s
 
 
 def _plain(value: Any) -> Any:
-    """Tables as they can be written again: dates become text."""
+    """Tables that can be written again: dates become text."""
     if isinstance(value, dict):
         return {key: _plain(part) for key, part in value.items()}
     if isinstance(value, list):

@@ -1,7 +1,7 @@
 """Run the shards of a campaign on an executor: the processes of this machine, or a cluster of Dask.
 
-All that must survive is in the folder. Any of the processes may be killed at any time; the next run computes the shards that
-have no part. The code is written against :class:`concurrent.futures.Executor`.
+Everything that must survive is in the folder. Any process may be killed at any time. The next run computes the shards
+without a part. The code is written against :class:`concurrent.futures.Executor`.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from piga.errors import ArgumentError, PigaError
 from piga.output import hold
 
 TASKS_PER_CHILD = 32
-"""Shards after which a process of the local pool is replaced: memory that a library loses does not add up."""
+"""Shards after which a process of the local pool is replaced. Memory leaks of a library then do not add up."""
 POLL = 0.5
-"""Time between two looks at the workers [s]."""
+"""Time between two checks of the workers [s]."""
 
 
 class Engine(Protocol):
@@ -51,7 +51,7 @@ class Engine(Protocol):
         """Raise PigaError if no worker is left."""
 
     def close(self, *, drop: bool) -> None:
-        """Let the workers go. ``drop``: do not wait for what they compute."""
+        """End the workers. ``drop``: do not wait for their shards."""
 
 
 class LocalEngine:
@@ -70,7 +70,7 @@ class LocalEngine:
         )
 
     def submit(self, folder: str, shard: int) -> Future[ShardReport]:
-        """Begin a shard. No more than ``workers`` may be under way: what waits in a pool is lost when it breaks."""
+        """Begin a shard. At most ``workers`` shards run at a time: waiting ones are lost if the pool breaks."""
         return self._pool.submit(run_shard, folder, shard)
 
     def renew(self) -> None:
@@ -94,10 +94,10 @@ class LocalEngine:
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a run stands: shards done and in all, records computed and failed in this run, what is under way.
+    """Progress of a run: shards done and in all, records computed and failed in this run, running shards.
 
-    ``running`` has the time that each shard under way has taken [s]. ``left`` is the estimated time to the end [s]; None before
-    the first shard is done.
+    ``running`` has the elapsed time of each running shard [s]. ``left`` is the estimated time to the end [s]; None
+    before the first shard is done.
     """
 
     done: int
@@ -127,7 +127,7 @@ def duration(seconds: float) -> str:
 
 @dataclass
 class RunReport:
-    """What a run did: shards done in all, shards set aside with their reasons, reports of this run, and whether it was stopped."""
+    """Result of a run: shards done in all, shards set aside with reasons, reports of this run, and if it was stopped."""
 
     shards: int
     done: int = 0
@@ -159,7 +159,8 @@ def run_campaign(
     Raises
     ------
     PigaError
-        If another run works in the folder, a part there is damaged, the executor cannot be used, or parts cannot be written.
+        If another run works in the folder, a part is damaged, the executor cannot be used, or parts cannot be
+        written.
     """
     release = _lock(campaign.folder)
     try:
@@ -221,7 +222,7 @@ def engine_of(executor: str | None, workers: int | None) -> Engine:
 
 
 class _Loop:
-    """The loop of a run: keep every worker busy with one shard, and answer what happens."""
+    """The loop of a run: give every worker one shard, and react to results, deaths and stops."""
 
     def __init__(
         self,
@@ -239,7 +240,7 @@ class _Loop:
         self.began = time.monotonic()
 
     def run(self) -> None:
-        """Run until all is done. The first Ctrl-C finishes the shards under way, the second drops them."""
+        """Run until all is done. The first Ctrl-C finishes the running shards, the second drops them."""
         folder = str(self.campaign.folder.resolve())
         while True:
             try:
@@ -291,7 +292,7 @@ class _Loop:
             self._after_death(died)
 
     def _after_death(self, died: list[tuple[int, bool, BaseException]]) -> None:
-        """A worker died: all that the pool was computing is lost with it, and is tried again one by one."""
+        """A worker died. All shards that the pool was computing are lost, and are tried again one by one."""
         if any(isinstance(error, BrokenExecutor) for _, _, error in died):
             lost, _ = wait(self.running, timeout=10.0)
             for future in lost:

@@ -1,4 +1,4 @@
-"""One shard: compute its records, and write its part whole. This is what workers do."""
+"""One shard: compute its records, and write its part. This is the task of a worker."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ KEY = b"piga.campaign"
 
 @dataclass(frozen=True)
 class ShardReport:
-    """What a worker says of a finished shard: records, those that failed, processor time [s], and its own name."""
+    """Report of a worker on a finished shard: records, failed records, processor time [s], and its own name."""
 
     shard: int
     records: int
@@ -45,7 +45,7 @@ class ShardReport:
 
 
 def start_worker() -> None:
-    """Prepare a process of the local pool: Ctrl-C is the parent's, one thread, and it ends when the parent is gone."""
+    """Prepare a process of the local pool: it ignores Ctrl-C, has one thread, and ends when the parent ends."""
     import signal
     from multiprocessing import parent_process
 
@@ -56,7 +56,7 @@ def start_worker() -> None:
 
 
 def _end_with(sentinel: int) -> None:
-    """End this process when the parent has ended. It waits for work that no one will send, otherwise."""
+    """End this process when the parent has ended. Otherwise it would wait for ever."""
     from multiprocessing.connection import wait
 
     wait([sentinel])
@@ -85,7 +85,7 @@ def run_shard(folder: str, shard: int) -> ShardReport:
 
 
 def _stamp(folder: str) -> int:
-    """Time of the manifest [ns]: a worker of a cluster outlives campaigns, and a folder may be planned anew."""
+    """Time of the manifest [ns]. A cluster worker may outlive a campaign, and a folder may be planned again."""
     try:
         return (Path(folder) / MANIFEST).stat().st_mtime_ns
     except OSError:

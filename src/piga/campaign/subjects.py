@@ -1,4 +1,4 @@
-"""What one record of a campaign does: simulate and calibrate a test, run a platform, or calibrate a run file again."""
+"""Computation of one record: simulate and calibrate a test, run a platform, or calibrate a run file again."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ Array = NDArray[np.float64]
 class Outcome:
     """Numbers of one record, one entry per coefficient or quantity, in the units of calibration.json.
 
-    ``low`` and ``high`` are the ends of the 95 % interval. ``truth`` is the true value, or the stored one for an archive.
-    ``error`` is value minus truth; for a phase it is taken to the nearest turn. ``bound`` is the standard deviation of
-    Cramer and Rao. What is not known is nan. ``nees`` is the mean square of all errors in their covariance, ``nees_expected`` what
-    Student's t lets expect.
+    ``low`` and ``high`` are the ends of the 95 % interval. ``truth`` is the true value, or the stored one for an
+    archive. ``error`` is value minus truth; for a phase it is taken to the nearest turn. ``bound`` is the standard
+    deviation of Cramer and Rao. Unknown values are nan. ``nees`` is the mean square of all errors in their
+    covariance, ``nees_expected`` its expected value for Student's t.
     """
 
     names: tuple[str, ...]
@@ -74,7 +74,7 @@ def built(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> A
     Raises
     ------
     RunFileError
-        If a key is unknown or a value not possible. The message names it.
+        If a key is unknown or a value is invalid. The message names it.
     """
     try:
         return _BUILDERS[record.group.subject](plan, record, document)
@@ -142,7 +142,7 @@ def compute(plan: CampaignPlan, record: RecordName, archive: Archive | None = No
     Raises
     ------
     PigaError
-        If it cannot be computed. Other errors of the computation pass, too.
+        If it cannot be computed. Other errors of the computation are raised, too.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PigaWarning)
@@ -213,7 +213,7 @@ def of_calibration(calibration: Calibration, truth: Array, bound: Array | None =
 
 
 def _simulated(plan: CampaignPlan, record: RecordName, scenario: Scenario, *, with_bound: bool) -> Outcome:
-    """Simulate, write the files of a lab, read them and calibrate: what a user does by hand."""
+    """Simulate, write the files of a lab, read them and calibrate, as a user does."""
     from piga.calibration.calibrate import calibrate
     from piga.stand import read_run
 
@@ -250,7 +250,7 @@ def _truth(test: SimulatedTest, calibration: Calibration) -> Array:
 
 
 def _bound(test: SimulatedTest, run: Run) -> Array | None:
-    """Standard deviations of Cramer and Rao: those of the estimate that is told the true noise levels.
+    """Cramer-Rao standard deviations, for known noise levels.
 
     None where the noise is more than white noise, counting and a random walk of the angle, or where Type B is stated.
     """
@@ -304,7 +304,7 @@ def _platform_run(plan: CampaignPlan, record: RecordName, scenario: PlatformScen
 
 
 def _recalibrated(plan: CampaignPlan, archive: Archive, number: int) -> Outcome:
-    """Calibrate a run file again, as its stored record was if there is one, and compare with that record."""
+    """Calibrate a run file again. If there is a stored record, use its request and compare with it."""
     from piga.calibration.calibrate import calibrate
     from piga.stand import read_run
 
@@ -344,7 +344,7 @@ def _check_unchanged(path: Path, digest: str) -> None:
 
 
 def _verdict(old: Calibration, new: Calibration) -> str:
-    """How the new calibration compares with the stored one; inputs that changed are named as such."""
+    """Comparison of the new calibration with the stored one. Changed inputs are named."""
     from piga.ledger.compare import compare_calibrations
 
     if old.provenance.input_sha256 != new.provenance.input_sha256:

@@ -154,7 +154,7 @@ def write_by_rename(path: Path, write: Callable[[Path], object], option: str = "
     Raises
     ------
     PigaError
-        If it cannot be written. The message names the ``option`` of the path.
+        If the file cannot be written. The message names the ``option`` of the path.
     """
     return write_whole(path, write, remedy=f"choose another {option}")
 

@@ -1,4 +1,4 @@
-"""Describe a log from any program, draft its run file, and find the lines that mend a run file."""
+"""Describe a log from any program, draft its run file, and find the lines that repair a run file."""
 
 from piga.describe.columns import ColumnGuess
 from piga.describe.draft import Question, RunFileDraft, draft_run_file, setting, try_run_file

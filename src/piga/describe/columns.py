@@ -1,4 +1,4 @@
-"""What each column of a log holds, from its name, its unit and its values."""
+"""Guess the content of each column of a log from its name, its unit and its values."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ MOST_LEVELS = 2000
 
 @dataclass(frozen=True)
 class ColumnGuess:
-    """What one column holds: its kind, axis (0 to 2) and unit, and what else it may be.
+    """Guess for one column: its kind, axis (0 to 2) and unit, and the alternatives.
 
     ``stamp``: form of its time stamps. ``example``: its first cell.
     """
@@ -343,7 +343,7 @@ def _size(x: Array) -> float:
 
 
 def _units(kind: Kind, size: float, values: Values) -> tuple[tuple[str, ...], str]:
-    """Units of a column of this kind whose largest value is ``size``, the likelier ones first, and why."""
+    """Possible units of a column of this kind whose largest value is ``size``, the likeliest first, and the reason."""
     largest = f"its largest size is {size:.4g}"
     if kind == "time":
         return (("ms", "s", "us") if values.step >= 5.0 else ("s", "ms", "min")), f"steps of {values.step:g}"

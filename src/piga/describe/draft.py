@@ -1,4 +1,4 @@
-"""Draft a run file from the description of a log. Every line that was guessed says why, and what else it may be."""
+"""Draft a run file from the description of a log. Every guessed line has its reason and its alternatives."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ QUESTIONS = {
 
 @dataclass
 class RunFileDraft:
-    """A run file in the making.
+    """A run file that is not complete yet.
 
     Attributes
     ----------
@@ -732,7 +732,7 @@ def _slope(draft: RunFileDraft, log: LogDescription, output: ColumnGuess) -> flo
 
 
 def _model(draft: RunFileDraft, log: LogDescription) -> None:
-    """Terms that the positions of the test can tell."""
+    """Terms that the positions of the test can determine."""
     force = _levels(draft, log)
     if force is None:
         draft.put("model.terms", ["scale_factor", "tan_beta", "k0"], "the terms of every instrument")
@@ -791,7 +791,7 @@ def _apply(draft: RunFileDraft, key: str, value: Any) -> None:
 
 
 def _open(draft: RunFileDraft) -> None:
-    """The questions that are left."""
+    """The questions that are still open."""
     document = draft.document
     own, data, stand = document["instrument"], document["data"], document.get("stand")
     missing = []

@@ -1,4 +1,4 @@
-"""What the keys of the TOML files mean, from one table: ``piga/data/keys.txt``."""
+"""Meaning of the keys of the TOML files, from one table: ``piga/data/keys.txt``."""
 
 from __future__ import annotations
 

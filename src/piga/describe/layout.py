@@ -1,4 +1,4 @@
-"""Layout of a text log: encoding, preamble, header, units row, separator and decimal mark, without any column known."""
+"""Layout of a text log: encoding, preamble, header, units row, separator and decimal mark. No column name is known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Describe a log: its layout, and what every column holds. Nothing but the log is needed."""
+"""Describe a log: its layout and the content of every column. Only the log is needed."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ _SUFFIX_UNITS = {
     "c": "degC", "degc": "degC", "k": "K", "rev": "rev",
 }  # fmt: skip
 _SPEEDS = ("1/min", "min-1", "min^-1", "1/Min", "min⁻¹", "Upm", "upm")
-"""Units of a speed of rotation that leave the turn out."""
+"""Units of a speed of rotation without the revolution."""
 _BRACKET = re.compile(r"\s*[\[(（【][^\])）】]*[\])）】]?\s*$")
 
 

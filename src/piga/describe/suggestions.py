@@ -1,4 +1,4 @@
-"""Run-file lines that resolve an error or a doubt of a data file. Each is applied and tried before it is given."""
+"""Run-file lines that resolve an error or a doubt of a data file. Each line is tried before it is given."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _read(path: Path, document: Document) -> Run | PigaError:
 
 
 def _working(path: Path, document: Document, before: Run | PigaError) -> list[Change]:
-    """The changes that help: that let the log be read; else those that lead to another problem."""
+    """The changes with which the log can be read, or else those that lead to another problem."""
     changes = _of_error(before, document) if isinstance(before, PigaError) else _of_run(before, document)
     read, other = [], []
     for change in _unique(changes):

@@ -1,7 +1,7 @@
-"""Checks of arrays that users hand over: one clear message with the index at fault.
+"""Checks of arrays from users: one clear message with the index of the fault.
 
-Values are checked for nan and infinity only after a kernel has stopped. So a clean record is read once, and
-only the output has its size in memory.
+Values are checked for nan and infinity only after a kernel has stopped. So a clean record is read once, and only the
+output needs memory of its size.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def float_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-    """``values`` as contiguous float64, a read-only view where they are so already.
+    """``values`` as contiguous float64, a read-only view if they already are.
 
     Kernels are compiled for read-only input, so that any array finds the compiled code.
 

@@ -86,7 +86,7 @@ _ERROR_UNITS = {
 
 @dataclass(frozen=True)
 class ErrorModel:
-    r"""Errors of a real instrument, as specific force added to the input axis.
+    r"""Errors of a real instrument, as a specific force that is added along the input axis.
 
     .. math::
 
@@ -99,9 +99,9 @@ class ErrorModel:
     its unit (``k2="2e-6 g/g^2"``, ``T_ref="20 degC"``). Names follow IEEE 1293 by analogy; that
     standard excludes this instrument.
 
-    ``s1`` and ``c1`` act like transverse specific force and are propagated exactly. Harmonics of
-    second and higher order do not fit the two-by-two matrices of the exact motion: they are
-    calibrated (``piga.calibrate``), not propagated, and are no fields of this class.
+    ``s1`` and ``c1`` act like a transverse specific force and are propagated exactly. The two-by-two matrices of the
+    exact motion cannot hold harmonics of second and higher order. These can be calibrated (``piga.calibrate``) but
+    not propagated, and are not fields of this class.
 
     ``t`` is the time as given to :func:`piga.propagate` (not counted from its first sample).
     """
@@ -137,7 +137,7 @@ class ErrorModel:
         Raises
         ------
         ArgumentError
-            If a name is unknown, or is a harmonic that the exact motion cannot carry.
+            If a name is unknown, or is a harmonic that the exact motion cannot hold.
         """
         for name in terms:
             if name not in _ERROR_UNITS:
@@ -149,7 +149,7 @@ class ErrorModel:
 
     @property
     def needs_temperature(self) -> bool:
-        """Whether a temperature must be given along with the specific force."""
+        """True if a temperature must be given with the specific force."""
         return self.k0_T != 0.0 or self.k1_T != 0.0
 
     def specific_force(

@@ -59,11 +59,10 @@ def regime(
 ) -> Regime:
     """Regime of the motion under constant input: ``zero``, ``critical``, ``locked`` or ``running``.
 
-    ``zero``: no input along the axis; ``locked``: the output rate decays to zero although there is
-    input; ``running``: the gimbal revolves; ``critical``: the border between the last two. ``a`` and
-    ``b`` are compared as float64 numbers: critical means that they agree within the rounding of
-    the products they come from (4.4e-16 of ``b``), so a force written as ``a_t * tan_beta`` is critical and
-    one that differs by 1e-15 is not.
+    ``zero``: there is no input along the axis. ``locked``: the output rate decays to zero although there is input.
+    ``running``: the gimbal revolves. ``critical``: the border between the last two. ``a`` and ``b`` are compared as
+    float64 numbers. Critical means that they agree within the rounding of their products (4.4e-16 of ``b``). So a
+    force of ``a_t * tan_beta`` is critical, and one that differs by 1e-15 is not.
 
     Parameters
     ----------
@@ -144,7 +143,7 @@ def revolution_period(
 def fixed_points(
     inst: Instrument, a_x: ArrayLike, a_Y: ArrayLike, a_Z: ArrayLike, *, base_rate: ArrayLike | None = None
 ) -> tuple[Array, Array]:
-    """Angles [rad] where the locked gimbal rests: the stable and the unstable one, in [-pi, pi].
+    """Angles [rad] at which the locked gimbal rests: the stable and the unstable one, in [-pi, pi].
 
     ``sin(alpha - gamma) = -a/b``; the rate falls with the angle at the stable one. On the separatrix they
     coincide; NaN where the gimbal revolves, or nothing acts on it.

@@ -26,7 +26,7 @@ LOG_SUFFIXES = (*TEXT_SUFFIXES, *SUFFIXES, ".parquet", ".pq")
 STATE_FOLDER = ".piga-ui"
 """Folder below the opened one, in which jobs and envelopes are kept."""
 MOST_FILES = 5000
-"""Files that are looked at. A folder with more is no folder of records."""
+"""Most files that are listed. A folder with more is not a folder of records."""
 DEPTH = 4
 """Levels of folders that are listed."""
 MOST_TOML = 1 << 20
@@ -84,7 +84,7 @@ class Folder:
         return path
 
     def path(self, name: str) -> Path:
-        """The path of a file or folder that ``name`` names below this folder; it need not exist.
+        """The path of the file or folder ``name`` below this folder. It need not exist.
 
         Raises
         ------
@@ -145,12 +145,14 @@ class Folder:
     def write_toml(
         self, path: Path, text: str, check: Callable[[Path, bytes], object], *, new: bool = False
     ) -> None:
-        """Write a TOML file whole, after ``check`` of its path and bytes; every file that it names must lie here.
+        """Write a complete TOML file after ``check`` of its path and bytes.
+
+        Every file that it names must be in this folder.
 
         Raises
         ------
         PigaError
-            If the text is refused; the file is then as before.
+            If the text is refused. The file is then unchanged.
         """
         raw = text.replace("\r\n", "\n").encode("utf-8")
         check(path, raw)

@@ -1,9 +1,9 @@
 """Jobs: commands of piga that run beside the server, each in a process of its own.
 
-A job is a command line. So its results are those of the command, to the byte, and the page shows how to repeat it in
-a terminal. The folder of a job holds ``job.json`` (what it is), ``out`` and ``err`` (what it printed), ``progress``
-(how far it is), ``stop`` if it was asked to end and, once it has ended, ``end.json`` (its exit code). Whatever happens to
-the server, these files tell what became of the job.
+A job is a command line. Its results are identical to those of the command, and the page shows how to repeat it in a
+terminal. The folder of a job holds ``job.json`` (what it is), ``out`` and ``err`` (what it printed), ``progress``
+(how far it is), ``stop`` if it was asked to end and, once it has ended, ``end.json`` (its exit code). These files
+hold the state of the job, even if the server ends.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MOST_KEPT = 200
 PATIENCE = 5.0
 """Time [s] that a stopped job has to end by itself."""
 _WINDOWS = os.name == "nt"
-"""On Windows a process is not asked for by its number; only the server that started a job knows that it runs."""
+"""On Windows a process is not looked up by its number. Only the server that started a job knows that it runs."""
 MOST_DOCUMENT = 20_000_000
 """Bytes of printed JSON that are read."""
 MOST_TEXT = 200_000
@@ -93,7 +93,7 @@ class Jobs:
     def start(self, command: Sequence[str], title: str, subject: str, result: str = "") -> Job:
         """Start ``piga`` with these arguments in the opened folder.
 
-        A job that runs already with the same results is not started again; it is returned.
+        If a job with the same results already runs, no new one is started, and the running one is returned.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""A live stream: the last minutes of indicated and compensated specific force, and what was flagged.
+"""A live stream: the last minutes of indicated and compensated specific force, and the flags.
 
 The lines come on the standard input of ``piga ui``, in the form that ``piga compensate -`` takes. A thread compensates
 each line as it comes.
@@ -68,7 +68,7 @@ class Live:
         threading.Thread(target=self.read, args=(source,), daemon=True).start()
 
     def read(self, source: IO[str]) -> None:
-        """Read the stream until it ends; a wrong line ends it, too, and its message is kept."""
+        """Read the stream until it ends. A wrong line ends it, too. The message is kept."""
         before: tuple[float, float] | None = None
         try:
             for row, answer in answered_lines(source, self._stream):
@@ -101,7 +101,7 @@ class Live:
         self._alarms = [*self._alarms, Alarm(name, t, t, 1)][-ALARMS:]
 
     def alarms(self) -> list[Alarm]:
-        """What was flagged since the start."""
+        """Flags since the start."""
         with self._lock:
             return list(self._alarms)
 

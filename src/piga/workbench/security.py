@@ -1,4 +1,4 @@
-"""Who may talk to the workbench: one browser on this machine.
+"""Access control: one browser on this machine may use the workbench.
 
 Every request passes :class:`Guard` first. It checks, in this order:
 

@@ -60,7 +60,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that the check noticed, and the time [s] of its first row; None if it has no row."""
+    """A finding of the check, and the time [s] of its first row; None if it has no row."""
 
     kind: str
     count: int
@@ -83,7 +83,7 @@ class SignalOutline:
 
 
 def cache_key(paths: list[Path]) -> str:
-    """Name of the cache of a record: changes with any file it is made from."""
+    """Name of the cache of a record. It changes if any file of the record changes."""
     states = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths if path.is_file()]
     return hashlib.sha256(json.dumps([FORM, states]).encode()).hexdigest()[:24]
 

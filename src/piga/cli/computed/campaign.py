@@ -40,7 +40,7 @@ EVERY = 10.0
 def plan(campaign: File, out: Out, as_json: JsonOption = False) -> None:
     """Check a campaign and cut its records into shards.
 
-    A few records are computed, to know how long they take.
+    It computes a few records to measure how long they take.
     """
     from piga.campaign.manifest import plan_campaign
 
@@ -69,8 +69,8 @@ def run(
 ) -> None:
     """Compute all records that are not computed yet.
 
-    Give the same command again after any interruption: it goes on where it stopped. Ctrl-C finishes the shards under way;
-    a second Ctrl-C drops them. Exit code 1 if shards were set aside or the run was stopped.
+    After any interruption give the same command again. It continues where it stopped. Ctrl-C finishes the running
+    shards. A second Ctrl-C drops them. The exit code is 1 if shards were set aside or the run was stopped.
     """
     from piga.campaign.manifest import plan_campaign
     from piga.campaign.run import run_campaign
@@ -103,7 +103,7 @@ def run(
 
 @app.command()
 def status(folder: Folder, as_json: JsonOption = False) -> None:
-    """Show how far a campaign is, and what it costs."""
+    """Show the progress of a campaign and its core hours."""
     from piga.campaign.manifest import open_campaign
 
     campaign = open_campaign(folder)

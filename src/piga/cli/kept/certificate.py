@@ -194,8 +194,8 @@ def verify(
 ) -> None:
     """Verify a DCC made by piga.
 
-    Its signature against the laboratory's certificate, and that it agrees with itself. A certificate that is not in
-    force ends it with exit code 2.
+    Checks the signature against the laboratory's certificate, and that all statements agree. If the certificate is
+    not in force, the exit code is 2.
     """
     from piga.certificate.dcc.reader import calibration_of, date_of_issue
     from piga.certificate.dcc.xml_signature import verify_signature

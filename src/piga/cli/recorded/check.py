@@ -50,7 +50,7 @@ def check(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what is in a recorded test. Nothing is calibrated."""
+    """Show the content of a recorded test. Nothing is calibrated."""
     if explain is not None:
         _explain(explain, as_json)
         return
@@ -108,7 +108,7 @@ def convert(
 ) -> None:
     """Write a recorded test as clean Parquet in SI.
 
-    The file holds the units, and everything that was noticed.
+    The file holds the units and all findings.
     """
     from piga.formats.parquet_writer import data_table, write_run_parquet
     from piga.stand import read_run

@@ -47,9 +47,9 @@ def init(
 ) -> None:
     """Draft a run file for a log.
 
-    Guesses encoding, header, units, separator, decimal mark, time stamps, and what each column holds. Every guess stands
-    in the run file with its reason and with what else it may be. What the log does not say is asked in a terminal;
-    elsewhere it stands in the run file as an open line.
+    Guesses encoding, header, units, separator, decimal mark, time stamps, and the content of each column. Every guess is in
+    the run file with its reason and its alternatives. At a terminal the command asks for what the log does not say.
+    Elsewhere this is an open line in the run file.
     """
     from piga.describe import describe_log, draft_run_file, setting
     from piga.records.run_file import read_run_file

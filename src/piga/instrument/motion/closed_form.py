@@ -8,8 +8,8 @@ With ``A = u_x t``, ``Y = tan(beta) u_Y t``, ``Z = tan(beta) u_Z t`` and ``x = (
    C - \tfrac{S}{2}(Y\cos\alpha_0 + Z\sin\alpha_0)\right), \quad
    C = \cosh\sqrt{x},\; S = \frac{\sinh\sqrt{x}}{\sqrt{x}}
 
-has no branch and no pole. The rate is ``alpha'(0)`` over the squared length of the same pair, so a
-rate that decays keeps its digits. Derived in docs/theory/motion.
+This form has no branch and no pole. The rate is ``alpha'(0)`` over the squared length of the same pair, so a decaying
+rate keeps its digits. Derived in docs/theory/motion.
 
 [Wei2024] eq. 5 to 11 and [Wei2020] give one form per regime, with poles of the tangent, a branch to
 choose and no count of turns. :func:`published_closed_form` keeps them for comparison and teaching. With
@@ -79,13 +79,13 @@ def published_closed_form(
     a_x, a_Y, a_Z:
         Constant specific force in base axes [m/s^2].
     as_published:
-        Put ``|r|`` where the signed ``r`` belongs and do not mirror case 2, as printed. Differs only
-        for negative ``a_x``, where the printed forms are wrong by 0.03 to 0.04 rad/s on the published data.
+        Use ``|r|`` instead of the signed ``r`` and do not mirror case 2, as printed. Differs only for negative
+        ``a_x``, where the printed forms are wrong by 0.03 to 0.04 rad/s on the published data.
 
     Returns
     -------
     alpha, rate:
-        ``alpha`` in (gamma - pi, gamma + pi]: these forms do not count turns.
+        ``alpha`` in (gamma - pi, gamma + pi]: these forms do not count revolutions.
 
     Raises
     ------
@@ -193,9 +193,8 @@ def closed_form(  # type: ignore[misc]  # the first place holds f, or a_x of thr
 ) -> tuple[Array, Array]:
     """Angle and rate under constant input, in any regime and on its borders.
 
-    Equation (4) of docs/theory/motion. The float64 inputs are taken as exact; the phase is carried
-    in double-double, so that the count of revolutions is exact and closeness to the separatrix
-    costs no digits.
+    Equation (4) of docs/theory/motion. The float64 inputs are taken as exact. The phase is computed in double-double.
+    So the number of revolutions is exact, and no digits are lost near the separatrix.
 
     Parameters
     ----------

@@ -72,7 +72,7 @@ _NODES, _TRANSFORM = _nodes_and_transform()
 
 
 def _unresolved(values: Array, c: Array, start: Array, h: Array) -> Array:
-    """Bound [rad] of what the polynomials of panels leave out of the angle, above rounding.
+    """Bound [rad] of the error of the angle by the polynomials of the panels, above rounding.
 
     The next two coefficients, foretold from the last four; beside a jump, which leaves about ``2/(pi n)``
     of itself in each, they are foretold to be as large as the last. The time is rounded, and so the force.
@@ -99,9 +99,9 @@ def propagate_function(
 ) -> Array:
     """Outer-gimbal angle under a specific force given as a function of time.
 
-    The force is resolved by polynomials of degree 16 on panels of time and the motion taken in steps of
-    order six; panels are halved, and steps doubled, until their estimated errors add up to less than
-    ``tolerance``. Jumps of the force are passed in tiny panels.
+    The force is approximated by polynomials of degree 16 on panels of time. The motion is computed in steps of order
+    six. Panels are halved and steps are doubled until their estimated errors add up to less than ``tolerance``. A
+    jump of the force gets very short panels.
 
     Parameters
     ----------
@@ -112,9 +112,10 @@ def propagate_function(
     f:
         Specific force in base axes [m/s^2]: ``f(time) -> (a_x, a_Y, a_Z)``.
     base_rate:
-        Inertial rate of the base in base axes [rad/s], likewise.
+        Inertial rate of the base in base axes [rad/s], as a function of time like ``f``; None: the base does not
+        turn.
     tolerance:
-        Error of the angle at the last time [rad]; rounding (about 1e-13 rad) comes on top.
+        Largest error of the angle at the last time [rad], without rounding (about 1e-13 rad).
     max_step:
         Longest panel [s]: a feature of the force shorter than a tenth of it can be missed. None: 1/128
         of the time from first to last.

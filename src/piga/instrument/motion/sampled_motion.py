@@ -33,7 +33,7 @@ _NO_OUTPUT = np.empty(0)
 
 
 def _require(samples: MotionSamples, status: int) -> None:
-    """Raise an ArgumentError that names the fault unless a kernel returned GOOD."""
+    """Raise an ArgumentError that names the fault, if a kernel did not return GOOD."""
     if status != GOOD:
         explain(samples.t, status, f=samples.f, base_rate=samples.base_rate)
 
@@ -41,7 +41,7 @@ def _require(samples: MotionSamples, status: int) -> None:
 def _error_rates(
     K: float, model: ErrorModel, t: Array, f: Array, temperature: ArrayLike | None
 ) -> tuple[Array, Array]:
-    """Error rate ``K e`` [rad/s] at the samples (n,), and what its mean over a step has beyond the trapezoid.
+    """Error rate ``K e`` [rad/s] at the samples (n,), and the difference of its mean over a step from the trapezoid.
 
     Simpson's rule with the force halfway between samples: exact for the quadratic and cubic terms
     of a force that is linear between samples (but for ``k2o`` in a step where ``a_x`` changes sign).
@@ -164,17 +164,17 @@ def propagate(
 
     .. math:: \alpha' = u_x + \tan\beta\,(u_Y\sin\alpha - u_Z\cos\alpha) + K e, \qquad u = K f - \Omega
 
-    Fourth order in the sample interval for input that is linear between samples, exact where its
-    direction is constant. Turns are counted exactly, also for steps of many revolutions. Needs no
-    memory beside input and output (an error model takes two vectors of the record's length).
+    The result is of fourth order in the sample interval for input that is linear between samples. It is exact where
+    the direction of the input is constant. Revolutions are counted exactly, also in steps of many revolutions. No
+    memory is needed besides input and output (an error model needs two vectors of the length of the record).
 
     Parameters
     ----------
     inst:
         The instrument; ``inst.alpha0`` is the angle at ``t[0]``.
     t:
-        Sample times [s], shape (n,), increasing, any spacing. The gimbal turns on through a gap; the force there is taken
-        as linear. A compensation forms no increment across it. :func:`propagate_segments` begins anew.
+        Sample times [s], shape (n,), increasing, any spacing. The gimbal keeps turning in a gap, and the force there
+        is linear. A compensation forms no increment across a gap. :func:`propagate_segments` starts a new segment.
     f:
         Specific force in base axes at the sample times [m/s^2], shape (n, 3); linear between.
     base_rate:
@@ -228,7 +228,7 @@ def propagate_rate(
 ) -> Array:
     """Rate of the outer gimbal [rad/s] at the sample times, shape (n,), without its angle.
 
-    Arguments and errors as in :func:`propagate`. Faster, as no angle is ever computed.
+    Arguments and errors as in :func:`propagate`. It is faster, because no angle is computed.
     """
     record = sampled_input(inst, t, f, base_rate, error_model, temperature)
     rate = np.empty(record.t.size)
@@ -239,11 +239,11 @@ def propagate_rate(
 def propagate_increments(
     inst: Instrument, t: ArrayLike, dv: ArrayLike, base_angle: ArrayLike | None = None
 ) -> Array:
-    """Outer-gimbal angle from velocity increments, as counting or integrating references give them.
+    """Outer-gimbal angle from velocity increments of a counting or integrating reference.
 
-    Exact where the direction of the specific force is constant; fourth order in the interval where it
-    varies smoothly (its slope over an interval is taken from the neighbouring increments). For force
-    that jumps between intervals use :func:`propagate_segments`.
+    The result is exact where the direction of the specific force is constant. It is of fourth order in the interval
+    where the force varies smoothly. The slope over an interval comes from the neighbouring increments. For force that
+    jumps between intervals use :func:`propagate_segments`.
 
     Parameters
     ----------
@@ -287,8 +287,8 @@ def propagate_segments(
 ) -> tuple[Array, Array]:
     """Outer-gimbal angle and rate at the ends of segments of constant specific force, any length each.
 
-    Each segment is one closed-form step (see :func:`piga.closed_form`). A dividing-head position of hours
-    costs the same as one of milliseconds, and its revolutions are counted exactly.
+    Each segment is one closed-form step (see :func:`piga.closed_form`). A segment of hours takes as long to compute
+    as one of milliseconds, and its revolutions are counted exactly.
 
     Parameters
     ----------
@@ -366,8 +366,8 @@ def sensitivities(
 ) -> Sensitivities:
     """Motion under recorded specific force with its derivatives, from the same matrices.
 
-    The derivatives are those of the discrete motion that :func:`piga.propagate` computes, exact to
-    rounding: no differences are taken.
+    The derivatives are those of the discrete motion of :func:`piga.propagate`. They are exact to rounding, because no
+    finite differences are used.
 
     Parameters
     ----------
@@ -412,8 +412,8 @@ def propagate_fleet(
 ) -> Array:
     """Angle or rate of many motions over the same times: the batch form of :func:`piga.propagate`.
 
-    Many instruments under one input, one instrument under many inputs, or instruments and inputs in
-    pairs. Row i is what :func:`piga.propagate` gives for motion i, to the bit, whatever ``workers``.
+    It computes many instruments with one input, one instrument with many inputs, or pairs. Row i is identical to the
+    bit to the result of :func:`piga.propagate` for motion i, for any number of ``workers``.
 
     Parameters
     ----------

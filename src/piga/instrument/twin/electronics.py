@@ -32,7 +32,7 @@ class Electronics:
     counts_per_revolution:
         Encoder counts in one turn of the outer gimbal; used with ``counts``.
     counter_bits:
-        Width of the counter, which then shows the count modulo ``2^bits``; None: it does not wrap.
+        Width of the counter. It shows the count modulo ``2^bits``. None: it does not wrap.
     zero:
         Gimbal angle at which the encoder reads zero [rad]: the unknown phase of a calibration.
     angle_noise:

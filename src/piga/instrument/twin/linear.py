@@ -244,8 +244,9 @@ class ServoParameters:
 class ServoTerms(Result):
     """Coefficients of the terms ``servo`` and ``servo_damping``, both in 1/(m/s^2)^2.
 
-    ``sources`` tells by parameter name what one standard uncertainty of that parameter adds to each:
-    one draw moves both. ``u_servo`` and ``u_servo_damping`` are the standard uncertainties of all together.
+    ``sources`` gives, by parameter name, the change of each coefficient for one standard uncertainty of that
+    parameter. One draw moves both. ``u_servo`` and ``u_servo_damping`` are the standard uncertainties of all
+    together.
     """
 
     servo: float
@@ -291,7 +292,7 @@ def servo_terms(
 
     Notes
     -----
-    Derivation, and what is of the next order: theory page "The servo in the model".
+    Derivation and terms of the next order: theory page "The servo in the model".
     """
     own = ServoParameters.of_twin(p) if isinstance(p, TwinParameters) else p
     names = [entry.name for entry in fields(ServoParameters)]
@@ -359,9 +360,9 @@ def predicted_rate_error(p: TwinParameters, t: Array, alpha: Array, f: Array, ba
     -----
     ``tau = H (u_Y cos(alpha) + u_Z sin(alpha)) - J_x (w' + Omega_x') - c_x w - M_c sign(w) + M_x`` goes
     through the compliance, ``e = G(s) tau``; then ``w_twin - w = (Z(s) e + R)/H + e (u_Y sin(alpha) - u_Z
-    cos(alpha))`` with the impedance ``Z = B s^2 + c s + k_r``. ``R`` carries the float round with a turning
-    base: ``R = B q' - (C - A) p r + D (p^2 - r^2 - K^2 a_x^2)``, ``p = w + Omega_x``, ``q = Omega_Y1``,
-    ``r = Omega_Z1``. Errors are of second order in ``e``.
+    cos(alpha))`` with the impedance ``Z = B s^2 + c s + k_r``. ``R`` is the torque that turns the float with the
+    base: ``R = B q' - (C - A) p r + D (p^2 - r^2 - K^2 a_x^2)``, ``p = w + Omega_x``, ``q = Omega_Y1``, ``r =
+    Omega_Z1``. Errors are of second order in ``e``.
     """
     u = p.K * f - base_rate
     c, s = np.cos(alpha), np.sin(alpha)
@@ -383,8 +384,8 @@ def _through_loop(
 ) -> tuple[Array, Array]:
     """Tilt [rad] and torque ``Z e`` [N m] that the outer-axis ``torque`` makes, linear between samples.
 
-    Before the first sample the torque goes on as it would with the gimbal turning at ``rate``: ``load`` is
-    its rotating part there, as a complex number.
+    Before the first sample the torque is that of a gimbal that turns at ``rate``. ``load`` is its rotating part at
+    the first sample, as a complex number.
     """
     from scipy import signal
 

@@ -174,7 +174,7 @@ PRESETS: Mapping[str, TwinParameters] = {
 
 
 def twin_parameters(values: Mapping[str, str | float], *, where: str = "[twin]") -> TwinParameters:
-    """Parameters from text or numbers as written in a scenario, on top of ``preset`` (default ``example``).
+    """Parameters from text or numbers of a scenario. They replace those of ``preset`` (default ``example``).
 
     Raises
     ------

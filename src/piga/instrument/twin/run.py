@@ -28,7 +28,7 @@ class TwinMotion(Result):
     ``alpha`` and ``beta`` [rad], ``rate`` [rad/s], ``tilt_rate`` [rad/s], ``integral`` [rad s],
     ``torque`` [N m] of the motor, ``locked`` whether pick-off and torque motor are inside their limits.
     ``local_error`` [rad] is the sum of the integrator's own error estimates in alpha over all steps,
-    an upper estimate of the global error while errors do not grow (they do not: the loop is stable).
+    an upper estimate of the global error. Errors do not grow, because the loop is stable.
     """
 
     t: Array
@@ -49,7 +49,7 @@ class TwinMotion(Result):
 
 
 def _tableau() -> servo.Method:
-    """The eighth-order method of Dormand and Prince with its two error estimators, as SciPy publishes it."""
+    """The eighth-order method of Dormand and Prince with its two error estimators, as in SciPy."""
     from scipy.integrate import DOP853
 
     parts = (DOP853.A, DOP853.B, DOP853.C, DOP853.E3, DOP853.E5)
@@ -80,8 +80,8 @@ def _inputs(t: ArrayLike, f: ArrayLike, base_rate: ArrayLike | None) -> tuple[Ar
 def quasi_steady_state(p: TwinParameters, t: float, alpha: float, f: ArrayLike, base_rate: ArrayLike) -> Array:
     """State with zero tilt rate in which all torques balance at gimbal angle ``alpha``, shape (5,).
 
-    The first guess for the slow manifold: pick-off at null where the servo integrates, else the tilt
-    that the proportional gain needs to hold the outer-axis torque.
+    This is the first guess for the slow manifold. With integral gain the pick-off is at null. Without it the tilt is
+    the one that the proportional gain needs to hold the outer-axis torque.
     """
     a_x, a_Y, a_Z = np.asarray(f, dtype=float)
     o_x, o_Y, o_Z = np.asarray(base_rate, dtype=float)
@@ -101,9 +101,9 @@ def slow_manifold(
 ) -> Array:
     """State at ``t`` on the slow manifold: no nutation and no servo transient, shape (5,).
 
-    The manifold attracts, so it is reached by running the twin up to ``t`` with the inputs (and the
-    wheel speed) held, for as long as the slowest loop pole needs to forget the first guess; the start
-    angle is corrected until the run ends at ``alpha``. Own method.
+    The manifold attracts. So the twin runs up to ``t`` with constant inputs and constant wheel speed, until the
+    slowest loop pole has forgotten the first guess. The start angle is corrected until this run ends at ``alpha``.
+    Own method.
     """
     from piga.instrument.twin.linear import loop_poles
 
@@ -175,8 +175,8 @@ def run_twin(
         Disturbing torque on the outer axis [N m], on the inner axis [N m], and pick-off noise [rad];
         shape (n, 3), held from a sample to the next.
     start:
-        ``"slow-manifold"`` starts without transient, ``"transient"`` with the float at pick-off null and
-        everything at rest; or a state ``(alpha, beta, rate, tilt rate, integral)``.
+        ``"slow-manifold"``: start without transient. ``"transient"``: start with the float at pick-off null and
+        everything at rest. Or a state ``(alpha, beta, rate, tilt rate, integral)``.
     accuracy:
         Local error allowed per step in alpha and beta [rad]. With the default the global error over 10 s
         is below 1e-9 rad.
@@ -186,12 +186,12 @@ def run_twin(
     ArgumentError
         If shapes do not fit or inputs are not finite.
     PigaError
-        If the motion cannot be followed (unstable design).
+        If the motion cannot be computed (unstable design).
 
     Notes
     -----
-    Explicit Runge-Kutta method of order 8 with local error control, substeps inside each sample
-    interval: nutation is resolved when it is excited, and merely kept stable when it is not.
+    Explicit Runge-Kutta method of order 8 with local error control and substeps in each sample interval.
+    Nutation is resolved if it is excited, and otherwise only kept stable.
     """
     times, force, rate = _inputs(t, f, base_rate)
     held = np.zeros_like(force) if noise is None else np.ascontiguousarray(noise, dtype=float)

@@ -1,4 +1,4 @@
-"""Calibrate: choose terms, run, look at the result, keep it or throw it away."""
+"""Calibrate: choose terms, run, look at the result, keep it or discard it."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def adopt(request: Request) -> Response:
 
 
 def discard(request: Request) -> Response:
-    """Throw the result away."""
+    """Discard the result."""
     bench, job = job_of(request)
     bench.jobs.stop(job)
     shutil.rmtree(_trial(bench, job), ignore_errors=True)

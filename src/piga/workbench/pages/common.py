@@ -1,4 +1,4 @@
-"""What all pages share: the opened folder, templates, form data, files, errors."""
+"""Code that all pages share: the opened folder, templates, form data, files, errors."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def only(fields: Mapping[str, list[str]], name: str, default: str = "") -> str:
 
 
 def error_page(request: Request, error: Exception) -> Response:
-    """The page of a refusal: what is wrong, and what to do."""
+    """The page of an error: what is wrong, and the remedy."""
     from starlette.exceptions import HTTPException
 
     status = 404 if isinstance(error, OutsideError) else 422

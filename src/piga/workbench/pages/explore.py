@@ -1,4 +1,4 @@
-"""Explore: the regimes of the motion under constant input, drawn anew as the sliders move."""
+"""Explore: the regimes of the motion under constant input. Moving a slider draws them again."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _rendered(request: Request, template: str) -> Response:
 
 
 def _numbers(inst: Instrument, forces: tuple[float, float, float]) -> list[tuple[str, str]]:
-    """What the library says about these inputs, in words."""
+    """Results of the library for these inputs, as label-value pairs."""
     name = regime(inst, *forces)
     low, high = dead_zone(inst, forces[1], forces[2])
     rows = [

@@ -1,4 +1,4 @@
-"""Records: the folder's run files and logs with their state; drop a file in, open one."""
+"""Records: run files and logs of the folder with their state. The user can drop a file and open one."""
 
 from __future__ import annotations
 

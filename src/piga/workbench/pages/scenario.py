@@ -111,7 +111,7 @@ def _runner(kind: Kind) -> Callable[[Request], Any]:
 
 
 def _saved(folder: Folder, name: str, text: str) -> Path:
-    """Write the text of a scenario, if it is TOML.
+    """Write the text of a scenario, if it is valid TOML.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Signals: the record as it would be calibrated, to zoom and to pan, with what the check noticed marked where it is."""
+"""Signals: the record as it would be calibrated, to zoom and pan, with the findings of the check marked."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def cache_of(bench: Workbench, name: str) -> Path:
 
 
 def reading(bench: Workbench, name: str, *, again: bool = False) -> tuple[SignalOutline | None, Job | None]:
-    """The outline of a record; if it is not read yet, the job that reads it or that failed to."""
+    """The outline of a record. If it is not read yet: the job that reads it, or that failed."""
     cache = cache_of(bench, name)
     outline = read_outline(cache)
     if outline is not None:
