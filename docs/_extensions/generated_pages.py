@@ -241,16 +241,19 @@ def union_texts(parts: tuple[Any, ...]) -> list[str]:
 def terms_page() -> str:
     """Every term of the error model, from the words that ``piga terms`` prints."""
     rows = [
-        "| term | unit | meaning | adds to the indicated specific force | shown by | usual size |",
+        "| term | unit | meaning | adds to the indicated specific force | shown by | known size |",
         "|---|---|---|---|---|---|",
     ]
     for name, words in TERM_WORDS.items():
         unit = "g" if name in ("sn", "cn") else UNITS[name]
         meaning, formula = cell(words.meaning), cell(words.formula)
         rows.append(
-            f"| `{name}` | {unit} | {meaning} | `{formula}` | {cell(words.shown_by)} | {cell(words.usual)} |"
+            f"| `{name}` | {unit} | {meaning} | `{formula}` | {cell(words.shown_by)} | {cell(words.known)} |"
         )
-    lead = "`piga terms` prints this table. Usual sizes are orders of magnitude; they decide nothing."
+    lead = (
+        "`piga terms` prints this table. A size is given where a source or the physics gives one: "
+        "[sources](../../references.md), [servo](../../theory/servo.md). It decides nothing."
+    )
     return f"# Terms of the error model\n\n{lead}\n\n" + "\n".join(rows) + "\n"
 
 

@@ -11,7 +11,7 @@ from piga.calibration.joint.summary import STATIC_TERMS
 from piga.calibration.remarks.missing_terms import SINGLE, term_values
 from piga.instrument import ErrorModel
 from piga.instrument.parameters import _ERROR_UNITS
-from piga.records.terms import MEANING, SERVO_TERMS, UNITS
+from piga.records.terms import MEANING, SERVO_TERMS, UNITS, term_words
 
 MOTION = ("scale_factor", "tan_beta", "phi")
 TERMS = [name for name in UNITS if name not in MOTION]
@@ -50,3 +50,11 @@ def test_a_suggested_term_has_the_column_of_the_simulated_one(name: str) -> None
     model = ErrorModel(**{name: 1.0, "T_ref": 0.0})
     simulated = model.specific_force(t, a.T, warm)
     assert term_values(name, a, t, warm, a, t) == pytest.approx(simulated, rel=1e-14)
+
+
+def test_the_sizes_of_the_servo_are_those_of_its_formulas() -> None:
+    """docs/theory/servo: s = K ml/(2 k_i), d = c K^2/k_i."""
+    scale, pendulosity, gain, damping = 0.8884 / 9.80665, 9.06e-3, 3000.0, 0.05
+    known = 1e6 * 9.80665**2
+    assert f"{known * scale * pendulosity / (2.0 * gain):.0f} ug/g^3" in term_words("servo").known
+    assert f"{known * damping * scale**2 / gain:.0f} ug/g^3" in term_words("servo_damping").known

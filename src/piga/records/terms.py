@@ -84,16 +84,19 @@ MEANING = {
 
 @dataclass(frozen=True)
 class TermWords:
-    """A term in words: what it adds to the indicated specific force, its meaning, the test that shows it, its usual size."""
+    """A term in words: what it adds to the indicated specific force, its meaning, the test that shows it.
+
+    ``known``: a size from the literature or from the physics, with its source; empty where there is none.
+    """
 
     formula: str
     meaning: str
     shown_by: str
-    usual: str
+    known: str
 
 
-def _words(name: str, formula: str, shown_by: str, usual: str) -> TermWords:
-    return TermWords(formula, MEANING[name], shown_by, usual)
+def _words(name: str, formula: str, shown_by: str, known: str) -> TermWords:
+    return TermWords(formula, MEANING[name], shown_by, known)
 
 
 _TUMBLE, _CENTRIFUGE = "a tumble on a dividing head", "a centrifuge, or a tumble together with a centrifuge"
@@ -105,42 +108,46 @@ TERM_WORDS = {
         "scale_factor": (
             "K a_x, the rate of the output itself",
             "any test with two levels of a_x",
-            "0.5 to 2 rad/s/g",
+            "0.8884 rad/s/g in [Wei2020]",
         ),
         "tan_beta": (
             "tan(beta) (a_Y sin(alpha) - a_Z cos(alpha))",
             "transverse force while the gimbal turns",
-            "5e-5 to 5e-3",
+            "3.6e-4 in [Wei2024], 4.8e-3 in [Wei2020]",
         ),
         "phi": (
             "the angle alpha = psi + phi in the coupling",
             "comes with tan_beta",
-            "any; new at each power-up",
+            "any angle",
         ),
-        "k0": ("k0", _TUMBLE, "10 to 1000 ug"),
-        "k1": ("k1 a_x", "any test with two levels of a_x; in place of scale_factor", "1 to 1000 ppm"),
-        "k2": ("k2 a_x^2", _CENTRIFUGE, "1 to 20 ug/g^2"),
-        "k3": ("k3 a_x^3", _CENTRIFUGE, "below 1 ug/g^3"),
-        "k2o": ("k2o a_x |a_x|", _CENTRIFUGE, "below 5 ug/g^2"),
-        "m_Y": ("m_Y a_Y", _TUMBLE, "10 to 500 urad"),
-        "m_Z": ("m_Z a_Z", "a tumble with the instrument rolled by 90 deg", "10 to 500 urad"),
-        "k_XY": ("k_XY a_x a_Y", _TUMBLE, "below 10 ug/g^2"),
-        "k_XZ": ("k_XZ a_x a_Z", "a tumble with the instrument rolled by 90 deg", "below 10 ug/g^2"),
-        "k_YY": ("k_YY a_Y^2", _CENTRIFUGE, "below 10 ug/g^2"),
-        "k_ZZ": ("k_ZZ a_Z^2", _CENTRIFUGE, "below 10 ug/g^2"),
-        "k_YZ": ("k_YZ a_Y a_Z", "a tumble with the instrument rolled by 45 deg", "below 10 ug/g^2"),
-        "k0_t": ("k0_t t", "a position that is visited again later", "below 1 ug/h"),
-        "k0_T": ("k0_T (T - T_ref)", _TEMPERATURE, "1 to 50 ug/K"),
-        "k1_T": ("k1_T (T - T_ref) a_x", _TEMPERATURE, "1 to 100 ppm/K"),
+        "k0": ("k0", _TUMBLE, "1600 ug in the example of [Wei2024]"),
+        "k1": (
+            "k1 a_x",
+            "any test with two levels of a_x; in place of scale_factor",
+            "-2370 ppm in the example of [Wei2024]",
+        ),
+        "k2": ("k2 a_x^2", _CENTRIFUGE, "1980 ug/g^2 in the example of [Wei2024]"),
+        "k3": ("k3 a_x^3", _CENTRIFUGE, ""),
+        "k2o": ("k2o a_x |a_x|", _CENTRIFUGE, ""),
+        "m_Y": ("m_Y a_Y", _TUMBLE, ""),
+        "m_Z": ("m_Z a_Z", "a tumble with the instrument rolled by 90 deg", ""),
+        "k_XY": ("k_XY a_x a_Y", _TUMBLE, ""),
+        "k_XZ": ("k_XZ a_x a_Z", "a tumble with the instrument rolled by 90 deg", ""),
+        "k_YY": ("k_YY a_Y^2", _CENTRIFUGE, ""),
+        "k_ZZ": ("k_ZZ a_Z^2", _CENTRIFUGE, ""),
+        "k_YZ": ("k_YZ a_Y a_Z", "a tumble with the instrument rolled by 45 deg", ""),
+        "k0_t": ("k0_t t", "a position that is visited again later", ""),
+        "k0_T": ("k0_T (T - T_ref)", _TEMPERATURE, ""),
+        "k1_T": ("k1_T (T - T_ref) a_x", _TEMPERATURE, ""),
         "servo": (
             "-2 s a_x (a_Y sin(alpha) - a_Z cos(alpha))^2",
             "a tumble together with a centrifuge",
-            "1 to 10 ug/g^3",
+            "K ml/(2 k_i): 13 ug/g^3 for a servo of 3000 N m/(rad s), ml = 9.06e-3 kg m",
         ),
         "servo_damping": (
             "-d a_x^2 (a_Y cos(alpha) + a_Z sin(alpha))",
             "a tumble: several sizes of a_x",
-            "1 to 100 ug/g^3",
+            "c K^2/k_i: 13 ug/g^3 for c = 0.05 N m s/rad and the same servo",
         ),
     }.items()
 } | {
@@ -148,13 +155,13 @@ TERM_WORDS = {
         "sn sin(n psi)",
         "sine of n x output angle; with its partner cn",
         "a position held for whole revolutions",
-        "below 100 ug",
+        "",
     ),
     "cn": TermWords(
         "cn cos(n psi)",
         "cosine of n x output angle; with its partner sn",
         "a position held for whole revolutions",
-        "below 100 ug",
+        "",
     ),
 }
 """Every term in words, in the order of the docs. ``sn`` and ``cn`` stand for the harmonics s1 c1 s2 c2 and so on."""
@@ -174,7 +181,7 @@ def term_words(name: str) -> TermWords:
         return TERM_WORDS[base]
     words = TERM_WORDS[f"{wave[0]}n"]
     formula = f"{base} {words.formula.partition(' ')[2].replace('n psi', f'{wave[1]} psi')}"
-    return TermWords(formula, meaning_of(base), words.shown_by, words.usual)
+    return TermWords(formula, meaning_of(base), words.shown_by, words.known)
 
 
 SERVO_TERMS = ("servo", "servo_damping")

@@ -103,4 +103,7 @@ def test_the_report_shows_the_words_of_a_coefficient() -> None:
 
     cell = named(Coefficient("k0", 1e-4, 1e-6, "g"))
     assert cell.text == "k0"
-    assert cell.title == "bias; adds k0; shown by a tumble on a dividing head; usually 10 to 1000 ug"
+    assert (
+        cell.title
+        == "bias; adds k0; shown by a tumble on a dividing head; e.g. 1600 ug in the example of [Wei2024]"
+    )

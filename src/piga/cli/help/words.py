@@ -84,7 +84,7 @@ def terms(
 ) -> None:
     """List the terms of the error model.
 
-    For each: what it multiplies, its unit, its meaning, the test that shows it, and how large it usually is.
+    For each: what it multiplies, its unit, its meaning, the test that shows it, and a size from the literature where there is one.
     """
     from piga.records.terms import TERM_WORDS, term_words, unit_of
 
@@ -96,7 +96,7 @@ def terms(
             f"'{name}' is not a term", remedy=f"terms: {' '.join(TERM_WORDS)} (s1 c1 s2 c2 ...)"
         ) from None
     if as_json:
-        keys = ("formula", "meaning", "shown_by", "usual")
+        keys = ("formula", "meaning", "shown_by", "known")
         rows = [
             {"name": one, "unit": _unit(one, unit_of)} | {key: getattr(w, key) for key in keys}
             for one, w in chosen.items()
@@ -107,7 +107,8 @@ def terms(
         say(f"{one}  [{_unit(one, unit_of)}]  {w.meaning}")
         say(f"  adds     {w.formula}")
         say(f"  shown by {w.shown_by}")
-        say(f"  usually  {w.usual}")
+        if w.known:
+            say(f"  e.g.     {w.known}")
 
 
 def _unit(name: str, unit_of: Any) -> str:

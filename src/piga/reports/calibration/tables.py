@@ -124,7 +124,8 @@ def named(coefficient: Coefficient) -> Cell:
         return Cell(coefficient.key)
     return Cell(
         coefficient.key,
-        title=f"{words.meaning}; adds {words.formula}; shown by {words.shown_by}; usually {words.usual}",
+        title=f"{words.meaning}; adds {words.formula}; shown by {words.shown_by}"
+        + (f"; e.g. {words.known}" if words.known else ""),
     )
 
 
