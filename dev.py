@@ -154,13 +154,13 @@ def package(arguments: list[str]) -> None:
     programs = environment(".venv-test", "requirements-dev.txt")
     shutil.rmtree(ROOT / "dist", ignore_errors=True)
     call([str(programs / "python"), "-m", "hatchling", "build", "--directory", "dist"])
-    found = [python for python in arguments or PYTHONS if runs(python)] or [sys.executable]
-    for python in found:
+    result = [python for python in arguments or PYTHONS if runs(python)] or [sys.executable]
+    for python in result:
         for built in sorted((ROOT / "dist").iterdir()):
             with tempfile.TemporaryDirectory() as folder:
                 call([python, "-m", "venv", f"{folder}/venv"])
                 try_package(built, Path(folder))
-    print(f"wheel and sdist install and run on: {', '.join(found)}")
+    print(f"wheel and sdist install and run on: {', '.join(result)}")
 
 
 def runs(python: str) -> bool:

@@ -51,10 +51,10 @@ ROUNDS = 41
 
 
 def calibration(values: dict[str, float], std: dict[str, float]) -> Calibration:
-    found = tuple(Coefficient(name, v, std.get(name, 0.0), unit_of(name)) for name, v in values.items())
+    result = tuple(Coefficient(name, v, std.get(name, 0.0), unit_of(name)) for name, v in values.items())
     return Calibration(
         "bench", 0.8884 / 9.80665, tuple(n for n in values if n != "phi"), "shared", "output", "information",
-        found, np.diag([c.std**2 for c in found]), 1.0, 1e-5, 0.0, 0.0, 0.0, 0.0, 0.0, Quality(1, 1, 0), 1.0,
+        result, np.diag([c.std**2 for c in result]), 1.0, 1e-5, 0.0, 0.0, 0.0, 0.0, 0.0, Quality(1, 1, 0), 1.0,
         (), (), Diagnostics(), (),
         Provenance({}, "bench", "2026-01-01T00:00:00Z"),
     )  # fmt: skip
@@ -239,19 +239,19 @@ def file_to_file() -> None:
         subprocess.run([sys.executable, __file__, "write", folder], check=True)
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         for title, uncertainty in (("t, ax, dv, flags", False), ("t, ax, dv, u_ax, flags", True)):
-            found, used, reading = [], [], []
+            result, used, reading = [], [], []
             for _ in range(5):
                 start_time, start_used = time.perf_counter(), time.process_time()
                 record = piga.read_run(path / "run.toml", held=HELD_ROWS)
                 reading.append(time.perf_counter() - start_time)
                 compensate_to_file(record, cal, path / "out.parquet", "parquet", uncertainty=uncertainty)
                 del record
-                found.append(time.perf_counter() - start_time)
+                result.append(time.perf_counter() - start_time)
                 used.append(time.process_time() - start_used)
             print(
-                f"Parquet to Parquet ({title}): {FILE_ROWS / min(found) / 1e6:.1f} million rows per second, median "
-                f"{FILE_ROWS / np.median(found) / 1e6:.1f}; processor time {np.median(used) / FILE_ROWS * 1e9:.0f} ns "
-                f"per row; reading with all checks takes {np.median(reading) / np.median(found):.0%} of the time"
+                f"Parquet to Parquet ({title}): {FILE_ROWS / min(result) / 1e6:.1f} million rows per second, median "
+                f"{FILE_ROWS / np.median(result) / 1e6:.1f}; processor time {np.median(used) / FILE_ROWS * 1e9:.0f} ns "
+                f"per row; reading with all checks takes {np.median(reading) / np.median(result):.0%} of the time"
             )
         after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         print(f"largest memory of the process: {after / 1024:.0f} MB ({before / 1024:.0f} MB before the files)")
@@ -272,6 +272,6 @@ if __name__ == "__main__":
     if "latency" in wanted:
         latency()
     if "--record" in sys.argv:
-        for table, found in (("compensation-copy", COPIES), ("compensation", FIGURES)):
+        for table, one in (("compensation-copy", COPIES), ("compensation", FIGURES)):
             known = {figure["name"] for figure in measured.load(table)[1]}
-            measured.record(table, {name: value for name, value in found.items() if name in known})
+            measured.record(table, {name: value for name, value in one.items() if name in known})

@@ -66,13 +66,13 @@ def graph() -> dict[str, list[str]]:
     """Each room with the rooms that it imports, lazy imports included, imports for types alone not."""
     modules = grimp.build_graph("piga", cache_dir=None, exclude_type_checking_imports=True)
     rooms = [room for row in layers() for room in row]
-    found: dict[str, set[str]] = {room: set() for room in rooms}
+    result: dict[str, set[str]] = {room: set() for room in rooms}
     for module in modules.modules:
         for imported in modules.find_modules_directly_imported_by(module):
             here, there = room_of(module), room_of(imported)
-            if here in found and there in found and here != there:
-                found[here].add(there)
-    return {room: sorted(found[room]) for room in rooms}
+            if here in result and there in result and here != there:
+                result[here].add(there)
+    return {room: sorted(result[room]) for room in rooms}
 
 
 def shown() -> dict[str, dict[str, list[str]]]:
@@ -167,8 +167,8 @@ def svg(what: dict[str, dict[str, list[str]]]) -> str:
 def drawn() -> dict[str, dict[str, list[str]]]:
     """What the committed picture shows."""
     text = TARGET.read_text(encoding="utf-8")
-    found = re.search(r'<metadata id="graph">(.*?)</metadata>', text)
-    return json.loads(found[1].replace("&quot;", '"').replace("&amp;", "&")) if found else {}
+    match = re.search(r'<metadata id="graph">(.*?)</metadata>', text)
+    return json.loads(match[1].replace("&quot;", '"').replace("&amp;", "&")) if match else {}
 
 
 def main() -> None:

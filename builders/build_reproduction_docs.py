@@ -77,22 +77,22 @@ def sources() -> list[str]:
     return ["## Sources", "", *(f"- \\[{key}\\] {escaped(text)}" for key, text in SOURCES.items()), ""]
 
 
-def reproduction_page(found: Reproduction) -> list[str]:
+def reproduction_page(result: Reproduction) -> list[str]:
     text = (
-        f"`piga reproduce --out DIR` runs every published case and sets it beside ours: {summary(found)}. "
+        f"`piga reproduce --out DIR` runs every published case and sets it beside ours: {summary(result)}. "
         "`--only ID` runs one chapter, `--json` prints the cases; the command ends with exit code 1 if a case disagrees. "
         "A tolerance is physical: printed digits, stated rounding, reading accuracy of a figure. Errata stand on "
         "[their own page](errata.md)."
     )
     lines = head("The published cases, reproduced", text)
-    for chapter in found.chapters:
+    for chapter in result.chapters:
         if chapter.id != "errata":
             lines += chapter_lines(chapter)
     return lines + sources()
 
 
-def errata_page(found: Reproduction) -> list[str]:
-    (chapter,) = [chapter for chapter in found.chapters if chapter.id == "errata"]
+def errata_page(result: Reproduction) -> list[str]:
+    (chapter,) = [chapter for chapter in result.chapters if chapter.id == "errata"]
     text = (
         "This page lists the errors in the publications. Its numbers come from the same run as "
         "[the reproduction](reproduction.md). `piga reproduce --only errata` computes them again."
@@ -101,18 +101,21 @@ def errata_page(found: Reproduction) -> list[str]:
 
 
 def main() -> None:
-    found = reproduce()
+    reproduced = reproduce()
     folder = DOCS / FIGURES
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("*.svg"):
         old.unlink()
-    for figure in found.figures:
+    for figure in reproduced.figures:
         write_figure(figure, folder / f"{figure.key}.svg")
-    for name, lines in (("reproduction.md", reproduction_page(found)), ("errata.md", errata_page(found))):
+    for name, lines in (
+        ("reproduction.md", reproduction_page(reproduced)),
+        ("errata.md", errata_page(reproduced)),
+    ):
         (DOCS / name).write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8", newline="\n")
     size = sum(path.stat().st_size for path in folder.glob("*.svg"))
-    print(f"{summary(found)}; {len(found.figures)} figures, {size / 1e6:.2f} MB")
-    sys.exit(1 if found.failed else 0)
+    print(f"{summary(reproduced)}; {len(reproduced.figures)} figures, {size / 1e6:.2f} MB")
+    sys.exit(1 if reproduced.failed else 0)
 
 
 if __name__ == "__main__":

@@ -17,13 +17,13 @@ ORDERS = np.arange(0.3, 5.01, 0.02)
 
 def order_figure() -> Figure:
     """Error along an input axis by revolution order: raw, compensated, and the noise that was put in."""
-    found = run(120.0)
-    lines = (("before", "before", found.before), ("after", "after", found.after))
+    outcome = run(120.0)
+    lines = (("before", "before", outcome.before), ("after", "after", outcome.after))
     series = tuple(
-        Series(ORDERS, spectrum(found.psi, error, ORDERS) / (1e-6 * G0), name=name, role=role)
+        Series(ORDERS, spectrum(outcome.psi, error, ORDERS) / (1e-6 * G0), name=name, role=role)
         for name, role, error in lines
     )
-    noise = spectrum(found.psi, found.noise, ORDERS) / (1e-6 * G0)
+    noise = spectrum(outcome.psi, outcome.noise, ORDERS) / (1e-6 * G0)
     series += (Series(ORDERS, noise, name="noise put in", role="reference", dashed=True),)
     y = Axis("error along the input axis", "µg", log=True)
     return Figure(

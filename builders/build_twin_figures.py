@@ -204,7 +204,7 @@ def coulomb():
 
 def k2():
     products = np.array([-4e-6, -2e-6, 0.0, 2e-6, 4e-6])
-    found, predicted, rows = [], [], {}
+    result, predicted, rows = [], [], {}
     for product in products:
         p = replace(EXAMPLE, product_of_inertia=product)
         even = 0.0
@@ -212,11 +212,11 @@ def k2():
             t, f = constant((sign * 2 * G0, 0.0, 0.0), 2.0)
             motion = run_twin(p, t, f)
             even += 0.5 * ((motion.alpha[-1] - motion.alpha[0]) / t[-1] / p.K - sign * 2 * G0)
-        found.append(even / (2 * G0) ** 2 * G0 * 1e6)
+        result.append(even / (2 * G0) ** 2 * G0 * 1e6)
         predicted.append(predicted_k2(p) * G0 * 1e6)
         rows[f"{product:g} kg m²"] = {
             name: {"value": round(float(value), 5), "unit": "µg/g²", "digits": 7, "decimals": 5}
-            for name, value in (("twin", found[-1]), ("D K² g/(ml)", predicted[-1]))
+            for name, value in (("twin", result[-1]), ("D K² g/(ml)", predicted[-1]))
         }
     rows.pop("0 kg m²")
     record("k2", "D", rows, "preset `example`; even part of the rate at plus and minus 2 g")
@@ -224,7 +224,7 @@ def k2():
         Axis("product of inertia D", "mg m^2"),
         Axis("k2", "ug/g^2"),
         (
-            Series(1e6 * products, found, name="twin", mark="points"),
+            Series(1e6 * products, result, name="twin", mark="points"),
             Series(1e6 * products, predicted, name="D K² g/ml", role="model"),
         ),
     )  # fmt: skip

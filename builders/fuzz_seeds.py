@@ -64,16 +64,16 @@ def seeds(target: str) -> list[bytes]:
 
 def _text(_path: Path) -> list[bytes]:
     rows = b"".join(b"%.4f,%d,1.0,0.1,0.0\n" % (i / 20.0, round(10179.0 * i / 20.0)) for i in range(6))
-    found = [
+    result = [
         HEADS[0] + rows,
         HEADS[1] + rows.replace(b",", b";").replace(b".", b","),
         HEADS[3] + rows.replace(b",", b"\t"),
     ]
-    found.append(HEADS[2] + b"".join(line + b",A\n" for line in rows.splitlines()))
-    found.append((HEADS[0] + rows).decode().encode("utf-16"))
-    found.append((HEADS[0] + rows).replace(b"\n", b"\r\n"))
+    result.append(HEADS[2] + b"".join(line + b",A\n" for line in rows.splitlines()))
+    result.append((HEADS[0] + rows).decode().encode("utf-16"))
+    result.append((HEADS[0] + rows).replace(b"\n", b"\r\n"))
     return [
-        *found,
+        *result,
         b'"t","n","fx","fy","fz"\n' + rows,
         HEADS[0] + b"s,1,g,g,g\n" + rows + b"NaN,OVER,,-,#N/A\n",
     ]
@@ -85,21 +85,21 @@ def _run_file(_path: Path) -> list[bytes]:
 
 def _parquet(path: Path) -> list[bytes]:
     table = pa.table(columns())
-    found = []
+    collected = []
     for packed in ("none", "snappy", "zstd"):
         parquet.write_table(table, path, compression=packed)
-        found.append(path.read_bytes())
-    return found
+        collected.append(path.read_bytes())
+    return collected
 
 
 def _hdf5(path: Path) -> list[bytes]:
-    found = []
+    collected = []
     for options, places in (({}, ["up", "下"] * 4), ({"compression": "gzip", "shuffle": True}, np.arange(8))):
         with h5py.File(path, "w") as out:
             for name, values in columns().items():
                 out.create_dataset(name, data=values, **options).attrs["units"] = "s" if name == "t" else "1"
             out["pos"] = places
-        found.append(path.read_bytes())
+        collected.append(path.read_bytes())
     for write_places in (_matlab_text, _matlab_cells):
         with h5py.File(path, "w", userblock_size=512) as out:
             for name, values in columns().items():
@@ -107,8 +107,8 @@ def _hdf5(path: Path) -> list[bytes]:
             write_places(out)
         with path.open("r+b") as stream:
             stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
-        found.append(path.read_bytes())
-    return found
+        collected.append(path.read_bytes())
+    return collected
 
 
 def _matlab(place: h5py.Group, name: str, values: np.ndarray, kind: str) -> h5py.Dataset:
@@ -146,12 +146,12 @@ def _matlab_cells(out: h5py.File) -> None:
 
 
 def _mat(path: Path) -> list[bytes]:
-    found = []
+    collected = []
     for options in ({}, {"do_compression": True}, {"format": "4"}):
         savemat(path, columns(), appendmat=False, **options)
-        found.append(path.read_bytes())
+        collected.append(path.read_bytes())
     savemat(path, {"log": columns()} | columns(), appendmat=False)
-    return [*found, path.read_bytes()]
+    return [*collected, path.read_bytes()]
 
 
 def _tdms(path: Path) -> list[bytes]:

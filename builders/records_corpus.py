@@ -96,8 +96,8 @@ def expected(store: piga.ledger.store.Store) -> dict[str, object]:
             "measured": record.measured.isoformat(),
         }
         if record.file("calibration"):
-            found = store.calibration(record.id).coefficients
-            entry["coefficients"] = {c.key: [c.value, c.std, c.unit] for c in found}
+            coefficients = store.calibration(record.id).coefficients
+            entry["coefficients"] = {c.key: [c.value, c.std, c.unit] for c in coefficients}
         records.append(entry)
     history = {serial: [name for name, _, _ in store.history(serial)] for serial in ("CORPUS-1", "CORPUS-2")}
     return {"head": store.head().sha256, "records": records, "history": history}

@@ -56,12 +56,12 @@ def main() -> None:
         link, _ = server.accept()
         with link, link.makefile("r", encoding="ascii") as lines:
             for line in lines:
-                found = stream.push(json.loads(line))
-                velocity += float(found.dv[0])
+                result = stream.push(json.loads(line))
+                velocity += float(result.dv[0])
                 rows += 1
                 if rows % 1000 == 0:
-                    force = f"a_x = {found.ax[0] / G0:.6f} g, u = {found.u_ax[0] / G0:.1e} g"
-                    sys.stdout.write(f"t = {found.t[0]:6.2f} s: {force}\n")
+                    force = f"a_x = {result.ax[0] / G0:.6f} g, u = {result.u_ax[0] / G0:.1e} g"
+                    sys.stdout.write(f"t = {result.t[0]:6.2f} s: {force}\n")
         sender.join()
     truth = float(np.sum(np.diff(record.t) * 0.5 * (record.f[1:, 0] + record.f[:-1, 0])))
     sys.stdout.write(f"{rows} rows, velocity {velocity:.6f} m/s, reference {truth:.6f} m/s\n")

@@ -56,8 +56,8 @@ def write_pages(folder: Path) -> None:
 
 def rooms() -> list[str]:
     """Public rooms of the package: packages with public names, and the plain modules below them."""
-    found = [info.name for info in pkgutil.iter_modules(piga.__path__) if info.ispkg and info.name[0] != "_"]
-    return [name for name in found if hasattr(__import__(f"piga.{name}", fromlist=["x"]), "__all__")] + list(
+    seen = [info.name for info in pkgutil.iter_modules(piga.__path__) if info.ispkg and info.name[0] != "_"]
+    return [name for name in seen if hasattr(__import__(f"piga.{name}", fromlist=["x"]), "__all__")] + list(
         PLAIN
     )
 
@@ -91,7 +91,7 @@ def walk(path: str, command: Any) -> list[tuple[str, Any]]:
     below = getattr(command, "commands", None)
     if below is None:
         return [(path, command)]
-    return [found for name, child in below.items() for found in walk(f"{path} {name}", child)]
+    return [one for name, child in below.items() for one in walk(f"{path} {name}", child)]
 
 
 def command_text(name: str, command: Any) -> str:
@@ -286,8 +286,8 @@ def schema_page() -> str:
 def schema_rows(node: dict[str, Any], root: dict[str, Any], path: str) -> list[str]:
     """Rows for the members of an object, its arrays' members behind ``[]``."""
     rows = []
-    for name, found in node.get("properties", {}).items():
-        member, where = resolve(found, root), f"{path}{name}"
+    for name, one in node.get("properties", {}).items():
+        member, where = resolve(one, root), f"{path}{name}"
         kind = member.get("type", "value")
         kind = " or ".join(kind) if isinstance(kind, list) else kind
         value = f"`{member['const']}`" if "const" in member else cell(member.get("description", ""))

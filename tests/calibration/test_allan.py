@@ -27,10 +27,10 @@ def one_stretch(samples: int):
 def test_one_stretch_as_allantools():
     x = angle(np.random.default_rng(1), 4000, 1e-10, 1e-11)
     t, begins = one_stretch(4000)
-    found = allan_deviation(x, t, begins, white=1e-10, walk=1e-11)
-    tau, reference, _, _ = allantools.oadev(x, rate=1.0 / STEP, data_type="phase", taus=found.tau)
-    assert tau == pytest.approx(found.tau, rel=1e-12)
-    assert found.deviation == pytest.approx(reference, rel=1e-9)
+    deviation = allan_deviation(x, t, begins, white=1e-10, walk=1e-11)
+    tau, reference, _, _ = allantools.oadev(x, rate=1.0 / STEP, data_type="phase", taus=deviation.tau)
+    assert tau == pytest.approx(deviation.tau, rel=1e-12)
+    assert deviation.deviation == pytest.approx(reference, rel=1e-9)
 
 
 @pytest.mark.parametrize(("walking", "kind"), [(False, 2), (True, 0)])
@@ -43,12 +43,12 @@ def test_band_as_allantools():
     """68 % band of chi-square with these degrees of freedom."""
     x = angle(np.random.default_rng(2), 1001, 1e-10, 0.0)
     t, begins = one_stretch(1001)
-    found = allan_deviation(x, t, begins, white=1e-10, walk=0.0)
-    for index in (0, found.tau.size - 1):
+    deviation = allan_deviation(x, t, begins, white=1e-10, walk=0.0)
+    for index in (0, deviation.tau.size - 1):
         low, high = allantools.confidence_interval(
-            found.deviation[index], found.degrees_of_freedom[index], ci=0.682689492137
+            deviation.deviation[index], deviation.degrees_of_freedom[index], ci=0.682689492137
         )
-        assert (found.lower[index], found.upper[index]) == pytest.approx((low, high), rel=1e-6)
+        assert (deviation.lower[index], deviation.upper[index]) == pytest.approx((low, high), rel=1e-6)
 
 
 def test_bands_hold_the_model():
@@ -59,9 +59,9 @@ def test_bands_hold_the_model():
         x = np.concatenate([angle(rng, 400, white, walk) for _ in range(6)])
         t, begins = one_stretch(x.size)
         begins[::400] = True
-        found = allan_deviation(x, t, begins, white=white, walk=walk)
-        true = np.hypot(*model_deviation(found.tau, white, walk))
-        inside.append((found.lower < true) & (true < found.upper))
+        deviation = allan_deviation(x, t, begins, white=white, walk=walk)
+        true = np.hypot(*model_deviation(deviation.tau, white, walk))
+        inside.append((deviation.lower < true) & (true < deviation.upper))
     share = np.mean(inside, axis=0)
     assert share.min() > 0.55
     assert share.max() < 0.82
@@ -75,37 +75,37 @@ def test_stretches_are_not_joined():
     t, begins = one_stretch(x.size)
     begins[500] = True
     t[500:] += 100.0
-    found = allan_deviation(x, t, begins, white=1e-10, walk=1e-11)
+    deviation = allan_deviation(x, t, begins, white=1e-10, walk=1e-11)
     alone = [allan_deviation(p, *one_stretch(p.size), white=1e-10, walk=1e-11) for p in parts]
     pooled = np.sqrt((498 * alone[0].deviation[0] ** 2 + 1498 * alone[1].deviation[0] ** 2) / 1996)
-    assert found.deviation[0] == pytest.approx(pooled, rel=1e-12)
-    assert found.stretches[0] == 2
-    assert found.stretches[-1] == 1
-    assert found.deviation.max() < 1e-3
+    assert deviation.deviation[0] == pytest.approx(pooled, rel=1e-12)
+    assert deviation.stretches[0] == 2
+    assert deviation.stretches[-1] == 1
+    assert deviation.deviation.max() < 1e-3
 
 
 def test_uneven_sampling_is_read_on_an_even_grid():
     t = np.sort(np.random.default_rng(5).uniform(0.0, 200.0, 4000))
     begins = np.zeros(t.size, dtype=bool)
-    found = allan_deviation(0.3 * t + 1e-4 * t**2, t, begins, white=1e-10, walk=0.0)
-    assert found.deviation[-1] == pytest.approx(np.sqrt(2.0) * 1e-4 * found.tau[-1], rel=1e-2)
+    deviation = allan_deviation(0.3 * t + 1e-4 * t**2, t, begins, white=1e-10, walk=0.0)
+    assert deviation.deviation[-1] == pytest.approx(np.sqrt(2.0) * 1e-4 * deviation.tau[-1], rel=1e-2)
 
 
 def test_random_walk_of_the_rate_has_the_slope_of_the_drift_line():
     rng, level = np.random.default_rng(6), 1e-6
     rate = np.cumsum(level * np.sqrt(STEP) * rng.standard_normal(60_000))
     t, begins = one_stretch(rate.size)
-    found = allan_deviation(np.cumsum(rate) * STEP, t, begins, white=1e-20, walk=1e-20)
-    middle = (found.tau > 1.0) & (found.tau < 30.0)
-    assert found.deviation[middle] == pytest.approx(drift_line(found.tau[middle], level), rel=0.25)
+    deviation = allan_deviation(np.cumsum(rate) * STEP, t, begins, white=1e-20, walk=1e-20)
+    middle = (deviation.tau > 1.0) & (deviation.tau < 30.0)
+    assert deviation.deviation[middle] == pytest.approx(drift_line(deviation.tau[middle], level), rel=0.25)
 
 
 def test_long_records_are_thinned_to_the_same_figure():
     x = angle(np.random.default_rng(7), 300_000, 1e-10, 1e-11)
     t, begins = one_stretch(x.size)
-    found = allan_deviation(x, t, begins, white=1e-10, walk=1e-11)
-    _, reference, _, _ = allantools.oadev(x, rate=1.0 / STEP, data_type="phase", taus=found.tau[:20])
-    assert found.deviation[:20] == pytest.approx(reference, rel=0.01)
+    deviation = allan_deviation(x, t, begins, white=1e-10, walk=1e-11)
+    _, reference, _, _ = allantools.oadev(x, rate=1.0 / STEP, data_type="phase", taus=deviation.tau[:20])
+    assert deviation.deviation[:20] == pytest.approx(reference, rel=0.01)
 
 
 def test_too_short_and_unequal():

@@ -33,9 +33,9 @@ def figures(name: str, tests: int, folder: Path, workers: int = 0) -> dict[str, 
     else:
         for shard in range(campaign.shards):
             run_shard(str(folder / "out"), shard)
-    found = document(collect(campaign))
-    assert (found["computed"], found["failed"]) == (tests, 0)
-    group: dict[str, Any] = found["groups"][0]
+    content = document(collect(campaign))
+    assert (content["computed"], content["failed"]) == (tests, 0)
+    group: dict[str, Any] = content["groups"][0]
     return group
 
 
@@ -47,15 +47,15 @@ def column(group: dict[str, Any], name: str) -> Any:
 @pytest.mark.only_compiled
 def test_intervals_hold_in_two_hundred_tests(tmp_path: Path) -> None:
     """Coverage and NEES inside their 99.9 % bands; a covariance 1.3 times too large falls out of its band."""
-    found = figures("static", FEW, tmp_path)
+    result = figures("static", FEW, tmp_path)
     low, high = binom.ppf([0.0005, 0.9995], FEW, 0.95) / FEW
-    assert (column(found, "coverage") >= low).all()
-    assert (column(found, "coverage") <= high).all()
-    size = len(found["coefficients"])
+    assert (column(result, "coverage") >= low).all()
+    assert (column(result, "coverage") <= high).all()
+    size = len(result["coefficients"])
     band = chi2.ppf([0.0005, 0.9995], FEW * size) / (FEW * size)
-    assert band[0] < found["nees"] < band[1]
+    assert band[0] < result["nees"] < band[1]
     if FEW > 100:
-        assert found["nees"] / 1.3 < band[0], "a covariance too large by 1.3 would go unnoticed"
+        assert result["nees"] / 1.3 < band[0], "a covariance too large by 1.3 would go unnoticed"
 
 
 @pytest.mark.slow
@@ -66,17 +66,17 @@ def test_coverage_bias_and_efficiency(name: str, tmp_path: Path) -> None:
     Bias below 0.05 sigma, variance within 5 % of the bound for the mixes of counts and random walk, beyond
     chance; NEES in its band, and out of it for a covariance 1.2 times too large.
     """
-    found = figures(name, REPEATS, tmp_path, workers=2)
+    result = figures(name, REPEATS, tmp_path, workers=2)
     low, high = binom.ppf([0.0005, 0.9995], REPEATS, 0.95) / REPEATS
     slack = 0.0 if name in EXACT else 0.015 if name != "coarse-slow" else 0.04
-    assert column(found, "coverage").min() >= low - slack
-    assert column(found, "coverage").max() <= high + slack
-    assert np.abs(column(found, "bias_over_sigma")).max() < 0.05 + 4.0 / np.sqrt(REPEATS)
+    assert column(result, "coverage").min() >= low - slack
+    assert column(result, "coverage").max() <= high + slack
+    assert np.abs(column(result, "bias_over_sigma")).max() < 0.05 + 4.0 / np.sqrt(REPEATS)
     if name.startswith("mix"):
-        ratio = column(found, "variance_over_bound")
+        ratio = column(result, "variance_over_bound")
         assert np.abs(ratio - 1.0).max() < 0.05 + 4.0 * np.sqrt(2.0 / REPEATS)
     if name in EXACT:
-        size = len(found["coefficients"])
+        size = len(result["coefficients"])
         band = chi2.ppf([0.0005, 0.9995], REPEATS * size) / (REPEATS * size)
-        assert band[0] < found["nees"] < band[1]
-        assert not band[0] < found["nees"] / 1.2 < band[1], "a covariance too large by 1.2 would go unnoticed"
+        assert band[0] < result["nees"] < band[1]
+        assert not band[0] < result["nees"] / 1.2 < band[1], "a covariance too large by 1.2 would go unnoticed"

@@ -92,14 +92,14 @@ def children(process: subprocess.Popen[str]) -> list[psutil.Process]:
 
 def workers(process: subprocess.Popen[str]) -> list[psutil.Process]:
     """Workers of the local pool (not the process that keeps track of resources)."""
-    found = []
+    result = []
     for child in children(process):
         try:
             if "spawn_main" in " ".join(child.cmdline()):
-                found.append(child)
+                result.append(child)
         except psutil.Error:
             continue
-    return found
+    return result
 
 
 def collected(folder: Path) -> dict[str, bytes]:

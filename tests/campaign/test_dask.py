@@ -139,9 +139,9 @@ def test_two_nodes_with_tls(tmp_path, certificate):
             "run", path, "--out", out, "--executor", cluster.address, "--json", **cluster.tls
         )
         assert code == 0, err
-        found = json.loads(said)
-        assert found["shards_done"] == 5
-        assert sum(worker["records"] for worker in found["workers"]) == 17
+        content = json.loads(said)
+        assert content["shards_done"] == 5
+        assert sum(worker["records"] for worker in content["workers"]) == 17
         code, _, err = call("run", path, "--out", tmp_path / "other", "--executor", cluster.address)
         assert code == 2
         assert "no scheduler answers" in err

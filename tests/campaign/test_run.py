@@ -38,9 +38,9 @@ def test_two_workers_and_one_process_make_the_same(tmp_path):
     path = written(tmp_path)
     code, out, err = call("run", path, "--out", tmp_path / "out", "--workers", 2, "--json")
     assert code == 0, err
-    found = json.loads(out)
-    assert (found["shards"], found["shards_done"], found["records_of_this_run"]) == (5, 5, 17)
-    assert sum(worker["records"] for worker in found["workers"]) == 17
+    content = json.loads(out)
+    assert (content["shards"], content["shards_done"], content["records_of_this_run"]) == (5, 5, 17)
+    assert sum(worker["records"] for worker in content["workers"]) == 17
     assert collected(tmp_path / "out") == whole(tmp_path / "one", SMALL)
     code, out, err = call("run", path, "--out", tmp_path / "out", "--workers", 1, "--json")
     assert code == 0

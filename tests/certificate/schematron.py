@@ -43,9 +43,9 @@ def _rule(template: etree._Element, rule: etree._Element) -> None:
             etree.SubElement(template, f"{XSL}variable", name=part.get("name"), select=part.get("value"))
         elif part.tag in (f"{SCH}assert", f"{SCH}report"):
             test = part.get("test") if part.tag.endswith("report") else f"not({part.get('test')})"
-            found = etree.SubElement(etree.SubElement(template, f"{XSL}if", test=test), "finding")
-            found.set("role", part.get("role", "error"))
-            found.text = " ".join("".join(part.itertext()).split())
+            result = etree.SubElement(etree.SubElement(template, f"{XSL}if", test=test), "finding")
+            result.set("role", part.get("role", "error"))
+            result.text = " ".join("".join(part.itertext()).split())
 
 
 def findings(rules: Path, document: bytes) -> dict[str, list[str]]:
@@ -55,7 +55,7 @@ def findings(rules: Path, document: bytes) -> dict[str, list[str]]:
     with PySaxonProcessor(license=False) as saxon:
         compiled = saxon.new_xslt30_processor().compile_stylesheet(stylesheet_text=stylesheet(rules))
         result = compiled.transform_to_string(xdm_node=saxon.parse_xml(xml_text=document.decode()))
-    found: dict[str, list[str]] = {}
+    values: dict[str, list[str]] = {}
     for finding in etree.fromstring(result.encode()).iter("finding"):
-        found.setdefault(finding.get("role"), []).append(finding.text or "")
-    return found
+        values.setdefault(finding.get("role"), []).append(finding.text or "")
+    return values

@@ -61,13 +61,13 @@ def test_an_empty_file_lists_everything_at_once(cal, tmp_path):
     path = tmp_path / "empty.toml"
     path.write_text("")
     data = read_certificate_file(path)
-    found = missing_items(data, cal)
-    clauses = {clause for item in found for clause in re.findall(r"7\.8\.\d\.\d [a-p]", item)}
+    missing = missing_items(data, cal)
+    clauses = {clause for item in missing for clause in re.findall(r"7\.8\.\d\.\d [a-p]", item)}
     needed = {f"7.8.2.1 {letter}" for letter in "bcdefghijnop"} | {"7.8.4.1 b", "7.8.4.1 c", "7.8.4.1 d"}
     assert needed <= clauses
-    with pytest.raises(CalibrationError, match=f"{len(found)} items of ISO/IEC 17025:2017") as refused:
+    with pytest.raises(CalibrationError, match=f"{len(missing)} items of ISO/IEC 17025:2017") as refused:
         certificate_html(data, cal)
-    for item in found:
+    for item in missing:
         assert item in str(refused.value)
 
 
@@ -91,9 +91,9 @@ def test_an_empty_file_lists_everything_at_once(cal, tmp_path):
 def test_each_item_is_needed(cal, table, key):
     empty = getattr(getattr(CertificateFile(), table), key)
     empty = "" if key == "sampling" else empty
-    found = missing_items(changed(complete(), **{table: {key: empty}}), cal)
-    assert len(found) == 1
-    assert found[0].startswith(f"[{table}] {key} (7.8.")
+    missing = missing_items(changed(complete(), **{table: {key: empty}}), cal)
+    assert len(missing) == 1
+    assert missing[0].startswith(f"[{table}] {key} (7.8.")
 
 
 @pytest.mark.parametrize(
@@ -112,16 +112,16 @@ def test_each_item_is_needed(cal, table, key):
     ],
 )
 def test_what_contradicts_itself(cal, tables, words):
-    found = missing_items(changed(complete(), **tables), cal)
-    assert len(found) == 1
-    assert words in found[0]
+    missing = missing_items(changed(complete(), **tables), cal)
+    assert len(missing) == 1
+    assert words in missing[0]
 
 
 def test_it_is_not_issued_before_the_evaluation(cal):
     """Evaluated on 2026-01-01 at midnight UTC: still 2025-12-31 in the far west."""
     early = changed(complete(), certificate={"issued": dt.date(2020, 1, 1)})
-    found = missing_items(early, cal)
-    assert any("2020-01-01 is before [calibration] end" in item for item in found)
+    missing = missing_items(early, cal)
+    assert any("2020-01-01 is before [calibration] end" in item for item in missing)
     later = replace(cal, provenance=replace(cal.provenance, created="2026-03-12T00:00:00Z"))
     (refused,) = missing_items(complete(), later)
     assert "2026-03-09 is before the evaluation, 2026-03-12" in refused
@@ -178,9 +178,9 @@ def test_conditions_need_known_units(cal):
     ],
 )
 def test_conformity_needs_rule_and_limits(cal, keys, words):
-    found = missing_items(conforming(**keys), cal)
-    assert len(found) == 1
-    assert words in found[0]
+    missing = missing_items(conforming(**keys), cal)
+    assert len(missing) == 1
+    assert words in missing[0]
 
 
 @pytest.mark.parametrize(

@@ -51,11 +51,11 @@ def put(tmp_path, raw):
 @pytest.mark.parametrize("name", ["ours", "rsa"])
 def test_signed_and_verified(cal, keys, tmp_path, name):
     raw = written(sign_xml(dcc_document(complete(), cal), *keys[name]))
-    found = verify_signature(put(tmp_path, raw), keys[name][1])
-    assert found.signer == f"CN={name}"
-    assert found.remarks == ()
-    assert (found.valid_until - found.valid_from).days == 730
-    assert calibration_of(found.document, tmp_path).coefficients == cal.coefficients
+    signature = verify_signature(put(tmp_path, raw), keys[name][1])
+    assert signature.signer == f"CN={name}"
+    assert signature.remarks == ()
+    assert (signature.valid_until - signature.valid_from).days == 730
+    assert calibration_of(signature.document, tmp_path).coefficients == cal.coefficients
 
 
 def test_the_expected_signer_alone_counts(signed, keys, tmp_path):
@@ -230,11 +230,11 @@ def missed_among(raw, mutants, keys, tmp_path):
         if mutant == raw:
             continue
         try:
-            found = verify_signature(put(tmp_path, mutant), keys["ours"][1])
-            calibration_of(found.document, tmp_path)
+            signature = verify_signature(put(tmp_path, mutant), keys["ours"][1])
+            calibration_of(signature.document, tmp_path)
         except PigaError:
             continue
-        if not found.remarks:
+        if not signature.remarks:
             missed.append(mutant)
     return missed
 

@@ -23,9 +23,9 @@ def test_constant_force_comes_back_to_rounding_of_the_angle(a_x):
     t = np.arange(0.0, 5.0, 0.01)
     f = constant_force(t, a_x, 4.0, 3.0)
     run = run_of(t, f, phi=PHI)
-    found = piga.compensate(run, CAL)
+    compensated = piga.compensate(run, CAL)
     rounding = 4 * np.finfo(float).eps * max(1.0, np.abs(run.output).max()) / (run.scale_factor * 0.01)
-    assert np.abs(found.ax[1:] - mean_force(f)).max() < max(rounding, 1e-14)
+    assert np.abs(compensated.ax[1:] - mean_force(f)).max() < max(rounding, 1e-14)
 
 
 @pytest.mark.compiled
@@ -33,8 +33,8 @@ def test_rate_samples_come_back_to_1e12_g():
     t = np.arange(0.0, 5.0, 0.01)
     f = constant_force(t, 1.0, 5.0)
     f *= (1.0 + 0.3 * np.sin(3.0 * t))[:, None]
-    found = piga.compensate(run_of(t, f, phi=PHI, kind="rate"), CAL)
-    assert np.abs(found.ax - f[:, 0]).max() < 1e-12 * G0
+    compensated = piga.compensate(run_of(t, f, phi=PHI, kind="rate"), CAL)
+    assert np.abs(compensated.ax - f[:, 0]).max() < 1e-12 * G0
 
 
 ERRORS = {
@@ -52,16 +52,16 @@ def test_full_error_model_is_inverted_to_rounding(kind):
     temperature = np.full(t.size, 301.0)
     run = run_of(t, f, phi=PHI, kind=kind, errors=ERRORS, temperature=temperature)
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI, **ERRORS})
-    found = piga.compensate(run, cal)
-    assert np.abs(found.ax[1:] - f[1:, 0]).max() < 1e-12 * G0
+    compensated = piga.compensate(run, cal)
+    assert np.abs(compensated.ax[1:] - f[1:, 0]).max() < 1e-12 * G0
 
 
 def test_base_rate_is_taken_out():
     t = np.arange(0.0, 3.0, 0.01)
     f = constant_force(t, 0.8, 1.0, 0.5)
     base = np.tile([7e-5, -3e-3, 2e-3], (t.size, 1))
-    found = piga.compensate(run_of(t, f, phi=PHI, base_rate=base), CAL)
-    assert np.abs(found.ax[1:] - f[1:, 0]).max() < 1e-12 * G0
+    compensated = piga.compensate(run_of(t, f, phi=PHI, base_rate=base), CAL)
+    assert np.abs(compensated.ax[1:] - f[1:, 0]).max() < 1e-12 * G0
 
 
 def test_sum_of_increments_is_the_change_of_the_indicated_velocity():
@@ -95,11 +95,11 @@ def test_flags_tell_locked_near_critical_and_starts():
     t = np.arange(0.0, 1.0, 0.1)
     for a_x, name in ((0.5, "locked"), (1.1, "near_critical")):
         run = run_of(t, constant_force(t, a_x * 5.0 * TAN_BETA, 5.0), phi=PHI)
-        found = piga.compensate(run, CAL)
-        assert found.flagged(name)[1:].all()
-        assert found.flags[0] == FLAGS["no_increment"]
-        assert np.isnan(found.ax[0])
-        assert found.dv[0] == 0.0
+        compensated = piga.compensate(run, CAL)
+        assert compensated.flagged(name)[1:].all()
+        assert compensated.flags[0] == FLAGS["no_increment"]
+        assert np.isnan(compensated.ax[0])
+        assert compensated.dv[0] == 0.0
 
 
 def test_uncertainty_grows_in_the_dead_zone():
@@ -119,10 +119,10 @@ def test_uncertainty_grows_in_the_dead_zone():
 def test_constant_force_comes_back_whatever_the_output_turns_in_an_interval(step, a_x):
     """The inverse is that of the exact motion: up to several radians and, flagged as coarse, beyond a turn."""
     t = step * np.arange(30)
-    found = piga.compensate(run_of(t, constant_force(t, a_x, 4.0, 3.0), phi=PHI), CAL)
-    assert np.abs(found.ax[1:] - a_x * G0).max() < 1e-13 * G0
+    compensated = piga.compensate(run_of(t, constant_force(t, a_x, 4.0, 3.0), phi=PHI), CAL)
+    assert np.abs(compensated.ax[1:] - a_x * G0).max() < 1e-13 * G0
     turned = np.abs(np.diff(run_of(t, constant_force(t, a_x, 4.0, 3.0), phi=PHI).output)) > 1.0
-    assert (found.flagged("coarse")[1:] == turned).all()
+    assert (compensated.flagged("coarse")[1:] == turned).all()
 
 
 def ramps(t):
@@ -134,8 +134,8 @@ def ramps(t):
 def test_independent_ramps_come_back_to_the_fourth_order():
     """From the second interval on the slope is known: 1e-12 g at 20 Hz; a wrong Magnus term leaves 1e-6 g."""
     t = np.arange(0.0, 5.0, 0.05)
-    found = piga.compensate(run_of(t, ramps(t), phi=PHI), CAL)
-    assert np.abs(found.ax[2:] - mean_force(ramps(t))[1:]).max() < TOLERANCE_RAMPS * G0
+    compensated = piga.compensate(run_of(t, ramps(t), phi=PHI), CAL)
+    assert np.abs(compensated.ax[2:] - mean_force(ramps(t))[1:]).max() < TOLERANCE_RAMPS * G0
 
 
 @pytest.mark.compiled
@@ -144,8 +144,8 @@ def test_error_model_is_integrated_over_the_slope():
     t = np.arange(0.0, 5.0, 0.05)
     errors = {"k2": 5e-2, "k3": 1e-2, "k_XY": 2e-2, "k_XZ": 3e-2, "k_YY": 1e-2, "k_YZ": 2e-2}
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI, **errors})
-    found = piga.compensate(run_of(t, ramps(t), phi=PHI, errors=errors), cal)
-    assert np.abs(found.ax[2:] - mean_force(ramps(t))[1:]).max() < TOLERANCE_ERRORS * G0
+    compensated = piga.compensate(run_of(t, ramps(t), phi=PHI, errors=errors), cal)
+    assert np.abs(compensated.ax[2:] - mean_force(ramps(t))[1:]).max() < TOLERANCE_ERRORS * G0
 
 
 @pytest.mark.compiled

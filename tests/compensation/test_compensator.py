@@ -88,8 +88,8 @@ def test_step_leaves_the_state_it_was_given():
 
 def test_gap_begins_a_new_stretch():
     columns = noisy_columns("angle")
-    found = piga.Compensator(CAL).push(columns)
-    assert np.flatnonzero(found.flagged("no_increment")).tolist() == [0, int(np.argmax(columns["t"] > 2.4))]
+    rows = piga.Compensator(CAL).push(columns)
+    assert np.flatnonzero(rows.flagged("no_increment")).tolist() == [0, int(np.argmax(columns["t"] > 2.4))]
 
 
 @pytest.mark.parametrize("kind", ["angle", "rate"])

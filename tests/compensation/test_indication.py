@@ -85,13 +85,13 @@ def test_uncertainty_is_that_of_the_covariance():
     values = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4, "k0": 1e-3, "k_ZZ": 1e-4, "k0_t": 1e-5}
     std = {"tan_beta": 1e-6, "phi": 1e-4, "k0": 1e-5, "k_ZZ": 1e-6, "k0_t": 1e-6}
     run = run_of(t, smooth(t), phi=0.4)
-    found = piga.compensate(run, calibration_of(values, std)).u_ax[1:]
+    uncertainty = piga.compensate(run, calibration_of(values, std)).u_ax[1:]
     base = piga.compensate(run, calibration_of(values)).ax[1:]
     total = np.zeros(base.size)
     for name, u in std.items():
         total += (piga.compensate(run, calibration_of({**values, name: values[name] + u})).ax[1:] - base) ** 2
-    assert np.abs(found[1:] / np.sqrt(total[1:]) - 1.0).max() < 2e-3
-    assert 1.0 < found[0] / np.sqrt(total[0]) < 3.0  # the first interval has its bend as well
+    assert np.abs(uncertainty[1:] / np.sqrt(total[1:]) - 1.0).max() < 2e-3
+    assert 1.0 < uncertainty[0] / np.sqrt(total[0]) < 3.0  # the first interval has its bend as well
 
 
 def test_factor_is_triangular_and_gives_the_covariance():
@@ -108,8 +108,8 @@ def test_published_formula_of_a_set_leaves_the_second_order(kind):
     t = np.arange(0.0, 3.0, 0.01)
     f = np.tile(np.array([1.0, 5.0, -0.8]) * G0, (t.size, 1))
     records, mounted = made(t, f, orthogonal(), kind)
-    found = compensate_set(records, mounted, method="published")
-    error = np.abs(found.f[2:] - f[2:]).max()
+    compensated = compensate_set(records, mounted, method="published")
+    error = np.abs(compensated.f[2:] - f[2:]).max()
     assert 1e-6 * G0 < error < 4.0 * TAN_BETA**2 * 5.0 * G0
     exact = compensate_set(records, mounted)
     assert np.abs(exact.f[2:] - f[2:]).max() < 1e-8 * G0
@@ -117,7 +117,7 @@ def test_published_formula_of_a_set_leaves_the_second_order(kind):
         stream = PublishedSet(mounted)
         psi = np.array([r.output for r in records])
         parts = [stream.push(t[a:b], psi[:, a:b]).f for a, b in pairwise([0, 1, 70, 71, 200, t.size])]
-        assert np.concatenate(parts).tobytes() == found.f.tobytes()
+        assert np.concatenate(parts).tobytes() == compensated.f.tobytes()
 
 
 def test_published_set_of_two_is_refused():

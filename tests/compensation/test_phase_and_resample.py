@@ -26,10 +26,10 @@ def test_noiseless_phase_is_found():
 def test_phase_error_fits_its_uncertainty():
     """50 power-ups with 0.1 mrad of angle noise: mean square of error over uncertainty within 1 +- 0.6."""
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA}, angle_rms=1e-4)
-    found = [identify_phase(rest_record(-1.0, 1e-4, seed), cal, 30.0) for seed in range(50)]
-    scores = np.array([(p.value + 1.0) / p.std for p in found])
+    seen = [identify_phase(rest_record(-1.0, 1e-4, seed), cal, 30.0) for seed in range(50)]
+    scores = np.array([(p.value + 1.0) / p.std for p in seen])
     assert abs(np.mean(scores**2) - 1.0) < 0.6
-    assert 1e-4 < found[0].std < 1e-2
+    assert 1e-4 < seen[0].std < 1e-2
 
 
 def test_phase_is_found_on_line_once_the_output_has_turned():

@@ -57,11 +57,11 @@ def test_error_falls_with_the_sampling_interval(kind, sign):
         every = slice(None, None, round(1000.0 / rate))
         record = piga.Run.from_arrays(t, source.output[every], f, scale_factor=K_G / G0, kind=kind)
         cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.2})
-        found = piga.compensate(record, cal).velocity()[-1]
+        result = piga.compensate(record, cal).velocity()[-1]
         step = np.diff(fine)
         last = np.searchsorted(fine, t[-1] - 1e-9)
         truth = np.sum((0.5 * step * (exact[1:, 0] + exact[:-1, 0]))[:last])
-        worst.append(abs(found - truth))
+        worst.append(abs(result - truth))
     assert worst[0] / worst[1] > 3.5
     assert worst[1] / worst[2] > 3.5
 

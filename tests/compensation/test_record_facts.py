@@ -33,10 +33,10 @@ def test_a_part_of_the_record_is_compensated_at_its_own_time(tmp_path: Path) -> 
     assert calibration["k0_t"].value == pytest.approx(1e-5, rel=1e-3)
     late = slice(300, None)
     part = piga.Run.from_arrays(t[late], alpha[late], f[late], scale_factor="0.8884 rad/s/g")
-    found = piga.compensate(part, calibration)
+    compensated = piga.compensate(part, calibration)
     velocity = G0 * (t - 0.6 * np.cos(0.5 * t))
     middle = np.diff(velocity[late]) / 0.1
-    np.testing.assert_allclose(found.ax[2:], middle[1:], atol=2e-6 * G0)
+    np.testing.assert_allclose(compensated.ax[2:], middle[1:], atol=2e-6 * G0)
 
 
 def test_rows_outside_the_calibrated_range_are_flagged() -> None:

@@ -62,10 +62,10 @@ def test_nothing_and_single_samples() -> None:
     whole = piga.compensate(run, cal)
     stream = piga.Compensator(cal)
     assert stream.push({"t": T[:0], "output": T[:0], "f": F[:0]}).size == 0
-    found = [
+    seen = [
         stream.push({"t": t, "output": psi, "f": f}) for t, psi, f in zip(run.t, run.output, run.f, strict=True)
     ]
-    assert np.concatenate([part.ax for part in found]).tobytes() == whole.ax.tobytes()
+    assert np.concatenate([part.ax for part in seen]).tobytes() == whole.ax.tobytes()
     again = piga.Compensator(cal)
     again.push({"t": 1.0, "output": 0.0, "f": F[0]})
     stood = again.push({"t": 1.0, "output": 0.1, "f": F[0]})
@@ -115,13 +115,13 @@ def test_flags_in_words() -> None:
 
 
 def test_results_as_files(tmp_path: Path) -> None:
-    found = piga.compensate(run_of(T, F, phi=0.3), calibration_of(CAL, {"k0": 1e-6}))
-    found.to_parquet(tmp_path / "a.parquet")
-    found.to_csv(tmp_path / "a.csv")
+    compensated = piga.compensate(run_of(T, F, phi=0.3), calibration_of(CAL, {"k0": 1e-6}))
+    compensated.to_parquet(tmp_path / "a.parquet")
+    compensated.to_csv(tmp_path / "a.csv")
     parquet, csv = pa.parquet.read_table(tmp_path / "a.parquet"), pa.csv.read_csv(tmp_path / "a.csv")
     for index, name in enumerate(("t", "ax", "dv", "u_ax", "flags")):
-        np.testing.assert_array_equal(parquet.column(name).to_numpy(), getattr(found, name))
-        np.testing.assert_array_equal(csv.column(index).to_numpy().astype(float), getattr(found, name))
+        np.testing.assert_array_equal(parquet.column(name).to_numpy(), getattr(compensated, name))
+        np.testing.assert_array_equal(csv.column(index).to_numpy().astype(float), getattr(compensated, name))
 
 
 # --- the phase
@@ -154,10 +154,10 @@ def test_the_phase_of_a_record_of_rates_up_to_its_first_gap() -> None:
         scale_factor=K_G / G0, kind="rate", segment=np.repeat([0, 1], t.size),
     )  # fmt: skip
     cal = calibration_of(CAL, angle_rms=1e-6)
-    found = piga.compensation.identify_phase(record, cal, 1000.0)
-    assert abs(found.value - 0.3) < 1e-3
+    phase = piga.compensation.identify_phase(record, cal, 1000.0)
+    assert abs(phase.value - 0.3) < 1e-3
     by_angle = piga.compensation.identify_phase(run_of(t, f, phi=0.3), cal, 30.0)
-    assert abs(found.value - by_angle.value) < 1e-3
+    assert abs(phase.value - by_angle.value) < 1e-3
 
 
 # --- sets
@@ -248,8 +248,8 @@ def test_base_rate_of_some_instruments_of_a_set() -> None:
     rate = np.tile([1e-4, 2e-3, -1e-3], (T.size, 1))
     records = [run_of(T, np.roll(F, -i, axis=1), phi=0.3, base_rate=rate if i == 1 else None) for i in range(3)]
     plain = [Mounted(calibration_of({**CAL, "k0": 0.0}), np.roll(np.eye(3), -i, axis=0)) for i in range(3)]
-    found = compensate_set(records, plain)
-    assert np.abs(found.f[1:] - F[1:]).max() < 1e-9 * G0
+    compensated = compensate_set(records, plain)
+    assert np.abs(compensated.f[1:] - F[1:]).max() < 1e-9 * G0
 
 
 def test_nothing_for_a_published_set() -> None:

@@ -27,14 +27,14 @@ def test_of_one_coefficient(name: str, kind: str) -> None:
     std = 1e-5 * abs(PLAIN.get(name, 1.0))
     order = name[1:] if name[0] in "sc" and name[1:].isdigit() else ""
     values = {**PLAIN, **({f"s{order}": 0.0, f"c{order}": 0.0} if order else {}), name: PLAIN.get(name, 0.0)}
-    found = piga.compensate(run, calibration_of(values, {name: std})).u_ax[1:]
+    uncertainty = piga.compensate(run, calibration_of(values, {name: std})).u_ax[1:]
     up, down = (
         piga.compensate(run, calibration_of({**values, name: values[name] + d})).ax[1:] for d in (std, -std)
     )
     change = np.abs(up - down) / 2.0
     assert change.max() > 0.0
     settled = slice(16, None)  # before that u_ax holds the reference's bow at the beginning of the stretch
-    np.testing.assert_allclose(found[settled], change[settled], rtol=2e-2, atol=2e-2 * change.max())
+    np.testing.assert_allclose(uncertainty[settled], change[settled], rtol=2e-2, atol=2e-2 * change.max())
 
 
 @pytest.mark.compiled

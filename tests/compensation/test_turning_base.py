@@ -28,11 +28,11 @@ def record(rate: float, seconds: float, force: Input, turn: Input, axes: np.ndar
         u = K * f - axes @ turn(s)
         return [u[0] + TAN_BETA * (u[1] * np.sin(x[0]) - u[2] * np.cos(x[0])), f[0]]
 
-    found = solve_ivp(
+    solution = solve_ivp(
         motion, (0.0, t[-1]), [PHI, 0.0], method="DOP853", rtol=1e-12, atol=1e-12, t_eval=t, max_step=0.1
     )
     samples = [np.array([axes @ given(s) for s in t]) for given in (force, turn)]
-    return t, found.y[0] - PHI, *samples, np.diff(found.y[1]) * rate
+    return t, solution.y[0] - PHI, *samples, np.diff(solution.y[1]) * rate
 
 
 def still(_: float) -> np.ndarray:
@@ -57,8 +57,8 @@ def calibration(angle_rms: float = 1e-6, **std: float) -> piga.Calibration:
 def left(columns: tuple, **more: object) -> tuple[np.ndarray, np.ndarray]:
     """Error and u_ax of every interval [g]."""
     t, psi, f, omega, mean = columns
-    found = piga.Compensator(calibration()).push({"t": t, "output": psi, "f": f, "base_rate": omega, **more})
-    return (found.ax[1:] - mean) / G0, found.u_ax[1:] / G0
+    rows = piga.Compensator(calibration()).push({"t": t, "output": psi, "f": f, "base_rate": omega, **more})
+    return (rows.ax[1:] - mean) / G0, rows.u_ax[1:] / G0
 
 
 @pytest.mark.compiled
@@ -74,10 +74,10 @@ def test_angles_on_a_swaying_base(rate, most):
 def test_a_set_on_a_swaying_base(axes):
     records = [record(100.0, 1.2, steady, swaying, matrix) for matrix in axes]
     stream = SetCompensator([Mounted(calibration(), matrix) for matrix in axes])
-    found = stream.push(records[0][0], [r[1] for r in records], base_rate=[r[3] for r in records])
-    error = found.f[1:] / G0 - np.array([matrix @ steady(0.0) for matrix in axes])[:, 0] / G0
+    rows = stream.push(records[0][0], [r[1] for r in records], base_rate=[r[3] for r in records])
+    error = rows.f[1:] / G0 - np.array([matrix @ steady(0.0) for matrix in axes])[:, 0] / G0
     assert np.abs(error[2:]).max() < 0.4e-6
-    assert np.isfinite(found.u_f[1:]).all()
+    assert np.isfinite(rows.u_f[1:]).all()
 
 
 def test_a_reference_that_bends():
@@ -164,9 +164,9 @@ def left_of_set(
     """Error and u_f of every interval [g] of three instruments, by their columns."""
     records = [record(rate, seconds, force, turn, matrix) for matrix in AXES]
     stream = SetCompensator([Mounted(calibration(QUIET), matrix) for matrix in AXES])
-    found = stream.push(records[0][0], [r[1] for r in records], base_rate=[r[3] for r in records], **more)
+    rows = stream.push(records[0][0], [r[1] for r in records], base_rate=[r[3] for r in records], **more)
     mean = sum(r[4][:, None] * matrix[0] for r, matrix in zip(records, AXES, strict=True))
-    return (found.f[1:] - mean) / G0, found.u_f[1:] / G0
+    return (rows.f[1:] - mean) / G0, rows.u_f[1:] / G0
 
 
 @pytest.mark.parametrize("rate", [50.0, 100.0])
@@ -270,9 +270,9 @@ def test_an_input_that_starts_from_nothing_is_held():
     t, psi, f, omega, mean = record(5.0, 6.0, starting, still)
     begins = np.arange(t.size) % 2 == 0
     first = np.flatnonzero(begins[:-1])
-    found = piga.Compensator(calibration(QUIET)).push(
+    rows = piga.Compensator(calibration(QUIET)).push(
         {"t": t, "output": psi, "f": f, "base_rate": omega, "begins": begins}
     )
-    ratio = np.abs(found.ax[1:] - mean)[first] / found.u_ax[1:][first]
+    ratio = np.abs(rows.ax[1:] - mean)[first] / rows.u_ax[1:][first]
     assert ratio.max() < 2.05
     assert ratio.max() > 1.0

@@ -26,8 +26,8 @@ class Block:
 
 def pages() -> list[Path]:
     """README, CONTRIBUTING and every page that is written by hand."""
-    found = [path for path in DOCS.rglob("*.md") if "generated" not in path.parts]
-    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(found)]
+    seen = [path for path in DOCS.rglob("*.md") if "generated" not in path.parts]
+    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(seen)]
 
 
 def name_of(page: Path) -> str:
@@ -38,7 +38,7 @@ def name_of(page: Path) -> str:
 def blocks(page: Path) -> list[Block]:
     """Fenced blocks, and indented blocks that are command lines, in order."""
     lines = page.read_text(encoding="utf-8").splitlines()
-    found: list[Block] = []
+    collected: list[Block] = []
     at, slow = 0, False
     while at < len(lines):
         fence = _FENCE.match(lines[at])
@@ -50,7 +50,7 @@ def blocks(page: Path) -> list[Block]:
                 end += 1
             text = "\n".join(line[len(fence["indent"]) :] for line in lines[at + 1 : end])
             kind = "python" if fence["kind"].startswith("{code-cell}") else fence["kind"]
-            found.append(Block(kind, text, at + 1, slow))
+            collected.append(Block(kind, text, at + 1, slow))
             at, slow = end, False
         elif (
             lines[at].startswith("    ")
@@ -60,7 +60,7 @@ def blocks(page: Path) -> list[Block]:
             end = at
             while end < len(lines) and lines[end].startswith("    "):
                 end += 1
-            found.append(Block("sh", "\n".join(line[4:] for line in lines[at:end]), at + 1))
+            collected.append(Block("sh", "\n".join(line[4:] for line in lines[at:end]), at + 1))
             at = end
         at += 1
-    return found
+    return collected

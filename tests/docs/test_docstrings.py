@@ -24,11 +24,11 @@ def public(room: ModuleType) -> list[str]:
 
 
 def callables() -> list[tuple[str, object]]:
-    found = []
+    collected = []
     for name in ROOMS + MODULES:
         room = import_module(f"piga.{name}")
-        found += [(f"{name}.{n}", getattr(room, n)) for n in public(room) if callable(getattr(room, n))]
-    return found
+        collected += [(f"{name}.{n}", getattr(room, n)) for n in public(room) if callable(getattr(room, n))]
+    return collected
 
 
 @pytest.mark.parametrize(

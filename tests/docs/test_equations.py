@@ -27,13 +27,13 @@ def test_equation(label: str) -> None:
 
 
 def labels(page: Path) -> list[str]:
-    return [found[1] for found in _DISPLAYED.findall(page.read_text(encoding="utf-8"))]
+    return [one[1] for one in _DISPLAYED.findall(page.read_text(encoding="utf-8"))]
 
 
 def test_every_equation_has_an_entry() -> None:
-    found = [label for page in THEORY for label in labels(page)]
-    assert "" not in found
-    assert sorted(found) == sorted(EQUATIONS)
+    seen = [label for page in THEORY for label in labels(page)]
+    assert "" not in seen
+    assert sorted(seen) == sorted(EQUATIONS)
 
 
 @pytest.mark.parametrize("page", THEORY, ids=lambda page: page.stem)

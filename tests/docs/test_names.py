@@ -40,15 +40,15 @@ def commands() -> frozenset[tuple[str, ...]]:
 
     from piga.cli.main import app
 
-    found: set[tuple[str, ...]] = set()
+    result: set[tuple[str, ...]] = set()
 
     def walk(command: object, words: tuple[str, ...]) -> None:
-        found.add(words)
+        result.add(words)
         for name, inner in getattr(command, "commands", {}).items():
             walk(inner, (*words, name))
 
     walk(typer.main.get_command(app), ())
-    return frozenset(found)
+    return frozenset(result)
 
 
 def resolves(dotted: str) -> bool:
@@ -56,18 +56,18 @@ def resolves(dotted: str) -> bool:
     parts = dotted.split(".")
     for count in range(len(parts), 0, -1):
         try:
-            found: object = importlib.import_module(".".join(parts[:count]))
+            result: object = importlib.import_module(".".join(parts[:count]))
         except ModuleNotFoundError:
             continue
         for name in parts[count:]:
-            fields = getattr(found, "__dataclass_fields__", {})
+            fields = getattr(result, "__dataclass_fields__", {})
             if (
-                not hasattr(found, name)
+                not hasattr(result, name)
                 and name not in fields
-                and name not in getattr(found, "__annotations__", {})
+                and name not in getattr(result, "__annotations__", {})
             ):
                 return False
-            found = getattr(found, name, None)
+            result = getattr(result, name, None)
         return True
     return False
 
@@ -87,11 +87,11 @@ def test_what_is_named_is_there(path: Path) -> None:
         ):
             missing.append(name)
     missing += [name for name in set(_DOTTED.findall(text)) - _KEYS if not resolves(name)]
-    for found in _COMMAND.findall(text):
-        words = tuple(found.split())
+    for one in _COMMAND.findall(text):
+        words = tuple(one.split())
         inner = len(words) > 1 and words[:1] in groups()
         if words[: 1 + inner] not in commands():
-            missing.append(f"piga {found}")
+            missing.append(f"piga {one}")
     assert not missing, f"{relative(path)} names what is not there: {sorted(missing)}"
 
 

@@ -60,8 +60,8 @@ def test_links_and_pictures_lead_somewhere(page: Path) -> None:
         path = target.partition("#")[0]
         if not path or "://" in target or "reference/generated" in target or path.startswith("generated/"):
             continue
-        found = (page.parent / path).resolve()
-        assert found.exists(), f"{name_of(page)}: {target}"
+        result = (page.parent / path).resolve()
+        assert result.exists(), f"{name_of(page)}: {target}"
 
 
 def test_every_page_of_the_contents_exists() -> None:

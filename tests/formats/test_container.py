@@ -207,11 +207,11 @@ def test_a_column_in_pieces(
     for rows in (64, 1 << 18):
         monkeypatch.setattr(hdf5_reader, "PIECE_ROWS", rows)
         monkeypatch.setattr(file_columns, "PIECE_ROWS", rows)
-        found = READERS[".h5"](tmp_path / "a.h5", ("plain", "packed"), None).numbers
+        result = READERS[".h5"](tmp_path / "a.h5", ("plain", "packed"), None).numbers
         for name in ("plain", "packed"):
-            assert found[name].dtype == ("f8" if kind.startswith("f") else "i8")
-            assert (arrays_like(found[name]).folder is not None) == (rows == 64)
-            np.testing.assert_array_equal(found[name], values.astype(found[name].dtype))
+            assert result[name].dtype == ("f8" if kind.startswith("f") else "i8")
+            assert (arrays_like(result[name]).folder is not None) == (rows == 64)
+            np.testing.assert_array_equal(result[name], values.astype(result[name].dtype))
 
 
 @pytest.mark.parametrize("kind", ["f8", "f4", "i4", "u8"])
@@ -232,10 +232,10 @@ def test_a_channel_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ki
     assert (whole.size < 700) == (cut > 0)
     for rows in (64, 1 << 18):
         monkeypatch.setattr(file_columns, "PIECE_ROWS", rows)
-        found = READERS[".tdms"](path, ("n",), None).numbers["n"]
-        assert found.dtype == ("f8" if kind.startswith("f") else "i8")
-        assert (arrays_like(found).folder is not None) == (rows == 64)
-        np.testing.assert_array_equal(found, whole.astype(found.dtype))
+        result = READERS[".tdms"](path, ("n",), None).numbers["n"]
+        assert result.dtype == ("f8" if kind.startswith("f") else "i8")
+        assert (arrays_like(result).folder is not None) == (rows == 64)
+        np.testing.assert_array_equal(result, whole.astype(result.dtype))
 
 
 def test_units_row_and_blank_rows_of_a_sheet(tmp_path: Path) -> None:

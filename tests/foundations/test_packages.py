@@ -18,8 +18,8 @@ def plain(name: str) -> str:
 
 
 def packages(extra: str) -> set[str]:
-    found = {plain(re.match(r"[A-Za-z0-9._-]+", wish)[0]) for wish in EXTRAS[extra]}  # type: ignore[index]
-    return found - {"piga"}
+    seen = {plain(re.match(r"[A-Za-z0-9._-]+", wish)[0]) for wish in EXTRAS[extra]}  # type: ignore[index]
+    return seen - {"piga"}
 
 
 def pins(file: str) -> dict[str, str]:

@@ -68,9 +68,9 @@ def test_a_loop_that_never_crosses_has_all_margins() -> None:
         restoring=1.0,
         viscous_friction=1e-3,
     )
-    found = analyse_loop(weak)
-    assert found.phase_margin == math.inf
-    assert found.crossover == 0.0
+    loop = analyse_loop(weak)
+    assert loop.phase_margin == math.inf
+    assert loop.crossover == 0.0
 
 
 def test_segments_with_base_rate_are_closed_forms_one_after_the_other() -> None:

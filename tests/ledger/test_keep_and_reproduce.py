@@ -47,9 +47,9 @@ def test_keep_and_reproduce(tmp_path: Path) -> None:
         assert stored.coefficients == calibration.coefficients
         again = reproduce(store, record.id)
         assert (again.verdict, again.same_platform, again.comparison.worst) == ("identical", True, 0.0)
-        name, when, found = store.history("T-1")[0]
+        name, when, result = store.history("T-1")[0]
         assert (name, when.isoformat()) == (record.id, "2026-11-20T00:00:00+00:00")
-        assert np.array_equal(found.covariance, calibration.covariance)
+        assert np.array_equal(result.covariance, calibration.covariance)
         second = prepare_run(run, "B", "corrected", supersedes=record.id, report=False).keep(store)
         assert [name for name, _, _ in store.history("T-1")] == [second.id]
         assert store.record(2).document.after == before.sha256
@@ -193,11 +193,11 @@ def test_comparison_knows_bits_rounding_and_difference(calibration: piga.Calibra
     value = calibration.coefficients[0].value
     limit = 1e-12 * calibration.condition * value
     for step, agrees in ((np.spacing(value), True), (0.5 * limit, True), (20.0 * limit, False)):
-        found = compare_calibrations(calibration, _with(calibration, 0, value=value + step))
-        assert (found.identical, found.agrees) == (False, agrees)
-    assert "recomputed" in found.differences[0]
-    found = compare_calibrations(calibration, dataclasses.replace(calibration, method="rate"))
-    assert found.differences == ("method: 'information', recomputed 'rate'",)
+        difference = compare_calibrations(calibration, _with(calibration, 0, value=value + step))
+        assert (difference.identical, difference.agrees) == (False, agrees)
+    assert "recomputed" in difference.differences[0]
+    difference = compare_calibrations(calibration, dataclasses.replace(calibration, method="rate"))
+    assert difference.differences == ("method: 'information', recomputed 'rate'",)
     other = dataclasses.replace(calibration, covariance=calibration.covariance * (1.0 + 1e-3))
     assert not compare_calibrations(calibration, other).agrees
 
@@ -210,8 +210,8 @@ def test_a_last_digit_counts_on_the_same_platform(tmp_path: Path, monkeypatch: p
         original = estimator.calibrate
 
         def nearly(*arguments, **options):  # type: ignore[no-untyped-def]
-            found = original(*arguments, **options)
-            return _with(found, 0, value=float(np.nextafter(found.coefficients[0].value, 1.0)))
+            result = original(*arguments, **options)
+            return _with(result, 0, value=float(np.nextafter(result.coefficients[0].value, 1.0)))
 
         monkeypatch.setattr(estimator, "calibrate", nearly)
         assert reproduce_function(store, 1).verdict == "different"
@@ -220,8 +220,8 @@ def test_a_last_digit_counts_on_the_same_platform(tmp_path: Path, monkeypatch: p
         module = sys.modules["piga.ledger.reproduce"]
         here = module.software_identity()
         monkeypatch.setattr(module, "software_identity", lambda: here | {"numpy": "9.9"})
-        found = reproduce_function(store, 1)
-        assert (found.verdict, found.changed) == ("within tolerance", {"numpy": (here["numpy"], "9.9")})
+        result = reproduce_function(store, 1)
+        assert (result.verdict, result.changed) == ("within tolerance", {"numpy": (here["numpy"], "9.9")})
 
 
 def test_record_without_inputs(tmp_path: Path) -> None:
@@ -259,6 +259,6 @@ def test_other_arithmetic_agrees_to_1e12_kappa(tmp_path: Path) -> None:
         done = subprocess.run(
             [*command, *map(str, arguments)], env=environment, capture_output=True, check=True
         )
-    found = json.loads(done.stdout)["records"][0]
-    assert found["verdict"] == "within tolerance", found
-    assert "compiled" in found["changed"]
+    content = json.loads(done.stdout)["records"][0]
+    assert content["verdict"] == "within tolerance", content
+    assert "compiled" in content["changed"]

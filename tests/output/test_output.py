@@ -90,8 +90,8 @@ def test_files_that_a_run_file_names(tmp_path: Path) -> None:
         (tmp_path / name).write_text("x")
     (tmp_path / "r.toml").write_text('a = "d.csv"\n[stand]\nparts = [{ file = "p.csv" }]\nb = "none.csv"\n')
     (tmp_path / "t.toml").write_text('[[triad.instrument]]\nrun = "r.toml"\ncalibration = "c.json"\n')
-    found = {path.name for path in files_named_in(tmp_path / "t.toml")}
-    assert found == {"t.toml", "r.toml", "c.json", "d.csv", "d.csv.sha256", "p.csv"}
+    seen = {path.name for path in files_named_in(tmp_path / "t.toml")}
+    assert seen == {"t.toml", "r.toml", "c.json", "d.csv", "d.csv.sha256", "p.csv"}
     assert files_named_in(tmp_path / "none.toml") == [tmp_path / "none.toml"]
 
 

@@ -100,9 +100,9 @@ def test_other_criteria_are_no_worse_than_the_standard_test(tmp_path: Path, crit
         "c": lambda p: p.std("k0"),
         "wanted": lambda p: max(p.std("k0") / 1e-6, p.std("scale_factor") / 1e-6),
     }
-    found = [other for other in plan.standard if not other.refusal]
-    assert found
-    for other in found:
+    seen = [other for other in plan.standard if not other.refusal]
+    assert seen
+    for other in seen:
         assert sizes[criterion](own) <= 1.02 * sizes[criterion](other)
 
 

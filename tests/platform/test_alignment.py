@@ -31,17 +31,17 @@ def test_without_noise_attitude_drift_and_base_are_found():
     equatorial = Gyro(1e-3, 1.3, drift=(-1e-9, 3e-9))
     s = _scenario(polar=polar, equatorial=equatorial)
     run = simulate(s)
-    found = align(run.readouts, s.place, true_knowledge(s))
-    assert np.abs(matrix_to_rotation_vector(found.triad @ run.truth.triad_start)).max() < 2e-9
-    np.testing.assert_allclose(found.drift, [2e-9, -1e-9, 3e-9], rtol=0, atol=2e-13)
-    np.testing.assert_allclose(found.base_angles, [0.02, -0.03, 2.0], rtol=0, atol=2e-9)
+    alignment = align(run.readouts, s.place, true_knowledge(s))
+    assert np.abs(matrix_to_rotation_vector(alignment.triad @ run.truth.triad_start)).max() < 2e-9
+    np.testing.assert_allclose(alignment.drift, [2e-9, -1e-9, 3e-9], rtol=0, atol=2e-13)
+    np.testing.assert_allclose(alignment.base_angles, [0.02, -0.03, 2.0], rtol=0, atol=2e-9)
 
 
 def test_noise_levels_come_from_the_record():
     s = _scenario(sensors=Sensors(gimbal_noise=2 * ARCSEC, velocity_random_walk=3e-5))
-    found = align(simulate(s).readouts, s.place, true_knowledge(s))
-    assert found.noise["gimbals"] == pytest.approx(2 * ARCSEC, rel=0.08)
-    assert found.noise["force"] == pytest.approx(3e-5 / np.sqrt(s.step), rel=0.08)
+    alignment = align(simulate(s).readouts, s.place, true_knowledge(s))
+    assert alignment.noise["gimbals"] == pytest.approx(2 * ARCSEC, rel=0.08)
+    assert alignment.noise["force"] == pytest.approx(3e-5 / np.sqrt(s.step), rel=0.08)
 
 
 @only_compiled
@@ -50,10 +50,10 @@ def test_the_covariance_is_that_of_repeated_alignments():
     scores = []
     for seed in range(60):
         run = simulate(replace(s, seed=seed))
-        found = align(run.readouts, s.place, true_knowledge(s))
-        off = matrix_to_rotation_vector(found.triad.T @ run.truth.triad_start.T)
-        base = (found.base_angles - [0.02, -0.03, 2.0]) / found.base_stds
-        scores.append(np.concatenate([off / found.std[:3], found.drift / found.std[3:6], base]))
+        alignment = align(run.readouts, s.place, true_knowledge(s))
+        off = matrix_to_rotation_vector(alignment.triad.T @ run.truth.triad_start.T)
+        base = (alignment.base_angles - [0.02, -0.03, 2.0]) / alignment.base_stds
+        scores.append(np.concatenate([off / alignment.std[:3], alignment.drift / alignment.std[3:6], base]))
     scores = np.array(scores)
     assert np.all(np.abs(scores.std(axis=0) - 1.0) < 0.35)
     assert 0.90 < np.mean(np.abs(scores) < 1.96) < 0.99
@@ -65,9 +65,9 @@ def test_the_aligned_triad_starts_the_navigation():
     )
     run = simulate(s)
     known = identify(run.readouts, s.place).knowledge
-    found = align(run.readouts, s.place, known)
+    alignment = align(run.readouts, s.place, known)
     made = compensator("B", known, run.readouts)
-    e = errors(navigate(run.readouts, made, found.start(with_drift=True)), run.truth, run.readouts)
+    e = errors(navigate(run.readouts, made, alignment.start(with_drift=True)), run.truth, run.readouts)
     assert e.horizontal.max() < (200.0 if INTERPRETED else 60.0)
     assert abs(np.median(e.attitude[:, 2])) < 10 * ARCSEC
-    assert found.std[:3].max() < DEG
+    assert alignment.std[:3].max() < DEG

@@ -20,22 +20,24 @@ pytestmark = pytest.mark.compiled
 @pytest.mark.parametrize("sources", [("gimbals", "pick-off"), ("gimbals",)])
 def test_without_noise_everything_is_found(sources):
     s = calibration()
-    found = identify(simulate(s).readouts, s.place, sources=sources)
+    identified = identify(simulate(s).readouts, s.place, sources=sources)
     tolerance = 1e-13 if "pick-off" in sources else 1e-12
-    np.testing.assert_allclose(found.values, truth(s)[: len(found.values)], rtol=0, atol=tolerance)
-    assert found["polar.misalignment"].value == pytest.approx(4.0 * ARCMIN, abs=tolerance)
+    np.testing.assert_allclose(identified.values, truth(s)[: len(identified.values)], rtol=0, atol=tolerance)
+    assert identified["polar.misalignment"].value == pytest.approx(4.0 * ARCMIN, abs=tolerance)
 
 
 def test_parameters_come_back_as_amplitudes_and_phases():
     s = calibration()
-    found = identify(simulate(s).readouts, s.place)
+    identified = identify(simulate(s).readouts, s.place)
     for gyro, name in ((s.polar, "polar"), (s.equatorial, "equatorial")):
-        assert found[f"{name}.phase"].value == pytest.approx(gyro.phase, abs=1e-9)
+        assert identified[f"{name}.phase"].value == pytest.approx(gyro.phase, abs=1e-9)
         for h in gyro.harmonics:
-            assert found[f"{name}.harmonic{h.order}.amplitude"].value == pytest.approx(h.amplitude, abs=1e-12)
-            assert found[f"{name}.harmonic{h.order}.phase"].value == pytest.approx(h.phase, abs=1e-6)
+            assert identified[f"{name}.harmonic{h.order}.amplitude"].value == pytest.approx(
+                h.amplitude, abs=1e-12
+            )
+            assert identified[f"{name}.harmonic{h.order}.phase"].value == pytest.approx(h.phase, abs=1e-6)
     with pytest.raises(KeyError, match=r"polar\.phase"):
-        found["polar.size"]
+        identified["polar.size"]
 
 
 def test_a_case_fixed_drift_is_identified_as_part_of_the_misalignment():
@@ -43,10 +45,10 @@ def test_a_case_fixed_drift_is_identified_as_part_of_the_misalignment():
     s = calibration(
         polar=Gyro(4.0 * ARCMIN, 0.4, case_drift=drift), equatorial=Gyro(3.0 * ARCMIN, 1.3, case_drift=drift)
     )
-    found = identify(simulate(s).readouts, s.place)
+    identified = identify(simulate(s).readouts, s.place)
     for gyro, rotation, seen in (
-        (s.polar, s.polar_rotation, found.polar),
-        (s.equatorial, s.equatorial_rotation, found.equatorial),
+        (s.polar, s.polar_rotation, identified.polar),
+        (s.equatorial, s.equatorial_rotation, identified.equatorial),
     ):
         apparent = apparent_gyro(gyro, rotation)
         assert abs(apparent.phase - gyro.phase) > 5e-3
@@ -57,15 +59,17 @@ def test_a_case_fixed_drift_is_identified_as_part_of_the_misalignment():
 @pytest.mark.parametrize("sources", [("force", "pick-off"), ("force",)])
 def test_the_force_alone_tells_it_too(sources):
     s = calibration()
-    found = identify(simulate(s).readouts, s.place, sources=sources)
-    np.testing.assert_allclose(found.values, truth(s)[: len(found.values)], rtol=0, atol=5e-4 * ARCSEC)
+    identified = identify(simulate(s).readouts, s.place, sources=sources)
+    np.testing.assert_allclose(
+        identified.values, truth(s)[: len(identified.values)], rtol=0, atol=5e-4 * ARCSEC
+    )
 
 
 @pytest.mark.parametrize("step", [4.0, 8.0, 24.0])
 def test_the_length_of_the_step_does_not_bias_what_the_force_tells(step):
     s = calibration(step=step)
-    found = identify(simulate(s).readouts, s.place, sources=("force", "pick-off"))
-    np.testing.assert_allclose(found.values, truth(s), rtol=0, atol=5e-4 * ARCSEC)
+    identified = identify(simulate(s).readouts, s.place, sources=("force", "pick-off"))
+    np.testing.assert_allclose(identified.values, truth(s), rtol=0, atol=5e-4 * ARCSEC)
 
 
 @only_compiled
@@ -73,8 +77,8 @@ def test_gyro_accelerometers_read_the_turn_of_the_platform_too():
     """Left out, it would show as 1.5 % of the misalignment: 3.6 arcsec."""
     piga = PigaSensors(0.8884 / 9.80665, 3.6e-4, mounting="skewed")
     s = calibration(sensors=Sensors(piga=piga), step=0.5)
-    found = identify(simulate(s).readouts, s.place, sources=("force", "pick-off"))
-    np.testing.assert_allclose(found.values[:16], truth(s)[:16], rtol=0, atol=0.005 * ARCSEC)
+    identified = identify(simulate(s).readouts, s.place, sources=("force", "pick-off"))
+    np.testing.assert_allclose(identified.values[:16], truth(s)[:16], rtol=0, atol=0.005 * ARCSEC)
 
 
 def test_too_few_samples_a_turn_are_refused():
@@ -104,9 +108,9 @@ def test_a_swaying_base_does_not_spoil_it():
         for a, p in ((0.03, 9.0), (0.02, 7.0), (0.02, 11.0), (0.3, 9.0), (0.3, 12.0), (0.3, 8.0))
     )
     s = calibration(motion=MotionPlan("sway", sway=sway), step=2.0 if INTERPRETED else 1.0, sensors=NOISE)
-    found = identify(simulate(s).readouts, s.place, sources=("force", "pick-off"))
-    std = np.sqrt(np.diag(found.covariance))
-    score = (found.values - truth(s)) / std
+    identified = identify(simulate(s).readouts, s.place, sources=("force", "pick-off"))
+    std = np.sqrt(np.diag(identified.covariance))
+    score = (identified.values - truth(s)) / std
     assert np.abs(score).max() < 4.5
     assert std[:4].max() < (0.3 if INTERPRETED else 0.1) * ARCSEC
 
@@ -158,12 +162,12 @@ def test_what_the_force_tells_is_judged_as_it_is_identified(sources):
         sensors=noise, step=step, duration=7200.0, polar=Gyro(4 * ARCMIN, 0.3), equatorial=Gyro(3 * ARCMIN)
     )
     readouts = simulate(s).readouts
-    found = identify(readouts, s.place, sources=sources, orders=0)
-    verdict = {o.source: o for o in observability(readouts, found)}[
+    identified = identify(readouts, s.place, sources=sources, orders=0)
+    verdict = {o.source: o for o in observability(readouts, identified)}[
         "specific force with pick-off" if len(sources) == 2 else "specific force"
     ]
     assert verdict.separable
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance))[:4], verdict.std, rtol=0.08)
+    np.testing.assert_allclose(np.sqrt(np.diag(identified.covariance))[:4], verdict.std, rtol=0.08)
 
 
 def test_unequal_speeds_separate_the_pick_off():
@@ -195,8 +199,8 @@ def test_wrong_use_is_refused():
 
 def test_an_absent_misalignment_is_called_absent():
     s = calibration(polar=Gyro(), sensors=NOISE)
-    found = identify(simulate(s).readouts, s.place)
-    assert any(note.startswith("polar: the misalignment is below") for note in found.notes)
+    identified = identify(simulate(s).readouts, s.place)
+    assert any(note.startswith("polar: the misalignment is below") for note in identified.notes)
 
 
 def test_least_squares_agrees_with_the_normal_equations():
@@ -208,9 +212,9 @@ def test_least_squares_agrees_with_the_normal_equations():
         rng.normal(size=30),
     )
     parts = [UnknownGroup("a", r1, j1).reduced(), UnknownGroup("b", r2, j2).reduced()]
-    found = solve(parts, (0.5, 2.0), ("p", "q", "s"))
+    solution = solve(parts, (0.5, 2.0), ("p", "q", "s"))
     normal = j1.T @ j1 / 0.25 + j2.T @ j2 / 4.0
     np.testing.assert_allclose(
-        found.step, np.linalg.solve(normal, j1.T @ r1 / 0.25 + j2.T @ r2 / 4.0), rtol=1e-12
+        solution.step, np.linalg.solve(normal, j1.T @ r1 / 0.25 + j2.T @ r2 / 4.0), rtol=1e-12
     )
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(normal), rtol=1e-12)
+    np.testing.assert_allclose(solution.covariance, np.linalg.inv(normal), rtol=1e-12)

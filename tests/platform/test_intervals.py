@@ -51,15 +51,15 @@ def _scores(case, seeds):
     scores, nees = [], []
     for seed in seeds:
         run = simulate(replace(s, seed=seed), motion=motion)
-        found = method(run.readouts, s.place, sources=sources, **extra)
-        off = found.values - true
-        named = found.parameters[: len(put_in)]
+        result = method(run.readouts, s.place, sources=sources, **extra)
+        off = result.values - true
+        named = result.parameters[: len(put_in)]
         turned = np.array([p.value for p in named]) - put_in
         phases = np.array([p.name.endswith("phase") for p in named])
         turned = np.where(phases, np.remainder(turned + np.pi, TURN) - np.pi, turned)
-        uncertain = [np.sqrt(np.diag(found.covariance)), np.array([p.std for p in named])]
+        uncertain = [np.sqrt(np.diag(result.covariance)), np.array([p.std for p in named])]
         scores.append(np.concatenate([off / uncertain[0], turned / uncertain[1]]))
-        nees.append(off @ np.linalg.solve(found.covariance, off))
+        nees.append(off @ np.linalg.solve(result.covariance, off))
     return np.array(scores), np.array(nees)
 
 
@@ -161,10 +161,10 @@ def _bound(s, sources):
 def test_every_uncertainty_is_the_cramer_rao_bound(sources):
     """Angles, phases and harmonics. The force is held to the bound of a base *known* to be at rest."""
     s = calibration(sensors=NOISE, duration=7200.0, step=16.0 if INTERPRETED else 4.0)
-    found = identify(simulate(s).readouts, s.place, sources=sources)
+    identified = identify(simulate(s).readouts, s.place, sources=sources)
     level = {"gimbals": ARCSEC, "pick-off": ARCSEC, "force": NOISE.velocity_random_walk / np.sqrt(s.step)}
-    noise = np.mean([found.noise[k] / level[k] for k in sources])
-    stds = np.array([p.std for p in found.parameters[:16]])
+    noise = np.mean([identified.noise[k] / level[k] for k in sources])
+    stds = np.array([p.std for p in identified.parameters[:16]])
     ratio = stds / noise / _bound(s, sources)
     assert ratio.max() < 1.05
     assert ratio.min() > 0.95
@@ -180,7 +180,7 @@ def test_the_uncertainty_is_the_cramer_rao_bound():
         equatorial=Gyro(4 * ARCMIN, 1.0),
     )
     readouts = simulate(s).readouts
-    found = identify(readouts, s.place, orders=1)
+    identified = identify(readouts, s.place, orders=1)
     t = readouts.times
     n = len(t)
     theta, mid, inner = readouts.encoder1, readouts.gimbals[:, 1], readouts.gimbals[:, 2]
@@ -192,8 +192,8 @@ def test_the_uncertainty_is_the_cramer_rao_bound():
         rows.append(np.concatenate([np.zeros(2 * n), z, pick]))
     information = np.array(rows) @ np.array(rows).T / ARCSEC**2
     bound = np.sqrt(np.diag(np.linalg.inv(information)))
-    sigma = np.array([found.noise["gimbals"], found.noise["pick-off"]]) / ARCSEC
+    sigma = np.array([identified.noise["gimbals"], identified.noise["pick-off"]]) / ARCSEC
     assert np.all(np.abs(sigma - 1.0) < 0.06)
     np.testing.assert_allclose(
-        np.sqrt(np.diag(found.covariance))[[0, 1, 4, 5]], bound * sigma.mean(), rtol=0.04
+        np.sqrt(np.diag(identified.covariance))[[0, 1, 4, 5]], bound * sigma.mean(), rtol=0.04
     )

@@ -227,8 +227,8 @@ def test_the_closed_form_gives_both_lines(model, latitude):
 @pytest.mark.parametrize("latitude", LATITUDES)
 def test_the_navigated_run_shows_both_lines(latitude):
     truth = Compensation(models=("none", "A"), misalignment="true", attitude="true")
-    found = compare(unequal(latitude, step=4.0, compensation=truth))
-    for model, run in found.models.items():
+    comparison = compare(unequal(latitude, step=4.0, compensation=truth))
+    for model, run in comparison.models.items():
         close(both(run.lines), lines(simulated()[model, latitude], latitude))
 
 
@@ -257,20 +257,20 @@ def test_the_document_names_the_equatorial_lines_when_the_speeds_differ():
 
 
 def test_speeds_that_a_stretch_cannot_tell_apart_give_no_line_and_a_note():
-    found = compared(equatorial_rotation=Rotation(W1 * 1.01))
-    assert found.document()["models"]["none"]["roll_line_arcmin"] == [None]
-    assert "cannot be told apart within 4 h" in found.preparation.notes[0]
+    result = compared(equatorial_rotation=Rotation(W1 * 1.01))
+    assert result.document()["models"]["none"]["roll_line_arcmin"] == [None]
+    assert "cannot be told apart within 4 h" in result.preparation.notes[0]
 
 
 def test_a_case_at_rest_has_no_line():
-    found = compared(polar_rotation=Rotation(0.0)).document()
+    content = compared(polar_rotation=Rotation(0.0)).document()
     assert (
-        found["models"]["none"]["heading_line_arcmin"]
+        content["models"]["none"]["heading_line_arcmin"]
         == [None]
-        == found["theory"]["none"]["heading_line_arcmin"]
+        == content["theory"]["none"]["heading_line_arcmin"]
     )
-    expected = found["theory"]["none"]["heading_equatorial_line_arcmin"][0]
-    assert found["models"]["none"]["heading_equatorial_line_arcmin"][0] == pytest.approx(expected, rel=0.01)
+    expected = content["theory"]["none"]["heading_equatorial_line_arcmin"][0]
+    assert content["models"]["none"]["heading_equatorial_line_arcmin"][0] == pytest.approx(expected, rel=0.01)
 
 
 def test_a_wobble_may_stand_at_the_line_of_the_other_case():

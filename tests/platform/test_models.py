@@ -71,9 +71,9 @@ def test_model_a_also_leaves_the_secant_term(ten_days):
     first = -np.exp(1j * 20 * DEG) * np.tan(eta)
     second = -1j * np.exp(1j * 75 * DEG) * (1.0 / np.cos(eta) - 1.0)
     schuler = 1.0 / (1.0 - (1.2394e-3 * 480 / (2 * np.pi)) ** 2)
-    found = ten_days.models["A"].lines.amplitude["heading"][-1] / (m * np.sin(40 * DEG) * schuler)
-    assert found == pytest.approx(abs(first + second), rel=1e-3)
-    assert abs(found / abs(first) - 1.0) > 0.01
+    result = ten_days.models["A"].lines.amplitude["heading"][-1] / (m * np.sin(40 * DEG) * schuler)
+    assert result == pytest.approx(abs(first + second), rel=1e-3)
+    assert abs(result / abs(first) - 1.0) > 0.01
 
 
 @only_compiled
@@ -91,10 +91,10 @@ def test_no_model_leaves_the_whole_misalignment(ten_days):
 
 @only_compiled
 def test_with_wobble_b_removes_a_part_and_c_the_rest(ten_days_with_wobble):
-    found = {m: r.lines.amplitude for m, r in ten_days_with_wobble.models.items()}
+    result = {m: r.lines.amplitude for m, r in ten_days_with_wobble.models.items()}
     for channel in ("east_velocity", "heading", "roll"):
-        by_b = 1.0 - found["B"][channel][-1] / found["A"][channel][-1]
-        by_c = 1.0 - found["C"][channel][-1] / found["A"][channel][-1]
+        by_b = 1.0 - result["B"][channel][-1] / result["A"][channel][-1]
+        by_c = 1.0 - result["C"][channel][-1] / result["A"][channel][-1]
         assert 0.30 < by_b < 0.50
         assert by_c > 0.99
 
@@ -161,8 +161,8 @@ def test_harmonics_over_encoder_and_case_angle_are_the_same():
     theta = np.linspace(0.0, 6.0, 9)
     c = theta + 0.6
     expected = 1e-5 * np.cos(c + 0.2) + 3e-5 * np.cos(2 * c + 2.0)
-    found = sum(cosines[k] * np.cos((k + 1) * theta) + sines[k] * np.sin((k + 1) * theta) for k in range(2))
-    np.testing.assert_allclose(found, expected, atol=1e-18)
+    result = sum(cosines[k] * np.cos((k + 1) * theta) + sines[k] * np.sin((k + 1) * theta) for k in range(2))
+    np.testing.assert_allclose(result, expected, atol=1e-18)
 
 
 def test_a_line_is_found_among_its_neighbours():
@@ -172,8 +172,8 @@ def test_a_line_is_found_among_its_neighbours():
     line = (0.02 + 2e-7 * (t - t.mean())) * np.cos(rate * t + 0.3)
     others = 0.5 * np.sin((rate + earth_rate) * t) + 0.4 * np.cos((rate - earth_rate) * t + 1.0)
     slow = 0.7 * np.sin(schuler * t) + 1e-5 * t + 0.3 + 0.01 * np.sin(2 * rate * t)
-    found = line_amplitudes(t, (line + others + slow)[:, None], rate, latitude)
-    assert found[0] == pytest.approx(0.02, rel=2e-3)
+    result = line_amplitudes(t, (line + others + slow)[:, None], rate, latitude)
+    assert result[0] == pytest.approx(0.02, rel=2e-3)
 
 
 def test_a_spectrum_shows_the_amplitude_of_a_sine():
@@ -208,10 +208,10 @@ def test_the_chain_runs_for_other_schedules_and_bases(kind):
         "at rest": {"polar_rotation": Rotation(0.0), "equatorial_rotation": Rotation(0.0)},
         "moving": {"motion": MotionPlan("turn", turn_rate=0.01), "compensation": Compensation(attitude="true")},
     }[kind]
-    found = compare(published(duration=21600.0, sensors=noise, **changes))
-    none, b = found.models["none"].errors, found.models["B"].errors
+    comparison = compare(published(duration=21600.0, sensors=noise, **changes))
+    none, b = comparison.models["none"].errors, comparison.models["B"].errors
     if kind == "at rest":
-        assert "at rest" in found.preparation.notes[0]
+        assert "at rest" in comparison.preparation.notes[0]
     else:
         assert b.horizontal.max() < 0.15 * none.horizontal.max()
-    assert set(found.document()["models"]) == {"none", "A", "B", "C"}
+    assert set(comparison.document()["models"]) == {"none", "A", "B", "C"}

@@ -44,13 +44,13 @@ def test_two_newton_steps_reach_the_end():
     """The averaged effective axes are the Jacobian to first order in tan(beta)."""
     t, force = _sweep(n=40)
     alpha = gimbal_angles(replace(PIGA, tan_beta=5e-3), t, force, np.zeros((40, 3)))
-    found = []
+    collected = []
     for sweeps in (2, 6):
         increments = np.empty((40, 3))
         constants = np.full(3, PIGA.scale_factor), np.full(3, 5e-3)
         solve_triad(alpha, mounting_axes(PIGA), *constants, 1.0, sweeps, np.empty((3, 4)), increments)
-        found.append(increments)
-    assert np.abs(found[0] - found[1])[1:].max() < 2e-8
+        collected.append(increments)
+    assert np.abs(collected[0] - collected[1])[1:].max() < 2e-8
 
 
 def test_mounting_axes_are_right_handed_triads():
@@ -121,22 +121,22 @@ def _capstone_scenario(**changes):
 
 @only_compiled
 def test_the_story_of_the_capstone():
-    found = capstone(_capstone_scenario(duration=2 * 86400.0))
-    o = {name: outcome.position for name, outcome in found.outcomes.items()}
+    result = capstone(_capstone_scenario(duration=2 * 86400.0))
+    o = {name: outcome.position for name, outcome in result.outcomes.items()}
     assert o["raw tripod"] > 500.0
     assert o["raw skewed"] < 0.05 * o["raw tripod"]
     assert abs(o["triad"] - o["ideal"]) < 0.2
     assert o["triad, calibrated"] < 3.0 * o["ideal"]
-    assert found.outcomes["raw tripod"].locked_per_day.min() > 10.0
-    assert found.outcomes["raw skewed"].locked_per_day.max() == 0.0
+    assert result.outcomes["raw tripod"].locked_per_day.min() > 10.0
+    assert result.outcomes["raw skewed"].locked_per_day.max() == 0.0
 
 
 @only_compiled
 def test_a_passage_leaves_what_stationary_phase_says():
     """The starting angle is one for which the phase at the passage is near its worst."""
     sensors = Sensors(piga=replace(PIGA, cone=35 * DEG, alpha0=(2.0, 0.1, 0.5)))
-    found = capstone(_capstone_scenario(duration=7200.0, polar=Gyro(), equatorial=Gyro(), sensors=sensors))
-    p = found.passage
+    outcome = capstone(_capstone_scenario(duration=7200.0, polar=Gyro(), equatorial=Gyro(), sensors=sensors))
+    p = outcome.passage
     assert np.abs(p.triad - p.true).max() < 1e-3 * np.abs(p.raw - p.true).max()
     step = float(p.times[1] - p.times[0])
     left = abs(np.sum(p.raw - p.true) * step)

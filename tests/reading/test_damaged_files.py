@@ -35,9 +35,9 @@ def test_each_ends_as_the_catalogue_says(tmp_path: Path, case: Case) -> None:
         assert caught.value.remedy
         return
     run = piga.read_run(path)
-    found = events(run)
-    assert {kind: found.get(kind, 0) for kind in case.events} == case.events
-    assert set(found) - set(case.events) <= {"gap", "phase-lost", "encoding"}
+    result = events(run)
+    assert {kind: result.get(kind, 0) for kind in case.events} == case.events
+    assert set(result) - set(case.events) <= {"gap", "phase-lost", "encoding"}
     assert run.size == case.used
     assert silently_wrong(run) == 0
 

@@ -83,15 +83,15 @@ def counted(events: list[dict]) -> dict[str, int]:
     return counts
 
 
-def check_alike(case: Case, found: dict[str, object]) -> None:
+def check_alike(case: Case, result: dict[str, object]) -> None:
     if case.outcome == "error":
-        assert set(found.values()) == {found["check"]}, found
-        assert isinstance(found["check"], str)
-        assert "remedy" in found["check"]
+        assert set(result.values()) == {result["check"]}, result
+        assert isinstance(result["check"], str)
+        assert "remedy" in result["check"]
         return
-    assert isinstance(found["check"], dict), found
-    assert {kind: found["check"].get(kind, 0) for kind in case.events} == case.events
-    assert all(end == found["check"] for end in found.values()), found
+    assert isinstance(result["check"], dict), result
+    assert {kind: result["check"].get(kind, 0) for kind in case.events} == case.events
+    assert all(end == result["check"] for end in result.values()), result
 
 
 @pytest.mark.parametrize("name", CHOSEN)
@@ -122,14 +122,14 @@ def test_a_growing_file_is_refused_at_every_length(
     as_long(monkeypatch, length)
 
     def grow(path: Path, *more: object) -> raw_columns.RawColumns:
-        found = collect(path, *more)  # type: ignore[arg-type]
+        result = collect(path, *more)  # type: ignore[arg-type]
         with path.open("ab") as log:
             log.write(b"2.0,20358,1.0,0.1,0.0\n")
-        return found
+        return result
 
     monkeypatch.setattr(raw_columns, "collect", grow)
-    found = ends(monkeypatch, capsys, run)
-    assert all("changed while it was read" in str(end) for end in found.values()), found
+    result = ends(monkeypatch, capsys, run)
+    assert all("changed while it was read" in str(end) for end in result.values()), result
 
 
 def stuck(counts: np.ndarray) -> None:
@@ -172,6 +172,6 @@ def test_faults_of_a_counter_at_true_lengths(
     pa.csv.write_csv(pa.table(columns), tmp_path / "run.csv")
     run = tmp_path / "run.toml"
     run.write_text(RUN.format(file="run.csv", instrument="", data="", t="t", n="n"))
-    found = ends(monkeypatch, capsys, run)
-    assert set(map(str, found.values())) == {str(found["check"])}
-    assert any(part in str(found["check"]) for part in says)
+    result = ends(monkeypatch, capsys, run)
+    assert set(map(str, result.values())) == {str(result["check"])}
+    assert any(part in str(result["check"]) for part in says)

@@ -143,9 +143,9 @@ def test_containers_and_parquet_give_the_same_chunks(tmp_path: Path) -> None:
     for file in ("run.csv", "run.csv.gz", "run.parquet"):
         path = write_run(tmp_path, file)
         stream = open_stream(tmp_path, read_run_file(path).data)
-        found = list(stream.chunks())
+        result = list(stream.chunks())
         for name, column in zip(NAMES, table.T, strict=True):
-            np.testing.assert_array_equal(np.concatenate([chunk.numbers[name] for chunk in found]), column)
+            np.testing.assert_array_equal(np.concatenate([chunk.numbers[name] for chunk in result]), column)
 
 
 @given(st.lists(st.floats(0.0, 1e300, allow_subnormal=True), max_size=40), st.integers(1, 7))

@@ -116,9 +116,9 @@ def test_repeated_and_conflicting_rows(tmp_path: Path) -> None:
     clash[1] = str(int(clash[1]) + 3)
     rows.insert(21, ",".join(clash))
     run = read(tmp_path, rows)
-    found = events(run)
-    assert found["repeated-row"] == 1
-    assert found["conflicting-row"] == 1
+    result = events(run)
+    assert result["repeated-row"] == 1
+    assert result["conflicting-row"] == 1
     assert run.size == 39
 
 
@@ -221,8 +221,8 @@ def test_an_output_that_is_locked_in_one_position_is_not_called_saturated(tmp_pa
         f"{i / 20:.2f},{n},{0.04 * f:.4f},1.0,0.0,{p}"
         for i, (n, f, p) in enumerate(zip(moving, force, position, strict=True))
     ]
-    found = events(read(tmp_path, rows, header="t,n,fx,fy,fz,p", data='segment = "p"'))
-    assert "stuck-value" not in found
+    result = events(read(tmp_path, rows, header="t,n,fx,fy,fz,p", data='segment = "p"'))
+    assert "stuck-value" not in result
 
 
 def test_rate_and_temperature_and_base_rate(tmp_path: Path) -> None:

@@ -79,9 +79,9 @@ def test_sequence_numbers_that_only_go_back(tmp_path: Path) -> None:
         tmp_path, [f"{row},{k}" for row, k in zip(lines(), numbers, strict=True)], header="t,n,fx,fy,fz,k"
     )
     run = piga.read_run(write_run(tmp_path, data='sequence = { column = "k" }'))
-    found = {event.kind: (event.count, event.first_row) for event in run.quality.events}
-    assert found["sequence-back"] == (1, 22)
-    assert "sequence-gap" not in found
+    result = {event.kind: (event.count, event.first_row) for event in run.quality.events}
+    assert result["sequence-back"] == (1, 22)
+    assert "sequence-gap" not in result
     assert run.begins[20]
 
 

@@ -176,9 +176,9 @@ def test_hdf5_structs_and_units(tmp_path: Path) -> None:
         out["deep/fx"] = np.ones(4)
         out["deep/fx"].attrs["units"] = "g"
         out["deep/soft"] = h5py.SoftLink("/deep/fx")
-    found = READERS[".h5"](path, ("log/n", "deep/fx"), None)
-    np.testing.assert_array_equal(found.numbers["log/n"], [0, 3, 5, 9])
-    assert found.units == {"deep/fx": "g"}
+    result = READERS[".h5"](path, ("log/n", "deep/fx"), None)
+    np.testing.assert_array_equal(result.numbers["log/n"], [0, 3, 5, 9])
+    assert result.units == {"deep/fx": "g"}
     for wrong in ("log/speed", "log/n/more", "log", "deep"):
         with pytest.raises(piga.DataError, match=r"no column .*log/t, log/n") as caught:
             READERS[".h5"](path, (wrong,), None)
@@ -212,9 +212,9 @@ def test_tdms_labels_and_channels_of_one_name(tmp_path: Path) -> None:
         )
     with pytest.raises(piga.DataError, match=r"(?s)several groups have a channel 't'.*'a/t', 'b/t'"):
         READERS[".tdms"](path, ("t",), None)
-    found = READERS[".tdms"](path, ("b/t",), "place")
-    np.testing.assert_array_equal(found.numbers["b/t"], [1.0, 2.0, 3.0])
-    codes, names = found.labels["place"]
+    result = READERS[".tdms"](path, ("b/t",), "place")
+    np.testing.assert_array_equal(result.numbers["b/t"], [1.0, 2.0, 3.0])
+    codes, names = result.labels["place"]
     assert [names[code] for code in codes] == ["up", "up", "down"]
 
 
@@ -235,9 +235,9 @@ def test_a_sheet_with_gaps_and_many_wrong_cells(tmp_path: Path) -> None:
     for k in range(130):
         book.active.append([0.1 * k, "NaN" if k == 3 else k])
     book.save(path)
-    found = READERS[".xlsx"](path, ("t", "n"), "place", sheet=None)
-    assert np.flatnonzero(np.isnan(found.numbers["n"])).tolist() == [3]
-    codes, names = found.labels["place"]
+    result = READERS[".xlsx"](path, ("t", "n"), "place", sheet=None)
+    assert np.flatnonzero(np.isnan(result.numbers["n"])).tolist() == [3]
+    codes, names = result.labels["place"]
     assert (set(codes.tolist()), names) == ({-1}, ())
     for row in range(2, 132):
         book.active.cell(row=row, column=2, value="seven")
@@ -341,16 +341,16 @@ def test_a_reference_in_another_unit_is_suspected(tmp_path: Path) -> None:
 
 def test_an_output_that_stands_still_is_noticed(tmp_path: Path) -> None:
     rows = [f"{i / 20:.4f},{min(round(10179.0 * i / 20), 300_000)},1.0,0.1,0.0" for i in range(1500)]
-    found = events(read(tmp_path, rows))
-    assert "stopped-output" in found or "stuck-value" in found
+    result = events(read(tmp_path, rows))
+    assert "stopped-output" in result or "stuck-value" in result
 
 
 def test_lost_and_disordered_sequence_numbers_are_counted(tmp_path: Path) -> None:
     numbers = [*range(10), *range(13, 30), *range(25, 38)]
     rows = [f"{row},{k}" for row, k in zip(lines(len(numbers)), numbers, strict=True)]
     run = read(tmp_path, rows, header="t,n,fx,fy,fz,k", data='sequence = { column = "k" }')
-    found = {event.kind: event for event in run.quality.events}
-    assert found["sequence-gap"].count == 1
-    assert found["sequence-gap"].detail.startswith("3 samples missing")
-    assert found["sequence-back"].count == 1
+    result = {event.kind: event for event in run.quality.events}
+    assert result["sequence-gap"].count == 1
+    assert result["sequence-gap"].detail.startswith("3 samples missing")
+    assert result["sequence-back"].count == 1
     assert np.flatnonzero(run.begins).tolist() == [0, 10, 27]

@@ -6,7 +6,7 @@ TERMS = ["scale_factor", "tan_beta", "k0", "m_Y"]
 LONG = [*TERMS, "k2", "k3", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "m_Z"]
 
 
-def found(terms, above):
+def result(terms, above):
     return {
         "terms": terms, "parameters": len(terms) + 1, "chi_square_per_degree": 1.0 + above, "bic": above,
         "bic_above_best": above, "weight": 0.37, "prediction_chi_square": 1e3 + above, "prediction_above_best": above,
@@ -17,7 +17,7 @@ def found(terms, above):
 DOCUMENT = {
     "best": TERMS, "best_prediction": TERMS, "parted_by": "segment", "folds": 24, "parts": 24,
     "sets": [
-        found(["scale_factor", "tan_beta"], 9.93e7), found(TERMS, 0.0), found(["k0"], 950782.0),
+        result(["scale_factor", "tan_beta"], 9.93e7), result(TERMS, 0.0), result(["k0"], 950782.0),
         {"terms": LONG, "reason": "this record cannot separate k0, k2, k_YY, k_ZZ, k_XY, m_Y and a few terms more"},
     ],
 }  # fmt: skip

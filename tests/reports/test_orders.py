@@ -53,10 +53,10 @@ def test_joining_the_samples_of_a_long_record_keeps_the_lines(order, monkeypatch
     psi = 2.0 * math.pi * np.arange(300_000) / 2000.0
     t, none = 0.01 * np.arange(psi.size), np.zeros(psi.size)
     after = K * 20.0 * MICRO_G * ripple_integral(psi, t, order, 1.1)
-    found = Residuals(none, t, psi, none, 3.0 * after, after, none, none.astype(np.int32))
-    joined = order_spectrum(found, K)
+    result = Residuals(none, t, psi, none, 3.0 * after, after, none, none.astype(np.int32))
+    joined = order_spectrum(result, K)
     monkeypatch.setattr(orders, "LONG", psi.size + 1)
-    whole = order_spectrum(found, K)
+    whole = order_spectrum(result, K)
     line = whole.after[at(whole, order)]
     assert line == pytest.approx(20.0 * MICRO_G, rel=1e-3)
     assert joined.after[at(whole, order)] == pytest.approx(line, rel=3e-3)
@@ -70,8 +70,8 @@ def test_joining_averages_white_noise():
     psi = 2.0 * math.pi * np.arange(300_000) / 2000.0
     t, none, white = 0.01 * np.arange(psi.size), np.zeros(psi.size), 1e-5
     after = white * np.random.default_rng(3).standard_normal(psi.size)
-    found = Residuals(none, t, psi, none, after, after, none, none.astype(np.int32))
-    spectrum = order_spectrum(found, K, (white, 0.0))
+    result = Residuals(none, t, psi, none, after, after, none, none.astype(np.int32))
+    spectrum = order_spectrum(result, K, (white, 0.0))
     assert math.sqrt(np.mean((spectrum.after / spectrum.noise) ** 2)) == pytest.approx(1.0, abs=0.3)
 
 
@@ -93,8 +93,8 @@ def test_noise_alone_lies_on_the_expected_noise():
 
 
 def test_segments_that_hardly_turn_are_left_out():
-    found = residuals()
-    still = dataclasses.replace(found, psi=found.psi * 1e-3)
+    result = residuals()
+    still = dataclasses.replace(result, psi=result.psi * 1e-3)
     assert order_spectrum(still, K).segments == 0
     assert np.isnan(order_spectrum(still, K).after).all()
     assert ripple(still, K).segments == 0
@@ -107,8 +107,8 @@ def test_standing_samples_of_a_coarse_encoder_keep_their_time():
     after = K * planted * ripple_integral(psi, t, 2, 0.0)
     coarse = np.round(psi / 1e-3) * 1e-3
     zeros = np.zeros(rows)
-    found = Residuals(np.arange(rows), t, coarse, zeros, after, after, zeros, zeros.astype(np.int32))
-    spectrum = order_spectrum(found, K)
+    result = Residuals(np.arange(rows), t, coarse, zeros, after, after, zeros, zeros.astype(np.int32))
+    spectrum = order_spectrum(result, K)
     assert spectrum.after[at(spectrum, 2)] == pytest.approx(planted, rel=0.01)
 
 
@@ -129,7 +129,7 @@ def test_a_ripple_has_no_more_bins_than_samples_in_a_turn(stride, bins):
     t = psi / (K * G0)
     zero, rows = np.zeros(psi.size), np.arange(1, psi.size + 1)
     whole = dataclasses.replace(residuals(), row=rows, t=t, psi=psi, a_x=zero + G0, before=1e-6 * np.sin(psi))
-    found = ripple(
+    result = ripple(
         dataclasses.replace(whole, after=zero, innovation=zero, segment=np.zeros(psi.size, dtype=np.int32)), K
     )
-    assert found.before.size == bins
+    assert result.before.size == bins

@@ -40,26 +40,26 @@ def instrument(days=9, step=150):
 
 
 def test_page_holds_every_coefficient_and_alarm():
-    found = instrument()
-    html = page_html(trend_page(found, at=AT))
-    for trend in found.coefficients:
+    made = instrument()
+    html = page_html(trend_page(made, at=AT))
+    for trend in made.coefficients:
         assert f'id="coefficient-{trend.key.replace("_", "-")}"' in html
-    assert found.alarms
+    assert made.alarms
     assert "record r7-0" in html
     assert "Forecast for 2026-01-01" in html
     assert "scale_factor drifts by" in html
-    assert html == page_html(trend_page(found, at=AT))
+    assert html == page_html(trend_page(made, at=AT))
 
 
 def test_axes_have_quantity_and_unit():
-    found = instrument()
+    made = instrument()
     units = {"scale_factor": "ppm", "tan_beta": "10⁻⁶", "k0": "µg", "k2": "µg/g²", "k1_T": "10⁻⁶/K"}
-    for trend in found.coefficients:
+    for trend in made.coefficients:
         scale = scale_of(trend)
         assert scale.unit == units[trend.key]
         shown = scale.shown(np.array([point.value for point in trend.points]))
         assert np.abs(shown).max() < 1e3
-        for panel in trend_figure(found, trend, 6.0).panels:
+        for panel in trend_figure(made, trend, 6.0).panels:
             assert panel.x.label == "date"
             assert panel.x.dates
             assert panel.y.unit
@@ -68,8 +68,8 @@ def test_axes_have_quantity_and_unit():
 @pytest.mark.parametrize(("days", "step", "form"), [(9, 150, r"20\d\d-0[17]"), (4, 20, r"2020-\d\d(-\d\d)?")])
 def test_time_is_shown_as_dates(days, step, form):
     """Every tick is a whole date; points lie at the days of their records, under the pointer, too."""
-    found = instrument(days=days, step=step)
-    figure = trend_figure(found, found["k0"], None)
+    made = instrument(days=days, step=step)
+    figure = trend_figure(made, made["k0"], None)
     assert len(figure.panels) == 2
     spec = figure_spec(figure)
     records = next(trace for trace in spec["data"] if trace["name"] == "records")
@@ -85,20 +85,20 @@ def test_time_is_shown_as_dates(days, step, form):
 
 @pytest.mark.parametrize("days", [1, 2, 3])
 def test_few_days(days):
-    found = instrument(days=days) if days > 1 else find_trend(history([0, 0.0003], [1.0, 1.1], 0.1))
-    assert page_html(trend_page(found, at=AT))
-    text = trend_text(found, at=AT)
+    result = instrument(days=days) if days > 1 else find_trend(history([0, 0.0003], [1.0, 1.1], 0.1))
+    assert page_html(trend_page(result, at=AT))
+    text = trend_text(result, at=AT)
     assert "no alarm" in text
     assert text.isascii()
-    json.dumps(trend_document(found, at=AT), allow_nan=False)
+    json.dumps(trend_document(result, at=AT), allow_nan=False)
 
 
 def test_text_and_document():
-    found = instrument()
-    text = trend_text(found, at=AT)
+    made = instrument()
+    text = trend_text(made, at=AT)
     assert text.isascii()
     assert "alarm: k0: record r7-0" in text
-    document = trend_document(found, at=AT)
+    document = trend_document(made, at=AT)
     k0 = next(c for c in document["coefficients"] if c["name"] == "k0")
     assert [r["record"] for r in k0["records"] if r["out_of_control"]] == ["r7-0"]
     assert k0["forecast"]["half_width_95"] > k0["forecast"]["std"]

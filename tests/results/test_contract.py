@@ -25,14 +25,14 @@ ROOT = Path(__file__).parents[2]
 
 def public_classes() -> dict[str, type]:
     """Every class that a room names in ``__all__``."""
-    found = {}
+    values = {}
     for room in piga.ROOMS:
         module = importlib.import_module(f"piga.{room}")
         for name in module.__all__:
             value = getattr(module, name)
             if inspect.isclass(value) and not issubclass(value, Exception):
-                found[f"{room}.{name}"] = value
-    return found
+                values[f"{room}.{name}"] = value
+    return values
 
 
 CLASSES = public_classes()

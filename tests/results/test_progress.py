@@ -32,11 +32,11 @@ def goes_up(steps) -> bool:
 
 
 def test_calibrate_says_its_steps(run, cal):
-    found, steps = heard(lambda progress: piga.calibrate(run, TERMS, progress=progress))
-    assert found == cal.__class__(**found.__dict__)
+    result, steps = heard(lambda progress: piga.calibrate(run, TERMS, progress=progress))
+    assert result == cal.__class__(**result.__dict__)
     assert [step[2] for step in steps][:2] == ["fitting the model", "finding the noise"]
     assert goes_up(steps)
-    assert found["k0"] == cal["k0"]
+    assert result["k0"] == cal["k0"]
 
 
 def test_compensate_says_its_rows(run, cal):
@@ -94,8 +94,8 @@ def test_simulation_platform_plan_and_reproduction_say_their_steps(tmp_path):
     )
     assert len(steps) == 3
     assert test == piga.simulate_test(head, specimen, Electronics(sample_rate=5.0))
-    found, steps = heard(lambda progress: reproduce("mounting", progress=progress))
-    assert found.cases
+    result, steps = heard(lambda progress: reproduce("mounting", progress=progress))
+    assert result.cases
     assert [step[2] for step in steps] == ["mounting", "done"]
     plan = piga.read_plan(EXAMPLES / "plan-dividing-head.toml")
     with pytest.raises(piga.CancelledError, match="listing positions"):

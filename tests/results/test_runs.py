@@ -35,8 +35,8 @@ def test_any_table_gives_the_record(run, cal, kind):
     assert np.allclose(made.output, run.output, rtol=0, atol=1e-12)
     assert np.allclose(made.f, run.f, rtol=1e-15, atol=1e-15)
     assert made.quality.used == 800
-    found = piga.calibrate(made, TERMS)
-    assert found["tan_beta"].value == pytest.approx(cal["tan_beta"].value, rel=1e-6)
+    calibration = piga.calibrate(made, TERMS)
+    assert calibration["tan_beta"].value == pytest.approx(cal["tan_beta"].value, rel=1e-6)
 
 
 @pytest.mark.parametrize("leave", ["to_arrow", "to_dataframe"])
@@ -190,10 +190,10 @@ def test_arrays_take_what_a_run_file_takes():
     )
     assert run.labels == ("up", "down")
     assert np.flatnonzero(run.begins).tolist() == [0, 100, 400, 500]
-    found = piga.calibrate(run)
-    assert found.terms == ("scale_factor", "tan_beta")
-    assert found.method == "rate"
-    assert any(row.source == "reference_scale" for row in found.budget)
+    calibration = piga.calibrate(run)
+    assert calibration.terms == ("scale_factor", "tan_beta")
+    assert calibration.method == "rate"
+    assert any(row.source == "reference_scale" for row in calibration.budget)
 
 
 def test_segments_have_names():
@@ -290,8 +290,10 @@ def test_a_simulated_test_is_a_run_without_a_file(kind):
     run = test.to_run("S-1")
     assert run.serial == "S-1"
     assert len(run.labels) == 4
-    found = piga.calibrate(run, ["scale_factor", "tan_beta"])
-    assert found["tan_beta"].value == pytest.approx(inst.tan_beta, abs=max(6.0 * found["tan_beta"].std, 2e-5))
+    calibration = piga.calibrate(run, ["scale_factor", "tan_beta"])
+    assert calibration["tan_beta"].value == pytest.approx(
+        inst.tan_beta, abs=max(6.0 * calibration["tan_beta"].std, 2e-5)
+    )
 
 
 def test_units_that_a_frame_states_are_used(run):

@@ -91,8 +91,8 @@ def test_a_rate_log_and_its_residuals_have_rates():
 
     run = rate_log()
     assert run.table_columns()["output"].unit == "rad/s"
-    found = piga.calibrate(run, TERMS)
-    assert found.residuals.table_columns()["after"].unit == "rad/s"
+    calibration = piga.calibrate(run, TERMS)
+    assert calibration.residuals.table_columns()["after"].unit == "rad/s"
 
 
 def test_uncertainties_have_the_whole_covariance(cal):

@@ -45,8 +45,8 @@ def test_mypy_takes_the_documented_examples_and_sees_mistakes(scripts):
     done = mypy(scripts, "README.py", "api.py")
     assert done.returncode == 0, done.stdout
     done = mypy(scripts, "wrong.py")
-    found = [line for line in done.stdout.splitlines() if "error" in line and line.startswith("wrong.py")]
-    assert len(found) == 3, done.stdout
+    seen = [line for line in done.stdout.splitlines() if "error" in line and line.startswith("wrong.py")]
+    assert len(seen) == 3, done.stdout
 
 
 @pytest.mark.only_compiled

@@ -147,9 +147,9 @@ def test_segments_of_a_log_are_taken_in_order_when_their_names_say_nothing() -> 
 
 def test_temperature_table(tmp_path: Path) -> None:
     text = SCENARIO + '[temperature]\nstart = "25 degC"\ndrift = "1 K/h"\nswing = "0.5 K"\nperiod = "2 h"\n'
-    found = read_scenario(written(tmp_path, text)).temperature
-    assert (found.start, found.swing, found.period) == (298.15, 0.5, 7200.0)
-    assert found.drift == pytest.approx(1.0 / 3600.0)
+    result = read_scenario(written(tmp_path, text)).temperature
+    assert (result.start, result.swing, result.period) == (298.15, 0.5, 7200.0)
+    assert result.drift == pytest.approx(1.0 / 3600.0)
 
 
 def test_bad_steps_and_harmonics() -> None:

@@ -137,10 +137,10 @@ def test_budget_has_the_rows_of_the_stand(tmp_path: Path) -> None:
     """An index error of the head is a misalignment m_Y, and nothing else, to first order."""
     run = piga.read_run(edited(tmp_path, uncertainty='[uncertainty]\nangle_error = "2 arcsec"\n'))
     rows = {row.source: row for row in piga.calibrate(run).budget}
-    found = rows["angle_error"]
-    assert found.standard_uncertainty == Amount(2.0, "arcsec")
-    assert abs(found.contributions["m_Y"]) == pytest.approx(2.0 * ARCSEC, rel=1e-2)
-    assert abs(found.contributions["k0"]) < 1e-9
+    result = rows["angle_error"]
+    assert result.standard_uncertainty == Amount(2.0, "arcsec")
+    assert abs(result.contributions["m_Y"]) == pytest.approx(2.0 * ARCSEC, rel=1e-2)
+    assert abs(result.contributions["k0"]) < 1e-9
 
 
 @pytest.mark.parametrize("bits", [None, 16])

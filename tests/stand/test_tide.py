@@ -92,10 +92,10 @@ def test_the_instrument_feels_it_and_the_reference_may_have_it() -> None:
     head = DividingHead(SITE, (0.0, 1.0), 60.0, 30.0)
     plain = sample_stand(head, 1.0)
     for in_reference in (False, True):
-        found = sample_stand(head, 1.0, tide=EarthTide(SITE, START, in_reference))
-        change = np.linalg.norm(found.force, axis=1) - np.linalg.norm(plain.force, axis=1)
-        np.testing.assert_allclose(change, EarthTide(SITE, START).gravity(found.t), atol=1e-14)
-        assert np.array_equal(found.reference, plain.reference) != in_reference
+        result = sample_stand(head, 1.0, tide=EarthTide(SITE, START, in_reference))
+        change = np.linalg.norm(result.force, axis=1) - np.linalg.norm(plain.force, axis=1)
+        np.testing.assert_allclose(change, EarthTide(SITE, START).gravity(result.t), atol=1e-14)
+        assert np.array_equal(result.reference, plain.reference) != in_reference
 
 
 def scenario(folder: Path, line: str) -> Path:

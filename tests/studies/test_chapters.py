@@ -89,8 +89,8 @@ def test_misalignment_amplitudes_meet_the_known_values():
     known = {1.0: 0.06982, 2.4: 0.16765, 5.0: 0.34995}
     for eta, amplitude in known.items():
         for exact in (True, False):
-            found = platform.pole_amplitude(4.0 * platform.ARCMIN, np.radians(eta), exact=exact)
-            assert found / platform.ARCMIN == pytest.approx(amplitude, abs=6e-6)
+            result = platform.pole_amplitude(4.0 * platform.ARCMIN, np.radians(eta), exact=exact)
+            assert result / platform.ARCMIN == pytest.approx(amplitude, abs=6e-6)
 
 
 def test_a_wrong_propagator_fails(monkeypatch):
@@ -127,8 +127,8 @@ def test_wrong_forms_and_geometry_fail(monkeypatch):
 def test_a_wrong_compensation_fails(monkeypatch):
     wrong = recursion.compensated_error
 
-    def biased(run, found, method):
-        return wrong(run, found, method) + 1e-9
+    def biased(run, result, method):
+        return wrong(run, result, method) + 1e-9
 
     monkeypatch.setattr(recursion, "compensated_error", biased)
     failed = [case.id for case in recursion.compensation().cases if case.verdict == "fail"]
@@ -143,15 +143,15 @@ def test_only_takes_a_chapter_or_a_case_in_it():
 
 
 def test_page_and_terminal_table_show_every_case():
-    found = reproduce("period")
-    page = reproduction_page(found)
+    reproduced = reproduce("period")
+    page = reproduction_page(reproduced)
     assert [section.anchor for section in page.sections] == ["period", "sources"]
-    assert len(page.figures()) == len(found.figures)
-    lines = text_lines(found)
-    assert [verdict for verdict, _ in lines if verdict] == [case.verdict for case in found.cases]
+    assert len(page.figures()) == len(reproduced.figures)
+    lines = text_lines(reproduced)
+    assert [verdict for verdict, _ in lines if verdict] == [case.verdict for case in reproduced.cases]
     ends = {len(line) for verdict, line in lines if verdict}
     assert len(ends) == 1, "columns are not aligned"
-    assert summary(found).startswith("8 cases: 6 agree, 0 do not, 2 without")
+    assert summary(reproduced).startswith("8 cases: 6 agree, 0 do not, 2 without")
 
 
 def replace_scale(inst: Instrument, factor: float) -> Instrument:

@@ -19,18 +19,18 @@ pytestmark = pytest.mark.only_compiled
 @pytest.fixture(scope="module")
 def timed() -> tuple[Reproduction, float]:
     begin = time.perf_counter()
-    found = reproduce()
-    return found, time.perf_counter() - begin
+    reproduced = reproduce()
+    return reproduced, time.perf_counter() - begin
 
 
 def test_no_case_fails_and_everything_is_labelled(timed):
-    found, seconds = timed
-    assert [chapter.id for chapter in found.chapters] == list(CHAPTERS)
-    assert len(found.cases) >= 25
-    assert len(found.figures) >= 12
-    assert len({case.id for case in found.cases}) == len(found.cases)
-    assert len({figure.key for figure in found.figures}) == len(found.figures)
-    for chapter in found.chapters:
+    result, seconds = timed
+    assert [chapter.id for chapter in result.chapters] == list(CHAPTERS)
+    assert len(result.cases) >= 25
+    assert len(result.figures) >= 12
+    assert len({case.id for case in result.cases}) == len(result.cases)
+    assert len({figure.key for figure in result.figures}) == len(result.figures)
+    for chapter in result.chapters:
         check(chapter)
     assert seconds < 60.0
 

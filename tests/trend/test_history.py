@@ -118,9 +118,9 @@ def test_an_outlier_and_a_shift_raise_alarms_in_words():
     t = np.arange(24) / 12.0
     y = 1.6e-3 + rng.normal(0, 1e-6, 24)
     y[14] += 1.2e-5
-    found = find_trend(history(t, y, 1e-6))
-    assert any("r14" in alarm and "standard deviations above" in alarm for alarm in found.alarms)
-    assert not any("r13" in alarm for alarm in found.alarms)
+    trend = find_trend(history(t, y, 1e-6))
+    assert any("r14" in alarm and "standard deviations above" in alarm for alarm in trend.alarms)
+    assert not any("r13" in alarm for alarm in trend.alarms)
     t = np.arange(36) / 12.0
     shifted = 1.6e-3 + np.random.default_rng(3).normal(0, 1e-6, 36)
     shifted[26:] -= 4e-6
@@ -130,17 +130,17 @@ def test_an_outlier_and_a_shift_raise_alarms_in_words():
 
 def test_a_quiet_history_raises_none():
     rng = np.random.default_rng(6)
-    found = find_trend(history(np.arange(20) / 10, 1e-3 + rng.normal(0, 1e-6, 20), 1e-6))
-    assert found.alarms == ()
-    assert found.remarks == (f"20 of 20 records: {TYPE_A_ONLY}.",)
+    trend = find_trend(history(np.arange(20) / 10, 1e-3 + rng.normal(0, 1e-6, 20), 1e-6))
+    assert trend.alarms == ()
+    assert trend.remarks == (f"20 of 20 records: {TYPE_A_ONLY}.",)
 
 
 def test_remarks():
-    found = find_trend(history([0, 0.5], [1.0, 2.0], 0.1))
-    assert any("need three days" in remark for remark in found.remarks)
-    assert found["k0"].drift is None
+    trend = find_trend(history([0, 0.5], [1.0, 2.0], 0.1))
+    assert any("need three days" in remark for remark in trend.remarks)
+    assert trend["k0"].drift is None
     with pytest.raises(ArgumentError, match="at least three days"):
-        found["k0"].next_record(1.0)
+        trend["k0"].next_record(1.0)
     t = np.arange(12) / 4
     assert any("k0 drifts by 1" in r for r in find_trend(history(t, t, 0.01)).remarks)
     assert _to_two_digits_of(5.6e-7, -1.45e-6) == "−1.45 × 10⁻⁶"
@@ -177,12 +177,12 @@ def test_phases_are_left_out_and_order_does_not_matter():
         (f"r{i}", START + dt.timedelta(days=30 * i), record(v, {"tan_beta": 1e-7, "phi": 1e-3, "k0": 1e-6}))
         for i, v in enumerate(values)
     ]
-    found = find_trend(entries)
-    assert [trend.key for trend in found.coefficients] == ["tan_beta", "k0"]
+    result = find_trend(entries)
+    assert [trend.key for trend in result.coefficients] == ["tan_beta", "k0"]
     again = find_trend(entries[::-1])
-    assert again.records == found.records
-    assert again["tan_beta"].drift == found["tan_beta"].drift
-    assert found.years(START + dt.timedelta(seconds=YEAR)) == pytest.approx(1.0)
+    assert again.records == result.records
+    assert again["tan_beta"].drift == result["tan_beta"].drift
+    assert result.years(START + dt.timedelta(seconds=YEAR)) == pytest.approx(1.0)
 
 
 def test_moving_average_limits_by_simulation():

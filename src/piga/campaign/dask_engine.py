@@ -23,10 +23,10 @@ _ADDRESS = re.compile(r"dask://(?P<host>\[[0-9a-fA-F:.]+\]|[^:/\[\]\s]+):(?P<por
 def is_local(host: str) -> bool:
     """True for a name or address of the local machine's loopback interface."""
     try:
-        found = {info[4][0] for info in socket.getaddrinfo(host.strip("[]"), None)}
+        seen = {info[4][0] for info in socket.getaddrinfo(host.strip("[]"), None)}
     except OSError:
         return False
-    return bool(found) and all(ipaddress.ip_address(str(one).partition("%")[0]).is_loopback for one in found)
+    return bool(seen) and all(ipaddress.ip_address(str(one).partition("%")[0]).is_loopback for one in seen)
 
 
 class DaskEngine:

@@ -39,8 +39,8 @@ def record() -> piga.Run:
     return SETTING.record(np.random.default_rng(5))
 
 
-def rows(found: piga.Calibration) -> dict[str, dict[str, Any]]:
-    return {row.source: row for row in found.budget}
+def rows(result: piga.Calibration) -> dict[str, dict[str, Any]]:
+    return {row.source: row for row in result.budget}
 
 
 def known_noise(run: piga.Run, uncertainty: str = "gum") -> piga.Run:
@@ -62,22 +62,22 @@ def least_squares(scenario: Scenario, angle: Array) -> Array:
 
 def test_one_draw_for_each_position(record: piga.Run) -> None:
     """The row is the root of the sum of squares of what each position does when it alone is moved."""
-    found = piga.calibrate(known_noise(record), SETTING.scenario.terms)
+    calibration = piga.calibrate(known_noise(record), SETTING.scenario.terms)
     count = len(record.labels)
     base = least_squares(SETTING.scenario, np.zeros(count))
     moved = [least_squares(SETTING.scenario, 2.0 * ARCSEC * own) - base for own in np.eye(count)]
-    row = rows(found)[ROW]
+    row = rows(calibration)[ROW]
     assert list(row.contributions.values()) == pytest.approx(np.linalg.norm(moved, axis=0), rel=1e-3)
     assert row.standard_uncertainty == Amount(2.0, "arcsec")
-    type_a = rows(found)["fit residuals (repeatability)"].contributions
-    for c in found.coefficients:
+    type_a = rows(calibration)["fit residuals (repeatability)"].contributions
+    for c in calibration.coefficients:
         assert c.std**2 == pytest.approx(type_a[c.key] ** 2 + row.contributions[c.key] ** 2, rel=1e-9)
 
 
 def test_monte_carlo_draws_each_position(record: piga.Run) -> None:
-    found = piga.calibrate(known_noise(record, "monte-carlo"), SETTING.scenario.terms)
-    for c in found.coefficients:
-        drawn = found.diagnostics.monte_carlo.coefficients[c.key]
+    calibration = piga.calibrate(known_noise(record, "monte-carlo"), SETTING.scenario.terms)
+    for c in calibration.coefficients:
+        drawn = calibration.diagnostics.monte_carlo.coefficients[c.key]
         assert drawn.std == pytest.approx(c.std, rel=0.02)
 
 
@@ -169,9 +169,9 @@ MISALIGNED = ["scale_factor", "k0", "m_Y"]
 @pytest.mark.only_compiled
 def test_each_run_is_mounted_anew_and_shares_its_reference(pair: list[piga.Run]) -> None:
     """A turn about Z0 goes into m_Y: shared in full, of two mountings over the square root of two."""
-    found = rows(piga.calibrate(pair, MISALIGNED))
-    shared = found["reference_misalignment Z0 (run 1, run 2)"].contributions["m_Y"]
-    each = [found[f"mounting_repeatability Z0 (run {k})"].contributions["m_Y"] for k in (1, 2)]
+    result = rows(piga.calibrate(pair, MISALIGNED))
+    shared = result["reference_misalignment Z0 (run 1, run 2)"].contributions["m_Y"]
+    each = [result[f"mounting_repeatability Z0 (run {k})"].contributions["m_Y"] for k in (1, 2)]
     assert abs(shared) == pytest.approx(ARCSEC, rel=0.01)
     assert np.hypot(*each) == pytest.approx(ARCSEC / np.sqrt(2.0), rel=0.05)
 
@@ -209,9 +209,9 @@ def test_joint_runs_do_not_count_it_twice_either() -> None:
         head(2.0, walk=5e-7, white=2e-6, positions=12), terms=LINEAR, tan_beta=1e-8, truth={"k0": 1.6e-3}
     )
     runs = [case.record(np.random.default_rng(seed)) for seed in (0, 1)]
-    found = piga.calibrate(runs, case.scenario.terms)
+    calibration = piga.calibrate(runs, case.scenario.terms)
     expected = 1.0 / np.sqrt(sum(dense(case, run) ** -2.0 for run in runs))
-    scale, *others = [c.std for c in found.coefficients] / expected
+    scale, *others = [c.std for c in calibration.coefficients] / expected
     assert others == pytest.approx([1.0, 1.0], abs=0.1)
     assert scale == pytest.approx(1.0, abs=0.25), "it hangs on the noise levels of 720 samples"
 
@@ -236,18 +236,18 @@ def test_the_reference_of_each_level_of_a_centrifuge() -> None:
     ]
     expected = np.linalg.norm([scale(r) - scale(run) for r in moved])
     told = replace(run, uncertainty=UncertaintyTable(reference_repeatability="20 ppm"))
-    found = rows(piga.calibrate(told, arm.terms))["reference_repeatability"]
-    assert found.contributions["scale_factor"] == pytest.approx(expected, rel=1e-4)
+    result = rows(piga.calibrate(told, arm.terms))["reference_repeatability"]
+    assert result.contributions["scale_factor"] == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.only_compiled
 def test_what_is_stated_raises_no_doubts() -> None:
     """Levels of a centrifuge off by seventeen times the noise: the residuals are white, no term is missing."""
     case = CASES["centrifuge"]()
-    found = case.scenario.calibrate(case.record(np.random.default_rng([1, 1906])))
-    assert found.diagnostics.ljung_box_probability > 1e-4
-    assert found.diagnostics.segment_scatter_ratio < 2.0
-    assert not found.notes
+    calibration = case.scenario.calibrate(case.record(np.random.default_rng([1, 1906])))
+    assert calibration.diagnostics.ljung_box_probability > 1e-4
+    assert calibration.diagnostics.segment_scatter_ratio < 2.0
+    assert not calibration.notes
 
 
 @pytest.mark.only_compiled

@@ -88,9 +88,9 @@ def test_agreement_with_gtc() -> None:
         (i, phase, correlation[1, 2]),
     ):
         gtc.set_correlation(float(value), one, other)
-    found = [v / i * gtc.cos(phase), v / i * gtc.sin(phase), v / i]
+    result = [v / i * gtc.cos(phase), v / i * gtc.sin(phase), v / i]
     covariance = propagate(derivatives, means)
-    assert [gtc.uncertainty(x) for x in found] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-12)
+    assert [gtc.uncertainty(x) for x in result] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-12)
     a, b, c = gtc.ureal(0.0, 3.0, 4), gtc.ureal(0.0, 2.0, 9), gtc.ureal(0.0, 1.0)
     assert welch_satterthwaite([3.0, 2.0, 1.0], [4.0, 9.0, math.inf]) == pytest.approx(
         gtc.dof(a + b + c), rel=1e-12
@@ -146,8 +146,8 @@ def test_distributions_of_type_b() -> None:
 def test_result_carries_degrees_of_freedom() -> None:
     """Short records with a random walk have few; they come back from the file."""
     scenario = SCENARIOS["static"]
-    found = scenario.calibrate(scenario.record(np.random.default_rng(3)))
-    for coefficient in found.coefficients:
+    calibration = scenario.calibrate(scenario.record(np.random.default_rng(3)))
+    for coefficient in calibration.coefficients:
         assert 20.0 < coefficient.degrees_of_freedom < 1000.0
         assert coefficient.expanded == pytest.approx(
             coverage_factor(coefficient.degrees_of_freedom) * coefficient.std
@@ -160,10 +160,12 @@ def test_coarse_counts_at_locked_positions_give_honest_intervals() -> None:
     scenario = SCENARIOS["coarse-slow"]
     run = scenario.record(np.random.default_rng(5))
     white = np.sqrt(np.diag(scenario.bound(run)))
-    found = scenario.calibrate(run)
-    ratio = np.array([c.std for c in found.coefficients]) / white
+    calibration = scenario.calibrate(run)
+    ratio = np.array([c.std for c in calibration.coefficients]) / white
     assert (ratio < 1.2).all()
-    assert (np.abs(scenario.errors(found)) < 4.0 * np.array([c.std for c in found.coefficients])).all()
+    assert (
+        np.abs(scenario.errors(calibration)) < 4.0 * np.array([c.std for c in calibration.coefficients])
+    ).all()
 
 
 def test_counts_are_seen_in_a_log_of_angles() -> None:
@@ -189,26 +191,26 @@ def test_monte_carlo_of_a_linear_model_agrees_with_the_first_order() -> None:
 
     for distribution, half in (("normal", 3.92), ("rectangular", 3.88)):
         sources = [Contribution(np.eye(4)[i], distribution) for i in range(4)]
-        found = propagate_distributions(
+        propagated = propagate_distributions(
             np.zeros(4), np.zeros((4, 4)), math.inf, sources, total, np.array([[-3.92], [3.92]]), trials=200_000
         )
-        assert found.std[0] == pytest.approx(2.0, abs=0.01)
-        assert found.shortest[1, 0] - found.shortest[0, 0] == pytest.approx(2 * half, abs=0.06)
-        assert found.validated[0]
+        assert propagated.std[0] == pytest.approx(2.0, abs=0.01)
+        assert propagated.shortest[1, 0] - propagated.shortest[0, 0] == pytest.approx(2 * half, abs=0.06)
+        assert propagated.validated[0]
 
 
 @pytest.mark.only_compiled
 def test_weak_coupling_gets_a_monte_carlo_interval() -> None:
     """tan_beta at twice its noise: the first order is refuted, the shortest interval stays above zero."""
     scenario = replace(SCENARIOS["static"], tan_beta=4e-7, seconds=10.0)
-    found = scenario.calibrate(scenario.record(np.random.default_rng(8)))
-    coupling = found["tan_beta"]
+    calibration = scenario.calibrate(scenario.record(np.random.default_rng(8)))
+    coupling = calibration["tan_beta"]
     assert coupling.value < 6.0 * coupling.std
-    table = found.diagnostics.monte_carlo.coefficients
+    table = calibration.diagnostics.monte_carlo.coefficients
     assert not table["tan_beta"].validated
     assert coupling.interval is not None
     assert coupling.interval[0] >= 0.0
-    assert table["scale_factor"].std == pytest.approx(found["scale_factor"].std, rel=0.03)
+    assert table["scale_factor"].std == pytest.approx(calibration["scale_factor"].std, rel=0.03)
 
 
 @pytest.mark.only_compiled

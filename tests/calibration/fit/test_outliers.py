@@ -35,10 +35,10 @@ def test_spikes_are_left_out(share: float, size: float) -> None:
     run = record(np.random.default_rng(31), **NOISE)
     bad, where = spiked(run, 31, share, size)
     calibration, clean = piga.calibrate(bad, TERMS), piga.calibrate(run, TERMS)
-    found = sum(outlier.samples for outlier in calibration.outliers)
-    assert 0.85 * where.size <= found <= where.size + 12
+    result = sum(outlier.samples for outlier in calibration.outliers)
+    assert 0.85 * where.size <= result <= where.size + 12
     assert {outlier.kind for outlier in calibration.outliers} == {"spike"}
-    assert calibration.quality.used == run.size - found
+    assert calibration.quality.used == run.size - result
     assert all(abs(z) < 4.0 for z in errors(calibration).values()), errors(calibration)
     for name in TERMS:
         assert calibration[name].std == pytest.approx(clean[name].std, rel=0.05)
@@ -171,8 +171,8 @@ def drawn(seed: int, size: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndarra
 def test_corrections_by_the_definition(seed: int) -> None:
     """Stretch by stretch with NumPy's interpolation, jumps carried through the record."""
     d, begins, flags = drawn(seed)
-    found = np.zeros(d.size)
-    correct_samples(d, begins, flags, found)
+    result = np.zeros(d.size)
+    correct_samples(d, begins, flags, result)
     expected, shift = np.zeros(d.size), 0.0
     edges = [*np.flatnonzero(begins).tolist(), d.size]
     for start, stop in pairwise(edges):
@@ -189,7 +189,7 @@ def test_corrections_by_the_definition(seed: int) -> None:
             wrong[bad] = shift + angle[bad] - np.interp(bad, good, angle[good] - own[good])
         expected[start:stop] = wrong
         shift += own[-1]
-    np.testing.assert_allclose(found, expected, atol=1e-12)
+    np.testing.assert_allclose(result, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -34,14 +34,14 @@ def head(**options):
     )
 
 
-def off(found):
+def off(result):
     """Error of K [ppm]; relative errors of tan_beta and the servo's terms."""
     servo, damping = BODY.K * BODY.ml / (2.0 * BODY.k_i), BODY.c * BODY.K**2 / BODY.k_i
     return {
-        "K": (found["scale_factor"].value / (BODY.K * G) - 1.0) * 1e6,
-        "tan_beta": found["tan_beta"].value / math.tan(BODY.beta) - 1.0,
-        "servo": found["servo"].value / (servo * G**2) - 1.0,
-        "servo_damping": found["servo_damping"].value / (damping * G**2) - 1.0,
+        "K": (result["scale_factor"].value / (BODY.K * G) - 1.0) * 1e6,
+        "tan_beta": result["tan_beta"].value / math.tan(BODY.beta) - 1.0,
+        "servo": result["servo"].value / (servo * G**2) - 1.0,
+        "servo_damping": result["servo_damping"].value / (damping * G**2) - 1.0,
     }
 
 
@@ -65,8 +65,8 @@ def test_head_record_of_the_rigid_body_comes_back():
 def test_head_and_centrifuge_of_the_rigid_body(levels, coupling):
     """Two runs, a phase each: K to 0.3 ppm and tan_beta to 0.2 %, although the coupling changes with the cube of the rate."""
     arm = centrifuge_record(BODY, np.array(levels) * G, dwell=20.0, sampling=0.04)
-    found = piga.calibrate([run_of(head()), run_of(arm, seed=2)], HEAD)
-    errors = off(found)
+    calibration = piga.calibrate([run_of(head()), run_of(arm, seed=2)], HEAD)
+    errors = off(calibration)
     assert abs(errors["K"]) < 0.3
     assert abs(errors["tan_beta"]) < coupling
     assert abs(errors["servo"]) < 0.02
@@ -104,16 +104,16 @@ TWIN_RECORDS = 1000
 @pytest.mark.parametrize("terms", [campaign.WITH, campaign.WITHOUT], ids=["with", "without"])
 def test_intervals_of_k_hold_over_a_thousand_twin_records(terms):
     """The seeds are fixed: 95.2 % with the terms."""
-    found = campaign.figures([campaign.one_test(seed, terms) for seed in range(TWIN_RECORDS)])
+    figures = campaign.figures([campaign.one_test(seed, terms) for seed in range(TWIN_RECORDS)])
     low, high = (0.94, 0.96) if terms == campaign.WITH else (0.93, 1.0)
-    assert low <= found["scale_factor"]["coverage"] <= high
+    assert low <= figures["scale_factor"]["coverage"] <= high
 
 
 @pytest.mark.slow
 @pytest.mark.only_compiled
 def test_intervals_of_phi_hold_without_the_terms():
     """What the damping turns is in the interval of phi: 7 % of the records held before. More than 90 % wanted."""
-    found = campaign.figures([campaign.one_test(seed, campaign.WITHOUT) for seed in range(60)])
-    assert found["phi"]["coverage"] > 0.9
-    assert found["phi"]["rms_error"] > 0.005
-    assert found["phi"]["mean_half_width"] < 2.0 * found["phi"]["rms_error"]
+    figures = campaign.figures([campaign.one_test(seed, campaign.WITHOUT) for seed in range(60)])
+    assert figures["phi"]["coverage"] > 0.9
+    assert figures["phi"]["rms_error"] > 0.005
+    assert figures["phi"]["mean_half_width"] < 2.0 * figures["phi"]["rms_error"]

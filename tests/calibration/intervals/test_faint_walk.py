@@ -37,8 +37,8 @@ def fitted(scenario: Scenario, seed: int) -> Fit:
 def increments_covariance(noise: Noise, steps: int, h: float) -> np.ndarray:
     """Dense covariance (steps, steps) of the increments of one stretch."""
     neighbours = np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1)
-    found: np.ndarray = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white)) - noise.white * neighbours
-    return found
+    result: np.ndarray = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white)) - noise.white * neighbours
+    return result
 
 
 @pytest.mark.only_compiled
@@ -67,12 +67,12 @@ def test_covariance_is_that_of_the_dense_matrix_with_the_weights_of_white_noise(
     fit = fitted(SMALL, 2)
     fit = replace(fit, noise=replace(fit.noise, walk=weighted * slowest(fit) * fit.noise.white))
     monkeypatch.setattr(faint_walk, "_likely_share", lambda *_: share)
-    found = include_faint_walk(fit)
-    assert found.levels.walk / (slowest(fit) * fit.noise.white) == pytest.approx(share, rel=1e-12)
-    assert found.weights == fit.noise
+    result = include_faint_walk(fit)
+    assert result.levels.walk / (slowest(fit) * fit.noise.white) == pytest.approx(share, rel=1e-12)
+    assert result.weights == fit.noise
     steps, h, run = round(SMALL.seconds * SMALL.rate), 1.0 / SMALL.rate, fit.design.run
     inverse = np.linalg.inv(increments_covariance(Noise(1.0, 0.0), steps, h))
-    V = increments_covariance(found.levels, steps, h)
+    V = increments_covariance(result.levels, steps, h)
     parts = [
         SMALL._derivatives(run.output[run.segment_index == s] + SMALL.phi, s, h)
         for s in range(len(SMALL.forces))
@@ -80,7 +80,7 @@ def test_covariance_is_that_of_the_dense_matrix_with_the_weights_of_white_noise(
     bread = np.linalg.inv(sum(X.T @ inverse @ X for X in parts))
     meat = sum(X.T @ inverse @ V @ inverse @ X for X in parts)
     dense = np.sqrt(np.diag(bread @ meat @ bread))
-    std = np.sqrt(np.diag(name_coefficients(found.design, found.solution, found.covariance)[1]))
+    std = np.sqrt(np.diag(name_coefficients(result.design, result.solution, result.covariance)[1]))
     plain = np.sqrt(np.diag(name_coefficients(fit.design, fit.solution, fit.covariance)[1]))
     assert std == pytest.approx(dense, rel=0.02)
     assert abs(std[0] / plain[0] - 1.0) > 0.2
@@ -90,16 +90,16 @@ def test_covariance_is_that_of_the_dense_matrix_with_the_weights_of_white_noise(
 @pytest.mark.parametrize("walk", [0.0, 1e-6])
 def test_walk_found_is_right_on_average(walk: float) -> None:
     """Sixty records: the mean within four of its standard deviations; found negative in many, if there is none."""
-    found = []
+    collected = []
     for seed in range(60):
         fit = fitted(replace(WHITE, walk=walk), seed)
-        found.append(include_faint_walk(fit).levels.walk / (slowest(fit) * fit.noise.white))
-    spread = float(np.std(found)) / math.sqrt(len(found))
+        collected.append(include_faint_walk(fit).levels.walk / (slowest(fit) * fit.noise.white))
+    spread = float(np.std(collected)) / math.sqrt(len(collected))
     unit = 4.0 * math.sin(0.5 * math.pi / 201.0) ** 2 * WHITE.rate * WHITE.white**2
-    assert np.mean(found) == pytest.approx(walk**2 / unit, abs=4.0 * spread)
-    assert 0.25 < spread * math.sqrt(len(found)) / (1.0 + walk**2 / unit) < 0.65
+    assert np.mean(collected) == pytest.approx(walk**2 / unit, abs=4.0 * spread)
+    assert 0.25 < spread * math.sqrt(len(collected)) / (1.0 + walk**2 / unit) < 0.65
     if walk == 0.0:
-        assert 15 <= sum(share < 0.0 for share in found) <= 45
+        assert 15 <= sum(share < 0.0 for share in collected) <= 45
 
 
 @pytest.mark.only_compiled
@@ -111,10 +111,10 @@ def test_degrees_of_freedom_are_those_of_the_variances() -> None:
     ratios, degrees = [], []
     for seed in range(60):
         fit = fitted(WHITE, seed)
-        found = include_faint_walk(fit)
-        both = (name_coefficients(fit.design, fit.solution, f.covariance)[1] for f in (found, fit))
+        result = include_faint_walk(fit)
+        both = (name_coefficients(fit.design, fit.solution, f.covariance)[1] for f in (result, fit))
         ratios.append(np.divide(*(np.diag(covariance) for covariance in both)))
-        degrees.append(type_a_degrees(found))
+        degrees.append(type_a_degrees(result))
     seen = 2.0 * np.mean(ratios, axis=0) ** 2 / np.var(ratios, axis=0)
     said = np.median(degrees, axis=0)
     assert (np.abs(np.log(seen / said)) < math.log(2.0)).all()
@@ -127,14 +127,14 @@ def test_degrees_of_freedom_are_those_of_the_variances() -> None:
 def test_a_calibration_has_it() -> None:
     """Standard uncertainties and degrees of freedom of the whole calibration are those of the fit with it."""
     run = SMALL.record(np.random.default_rng([3, 78]))
-    found = SMALL.calibrate(run)
+    calibration = SMALL.calibrate(run)
     request = make_request(run, SMALL.terms, None, None, None)
     plain = fit_run(run, request)
     assert plain.noise.walk == 0.0
     fit = include_faint_walk(plain)
     std = np.sqrt(np.diag(name_coefficients(fit.design, fit.solution, fit.covariance)[1]))
-    assert [c.std for c in found.coefficients] == pytest.approx(std, rel=1e-9)
-    assert found["scale_factor"].degrees_of_freedom < 60.0
+    assert [c.std for c in calibration.coefficients] == pytest.approx(std, rel=1e-9)
+    assert calibration["scale_factor"].degrees_of_freedom < 60.0
     assert abs(fit.levels.walk) > 0.02 * slowest(fit) * fit.noise.white
 
 
@@ -157,8 +157,8 @@ def test_information_is_that_of_the_dense_restricted_likelihood() -> None:
     P = inverse - inverse @ X @ np.linalg.solve(X.T @ inverse @ X, X.T @ inverse)
     moved = [P @ unit for unit in units]
     expected = [[0.5 * np.trace(a @ b) for b in moved] for a in moved]
-    found = faint_walk._walk_information(fit, share)
-    assert found.ravel() == pytest.approx(np.ravel(expected), rel=0.03, abs=0.0)
+    result = faint_walk._walk_information(fit, share)
+    assert result.ravel() == pytest.approx(np.ravel(expected), rel=0.03, abs=0.0)
 
 
 @pytest.mark.compiled

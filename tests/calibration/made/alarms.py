@@ -68,16 +68,16 @@ FAULTS: dict[str, tuple[Callable[[piga.Run], piga.Run], str]] = {
 def remarks(run: piga.Run, terms: tuple[str, ...]) -> tuple[str, str, list[str]]:
     """Kind of the first remark ("advice", "term", "segment" or "none"), its words, terms suggested."""
     try:
-        found = piga.calibrate(run, terms)
+        calibration = piga.calibrate(run, terms)
     except PigaError as error:
         text = str(error)
         return ("advice" if "not applied" in text else "none"), text, []
-    advice = found.diagnostics.advice
-    missing = found.diagnostics.missing_terms
+    advice = calibration.diagnostics.advice
+    missing = calibration.diagnostics.missing_terms
     suggested = [name for entry in missing[:1] for name in (*entry.terms, *", ".join(entry.alike).split(", "))]
     if advice:
         return "advice", " | ".join(advice), suggested
-    moved = [note for note in found.notes if "without segment" in note]
+    moved = [note for note in calibration.notes if "without segment" in note]
     return ("term" if missing else "segment" if moved else "none"), " | ".join(moved), suggested
 
 
@@ -122,15 +122,15 @@ def count_all(
         for index, (function, arguments) in enumerate(jobs)
         for at in range(0, tests, size)
     ]
-    found = [Counter[str]() for _ in jobs]
+    seen = [Counter[str]() for _ in jobs]
     if processes == 1:
         for index, part in parts:
-            found[index].update(_count(part))
-        return found
+            seen[index].update(_count(part))
+        return seen
     with ProcessPoolExecutor(processes) as pool:
         for (index, _), counted in zip(parts, pool.map(_count, [part for _, part in parts]), strict=True):
-            found[index].update(counted)
-    return found
+            seen[index].update(counted)
+    return seen
 
 
 def omitted_jobs() -> list[tuple[Callable[..., str], tuple[str, ...]]]:

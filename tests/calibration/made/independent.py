@@ -94,7 +94,7 @@ class Bench:
         """True value in file units."""
         return K if name == "scale_factor" else float(getattr(self, name))
 
-    def miss(self, found: piga.Calibration, name: str) -> float:
+    def miss(self, result: piga.Calibration, name: str) -> float:
         """Error of a coefficient, a phase to the nearest turn (file units)."""
-        error = found[name].value - self.truth(name)
+        error = result[name].value - self.truth(name)
         return float(np.angle(np.exp(1j * error))) if name == "phi" else error

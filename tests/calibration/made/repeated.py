@@ -93,9 +93,9 @@ CASES: dict[str, Callable[[], Repeated]] = {
 
 def one_test(case: Repeated, seed: int, *, tell: bool = True) -> tuple[Array, Array]:
     """Errors of the coefficients over their half-widths, and the standard uncertainties (file units)."""
-    found = case.scenario.calibrate(case.record(np.random.default_rng([seed, 1906]), tell=tell))
-    half = np.array([c.expanded for c in found.coefficients])
-    return case.scenario.errors(found) / half, np.array([c.std for c in found.coefficients])
+    calibration = case.scenario.calibrate(case.record(np.random.default_rng([seed, 1906]), tell=tell))
+    half = np.array([c.expanded for c in calibration.coefficients])
+    return case.scenario.errors(calibration) / half, np.array([c.std for c in calibration.coefficients])
 
 
 def coverage(case: Repeated, tests: int, *, tell: bool = True, first: int = 0) -> tuple[Array, Array]:

@@ -79,10 +79,10 @@ def _run(
 
 def scores(calibration: piga.Calibration, truth: dict[str, float]) -> dict[str, float]:
     """Error over standard uncertainty of every coefficient."""
-    found = {}
+    values = {}
     for c in calibration.coefficients:
         error = c.value - truth[c.key]
         if c.name == "phi":
             error = float(np.angle(np.exp(1j * error)))
-        found[c.key] = error / c.std
-    return found
+        values[c.key] = error / c.std
+    return values

@@ -106,9 +106,9 @@ def record(path: Motion, rng: np.random.Generator) -> piga.Run:
 def one_test(seed: int, terms: tuple[str, ...], **options: float) -> dict[str, tuple[float, float, float]]:
     """Error, standard uncertainty and half-width of the 95 % interval by coefficient, file units."""
     path = motion(seed % DESIGNS, **options)
-    found = piga.calibrate(record(path, np.random.default_rng([seed, 2027])), terms)
+    calibration = piga.calibrate(record(path, np.random.default_rng([seed, 2027])), terms)
     truth = path.truth()
-    return {c.name: (c.value - truth[c.name], c.std, c.expanded) for c in found.coefficients}
+    return {c.name: (c.value - truth[c.name], c.std, c.expanded) for c in calibration.coefficients}
 
 
 def figures(results: list[dict[str, tuple[float, float, float]]]) -> dict[str, dict[str, float]]:
@@ -139,8 +139,8 @@ def put_down(tables: dict[str, dict[str, dict[str, float]]], tests: int) -> None
     for name, table in tables.items():
         k = table["scale_factor"]
         held: dict[str, list[float]] = {}
-        for coefficient, found in table.items():
-            held.setdefault(own.get(coefficient, "others"), []).append(round(100.0 * found["coverage"], 1))
+        for coefficient, one in table.items():
+            held.setdefault(own.get(coefficient, "others"), []).append(round(100.0 * one["coverage"], 1))
         ppm = 1e6 / 0.85  # K was drawn from 0.8 to 0.9 rad/s/g
         values: dict[str, measured.Value] = {
             "records": tests,
@@ -169,13 +169,13 @@ def main() -> None:
         for name, terms in kept.items():
             rows[name].append(one_test(seed, terms))
         if seed % 25 == 24 or seed == chosen.tests - 1:
-            done = {name: {"tests": seed + 1} | figures(found) for name, found in rows.items()}
+            done = {name: {"tests": seed + 1} | figures(one) for name, one in rows.items()}
             chosen.out.write_text(json.dumps(done, indent=1) + "\n", encoding="utf-8")
             said = ", ".join(f"{name}: {100 * f['scale_factor']['coverage']:.1f} %" for name, f in done.items())
             sys.stdout.write(f"{seed + 1}  coverage of K {said}\n")
             sys.stdout.flush()
     if chosen.record:
-        put_down({name: figures(found) for name, found in rows.items()}, chosen.tests)
+        put_down({name: figures(one) for name, one in rows.items()}, chosen.tests)
 
 
 if __name__ == "__main__":

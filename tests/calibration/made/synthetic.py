@@ -74,12 +74,12 @@ def truth_of(key: str) -> float:
 
 def errors(calibration: piga.Calibration) -> dict[str, float]:
     """Error over standard uncertainty of each coefficient (phases of segments left out)."""
-    found = {}
+    values = {}
     for coefficient in calibration.coefficients:
         if coefficient.segment is not None:
             continue
         error = coefficient.value - truth_of(coefficient.name)
         if coefficient.name == "phi":
             error = float(np.angle(np.exp(1j * error)))
-        found[coefficient.name] = error / coefficient.std
-    return found
+        values[coefficient.name] = error / coefficient.std
+    return values

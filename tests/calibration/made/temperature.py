@@ -140,12 +140,12 @@ def main() -> None:
     parser.add_argument("--record", action="store_true", help="put the figures into docs/measured")
     chosen = parser.parse_args()
     for band in BANDS:
-        found = campaign(band, chosen.tests)
+        figures = campaign(band, chosen.tests)
         row = f"{band[0]:g} to {band[1]:g} s"
-        sys.stdout.write(f"{row}: {found}\n")
+        sys.stdout.write(f"{row}: {figures}\n")
         sys.stdout.flush()
         if chosen.record:
-            measured.record("temperature", {f"{row}: {column}": value for column, value in found.items()})
+            measured.record("temperature", {f"{row}: {column}": value for column, value in figures.items()})
 
 
 if __name__ == "__main__":

@@ -35,8 +35,8 @@ def test_the_series_of_the_moments_reach_rounding(x: float) -> None:
         size = mp.mpf(x)
         j0 = mp.sin(size) / size
         j1 = (mp.sin(size) - size * mp.cos(size)) / size**2
-        for found, exact in zip(half_angle_moments(x), (j0, j1, 2 * j1 / size), strict=True):
-            assert abs(found / exact - 1) < 4e-16
+        for one, exact in zip(half_angle_moments(x), (j0, j1, 2 * j1 / size), strict=True):
+            assert abs(one / exact - 1) < 4e-16
 
 
 def test_every_column_has_a_code_of_its_own() -> None:
@@ -205,15 +205,15 @@ def test_noise_levels_are_found(white: float, walk: float) -> None:
     angle = white * rng.standard_normal(n + 1) + np.concatenate(
         ([0.0], np.cumsum(walk * np.sqrt(step) * rng.standard_normal(n)))
     )
-    found = find_noise(np.diff(angle), np.full(n, step), 0, 1e-15)
+    noise = find_noise(np.diff(angle), np.full(n, step), 0, 1e-15)
     if white > 1e-8:
-        assert found.angle_rms == pytest.approx(white, rel=0.02)
+        assert noise.angle_rms == pytest.approx(white, rel=0.02)
     if walk > 0.0:
         corner = walk * np.sqrt(step) / white
-        assert found.angle_random_walk == pytest.approx(walk, rel=4.0 / np.sqrt(2.0 * n * min(corner, 1.0)))
+        assert noise.angle_random_walk == pytest.approx(walk, rel=4.0 / np.sqrt(2.0 * n * min(corner, 1.0)))
     else:
-        assert found.angle_random_walk < 2e-7
-    assert found.close_to(Noise(white**2, walk**2), step, tolerance=0.5) or walk in (0.0, 1e-6)
+        assert noise.angle_random_walk < 2e-7
+    assert noise.close_to(Noise(white**2, walk**2), step, tolerance=0.5) or walk in (0.0, 1e-6)
 
 
 def test_householder_and_rotations_give_one_factor() -> None:

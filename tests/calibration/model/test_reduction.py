@@ -30,8 +30,8 @@ def certified(name: str) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack([data[:, 1] ** k for k in range(degree + 1)]), data[:, 0]
 
 
-def digits(found: np.ndarray, wanted: np.ndarray) -> float:
-    error = np.maximum(np.abs(found - wanted) / np.abs(wanted), 1e-17)
+def digits(result: np.ndarray, wanted: np.ndarray) -> float:
+    error = np.maximum(np.abs(result - wanted) / np.abs(wanted), 1e-17)
     return float(-np.log10(error).min())
 
 
@@ -143,11 +143,11 @@ def test_columns_that_nothing_separates_keep_what_the_others_tell(seed: int) -> 
     norms = np.linalg.norm(flat, axis=0)
     assert np.linalg.norm(total.factor, axis=0) == pytest.approx(norms, rel=1e-12)
     chosen = ("p", "q", "a", "c", "b", "s")
-    found = total.select(chosen).solve()[1]
+    result = total.select(chosen).solve()[1]
     x = flat[:, [names.index(name) for name in chosen]]
     scale = np.linalg.norm(x, axis=0)
     wanted = np.linalg.inv((x / scale).T @ (x / scale)) / np.outer(scale, scale)
-    assert np.sqrt(np.diag(found)) == pytest.approx(np.sqrt(np.diag(wanted)), rel=1e-9)
+    assert np.sqrt(np.diag(result)) == pytest.approx(np.sqrt(np.diag(wanted)), rel=1e-9)
 
 
 def test_rounding_of_rounding_is_nothing() -> None:

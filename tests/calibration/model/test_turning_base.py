@@ -31,22 +31,22 @@ def record(rate: float, seconds: float) -> piga.Run:
         u = K * f - turn
         return [u[0] + K * BIAS * G0 + TAN_BETA * (u[1] * np.sin(x[0]) - u[2] * np.cos(x[0]))]
 
-    found = solve_ivp(
+    solution = solve_ivp(
         motion, (0.0, t[-1]), [PHI], method="DOP853", rtol=1e-11, atol=1e-11, t_eval=t, max_step=0.1
     )
     f, turn = (np.array([swaying(s)[i] for s in t]) for i in (0, 1))
-    psi = found.y[0] - PHI + 1e-8 * np.random.default_rng(0).standard_normal(t.size)
+    psi = solution.y[0] - PHI + 1e-8 * np.random.default_rng(0).standard_normal(t.size)
     return piga.Run.from_arrays(t, psi, f, scale_factor="0.8884 rad/s/g", base_rate=turn)
 
 
 @pytest.mark.compiled
 def test_coefficients_of_a_swaying_base() -> None:
     """Chords made K wrong by 763 ppm and k0 by 700 micro-g here."""
-    found = piga.calibrate(record(50.0, 20.0), ["scale_factor", "tan_beta", "k0"])
-    assert found["scale_factor"].value == pytest.approx(K_G, rel=2e-6)
-    assert found["k0"].value == pytest.approx(BIAS, abs=2e-6)
-    assert found["tan_beta"].value == pytest.approx(TAN_BETA, rel=1e-5)
-    assert found["phi"].value == pytest.approx(PHI, abs=1e-5)
+    calibration = piga.calibrate(record(50.0, 20.0), ["scale_factor", "tan_beta", "k0"])
+    assert calibration["scale_factor"].value == pytest.approx(K_G, rel=2e-6)
+    assert calibration["k0"].value == pytest.approx(BIAS, abs=2e-6)
+    assert calibration["tan_beta"].value == pytest.approx(TAN_BETA, rel=1e-5)
+    assert calibration["phi"].value == pytest.approx(PHI, abs=1e-5)
 
 
 def test_static_positions_are_straight_lines() -> None:

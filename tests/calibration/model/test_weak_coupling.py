@@ -45,10 +45,10 @@ def test_limits_far_above_the_noise_are_the_normal_ones():
 @pytest.mark.only_compiled
 def test_an_instrument_without_coupling_may_have_none(monkeypatch):
     monkeypatch.setattr(monte_carlo, "MONTE_CARLO", replace(monte_carlo.MONTE_CARLO, most=20_000))
-    found = piga.calibrate(bench(0.0).record(3), TERMS)
-    assert found["tan_beta"].limits[0] == 0.0
-    assert found["tan_beta"].limits[1] < 6.0 * found["tan_beta"].std
-    low, high = found["phi"].limits
+    calibration = piga.calibrate(bench(0.0).record(3), TERMS)
+    assert calibration["tan_beta"].limits[0] == 0.0
+    assert calibration["tan_beta"].limits[1] < 6.0 * calibration["tan_beta"].std
+    low, high = calibration["phi"].limits
     assert high - low == pytest.approx(2.0 * np.pi)
 
 
@@ -60,10 +60,10 @@ def test_intervals_of_a_weak_coupling_hold(multiple, monkeypatch):
     monkeypatch.setattr(monte_carlo, "MONTE_CARLO", replace(monte_carlo.MONTE_CARLO, most=20_000))
     test, held, turned = bench(multiple), 0, 0
     for seed in range(200):
-        found = piga.calibrate(test.record(seed), TERMS)
-        low, high = found["tan_beta"].limits
+        calibration = piga.calibrate(test.record(seed), TERMS)
+        low, high = calibration["tan_beta"].limits
         held += low <= test.tan_beta <= high
-        low, high = found["phi"].limits
+        low, high = calibration["phi"].limits
         turned += any(low <= test.phi + turn <= high for turn in (-2.0 * np.pi, 0.0, 2.0 * np.pi))
     assert held >= 184
     assert turned >= 182

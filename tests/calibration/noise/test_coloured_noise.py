@@ -75,15 +75,15 @@ def test_levels_are_right_on_average_and_as_uncertain_as_said() -> None:
     rng, truth = np.random.default_rng(3), np.array([1.0, 30.0, 4.0])
     units = np.array([np.eye(bins.count), RATES["walk"](bins, 0.0), RATES["flicker"](bins, 0.0)])
     factor = np.linalg.cholesky(np.tensordot(truth, units, 1))
-    found, said = [], []
+    result, said = [], []
     for _ in range(60):
         y, rest = factor @ rng.standard_normal(bins.count), float(rng.chisquare(2000))
         levels = estimate(Contrasts(y, units, rest, 2000, np.eye(bins.count)), np.array([1.0, 0.0, 0.0]))
         assert levels is not None
-        found.append(levels.values)
+        result.append(levels.values)
         said.append(np.sqrt(np.diag(levels.covariance)))
-    spread = np.std(found, axis=0, ddof=1)
-    assert np.abs(np.mean(found, axis=0) - truth).max() < (4.0 * spread / np.sqrt(60)).max()
+    spread = np.std(result, axis=0, ddof=1)
+    assert np.abs(np.mean(result, axis=0) - truth).max() < (4.0 * spread / np.sqrt(60)).max()
     assert spread == pytest.approx(np.mean(said, axis=0), rel=0.4)
 
 
@@ -114,9 +114,9 @@ def test_covariance_of_one_component_is_the_dense_one(monkeypatch: pytest.Monkey
     kept = coloured_noise._candidates
     monkeypatch.setattr(coloured_noise, "_candidates", lambda *a: [c for c in kept(*a) if c.name == "flicker"])
     fit = fitted(RATES_LOG, 1)
-    found = include_coloured_noise(fit)
-    assert found.colour is not None
-    assert found.colour.name == "flicker"
+    result = include_coloured_noise(fit)
+    assert result.colour is not None
+    assert result.colour.name == "flicker"
     bins = RateBins.of(fit.design.run)
     blocks = list(fit.design.blocks())
     x = np.hstack([block.columns[:-1] for block in blocks])
@@ -128,10 +128,10 @@ def test_covariance_of_one_component_is_the_dense_one(monkeypatch: pytest.Monkey
     assert parts.sum() == x.shape[1]
     jacobian = fit.solution.jacobians[0]
     bread = np.linalg.inv(jacobian.T @ x @ x.T @ jacobian)
-    rates = found.colour.variance * RATES["flicker"](bins, 0.0)
+    rates = result.colour.variance * RATES["flicker"](bins, 0.0)
     meat = jacobian.T @ x @ parts.T @ rates @ parts @ x.T @ jacobian
     coloured = bread @ meat @ bread
-    white = np.diag(found.covariance - coloured) / np.diag(bread)
+    white = np.diag(result.covariance - coloured) / np.diag(bread)
     assert white == pytest.approx(white[0], rel=1e-6)
     assert 0.7 < white[0] / fit.sample_variance < 1.0, "flicker is not white noise as well"
 

@@ -65,8 +65,8 @@ def test_the_probability_is_even_where_counting_is_all() -> None:
         correlation[0] += shift
         return 28_800 * np.hstack([np.ones((1 + WHITENESS.draws, 1)), correlation])
 
-    found = np.array([counting_probability((lambda: products(0.0),)) for _ in range(400)])
-    assert np.mean(found < 0.05) == pytest.approx(0.05, abs=0.035)
-    assert np.mean(found < 0.5) == pytest.approx(0.5, abs=0.08)
+    result = np.array([counting_probability((lambda: products(0.0),)) for _ in range(400)])
+    assert np.mean(result < 0.05) == pytest.approx(0.05, abs=0.035)
+    assert np.mean(result < 0.5) == pytest.approx(0.5, abs=0.08)
     assert counting_probability((lambda: products(0.02),)) < 1e-6
     assert np.isnan(counting_probability((lambda: products(0.0), lambda: None)))

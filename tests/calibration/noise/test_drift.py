@@ -51,15 +51,15 @@ def test_known_drift_is_found_on_average(phase: str) -> None:
 
     The walk is seen in every sample interval; a tenth of them is taken. One record may pass for a scatter of the segments.
     """
-    found = []
+    collected = []
     for seed in range(12):
         fit = fitted(DRIFT, seed, phase)
         noise = include_slow_noise(fit).noise
-        found.append([noise.drift / DRIFT.drift**2, noise.walk / DRIFT.walk**2])
-    drift, walk = np.mean(found, axis=0)
+        collected.append([noise.drift / DRIFT.drift**2, noise.walk / DRIFT.walk**2])
+    drift, walk = np.mean(collected, axis=0)
     assert_variance(drift, 12 * 10, "drift")
     assert_variance(walk, 12 * DRIFT._times().size / 10, "walk")
-    assert sum(row[0] > 0.0 for row in found) >= 11
+    assert sum(row[0] > 0.0 for row in collected) >= 11
 
 
 def test_covariance_is_that_of_the_dense_matrix() -> None:
@@ -83,26 +83,26 @@ def test_phases_of_segments_cost_little_beside_a_drift() -> None:
     The shared phase is the constraint of the same estimate: its variances are no larger, its values within them.
     """
     noise = Noise(DRIFT.white**2, DRIFT.walk**2, DRIFT.drift**2)
-    found = {}
+    values = {}
     for phase in ("shared", "per-segment"):
         fit = fitted(DRIFT, 3, phase)
-        found[phase] = solve(fit.design, reduce_segments(fit.design, fit.mode, noise))
-    count = found["shared"].amplitudes.size
-    std = [np.sqrt(np.diag(found[phase].covariance)[:count]) for phase in ("shared", "per-segment")]
+        values[phase] = solve(fit.design, reduce_segments(fit.design, fit.mode, noise))
+    count = values["shared"].amplitudes.size
+    std = [np.sqrt(np.diag(values[phase].covariance)[:count]) for phase in ("shared", "per-segment")]
     assert (std[1] >= 0.999 * std[0]).all()
     assert (std[1] < 1.2 * std[0]).all()
-    shift = found["per-segment"].amplitudes - found["shared"].amplitudes
+    shift = values["per-segment"].amplitudes - values["shared"].amplitudes
     assert (np.abs(shift) < 3.0 * np.sqrt(np.maximum(std[1] ** 2 - std[0] ** 2, (0.05 * std[0]) ** 2))).all()
 
 
 def test_a_drift_that_is_not_weighted_by_is_in_the_covariance() -> None:
     """Weights of the other noise: the dense covariance of that estimate with the drift, for the levels found."""
     fit = fitted(DRIFT, 3)
-    found = include_slow_noise(fit, clear=np.inf)
-    noise, steps, h = found.noise, round(DRIFT.seconds * DRIFT.rate), 1.0 / DRIFT.rate
+    result = include_slow_noise(fit, clear=np.inf)
+    noise, steps, h = result.noise, round(DRIFT.seconds * DRIFT.rate), 1.0 / DRIFT.rate
     V = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white))
     V -= noise.white * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
-    run, count = found.design.run, len(DRIFT.forces)
+    run, count = result.design.run, len(DRIFT.forces)
     X = np.concatenate(
         [DRIFT._derivatives(run.output[run.segment_index == s] + DRIFT.phi, s, h) for s in range(count)]
     )
@@ -111,14 +111,14 @@ def test_a_drift_that_is_not_weighted_by_is_in_the_covariance() -> None:
     t = DRIFT._times().ravel()
     together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)
     dense = gain @ (np.kron(np.eye(count), V) + noise.drift * h**2 * together) @ gain.T
-    std = np.sqrt(np.diag(name_coefficients(found.design, found.solution, found.covariance)[1]))
+    std = np.sqrt(np.diag(name_coefficients(result.design, result.solution, result.covariance)[1]))
     assert noise.drift > 0.0
-    assert found.weights == replace(noise, drift=0.0)
+    assert result.weights == replace(noise, drift=0.0)
     assert std == pytest.approx(np.sqrt(np.diag(dense)), rel=0.06)
-    plain = np.sqrt(np.diag(name_coefficients(found.design, found.solution, found.solution.covariance)[1]))
+    plain = np.sqrt(np.diag(name_coefficients(result.design, result.solution, result.solution.covariance)[1]))
     assert std[0] > 1.2 * plain[0]
-    assert type_a_degrees(found)[0] < 40.0
-    assert type_a_degrees(replace(found, slow_deviation=0.0))[0] > 40.0
+    assert type_a_degrees(result)[0] < 40.0
+    assert type_a_degrees(replace(result, slow_deviation=0.0))[0] > 40.0
 
 
 @pytest.fixture
@@ -132,11 +132,11 @@ def test_a_drift_beside_coarse_counts_is_in_the_covariance() -> None:
     """Twelve records: intervals hold; with the covariance of the counts alone hardly more than half of them do."""
     inside, drift, degrees = [], [], []
     for seed in range(12):
-        found = COUNTED.calibrate(COUNTED.record(np.random.default_rng([seed, 99])))
-        half = np.array([c.expanded for c in found.coefficients])
-        inside.append(np.abs(COUNTED.errors(found)) <= half)
-        drift.append(found.bias_drift)
-        degrees.append(found.coefficients[0].degrees_of_freedom)
+        calibration = COUNTED.calibrate(COUNTED.record(np.random.default_rng([seed, 99])))
+        half = np.array([c.expanded for c in calibration.coefficients])
+        inside.append(np.abs(COUNTED.errors(calibration)) <= half)
+        drift.append(calibration.bias_drift)
+        degrees.append(calibration.coefficients[0].degrees_of_freedom)
     assert np.mean(inside) > 0.9
     assert_variance(np.mean(np.square(drift)) / COUNTED.drift**2, 12 * 10, "drift")
     assert np.median(degrees) < 12.0
@@ -166,19 +166,19 @@ def test_what_a_drift_adds_beside_coarse_counts_is_that_of_records_moved_by_its_
 
 def test_intervals_are_wider_and_the_result_says_so(tmp_path: Path) -> None:
     run = DRIFT.record(np.random.default_rng(4))
-    found = DRIFT.calibrate(run)
+    calibration = DRIFT.calibrate(run)
     fit = fitted(DRIFT, 4)
     levels = [DRIFT.calibrate(DRIFT.record(np.random.default_rng([s, 5]))).bias_drift for s in range(8)]
     assert_variance(np.mean(np.square(levels)) / DRIFT.drift**2, 8 * 10, "drift")
-    assert found.bias_drift > 0.0
-    assert (np.abs(DRIFT.errors(found)) < 4.0 * np.array([c.std for c in found.coefficients])).all()
-    assert found["scale_factor"].degrees_of_freedom < 60.0
+    assert calibration.bias_drift > 0.0
+    assert (np.abs(DRIFT.errors(calibration)) < 4.0 * np.array([c.std for c in calibration.coefficients])).all()
+    assert calibration["scale_factor"].degrees_of_freedom < 60.0
     assert fit.noise.drift == 0.0
-    found.to_json(tmp_path / "c.json")
-    assert piga.Calibration.from_json(tmp_path / "c.json").bias_drift == found.bias_drift
+    calibration.to_json(tmp_path / "c.json")
+    assert piga.Calibration.from_json(tmp_path / "c.json").bias_drift == calibration.bias_drift
     RunSummary.of(run, DRIFT.terms).to_json(tmp_path / "s.json")
     merged = piga.calibrate([RunSummary.from_json(tmp_path / "s.json")], DRIFT.terms)
-    for one, other in zip(found.coefficients, merged.coefficients, strict=True):
+    for one, other in zip(calibration.coefficients, merged.coefficients, strict=True):
         assert other.value == pytest.approx(one.value, rel=1e-6)
         assert other.std == pytest.approx(one.std, rel=1e-3)
 
@@ -213,19 +213,19 @@ def test_allan_deviation_rises_along_the_drift_found() -> None:
     levels, ratios = [], []
     for seed in range(4):
         run = replace(one.record(np.random.default_rng([seed, 2])), scale_factor=SCALE / G0)
-        found = piga.calibrate(run, ["k0"])
-        assert found.residuals is not None
-        begins = np.zeros(found.residuals.t.size, dtype=bool)
+        calibration = piga.calibrate(run, ["k0"])
+        assert calibration.residuals is not None
+        begins = np.zeros(calibration.residuals.t.size, dtype=bool)
         begins[0] = True
         allan = allan_deviation(
-            found.residuals.after,
-            found.residuals.t,
+            calibration.residuals.after,
+            calibration.residuals.t,
             begins,
-            white=found.angle_rms**2,
-            walk=found.angle_random_walk**2,
+            white=calibration.angle_rms**2,
+            walk=calibration.angle_random_walk**2,
         )
         far = (allan.tau > 100.0) & (allan.tau < 500.0)
-        levels.append(found.bias_drift / one.drift)
-        ratios.append(np.median(allan.deviation[far] / drift_line(allan.tau[far], found.bias_drift)))
+        levels.append(calibration.bias_drift / one.drift)
+        ratios.append(np.median(allan.deviation[far] / drift_line(allan.tau[far], calibration.bias_drift)))
     assert_variance(np.mean(np.square(levels)), 4 * 32, "drift")
     assert_variance(np.mean(np.square(ratios)), 4 * 18, "Allan variance")

@@ -40,26 +40,26 @@ def fitted(scenario: Scenario, seed: int, phase: str | None = None) -> Fit:
 @pytest.mark.parametrize("phase", ["shared", "per-segment"])
 def test_known_scatter_is_found_on_average_and_not_taken_for_a_drift(phase: str) -> None:
     """Twelve records of ten degrees of freedom (16 positions, six coefficients) bound the mean of the variances."""
-    found = []
+    collected = []
     for seed in range(12):
         fit = fitted(SCATTER, seed, phase)
         noise = include_slow_noise(fit).noise
-        found.append([noise.scatter / SCATTER.scatter**2, noise.walk / SCATTER.walk**2])
-    scatter, walk = np.mean(found, axis=0)
+        collected.append([noise.scatter / SCATTER.scatter**2, noise.walk / SCATTER.walk**2])
+    scatter, walk = np.mean(collected, axis=0)
     assert_variance(scatter, 12 * 10, "scatter")
     assert_variance(walk, 12 * SCATTER._times().size / 10, "walk")
-    assert sum(row[0] > 0.0 for row in found) >= 10
+    assert sum(row[0] > 0.0 for row in collected) >= 10
 
 
 def test_covariance_is_the_dense_one_of_these_weights(monkeypatch: pytest.MonkeyPatch) -> None:
     """Weights of white noise and random walk: the dense covariance of that estimate with the scatter, levels as found."""
     monkeypatch.setattr(slow_noise, "NOISE", replace(NOISE, slow_in_weights=math.inf))
     fit = fitted(SCATTER, 3)
-    found = include_slow_noise(fit)
-    noise, steps, h = found.noise, round(SCATTER.seconds * SCATTER.rate), 1.0 / SCATTER.rate
+    result = include_slow_noise(fit)
+    noise, steps, h = result.noise, round(SCATTER.seconds * SCATTER.rate), 1.0 / SCATTER.rate
     V = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white))
     V -= noise.white * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
-    run, count = found.design.run, len(SCATTER.forces)
+    run, count = result.design.run, len(SCATTER.forces)
     columns = [
         SCATTER._derivatives(run.output[run.segment_index == s] + SCATTER.phi, s, h) for s in range(count)
     ]
@@ -67,26 +67,26 @@ def test_covariance_is_the_dense_one_of_these_weights(monkeypatch: pytest.Monkey
     inverse = np.linalg.inv(sum(a.T @ b for a, b in zip(columns, white, strict=True)))
     meat = sum(part.T @ (V + noise.scatter * h**2) @ part for part in white)
     dense = inverse @ meat @ inverse
-    std = np.sqrt(np.diag(name_coefficients(found.design, found.solution, found.covariance)[1]))
+    std = np.sqrt(np.diag(name_coefficients(result.design, result.solution, result.covariance)[1]))
     assert noise.scatter > 0.0
-    assert found.weights == noise.without_slow()
+    assert result.weights == noise.without_slow()
     assert std == pytest.approx(np.sqrt(np.diag(dense)), rel=0.06)
-    assert 5.0 < type_a_degrees(found)[0] < 25.0
-    assert type_a_degrees(replace(found, slow_deviation=0.0))[0] > 25.0
+    assert 5.0 < type_a_degrees(result)[0] < 25.0
+    assert type_a_degrees(replace(result, slow_deviation=0.0))[0] > 25.0
 
 
 def test_a_clear_scatter_is_weighted_by() -> None:
     """The estimate and covariance of generalised least squares with the dense covariance, levels as found."""
     fit = fitted(replace(SCATTER, scatter=3e-5), 3)
-    found = include_slow_noise(fit)
-    noise = found.noise
+    result = include_slow_noise(fit)
+    noise = result.noise
     exact = replace(
         SCATTER, scatter=noise.segment_scatter, white=noise.angle_rms, walk=noise.angle_random_walk
     ).bound(fit.design.run)
-    coefficients, covariance = name_coefficients(found.design, found.solution, found.covariance)
+    coefficients, covariance = name_coefficients(result.design, result.solution, result.covariance)
     plain = name_coefficients(fit.design, fit.solution, fit.covariance)[0]
-    assert found.slow_part is None
-    assert found.weights == noise
+    assert result.slow_part is None
+    assert result.weights == noise
     assert np.sqrt(np.diag(covariance)) == pytest.approx(np.sqrt(np.diag(exact)), rel=0.03)
     assert abs(coefficients[1].value - SCATTER.tan_beta) < 0.5 * abs(plain[1].value - SCATTER.tan_beta)
 
@@ -117,8 +117,8 @@ def test_intervals_hold(scenario: Scenario) -> None:
     """Twenty-four records: about 95 of 100; with the noise of the angle alone hardly more than half."""
     inside, narrow = [], []
     for seed in range(24):
-        found = scenario.calibrate(scenario.record(np.random.default_rng([seed, 101])))
-        errors, half = scenario.errors(found), np.array([c.expanded for c in found.coefficients])
+        calibration = scenario.calibrate(scenario.record(np.random.default_rng([seed, 101])))
+        errors, half = scenario.errors(calibration), np.array([c.expanded for c in calibration.coefficients])
         inside.append(np.abs(errors) <= half)
         narrow.append(np.abs(errors[0]) <= 0.3 * half[0])
     assert np.mean(inside) > 0.9
@@ -130,12 +130,12 @@ def test_the_result_says_so_and_keeps_it(tmp_path: Path) -> None:
     results = [scenario.calibrate(scenario.record(np.random.default_rng([seed, 4]))) for seed in range(8)]
     levels = [result.segment_scatter for result in results]
     assert_variance(np.mean(np.square(levels)) / 3e-5**2, 8 * 10, "scatter")
-    found = results[0]
-    assert found.bias_drift == 0.0
-    assert any("times more than the noise of the angle explains" in note for note in found.notes)
-    assert found.diagnostics.segment_scatter_ratio < 1.5
-    found.to_json(tmp_path / "c.json")
-    assert piga.Calibration.from_json(tmp_path / "c.json").segment_scatter == found.segment_scatter
+    outcome = results[0]
+    assert outcome.bias_drift == 0.0
+    assert any("times more than the noise of the angle explains" in note for note in outcome.notes)
+    assert outcome.diagnostics.segment_scatter_ratio < 1.5
+    outcome.to_json(tmp_path / "c.json")
+    assert piga.Calibration.from_json(tmp_path / "c.json").segment_scatter == outcome.segment_scatter
 
 
 def test_none_is_seen_where_there_is_none() -> None:
@@ -186,7 +186,7 @@ def test_levels_of_one_kind_replace_the_other() -> None:
 
 def test_columns_that_are_all_one_rate_in_a_segment_do_not_spoil_the_weights() -> None:
     """Constant force: without the segment's own rate nothing is left of some columns but rounding errors."""
-    found = SCATTER.calibrate(SCATTER.record(np.random.default_rng([193, 2026])))
-    errors = SCATTER.errors(found)
-    assert found.segment_scatter > 0.0
-    assert (np.abs(errors) < 4.0 * np.array([c.std for c in found.coefficients])).all()
+    calibration = SCATTER.calibrate(SCATTER.record(np.random.default_rng([193, 2026])))
+    errors = SCATTER.errors(calibration)
+    assert calibration.segment_scatter > 0.0
+    assert (np.abs(errors) < 4.0 * np.array([c.std for c in calibration.coefficients])).all()

@@ -47,9 +47,11 @@ def test_sums_do_not_depend_on_the_blocks(size: int, bad: float, monkeypatch: py
         run.scale_factor,
     )
     assert len(list(design.blocks())) >= 0.9 * (run.size // size)
-    found = find_stretches(design, 24)
-    assert [(s.start, s.stop) for s in found] == [(201 * k, 201 * (k + 1)) for k in range(len(scenario.forces))]
-    for stretch in found:
+    stretches = find_stretches(design, 24)
+    assert [(s.start, s.stop) for s in stretches] == [
+        (201 * k, 201 * (k + 1)) for k in range(len(scenario.forces))
+    ]
+    for stretch in stretches:
         rows = stretch.start + np.flatnonzero(~left_out[stretch.start : stretch.stop])
         assert stretch.size == rows.size
         bins = np.searchsorted(stretch.edges, np.arange(stretch.size), side="right") - 1

@@ -73,9 +73,9 @@ def test_a_turn_about_the_input_axis_is_no_error_the_phase_takes_it_up(good):
     ],
 )
 def test_a_swapped_input_axis_is_named_with_the_order_that_puts_it_right(good, order, words, remedy):
-    found = advised(columns(good, order))
-    assert words in found
-    assert remedy in found
+    result = advised(columns(good, order))
+    assert words in result
+    assert remedy in result
 
 
 def test_a_wrong_sign_of_the_input_axis_shows_in_the_scale_factor(good):
@@ -85,9 +85,9 @@ def test_a_wrong_sign_of_the_input_axis_shows_in_the_scale_factor(good):
 
 
 def test_a_wrong_sign_of_the_output_is_told_from_it_by_the_coupling(good):
-    found = advised(replace(good, output=-good.output))
-    assert "with the output negative" in found
-    assert "change the sign of the output" in found
+    result = advised(replace(good, output=-good.output))
+    assert "with the output negative" in result
+    assert "change the sign of the output" in result
 
 
 @pytest.mark.parametrize(
@@ -101,9 +101,9 @@ def test_a_wrong_sign_of_the_output_is_told_from_it_by_the_coupling(good):
     ],
 )
 def test_a_wrong_unit_of_the_reference_is_named_with_the_right_one(good, factor, words):
-    found = advised(replace(good, f=good.f * factor))
-    assert words in found
-    assert "[data] output" not in found, "the coupling tells that the output is right"
+    result = advised(replace(good, f=good.f * factor))
+    assert words in result
+    assert "[data] output" not in result, "the coupling tells that the output is right"
 
 
 @pytest.mark.parametrize(
@@ -127,11 +127,11 @@ def test_of_counts_it_is_the_counts_per_revolution(good, factor, words):
 
 def test_what_the_coupling_cannot_tell_names_all_that_it_may_be(good):
     """Without coupling input and output cannot be told apart."""
-    found = advised(replace(good, f=good.f * 1e-3), ("scale_factor", "k0"))
-    assert "[data] reference unit = 'g' where it says 'mg'" in found
-    assert "[data] time unit = 's' where it says 'ms'" in found
-    assert "[data] output unit = 'mrad' where it says 'rad'" in found
-    assert "[instrument] scale_factor multiplied by 1000" in found
+    result = advised(replace(good, f=good.f * 1e-3), ("scale_factor", "k0"))
+    assert "[data] reference unit = 'g' where it says 'mg'" in result
+    assert "[data] time unit = 's' where it says 'ms'" in result
+    assert "[data] output unit = 'mrad' where it says 'rad'" in result
+    assert "[instrument] scale_factor multiplied by 1000" in result
 
 
 def test_a_log_of_rates_is_judged_too(good):
@@ -166,12 +166,12 @@ def test_a_calibration_gives_the_advice_and_no_other_remark_on_the_same_cause(go
     words = told(wrong(good))
     assert "not applied" in words
     try:
-        found = piga.calibrate(wrong(good), TERMS)
+        calibration = piga.calibrate(wrong(good), TERMS)
     except PigaError:
         return
-    assert not found.diagnostics.missing_terms
-    assert not any("without segment" in note or "missing term" in note for note in found.notes)
-    assert found.notes[0] == found.diagnostics.advice[0]
+    assert not calibration.diagnostics.missing_terms
+    assert not any("without segment" in note or "missing term" in note for note in calibration.notes)
+    assert calibration.notes[0] == calibration.diagnostics.advice[0]
 
 
 @pytest.mark.only_compiled

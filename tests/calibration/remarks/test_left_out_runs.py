@@ -33,9 +33,9 @@ def two_heads(**options):
     ]
 
 
-def half_width(found, source, key="scale_factor"):
+def half_width(result, source, key="scale_factor"):
     """What a row of the budget holds on either side of a coefficient."""
-    rows = [row for row in found.budget if row.source == source]
+    rows = [row for row in result.budget if row.source == source]
     assert len(rows) == 1
     return abs(rows[0].contributions[key]) * np.sqrt(3.0)
 
@@ -46,13 +46,13 @@ def test_two_heads_hold_both_meanings_of_a_cube(stored):
     runs = two_heads(d=0.0)
     if stored:
         runs[0] = RunSummary.of(runs[0], PLAIN, name="stored")
-    found = calibrate(runs, PLAIN)
-    scale = found["scale_factor"]
+    calibration = calibrate(runs, PLAIN)
+    scale = calibration["scale_factor"]
     for meaning in (TRUTH["scale_factor"], BY_K3):
         assert abs(scale.value - meaning) < scale.expanded
     far = max(abs(scale.value - meaning) for meaning in (TRUTH["scale_factor"], BY_K3))
-    assert half_width(found, MEANING) == pytest.approx(far, rel=0.1)
-    note = next(note for note in found.notes if "cube of a_x" in note)
+    assert half_width(calibration, MEANING) == pytest.approx(far, rel=0.1)
+    note = next(note for note in calibration.notes if "cube of a_x" in note)
     by_servo, by_k3 = (float(re.search(rf"(0\.\d+) with {name}", note)[1]) for name in ("servo", "k3"))
     assert by_servo == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
     assert by_k3 == pytest.approx(BY_K3, rel=2e-6)
@@ -61,28 +61,28 @@ def test_two_heads_hold_both_meanings_of_a_cube(stored):
 
 @pytest.mark.only_compiled
 def test_two_heads_without_a_servo_have_no_such_row():
-    found = calibrate(two_heads(s=0.0, d=0.0), PLAIN)
-    assert [row.type for row in found.budget] == ["A"]
-    assert not any("cube" in note or "servo" in note for note in found.notes)
+    calibration = calibrate(two_heads(s=0.0, d=0.0), PLAIN)
+    assert [row.type for row in calibration.budget] == ["A"]
+    assert not any("cube" in note or "servo" in note for note in calibration.notes)
 
 
 @pytest.mark.only_compiled
 def test_two_heads_whose_damping_turns_the_phase():
-    found = calibrate(two_heads(), [*PLAIN, "servo"])
-    phases = [c for c in found.coefficients if c.name == "phi"]
+    calibration = calibrate(two_heads(), [*PLAIN, "servo"])
+    phases = [c for c in calibration.coefficients if c.name == "phi"]
     for phi, truth in zip(phases, (TRUTH["phi"], TRUTH["phi"] + 1.1), strict=True):
         assert abs(phi.value - truth) < phi.expanded
-        assert half_width(found, "servo damping that the model lacks", phi.key) > 0.01
-    assert any("Add 'servo_damping'" in note for note in found.notes)
+        assert half_width(calibration, "servo damping that the model lacks", phi.key) > 0.01
+    assert any("Add 'servo_damping'" in note for note in calibration.notes)
 
 
 @pytest.mark.only_compiled
 def test_an_asked_k3_holds_the_servo_as_well():
-    found = calibrate(two_heads(d=0.0), [*PLAIN, "k3"])
-    scale = found["scale_factor"]
+    calibration = calibrate(two_heads(d=0.0), [*PLAIN, "k3"])
+    scale = calibration["scale_factor"]
     assert scale.value == pytest.approx(BY_K3, rel=2e-6)
     assert abs(scale.value - TRUTH["scale_factor"]) < scale.expanded
-    note = next(note for note in found.notes if "k3 may be the effect of the servo" in note)
+    note = next(note for note in calibration.notes if "k3 may be the effect of the servo" in note)
     assert float(re.search(r"([+-]\d+\.?\d*) ppm", note)[1]) == pytest.approx(13.0, abs=1.0)
 
 
@@ -92,14 +92,14 @@ def test_head_and_centrifuge_tell_what_the_model_lacks():
         noisy(head(8), "head", seconds=8.0),
         noisy(levels(), "arm", turn=0.9, seconds=4.0, step=0.02),
     ]
-    found = calibrate(runs, PLAIN)
+    calibration = calibrate(runs, PLAIN)
     source = "servo terms that the model lacks"
     assert not is_of_reference(source)
     for name in ("scale_factor", "tan_beta", "k0"):
-        assert abs(found[name].value - TRUTH[name]) < found[name].expanded, name
-    assert abs(found["scale_factor"].value / TRUTH["scale_factor"] - 1.0) > 5e-6
-    assert half_width(found, source) > 4e-6
-    note = next(note for note in found.notes if "signature of servo" in note)
+        assert abs(calibration[name].value - TRUTH[name]) < calibration[name].expanded, name
+    assert abs(calibration["scale_factor"].value / TRUTH["scale_factor"] - 1.0) > 5e-6
+    assert half_width(calibration, source) > 4e-6
+    note = next(note for note in calibration.notes if "signature of servo" in note)
     assert "Add 'servo' and 'servo_damping'" in note
     whole = calibrate(runs, TERMS)
     assert source not in [row.source for row in whole.budget]

@@ -42,11 +42,11 @@ for words in {{commands}}:
 
 def commands(group: TyperGroup, before: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
     """Words of the group and of every command in it."""
-    found = [before]
+    result = [before]
     for name, command in group.commands.items():
         words = (*before, name)
-        found += commands(command, words) if isinstance(command, TyperGroup) else [words]
-    return found
+        result += commands(command, words) if isinstance(command, TyperGroup) else [words]
+    return result
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -90,8 +90,8 @@ def test_a_difference_is_given_in_its_own_uncertainty(tmp_path: Path, records: C
     moved = replace(first.coefficients[0], value=first.coefficients[0].value + 3.0 * first.coefficients[0].std)
     second = replace(first, coefficients=(moved, *first.coefficients[1:]))
     with open_store(tmp_path / "a.sqlite", create=True) as store:
-        for found in (first, second):
-            files = (DraftFile("calibration", "calibration.json", calibration_to_bytes(found)),)
+        for one in (first, second):
+            files = (DraftFile("calibration", "calibration.json", calibration_to_bytes(one)),)
             store.append(lambda _place, files=files: Draft(first.serial, "A", "r", files))  # type: ignore[misc]
     change = json.loads(records.ok("diff", "1", "2", "--store", "a.sqlite", "--json"))["coefficients"][0]
     assert change["std"] == pytest.approx(moved.std * 2**0.5)

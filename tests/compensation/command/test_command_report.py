@@ -28,15 +28,15 @@ from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant
 @pytest.fixture
 def watched(monkeypatch):
     """The outline that the command filled."""
-    found = []
+    collected = []
     real = compensation.compensation_page
 
     def page(outline, facts, whole=None):
-        found.append((outline, facts, whole))
+        collected.append((outline, facts, whole))
         return real(outline, facts, whole)
 
     monkeypatch.setattr(compensation, "compensation_page", page)
-    return found
+    return collected
 
 
 def compensated(tmp_path, monkeypatch, capsys, run, *more):
@@ -116,18 +116,18 @@ def test_the_correction_is_the_cross_coupling(kind):
     t = np.arange(0.0, 120.0, 0.02)
     record = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3, kind=kind)
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3})
-    found = outline_of(kind, cal)
-    found.record(record, piga.compensate(record, cal))
-    order, amplitude = correction_spectrum(found)
+    outline = outline_of(kind, cal)
+    outline.record(record, piga.compensate(record, cal))
+    order, amplitude = correction_spectrum(outline)
     first = int(np.argmin(np.abs(order - 1.0)))
     assert abs(amplitude[first] / (TAN_BETA * G0) - 1.0) < 0.02
-    rows = found.outline.rows
+    rows = outline.outline.rows
     known = np.isfinite(rows["correction"])
     np.testing.assert_allclose((rows["indicated"] - rows["correction"])[known], G0, rtol=1e-6)
     taken_out = K_G / G0 * 0.02 * np.nansum(rows["correction"][1:])
-    assert abs(found.leading().before[-1] - taken_out) < 1e-3 * TAN_BETA * K_G * 0.02 * t.size
-    assert abs(found.rms("correction") / (TAN_BETA * G0 / np.sqrt(2.0)) - 1.0) < 0.05
-    figure = force_figure(found)
+    assert abs(outline.leading().before[-1] - taken_out) < 1e-3 * TAN_BETA * K_G * 0.02 * t.size
+    assert abs(outline.rms("correction") / (TAN_BETA * G0 / np.sqrt(2.0)) - 1.0) < 0.05
+    figure = force_figure(outline)
     assert all(axis.quantity and axis.unit for panel in figure.panels for axis in (panel.x, panel.y))
 
 
@@ -139,9 +139,9 @@ def test_changes_of_attitude_do_not_drown_the_orders():
     f = G0 * np.stack((np.cos(angle), np.sin(angle), np.zeros(t.size)), axis=1)
     record = run_of(t, f, phi=0.3)
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, "k0": 1e-3})
-    found = outline_of("angle", cal)
-    found.record(record, piga.compensate(record, cal))
-    order, amplitude = correction_spectrum(found)
+    outline = outline_of("angle", cal)
+    outline.record(record, piga.compensate(record, cal))
+    order, amplitude = correction_spectrum(outline)
     across = np.sqrt(np.mean(np.sin(0.3 + 0.3 * np.array([0, 2, 8, 1])) ** 2))
     first = int(np.argmin(np.abs(order - 1.0)))
     assert abs(amplitude[first] / (TAN_BETA * G0 * across) - 1.0) < 0.25
@@ -153,15 +153,15 @@ def test_windows_begin_with_segments_and_after_sixteen_turns():
     psi = 2.0 * np.pi * np.concatenate((np.linspace(5.0, 45.0, 4001), np.linspace(0.0, -10.0, 1001)))
     segment = np.repeat(np.array([0, 1], np.int32), (4001, 1001))
     zero = np.zeros(psi.size)
-    found = in_windows(Residuals(np.arange(psi.size), zero, psi, zero, zero, zero, zero, segment))
-    starts = np.flatnonzero(np.diff(found.segment, prepend=-1))
+    windows = in_windows(Residuals(np.arange(psi.size), zero, psi, zero, zero, zero, zero, segment))
+    starts = np.flatnonzero(np.diff(windows.segment, prepend=-1))
     assert abs(starts[1:4] - [1600, 3200, 4001]).max() <= 1
-    assert found.segment[0] == found.segment[1599]
+    assert windows.segment[0] == windows.segment[1599]
 
 
 def test_memory_is_bounded_and_extremes_are_kept():
     """Two million rows: the outline stays small, holds lone extremes and flags; the leading part is cut."""
-    found, size, total = outline_of("rate", calibration_of({"scale_factor": K_G})), 100_000, 21
+    result, size, total = outline_of("rate", calibration_of({"scale_factor": K_G})), 100_000, 21
     for index in range(total):
         t = (np.arange(size) + index * size) * 0.01
         ax = np.sin(t)
@@ -170,18 +170,18 @@ def test_memory_is_bounded_and_extremes_are_kept():
             ax[4711], flags[4711] = 50.0 + index, FLAGS["coarse"]
         begins = np.zeros(size, dtype=bool)
         chunk = Chunk(t, K_G / G0 * ax, ax, ax, begins, NO_RATES, NONE, NONE)
-        found.piece("all", chunk, Compensated(t, ax, 0.01 * ax, NONE, flags))
-    rows = found.outline.rows
+        result.piece("all", chunk, Compensated(t, ax, 0.01 * ax, NONE, flags))
+    rows = result.outline.rows
     assert rows["row"].size <= compensation_outline.SIZES.rows
     assert (np.diff(rows["row"]) > 0).all()
     for index in (0, 13):
         assert rows["ax"][rows["row"] == index * size + 4711] == [50.0 + index]
-    assert found.leading().t.size == compensation_outline.SHOWN
-    coarse, warm = found.marks["coarse"], found.marks["temperature"]
+    assert result.leading().t.size == compensation_outline.SHOWN
+    coarse, warm = result.marks["coarse"], result.marks["temperature"]
     assert (coarse.count, warm.count) == (2, total * size - 2)
     assert (coarse.first, coarse.last) == (47.11, (13 * size + 4711) * 0.01)
     assert 0 < warm.row.size <= compensation_outline.SIZES.marks
-    assert {len(series.arrays()[0]) for series in flag_figure(found).panels[0].series} == {2, warm.row.size}
+    assert {len(series.arrays()[0]) for series in flag_figure(result).panels[0].series} == {2, warm.row.size}
 
 
 @pytest.mark.parametrize(

@@ -55,9 +55,9 @@ def test_samples_are_the_same_to_the_bit_whatever_the_chunks_and_what_is_asked_f
     bare = piga.Compensator(cal, kind="rate", uncertainty=False, flags=False).push(columns)
     flagged = piga.Compensator(cal, kind="rate", step=0.01, uncertainty=False).push(columns)
     known = piga.Compensator(cal, kind="rate", step=0.01, flags=False).push(columns)
-    for found in (bare, flagged, known):
-        assert found.ax.tobytes() == whole.ax.tobytes()
-        assert found.dv.tobytes() == whole.dv.tobytes()
+    for one in (bare, flagged, known):
+        assert one.ax.tobytes() == whole.ax.tobytes()
+        assert one.dv.tobytes() == whole.dv.tobytes()
     assert np.array_equal(flagged.flags, whole.flags)
     assert known.u_ax.tobytes() == whole.u_ax.tobytes()
     assert list(bare.columns()) == ["t", "ax", "dv"]
@@ -134,11 +134,11 @@ def test_angles_are_the_same_to_the_bit_whatever_the_chunks_and_what_is_asked_fo
         for name in ("ax", "dv", "u_ax", "flags"):
             assert np.concatenate([getattr(p, name) for p in parts]).tobytes() == getattr(whole, name).tobytes()
     for wanted in ({"flags": False}, {"uncertainty": False}, {"flags": False, "uncertainty": False}):
-        found = piga.Compensator(cal, **wanted).push(columns)
-        assert found.ax.tobytes() == whole.ax.tobytes()
-        assert found.dv.tobytes() == whole.dv.tobytes()
-        assert not found.u_ax.size or found.u_ax.tobytes() == whole.u_ax.tobytes()
-        assert not found.flags.size or found.flags.tobytes() == whole.flags.tobytes()
+        rows = piga.Compensator(cal, **wanted).push(columns)
+        assert rows.ax.tobytes() == whole.ax.tobytes()
+        assert rows.dv.tobytes() == whole.dv.tobytes()
+        assert not rows.u_ax.size or rows.u_ax.tobytes() == whole.u_ax.tobytes()
+        assert not rows.flags.size or rows.flags.tobytes() == whole.flags.tobytes()
 
 
 @pytest.mark.compiled
@@ -151,6 +151,6 @@ def test_base_rate_may_come_and_go_in_a_stream_of_angles():
     for k, (a, b) in enumerate(pairwise(CUTS)):
         part = {name: c[a:b] for name, c in columns.items()}
         parts.append(stream.push(part | ({"base_rate": np.zeros((b - a, 3))} if k % 2 else {})).ax)
-    found = np.concatenate(parts)
-    assert not np.any(np.abs(found - whole.ax) > 1e-9)
-    assert np.array_equal(np.isnan(found), np.isnan(whole.ax))
+    result = np.concatenate(parts)
+    assert not np.any(np.abs(result - whole.ax) > 1e-9)
+    assert np.array_equal(np.isnan(result), np.isnan(whole.ax))

@@ -218,8 +218,8 @@ def test_angle_from_rate_does_not_depend_on_the_chunks():
     for cuts in ([1, 2, 90, 91, 92, 150], [89, 151], list(range(1, 200))):
         follower = RateAngle()
         edges = [0, *cuts, 200]
-        found = [follower.push(t[a:b], rate[a:b], begins[a:b]) for a, b in itertools.pairwise(edges)]
-        assert np.concatenate([*found, follower.finish()]).tobytes() == whole.tobytes()
+        seen = [follower.push(t[a:b], rate[a:b], begins[a:b]) for a, b in itertools.pairwise(edges)]
+        assert np.concatenate([*seen, follower.finish()]).tobytes() == whole.tobytes()
 
 
 def test_state_of_a_resampler_moves_to_another_one():

@@ -71,11 +71,11 @@ def same(
     """Compare both ways; returns the repairs that were counted on the way."""
     whole = piga.compensate(piga.read_run(path), cal)
     small_chunks(monkeypatch, chunk)
-    _, found = to_file(path, cal, folder / "o.parquet")
+    _, result = to_file(path, cal, folder / "o.parquet")
     table = pa.parquet.read_table(folder / "o.parquet")
     for column in ("t", "ax", "dv", "u_ax", "flags"):
         assert table.column(column).to_numpy().tobytes() == getattr(whole, column).tobytes(), column
-    return found
+    return result
 
 
 VARIANTS = {
@@ -127,8 +127,8 @@ def test_an_angle_that_folds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tu
     path = written(tmp_path, output=f'kind = "angle", unit = "rad", wraps_at = "{turn!r} rad"')
     before = pa.parquet.read_table(path.with_suffix(".parquet"))["psi"].to_numpy() + 1.0
     folded(path, turn)
-    found = same(path, tmp_path, monkeypatch, calibration_of(CAL, serial="A"), 37)
-    assert found.get("counter-roll-over", 0) == np.count_nonzero(np.diff(np.floor(before / turn)))
+    result = same(path, tmp_path, monkeypatch, calibration_of(CAL, serial="A"), 37)
+    assert result.get("counter-roll-over", 0) == np.count_nonzero(np.diff(np.floor(before / turn)))
 
 
 @pytest.mark.parametrize(("turn", "kept"), [(2.0 * np.pi, True), (5.0, False)])

@@ -40,13 +40,13 @@ def columns() -> dict[str, np.ndarray]:
 
 
 def write(folder, name: str, more: str):
-    found = columns()
+    result = columns()
     if name.endswith("tdms"):
         tdms = pytest.importorskip("nptdms")
         with tdms.TdmsWriter(folder / name) as writer:
-            writer.write_segment([tdms.ChannelObject("log", key, value) for key, value in found.items()])
+            writer.write_segment([tdms.ChannelObject("log", key, value) for key, value in result.items()])
     else:
-        pa.parquet.write_table(pa.table(found), folder / name)
+        pa.parquet.write_table(pa.table(result), folder / name)
     path = folder / "run.toml"
     path.write_text(RUN.format(file=name, more=more))
     return path
@@ -59,10 +59,10 @@ def test_ranges_and_sequence_numbers_hold_in_a_streamed_file(tmp_path, monkeypat
     path = write(tmp_path, name, more)
     whole = piga.compensate(piga.read_run(path), CAL)
     small_chunks(monkeypatch, chunk)
-    summary, found = to_file(path, CAL, tmp_path / "o.parquet")
+    summary, result = to_file(path, CAL, tmp_path / "o.parquet")
     table = pa.parquet.read_table(tmp_path / "o.parquet")
     assert summary.rows == whole.size == ROWS - 4
     for column in ("t", "ax", "dv", "u_ax", "flags"):
         assert table.column(column).to_numpy().tobytes() == getattr(whole, column).tobytes()
-    assert found == {"saturated": 4, "gap": 4, "sequence-gap": 5}
+    assert result == {"saturated": 4, "gap": 4, "sequence-gap": 5}
     assert np.count_nonzero(whole.flagged("no_increment")) > 1

@@ -44,15 +44,15 @@ def test_a_record_in_pieces_is_the_record(monkeypatch):
     cal = calibration_of(CAL, {"phi": 1e-4})
     whole = piga.compensate(run, cal)
     monkeypatch.setattr("piga.records.spool.BLOCK", 64)
-    found = list(compensate_in_pieces(run, cal))
-    assert len(found) == 16
-    assert {label for label, _, _ in found} == set(run.labels)
+    result = list(compensate_in_pieces(run, cal))
+    assert len(result) == 16
+    assert {label for label, _, _ in result} == set(run.labels)
     for name in ("t", "ax", "dv", "u_ax", "flags"):
         assert (
-            np.concatenate([getattr(part, name) for _, _, part in found]).tobytes()
+            np.concatenate([getattr(part, name) for _, _, part in result]).tobytes()
             == getattr(whole, name).tobytes()
         )
-    assert np.concatenate([chunk.a_Y for _, chunk, _ in found]).tobytes() == run.f[:, 1].tobytes()
+    assert np.concatenate([chunk.a_Y for _, chunk, _ in result]).tobytes() == run.f[:, 1].tobytes()
 
 
 def test_a_long_record_with_a_stand_is_written_in_pieces(tmp_path, monkeypatch, capsys):
@@ -113,6 +113,6 @@ def test_row_groups_do_not_depend_on_the_pieces(tmp_path, monkeypatch, sizes):
             writer.write({name: values[start : start + size] for name, values in whole.items()})
             start += size
         assert writer.rows == 250
-    found = pa.parquet.ParquetFile(tmp_path / "pieces.parquet").metadata
-    assert [found.row_group(i).num_rows for i in range(found.num_row_groups)] == [100, 100, 50]
+    metadata = pa.parquet.ParquetFile(tmp_path / "pieces.parquet").metadata
+    assert [metadata.row_group(i).num_rows for i in range(metadata.num_row_groups)] == [100, 100, 50]
     assert (tmp_path / "pieces.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()

@@ -32,7 +32,7 @@ def series_angles(t: np.ndarray, f: np.ndarray, phi: float) -> np.ndarray:
     """
     with mpmath.workdps(40):
         K, tangent = mpmath.mpf(K_G / G0), mpmath.mpf(TAN_BETA)
-        alpha, found = mpmath.mpf(phi), [0.0]
+        alpha, result = mpmath.mpf(phi), [0.0]
         times = [mpmath.mpf(x) for x in t.tolist()]
         inputs = [[K * mpmath.mpf(x) for x in row] for row in f.tolist()]
         for i in range(1, len(times)):
@@ -47,8 +47,8 @@ def series_angles(t: np.ndarray, f: np.ndarray, phi: float) -> np.ndarray:
                 s.append(sum((k + 1) * a[k + 1] * c[n - k] for k in range(n + 1)) / (n + 1))
                 c.append(-sum((k + 1) * a[k + 1] * s[n - k] for k in range(n + 1)) / (n + 1))
             alpha = sum(value * h**n for n, value in enumerate(a))
-            found.append(float(alpha - phi))
-    return np.array(found)
+            result.append(float(alpha - phi))
+    return np.array(result)
 
 
 @pytest.mark.compiled
@@ -60,11 +60,11 @@ def test_smooth_force_comes_back_from_angles_alone(axes):
     psi = np.array([series_angles(t, f @ m.T, PHASES[i]) for i, m in enumerate(axes)])
     values = {"scale_factor": K_G, "tan_beta": TAN_BETA}
     mounted = [Mounted(calibration_of({**values, "phi": PHASES[i]}), m) for i, m in enumerate(axes)]
-    found = SetCompensator(mounted).push(t, psi)
-    error = np.abs(found.f[1:] - 0.5 * (f[1:] + f[:-1])).max(axis=1) / G0
+    rows = SetCompensator(mounted).push(t, psi)
+    error = np.abs(rows.f[1:] - 0.5 * (f[1:] + f[:-1])).max(axis=1) / G0
     assert error[4:].max() < 1e-12
     assert (error[:3] < (5e-8, 2e-10, 2e-11)).all()
-    assert (found.residual[5:] < 1e-12 * G0).all()
+    assert (rows.residual[5:] < 1e-12 * G0).all()
 
 
 @pytest.mark.compiled
@@ -76,8 +76,8 @@ def test_the_same_with_error_terms_and_a_base_that_turns_faster_and_faster(axes)
     base = np.array([7e-3, 3e-2, -2e-2]) * (1.0 + 0.7 * t)[:, None]
     runs, mounted = made(t, f, axes, errors=errors, base=base)
     stream = SetCompensator(mounted)
-    found = stream.push(t, [r.output for r in runs], base_rate=[r.base_rate for r in runs])
-    error = np.abs(found.f[1:] - 0.5 * (f[1:] + f[:-1])).max(axis=1) / G0
+    rows = stream.push(t, [r.output for r in runs], base_rate=[r.base_rate for r in runs])
+    error = np.abs(rows.f[1:] - 0.5 * (f[1:] + f[:-1])).max(axis=1) / G0
     assert error[4:].max() < 1e-11
 
 
@@ -90,9 +90,9 @@ def test_a_gap_begins_the_differences_anew(said):
     psi = np.array([series_angles(t, f @ m.T, PHASES[i]) for i, m in enumerate(axes)])
     values = {"scale_factor": K_G, "tan_beta": TAN_BETA}
     mounted = [Mounted(calibration_of({**values, "phi": PHASES[i]}), m) for i, m in enumerate(axes)]
-    found = SetCompensator(mounted).push(t, psi, begins=begins if said else None)
+    rows = SetCompensator(mounted).push(t, psi, begins=begins if said else None)
     assert np.flatnonzero(PublishedSet(mounted).push(t, psi).flagged("no_increment")).tolist() == [0, 20]
-    error = np.abs(found.f[1:] - 0.5 * (f[1:] + f[:-1])).max(axis=1) / G0
+    error = np.abs(rows.f[1:] - 0.5 * (f[1:] + f[:-1])).max(axis=1) / G0
     assert np.isnan(error[19])
     assert np.nanmax(error[23:]) < 1e-12
     assert (error[20:22] < (1e-7, 1e-9)).all()

@@ -34,8 +34,8 @@ def test_chunks_of_whole_tiles(axes: str, size: int) -> None:
     expected = whole.push(np.append(t, t[-1] + 0.01), np.column_stack([psi, psi[:, -1]]))
     parts = [stream.push(t[k : k + size], psi[:, k : k + size]) for k in range(0, t.size, size)]
     for name in ("f", "dv", "u_f", "residual", "flags"):
-        found = np.concatenate([getattr(p, name) for p in parts])
-        assert found.tobytes() == getattr(expected, name)[: t.size].tobytes(), name
+        result = np.concatenate([getattr(p, name) for p in parts])
+        assert result.tobytes() == getattr(expected, name)[: t.size].tobytes(), name
 
 
 @pytest.mark.parametrize("axes", AXES)
@@ -43,9 +43,9 @@ def test_a_stretch_begins_without_an_increment(axes: str) -> None:
     t = np.arange(40) * 0.01
     runs, mounted = made(t, moving(t), AXES[axes])
     begins = np.arange(t.size) == 25
-    found = SetCompensator(mounted).push(t, [r.output for r in runs], begins=begins)
-    assert np.flatnonzero(found.flagged("no_increment")).tolist() == [0, 25]
-    assert (found.dv[[0, 25]] == 0.0).all()
+    rows = SetCompensator(mounted).push(t, [r.output for r in runs], begins=begins)
+    assert np.flatnonzero(rows.flagged("no_increment")).tolist() == [0, 25]
+    assert (rows.dv[[0, 25]] == 0.0).all()
     rates, _ = made(t, moving(t), AXES[axes], "rate")
     psi, rate = ([r.output for r in part] for part in (runs, rates))
     for uncertainty in (True, False):  # without it three instruments go a way of their own
@@ -53,7 +53,7 @@ def test_a_stretch_begins_without_an_increment(axes: str) -> None:
         sampled = stream.push(t, psi, rate=rate, begins=begins)
         assert np.flatnonzero(sampled.flagged("no_increment")).tolist() == [0, 25]
     recorded = compensate_set([replace(run, begins=begins | (t == 0.0)) for run in runs], mounted)
-    assert recorded.flags.tolist() == found.flags.tolist()
+    assert recorded.flags.tolist() == rows.flags.tolist()
 
 
 @pytest.mark.parametrize("axes", AXES)
@@ -63,8 +63,8 @@ def test_intervals_that_turn_far_under_a_changing_force(axes: str) -> None:
     f = np.array([8.0, -7.0, 9.0]) * G0 * (1.0 + 0.02 * t)[:, None]
     runs, mounted = made(t, f, AXES[axes], base=np.array([7e-5, 3e-3, -2e-3]))
     assert max(np.abs(np.diff(run.output)).max() for run in runs) > 0.6
-    found = compensate_set(runs, mounted)
-    error = found.f[1:] - 0.5 * (f[1:] + f[:-1])
+    compensated = compensate_set(runs, mounted)
+    error = compensated.f[1:] - 0.5 * (f[1:] + f[:-1])
     assert np.abs(error).max() < 1e-7 * G0
 
 
@@ -85,7 +85,7 @@ def test_many_correlated_coefficients(count: int) -> None:
     size = np.array([1e-7 * abs(values[name] or 1.0) for name in names])
     covariance = (spread @ spread.T) * np.outer(size, size)
     plain = calibration_of(values)
-    found = piga.compensate(run, replace(plain, covariance=covariance)).u_ax[1:]
+    uncertainty = piga.compensate(run, replace(plain, covariance=covariance)).u_ax[1:]
     columns = []
     for name, step in zip(names, size, strict=True):
         up, down = (
@@ -95,9 +95,9 @@ def test_many_correlated_coefficients(count: int) -> None:
         columns.append((up - down) / (2.0 * step))
     jacobian = np.array(columns).T
     expected = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian))
-    np.testing.assert_allclose(found[4:], expected[4:], rtol=2e-2)
-    assert (found[:4] > 0.99 * expected[:4]).all()
-    assert found[0] > expected[0]
+    np.testing.assert_allclose(uncertainty[4:], expected[4:], rtol=2e-2)
+    assert (uncertainty[:4] > 0.99 * expected[:4]).all()
+    assert uncertainty[0] > expected[0]
 
 
 @pytest.mark.parametrize("uneven", [False, True])
@@ -109,8 +109,8 @@ def test_the_first_intervals_of_a_stretch_with_a_square_term(uneven: bool) -> No
     errors = {"k2": 0.02}
     run = run_of(t, f, phi=0.4, errors=errors)
     values = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4, **errors}
-    found = piga.compensate(run, calibration_of(values)).ax[1:]
-    error = np.abs(found - 0.5 * (f[1:, 0] + f[:-1, 0])) / G0
+    force = piga.compensate(run, calibration_of(values)).ax[1:]
+    error = np.abs(force - 0.5 * (f[1:, 0] + f[:-1, 0])) / G0
     assert error[1:4].max() < 2e-6  # the square alone is 1e-5 g there
 
 

@@ -39,11 +39,11 @@ def outline_of_set(axes, rows: int, fault: int = -1, pieces: int = 1, **more):
     psi = np.array([r.output for r in runs])
     if fault >= 0:
         psi[2, fault] += 1e-4
-    stream, found = SetCompensator(mounted, details=True), SetOutline("angle", mounted)
+    stream, result = SetCompensator(mounted, details=True), SetOutline("angle", mounted)
     for part in np.array_split(np.arange(rows), pieces):
         rows_read = SetReading(t[part], psi[:, part], np.zeros(part.size, bool), None, None)
-        found.piece("all", rows_read, stream.push(t[part], psi[:, part]))
-    return found, mounted
+        result.piece("all", rows_read, stream.push(t[part], psi[:, part]))
+    return result, mounted
 
 
 def test_misfits_make_the_residual_and_flags_the_flags():
@@ -53,22 +53,22 @@ def test_misfits_make_the_residual_and_flags_the_flags():
     runs, mounted = made(t, f, axes, std={"phi": 1e-5})
     psi = np.array([r.output for r in runs])
     psi += 1e-5 * np.random.default_rng(1).standard_normal(psi.shape)
-    found = SetCompensator(mounted, details=True).push(t, psi)
+    rows = SetCompensator(mounted, details=True).push(t, psi)
     plain = SetCompensator(mounted).push(t, psi)
-    assert found.f.tobytes() == plain.f.tobytes()
+    assert rows.f.tobytes() == plain.f.tobytes()
     assert plain.misfit.size == plain.each.size == 0
-    np.testing.assert_allclose(np.sqrt((found.misfit**2).sum(axis=0))[1:], found.residual[1:], rtol=1e-12)
-    together = np.bitwise_or.reduce(found.each, axis=0)
-    assert np.array_equal(together[1:], found.flags[1:] & ~FLAGS["fault"])
-    assert (found.each[:, 0] == FLAGS["no_increment"]).all()
+    np.testing.assert_allclose(np.sqrt((rows.misfit**2).sum(axis=0))[1:], rows.residual[1:], rtol=1e-12)
+    together = np.bitwise_or.reduce(rows.each, axis=0)
+    assert np.array_equal(together[1:], rows.flags[1:] & ~FLAGS["fault"])
+    assert (rows.each[:, 0] == FLAGS["no_increment"]).all()
     records = compensate_set(runs, mounted, details=True)
     assert records.misfit.shape == (4, 300)
 
 
 def test_the_page_of_a_set_says_type_a_only():
     """In the verdict, once, with the names of the instruments: no calibration here states the reference's uncertainty."""
-    found, _ = outline_of_set([rotation(a) for a in SKEWED], 200)
-    page = set_page(found, SetFacts(NAMES, (), {}))
+    result, _ = outline_of_set([rotation(a) for a in SKEWED], 200)
+    page = set_page(result, SetFacts(NAMES, (), {}))
     assert page.judgement is not None
     assert page.judgement.tone == "doubtful"
     assert [what for what, _ in page.judgement.problems] == [f"{', '.join(NAMES)}: {TYPE_A_ONLY}"]
@@ -77,46 +77,46 @@ def test_the_page_of_a_set_says_type_a_only():
 @pytest.mark.only_compiled
 @pytest.mark.parametrize("pieces", [1, 7])
 def test_outline_holds_misfits_corrections_and_flags(pieces):
-    found, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200, pieces=pieces)
-    rows = {name: outline.rows[name] for name, outline in found.outlines.items()}
-    row = found.outlines["residual"].rows["row"]
-    worst = {name: row[np.nanargmax(np.abs(rows[name]))] for name in ("residual", *found.misfits)}
+    result, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200, pieces=pieces)
+    rows = {name: outline.rows[name] for name, outline in result.outlines.items()}
+    row = result.outlines["residual"].rows["row"]
+    worst = {name: row[np.nanargmax(np.abs(rows[name]))] for name in ("residual", *result.misfits)}
     assert len(worst) == 5
     assert set(worst.values()) <= {1200.0, 1201.0}
-    assert found.marks["fault"].count == 2
-    assert [single.marks["no_increment"].count for single in found.instruments] == [1, 1, 1, 1]
+    assert result.marks["fault"].count == 2
+    assert [single.marks["no_increment"].count for single in result.instruments] == [1, 1, 1, 1]
     for axis, value in zip("xyz", (1.0, -0.7, 0.4), strict=True):
         force, raw, correction = rows[f"f{axis}"], rows[f"raw_{axis}"], rows[f"d{axis}"]
         away = np.isfinite(force) & (np.abs(row - 1200.5) > 2)
         np.testing.assert_allclose(force[away], value * G0, atol=1e-9 * G0)
         np.testing.assert_allclose((raw - correction)[away], force[away], atol=1e-12 * G0)
-        assert 1e-4 * G0 < found.rms(f"d{axis}") < 3.0 * TAN_BETA * G0
-    assert np.abs(found.velocity / (STEP * 2999 * G0) - (1.0, -0.7, 0.4)).max() < 1e-4
+        assert 1e-4 * G0 < result.rms(f"d{axis}") < 3.0 * TAN_BETA * G0
+    assert np.abs(result.velocity / (STEP * 2999 * G0) - (1.0, -0.7, 0.4)).max() < 1e-4
 
 
 @pytest.mark.only_compiled
 def test_what_is_taken_out_of_an_instrument_is_its_cross_coupling():
     """Order 1 with the amplitude ``tan(beta)`` times the force across that instrument."""
     axes = orthogonal()
-    found, mounted = outline_of_set(axes, 12_000)
+    result, mounted = outline_of_set(axes, 12_000)
     across = np.sqrt(np.array([0.7**2 + 0.4**2, 1.0 + 0.4**2, 1.0 + 0.7**2])) * G0
-    for single, size, item in zip(found.instruments, across, mounted, strict=True):
+    for single, size, item in zip(result.instruments, across, mounted, strict=True):
         order, amplitude = correction_spectrum(single)
         first = int(np.argmin(np.abs(order - 1.0)))
         assert abs(amplitude[first] / (TAN_BETA * size) - 1.0) < 0.03
         assert abs(single.scale_factor * G0 / K_G - 1.0) < 1e-12
         assert item.phase is None
-    figure = set_orders_figure(found, NAMES[:3])
+    figure = set_orders_figure(result, NAMES[:3])
     assert figure is not None
     assert [panel.title for panel in figure.panels] == list(NAMES[:3])
 
 
 def test_page_says_what_contradicts_and_has_units_on_every_axis():
-    found, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200)
-    figures = (set_force_figure(found), misfit_figure(found, NAMES))
+    result, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200)
+    figures = (set_force_figure(result), misfit_figure(result, NAMES))
     assert all(axis.quantity and axis.unit for figure in figures for p in figure.panels for axis in (p.x, p.y))
     assert len(figures[1].panels) == 5
-    html = page_html(set_page(found, SetFacts(NAMES, (), {"method": "exact"})))
+    html = page_html(set_page(result, SetFacts(NAMES, (), {"method": "exact"})))
     assert "2 rows contradict themselves" in html
     sound, _ = outline_of_set([rotation(a) for a in SKEWED], 600)
     assert "No row contradicts itself" in page_html(set_page(sound, SetFacts(NAMES, (), {})))
@@ -143,7 +143,7 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method,
     (tmp_path / "set.toml").write_text("\n".join(lines))
     real = compensation_set.set_page
     monkeypatch.setattr(
-        compensation_set, "set_page", lambda found, facts: seen.append((found, facts)) or real(found, facts)
+        compensation_set, "set_page", lambda result, facts: seen.append((result, facts)) or real(result, facts)
     )
     words = (
         tmp_path / "set.toml",

@@ -45,9 +45,9 @@ def test_constant_force_comes_back_in_any_mounting(axes):
     t = np.arange(ROWS) * 0.01
     f = np.tile(np.array([1.0, -0.7, 0.4]) * G0, (t.size, 1))
     runs, mounted = made(t, f, axes, base=np.array([7e-5, 3e-3, -2e-3]))
-    found = compensate_set(runs, mounted)
+    compensated = compensate_set(runs, mounted)
     rounding = 4 * np.finfo(float).eps * 3.0 * max(1.0, 0.009 * ROWS) / (K_G / G0 * 0.01)
-    assert np.abs(found.f[1:] - f[1:]).max() < max(rounding, 1e-13)
+    assert np.abs(compensated.f[1:] - f[1:]).max() < max(rounding, 1e-13)
 
 
 @pytest.mark.compiled
@@ -59,8 +59,8 @@ def test_samples_of_angle_and_rate_come_back_to_1e12_g(axes):
     angle, mounted = made(t, f, axes, errors=errors)
     rate, _ = made(t, f, axes, "rate", errors=errors)
     stream = SetCompensator(mounted, sampled=True)
-    found = stream.push(t, [r.output for r in angle], rate=[r.output for r in rate])
-    assert np.abs(found.f - f).max() < 1e-12 * G0
+    rows = stream.push(t, [r.output for r in angle], rate=[r.output for r in rate])
+    assert np.abs(rows.f - f).max() < 1e-12 * G0
 
 
 @pytest.mark.compiled
@@ -78,8 +78,8 @@ def test_full_error_model_of_angles():
         "c1": 2e-5,
     }
     runs, mounted = made(t, f, [rotation(a) for a in SKEWED[:3]], errors=errors)
-    found = compensate_set(runs, mounted)
-    assert np.abs(found.f[1:] - f[1:]).max() < 2e-12 * G0 * max(1.0, 0.009 * ROWS)
+    compensated = compensate_set(runs, mounted)
+    assert np.abs(compensated.f[1:] - f[1:]).max() < 2e-12 * G0 * max(1.0, 0.009 * ROWS)
 
 
 @pytest.mark.compiled

@@ -62,13 +62,13 @@ def calibrated(twin: TwinParameters) -> dict[str, float]:
         "k2": predicted_k2(twin) * G0,
     }  # fmt: skip
     for _ in range(2):
-        found = compensate(record, calibration_of(values), uncertainty=False).ax[1:] - f[1:, 0]
+        result = compensate(record, calibration_of(values), uncertainty=False).ax[1:] - f[1:, 0]
         alpha = values["phi"] + 0.5 * (psi[1:] + psi[:-1])
         turned = np.array([np.sin(alpha), np.cos(alpha)])
         by_tan = f[0, 1] * turned[0] - f[0, 2] * turned[1]
         by_phi = values["tan_beta"] * (f[0, 1] * turned[1] + f[0, 2] * turned[0])
         columns = np.column_stack([by_tan, by_phi, np.ones(alpha.size), np.sin(2 * alpha), np.cos(2 * alpha)])
-        step = np.linalg.lstsq(columns, found, rcond=None)[0]
+        step = np.linalg.lstsq(columns, result, rcond=None)[0]
         values["tan_beta"] += step[0]
         values["phi"] += step[1]
     return values
@@ -90,12 +90,12 @@ def run(seconds: float, seed: int = 4) -> TwinTriad:
     mean = 0.5 * (f[1:] + f[:-1])
     x = axes[0, 0]
     measured = np.array(angles) + np.array(noises)
-    found = {
+    result = {
         name: (SetCompensator(mounted, uncertainty=False).push(t, measured).f[1:] - mean) @ x
         for name, mounted in (("before", bare), ("after", full))
     }
     noise = np.diff(noises[0]) / (STEP * DESIGN.K)
-    return TwinTriad(measured[0], found["before"], found["after"], noise)
+    return TwinTriad(measured[0], result["before"], result["after"], noise)
 
 
 def spectrum(psi: Array, error: Array, orders: Array) -> Array:

@@ -105,12 +105,12 @@ def _uncertainty() -> Iterator[Pair]:
 def _published() -> Iterator[Pair]:
     run = run_of(T, FORCE, phi=PHI)
     calibration = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI}, phase_source="input")
-    found = piga.compensate(run, calibration).ax[1:]
+    force = piga.compensate(run, calibration).ax[1:]
     turned = np.concatenate([[0.0], np.cumsum(np.diff(run.output))])
     phase = 0.5 * (turned[1:] + turned[:-1]) + PHI
     rate, (_, a_Y, a_Z) = np.diff(run.output) / np.diff(T), 0.5 * (FORCE[1:] + FORCE[:-1]).T
     literal = rate / K - np.hypot(a_Y, a_Z) * TAN_BETA * np.sin(phase - np.arctan2(a_Z, a_Y))
-    yield literal, found, 1e-11
+    yield literal, force, 1e-11
 
 
 @equation("inverse-bow")

@@ -112,8 +112,8 @@ def _increments() -> Iterator[Pair]:
 def _sensitivity() -> Iterator[Pair]:
     """The derivative with respect to beta over one step of constant force, start angle held."""
     t = np.array([0.0, 0.4])
-    found = sensitivities(instrument(PHI), t, np.vstack([F0, F0])).of_alpha("beta")[1]
+    result = sensitivities(instrument(PHI), t, np.vstack([F0, F0])).of_alpha("beta")[1]
     _, dy, dz = np.array(rates(F0)) * (1 + TAN_BETA**2) / TAN_BETA
     E, dE = expm_frechet(matrix(*rates(F0)) * 0.4, matrix(0.0, dy, dz) * 0.4)
     before, after = dE @ half_angles(PHI), E @ half_angles(PHI)
-    yield 2 * (before[0] * after[1] - before[1] * after[0]) / (after @ after), found, 1e-14
+    yield 2 * (before[0] * after[1] - before[1] * after[0]) / (after @ after), result, 1e-14

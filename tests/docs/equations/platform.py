@@ -135,8 +135,8 @@ def line_amplitudes(model: str, eta: float, eta0: float) -> tuple[dict[str, floa
     scenario = published(redundancy=eta0)
     known = true_knowledge(scenario)
     times = np.full(2, (eta - eta0) / known.eta_rate)
-    found = theory_lines(scenario, compensator(model, known, None), known, [slice(0, 2)], times)
-    return {name: float(values[0]) for name, values in found.amplitude.items()}, scenario
+    result = theory_lines(scenario, compensator(model, known, None), known, [slice(0, 2)], times)
+    return {name: float(values[0]) for name, values in result.amplitude.items()}, scenario
 
 
 def phasor(gyro: Gyro) -> complex:
@@ -146,24 +146,24 @@ def phasor(gyro: Gyro) -> complex:
 @equation("platform-line")
 def _line() -> Iterator[Pair]:
     """Lines of the uncorrected platform: D is the amplitude of e_z."""
-    found, scenario = line_amplitudes("none", ETA, 0.0)
+    result, scenario = line_amplitudes("none", ETA, 0.0)
     D = abs(-1j * phasor(scenario.equatorial) / np.cos(ETA) - phasor(scenario.polar) * np.tan(ETA))
     w, L = scenario.polar_rotation.rate, scenario.place.latitude
     w_s2 = earth.GM / earth.SEMI_MAJOR_AXIS**3
     g = np.linalg.norm(specific_force_at_rest(geodetic_to_earth(L, 0.0, 0.0)))
     S = w**2 / (w**2 - w_s2)
     east = g * D * S * np.cos(L) / w
-    yield east, found["east_velocity"], 1e-12 * east
+    yield east, result["east_velocity"], 1e-12 * east
     north = 2 * EARTH_RATE * S * np.sin(L) / w * east
-    yield north, found["north_velocity"], 1e-12 * north
-    yield D * S * np.sin(L), found["heading"], 1e-12 * D
-    yield D * S * np.cos(L), found["roll"], 1e-12 * D
+    yield north, result["north_velocity"], 1e-12 * north
+    yield D * S * np.sin(L), result["heading"], 1e-12 * D
+    yield D * S * np.cos(L), result["roll"], 1e-12 * D
 
 
 @equation("platform-remainder")
 def _remainder() -> Iterator[Pair]:
     eta0 = 0.01
-    found, scenario = line_amplitudes("A", ETA, eta0)
+    result, scenario = line_amplitudes("A", ETA, eta0)
     c = np.arange(64) * 2 * np.pi / 64
     c1, c2 = c + scenario.polar.phase, c + scenario.equatorial.phase
     d_r = scenario.equatorial.misalignment * np.sin(c2) * (1 / np.cos(ETA) - 1 / np.cos(eta0))
@@ -171,7 +171,7 @@ def _remainder() -> Iterator[Pair]:
     amplitude = 2 * abs(np.mean(d_r * np.exp(-1j * c)))
     w = scenario.polar_rotation.rate
     S = w**2 / (w**2 - earth.GM / earth.SEMI_MAJOR_AXIS**3)
-    yield amplitude, found["heading"] / (S * np.sin(scenario.place.latitude)), 1e-12 * amplitude
+    yield amplitude, result["heading"] / (S * np.sin(scenario.place.latitude)), 1e-12 * amplitude
 
 
 @equation("platform-errors")
@@ -196,8 +196,8 @@ def _errors() -> Iterator[Pair]:
     back = axis_turn(2, EARTH_RATE * span)
     literal = axes.T @ (back @ end[:3])
     put_in = Perturbation(attitude=phi0, drift=drift, bias=tuple(bias), height=height)
-    found = linear_errors(place, put_in, span, step=5.0)[-1]
-    yield literal, found[1:4], 1e-8 * np.abs(literal).max()
+    result = linear_errors(place, put_in, span, step=5.0)[-1]
+    yield literal, result[1:4], 1e-8 * np.abs(literal).max()
 
 
 @equation("platform-passage")

@@ -26,8 +26,8 @@ def test_against_the_complex_step(square: float, column: int) -> None:
     rates *= 1.0 + 0.01 * np.sin(np.arange(n))[:, None]
     f = rates / (0.0906 * np.array([1.0, math.tan(BETA), math.tan(BETA)]))
     t, omega = h * np.arange(n), np.zeros((n, 3))
-    found = ((rates[:, 1:] ** 2).sum(axis=1) - rates[:, 0] ** 2) * h**2 / 4.0
-    assert np.abs(found / square - 1.0).max() < 0.1
+    outcome = ((rates[:, 1:] ** 2).sum(axis=1) - rates[:, 0] ** 2) * h**2 / 4.0
+    assert np.abs(outcome / square - 1.0).max() < 0.1
     arguments, shifted = [inst.scale_factor, inst.beta, inst.alpha0], f.astype(complex)
     if column < 3:
         arguments[column] += 1e-40j

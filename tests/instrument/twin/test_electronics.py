@@ -89,6 +89,6 @@ def test_bad_electronics_are_refused(values):
 def test_the_phase_of_the_zero_lies_within_half_a_turn():
     segment = np.zeros(3, dtype=np.int32)
     for zero, phase in ((0.5, 0.5), (4.0, 4.0 - 2 * math.pi), (-10.0, -10.0 + 4 * math.pi)):
-        found = output_phases(Electronics(kind="angle", zero=zero), np.zeros(3), np.zeros(3), segment)
-        assert found == (pytest.approx(phase, abs=1e-15),)
+        phases = output_phases(Electronics(kind="angle", zero=zero), np.zeros(3), np.zeros(3), segment)
+        assert phases == (pytest.approx(phase, abs=1e-15),)
     assert output_phases(Electronics(kind="rate", zero=0.5), np.zeros(3), np.zeros(3), segment) == (0.0,)

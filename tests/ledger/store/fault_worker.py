@@ -108,13 +108,15 @@ def loop(source: Path, work: Path, name: str, kind: str, step: int) -> dict[str,
 
 
 def check(work: Path, name: str, done: bool, old: str) -> None:
-    found = verify(work / "a.sqlite")
-    assert found.sound, found.problems
+    verification = verify(work / "a.sqlite")
+    assert verification.sound, verification.problems
     if name in ("append", "import"):
-        assert found.records in ((5,) if done and name == "import" else (4,) if done else (3, 4, 5)), found
-        assert done or found.records == 3 or verify(work / "a.sqlite", [old]).sound
+        assert verification.records in ((5,) if done and name == "import" else (4,) if done else (3, 4, 5)), (
+            verification
+        )
+        assert done or verification.records == 3 or verify(work / "a.sqlite", [old]).sound
     else:
-        assert found.head == old
+        assert verification.head == old
     made = work / ("new.zip" if name == "export" else "new.sqlite")
     if name in ("create", "export", "backup", "restore"):
         assert made.exists() or not done
@@ -138,7 +140,7 @@ def main() -> None:
     prepare(source)
     source_digest()
     OPERATIONS["append"](shutil.copytree(source, folder / "warm"))
-    found = {}
+    values = {}
     for number, name in enumerate(OPERATIONS):
         kinds = list(KINDS) if step == 1 else [list(KINDS)[number % len(KINDS)]]
         if name == "migrate":
@@ -146,10 +148,10 @@ def main() -> None:
             open_it(shutil.copytree(source, folder / "warm2"))
         for kind in kinds:
             if name == "migrate":
-                found[f"{name}, {kind}"] = loop_migrate(source, work, kind, step)
+                values[f"{name}, {kind}"] = loop_migrate(source, work, kind, step)
             else:
-                found[f"{name}, {kind}"] = loop(source, work, name, kind, step)
-    json.dump(found, sys.stdout)
+                values[f"{name}, {kind}"] = loop(source, work, name, kind, step)
+    json.dump(values, sys.stdout)
 
 
 def loop_migrate(source: Path, work: Path, kind: str, step: int) -> dict[str, int]:
@@ -168,9 +170,9 @@ def loop_migrate(source: Path, work: Path, kind: str, step: int) -> dict[str, in
             counted = SHIM.fault_disarm()
         points += counted >= n
         open_it(work)
-        found = verify(work / "a.sqlite")
-        assert found.sound, found.problems
-        assert found.records == 3
+        verification = verify(work / "a.sqlite")
+        assert verification.sound, verification.problems
+        assert verification.records == 3
         assert {path.name for path in work.iterdir()} <= ALLOWED
         if counted < n:
             return {"points": points, "refused": refused}

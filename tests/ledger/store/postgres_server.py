@@ -15,7 +15,7 @@ SETTINGS = "-c listen_addresses='' -c shared_buffers=16MB -c max_connections=30 
 
 def programs() -> Path | None:
     """Folder of ``initdb`` and ``pg_ctl``, if there is one."""
-    places = [Path(found).resolve().parent for name in ("initdb",) if (found := shutil.which(name))]
+    places = [Path(program).resolve().parent for name in ("initdb",) if (program := shutil.which(name))]
     places += sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
     return next(
         (place for place in places if (place / "pg_ctl").exists() and (place / "postgres").exists()), None

@@ -39,8 +39,8 @@ def test_there_is_a_corpus() -> None:
 
 def test_everything_is_still_there(version: Path, store: Store) -> None:
     expected = json.loads((version / "expected.json").read_text(encoding="utf-8"))
-    found = verify(store.name, [expected["head"]])
-    assert found.problems == []
+    verification = verify(store.name, [expected["head"]])
+    assert verification.problems == []
     assert store.head().sha256 == expected["head"]
     records = store.records()
     assert len(records) == len(expected["records"])
@@ -71,5 +71,5 @@ def test_every_calibration_can_be_recomputed(version: Path, tmp_path: Path) -> N
     with open_store(tmp_path / "lab.sqlite") as store:
         for record in store.records():
             if record.file("calibration"):
-                found = reproduce(store, record.id)
-                assert found.comparison.agrees, found.comparison.differences
+                reproduced = reproduce(store, record.id)
+                assert reproduced.comparison.agrees, reproduced.comparison.differences

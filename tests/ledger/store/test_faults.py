@@ -35,16 +35,16 @@ def run(shim: Path, folder: Path, step: int) -> dict[str, dict[str, int]]:
 
 
 def test_some_calls_fail(shim: Path, memory_path: Path) -> None:
-    found = run(shim, memory_path, 9)
-    assert len(found) == OPERATIONS
-    assert all(counts["points"] > 0 for counts in found.values())
+    outcome = run(shim, memory_path, 9)
+    assert len(outcome) == OPERATIONS
+    assert all(counts["points"] > 0 for counts in outcome.values())
 
 
 @pytest.mark.slow
 def test_every_call_fails_once(shim: Path, memory_path: Path) -> None:
     """Every call, every kind of failure, every operation."""
-    found = run(shim, memory_path, 1)
-    for name, counts in found.items():
+    outcome = run(shim, memory_path, 1)
+    for name, counts in outcome.items():
         print(name, counts)
-    print("points", sum(counts["points"] for counts in found.values()))
-    assert len(found) == 5 * OPERATIONS
+    print("points", sum(counts["points"] for counts in outcome.values()))
+    assert len(outcome) == 5 * OPERATIONS

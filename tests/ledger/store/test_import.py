@@ -23,9 +23,9 @@ from tests.trend.history import record
 
 def calibrated(serial: str = "T-1", data: bytes | None = None) -> Draft:
     """A draft with a calibration of instrument ``T-1``."""
-    found = dataclasses.replace(record({"k0": 1e-3}, {"k0": 1e-6}), serial="T-1")
+    result = dataclasses.replace(record({"k0": 1e-3}, {"k0": 1e-6}), serial="T-1")
     file = DraftFile(
-        "calibration", "results/calibration.json", calibration_to_bytes(found) if data is None else data
+        "calibration", "results/calibration.json", calibration_to_bytes(result) if data is None else data
     )
     return Draft(serial, "A", "test", (file,), {}, {})
 
@@ -166,9 +166,11 @@ def test_a_document_that_names_a_key_twice_is_not_sound(
     with open_store(tmp_path / "forged.sqlite", create=True) as store:
         store.append(lambda _place: draft())
         assert written >= number
-    found = verify(tmp_path / "forged.sqlite")
-    assert not found.sound
-    assert any("the key 'schema' occurs twice" in problem for problem in found.problems), found.problems
+    verification = verify(tmp_path / "forged.sqlite")
+    assert not verification.sound
+    assert any("the key 'schema' occurs twice" in problem for problem in verification.problems), (
+        verification.problems
+    )
 
 
 def test_what_is_read_of_an_export_is_what_was_sealed(tmp_path: Path, local: Store) -> None:

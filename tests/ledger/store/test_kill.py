@@ -31,7 +31,7 @@ def campaign(folder: Path, kills: int, seed: int) -> Counter[str]:
     """Kill ``kills`` workers; returns what happened. Any loss, damage or orphan fails at once."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([kill_worker.__name__])
-    chance, found = random.Random(seed), Counter[str]()
+    chance, result = random.Random(seed), Counter[str]()
     _prepare(folder, exports=min(40, 3 + kills // 20))
     acknowledged: set[str] = set()
     for number in range(kills):
@@ -46,11 +46,11 @@ def campaign(folder: Path, kills: int, seed: int) -> Counter[str]:
         process = context.Process(target=kill_worker.work, args=(operation, place, other, number))
         process.start()
         other.close()
-        acknowledged |= _killed(process, mine, chance, found)
-        found["journals or parts left by the kill"] += any(_left(place))
+        acknowledged |= _killed(process, mine, chance, result)
+        result["journals or parts left by the kill"] += any(_left(place))
         _check(folder, place, operation, acknowledged)
-        found[operation] += 1
-    return found
+        result[operation] += 1
+    return result
 
 
 def _prepare(folder: Path, exports: int) -> None:
@@ -63,7 +63,7 @@ def _prepare(folder: Path, exports: int) -> None:
 
 
 def _killed(
-    process: multiprocessing.Process, pipe: Connection, chance: random.Random, found: Counter[str]
+    process: multiprocessing.Process, pipe: Connection, chance: random.Random, result: Counter[str]
 ) -> set[str]:
     """Let the worker start, kill it after a random time, and collect what it acknowledged."""
     assert pipe.poll(60), "the worker did not start"
@@ -75,7 +75,7 @@ def _killed(
     try:
         while pipe.poll():
             names |= set(pipe.recv())
-            found["acknowledgements"] += 1
+            result["acknowledgements"] += 1
     except (EOFError, OSError):
         pass
     pipe.close()
@@ -95,8 +95,8 @@ def _check(folder: Path, place: Path, operation: str, acknowledged: set[str]) ->
             backup(store, place / "copy.sqlite", replace=True)
     assert acknowledged <= there, f"lost: {acknowledged - there}"
     for name in ("a.sqlite", "all.zip", "copy.sqlite"):
-        found = verify(place / name)
-        assert found.sound or not (place / name).exists(), found.problems
+        verification = verify(place / name)
+        assert verification.sound or not (place / name).exists(), verification.problems
     if operation == "create":
         for index in range(5):
             open_store(place / f"new-{index}.sqlite", create=True).close()
@@ -111,9 +111,9 @@ def _check_migrated(folder: Path, path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         become_newer(folder / "versions", patch)
         open_store(path).close()
-        found = verify(path, [head])
-        assert found.sound, found.problems
-        assert found.records == 6
+        verification = verify(path, [head])
+        assert verification.sound, verification.problems
+        assert verification.records == 6
     from piga.ledger.store import verify as module
 
     module._sqlite_schema.cache_clear()
@@ -121,12 +121,12 @@ def _check_migrated(folder: Path, path: Path) -> None:
 
 
 def test_some_kills(memory_path: Path) -> None:
-    found = campaign(memory_path, 15, seed=5)
-    assert found["add"] == 3
+    figures = campaign(memory_path, 15, seed=5)
+    assert figures["add"] == 3
 
 
 @pytest.mark.slow
 def test_thousand_kills(tmp_path: Path) -> None:
-    found = campaign(tmp_path, 1000, seed=int(time.time()))
-    print(dict(found))
-    assert sum(found[operation] for operation in OPERATIONS) == 1000
+    figures = campaign(tmp_path, 1000, seed=int(time.time()))
+    print(dict(figures))
+    assert sum(figures[operation] for operation in OPERATIONS) == 1000

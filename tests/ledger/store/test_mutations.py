@@ -126,36 +126,36 @@ def row_change(chance: random.Random) -> tuple[str, Callable[[sqlite3.Connection
 
 
 def test_store_bytes(memory_path: Path) -> None:
-    found = mutate_store_bytes(memory_path, 80, 1)
-    assert found["missed"] == 0, found
+    result = mutate_store_bytes(memory_path, 80, 1)
+    assert result["missed"] == 0, result
 
 
 def mutate_store_bytes(folder: Path, count: int, seed: int) -> Counter[str]:
     """Change bytes until ``count`` changes were found; those that change nothing that can be read are counted too."""
     filled(folder / "a.sqlite", 3, size=20_000).close()
     raw, whole = (folder / "a.sqlite").read_bytes(), everything(folder / "a.sqlite")
-    chance, found, work = random.Random(seed), Counter[str](), folder / "work"
-    while found["found"] < count:
+    chance, result, work = random.Random(seed), Counter[str](), folder / "work"
+    while result["found"] < count:
         work.mkdir()
         path = work / "m.sqlite"
         path.write_bytes(cut(raw, chance) if chance.random() < 0.1 else flip(raw, chance))
         sound = verify(path).sound
-        found["no content" if sound and everything(path) == whole else "missed" if sound else "found"] += 1
+        result["no content" if sound and everything(path) == whole else "missed" if sound else "found"] += 1
         shutil.rmtree(work)
-    return found
+    return result
 
 
 def test_store_rows(memory_path: Path) -> None:
-    found = mutate_store_rows(memory_path, 60, 2)
-    assert sum(found.values()) == 60
-    assert found["missed"] == 0, found
+    result = mutate_store_rows(memory_path, 60, 2)
+    assert sum(result.values()) == 60
+    assert result["missed"] == 0, result
 
 
 def mutate_store_rows(folder: Path, count: int, seed: int) -> Counter[str]:
     filled(folder / "a.sqlite", 4).close()
-    whole, chance, found = everything(folder / "a.sqlite"), random.Random(seed), Counter[str]()
+    whole, chance, result = everything(folder / "a.sqlite"), random.Random(seed), Counter[str]()
     path = folder / "m.sqlite"
-    while sum(found.values()) < count:
+    while sum(result.values()) < count:
         shutil.copy(folder / "a.sqlite", path)
         kind, change = row_change(chance)
         try:
@@ -164,19 +164,19 @@ def mutate_store_rows(folder: Path, count: int, seed: int) -> Counter[str]:
             continue
         if everything(path) == whole:
             continue
-        found["missed" if verify(path).sound else kind] += 1
-    return found
+        result["missed" if verify(path).sound else kind] += 1
+    return result
 
 
 def test_export_bytes_and_members(memory_path: Path) -> None:
-    found = mutate_export(memory_path, 250, 3)
-    assert found["missed"] == 0, found
+    result = mutate_export(memory_path, 250, 3)
+    assert result["missed"] == 0, result
 
 
 def mutate_export(folder: Path, count: int, seed: int) -> Counter[str]:
     with filled(folder / "a.sqlite", 3) as store:
         export_records(store, folder / "a.zip")
-    raw, chance, found = (folder / "a.zip").read_bytes(), random.Random(seed), Counter[str]()
+    raw, chance, result = (folder / "a.zip").read_bytes(), random.Random(seed), Counter[str]()
     path = folder / "m.zip"
     for index in range(count):
         if index % 5 == 0:
@@ -187,8 +187,8 @@ def mutate_export(folder: Path, count: int, seed: int) -> Counter[str]:
                 continue
         else:
             path.write_bytes(flip(raw, chance))
-        found["missed" if verify(path).sound else "found"] += 1
-    return found
+        result["missed" if verify(path).sound else "found"] += 1
+    return result
 
 
 def _member_changed(source: Path, target: Path, chance: random.Random) -> bool:
@@ -223,8 +223,8 @@ def test_ten_thousand_mutations(memory_path: Path) -> None:
         ("export", mutate_export, 6500),
     ):
         (memory_path / name).mkdir()
-        found = mutate(memory_path / name, count, 11)
-        print(name, dict(found))
-        totals.update(found)
+        result = mutate(memory_path / name, count, 11)
+        print(name, dict(result))
+        totals.update(result)
     assert totals["missed"] == 0
     assert sum(totals.values()) - totals["no content"] >= 10_000

@@ -72,8 +72,8 @@ def test_two_stations_at_once(url: str) -> None:
     assert len(names) == 30
     assert sorted(record.id for record in records) == sorted(names)
     assert [record.number for record in records] == list(range(1, 31))
-    found = verify(url)
-    assert found.sound, found.problems
+    verification = verify(url)
+    assert verification.sound, verification.problems
     changes = sum(a.split("-")[0] != b.split("-")[0] for a, b in pairwise(reasons))
     assert changes >= 14, "a station waited for the other to end"
 
@@ -150,8 +150,8 @@ def test_what_an_administrator_changed_is_found(socket: Path, change: str, probl
     with psycopg.connect(f"host={socket} user=piga dbname={name}", autocommit=True) as connection:
         connection.execute("SET session_replication_role = replica")
         connection.execute(change)
-    found = verify(url)
-    assert any(problem in text for text in found.problems), found.problems
+    verification = verify(url)
+    assert any(problem in text for text in verification.problems), verification.problems
 
 
 @pytest.mark.only_compiled

@@ -69,9 +69,9 @@ def test_identity_and_order_by_the_time_of_the_test(tmp_path: Path) -> None:
         assert [record.document.store for record in store.records()] == [store.identity().store] * 2
         names = [record.id for record in store.records()]
         assert [name for name, _, _ in store.history(first.serial)] == names[::-1]
-        found = difference(store, 1, 2)
-        assert {change.ratio for change in found.coefficients} <= {0.0, None}
-        assert any(change.ratio == 0.0 for change in found.coefficients)
+        result = difference(store, 1, 2)
+        assert {change.ratio for change in result.coefficients} <= {0.0, None}
+        assert any(change.ratio == 0.0 for change in result.coefficients)
 
 
 class Changing(type(Path())):  # type: ignore[misc]
@@ -190,9 +190,9 @@ def test_a_schema_that_is_no_text(tmp_path: Path) -> None:
 def test_only_the_first_hundred_problems_are_kept(tmp_path: Path) -> None:
     path = tmp_path / "a.sqlite"
     filled(path, 1).close()
-    found = verify(path, [f"{number:064x}" for number in range(130)])
-    assert len(found.problems) == 100
-    assert len(found.known) == 130
+    verification = verify(path, [f"{number:064x}" for number in range(130)])
+    assert len(verification.problems) == 100
+    assert len(verification.known) == 130
 
 
 def test_leftovers_of_killed_runs_are_put_away(tmp_path: Path) -> None:

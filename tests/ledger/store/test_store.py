@@ -244,9 +244,9 @@ def _append_with_limit(store: piga.ledger.store.Store, pages: int) -> None:  # t
 
 def test_export_is_deterministic_complete_and_readable_without_us(tmp_path: Path) -> None:
     with filled(tmp_path / "a.sqlite") as store:
-        found = export_records(store, tmp_path / "a.zip")
+        exported = export_records(store, tmp_path / "a.zip")
         export_records(store, tmp_path / "b.zip")
-        assert (found.sound, found.records, found.head) == (True, 3, store.head().sha256)
+        assert (exported.sound, exported.records, exported.head) == (True, 3, store.head().sha256)
         with pytest.raises(StoreError, match="exists already"):
             export_records(store, tmp_path / "a.zip")
     assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
@@ -310,7 +310,7 @@ def test_damage_is_neither_exported_nor_backed_up(tmp_path: Path) -> None:
         for name, act in (("b.sqlite", backup), ("b.zip", export_records)):
             with pytest.raises(StoreError, match="was altered"):
                 act(store, tmp_path / name)
-    assert [found.name for found in tmp_path.iterdir()] == ["a.sqlite"]
+    assert [one.name for one in tmp_path.iterdir()] == ["a.sqlite"]
 
 
 @pytest.mark.parametrize(
@@ -357,9 +357,9 @@ def test_known_heads(tmp_path: Path) -> None:
     path = tmp_path / "a.sqlite"
     with filled(path, 2) as store:
         early = store.record(1).head
-    found = verify(path, [early, "0" * 64])
-    assert found.known == {early: 1, "0" * 64: None}
-    assert not found.sound
+    verification = verify(path, [early, "0" * 64])
+    assert verification.known == {early: 1, "0" * 64: None}
+    assert not verification.sound
 
 
 def test_a_forged_record_under_a_known_name_is_refused(tmp_path: Path) -> None:
@@ -385,9 +385,9 @@ def test_difference(tmp_path: Path) -> None:
             file = DraftFile("calibration", "c.json", (tmp_path / "c.json").read_bytes())
             made = Draft(first.serial, operator, "r", (file,), {}, {"piga": str(index)})
             store.append(lambda _place, made=made: made)  # type: ignore[misc]
-        found = difference(store, 1, 2)
-        assert all(change.difference == 0.0 for change in found.coefficients)
-        assert found.facts == {"operator": ("A", "B"), "software piga": ("0", "1")}
+        result = difference(store, 1, 2)
+        assert all(change.difference == 0.0 for change in result.coefficients)
+        assert result.facts == {"operator": ("A", "B"), "software piga": ("0", "1")}
         names = [(name, when) for name, when, _ in store.history(first.serial)]
         assert [name for name, _ in names] == [store.record(1).id, store.record(2).id]
         assert store.history(first.serial)[0][2].coefficients == first.coefficients

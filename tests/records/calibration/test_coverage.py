@@ -199,9 +199,9 @@ def test_ledger(calibrated, tmp_path):
 def test_trend(calibrated):
     freedom, cal = calibrated
     times = [dt.datetime(2024, 1, day, tzinfo=dt.UTC) for day in (1, 2)]
-    found = find_trend([("a", times[0], cal), ("b", times[1], cal)])
-    stated = {c["name"]: c["records"][-1] for c in trend_document(found)["coefficients"]}
-    page = page_html(trend_page(found))
+    trend = find_trend([("a", times[0], cal), ("b", times[1], cal)])
+    stated = {c["name"]: c["records"][-1] for c in trend_document(trend)["coefficients"]}
+    page = page_html(trend_page(trend))
     for key in TERMS:
         k, half = expected(freedom, cal, key)
         assert stated[key]["half_width_95"] == pytest.approx(half, rel=1e-9)

@@ -102,15 +102,15 @@ def test_without_uncertainty_every_output_says_type_a_only(alone):
     from piga.trend.history import find_trend
 
     times = [dt.datetime(2024, 1, day, tzinfo=dt.UTC) for day in (1, 2)]
-    found = find_trend([("a", times[0], alone), ("b", times[1], again)])
+    trend = find_trend([("a", times[0], alone), ("b", times[1], again)])
     outputs = {
         "terminal": " ".join(calibration_text(alone).split()),
         "page": body(page_html(calibration_page(alone))),
         "json": calibration_to_bytes(alone).decode(),
         "repr": " ".join(repr(alone).split()),
-        "trend": trend_text(found),
-        "trend page": body(page_html(trend_page(found))),
-        "trend json": json.dumps(trend_document(found)),
+        "trend": trend_text(trend),
+        "trend page": body(page_html(trend_page(trend))),
+        "trend json": json.dumps(trend_document(trend)),
     }
     for name, text in outputs.items():
         assert TYPE_A_ONLY in text, name
@@ -129,29 +129,29 @@ def test_compensated_rows_say_type_a_only(alone, sound, tmp_path):
 
     run = rate_log()
     for used, said in ((alone, True), (sound, False)):
-        found = piga.compensate(run, used, force=True)
-        found.to_parquet(tmp_path / "rows.parquet")
-        found.to_csv(tmp_path / "rows.csv")
+        compensated = piga.compensate(run, used, force=True)
+        compensated.to_parquet(tmp_path / "rows.parquet")
+        compensated.to_csv(tmp_path / "rows.csv")
         metadata = pyarrow.parquet.read_schema(tmp_path / "rows.parquet").metadata
         assert (TYPE_A_ONLY in metadata.get(b"piga.notes", b"").decode()) == said
         head = (tmp_path / "rows.csv").read_text().splitlines()[0]
         assert ("u_ax (Type A only) [m/s^2]" in head) == said
         assert ("u_ax [m/s^2]" in head) != said
         streamed = piga.Compensator(used, kind="rate").push(run)
-        assert streamed.notes == found.notes == notes_on(used)
+        assert streamed.notes == compensated.notes == notes_on(used)
     assert notes_on(replace(alone, serial="A"), sound) == (f"A: {TYPE_A_ONLY}",)
 
 
 def test_a_force_in_g_is_named(recwarn):
-    found = piga.calibrate(rate_log(f_unit=G0, uncertainty=KNOWN), TERMS, "rate")
-    assert found["scale_factor"].value == pytest.approx(0.8884 * G0, rel=1e-3)
-    assert found.verdict.level == "bad"
+    result = piga.calibrate(rate_log(f_unit=G0, uncertainty=KNOWN), TERMS, "rate")
+    assert result["scale_factor"].value == pytest.approx(0.8884 * G0, rel=1e-3)
+    assert result.verdict.level == "bad"
     said = "\n".join(str(warning.message) for warning in recwarn.list)
     assert "the scale factor is 9.807 times the nominal one" in said
     assert "f (wanted in m/s^2) multiplied by 9.80665" in said
     assert "[data]" not in said
-    assert "Do not use these coefficients" in repr(found)
-    assert repr(found).count("9.807 times") <= 2
+    assert "Do not use these coefficients" in repr(result)
+    assert repr(result).count("9.807 times") <= 2
 
 
 def test_repr_shows_values_with_uncertainty(sound):
@@ -184,10 +184,10 @@ def test_repr_hides_digits_beyond_the_uncertainty(sound):
 def test_each_doubt(change, words, level):
     base = replace(calibration(with_residuals=False), notes=())
     assert verdict(base).level == "good"
-    found = verdict(replace(base, **change))
-    assert found.level == level
-    assert len(found.doubts) == 1
-    assert words in found.doubts[0].what
+    result = verdict(replace(base, **change))
+    assert result.level == level
+    assert len(result.doubts) == 1
+    assert words in result.doubts[0].what
 
 
 def test_a_source_of_the_model_is_not_the_reference():
