@@ -98,6 +98,16 @@ def test_faults_of_a_given_servo_name_the_scenario_and_the_key(tmp_path):
     assert str(path) in str(refused.value)
 
 
+def test_an_unknown_key_of_a_stand_is_answered_with_the_keys_of_its_kind(tmp_path):
+    text = (EXAMPLES / "rate-table.toml").read_text(encoding="utf-8")
+    path = tmp_path / "s.toml"
+    path.write_text(text.replace('kind = "rate-table"', 'kind = "rate-table"\nmove = "30 s"'), encoding="utf-8")
+    with pytest.raises(RunFileError, match=r"\[stand\] has the unknown key 'move'") as refused:
+        read_scenario(path)
+    assert "'move'?" not in str(refused.value)
+    assert "ramp" in str(refused.value)
+
+
 @pytest.mark.only_compiled
 def test_wrapping_counter_loses_its_phase_between_positions(tmp_path):
     path = written(tmp_path, bits=('serial = "S-1"', 'serial = "S-1"\ncounter_bits = 16'))

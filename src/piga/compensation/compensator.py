@@ -25,7 +25,6 @@ Array = NDArray[np.float64]
 NONE = np.zeros(0)
 NO_RATES = np.zeros((0, 3))
 NO_MARKS = np.zeros(0, dtype=np.bool_)
-NO_FLAGS = np.zeros(0, dtype=np.int32)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -29,7 +29,6 @@ from piga.stand.profile import Stand
 from piga.stand.scenario import (
     CentrifugeTable,
     DividingHeadTable,
-    RateTableTable,
     SimpleStand,
 )
 
@@ -79,7 +78,7 @@ def _single(request: PlanRequest, stand: SimpleStand) -> list[tuple[str, SimpleS
     if isinstance(stand, CentrifugeTable) and stand.levels is not None:
         sign = "-" if stand.outward else ""
         return [(f"{sign}{level}", replace(stand, levels=(level,), down=False)) for level in stand.levels]
-    rates = stand.rates if isinstance(stand, CentrifugeTable | RateTableTable) else ()
+    rates = getattr(stand, "rates", None)
     down = {"down": False} if isinstance(stand, CentrifugeTable) else {}
     return [(f"{rate}", replace(stand, rates=(rate,), **down)) for rate in rates or ()]
 

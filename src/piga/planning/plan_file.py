@@ -34,7 +34,7 @@ from piga.units import to_si
 
 T = TypeVar("T", bound=msgspec.Struct)
 
-STANDS = (DividingHeadTable, CentrifugeTable, RateTableTable)
+PlannedStand = DividingHeadTable | CentrifugeTable | RateTableTable
 """Stands whose positions or levels can be chosen one by one."""
 TIMELY = ("k0_t", "k0_T", "k1_T")
 """Terms whose information depends on the time of a visit, not only on its duration."""
@@ -64,7 +64,7 @@ class PlanSettings(TomlTable, frozen=True):
 class MountingTable(TomlTable, frozen=True):
     """``[mounting]``: a profile of the platform, and the skew angles to try."""
 
-    profile: ProfileTable | DividingHeadTable | CentrifugeTable | RateTableTable
+    profile: ProfileTable | PlannedStand
     skew: str = "0:91:1 deg"
     clock: str = "0:360:15 deg"
     step: Quantity = "0.1 s"
@@ -165,7 +165,7 @@ def _check(table: PlanTable, model: ModelTable) -> None:
         )
     stands = table.stand.parts if isinstance(table.stand, CompositeTable) else (table.stand,)
     for stand in stands:
-        if not isinstance(stand, STANDS):
+        if not isinstance(stand, PlannedStand):
             raise RunFileError(
                 f"[stand] kind '{stand.__struct_config__.tag}' has no positions or levels to choose from",
                 remedy="plan with a dividing head, centrifuge, rate table, or a composite of these",
@@ -224,8 +224,6 @@ def _move(table: PlanTable) -> float:
     stand = table.stand
     times = [to_si(stand.pause, "s", what="[stand] pause")] if isinstance(stand, CompositeTable) else []
     for part in stand.parts if isinstance(stand, CompositeTable) else (stand,):
-        if isinstance(part, DividingHeadTable):
-            times.append(to_si(part.move, "s", what="[stand] move"))
-        elif isinstance(part, CentrifugeTable | RateTableTable):
-            times.append(to_si(part.ramp, "s", what="[stand] ramp"))
+        given = {key: getattr(part, key) for key in ("move", "ramp") if hasattr(part, key)}
+        times += [to_si(value, "s", what=f"[stand] {key}") for key, value in given.items()]
     return max(times)

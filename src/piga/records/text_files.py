@@ -199,7 +199,7 @@ def _explain(path: Path, message: str, kind: type[msgspec.Struct], raw: dict[str
     where = f"[{'.'.join(keys)}]" if keys else "top level"
     unknown, missing = _UNKNOWN.search(message), _MISSING.search(message)
     if unknown:
-        allowed = _field_names(kind, keys)
+        allowed = _field_names(kind, keys, raw)
         near = difflib.get_close_matches(unknown.group(1), allowed, n=1)
         other = next((words for table, words in KINDS.items() if table in raw and table not in allowed), None)
         remedy = f"did you mean '{near[0]}'?" if near else f"allowed here: {', '.join(allowed)}"
@@ -228,16 +228,20 @@ def _in_words(match: re.Match[str]) -> str:
     return " or ".join(words) if len(words) < 3 or "a number" not in words else "a number or text"
 
 
-def _field_names(kind: type[msgspec.Struct], keys: list[str]) -> list[str]:
-    """Names of the fields allowed at the place ``keys`` of a structure."""
+def _field_names(kind: type[msgspec.Struct], keys: list[str], raw: object) -> list[str]:
+    """Names of the fields allowed at the place ``keys`` of a structure. Where there are several, ``kind`` in the file decides."""
     current: object = kind
     for key in keys:
-        name = key.split("[")[0]
+        name, _, place = key.rstrip("]").partition("[")
+        raw = raw.get(name) if isinstance(raw, dict) else None
+        if isinstance(raw, list):
+            raw = raw[int(place)] if place.isdigit() and int(place) < len(raw) else None
+        tag = raw.get("kind") if isinstance(raw, dict) else None
         fields = {field.encode_name: field.type for field in msgspec.structs.fields(current)}  # type: ignore[arg-type]
         inside = _structs_of(fields.get(name))
         if not inside:
             return []
-        current = inside[0]
+        current = next((struct for struct in inside if struct.__struct_config__.tag == tag), inside[0])
     return [field.encode_name for field in msgspec.structs.fields(current)]  # type: ignore[arg-type]
 
 

@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from piga.errors import ArgumentError, CalibrationError
 from piga.output import CALIBRATION_RESULTS, results
-from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES, RunFile, read_run_file
+from piga.records.run_file import METHOD_WORDS, METHODS, PHASE_SOURCES, PHASES, RunFile, read_run_file
 from piga.records.terms import UNITS, check_terms, meaning_of
 from piga.records.text_files import files_named_in
 from piga.workbench.folder import OutsideError
@@ -24,13 +24,6 @@ if TYPE_CHECKING:
     from starlette.responses import Response
 
 _SEPARATORS = re.compile(r"[,;\s]+")
-METHOD_WORDS = {
-    "information": "full data, with time stamps (recommended)",
-    "rate": "mean rate of each segment",
-    "recursive": "recursive least squares, for comparison",
-    "published": "the published recursion, for comparison",
-    "revolutions": "whole revolutions of the output",
-}
 
 
 def show(request: Request) -> Response:
@@ -52,7 +45,7 @@ def show(request: Request) -> Response:
         run_file=run_file,
         terms=[(term, UNITS[term], meaning_of(term), term in chosen) for term in known],
         harmonics=" ".join(term for term in chosen if term not in UNITS),
-        methods=[(method, METHOD_WORDS.get(method, "")) for method in METHODS],
+        methods=[(method, what) for method, (what, _) in METHOD_WORDS.items()],
         phases=PHASES,
         sources=PHASE_SOURCES,
         tried=tried,
