@@ -21,7 +21,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "generated_pages",
 ]
-exclude_patterns = ["_*", "Thumbs.db"]
+exclude_patterns = ["_*", "Thumbs.db", "reference/examples/*"]
 highlight_language = "none"
 
 nb_execution_mode = "cache"

@@ -27,6 +27,8 @@ from piga.records.run_file import METHOD_WORDS, RunFile
 from piga.records.terms import TERM_WORDS, UNITS
 from piga.stand.scenario import ScenarioTable
 
+EXAMPLES = Path(__file__).parents[1] / "reference" / "examples"
+"""Pages of code that use every public name of a room; a test runs them."""
 PLAIN = ("units", "frames", "earth", "errors")
 """Modules that are rooms of their own."""
 
@@ -68,7 +70,11 @@ def api_pages() -> dict[str, str]:
     for room in rooms():
         imported = "" if room in PLAIN else "   :imported-members:\n"
         body = f"```{{eval-rst}}\n.. automodule:: piga.{room}\n   :members:\n{imported}```\n"
-        pages[f"api-{room.replace('_', '-')}"] = f"# piga.{room}\n\n{body}"
+        shown = ""
+        if (EXAMPLES / f"{room}.md").exists():
+            lead = "Each block runs as it stands here, one after the other, in a folder with the shipped `examples`."
+            shown = f"## Examples\n\n{lead}\n\n```{{include}} ../examples/{room}.md\n```\n\n## Names\n\n"
+        pages[f"api-{room.replace('_', '-')}"] = f"# piga.{room}\n\n{shown}{body}"
     return pages
 
 
