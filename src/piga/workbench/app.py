@@ -14,7 +14,8 @@ from piga.workbench.folder import Folder
 from piga.workbench.jobs import Jobs
 from piga.workbench.live import Live
 from piga.workbench.pages import all_routes
-from piga.workbench.pages.common import Workbench, error_page
+from piga.workbench.pages.common import Workbench, error_page, gone_page
+from piga.workbench.pages.records import PARTS
 from piga.workbench.security import Door, Guard
 
 WAITING = 128
@@ -41,10 +42,14 @@ def application(
     """
     from starlette.applications import Starlette
     from starlette.exceptions import HTTPException
+    from starlette.requests import ClientDisconnect
 
     from piga.errors import PigaError
 
-    bench = Workbench(folder, Jobs(folder.state / "jobs", folder.root), live)
+    bench = Workbench(folder, Jobs(folder.state_room("jobs"), folder.root), live)
+
+    for part in folder.state_room(PARTS).iterdir():
+        part.unlink(missing_ok=True)
 
     @contextlib.asynccontextmanager
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
@@ -59,6 +64,7 @@ def application(
             PigaError: error_page,
             HTTPException: error_page,
             OSError: error_page,
+            ClientDisconnect: gone_page,
             Exception: error_page,
         },
     )

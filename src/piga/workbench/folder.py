@@ -83,18 +83,33 @@ class Folder:
             raise OutsideError(f"{STATE_FOLDER} is not a folder", remedy="remove it")
         return path
 
+    def state_room(self, name: str) -> Path:
+        """A folder of :attr:`state`; it is made when it is first needed.
+
+        Raises
+        ------
+        OutsideError
+            If something else has its name, such as a link to another place.
+        """
+        path = self.state / name
+        if path.is_symlink() or (path.exists() and not path.is_dir()):
+            raise OutsideError(f"{STATE_FOLDER}/{name} is not a folder", remedy=f"remove {STATE_FOLDER}")
+        path.mkdir(exist_ok=True)
+        return path
+
     def path(self, name: str) -> Path:
         """The path of the file or folder ``name`` below this folder. It need not exist.
 
         Raises
         ------
         OutsideError
-            If it is hidden, leads out of the folder, or is neither a regular file nor a folder.
+            If it is hidden, begins as an option does, leads out of the folder, or is neither a regular file nor a folder.
         """
         pure = PurePosixPath(name)
         wrong = "\\" in name or "\0" in name or pure.is_absolute() or not pure.parts
-        if wrong or any(part == ".." or part.startswith(".") for part in pure.parts):
-            raise OutsideError(f"{name!r}: is not a file of this folder", remedy="choose a listed file")
+        if wrong or any(part.startswith((".", "-")) for part in pure.parts):
+            remedy = "rename it" if pure.name.startswith("-") else "choose a listed file"
+            raise OutsideError(f"{name!r}: is not a file of this folder that can be opened", remedy=remedy)
         path = self.root / pure
         self._check(path, name)
         return path

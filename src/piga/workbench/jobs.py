@@ -31,8 +31,10 @@ MOST_KEPT = 200
 """Jobs that are kept. The oldest that have ended are removed."""
 PATIENCE = 5.0
 """Time [s] that a stopped job has to end by itself."""
-_WINDOWS = os.name == "nt"
-"""On Windows a process is not looked up by its number. Only the server that started a job knows that it runs."""
+_NUMBERS_ONLY = not Path("/proc/self/stat").exists()
+"""Without ``/proc`` a number does not tell a job from another process; only the server that started a job knows it runs."""
+LARGEST = 1e12
+"""Largest number in the record of a job."""
 MOST_DOCUMENT = 20_000_000
 """Bytes of printed JSON that are read."""
 MOST_TEXT = 200_000
@@ -129,7 +131,7 @@ class Jobs:
         for place in sorted(self._folder.iterdir(), reverse=True):
             with suppress(OSError, ValueError, TypeError):
                 fields = json.loads((place / "job.json").read_text(encoding="utf-8"))
-                jobs.append(Job(**fields | {"command": tuple(fields["command"]), "key": place.name}))
+                jobs.append(_job(fields | {"key": place.name}))
         return jobs
 
     def get(self, key: str) -> Job | None:
@@ -144,16 +146,19 @@ class Jobs:
         """What became of the job."""
         child = self._children.get(job.key)
         place = self._folder / job.key
-        there = child is not None if _WINDOWS else _alive(job)  # asked before: a job writes its end and goes
+        there = (
+            child is not None if _NUMBERS_ONLY else _alive(job, place)
+        )  # asked before: a job writes its end and goes
         end = _document(place / "end.json")
         if child is not None:
             with suppress(subprocess.TimeoutExpired):
                 child.wait(PATIENCE if end is not None else 0.0)
                 self._children.pop(job.key, None)  # two pages may ask at the same time
         if end is not None:
-            code = int(end.get("code", 1))
+            code = int(end["code"]) if isinstance(end.get("code"), int) else 1
             state: State = "stopped" if end.get("stopped") else "failed" if code else "done"
-            return Status(state, code, float(end.get("seconds", 0.0)))
+            seconds = end.get("seconds")
+            return Status(state, code, float(seconds) if isinstance(seconds, int | float) else 0.0)
         if not there:
             asked = (place / "stop").exists()  # it ended before it could say so
             return Status("stopped" if asked else "lost", None, 0.0)
@@ -218,6 +223,24 @@ class Jobs:
             self.forget(job)
 
 
+def _job(fields: dict[str, Any]) -> Job:
+    """A job from its record.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a value is not of its type.
+    """
+    job = Job(**fields | {"command": tuple(fields.get("command", ()))})
+    texts = (*job.command, job.title, job.subject, job.result, job.born)
+    sizes = (job.pid, job.started)
+    if not job.command or not all(isinstance(text, str) for text in texts):
+        raise ValueError("the record of the job is damaged")
+    if not all(isinstance(size, int | float) and abs(size) < LARGEST for size in sizes):
+        raise ValueError("the record of the job is damaged")
+    return job
+
+
 def _document(path: Path) -> dict[str, Any] | None:
     with suppress(OSError, ValueError):
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -232,18 +255,17 @@ def _born(pid: int) -> str:
     return ""
 
 
-def _alive(job: Job) -> bool:
-    """True if the job's process runs. A later process with the same number does not count."""
-    if job.pid <= 0:
-        return False
-    try:
-        os.kill(job.pid, 0)
-    except (OSError, OverflowError):
-        return False
+def _alive(job: Job, place: Path) -> bool:
+    """True if the job's process runs: its number, its begin, and the folder of the job in its command line.
+
+    The record of a job is a file of the folder, which may be a stranger's. No other process is taken for a job.
+    """
     with suppress(OSError, IndexError):
-        fields = Path(f"/proc/{job.pid}/stat").read_text().rpartition(")")[2].split()
-        return fields[0] != "Z" and fields[19] == job.born
-    return True
+        proc = Path(f"/proc/{job.pid}")
+        fields = (proc / "stat").read_text().rpartition(")")[2].split()
+        words = (proc / "cmdline").read_bytes().split(b"\0")
+        return fields[0] != "Z" and fields[19] == job.born and os.fsencode(place) in words
+    return False
 
 
 def _signal(job: Job, number: int) -> None:

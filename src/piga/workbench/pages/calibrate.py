@@ -17,7 +17,7 @@ from piga.workbench.folder import OutsideError
 from piga.workbench.jobs import Job
 from piga.workbench.pages.asked import TERMS, ask
 from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form
-from piga.workbench.pages.jobs import command_line, job_of
+from piga.workbench.pages.jobs import TRIAL, command_line, job_of, place_of
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -98,9 +98,7 @@ def _options(run_file: RunFile, terms: tuple[str, ...], fields: dict[str, list[s
 def _start(bench: Workbench, name: str, options: list[str]) -> Job:
     import secrets
 
-    trials = bench.folder.state / "trials"
-    trials.mkdir(exist_ok=True)
-    trial = trials / secrets.token_hex(6)
+    trial = bench.folder.state_room("trials") / secrets.token_hex(6)
     return bench.jobs.start(
         ("calibrate", name, *options, "--out", bench.folder.name(trial)),
         "Calibrate",
@@ -111,9 +109,10 @@ def _start(bench: Workbench, name: str, options: list[str]) -> Job:
 
 def _trial(bench: Workbench, job: Job) -> Path:
     """Folder of a calibration's results."""
-    if job.command[0] != "calibrate":
+    place = place_of(bench, job) if job.command[0] == "calibrate" and TRIAL.fullmatch(job.result) else None
+    if place is None:
         raise OutsideError("this job is not a calibration", remedy="choose a calibration")
-    return bench.folder.root / job.result
+    return place
 
 
 def _adopted_folder(bench: Workbench, name: str) -> Path:
@@ -148,7 +147,7 @@ def _is_part(request: Request) -> bool:
 
 def _shown_line(job: Job) -> str:
     """The command in a terminal. Its results go to the usual place."""
-    kept = job.command[: job.command.index("--out")]
+    kept = job.command[: job.command.index("--out")] if "--out" in job.command else job.command
     return command_line(Job(job.key, kept, job.title, job.subject))
 
 

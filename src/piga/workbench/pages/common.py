@@ -141,6 +141,13 @@ def error_page(request: Request, error: Exception) -> Response:
     return render(request, template, status, text=text, remedy=remedy)
 
 
+def gone_page(_request: Request, _error: Exception) -> Response:
+    """The answer to a request that ended before it was whole; nobody reads it."""
+    from starlette.responses import Response
+
+    return Response(status_code=400)
+
+
 def in_bytes(size: int) -> str:
     """A size in words."""
     value = float(size)

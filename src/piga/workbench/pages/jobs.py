@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from piga.workbench.folder import OutsideError
+from piga.workbench.folder import STATE_FOLDER, OutsideError
 from piga.workbench.jobs import Job
 from piga.workbench.pages.common import Workbench, bench_of, redirect, render
 from piga.workbench.security import REPORT_POLICY
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 MARKS = ("signals", "check", "terms")
 """Jobs whose result begins so write no files for the user."""
+TRIAL = re.compile(rf"{re.escape(STATE_FOLDER)}/trials/[0-9a-f]{{12}}")
+"""Results of a calibration that is not kept yet."""
 
 
 def job_of(request: Request) -> tuple[Workbench, Job]:
@@ -72,24 +75,45 @@ def file(request: Request) -> Response:
 
     bench, job = job_of(request)
     name = request.path_params["file"]
-    place = bench.folder.root / job.result
-    path = place / name if place.is_dir() else place.with_name(name)
-    allowed = {item.name for item in result_files(bench, job)}
-    if not job.result or name not in allowed or path.is_symlink() or not path.is_file():
+    path = next((item for item in result_files(bench, job) if item.name == name), None)
+    if path is None:
         raise OutsideError(f"{name}: is not a result of this job", remedy="choose a listed file")
     if path.suffix == ".html":
         return FileResponse(path, headers={"content-security-policy": REPORT_POLICY}, media_type="text/html")
     return FileResponse(path, filename=name, media_type="application/octet-stream")
 
 
+def place_of(bench: Workbench, job: Job) -> Path | None:
+    """Where the results of a job lie; None if it writes none.
+
+    Raises
+    ------
+    OutsideError
+        If the record of the job names a place outside of the folder.
+    """
+    if not job.result or job.result.partition("/")[0] in MARKS:
+        return None
+    if not TRIAL.fullmatch(job.result):
+        return bench.folder.path(job.result)
+    place = bench.folder.state_room("trials") / job.result.rpartition("/")[2]
+    if place.is_symlink():
+        raise OutsideError("the results of this job are a link", remedy="discard the job")
+    return place
+
+
 def result_files(bench: Workbench, job: Job) -> list[Path]:
     """The files that a job wrote: those of its folder, or its file and the page beside it."""
-    place = bench.folder.root / job.result
-    if not job.result or job.result.partition("/")[0] in MARKS:
+    try:
+        place = place_of(bench, job)
+    except OutsideError:
+        return []
+    if place is None:
         return []
     if place.is_dir():
-        return sorted(path for path in place.iterdir() if path.is_file() and not path.name.startswith("."))
-    return [path for path in (place, place.with_suffix(".html")) if path.is_file()]
+        files = sorted(path for path in place.iterdir() if not path.name.startswith("."))
+    else:
+        files = [place, place.with_suffix(".html")]
+    return [path for path in files if path.is_file() and not path.is_symlink()]
 
 
 def routes() -> list[Any]:

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 MOST_UPLOAD = 4 << 30
 """Largest file [bytes] that may be dropped in. Larger ones are copied into the folder."""
 
+PARTS = "parts"
+"""Room of the files that are being sent. What lies there when the server starts was never whole."""
+
 
 def show(request: Request) -> Response:
     """The list of records."""
@@ -36,17 +39,17 @@ async def take(request: Request) -> Response:
 
     folder = bench_of(request).folder
     target = folder.free_name(request.query_params.get("name", ""))
-    with tempfile.NamedTemporaryFile(dir=folder.state, delete=False) as stream:
+    with tempfile.NamedTemporaryFile(dir=folder.state_room(PARTS), delete=False) as stream:
         part = Path(stream.name)
         try:
             size = 0
+            declared = request.headers.get("content-length", "0")
+            if declared.isdigit() and len(declared) < 19 and int(declared) > MOST_UPLOAD:
+                raise _too_large(target)
             async for piece in request.stream():
                 size += len(piece)
                 if size > MOST_UPLOAD:
-                    raise ArgumentError(
-                        f"{target.name}: is larger than {MOST_UPLOAD >> 30} GiB",
-                        remedy="copy it into the folder",
-                    )
+                    raise _too_large(target)
                 stream.write(piece)
             stream.flush()
             part.chmod(0o644)
@@ -54,6 +57,12 @@ async def take(request: Request) -> Response:
         finally:
             part.unlink(missing_ok=True)
     return JSONResponse({"name": folder.name(target)})
+
+
+def _too_large(target: Path) -> ArgumentError:
+    return ArgumentError(
+        f"{target.name}: is larger than {MOST_UPLOAD >> 30} GiB", remedy="copy it into the folder"
+    )
 
 
 def routes() -> list[Any]:

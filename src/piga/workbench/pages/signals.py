@@ -28,7 +28,7 @@ def cache_of(bench: Workbench, name: str) -> Path:
     """Folder of the envelopes of a record, whether they exist or not."""
     run = bench.folder.toml(name)
     record = hashlib.sha256(name.encode()).hexdigest()[:12]
-    return bench.folder.state / "signals" / f"{record}-{cache_key(files_named_in(run))}"
+    return bench.folder.state_room("signals") / f"{record}-{cache_key(files_named_in(run))}"
 
 
 def reading(bench: Workbench, name: str, *, again: bool = False) -> tuple[SignalOutline | None, Job | None]:

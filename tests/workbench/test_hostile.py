@@ -1,0 +1,268 @@
+"""Hostile folders, names and connections: what a stranger's files and half requests can do."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import time
+from pathlib import Path
+from urllib.parse import quote
+
+import pytest
+
+from piga.errors import ArgumentError
+from piga.workbench.folder import Folder, OutsideError
+from piga.workbench.jobs import Jobs
+from tests.workbench.conftest import Client, Server, shipped_record
+
+EVIL = "\"'><img src=x onerror=alert(1)></textarea><script>alert(1)</script>{{7*7}}"
+RAW = ("<img src=x", "<script>alert", "</textarea><s", ">49<")
+
+
+def raw_answer(client: Client, request: str, size: int = 400) -> bytes:
+    with socket.create_connection(("127.0.0.1", client.port), timeout=20) as raw:
+        raw.sendall(request.encode())
+        return raw.recv(size)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "GET / HTTP/1.0\r\n\r\n",
+        "GET / HTTP/1.1\r\n\r\n",
+        "GET http://evil.example/ HTTP/1.1\r\nHost: evil.example\r\n\r\n",
+        "GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}@evil.example\r\n\r\n",
+        "GET / HTTP/1.1\r\nHost: 127.1:{port}\r\n\r\n",
+        "GET / HTTP/1.1\r\nHost: 0x7f000001:{port}\r\n\r\n",
+        "GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nHost: evil.example\r\nCookie: {cookie}\r\n\r\n",
+        "GET / HTTP/1.1\r\nHost: evil.example\r\nX-Forwarded-Host: 127.0.0.1:{port}\r\nCookie: {cookie}\r\n\r\n",
+        "GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nCookie: {cookie}\r\nCookie: {cookie}\r\n\r\n",
+        "POST / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nContent-Length: 3\r\nTransfer-Encoding: chunked\r\n\r\nabc",
+        "GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nX: " + "a" * 100_000 + "\r\n\r\n",
+        "GET /" + "a" * 100_000 + " HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n",
+        "\x16\x03\x01\x02\x00\x01\x00",
+    ],
+)  # fmt: skip
+def test_heads_that_are_none(client: Client, head: str) -> None:
+    request = head.replace("{port}", str(client.port)).replace("{cookie}", client.cookie)
+    answer = raw_answer(client, request)
+    assert answer.split()[1:2] in ([b"400"], [b"421"], [b"403"], [b"431"]), answer[:80]
+    assert b"Records" not in answer
+
+
+def test_half_requests_keep_nobody_out(client: Client, server: Server) -> None:
+    held = []
+    try:
+        for number in range(120):
+            raw = socket.create_connection(("127.0.0.1", client.port), timeout=20)
+            head = f"POST /upload?name=slow.csv HTTP/1.1\r\nHost: 127.0.0.1:{client.port}\r\n"
+            session = f"Cookie: {client.cookie}\r\nOrigin: http://127.0.0.1:{client.port}\r\nContent-Length: 999999\r\n\r\nt,x"
+            raw.sendall((head if number % 2 else head + session).encode())
+            held.append(raw)
+        started = time.monotonic()
+        assert "Records" in client.page("/")
+        assert time.monotonic() - started < 10.0
+    finally:
+        for raw in held:
+            raw.close()
+    limit = time.monotonic() + 20.0
+    while list((server.folder / ".piga-ui" / "parts").iterdir()):
+        assert time.monotonic() < limit, "a broken upload leaves its part"
+        time.sleep(0.1)
+    assert not list(server.folder.glob("*slow*"))
+    assert "Records" in client.page("/")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/jobs/..%2f..%2fetc", "/jobs/%2e%2e", "/assets/..%2fapp.py", "/assets/%2e%2e/app.py", "/result/../jobs",
+        "/signals/%252e%252e%252fsecret.toml", "/signals/..%c0%af..%c0%afsecret.toml", "/signals/tumble-a.toml%00.csv",
+        "/describe/%2fetc%2fpasswd", "/describe/..%5csecret.toml", "/describe//etc/passwd", "/describe/./.piga-ui/x.toml",
+        "/plan?file=..%2fsecret.toml", "/plan?file=%2fetc%2fpasswd", "/plan?file=.piga-ui", "/twin?file=tumble-a.csv%2f..",
+        "/compensate/..%2fsecret.toml", "/term-prospects/..%2fsecret.toml",
+        "/signal-data/..%2fsecret.toml?keys=output&from=0&to=1&width=10",
+        "/describe/" + "a" * 5000, "/describe/" + "a/" * 2000,
+    ],
+)  # fmt: skip
+def test_paths_that_lead_out(client: Client, server: Server, path: str) -> None:
+    (server.folder.parent / "secret.toml").write_text("secret = 'k7Qz'\n", encoding="utf-8")
+    status, _, body = client.ask(path)
+    assert status in (404, 422), (path, status)
+    assert b"k7Qz" not in body
+    assert b"root:" not in body
+    assert b"Traceback" not in body
+
+
+def test_a_name_that_looks_like_an_option_is_refused(client: Client, server: Server) -> None:
+    text = (server.folder / "tumble-a.toml").read_text(encoding="utf-8")
+    path = server.folder / "--out=owned.toml"
+    path.write_text(text, encoding="utf-8")
+    try:
+        assert client.post(f"/calibrate/{quote(path.name)}", {"term": "k0"})[0] == 404
+        assert client.ask(f"/signals/{quote(path.name)}")[0] == 404
+        assert "--out=owned.toml" in client.page("/")
+    finally:
+        path.unlink()
+    with pytest.raises(OutsideError):
+        Folder(server.folder).path("sub/-x.toml")
+
+
+def test_every_page_escapes_what_files_say(tmp_path: Path) -> None:
+    run = shipped_record(tmp_path)
+    rows = (tmp_path / "tumble-a.csv").read_text(encoding="utf-8").splitlines()
+    evil = EVIL.replace('"', "'").replace(",", "")
+    rows[0] = rows[0].replace("position", evil)
+    (tmp_path / "tumble-a.csv").write_text("\n".join(rows[:3000]) + "\n", encoding="utf-8")
+    (tmp_path / "open.csv").write_text("\n".join(rows[:50]) + "\n", encoding="utf-8")
+    text = run.read_text(encoding="utf-8")
+    quoted = json.dumps(EVIL)
+    text = text.replace('"position"', json.dumps(evil)).replace('serial = "tumble-a"', f"serial = {quoted}")
+    run.write_text(text, encoding="utf-8")
+    for name in ("plan-dividing-head.toml", "platform-published.toml", "twin.toml", "certificate.toml"):
+        example = (Path("examples") / name).read_text(encoding="utf-8")
+        (tmp_path / name).write_text(f"# {EVIL}\n{example}", encoding="utf-8")
+    kept = tmp_path / "x-calibration"
+    kept.mkdir()
+    (kept / "calibration.json").write_text(json.dumps({"instrument": {"serial": EVIL}}), encoding="utf-8")
+    jobs = tmp_path / ".piga-ui" / "jobs"
+    for number, extra in enumerate(
+        ({}, {"result": EVIL}, {"started": EVIL}, {"pid": EVIL}, {"command": [EVIL, 3]})
+    ):
+        place = jobs / f"20990101-00000{number}-abcdef"
+        place.mkdir(parents=True)
+        job = {
+            "command": ["trend", EVIL],
+            "title": "Trend",
+            "subject": EVIL,
+            "key": "x",
+            "started": 1.0,
+        } | extra
+        (place / "job.json").write_text(json.dumps(job), encoding="utf-8")
+        (place / "out").write_text(EVIL, encoding="utf-8")
+        (place / "err").write_text(EVIL, encoding="utf-8")
+        (place / "end.json").write_text(
+            json.dumps({"code": 0, "seconds": EVIL if number == 0 else 1.0}), encoding="utf-8"
+        )
+    running = Server(tmp_path)
+    running.client.enter()
+    try:
+        pages = ["/", "/jobs", "/instrument", "/plan", "/twin", "/platform", "/live", "/describe/tumble-a.toml"]
+        pages += [
+            "/describe/open.csv",
+            "/calibrate/tumble-a.toml",
+            "/compensate/tumble-a.toml",
+            "/jobs/20990101-000001-abcdef",
+        ]
+        pages += [
+            f"/explore?a_x={quote(EVIL)}",
+            f"/plan?file={quote(EVIL)}",
+            f"/jobs/{quote(EVIL)}",
+            f"/signals/{quote(EVIL)}",
+        ]
+        for page in pages:
+            status, _, body = running.client.ask(page)
+            assert status in (200, 404, 422), (page, status)
+            for wrong in RAW:
+                assert wrong not in body.decode(), (page, wrong)
+        running.client.until(
+            "/describe/tumble-a.toml", lambda page: "The record is read and checked" not in page
+        )
+        prospects = running.client.until(
+            "/term-prospects/tumble-a.toml", lambda page: "is asked which terms" not in page
+        )
+        signals = running.client.until("/signals/tumble-a.toml", lambda page: "is read and checked" not in page)
+        for body in (prospects, signals, running.client.page("/describe/tumble-a.toml")):
+            assert not [wrong for wrong in RAW if wrong in body]
+    finally:
+        assert running.end() == (0, "")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links and signals of POSIX")
+def test_a_strangers_folder_cannot_remove_or_signal_anything(tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    (victim / "calibration.json").write_text("{}", encoding="utf-8")
+    lab = tmp_path / "lab"
+    lab.mkdir()
+    shipped_record(lab)
+    jobs = lab / ".piga-ui" / "jobs"
+    own = (
+        Path(f"/proc/{os.getpid()}/stat").read_text().rpartition(")")[2].split()[19]
+        if Path("/proc").exists()
+        else ""
+    )
+    for number, result in enumerate(
+        (
+            "../victim",
+            str(victim),
+            ".piga-ui/trials/../../../victim",
+            "tumble-a.csv",
+            ".piga-ui/trials/link",
+            ".piga-ui/jobs",
+        )
+    ):
+        place = jobs / f"20990101-00000{number}-abcdef"
+        place.mkdir(parents=True)
+        job = {
+            "command": ["calibrate", "tumble-a.toml", "--out", "x"],
+            "title": "Calibrate",
+            "subject": "tumble-a.toml",
+        }
+        job |= {"key": "x", "result": result, "pid": os.getpid(), "born": own, "started": 1.0}
+        (place / "job.json").write_text(json.dumps(job), encoding="utf-8")
+        (place / "end.json").write_text(json.dumps({"code": 0, "seconds": 1.0}), encoding="utf-8")
+    (lab / ".piga-ui" / "trials").mkdir()
+    (lab / ".piga-ui" / "trials" / "link").symlink_to(victim)
+    alive = jobs / "20990101-000009-abcdef"
+    alive.mkdir()
+    (alive / "job.json").write_text(
+        json.dumps(
+            {
+                "command": ["check"],
+                "title": "Check",
+                "subject": "x",
+                "key": "x",
+                "pid": os.getpid(),
+                "born": own,
+            }
+        ),
+        encoding="utf-8",
+    )
+    running = Server(lab)
+    running.client.enter()
+    asked = []
+    old = signal.signal(signal.SIGINT, lambda *_: asked.append("SIGINT"))
+    try:
+        for number in range(6):
+            key = f"20990101-00000{number}-abcdef"
+            running.client.post(f"/result/{key}/discard")
+            running.client.post(f"/result/{key}/adopt")
+            running.client.ask(f"/jobs/{key}/file/calibration.json")
+            running.client.post(f"/jobs/{key}/stop")
+        running.client.post("/jobs/20990101-000009-abcdef/stop")
+        assert running.end() == (0, "")
+        time.sleep(0.2)
+    finally:
+        signal.signal(signal.SIGINT, old)
+    assert (victim / "calibration.json").is_file()
+    assert (lab / "tumble-a.csv").is_file()
+    assert jobs.is_dir()
+    assert not asked, "a process that is no job was signalled"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
+def test_state_folders_that_lead_out_are_refused(tmp_path: Path) -> None:
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    lab = tmp_path / "lab"
+    (lab / ".piga-ui").mkdir(parents=True)
+    (lab / ".piga-ui" / "jobs").symlink_to(outside)
+    with pytest.raises((OutsideError, ArgumentError)):
+        Jobs(Folder(lab).state_room("jobs"), lab)
+    (lab / ".piga-ui" / "signals").symlink_to(outside)
+    with pytest.raises(OutsideError):
+        Folder(lab).state_room("signals")
+    assert not list(outside.iterdir())
