@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def ui(
     folder: Annotated[
-        Path, typer.Argument(metavar="[FOLDER]", help="Folder of records [default: this one].")
+        Path, typer.Argument(metavar="FOLDER", help="Folder of records [default: this one].")
     ] = Path(),
     port: Annotated[int, typer.Option(metavar="N", help="Port on this machine [default: a free one].")] = 0,
     live: Annotated[

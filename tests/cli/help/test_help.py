@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 
@@ -54,14 +55,32 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False, env=plain)
 
 
-def test_help_of_every_command_loads_nothing_heavy() -> None:
+@pytest.fixture(scope="module")
+def every() -> list[tuple[str, ...]]:
     group = get_command(app)
     assert isinstance(group, TyperGroup)
-    every = commands(group)
+    return commands(group)
+
+
+@pytest.fixture(scope="module")
+def said(every: list[tuple[str, ...]]) -> subprocess.CompletedProcess[str]:
+    """The help of every command, from one process that fails if a command loads something heavy."""
+    return run("-c", EACH.replace("{commands}", repr(every)))
+
+
+def test_help_of_every_command_loads_nothing_heavy(
+    every: list[tuple[str, ...]], said: subprocess.CompletedProcess[str]
+) -> None:
     assert {("calibrate",), ("records", "trend"), ("certificate", "issue")} <= set(every)
-    done = run("-c", EACH.replace("{commands}", repr(every)))
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("Usage: ") == len(every)
+    assert said.returncode == 0, said.stderr
+    assert said.stdout.count("Usage: ") == len(every)
+
+
+def test_help_names_values_as_users_do(said: subprocess.CompletedProcess[str]) -> None:
+    """No type of Python, no value without a name, no bracket twice."""
+    assert not re.findall(r".*(?:list\[|\bPath\b|\[\[|\.\.\.[\]}]).*", said.stdout)
+    assert "--reason WORDS" in said.stdout
+    assert re.search(r"--out DIR +Folder for run\.toml", said.stdout)
 
 
 def test_no_command_is_cut_short_in_a_list_of_commands() -> None:

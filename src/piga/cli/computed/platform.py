@@ -40,7 +40,7 @@ app = App(
 )
 
 Scenario = Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="Scenario file.", show_default=False)]
-Out = Annotated[Path, typer.Option(help="Folder for the results and report.html.")]
+Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results and report.html.")]
 Every = Annotated[
     int,
     typer.Option(
@@ -215,7 +215,9 @@ def navigate(
 @app.command()
 def compare(
     scenario: Scenario,
-    out: Annotated[Path | None, typer.Option(help="Folder for comparison.json and report.html.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for comparison.json and report.html.")
+    ] = None,
     force: ForceOption = False,
     json: Json = False,
     budget: Annotated[bool, typer.Option("--budget", help="Add the error budget by source.")] = False,

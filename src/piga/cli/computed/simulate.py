@@ -18,7 +18,9 @@ def simulate(
     scenario: Annotated[
         Path, typer.Argument(metavar="SCENARIO.toml", help="Scenario file.", show_default=False)
     ],
-    out: Annotated[Path, typer.Option(help="Folder for run.toml, the data, truth.json and the page.")],
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for run.toml, the data, truth.json and the page.")
+    ],
     model: Annotated[
         Literal["quasi-steady", "twin"] | None,
         typer.Option(help="Instrument model, instead of the scenario's."),

@@ -79,7 +79,7 @@ def key_documents(hits: list[KeyPlace]) -> list[dict[str, str]]:
 
 
 def terms(
-    name: Annotated[str | None, typer.Argument(metavar="[TERM]", help="One term; all if left out.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="TERM", help="One term; all if left out.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """List the terms of the error model.

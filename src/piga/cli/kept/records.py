@@ -237,7 +237,7 @@ StoreOption = Annotated[
 ]
 RecordArgument = Annotated[str, typer.Argument(metavar="RECORD", help="Name of a record, or its number.")]
 OperatorOption = Annotated[str, typer.Option("--operator", metavar="NAME", help="Who does this.")]
-ReasonOption = Annotated[str, typer.Option("--reason", metavar="TEXT", help="Why.")]
+ReasonOption = Annotated[str, typer.Option("--reason", metavar="WORDS", help="Why.")]
 
 
 @contextmanager
@@ -413,7 +413,7 @@ def verify(
     ] = None,
     archive: Annotated[
         Path | None,
-        typer.Argument(metavar="[EXPORT.zip]", help="Export or backup to check instead of the store."),
+        typer.Argument(metavar="EXPORT.zip", help="Export or backup to check instead of the store."),
     ] = None,
     head: Annotated[
         list[str] | None,
@@ -486,7 +486,7 @@ def import_export(
 def reproduce(
     store: StoreOption,
     record: Annotated[
-        list[str] | None, typer.Argument(metavar="[RECORD]...", help="Records to recompute [default: all].")
+        list[str] | None, typer.Argument(metavar="RECORD", help="Records to recompute [default: all].")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -32,7 +32,7 @@ def register(app: typer.Typer) -> None:
 def trend(
     sources: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[CALIBRATION.json | DIR]...", help="Calibrations, or folders that hold them."),
+        typer.Argument(metavar="CALIBRATION.json|DIR", help="Calibrations, or folders that hold them."),
     ] = None,
     store: Annotated[
         str | None,
@@ -42,7 +42,9 @@ def trend(
     ] = None,
     serial: Annotated[
         str | None,
-        typer.Option("--serial", metavar="TEXT", help="Serial number of the instrument; needed with a store."),
+        typer.Option(
+            "--serial", metavar="SERIAL", help="Serial number of the instrument; needed with a store."
+        ),
     ] = None,
     at: Annotated[
         str | None,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 RunFilesArgument = Annotated[
     list[Path],
     typer.Argument(
-        metavar="RUN.toml...",
+        metavar="RUN.toml",
         help="Run file. Several files, or summaries of runs (.json), are calibrated together.",
     ),
 ]

@@ -33,27 +33,33 @@ def compensate(
     run: Annotated[
         list[Path],
         typer.Argument(
+            metavar="RUN.toml",
             help="A run file, a triad file, three run files (x, y, z), or - for a live stream.",
             show_default=False,
         ),
     ],
     calibration: Annotated[
         list[Path] | None,
-        typer.Option(help="Calibration record (calibration.json); one per run.", show_default=False),
+        typer.Option(metavar="CALIBRATION.json", help="Calibration record; one per run.", show_default=False),
     ] = None,
     out: Annotated[Path, typer.Option(help="Result, .parquet or .csv; - for a live stream.")] = Path("-"),
     method: Annotated[
         Literal["exact", "published"] | None,
         typer.Option(help="Default: what the phase of the calibration needs."),
     ] = None,
-    phase: Annotated[str | None, typer.Option(help="Phase of the output zero, e.g. '0.48 rad'.")] = None,
-    identify_phase: Annotated[
-        str | None, typer.Option(help="Estimate the phase from the first seconds, at rest, e.g. '60 s'.")
+    phase: Annotated[
+        str | None, typer.Option(metavar="ANGLE", help="Phase of the output zero, e.g. '0.48 rad'.")
     ] = None,
-    rate: Annotated[str | None, typer.Option(help="Output rate, e.g. '10 Hz'. No velocity is lost.")] = None,
+    identify_phase: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="Estimate the phase from the first seconds, at rest, e.g. '60 s'."),
+    ] = None,
+    rate: Annotated[
+        str | None, typer.Option(metavar="RATE", help="Output rate, e.g. '10 Hz'. No velocity is lost.")
+    ] = None,
     uncertainty: Annotated[bool, typer.Option(help="Write the column u_ax.")] = True,
     max_age: Annotated[
-        float | None, typer.Option(help="Flag all rows if the calibration is older than this [days].")
+        float | None, typer.Option(metavar="DAYS", help="Flag all rows if the calibration is older than this.")
     ] = None,
     other_serial: Annotated[
         bool, typer.Option("--other-serial", help="Accept a calibration of another serial number.")
