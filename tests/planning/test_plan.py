@@ -359,6 +359,7 @@ def test_command(tmp_path):
     assert json.loads(result.stdout)["schema"] == "piga.plan/1"
     assert sorted(p.name for p in (tmp_path / "out").glob("[!.]*")) == [
         "plan.json",
+        "program.csv",
         "report.html",
         "scenario.toml",
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from pathlib import Path
@@ -120,5 +121,14 @@ def test_the_command_writes_the_plan(tmp_path: Path) -> None:
     document = json.loads(done.stdout)
     assert document["schema"] == "piga.plan/1"
     assert json.loads((tmp_path / "out" / "plan.json").read_text()) == document
-    assert read_scenario(tmp_path / "out" / "scenario.toml").stand.segments()
+    scenario = read_scenario(tmp_path / "out" / "scenario.toml")
+    assert scenario.stand.segments()
+    with (tmp_path / "out" / "program.csv").open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [(row["position"], float(row["hold_s"])) for row in rows] == [
+        (visit["position"], pytest.approx(visit["dwell_s"], abs=1e-3)) for visit in document["visits"]
+    ]
+    ends = [float(row["begin_s"]) + float(row["hold_s"]) for row in rows]
+    assert ends[-1] == pytest.approx(document["duration_s"], abs=0.01)
+    assert all(abs(sum(float(row[f"a_{axis}_g"]) ** 2 for axis in "xYZ") - 1.0) < 0.01 for row in rows)
     assert "</html>" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

@@ -49,6 +49,7 @@ from piga.threads import with_one_thread
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+from piga.units import G0
 
 Array = NDArray[np.float64]
 
@@ -451,6 +452,24 @@ def scenario_text(plan: Plan) -> str:
         f"# Test planned by piga {__version__} from {plan.request.path.name}: {len(plan.best.visits)} visits.\n"
     )
     return comment + "\n".join(toml_table(name, table) for name, table in tables.items())
+
+
+CSV_COLUMNS = ("step", "begin_s", "hold_s", "stand", "position", "a_x_g", "a_Y_g", "a_Z_g", "revolutions")
+"""Columns of the program of the stand."""
+
+
+def program_csv(plan: Plan) -> str:
+    """The program of the stand as CSV: one row a visit, in order, with the move before the next one left as a gap in time."""
+    begin, rows = 0.0, [",".join(CSV_COLUMNS)]
+    for step, visit in enumerate(plan.best.visits, start=1):
+        candidate = visit.candidate
+        kind = str(msgspec.to_builtins(candidate.table)["kind"])
+        force = [f"{value / G0 + 0.0:.9f}" for value in candidate.force]
+        label = f'"{candidate.label}"' if "," in candidate.label else candidate.label
+        turns = f"{visit.dwell / candidate.revolution:.4f}"
+        rows.append(",".join((str(step), f"{begin:.3f}", f"{visit.dwell:.3f}", kind, label, *force, turns)))
+        begin += visit.dwell + plan.request.move
+    return "\n".join(rows) + "\n"
 
 
 def plan_document(plan: Plan, mounting: Mounting | None) -> dict[str, Any]:

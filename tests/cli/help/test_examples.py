@@ -8,8 +8,8 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
-from piga.cli.help.examples import example_files
 from piga.cli.main import app
+from piga.data import example_files
 
 ROOT = Path(__file__).resolve().parents[3]
 

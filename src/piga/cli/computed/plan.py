@@ -10,7 +10,7 @@ import typer
 from piga.cli.common import ForceOption, JsonOption, files_named_in, print_json, progress, say, write_text
 from piga.output import results
 
-RESULTS = ("scenario.toml", "plan.json", "report.html")
+RESULTS = ("scenario.toml", "program.csv", "plan.json", "report.html")
 """Names of the result files."""
 
 
@@ -25,12 +25,12 @@ def plan(
 ) -> None:
     """Plan a test: positions, times and the uncertainty it gives.
 
-    Writes plan.json, report.html, and scenario.toml for 'piga simulate'.
+    Writes plan.json, report.html, program.csv for the stand, and scenario.toml for 'piga simulate'.
     """
     import json
 
     from piga.planning.mounting import plan_mounting
-    from piga.planning.plan import plan_document, plan_test, scenario_text
+    from piga.planning.plan import plan_document, plan_test, program_csv, scenario_text
     from piga.planning.plan_file import read_plan
     from piga.reports.planning import plan_text, write_plan_report
 
@@ -44,6 +44,7 @@ def plan(
         text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
         written = [
             write_text(stage / "scenario.toml", scenario_text(planned)),
+            write_text(stage / "program.csv", program_csv(planned)),
             write_text(stage / "plan.json", text),
         ]
         written.append(stage / "report.html")

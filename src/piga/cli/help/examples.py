@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from piga.cli.common import ForceOption, say
+from piga.data import example_files
 from piga.output import results
-
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
 
 
 def examples(
@@ -32,20 +29,3 @@ def examples(
     for name in texts:
         say(f"wrote {out / name}")
     say(f"Try: piga simulate {out / 'dividing-head.toml'} --out head; piga calibrate head/run.toml")
-
-
-def example_files() -> dict[str, bytes]:
-    """Content of each example, by its name with ``/``: from the package, or from the checkout it runs in."""
-    packed = files("piga.data").joinpath("examples")
-    root = packed if packed.is_dir() else Path(__file__).resolve().parents[4] / "examples"
-    return dict(sorted(_walk(root, "")))
-
-
-def _walk(folder: Traversable, before: str) -> list[tuple[str, bytes]]:
-    entries: list[tuple[str, bytes]] = []
-    for item in folder.iterdir():
-        if item.is_dir() and not item.name.startswith(("_", ".")):
-            entries += _walk(item, f"{before}{item.name}/")
-        elif item.name.endswith((".toml", ".py")):
-            entries.append((before + item.name, item.read_bytes()))
-    return entries

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+from piga.data import example_files
 from piga.errors import ArgumentError, PigaError
 from piga.records.text_files import toml_document
 from piga.workbench.folder import MOST_TOML, Folder
+from piga.workbench.forms import form_of_text, sent_text
 from piga.workbench.pages.common import bench_of, only, redirect, render, sent_form
 
 if TYPE_CHECKING:
@@ -20,9 +22,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of scenario: its page, the tables that tell it, and its commands by the words of their buttons."""
+    """A kind of scenario.
+
+    It has a page, a kind of file, an example to begin with, tables that tell it, and commands by the words of their
+    buttons.
+    """
 
     key: str
+    file: str
+    example: str
     title: str
     purpose: str
     tables: tuple[str, ...]
@@ -33,15 +41,18 @@ KINDS = {
     kind.key: kind
     for kind in (
         Kind(
-            "plan", "Plan", "Which positions, how long in each, and which uncertainty that gives.",
+            "plan", "plan", "plan-dividing-head.toml", "Plan",
+            "Which positions, how long in each, and which uncertainty that gives.",
             ("plan",), (("Plan the test", ("plan",)),),
         ),
         Kind(
-            "twin", "Twin", "A test with a known truth: stand, instrument, electronics and noise.",
+            "twin", "scenario", "twin.toml", "Twin",
+            "A test with a known truth: stand, instrument, electronics and noise.",
             ("electronics", "stand"), (("Simulate the test", ("simulate",)),),
         ),
         Kind(
-            "platform", "Platform", "A platform with turning gyro cases: gimbal and navigation errors over days.",
+            "platform", "platform", "platform-published.toml", "Platform",
+            "A platform with turning gyro cases: gimbal and navigation errors over days.",
             ("site", "case_rotation"),
             (
                 ("Navigate", ("platform", "navigate")), ("Compare models", ("platform", "compare")),
@@ -75,14 +86,18 @@ def _page(kind: Kind) -> Callable[[Request], Response]:
         bench = bench_of(request)
         names = _files(bench.folder, kind)
         name = request.query_params.get("file", names[0] if names else "")
-        text = bench.folder.file(name).read_text(encoding="utf-8") if name else ""
+        if name:
+            text = bench.folder.file(name).read_text(encoding="utf-8", errors="replace")
+        else:
+            text = example_files()[kind.example].decode("utf-8")
+        form = form_of_text(text, kind.file)
         jobs = [
             (job, bench.jobs.status(job)) for job in bench.jobs.all() if any(
                 job.command[: len(words)] == words for _, words in kind.commands
             )
         ]  # fmt: skip
         return render(
-            request, "scenario.html.jinja", kind=kind, names=names, name=name, text=text, jobs=jobs[:20]
+            request, "scenario.html.jinja", kind=kind, names=names, name=name, form=form, jobs=jobs[:20]
         )
 
     return show
@@ -94,7 +109,7 @@ def _runner(kind: Kind) -> Callable[[Request], Any]:
 
         bench = bench_of(request)
         fields = await sent_form(request)
-        path = _saved(bench.folder, only(fields, "name"), only(fields, "text"))
+        path = _saved(bench.folder, only(fields, "name"), sent_text(fields, kind.file))
         name = bench.folder.name(path)
         word = only(fields, "do")
         if word == "save":
