@@ -37,7 +37,7 @@ def test_every_name_of_the_flat_namespace_has_an_example() -> None:
 
 
 def test_an_import_is_no_example(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
+    page = tmp_path / "index.md"
     page.write_text("```python\nfrom piga import Run, calibrate\nx: Run\ncalibrate\n```\n", encoding="utf-8")
     assert {"Run", "calibrate"} <= names_used(page)
     page.write_text("```python\nfrom piga import Run\n```\n", encoding="utf-8")
