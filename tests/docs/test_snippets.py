@@ -13,7 +13,17 @@ from .runner import Runner
 
 RUN = {"python", "sh", "text", "toml", "json"}
 PAGES = [page for page in pages() if any(block.kind in RUN for block in blocks(page))]
-KINDS = RUN | {"", "console", "yaml", "{eval-rst}", "{include}", "{toctree}", "{note}", "{list-table}"}
+KINDS = RUN | {
+    "",
+    "console",
+    "yaml",
+    "{eval-rst}",
+    "{include}",
+    "{toctree}",
+    "{container}",
+    "{note}",
+    "{list-table}",
+}
 
 
 @pytest.fixture

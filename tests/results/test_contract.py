@@ -8,6 +8,7 @@ import importlib
 import inspect
 import multiprocessing
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -15,9 +16,11 @@ import numpy as np
 import pandas as pd
 import polars as pl
 import pytest
+from matplotlib.figure import Figure as Canvas
 
 import piga
 from piga.results import Result, Tabular
+from tests.planning.cases import request
 from tests.results.conftest import SCALE, a_run, pickled
 
 ROOT = Path(__file__).parents[2]
@@ -46,6 +49,68 @@ def test_equality_is_by_value_or_identity_and_never_raises(name):
         return
     arrays = [f.name for f in dataclasses.fields(kind) if "Array" in str(f.type) or "NDArray" in str(f.type)]
     assert arrays == [], f"{name} holds arrays: eq=False and ByValue"
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    return piga.plan_test(request(tmp_path_factory.mktemp("plan"), terms='"scale_factor", "k0"'))
+
+
+@pytest.fixture(scope="module")
+def platform_results():
+    """Two hours of a platform with gyro accelerometers."""
+    scenario = piga.platform.load_scenario(ROOT / "examples" / "platform-piga.toml")
+    short = replace(scenario, duration=7200.0, calibration_time=3600.0)
+    run = piga.platform.simulate(short)
+    stretch = run.readouts.first(3600.0)
+    prepared = piga.platform.prepare(run)
+    return {
+        "PlatformScenario": short,
+        "PlatformRun": run,
+        "Readouts": run.readouts,
+        "Identification": prepared.identification,
+        "Recursive": piga.platform.identify_recursively(stretch, short.place, points=20),
+        "Alignment": prepared.alignment,
+        "Start": prepared.start,
+        "Knowledge": prepared.knowledge,
+        "Comparison": piga.platform.compare(short),
+        "Capstone": piga.platform.capstone(short),
+        "Short": piga.platform.compare(replace(short, duration=1000.0, calibration_time=1000.0)),
+    }
+
+
+PLATFORM = (
+    "PlatformScenario", "PlatformRun", "Readouts", "Identification", "Recursive", "Alignment", "Start", "Knowledge",
+    "Comparison", "Capstone", "Short",
+)  # fmt: skip
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("name", PLATFORM)
+def test_a_result_of_the_platform_keeps_the_contract(platform_results, name):
+    value = platform_results[name]
+    keeps_the_contract(value)
+    if name == "Identification" or not hasattr(value, "plot"):
+        return
+    labelled(value.plot())
+    again = value.plot(ax=Canvas().subplots(len(value.plot().axes)))
+    labelled(again)
+
+
+@pytest.mark.only_compiled
+def test_an_identification_in_one_go_has_no_figure(platform_results):
+    with pytest.raises(
+        piga.CalibrationError, match=r"no history\n  remedy: piga.platform.identify_recursively"
+    ):
+        platform_results["Identification"].plot()
+
+
+def test_a_plan_keeps_the_contract(plan):
+    keeps_the_contract(plan)
+    labelled(plan.plot())
+    _, dwell = plan.plot().axes
+    assert all(tick == int(tick) for tick in dwell.get_xticks())
+    labelled(plan.plot(ax=Canvas().subplots(2)))
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +161,11 @@ NAMES = (
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_result_keeps_the_contract(samples, name):
-    value = samples[name]
+    keeps_the_contract(samples[name])
+
+
+def keeps_the_contract(value: object) -> None:
+    """Short repr and HTML, equality, hash, pickle and copies."""
     assert len(repr(value).splitlines()) <= 10
     assert len(repr(value)) <= 3000
     again = pickled(value)
@@ -118,7 +187,11 @@ def test_a_result_that_plots_labels_its_axes(samples, name):
     value = samples[name]
     if name == "Calibration" or not hasattr(value, "plot"):
         return
-    figure = value.plot()
+    labelled(value.plot())
+
+
+def labelled(figure: Canvas) -> None:
+    """Every axes of a figure has labels."""
     assert figure.axes
     for axes in figure.axes:
         assert axes.get_xlabel()

@@ -130,6 +130,11 @@ def _trend(trend: Any) -> Card:
     return Card(f"Trend of {trend.serial}", tables=(summary_table(trend),), figure=figure_of(trend))
 
 
+def _identification(result: Any) -> Card:
+    figure = figure_of(result) if result.history else None
+    return Card(type(result).__name__, tables=(facts_of(result.in_brief()),), figure=figure)
+
+
 def _figure(figure: Figure) -> Card:
     return Card(figure.title, figure=figure)
 
@@ -151,7 +156,7 @@ CARDS: dict[str, Callable[[Any], Card]] = {
     "SimulatedTest": _drawn,
     "AllanDeviation": _drawn,
     "PlatformRun": _drawn,
-    "Identification": _drawn,
+    "Identification": _identification,
     "ModelComparisonRun": _drawn,
     "Capstone": _drawn,
 }
@@ -376,6 +381,16 @@ def _platform_figure(function: str) -> Callable[[Any, str], Figure]:
     return figure
 
 
+def _identification_figure(identification: Any, _: str) -> Figure:
+    from piga.reports.platform.figures import convergence_figure
+
+    if not identification.history:
+        raise CalibrationError(
+            "plot: this identification has no history", remedy="piga.platform.identify_recursively keeps one"
+        )
+    return convergence_figure(identification)
+
+
 FIGURES: dict[str, Callable[[Any, str], Figure]] = {
     "Calibration": calibration_figure,
     "Run": _run_figure,
@@ -387,7 +402,7 @@ FIGURES: dict[str, Callable[[Any, str], Figure]] = {
     "AllanDeviation": _allan_figure,
     "SimulatedTest": _simulation_figure,
     "PlatformRun": _platform_figure("readouts_figure"),
-    "Identification": _platform_figure("convergence_figure"),
+    "Identification": _identification_figure,
     "ModelComparisonRun": _platform_figure("lines_figure"),
     "Capstone": _platform_figure("capstone_figure"),
 }

@@ -86,6 +86,11 @@ class Identification(Result):
     notes: tuple[str, ...] = ()
     history: dict[str, Array] = field(default_factory=dict)
 
+    def in_brief(self) -> list[tuple[str, str]]:
+        """The parameters with their standard uncertainties, and the doubts."""
+        rows = [(p.name, f"{p.value:.6g} +- {p.std:.2g} {p.unit}") for p in self.parameters]
+        return [("sources", ", ".join(self.sources)), *rows, *(("note", note) for note in self.notes)]
+
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Recursive estimates against time; :func:`identify_recursively` gives them. See :class:`piga.results.Plots`."""
         return plotted(self, ax)

@@ -367,6 +367,20 @@ class PlatformRun(Result):
     readouts: Readouts
     truth: Truth
 
+    def in_brief(self) -> list[tuple[str, str]]:
+        """Place, time, motion and cases."""
+        s = self.scenario
+        rates = (s.polar_rotation.rate, s.equatorial_rotation.rate)
+        cases = " and ".join(f"{2.0 * np.pi / rate / 60.0:.4g} min" if rate else "at rest" for rate in rates)
+        return [
+            ("place", f"latitude {np.degrees(s.place.latitude):.6g} deg, height {s.place.height:g} m"),
+            ("duration", f"{s.duration / 3600.0:.6g} h, step {s.step:g} s"),
+            ("motion", s.motion.kind),
+            ("turn of the cases", cases),
+            ("accelerometers", "ideal" if s.sensors.piga is None else "piga"),
+            ("seed", str(s.seed)),
+        ]
+
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Readouts against time. See :class:`piga.results.Plots`."""
         return plotted(self, ax)

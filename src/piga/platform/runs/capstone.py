@@ -96,6 +96,13 @@ class Capstone(Result):
     passage: Passage | None
     day: tuple[Array, Array]
 
+    def in_brief(self) -> list[tuple[str, str]]:
+        """Largest errors with each reading."""
+        return [
+            (name, f"position within {one.position:.4g} m, velocity within {one.velocity:.3g} m/s")
+            for name, one in self.outcomes.items()
+        ]
+
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Position errors of each reading. See :class:`piga.results.Plots`."""
         return plotted(self, ax)

@@ -65,6 +65,17 @@ class ModelComparisonRun(Result):
     preparation: Preparation
     models: Mapping[Model, ModelRun]
 
+    def in_brief(self) -> list[tuple[str, str]]:
+        """Duration, and what each model leaves on the last day."""
+        rows = [("duration", f"{self.run.scenario.duration / 3600.0:.6g} h, step {self.run.scenario.step:g} s")]
+        for model, ran in self.models.items():
+            east = ran.lines.amplitude["east_velocity"][-1:]
+            line = "" if not east.size else f"east velocity line {east[0]:.3g} m/s, "
+            last = ran.lines.position[-1:]
+            said = f"{line}position within {last[0]:.4g} m" if last.size else "less than a day"
+            rows.append(("no model" if model == "none" else f"model {model}", f"last day: {said}"))
+        return [*rows, *(("note", note) for note in self.preparation.notes)]
+
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Lines of each model, day by day. See :class:`piga.results.Plots`."""
         return plotted(self, ax)

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import MaxNLocator
 
 from piga.errors import ArgumentError
 from piga.reports.render.decimate import envelope_rows
@@ -95,6 +96,8 @@ def _panel(panel: Panel, axes: Axes) -> None:
         axes.set_ylim(*panel.y.limits)
     if panel.equal:
         axes.set_aspect("equal", adjustable="box")
+    if any(series.mark == "bars" for series in panel.series):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     if panel.x.dates:
         locator = AutoDateLocator()  # type: ignore[no-untyped-call]
         axes.xaxis.set_major_locator(locator)
