@@ -57,13 +57,14 @@
     layout.modebar = { bgcolor: "rgba(0,0,0,0)", color: style.getPropertyValue("--soft").trim() };
     if (touch.matches) {
       // A finger scrolls the page; it does not zoom the figure by accident.
-      config.displayModeBar = false;
       layout.dragmode = false;
       Object.keys(layout).filter((key) => /^[xy]axis/.test(key)).forEach((key) => { layout[key].fixedrange = true; });
     }
     const live = figure.querySelector(".live");
     figure.classList.add("upgraded");
-    Plotly.react(live, themed(spec.data, style), layout, config)
+    // In a narrow figure the buttons would cover the legend; dragging and a double click zoom there, too.
+    const own = touch.matches || narrow ? { ...config, displayModeBar: false } : config;
+    Plotly.react(live, themed(spec.data, style), layout, own)
       .then(() => {
         tell(figure, live);
         live.removeAllListeners("plotly_relayout");
