@@ -121,7 +121,7 @@ def test_incomplete(tmp_path):
     assert found.missing == (1, 3, 4)
     assert found.computed == 8
     assert not found.complete
-    with pytest.raises(PigaError, match="holds no results yet"):
+    with pytest.raises(PigaError, match="has no results yet"):
         collect(plan_campaign(tmp_path / "small.toml", tmp_path / "empty"))
 
 
