@@ -104,21 +104,21 @@ def near_lock(rng: np.random.Generator, records: int, walk: float, white: float)
     ]
 
 
-def missed(found: piga.Calibration) -> dict[str, tuple[float, bool]]:
+def missed(result: piga.Calibration) -> dict[str, tuple[float, bool]]:
     """Error over standard uncertainty, and whether the 95 % interval holds the truth."""
     truth = {"scale_factor": 0.8884, "tan_beta": 0.02, "k0": 1e-3}
     return {
         c.name: ((c.value - truth[c.name]) / c.std, c.limits[0] <= truth[c.name] <= c.limits[1])
-        for c in found.coefficients
+        for c in result.coefficients
     }
 
 
 @pytest.mark.parametrize(("walk", "white"), [(1e-4, 0.0), (5e-5, 1e-4), (0.0, 1e-4)])
 def test_near_lock_the_truth_is_in_reach(walk: float, white: float) -> None:
     run = near_lock(np.random.default_rng([3, 61]), 1, walk, white)[0]
-    found = piga.calibrate(run, ("scale_factor", "tan_beta", "k0"), "revolutions", phases="per-segment")
-    assert all(abs(z) < 4.0 for z, _ in missed(found).values()), missed(found)
-    assert len(found.segments) == 14
+    calibration = piga.calibrate(run, ("scale_factor", "tan_beta", "k0"), "revolutions", phases="per-segment")
+    assert all(abs(z) < 4.0 for z, _ in missed(calibration).values()), missed(calibration)
+    assert len(calibration.segments) == 14
 
 
 @pytest.mark.slow
@@ -127,8 +127,10 @@ def test_intervals_near_lock_hold(walk: float, white: float) -> None:
     """300 records: 95 % intervals hold in 92 % at least, and a walk alone is not overstated by more than a quarter."""
     held: dict[str, list[tuple[float, bool]]] = {}
     for run in near_lock(np.random.default_rng([3, 62]), 300, walk, white):
-        found = piga.calibrate(run, ("scale_factor", "tan_beta", "k0"), "revolutions", phases="per-segment")
-        for name, result in missed(found).items():
+        calibration = piga.calibrate(
+            run, ("scale_factor", "tan_beta", "k0"), "revolutions", phases="per-segment"
+        )
+        for name, result in missed(calibration).items():
             held.setdefault(name, []).append(result)
     for name, results in held.items():
         assert np.mean([inside for _, inside in results]) > 0.92, name
@@ -148,10 +150,10 @@ def test_a_position_at_the_edge_of_lock_is_left_out() -> None:
     parts = [piga.propagate(start, t[:n], f[segment == k]) for k in range(4)]
     output = np.concatenate(parts) + 1e-5 * np.random.default_rng(5).standard_normal(t.size)
     run = piga.Run.from_arrays(t + 1000.0 * segment, output, f, scale_factor=SCALE, segment=segment)
-    found = piga.calibrate(run, ("scale_factor", "k0"), "revolutions")
-    event = next(e for e in found.quality.events if e.kind == "near-lock")
+    calibration = piga.calibrate(run, ("scale_factor", "k0"), "revolutions")
+    event = next(e for e in calibration.quality.events if e.kind == "near-lock")
     assert event.count == 1
-    assert len(found.segments) == 3
+    assert len(calibration.segments) == 3
 
 
 def test_pulling_that_does_not_show_is_said() -> None:

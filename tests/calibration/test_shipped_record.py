@@ -83,9 +83,9 @@ def test_known_coefficients_with_a_phase_for_each_segment(folder: Path) -> None:
 @pytest.mark.parametrize("bits", [16, 24])
 def test_wrapping_counters(folder: Path, bits: int) -> None:
     run = piga.read_run(wrapped(folder, bits))
-    found = {event.kind: event.count for event in run.quality.events}
-    assert found["phase-lost"] == 23
-    assert found["counter-roll-over"] > (100 if bits == 16 else 0)
+    result = {event.kind: event.count for event in run.quality.events}
+    assert result["phase-lost"] == 23
+    assert result["counter-roll-over"] > (100 if bits == 16 else 0)
     check(piga.calibrate(run, [*WITHOUT, "servo"], phases="per-segment"))
     with pytest.raises(piga.CalibrationError, match="rolled over unseen"):
         piga.calibrate(run)
@@ -93,20 +93,20 @@ def test_wrapping_counters(folder: Path, bits: int) -> None:
 
 def test_without_the_terms_of_the_servo_the_interval_of_k_holds_both_meanings(folder: Path) -> None:
     """K is 3.2 ppm low. What it is under `servo` and under `k3` lies in its interval, and both are named."""
-    found = piga.calibrate(piga.read_run(folder / "tumble-a.toml"), WITHOUT)
-    scale = found["scale_factor"]
+    calibration = piga.calibrate(piga.read_run(folder / "tumble-a.toml"), WITHOUT)
+    scale = calibration["scale_factor"]
     assert scale.value / TRUTH["scale_factor"] - 1.0 == pytest.approx(-3.2e-6, abs=0.7e-6)
     for name in (*WITHOUT[:3], "m_Y"):
-        assert abs(found[name].value - TRUTH[name]) < found[name].expanded, name
-    under = next(m.scale_factor_under for m in found.diagnostics.missing_terms if "servo" in m.terms)
+        assert abs(calibration[name].value - TRUTH[name]) < calibration[name].expanded, name
+    under = next(m.scale_factor_under for m in calibration.diagnostics.missing_terms if "servo" in m.terms)
     assert set(under) == {"servo", "k3"}
     assert all(abs(value - scale.value) < scale.expanded for value in under.values())
     assert under["servo"] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
-    assert any("missing term: servo =" in note and "with servo and" in note for note in found.notes)
-    assert any("servo_damping = " in note and "cover this" in note for note in found.notes)
-    phi = found["phi"]
+    assert any("missing term: servo =" in note and "with servo and" in note for note in calibration.notes)
+    assert any("servo_damping = " in note and "cover this" in note for note in calibration.notes)
+    phi = calibration["phi"]
     assert abs(phi.value) < phi.expanded < 2.0 * abs(phi.value)
-    assert found.diagnostics.segment_scatter_ratio_without_it > 2.0
+    assert calibration.diagnostics.segment_scatter_ratio_without_it > 2.0
 
 
 @pytest.mark.smoke

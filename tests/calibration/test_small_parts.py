@@ -48,16 +48,16 @@ def test_a_negative_coupling_is_a_positive_one_half_a_turn_away() -> None:
         layout, estimate, estimate.covariance, 0.0906, ("scale_factor", "tan_beta", "s1", "c1", "s2", "c2", "k0"),
         [(None, None)],
     )  # fmt: skip
-    found = {c.name: c.value for c in coefficients}
-    assert found["tan_beta"] > 0.0
-    assert -math.pi < found["phi"] <= math.pi
+    result = {c.name: c.value for c in coefficients}
+    assert result["tan_beta"] > 0.0
+    assert -math.pi < result["phi"] <= math.pi
     K = amplitudes[5]
     unit = {c.name: c.unit for c in coefficients}
     assert unit["k0"] == "g"
-    same = np.array([K * found["tan_beta"], *amplitudes[1:5], *amplitudes[5:]])
-    same[1:5] = [K * found[name] * (G0 if unit[name] == "g" else 1.0) for name in ("s1", "c1", "s2", "c2")]
+    same = np.array([K * result["tan_beta"], *amplitudes[1:5], *amplitudes[5:]])
+    same[1:5] = [K * result[name] * (G0 if unit[name] == "g" else 1.0) for name in ("s1", "c1", "s2", "c2")]
     before = layout.linear(amplitudes, phases[0], 0)
-    np.testing.assert_allclose(layout.linear(same, found["phi"], 0), before, rtol=1e-12, atol=1e-18)
+    np.testing.assert_allclose(layout.linear(same, result["phi"], 0), before, rtol=1e-12, atol=1e-18)
     names = [c.name for c in coefficients]
     plain = estimate.covariance
     at = names.index("tan_beta"), names.index("phi")
@@ -213,12 +213,12 @@ def test_spikes_of_a_log_of_rates() -> None:
     rate += 1e-5 * np.random.default_rng(21).standard_normal(t.size)
     terms = ["scale_factor", "tan_beta", "k0"]
 
-    def found(output: np.ndarray) -> piga.Calibration:
+    def result(output: np.ndarray) -> piga.Calibration:
         return piga.calibrate(piga.Run.from_arrays(t, output, f, scale_factor=SCALE, kind="rate"), terms)
 
     spoilt = rate.copy()
     spoilt[[17, 18, 101, 333]] += [0.5, -0.4, 0.9, -0.7]
-    with_spikes, without = found(spoilt), found(rate)
+    with_spikes, without = result(spoilt), result(rate)
     assert not without.outliers
     assert [outlier.samples for outlier in with_spikes.outliers] == [2, 1, 1]
     assert [outlier.time for outlier in with_spikes.outliers] == pytest.approx([1.7, 10.1, 33.3])
@@ -345,11 +345,11 @@ def test_a_phase_of_its_own_costs_information(tmp_path: Path, phase: str) -> Non
     spread = np.random.default_rng(6).standard_normal((3, size, size + 3))
     information = spread @ spread.swapaxes(1, 2)
     design = SimpleNamespace(names=("p", "q"), request=SimpleNamespace(harmonics=()))
-    found = _without_phase(information, wish, design)  # type: ignore[arg-type]
+    result = _without_phase(information, wish, design)  # type: ignore[arg-type]
     covariance = np.linalg.inv(information)
     order = [name for name in names if name != "phi"] + ["phi"]
     kept = [order.index(name) for name in names]
-    np.testing.assert_allclose(found, np.linalg.inv(covariance[:, kept][:, :, kept]), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(result, np.linalg.inv(covariance[:, kept][:, :, kept]), rtol=1e-9, atol=1e-9)
 
 
 def test_a_phase_that_no_sample_shows_is_not_determined_and_spoils_nothing() -> None:

@@ -39,11 +39,11 @@ needs_schemas = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def per_segment():
-    found = calibration(phases="per-segment", with_residuals=False)
+    result = calibration(phases="per-segment", with_residuals=False)
     return replace(
-        found,
+        result,
         coefficients=tuple(
-            replace(c, segment="position 7 / up é") if c.segment == "7" else c for c in found.coefficients
+            replace(c, segment="position 7 / up é") if c.segment == "7" else c for c in result.coefficients
         ),
     )
 
@@ -122,10 +122,10 @@ def test_valid_by_schema_and_schematron(cal, per_segment, kind):
         )
     raw = written(dcc_document(data, used, before))
     assert problems(raw) == []
-    found = findings(SCHEMAS / "schematron" / "dcc.sch", raw)
-    assert "error" not in found
+    result = findings(SCHEMAS / "schematron" / "dcc.sch", raw)
+    assert "error" not in result
     # the rule warns of every list with more than one unit, whether the units are alike or not
-    assert all("Redundant unit" in warning for warning in found.get("warning", []))
+    assert all("Redundant unit" in warning for warning in result.get("warning", []))
 
 
 @needs_schemas
@@ -142,9 +142,9 @@ def test_the_checks_can_fail():
 
 def test_back_to_the_bit(cal, per_segment, tmp_path):
     for used in (cal, per_segment, all_terms(cal)):
-        found = back(document(used), tmp_path)
-        assert to_document(found) == to_document(used)
-        assert np.array_equal(found.covariance, used.covariance)
+        result = back(document(used), tmp_path)
+        assert to_document(result) == to_document(used)
+        assert np.array_equal(result.covariance, used.covariance)
 
 
 def test_a_given_servo_without_an_uncertainty_comes_back(cal, tmp_path):
@@ -161,14 +161,14 @@ def test_a_given_servo_without_an_uncertainty_comes_back(cal, tmp_path):
 def test_conditions_are_si(cal):
     """20.3 degC is 293.45 K without binary artefacts, its expanded uncertainty 0.4 K; 46 % is 0.46."""
     root = etree.fromstring(document(cal))
-    found = {}
+    values = {}
     for condition in root.iterfind(".//dcc:influenceCondition", N):
         real = condition.find(".//si:real", N)
         texts = [real.findtext(f".//si:{name}", "", N) for name in ("value", "unit", "valueExpandedMU")]
-        found[condition.findtext("dcc:name/dcc:content", "", N)] = tuple(texts)
-    assert found["Air temperature"] == ("293.45", r"\kelvin", "0.40")
-    assert float(found["Relative humidity"][0]) == pytest.approx(0.46, abs=1e-16)
-    gravity, unit, expanded = found["Local gravity"]
+        values[condition.findtext("dcc:name/dcc:content", "", N)] = tuple(texts)
+    assert values["Air temperature"] == ("293.45", r"\kelvin", "0.40")
+    assert float(values["Relative humidity"][0]) == pytest.approx(0.46, abs=1e-16)
+    gravity, unit, expanded = values["Local gravity"]
     assert (float(gravity), unit, float(expanded)) == (9.80166, r"\metre\second\tothe{-2}", 2e-6)
 
 

@@ -30,10 +30,10 @@ def record(
 ) -> dict[str, np.ndarray]:
     """A stationary force [g] under the servo, settled: about a revolution of angle and rate."""
     t = np.concatenate(([0.0], 1.0 + np.arange(0.0, SECONDS, 1.0 / RATE)))
-    found = motion(replace(DESIGN, J_y=inertia), np.array(force) * G0, turn, 0.3, t)[1:]
+    result = motion(replace(DESIGN, J_y=inertia), np.array(force) * G0, turn, 0.3, t)[1:]
     rows = np.ones((t.size - 1, 1))
     return {
-        "t": t[1:], "output": found[:, 0], "rate": found[:, 2], "f": rows * np.array(force) * G0, "base_rate": rows * turn,
+        "t": t[1:], "output": result[:, 0], "rate": result[:, 2], "f": rows * np.array(force) * G0, "base_rate": rows * turn,
     }  # fmt: skip
 
 
@@ -42,8 +42,8 @@ def error(columns: dict[str, np.ndarray], values: dict[str, float], kind: str = 
     given = {name: columns[name] for name in ("t", "output", "f", "base_rate")}
     if kind == "rate":
         given |= {"output": columns["rate"], "angle": columns["output"]}
-    found = piga.Compensator(calibration_of(values), kind=kind).push(given)
-    return (found.ax[1:] - columns["f"][1:, 0]) / G0
+    rows = piga.Compensator(calibration_of(values), kind=kind).push(given)
+    return (rows.ax[1:] - columns["f"][1:, 0]) / G0
 
 
 @pytest.mark.parametrize("kind", ["angle", "rate"])
@@ -74,8 +74,8 @@ def test_noise_is_what_is_left():
     mean = {}
     for values in (BASIC, WHOLE):
         std = {name: 0.01 * values[name] for name in ("servo", "servo_damping") if name in values}
-        found = piga.Compensator(calibration_of(values, std, angle_rms=2e-6)).push(given)
-        z = (found.ax[1:] - G0) / found.u_ax[1:]
+        rows = piga.Compensator(calibration_of(values, std, angle_rms=2e-6)).push(given)
+        z = (rows.ax[1:] - G0) / rows.u_ax[1:]
         mean[len(values)] = float(np.mean(z**2))
     assert mean[len(BASIC)] > 30.0
     assert 0.8 < mean[len(WHOLE)] < 1.2
@@ -92,8 +92,8 @@ def test_a_set():
         for sampled in (False, True) if name == "with" else (False,):
             stream = SetCompensator(mounted, sampled=sampled)
             rates = [c["rate"] for c in columns] if sampled else None
-            found = stream.push(columns[0]["t"], [c["output"] for c in columns], rate=rates)
-            left[name, sampled] = np.abs(found.f[1:] / G0 - force).max()
+            rows = stream.push(columns[0]["t"], [c["output"] for c in columns], rate=rates)
+            left[name, sampled] = np.abs(rows.f[1:] / G0 - force).max()
     assert left["without", False] > 100e-6
     assert max(left["with", False], left["with", True]) < 6e-6
 

@@ -43,26 +43,26 @@ def regression(points: np.ndarray, degree: int) -> np.ndarray:
 def test_d_optimum_of_polynomial_regression(degree, support):
     """Known optima, checked numerically here too: equal weights at the zeros of (1 - x^2) P'_d(x)."""
     points = np.union1d(np.linspace(-1.0, 1.0, 201), support)
-    found = best_mixture(regression(points, degree), Criterion(np.eye(degree + 1), 0.0))
-    assert (degree + 1) * found.derivatives.max() == pytest.approx(degree + 1, rel=1e-5)
+    mixture = best_mixture(regression(points, degree), Criterion(np.eye(degree + 1), 0.0))
+    assert (degree + 1) * mixture.derivatives.max() == pytest.approx(degree + 1, rel=1e-5)
     for x in support:
         near = np.abs(points - x) < 0.03
-        assert found.weights[near].sum() == pytest.approx(1.0 / (degree + 1), abs=2e-3)
+        assert mixture.weights[near].sum() == pytest.approx(1.0 / (degree + 1), abs=2e-3)
 
 
 def test_c_and_a_optima_of_a_line():
     """Slope of a line: half at either end. A-optimum for (1, x) on [-1, 1]: the same."""
     points = np.linspace(-1.0, 1.0, 21)
     for criterion in (Criterion(np.array([[0.0, 1.0]]), 1.0), Criterion(np.eye(2), 1.0)):
-        found = best_mixture(regression(points, 1), criterion)
-        assert found.weights[[0, -1]] == pytest.approx([0.5, 0.5], abs=1e-4)
-        assert found.gap < 1e-5
+        mixture = best_mixture(regression(points, 1), criterion)
+        assert mixture.weights[[0, -1]] == pytest.approx([0.5, 0.5], abs=1e-4)
+        assert mixture.gap < 1e-5
 
 
 def test_a_optimum_of_the_quadratic():
     """A-optimal quadratic regression puts 1/4, 1/2, 1/4 at -1, 0, 1."""
-    found = best_mixture(regression(np.linspace(-1.0, 1.0, 41), 2), Criterion(np.eye(3), 1.0))
-    assert found.weights[[0, 20, 40]] == pytest.approx([0.25, 0.5, 0.25], abs=1e-3)
+    mixture = best_mixture(regression(np.linspace(-1.0, 1.0, 41), 2), Criterion(np.eye(3), 1.0))
+    assert mixture.weights[[0, 20, 40]] == pytest.approx([0.25, 0.5, 0.25], abs=1e-3)
 
 
 @settings(max_examples=6, deadline=None)
@@ -72,10 +72,10 @@ def test_certificate_of_random_problems(seed, power):
     rows = rng.normal(size=(40, 3, 4))
     matrices = rows.swapaxes(1, 2) @ rows
     criterion = Criterion(np.eye(4), power)
-    found = best_mixture(matrices, criterion)
-    assert found.gap < 1e-4
+    mixture = best_mixture(matrices, criterion)
+    assert mixture.gap < 1e-4
     for _ in range(20):
-        assert criterion.values(np.tensordot(rng.dirichlet(np.ones(40)), matrices, 1)) >= found.value - 1e-4
+        assert criterion.values(np.tensordot(rng.dirichlet(np.ones(40)), matrices, 1)) >= mixture.value - 1e-4
 
 
 def test_slope_of_the_criterion_is_its_derivative():
@@ -97,10 +97,10 @@ def test_tables_agree_with_the_estimator(tmp_path, phase, noise):
     )
     places = find_candidates(wish)[::2]
     tables = information_tables(wish, places)
-    found = predict(wish, "x", tuple(Visit(c, 60.0) for c in places))
+    prediction = predict(wish, "x", tuple(Visit(c, 60.0) for c in places))
     std = np.sqrt(np.diag(np.linalg.inv(tables[:, -1].sum(axis=0))))
     for name, value in zip(coefficient_names(wish), std, strict=True):
-        assert found.std(name) == pytest.approx(value, rel=0.25 if name in ("phi", "tan_beta") else 0.05)
+        assert prediction.std(name) == pytest.approx(value, rel=0.25 if name in ("phi", "tan_beta") else 0.05)
 
 
 @pytest.mark.only_compiled
@@ -132,9 +132,9 @@ def test_every_position_of_a_circle_is_as_good():
     """For 1, cos x, sin x the D-optimum is not one plan: no position adds more than another."""
     x = np.arange(12) * np.pi / 6.0
     rows = np.column_stack([np.ones(12), np.cos(x), np.sin(x)])
-    found = best_mixture(rows[:, :, None] * rows[:, None, :], Criterion(np.eye(3), 0.0))
-    assert found.derivatives == pytest.approx(np.ones(12), abs=1e-4)
-    assert found.information == pytest.approx(np.diag([1.0, 0.5, 0.5]), abs=1e-3)
+    mixture = best_mixture(rows[:, :, None] * rows[:, None, :], Criterion(np.eye(3), 0.0))
+    assert mixture.derivatives == pytest.approx(np.ones(12), abs=1e-4)
+    assert mixture.information == pytest.approx(np.diag([1.0, 0.5, 0.5]), abs=1e-3)
 
 
 def test_mirrored_positions_earn_alike(tmp_path):
@@ -279,18 +279,18 @@ def mounting_request(folder: Path, positions: str):
 
 def test_mounting_skew(tmp_path):
     """A force that swings from 0 to 80 deg: least angle to the axis is largest with the axis at 40 deg."""
-    found = plan_mounting(mounting_request(tmp_path, '"0 deg", "80 deg"'))
-    assert math.degrees(found.skew) == pytest.approx(40.0)
-    assert math.degrees(found.clock) == pytest.approx(180.0)
+    mounting = plan_mounting(mounting_request(tmp_path, '"0 deg", "80 deg"'))
+    assert math.degrees(mounting.skew) == pytest.approx(40.0)
+    assert math.degrees(mounting.clock) == pytest.approx(180.0)
     tangent = math.tan(200.0 / 206264.806)
-    assert found.margin == pytest.approx(1.0 / (math.tan(math.radians(40.0)) * tangent), rel=0.01)
-    assert not (found.unskewed_history < 1.0).any()
+    assert mounting.margin == pytest.approx(1.0 / (math.tan(math.radians(40.0)) * tangent), rel=0.01)
+    assert not (mounting.unskewed_history < 1.0).any()
 
 
 def test_mounting_sees_a_passage_between_rows(tmp_path):
     """The force turns through 180 deg and back: every axis in its plane is passed through."""
-    found = plan_mounting(mounting_request(tmp_path, '"0 deg", "180 deg"'))
-    assert found.margins[0].max() == 0.0
+    mounting = plan_mounting(mounting_request(tmp_path, '"0 deg", "180 deg"'))
+    assert mounting.margins[0].max() == 0.0
     assert plan_mounting(request(tmp_path)) is None
 
 
@@ -327,8 +327,8 @@ def check_repeats(folder, wish, repeats):
             base_rate=log.base_rate,
             segment=log.segment,
         )
-        found = piga.calibrate(run, terms=list(wish.model.terms), phases=wish.model.phases)
-        values.append([found[name].value for name in plan.names if name != "phi"])
+        calibration = piga.calibrate(run, terms=list(wish.model.terms), phases=wish.model.phases)
+        values.append([calibration[name].value for name in plan.names if name != "phi"])
     spread = np.std(values, axis=0, ddof=1)
     for name, s in zip([n for n in plan.names if n != "phi"], spread, strict=True):
         assert_variance((s / plan.best.std(name)) ** 2, repeats - 1, name)
@@ -396,10 +396,10 @@ def test_tables_with_the_servo_agree_with_the_estimator(tmp_path):
     wish = with_servo(tmp_path, plan='longest_dwell = "30 s"')
     places = find_candidates(wish)
     tables = information_tables(wish, places)
-    found = predict(wish, "x", tuple(Visit(c, 30.0) for c in places), type_b=False)
+    prediction = predict(wish, "x", tuple(Visit(c, 30.0) for c in places), type_b=False)
     std = np.sqrt(np.diag(np.linalg.inv(tables[:, -1].sum(axis=0))))
     for name, value in zip(coefficient_names(wish), std, strict=True):
-        assert found.std(name) == pytest.approx(value, rel=0.25 if name in ("phi", "tan_beta") else 0.05)
+        assert prediction.std(name) == pytest.approx(value, rel=0.25 if name in ("phi", "tan_beta") else 0.05)
 
 
 @pytest.mark.only_compiled
@@ -411,8 +411,8 @@ def test_prediction_with_the_servo_is_what_repeats_show(tmp_path):
     names, errors = ("scale_factor", "servo", "servo_damping"), []
     for seed in range(REPEATS):
         walk = 1e-5 * 0.5 * np.random.default_rng(seed).standard_normal(run.size)
-        found = piga.calibrate(replace(run, output=run.output + np.cumsum(walk)), wish.model.terms)
-        errors.append([found[name].value for name in names])
+        calibration = piga.calibrate(replace(run, output=run.output + np.cumsum(walk)), wish.model.terms)
+        errors.append([calibration[name].value for name in names])
     scores = (np.array(errors) - [0.8884, 13e-6, 20e-6]) / [predicted.std(name) for name in names]
     assert np.abs(scores.mean(axis=0)).max() < 4.0 / math.sqrt(REPEATS)
     for name, square in zip(names, np.mean(scores**2, axis=0), strict=True):
@@ -430,8 +430,8 @@ def test_a_given_servo_is_a_source_of_the_plan(tmp_path, terms):
         path.write_text(text.replace("[instrument]\n", f"[instrument]\n{own}"), encoding="utf-8")
         wish = read_plan(path)
         visits = tuple(Visit(c, 60.0) for c in find_candidates(wish))
-        found = predict(wish, "x", visits)
-        return found.type_b[[c.name for c in found.coefficients].index("scale_factor")]
+        prediction = predict(wish, "x", visits)
+        return prediction.type_b[[c.name for c in prediction.coefficients].index("scale_factor")]
 
     table = "servo = {{ integral_gain = {{ value = 3000.0, standard = {} }}, angular_momentum = 0.1 }}\n"
     plain, exact, known = moved(""), moved(table.format("0.0")), moved(table.format("60.0"))

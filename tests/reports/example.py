@@ -67,17 +67,17 @@ def residuals(rows=1200, seed=1, white=2.2 * ARCSEC, walk=1.2 * ARCSEC, order_2=
     )
 
 
-def segment_rows(found):
+def segment_rows(result):
     rows = []
     for segment in range(SEGMENTS):
-        part = found.segment == segment
-        psi, after, before = found.psi[part], found.after[part], found.before[part]
+        part = result.segment == segment
+        psi, after, before = result.psi[part], result.after[part], result.before[part]
         rows.append(
             SegmentSummary(
                 label=str(segment),
                 rows=int(part.sum()),
-                duration=float(np.ptp(found.t[part])),
-                mean_a_x=float(found.a_x[part].mean()),
+                duration=float(np.ptp(result.t[part])),
+                mean_a_x=float(result.a_x[part].mean()),
                 turns=float((psi[-1] - psi[0]) / (2 * math.pi)),
                 rms=float(np.std(after)),
                 rms_before=float(np.sqrt(np.mean(before**2))),
@@ -88,7 +88,7 @@ def segment_rows(found):
 
 
 def calibration(*, serial="G-0417", phases="shared", with_residuals=True, budget=True, **options):
-    found = residuals(**options)
+    result = residuals(**options)
     coefficients = [
         Coefficient("scale_factor", 0.88850921, 1.4e-6, "rad/s/g"),
         Coefficient("tan_beta", 3.58742e-4, 2.3e-7, "1"),
@@ -127,16 +127,16 @@ def calibration(*, serial="G-0417", phases="shared", with_residuals=True, budget
         method="information",
         coefficients=tuple(coefficients),
         covariance=shape * np.outer(std, std),
-        surplus_observations=float(found.t.size - size - SEGMENTS),
+        surplus_observations=float(result.t.size - size - SEGMENTS),
         angle_rms=2.2 * ARCSEC,
         angle_random_walk=1.2 * ARCSEC,
-        residual_rms=float(np.std(found.after)),
-        residual_rms_before=float(np.sqrt(np.mean(found.before**2))),
-        residual_max_before=float(np.max(np.abs(found.before))),
-        residual_max_after=float(np.max(np.abs(found.after))),
+        residual_rms=float(np.std(result.after)),
+        residual_rms_before=float(np.sqrt(np.mean(result.before**2))),
+        residual_max_before=float(np.max(np.abs(result.before))),
+        residual_max_after=float(np.max(np.abs(result.after))),
         quality=Quality(
-            rows=found.t.size + 12,
-            used=found.t.size,
+            rows=result.t.size + 12,
+            used=result.t.size,
             masked=12,
             events=(
                 Event("repeated time", 9, 4711, "rows with the time of the row before were left out"),
@@ -147,12 +147,12 @@ def calibration(*, serial="G-0417", phases="shared", with_residuals=True, budget
         notes=("k2 is below its own uncertainty: a one-plane tumble tells k2 only together with k_YY.",),
         budget=rows if budget else (),
         diagnostics=Diagnostics(lag1_correlation=0.0021, skewness=0.41),
-        segments=segment_rows(found),
+        segments=segment_rows(result),
         provenance=Provenance(
             input_sha256={"run.toml": "9f86d081884c7d65" * 4, "run.csv": "2c26b46b68ffc68f" * 4},
             software="piga 0.1.0",
             created="2026-01-01T00:00:00Z",
             options={"phases": phases, "robust": True},
         ),
-        residuals=found if with_residuals else None,
+        residuals=result if with_residuals else None,
     )

@@ -112,12 +112,12 @@ def with_sensitivities(cal):
     rows = []
     for row in cal.budget:
         source = row.standard_uncertainty
-        found = {
+        result = {
             c.key: Amount(row.contributions[c.key] / source.value, f"{c.unit}/{source.unit}")
             for c in cal.coefficients
             if c.key in row.contributions
         }
-        rows.append(dataclasses.replace(row, sensitivities=found))
+        rows.append(dataclasses.replace(row, sensitivities=result))
     return dataclasses.replace(cal, budget=tuple(rows))
 
 
@@ -208,14 +208,14 @@ def test_odd_numbers_do_not_break_the_page(cal):
 
 
 def test_curves_break_between_segments_and_at_holes(cal):
-    found = cal.residuals
-    keep = (found.t < 20.0) | (found.t > 40.0)
+    residuals = cal.residuals
+    keep = (residuals.t < 20.0) | (residuals.t > 40.0)
     cut = dataclasses.replace(
-        found,
+        residuals,
         **{
             field.name: values[keep]
-            for field in dataclasses.fields(found)
-            if isinstance(values := getattr(found, field.name), np.ndarray)
+            for field in dataclasses.fields(residuals)
+            if isinstance(values := getattr(residuals, field.name), np.ndarray)
         },
     )
     gaps = np.isnan(residual_figure(cut).panels[1].series[0].arrays()[1]).sum()
@@ -223,8 +223,8 @@ def test_curves_break_between_segments_and_at_holes(cal):
 
 
 def test_methods_without_whitening_leave_that_figure_out(cal):
-    found = dataclasses.replace(cal.residuals, innovation=np.full(cal.residuals.t.size, np.nan))
-    page = calibration_page(dataclasses.replace(cal, residuals=found))
+    result = dataclasses.replace(cal.residuals, innovation=np.full(cal.residuals.t.size, np.nan))
+    page = calibration_page(dataclasses.replace(cal, residuals=result))
     assert "whiteness" not in [figure.key for figure in page.figures()]
     assert len(page.tiles) == 7
 
@@ -237,8 +237,8 @@ def test_masked_rows_without_findings_are_said(cal):
 
 
 def test_clock_that_starts_again_in_each_segment_gives_rising_time(cal):
-    found = cal.residuals
-    again = dataclasses.replace(found, t=found.t % 70.0)
+    residuals = cal.residuals
+    again = dataclasses.replace(residuals, t=residuals.t % 70.0)
     assert np.all(np.diff(elapsed_time(again)) >= 0.0)
 
 
@@ -298,17 +298,17 @@ def test_a_log_of_rates_is_reported_as_rates():
 
 def test_joint_and_contaminated_runs_have_their_sections(cal):
     """Runs with noise and residual figure each; findings with time, miss and a figure."""
-    found = cal.residuals
+    residuals = cal.residuals
     record = RunRecord(
         "head", "head.toml", "dividing-head", "shared", True, 10, 1e-5, 1e-6, 1e-5, 1e-3, 2e-3, 5e-5, cal.quality,
         ("k0", "k2"),
     )  # fmt: skip
-    half = (np.arange(found.t.size) >= found.t.size // 2).astype(np.int32)
+    half = (np.arange(residuals.t.size) >= residuals.t.size // 2).astype(np.int32)
     outliers = (Outlier("spike", 1.5, 31, 1, 1e-3, "head"), Outlier("jump", 2.5, 51, 0, 0.3, "spun"))
     joint = dataclasses.replace(
         cal,
         runs=(record, dataclasses.replace(record, name="spun", raw=False)),
-        residuals=dataclasses.replace(found, run=half),
+        residuals=dataclasses.replace(residuals, run=half),
         outliers=outliers,
     )
     page = calibration_page(joint)

@@ -205,7 +205,7 @@ class PhaseFinder:
 
 
 def identify_phase(record: Run, calibration: Calibration, duration: float) -> Phase:
-    """Phase of a record from its first ``duration`` seconds; the instrument must be at rest.
+    """Phase of a record from its first ``duration`` seconds, or until a new stretch begins. The instrument must be at rest.
 
     Raises
     ------
@@ -213,31 +213,24 @@ def identify_phase(record: Run, calibration: Calibration, duration: float) -> Ph
         If the output does not complete one turn in that time, or the coupling is too weak to determine the phase.
     """
     end = next((part.stop for part in spans(record.size) if record.t[part][-1] > record.t[0] + duration), 0)
-    rows = slice(0, end + 1 if end else record.size)
-    chunk = (record.t[rows], record.output[rows], record.f[rows, 1], record.f[rows, 2], record.begins[rows])
-    return _phase_at_rest(*chunk, record.kind, calibration, duration, record.source)
-
-
-def _phase_at_rest(
-    t: Array, output: Array, y: Array, z: Array, begins: NDArray[np.bool_], kind: str, calibration: Calibration,
-    duration: float, source: str,
-) -> Phase:  # fmt: skip
-    """Phase from the first ``duration`` seconds [s], or until a new stretch begins."""
+    some = slice(0, end + 1 if end else record.size)
+    t, output, begins = record.t[some], record.output[some], record.begins[some]
+    y, z = record.f[some, 1], record.f[some, 2]
     rows = t <= t[0] + duration
     starts = np.flatnonzero(begins[1:]) + 1
     if starts.size:
         rows[starts[0] :] = False
-    psi = integrated_rate(t, output, begins) if kind == "rate" else output
+    psi = integrated_rate(t, output, begins) if record.kind == "rate" else output
     finder = PhaseFinder(calibration)
     phase = finder.push(t[rows], psi[rows], y[rows], z[rows])
     if phase is None:
         raise CalibrationError(
-            f"{source}: the output does not turn once in the first {duration:g} s",
+            f"{record.source}: the output does not turn once in the first {duration:g} s",
             remedy="take a longer time at rest",
         )
     if not phase.std < POWER_UP.useless:
         raise CalibrationError(
-            f"{source}: the phase is known to {phase.std:.2g} rad only after {duration:g} s",
+            f"{record.source}: the phase is known to {phase.std:.2g} rad only after {duration:g} s",
             remedy="take a longer time at rest, or an attitude with more transverse specific force",
         )
     return phase

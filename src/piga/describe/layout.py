@@ -100,7 +100,7 @@ def text_layout(path: Path) -> TextLayout:
 
 
 @dataclass(frozen=True)
-class _Table:
+class _TextTable:
     """A table of numbers in some lines: its separator, first data line, and cells of a line."""
 
     separator: str
@@ -187,7 +187,7 @@ LEAST_ABOVE = 3
 """Rows of numbers above a damaged row that show that the table goes on there."""
 
 
-def _table(lines: list[str], separator: str) -> _Table | None:
+def _table(lines: list[str], separator: str) -> _TextTable | None:
     """The rows at the end of the head that this separator splits into the same number of cells, most of them numbers.
 
     A single damaged row does not end the table if rows of numbers stand above it.
@@ -209,7 +209,7 @@ def _table(lines: list[str], separator: str) -> _Table | None:
                 continue
             break
         width, start, rows = (len(cells) if rows == 1 else width), index, rows + 1
-    return _Table(separator, start, width, rows) if rows >= 2 else None
+    return _TextTable(separator, start, width, rows) if rows >= 2 else None
 
 
 def _is_row(cells: list[str], width: int | None = None, *, empty: bool = True) -> bool:
@@ -219,7 +219,7 @@ def _is_row(cells: list[str], width: int | None = None, *, empty: bool = True) -
     return 2 * values >= len(cells) and numbers > 0 and width in (None, len(cells))
 
 
-def _heads(lines: list[str], table: _Table) -> tuple[int | None, int | None]:
+def _heads(lines: list[str], table: _TextTable) -> tuple[int | None, int | None]:
     """Rows of the names and of the units above the first data row (0-based)."""
     above = [k for k in range(table.start) if lines[k].strip()]
     wide = [k for k in above[-3:] if abs(len(_cells(_bare(lines[k]), table.separator)) - table.width) <= 1]

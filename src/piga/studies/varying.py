@@ -42,7 +42,7 @@ _EVERY = 20
 
 
 @dataclass(frozen=True)
-class Form:
+class ForceForm:
     """A run at a constant ratio of components: number of the form, a_x at the mean of the swing [g], a_Y and a_Z [g]."""
 
     number: FormNumber
@@ -50,13 +50,13 @@ class Form:
     force: tuple[float, float, float]
 
 
-def _forms() -> tuple[Form, ...]:
+def _forms() -> tuple[ForceForm, ...]:
     critical = TRANSVERSE * INSTRUMENT.tan_beta
     return (
-        Form(1, "a_x = 0, a_Y and a_Z vary", (0.0, 3.0, 4.0)),
-        Form(2, "a_x = a_t tan(beta)", (critical, TRANSVERSE, 0.0)),
-        Form(3, "a_x = 0.4 a_t tan(beta)", (0.4 * critical, TRANSVERSE, 0.0)),
-        Form(4, "a_x = 0.2 a_t", (0.2 * TRANSVERSE, TRANSVERSE, 0.0)),
+        ForceForm(1, "a_x = 0, a_Y and a_Z vary", (0.0, 3.0, 4.0)),
+        ForceForm(2, "a_x = a_t tan(beta)", (critical, TRANSVERSE, 0.0)),
+        ForceForm(3, "a_x = 0.4 a_t tan(beta)", (0.4 * critical, TRANSVERSE, 0.0)),
+        ForceForm(4, "a_x = 0.2 a_t", (0.2 * TRANSVERSE, TRANSVERSE, 0.0)),
     )
 
 
@@ -72,7 +72,7 @@ def swung(t: Array) -> Array:
 
 
 @cache
-def solved(form: Form) -> tuple[Array, Array, Array]:
+def solved(form: ForceForm) -> tuple[Array, Array, Array]:
     """Time [s], rate by the published form and by the propagator to 1e-12 rad [rad/s]."""
     t = np.linspace(0.0, DURATION, 601)
     force = G0 * np.array(form.force)
@@ -118,7 +118,7 @@ def forms() -> Chapter:
     )
 
 
-def _form_panel(form: Form, t: Array, published: Array, exact: Array) -> Panel:
+def _form_panel(form: ForceForm, t: Array, published: Array, exact: Array) -> Panel:
     shown = t <= (25.0 if form.number == 4 else DURATION)
     t, published, exact = t[shown], published[shown], exact[shown]
     dots = slice(None, None, max(1, t.size // _DOTS))

@@ -63,15 +63,15 @@ def test_figures_as_brute_force(run, compared):
         covariance -= noise.white * (np.eye(h.size, k=1) + np.eye(h.size, k=-1))
         logarithm += float(np.linalg.slogdet(covariance)[1])
         count += h.size
-    for terms, found in zip(SETS, compared.sets, strict=True):
+    for terms, one in zip(SETS, compared.sets, strict=True):
         x, y, _ = weighted_rows(run, terms, noise)
         chi_square = float(np.sum((y - x @ fitted(x, y)) ** 2))
         likelihood = -0.5 * (count * np.log(2.0 * np.pi) + logarithm + chi_square)
-        assert found.parameters == x.shape[1]
-        assert found.chi_square == pytest.approx(chi_square, rel=1e-9)
-        assert found.log_likelihood == pytest.approx(likelihood, rel=1e-9)
-        assert found.bic == pytest.approx(x.shape[1] * np.log(count) - 2.0 * likelihood, rel=1e-9)
-        assert found.aic == pytest.approx(2 * x.shape[1] - 2.0 * likelihood, rel=1e-9)
+        assert one.parameters == x.shape[1]
+        assert one.chi_square == pytest.approx(chi_square, rel=1e-9)
+        assert one.log_likelihood == pytest.approx(likelihood, rel=1e-9)
+        assert one.bic == pytest.approx(x.shape[1] * np.log(count) - 2.0 * likelihood, rel=1e-9)
+        assert one.aic == pytest.approx(2 * x.shape[1] - 2.0 * likelihood, rel=1e-9)
     assert compared.observations == count
 
 
@@ -80,7 +80,7 @@ def test_prediction_as_refits(run, compared):
     """Each segment predicted by a fit to the rows of all others."""
     noise = Noise(compared.angle_rms**2, compared.angle_random_walk**2)
     probe = weighted_rows(run, ("k0",), noise)[0][:, 0]
-    for terms, found in zip(SETS, compared.sets, strict=True):
+    for terms, one in zip(SETS, compared.sets, strict=True):
         x, y, segment = weighted_rows(run, terms, noise)
         squares, forces = [], []
         for left_out in range(len(run.labels)):
@@ -88,8 +88,8 @@ def test_prediction_as_refits(run, compared):
             missed = y[out] - x[out] @ fitted(x[~out], y[~out])
             squares.append(np.sum(missed**2))
             forces.append(probe[out] @ missed / (probe[out] @ probe[out]) / run.scale_factor)
-        assert found.prediction.per_fold == pytest.approx(squares, rel=1e-7)
-        assert found.prediction.force_error == pytest.approx(np.sqrt(np.mean(np.square(forces))), rel=1e-3)
+        assert one.prediction.per_fold == pytest.approx(squares, rel=1e-7)
+        assert one.prediction.force_error == pytest.approx(np.sqrt(np.mean(np.square(forces))), rel=1e-3)
 
 
 @pytest.mark.only_compiled
@@ -99,9 +99,9 @@ def test_estimates_are_those_of_a_calibration_with_this_noise(run, compared):
         angle_rms=f"{compared.angle_rms!r} rad",
         angle_random_walk=f"{compared.angle_random_walk!r} rad/sqrt(s)",
     )
-    for found in compared.sets[1:4]:
-        alone = piga.calibrate(replace(run, estimation=estimation), list(found.terms))
-        for mine, other in zip(found.coefficients, alone.coefficients, strict=True):
+    for one in compared.sets[1:4]:
+        alone = piga.calibrate(replace(run, estimation=estimation), list(one.terms))
+        for mine, other in zip(one.coefficients, alone.coefficients, strict=True):
             assert mine.key == other.key
             assert abs(mine.value - other.value) < 1e-6 * other.std
             assert mine.std == pytest.approx(other.std, rel=1e-6)
@@ -113,7 +113,7 @@ def test_truth_is_best_and_ranked(compared):
     assert compared.sets[compared.best_prediction].terms == TRUE
     assert compared.ranking[0] == compared.best
     assert compared.ranking[-1] == 0
-    assert sum(found.weight for found in compared.sets) == pytest.approx(1.0)
+    assert sum(one.weight for one in compared.sets) == pytest.approx(1.0)
     changes = dict(compared.sets[1].changes)
     assert abs(changes["k0"]) > 5.0  # without k2 the bias takes it up
     assert dict(compared.sets[2].changes)["k0"] == 0.0
@@ -125,23 +125,23 @@ def test_confounded_set_stays_with_its_reason(run):
     with pytest.raises(piga.CalibrationError, match="temperature"):
         piga.compare_models(run, [still])
     turned = replace(run, f=run.f * np.array([1.0, 1.0, 0.0]))
-    found = piga.compare_models(turned, [SMALLER, (*SMALLER, "m_Z")])
-    assert "m_Z" in found.sets[1].reason
-    assert found.sets[1].bic is None
-    assert found.best == 0
-    assert found.ranking == (0, 1)
+    comparison = piga.compare_models(turned, [SMALLER, (*SMALLER, "m_Z")])
+    assert "m_Z" in comparison.sets[1].reason
+    assert comparison.sets[1].bic is None
+    assert comparison.best == 0
+    assert comparison.ranking == (0, 1)
 
 
 @pytest.mark.only_compiled
 def test_k1_and_sets_without_scale_factor(run):
     """k1 beside another set's scale_factor is the same model; without either the nominal one is fixed."""
     others = tuple(term for term in TRUE if term != "scale_factor")
-    found = piga.compare_models(run, [TRUE, ("k1", *others), others])
-    assert found.sets[1].chi_square == pytest.approx(found.sets[0].chi_square, rel=1e-12)
-    assert found.sets[2].parameters == found.sets[0].parameters - 1
+    comparison = piga.compare_models(run, [TRUE, ("k1", *others), others])
+    assert comparison.sets[1].chi_square == pytest.approx(comparison.sets[0].chi_square, rel=1e-12)
+    assert comparison.sets[2].parameters == comparison.sets[0].parameters - 1
     alone = piga.compare_models(run, [others])
-    noise = (alone.angle_rms / found.angle_rms) ** 2
-    assert found.sets[2].chi_square == pytest.approx(noise * alone.sets[0].chi_square, rel=2e-2)
+    noise = (alone.angle_rms / comparison.angle_rms) ** 2
+    assert comparison.sets[2].chi_square == pytest.approx(noise * alone.sets[0].chi_square, rel=2e-2)
 
 
 def test_blocks_when_there_is_one_segment():
@@ -154,18 +154,18 @@ def test_blocks_when_there_is_one_segment():
         moving,
         scale_factor="0.8884 rad/s/g",
     )
-    found = piga.compare_models(run, [["scale_factor"], ["scale_factor", "k0"]])
-    assert (found.parted_by, found.parts, found.folds) == ("block", 10, 10)
-    assert found.sets[0].prediction is not None
+    comparison = piga.compare_models(run, [["scale_factor"], ["scale_factor", "k0"]])
+    assert (comparison.parted_by, comparison.parts, comparison.folds) == ("block", 10, 10)
+    assert comparison.sets[0].prediction is not None
 
 
 @pytest.mark.only_compiled
 def test_own_phases_predict_nothing():
-    found = piga.compare_models(small(4, per_segment=True), [SMALLER, TRUE], phases="per-segment")
-    assert found.sets[found.best].terms == TRUE
-    assert found.sets[1].prediction is None
-    assert found.best_prediction is None
-    assert found.sets[1].parameters == len(TRUE) + 24
+    comparison = piga.compare_models(small(4, per_segment=True), [SMALLER, TRUE], phases="per-segment")
+    assert comparison.sets[comparison.best].terms == TRUE
+    assert comparison.sets[1].prediction is None
+    assert comparison.best_prediction is None
+    assert comparison.sets[1].parameters == len(TRUE) + 24
 
 
 def test_folds():
@@ -198,11 +198,11 @@ def test_truth_is_found_again():
     """200 records, 199 and 190 measured: limits four standard deviations below; forces in ug."""
     first = second = 0
     for seed in range(200):
-        found = piga.compare_models(small(100 + seed), SETS)
-        first += found.sets[found.best].terms == TRUE
-        second += found.sets[found.best_prediction].terms == TRUE
-        assert found.sets[2].prediction.force_error < found.sets[1].prediction.force_error
-        assert found.sets[2].prediction.force_error / G0 < 5e-6
+        comparison = piga.compare_models(small(100 + seed), SETS)
+        first += comparison.sets[comparison.best].terms == TRUE
+        second += comparison.sets[comparison.best_prediction].terms == TRUE
+        assert comparison.sets[2].prediction.force_error < comparison.sets[1].prediction.force_error
+        assert comparison.sets[2].prediction.force_error / G0 < 5e-6
     print(f"true set: least BIC {first}, prediction {second} of 200")  # noqa: T201
     assert first >= 195
     assert second >= 178

@@ -27,11 +27,11 @@ def spoiled(angle: np.ndarray, position: int, ends: tuple[bool, bool], count: in
     return result
 
 
-def check(bench: Bench, found: piga.Calibration, clean: piga.Calibration) -> None:
+def check(bench: Bench, result: piga.Calibration, clean: piga.Calibration) -> None:
     """Phase and tan_beta within 4 u, and u of the phase not above 1.2 of the clean record's."""
     for name in ("phi", "tan_beta"):
-        assert abs(bench.miss(found, name)) < 4.0 * clean[name].std, name
-    assert found["phi"].std < 1.2 * clean["phi"].std
+        assert abs(bench.miss(result, name)) < 4.0 * clean[name].std, name
+    assert result["phi"].std < 1.2 * clean["phi"].std
 
 
 @pytest.fixture(scope="module")
@@ -57,12 +57,12 @@ def test_few_wrong_readings_do_not_turn_the_phase(ends, position, count, offset,
 
 @pytest.mark.only_compiled
 def test_the_note_says_which_readings_were_off(angle, clean):
-    found = piga.calibrate(BENCH.run(spoiled(angle, 3, (True, True), 15, 0.3)), TERMS)
-    events = [event for event in found.quality.events if event.kind == "outlier-jump"]
+    calibration = piga.calibrate(BENCH.run(spoiled(angle, 3, (True, True), 15, 0.3)), TERMS)
+    events = [event for event in calibration.quality.events if event.kind == "outlier-jump"]
     assert [event.count for event in events] == [2]
     assert "the 15 readings before it" in events[0].detail
     assert "the 15 readings from it" in events[0].detail
-    assert [o.size for o in found.outliers] == [pytest.approx(0.3, abs=3e-4)] * 2
+    assert [o.size for o in calibration.outliers] == [pytest.approx(0.3, abs=3e-4)] * 2
     assert clean.outliers == ()
 
 
@@ -74,9 +74,9 @@ def test_a_slip_of_the_counter_is_taken_off_what_follows(offset, angle, clean):
         slipped = angle.copy()
         slipped[4, row:] += offset
         slipped[5:] += offset
-        found = piga.calibrate(BENCH.run(slipped), TERMS)
-        check(BENCH, found, clean)
-        texts = [event.detail for event in found.quality.events if event.kind == "outlier-jump"]
+        calibration = piga.calibrate(BENCH.run(slipped), TERMS)
+        check(BENCH, calibration, clean)
+        texts = [event.detail for event in calibration.quality.events if event.kind == "outlier-jump"]
         assert len(texts) == 1
         assert texts[0].endswith("all later readings are corrected")
 
@@ -87,8 +87,8 @@ def test_the_longer_side_gives_the_phase_where_nothing_else_can(angle, clean):
     before = piga.calibrate(BENCH.run(angle), TERMS, phases="per-segment")
     for ends in ENDS.values():
         run = BENCH.run(spoiled(angle, 2, ends, 50, 0.3))
-        found = piga.calibrate(run, TERMS, phases="per-segment")
-        for one, other in zip(found.coefficients, before.coefficients, strict=True):
+        calibration = piga.calibrate(run, TERMS, phases="per-segment")
+        for one, other in zip(calibration.coefficients, before.coefficients, strict=True):
             assert one.value == pytest.approx(other.value, abs=other.std), one.key
 
 
@@ -106,10 +106,16 @@ def test_every_end_count_and_offset(bench):
                 for count in (3, 7, 15, 50):
                     for offset in (10.0 * bench.white, 1e-2, 0.1, 0.5, np.pi):
                         run = bench.run(spoiled(clear, position, ends, count, offset))
-                        found = piga.calibrate(run, TERMS)
-                        miss = bench.miss(found, "phi") / clean["phi"].std
+                        calibration = piga.calibrate(run, TERMS)
+                        miss = bench.miss(calibration, "phi") / clean["phi"].std
                         assert abs(miss) < 4.0, (seed, ends, position, count, offset, miss, moved)
-                        assert found["phi"].std < 1.2 * clean["phi"].std, (seed, ends, position, count, offset)
+                        assert calibration["phi"].std < 1.2 * clean["phi"].std, (
+                            seed,
+                            ends,
+                            position,
+                            count,
+                            offset,
+                        )
 
 
 def test_choices_of_a_stretch():
@@ -130,8 +136,8 @@ def test_the_note_of_a_slip_near_the_end_of_a_segment_says_so(position, count, a
     slipped = angle.copy()
     slipped[position, -count:] += 0.3
     slipped[position + 1 :] += 0.3
-    found = piga.calibrate(BENCH.run(slipped), TERMS)
-    (event,) = [event for event in found.quality.events if event.kind == "outlier-spike"]
+    calibration = piga.calibrate(BENCH.run(slipped), TERMS)
+    (event,) = [event for event in calibration.quality.events if event.kind == "outlier-spike"]
     assert event.count == count
     assert ("slip of the counter" in event.detail) == (position < 7)
     assert (f"{count} from t = " in event.detail) == (position < 7)

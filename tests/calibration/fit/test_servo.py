@@ -32,9 +32,9 @@ def given(run, angle="1e-6 rad", walk="1e-9 rad/sqrt(s)"):
     return replace(run, estimation=EstimationTable(angle_rms=angle, angle_random_walk=walk))
 
 
-def check(found, truth, tolerance, names=None):
+def check(result, truth, tolerance, names=None):
     for name in names or truth:
-        assert found[name].value == pytest.approx(truth[name], abs=tolerance[name]), name
+        assert result[name].value == pytest.approx(truth[name], abs=tolerance[name]), name
 
 
 EXACT = {
@@ -94,41 +94,43 @@ def test_sag_of_the_output_turns_the_columns():
     "method", ["information", "rate", pytest.param("recursive", marks=pytest.mark.only_compiled)]
 )
 def test_head_gives_every_coefficient_back(method):
-    found = calibrate(given(recorded(head())), TERMS, method)
-    check(found, TRUTH, EXACT)
+    calibration = calibrate(given(recorded(head())), TERMS, method)
+    check(calibration, TRUTH, EXACT)
     if method == "recursive":
-        assert found.history["servo"][-1] == pytest.approx(found["servo"].value, rel=1e-6)
+        assert calibration.history["servo"][-1] == pytest.approx(calibration["servo"].value, rel=1e-6)
 
 
 @pytest.mark.only_compiled
 def test_turning_base_and_the_pulling_across_it():
     base = np.tile([0.1, -0.3, 0.25], (8, 1)) * np.linspace(0.5, 1.0, 8)[:, None]
-    found = calibrate(given(recorded(head(8), seconds=8.0, base=base)), TERMS)
-    check(found, TRUTH, {name: 2.0 * size for name, size in EXACT.items()})
+    calibration = calibrate(given(recorded(head(8), seconds=8.0, base=base)), TERMS)
+    check(calibration, TRUTH, {name: 2.0 * size for name, size in EXACT.items()})
 
 
 def test_log_of_rates():
     run = recorded(head(8), seconds=8.0, step=0.125)
     alpha = run.output + PHI
     rates = np.array([rate(a, f, np.zeros(3)) for a, f in zip(alpha, run.f, strict=True)])
-    found = calibrate(replace(run, kind="rate", output=rates), TERMS)
+    calibration = calibrate(replace(run, kind="rate", output=rates), TERMS)
     for name in ("scale_factor", "servo", "servo_damping"):
-        assert found[name].value == pytest.approx(TRUTH[name], rel=5e-3 if name != "scale_factor" else 1e-7)
+        assert calibration[name].value == pytest.approx(
+            TRUTH[name], rel=5e-3 if name != "scale_factor" else 1e-7
+        )
 
 
 def test_phase_of_its_own_in_each_segment():
     phases = np.linspace(-2.0, 2.5, 8)
     run = recorded(head(8), seconds=8.0, phases=phases, d=0.0)
-    found = calibrate(given(run), TERMS[:-1], phases="per-segment")
-    check(found, TRUTH, EXACT, list(TERMS[:-1]))
-    own = [c.value for c in found.coefficients if c.name == "phi"]
+    calibration = calibrate(given(run), TERMS[:-1], phases="per-segment")
+    check(calibration, TRUTH, EXACT, list(TERMS[:-1]))
+    own = [c.value for c in calibration.coefficients if c.name == "phi"]
     assert np.abs(np.angle(np.exp(1j * (own - phases)))).max() < 1e-4
 
 
 def test_strong_damping_turns_the_phase_and_is_told_apart():
     strong = 5e-4 / G0**2
-    found = calibrate(given(recorded(head(8), d=strong)), TERMS)
-    check(found, TRUTH | {"servo_damping": 5e-4}, EXACT)
+    calibration = calibrate(given(recorded(head(8), d=strong)), TERMS)
+    check(calibration, TRUTH | {"servo_damping": 5e-4}, EXACT)
 
 
 @pytest.mark.slow
@@ -137,9 +139,9 @@ def test_uncertainties_are_those_of_repeated_records():
     sizes, run = [], recorded(head(), d=5e-4 / G0**2)
     for seed in range(30):
         noisy = replace(run, output=run.output + 2e-5 * np.random.default_rng(seed).standard_normal(run.size))
-        found = calibrate(given(noisy, angle="2e-5 rad"), TERMS)
+        calibration = calibrate(given(noisy, angle="2e-5 rad"), TERMS)
         sizes.append(
-            [(c.value - (TRUTH | {"servo_damping": 5e-4})[c.name]) / c.std for c in found.coefficients]
+            [(c.value - (TRUTH | {"servo_damping": 5e-4})[c.name]) / c.std for c in calibration.coefficients]
         )
     ratio = np.sqrt(np.mean(np.square(sizes), axis=0))
     assert (ratio > 0.6).all()
@@ -151,17 +153,17 @@ def test_spikes_and_jumps_are_left_out():
     run = recorded(head(), noise=1e-5)
     output = run.output.copy()
     output[[70, 200, 333]] += [0.4, -0.3, 1.1]
-    found = calibrate(replace(run, output=output), TERMS)
-    assert found.outliers
-    assert found["servo"].value == pytest.approx(TRUTH["servo"], abs=4.0 * found["servo"].std)
-    assert found["servo"].std < 5e-6
+    calibration = calibrate(replace(run, output=output), TERMS)
+    assert calibration.outliers
+    assert calibration["servo"].value == pytest.approx(TRUTH["servo"], abs=4.0 * calibration["servo"].std)
+    assert calibration["servo"].std < 5e-6
 
 
 @pytest.mark.only_compiled
 def test_coarse_counts():
-    found = calibrate(recorded(head(), noise=1e-6, count=2.0 * np.pi / 72000), TERMS)
+    calibration = calibrate(recorded(head(), noise=1e-6, count=2.0 * np.pi / 72000), TERMS)
     for name in ("scale_factor", "servo", "servo_damping"):
-        assert abs(found[name].value - TRUTH[name]) < 4.0 * found[name].std
+        assert abs(calibration[name].value - TRUTH[name]) < 4.0 * calibration[name].std
 
 
 def test_k3_beside_servo_is_refused_on_a_head():
@@ -216,25 +218,25 @@ def joint_runs():
 def test_head_and_centrifuge_together_separate_what_neither_can(tmp_path):
     runs = joint_runs()
     terms = ["scale_factor", "tan_beta", "k0", "k2", "k3", "m_Y", "servo", "servo_damping"]
-    found = calibrate(runs, terms)
+    calibration = calibrate(runs, terms)
     check(
-        found,
+        calibration,
         TRUTH | {"k3": 0.0},
         EXACT | {"k3": 1e-9},
         ["scale_factor", "tan_beta", "k0", "k2", "k3", *TERMS[-2:]],
     )
-    own = [c.value for c in found.coefficients if c.name == "phi"]
+    own = [c.value for c in calibration.coefficients if c.name == "phi"]
     assert own == pytest.approx([PHI, PHI + 0.9], abs=1e-5)
     assert any(
         "run 1" in note and "servo" in note and "alone cannot" in note
-        for note in (*found.notes, *found.remarks)
+        for note in (*calibration.notes, *calibration.remarks)
     )
     stored = RunSummary.of(runs[0], name="head")
     stored.to_json(tmp_path / "head.json")
     again = calibrate([RunSummary.from_json(tmp_path / "head.json"), runs[1]], terms)
     for name in ("scale_factor", "tan_beta", "servo", "servo_damping", "k3"):
-        assert again[name].value == pytest.approx(found[name].value, rel=1e-9, abs=1e-12)
-        assert again[name].std == pytest.approx(found[name].std, rel=1e-6)
+        assert again[name].value == pytest.approx(calibration[name].value, rel=1e-9, abs=1e-12)
+        assert again[name].std == pytest.approx(calibration[name].std, rel=1e-6)
     with pytest.raises(
         IdentifiabilityError, match=r"these 2 runs together cannot separate scale_factor, servo"
     ):
@@ -256,44 +258,44 @@ def on_a_head(terms, s=STIFFNESS, positions=12):
 
 @pytest.mark.only_compiled
 def test_doing_nothing_holds_both_meanings_of_a_cube():
-    found = on_a_head(TERMS[:5])
-    scale = found["scale_factor"]
-    row = next(row for row in found.budget if row.source == MEANING)
+    calibration = on_a_head(TERMS[:5])
+    scale = calibration["scale_factor"]
+    row = next(row for row in calibration.budget if row.source == MEANING)
     half = row.contributions["scale_factor"] * np.sqrt(3.0)
     by_k3 = TRUTH["scale_factor"] * (1.0 - 1.3e-5)
     for meaning in (TRUTH["scale_factor"], by_k3):
         assert abs(scale.value - meaning) < 1.05 * abs(half)
         assert abs(scale.value - meaning) < scale.expanded
     assert scale.value + half == pytest.approx(by_k3, rel=1e-6)
-    first = found.diagnostics.missing_terms[0]
+    first = calibration.diagnostics.missing_terms[0]
     assert first.terms == ("servo",)
     under = first.scale_factor_under
     assert under["servo"] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
     assert under["k3"] == pytest.approx(by_k3, rel=1e-6)
-    note = next(note for note in found.notes if "servo" in note)
+    note = next(note for note in calibration.notes if "servo" in note)
     assert "a choice of meaning" in note
     assert "covers both" in note
-    assert not any(entry.terms == ("k3",) for entry in found.diagnostics.missing_terms)
+    assert not any(entry.terms == ("k3",) for entry in calibration.diagnostics.missing_terms)
 
 
 def test_a_sound_record_has_no_such_row():
-    found = on_a_head(TERMS[:5], s=0.0)
-    assert len(found.budget) == 1
-    assert not found.diagnostics.missing_terms
+    calibration = on_a_head(TERMS[:5], s=0.0)
+    assert len(calibration.budget) == 1
+    assert not calibration.diagnostics.missing_terms
 
 
 @pytest.mark.only_compiled
 def test_an_asked_k3_is_said_to_be_a_choice_and_k_holds_both():
-    found = on_a_head([*TERMS[:5], "k3"], positions=8)
-    note = next(note for note in found.notes if "k3 may be the effect of the servo" in note)
+    calibration = on_a_head([*TERMS[:5], "k3"], positions=8)
+    note = next(note for note in calibration.notes if "k3 may be the effect of the servo" in note)
     assert "0.8885" in note
     assert float(re.search(r"([+-]\d+\.?\d*) ppm", note)[1]) == pytest.approx(13.0, abs=1.5)
     assert "covers both" in note
     assert "centrifuge" in note
-    scale = found["scale_factor"]
+    scale = calibration["scale_factor"]
     assert scale.value == pytest.approx(TRUTH["scale_factor"] * (1.0 - 1.3e-5), rel=2e-6)
     assert abs(scale.value - TRUTH["scale_factor"]) < scale.expanded
-    row = next(row for row in found.budget if row.source == MEANING)
+    row = next(row for row in calibration.budget if row.source == MEANING)
     half = np.sqrt(3.0) * row.contributions["scale_factor"]
     assert half == pytest.approx(TRUTH["scale_factor"] - scale.value, rel=0.02)
     assert not any(size for key, size in row.contributions.items() if key != "scale_factor")
@@ -303,23 +305,23 @@ def test_an_asked_k3_is_said_to_be_a_choice_and_k_holds_both():
 def test_an_asked_k3_beside_a_given_servo_means_itself():
     stiff = replace(SERVO[0], value=1e5, standard=0.0)
     run = replace(recorded(head(8), seconds=8.0, noise=2e-7, d=0.0), servo=(stiff, SERVO[2]))
-    found = calibrate(given(run, angle="2e-7 rad"), [*TERMS[:5], "k3"])
-    assert abs(found["k3"].value) > 2.0 * found["k3"].std
-    assert MEANING not in [row.source for row in found.budget]
+    calibration = calibrate(given(run, angle="2e-7 rad"), [*TERMS[:5], "k3"])
+    assert abs(calibration["k3"].value) > 2.0 * calibration["k3"].std
+    assert MEANING not in [row.source for row in calibration.budget]
 
 
 @pytest.mark.only_compiled
 def test_phi_holds_the_damping_that_the_model_lacks():
     terms = [*TERMS[:5], "servo"]
     run = recorded(head(), seconds=8.0, noise=2e-6)
-    found = calibrate(given(run, angle="2e-6 rad"), terms)
-    phi = found["phi"]
-    row = next(row for row in found.budget if row.source == DAMPING_LEFT)
-    plain = found.budget[0].contributions["phi"]
+    calibration = calibrate(given(run, angle="2e-6 rad"), terms)
+    phi = calibration["phi"]
+    row = next(row for row in calibration.budget if row.source == DAMPING_LEFT)
+    plain = calibration.budget[0].contributions["phi"]
     assert abs(phi.value - PHI) > 3.0 * plain
     assert abs(phi.value - PHI) < phi.expanded
     assert row.contributions["phi"] > 3.0 * plain
-    assert any("servo_damping" in note and "cover this" in note for note in found.notes)
+    assert any("servo_damping" in note and "cover this" in note for note in calibration.notes)
     whole = calibrate(given(run, angle="2e-6 rad"), TERMS)
     assert DAMPING_LEFT not in [row.source for row in whole.budget]
     assert whole["phi"].std < 0.3 * phi.std
@@ -328,14 +330,14 @@ def test_phi_holds_the_damping_that_the_model_lacks():
 @pytest.mark.only_compiled
 def test_comparison_offers_the_servo_first_and_says_what_k_becomes():
     run = given(recorded(head(8), seconds=8.0, noise=2e-7, d=0.0), angle="2e-7 rad")
-    found = compare_models(run, [["scale_factor", "tan_beta", "k0"], [*TERMS[:3], "m_Y", "k3"]])
-    sets = [row.terms for row in found.sets]
+    comparison = compare_models(run, [["scale_factor", "tan_beta", "k0"], [*TERMS[:3], "m_Y", "k3"]])
+    sets = [row.terms for row in comparison.sets]
     assert sets[1:] == [(*TERMS[:3], "m_Y", "servo"), (*TERMS[:3], "m_Y", "k3")]
-    values = [{c.name: c.value for c in row.coefficients}["scale_factor"] for row in found.sets]
+    values = [{c.name: c.value for c in row.coefficients}["scale_factor"] for row in comparison.sets]
     assert values[1] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
     assert values[2] == pytest.approx(TRUTH["scale_factor"] * (1.0 - 1.3e-5), rel=2e-6)
-    assert "choice of meaning" in found.notes[0]
-    assert f"{values[1]:.8g}" in found.notes[0]
+    assert "choice of meaning" in comparison.notes[0]
+    assert f"{values[1]:.8g}" in comparison.notes[0]
 
 
 SERVO = (
@@ -349,27 +351,27 @@ S, D = K**2 * 0.1 / 6000.0, 0.1 * K**2 / 3000.0
 
 def test_given_parameters_are_a_known_part_of_the_model_with_their_uncertainty():
     run = given(replace(recorded(head(8), seconds=8.0, s=S, d=D), servo=SERVO))
-    found = calibrate(run, TERMS[:5])
-    check(found, TRUTH, {name: 3.0 * size for name, size in EXACT.items()}, TERMS[:5])
-    assert found.terms == tuple(TERMS)
-    assert found["servo"].value == pytest.approx(S * G0**2, rel=1e-3)
-    assert found["servo"].std == pytest.approx(0.02 * S * G0**2, rel=0.05)
-    assert found["servo_damping"].std == pytest.approx(np.hypot(0.02, 0.1) * D * G0**2, rel=0.05)
-    rows = {row.source: row.contributions for row in found.budget}
+    calibration = calibrate(run, TERMS[:5])
+    check(calibration, TRUTH, {name: 3.0 * size for name, size in EXACT.items()}, TERMS[:5])
+    assert calibration.terms == tuple(TERMS)
+    assert calibration["servo"].value == pytest.approx(S * G0**2, rel=1e-3)
+    assert calibration["servo"].std == pytest.approx(0.02 * S * G0**2, rel=0.05)
+    assert calibration["servo_damping"].std == pytest.approx(np.hypot(0.02, 0.1) * D * G0**2, rel=0.05)
+    rows = {row.source: row.contributions for row in calibration.budget}
     assert set(rows) == {"fit residuals (repeatability)", "servo integral gain", "servo damping"}
     shift = 0.25 * S * G0**2 * TRUTH["scale_factor"]
     assert rows["servo integral gain"]["scale_factor"] == pytest.approx(-0.02 * shift, rel=0.1)
     assert abs(rows["servo damping"]["phi"]) > 2.0 * abs(rows["servo integral gain"]["phi"])
     total = np.sqrt(sum(row["servo_damping"] ** 2 for row in rows.values()))
-    assert total == pytest.approx(found["servo_damping"].std)
+    assert total == pytest.approx(calibration["servo_damping"].std)
 
 
 def test_what_is_asked_for_is_estimated_even_where_it_is_given():
     wrong = (replace(SERVO[0], value=1500.0), *SERVO[1:])
     run = given(replace(recorded(head(8), seconds=8.0, s=S, d=D), servo=wrong))
-    found = calibrate(run, TERMS)
-    assert found["servo"].value == pytest.approx(S * G0**2, abs=1e-8)
-    assert [row.source for row in found.budget] == ["fit residuals (repeatability)"]
+    calibration = calibrate(run, TERMS)
+    assert calibration["servo"].value == pytest.approx(S * G0**2, abs=1e-8)
+    assert [row.source for row in calibration.budget] == ["fit residuals (repeatability)"]
 
 
 @pytest.mark.parametrize(

@@ -142,8 +142,8 @@ def test_joint_covariance_is_that_of_dense_matrices(monkeypatch: pytest.MonkeyPa
     own = [RunSummary.of(record, scenario.terms) for record, scenario in zip(records, runs, strict=True)]
     assert own[1].noise.drift > 0.0
     assert [noise.name for noise in own[1].added] == ["drift"]
-    found = piga.calibrate(records, runs[0].terms)
-    keys = [c.key for c in found.coefficients]
+    calibration = piga.calibrate(records, runs[0].terms)
+    keys = [c.key for c in calibration.coefficients]
     bread, meat = np.zeros((2, len(keys), len(keys)))
     for index, (scenario, record, part) in enumerate(zip(runs, records, own, strict=True)):
         at = [keys.index(f"phi[run {index + 1}]" if name == "phi" else name) for name in scenario.names]
@@ -152,7 +152,7 @@ def test_joint_covariance_is_that_of_dense_matrices(monkeypatch: pytest.MonkeyPa
         meat[np.ix_(at, at)] += M
     inverse = np.linalg.inv(bread)
     expected = np.sqrt(np.diag(inverse @ meat @ inverse))
-    std = np.array([c.std for c in found.coefficients])
+    std = np.array([c.std for c in calibration.coefficients])
     assert std == pytest.approx(expected, rel=0.06, abs=0.0)
     assert (std / np.sqrt(np.diag(inverse))).max() > 1.3
 
@@ -182,11 +182,11 @@ def test_a_drift_with_a_phase_per_segment_is_in_joint_calibrations() -> None:
     scenario = SCENARIOS["drift"]
     run = scenario.record(np.random.default_rng([2, 9]))
     run = replace(run, model=msgspec.structs.replace(run.model, phases="per-segment"))
-    found = piga.calibrate([RunSummary.of(run, scenario.terms)], scenario.terms)
+    calibration = piga.calibrate([RunSummary.of(run, scenario.terms)], scenario.terms)
     still = piga.calibrate([replace(RunSummary.of(run, scenario.terms), added=())], scenario.terms)
-    assert found["scale_factor"].value == still["scale_factor"].value
-    assert found["scale_factor"].std > 1.5 * still["scale_factor"].std
-    assert found["scale_factor"].degrees_of_freedom < 0.7 * still["scale_factor"].degrees_of_freedom
+    assert calibration["scale_factor"].value == still["scale_factor"].value
+    assert calibration["scale_factor"].std > 1.5 * still["scale_factor"].std
+    assert calibration["scale_factor"].degrees_of_freedom < 0.7 * still["scale_factor"].degrees_of_freedom
 
 
 @pytest.mark.only_compiled

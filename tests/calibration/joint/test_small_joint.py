@@ -87,9 +87,9 @@ def test_a_summary_for_the_raw_data(runs: list[piga.Run], tmp_path: Path) -> Non
 
 @pytest.mark.only_compiled
 def test_a_coefficient_of_each_run(runs: list[piga.Run]) -> None:
-    found = piga.calibrate(runs, FEW, per_run=["k0"])
-    assert [c.key for c in found.coefficients] == ["scale_factor", "k0[run 1]", "k0[spun]", "k2"]
-    assert found.for_run("spun")["k0"].value == found["k0[spun]"].value
+    calibration = piga.calibrate(runs, FEW, per_run=["k0"])
+    assert [c.key for c in calibration.coefficients] == ["scale_factor", "k0[run 1]", "k0[spun]", "k2"]
+    assert calibration.for_run("spun")["k0"].value == calibration["k0[spun]"].value
     again = piga.calibrate([runs[0], runs[0]], FEW, per_run=["k2"])
     assert [c.key for c in again.coefficients][2:] == ["k2[run 1]", "k2[run 2]"]
 
@@ -198,39 +198,39 @@ def contributions(table: UncertaintyTable) -> tuple[dict[str, dict[str, float]],
         uncertainty=table,
         temperature=293.15 + np.array([0.0, 3.0, 1.0, 4.0, 1.0, 5.0, 2.0, 6.0])[run.segment_index],
     )
-    found = piga.calibrate(run, ["scale_factor", "k0", "m_Y", "k0_T"])
-    return {row.source: row.contributions for row in found.budget if row.type == "B"}, found
+    calibration = piga.calibrate(run, ["scale_factor", "k0", "m_Y", "k0_T"])
+    return {row.source: row.contributions for row in calibration.budget if row.type == "B"}, calibration
 
 
 @pytest.mark.parametrize("source", ["reference_scale", "timing"])
 def test_a_scale_goes_into_k(source: str) -> None:
-    found = contributions(UncertaintyTable(**{source: "20 ppm"}))[0][source]
-    assert abs(found["scale_factor"]) == pytest.approx(20e-6 * 0.8884, rel=1e-2)
-    assert abs(found["k0"]) < 20e-6 * 4e-3  # of the bias itself, 1.6e-3 g
+    result = contributions(UncertaintyTable(**{source: "20 ppm"}))[0][source]
+    assert abs(result["scale_factor"]) == pytest.approx(20e-6 * 0.8884, rel=1e-2)
+    assert abs(result["k0"]) < 20e-6 * 4e-3  # of the bias itself, 1.6e-3 g
 
 
 def test_gravity_goes_into_k() -> None:
-    found = contributions(UncertaintyTable(gravity="20 mGal"))[0]["gravity"]
-    assert abs(found["scale_factor"]) == pytest.approx(20e-5 / G0 * 0.8884, rel=1e-2)
+    result = contributions(UncertaintyTable(gravity="20 mGal"))[0]["gravity"]
+    assert abs(result["scale_factor"]) == pytest.approx(20e-5 / G0 * 0.8884, rel=1e-2)
 
 
 def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> None:
-    found, result = contributions(UncertaintyTable(reference_bias="5 ug"))
-    assert abs(found["reference_bias X0"]["k0"]) == pytest.approx(5e-6, rel=1e-2)
-    assert abs(found["reference_bias Y0"]["k0"]) == pytest.approx(5e-6 * result["m_Y"].value, rel=1e-3)
-    assert set(found) == {f"reference_bias {axis}" for axis in ("X0", "Y0", "Z0")}
+    outcome, result = contributions(UncertaintyTable(reference_bias="5 ug"))
+    assert abs(outcome["reference_bias X0"]["k0"]) == pytest.approx(5e-6, rel=1e-2)
+    assert abs(outcome["reference_bias Y0"]["k0"]) == pytest.approx(5e-6 * result["m_Y"].value, rel=1e-3)
+    assert set(outcome) == {f"reference_bias {axis}" for axis in ("X0", "Y0", "Z0")}
 
 
 def test_a_turn_of_the_reference_about_z_goes_into_the_misalignment() -> None:
-    found, _ = contributions(UncertaintyTable(reference_misalignment="2 arcsec"))
-    assert abs(found["reference_misalignment Z0"]["m_Y"]) == pytest.approx(np.radians(2.0 / 3600.0), rel=1e-2)
-    assert abs(found["reference_misalignment Z0"]["scale_factor"]) < 1e-8
+    result, _ = contributions(UncertaintyTable(reference_misalignment="2 arcsec"))
+    assert abs(result["reference_misalignment Z0"]["m_Y"]) == pytest.approx(np.radians(2.0 / 3600.0), rel=1e-2)
+    assert abs(result["reference_misalignment Z0"]["scale_factor"]) < 1e-8
 
 
 def test_a_thermometer_goes_into_the_bias_by_its_slope() -> None:
-    found, result = contributions(UncertaintyTable(temperature="0.5 K"))
-    assert abs(found["temperature"]["k0"]) == pytest.approx(0.5 * abs(result["k0_T"].value), rel=1e-6)
-    assert abs(found["temperature"]["scale_factor"]) < 1e-12
+    outcome, result = contributions(UncertaintyTable(temperature="0.5 K"))
+    assert abs(outcome["temperature"]["k0"]) == pytest.approx(0.5 * abs(result["k0_T"].value), rel=1e-6)
+    assert abs(outcome["temperature"]["scale_factor"]) < 1e-12
     cold = record(np.random.default_rng(22), seconds=6.0, rate=3.0, count=4, levels=(1.0,))
     cold = replace(cold, uncertainty=UncertaintyTable(temperature="0.5 K"))
     assert [row.type for row in piga.calibrate(cold, ["scale_factor", "k0"]).budget] == ["A"]
@@ -251,19 +251,21 @@ def turning(seed: int, **options: Any) -> piga.Run:
 @pytest.mark.only_compiled
 def test_whole_turns_of_a_small_record() -> None:
     run = replace(turning(31), uncertainty=UncertaintyTable(reference_scale="20 ppm"))
-    found = piga.calibrate(run, MEAN, "revolutions")
-    (scale,) = [row.contributions["scale_factor"] for row in found.budget if row.type == "B"]
+    calibration = piga.calibrate(run, MEAN, "revolutions")
+    (scale,) = [row.contributions["scale_factor"] for row in calibration.budget if row.type == "B"]
     assert abs(scale) == pytest.approx(20e-6 * 0.8884, rel=1e-3)
-    assert found["scale_factor"].std > abs(scale)
+    assert calibration["scale_factor"].std > abs(scale)
     apart = piga.calibrate(turning(31), MEAN, "revolutions")
     assert all(abs(z) < 4.5 for z in errors(apart).values()), errors(apart)
-    assert found["scale_factor"].std == pytest.approx(np.hypot(apart["scale_factor"].std, scale), rel=1e-6)
+    assert calibration["scale_factor"].std == pytest.approx(
+        np.hypot(apart["scale_factor"].std, scale), rel=1e-6
+    )
 
 
 def test_positions_without_a_whole_turn() -> None:
-    found = piga.calibrate(turning(32, seconds=16.0, count=14), ["scale_factor", "k0"], "revolutions")
-    (event,) = [event for event in found.quality.events if event.kind == "no-whole-revolution"]
-    assert 0 < event.count == 14 - len(found.segments)
+    calibration = piga.calibrate(turning(32, seconds=16.0, count=14), ["scale_factor", "k0"], "revolutions")
+    (event,) = [event for event in calibration.quality.events if event.kind == "no-whole-revolution"]
+    assert 0 < event.count == 14 - len(calibration.segments)
     with pytest.raises(piga.CalibrationError, match="whole turns"):
         piga.calibrate(turning(33, seconds=5.0), ["scale_factor", "k0"], "revolutions")
     with pytest.raises(piga.CalibrationError, match="cannot estimate harmonics"):
@@ -272,9 +274,9 @@ def test_positions_without_a_whole_turn() -> None:
 
 @pytest.mark.only_compiled
 def test_pulling_that_does_not_show_on_a_small_record() -> None:
-    found = piga.calibrate(turning(35), [*MEAN, "tan_beta"], "revolutions")
-    assert "tan_beta" not in {c.name for c in found.coefficients}
-    assert any("do not show tan_beta" in note for note in found.notes)
+    calibration = piga.calibrate(turning(35), [*MEAN, "tan_beta"], "revolutions")
+    assert "tan_beta" not in {c.name for c in calibration.coefficients}
+    assert any("do not show tan_beta" in note for note in calibration.notes)
 
 
 def test_pulling_of_a_strongly_coupled_instrument() -> None:
@@ -292,9 +294,9 @@ def test_pulling_of_a_strongly_coupled_instrument() -> None:
         output[part] = piga.propagate(start, t[part], f[part])
     output += 1e-5 * rng.standard_normal(t.size)
     run = piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment)
-    found = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], "revolutions", phases="per-segment")
-    assert found["tan_beta"].value == pytest.approx(np.tan(0.03), abs=4.5 * found["tan_beta"].std)
-    assert found["scale_factor"].value == pytest.approx(0.8884, abs=4.5 * found["scale_factor"].std)
+    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], "revolutions", phases="per-segment")
+    assert calibration["tan_beta"].value == pytest.approx(np.tan(0.03), abs=4.5 * calibration["tan_beta"].std)
+    assert calibration["scale_factor"].value == pytest.approx(0.8884, abs=4.5 * calibration["scale_factor"].std)
 
 
 # --- requests that do not fit the record

@@ -69,9 +69,9 @@ def test_harmonics_without_a_coupling() -> None:
     """Their phase is that of the output zero, not one to be found: nothing turns with an angle that is estimated."""
     run = short(51)
     terms = ["scale_factor", "k0", "k2", "m_Y", "s3", "c3"]
-    found = piga.calibrate(run, terms)
-    assert "phi" not in {c.name for c in found.coefficients}
-    assert [c.name for c in found.coefficients] == terms
+    calibration = piga.calibrate(run, terms)
+    assert "phi" not in {c.name for c in calibration.coefficients}
+    assert [c.name for c in calibration.coefficients] == terms
     with_coupling = piga.calibrate(run, [*TERMS, "s3", "c3"])
     for name in ("s3", "c3"):
         assert abs(with_coupling[name].value) < 4.5 * with_coupling[name].std
@@ -85,8 +85,8 @@ def test_harmonics_by_monte_carlo() -> None:
     run = replace(short(52), uncertainty=UncertaintyTable(reference_scale="2 ppm"), estimation=known)
     by_formula = piga.calibrate(run, [*TERMS, "s2", "c2"])
     drawn = replace(run, estimation=EstimationTable(uncertainty="monte-carlo", **levels))
-    found = piga.calibrate(drawn, [*TERMS, "s2", "c2"])
-    table = found.diagnostics.monte_carlo.coefficients
+    calibration = piga.calibrate(drawn, [*TERMS, "s2", "c2"])
+    table = calibration.diagnostics.monte_carlo.coefficients
     for name in ("scale_factor", "k0", "s2", "c2"):
         assert table[name].std == pytest.approx(by_formula[name].std, rel=0.05)
 
@@ -102,9 +102,9 @@ def test_the_published_recursion_from_another_start() -> None:
     start = EstimationTable(x0=(float(tangent), float(np.pi / 4)), P0=1e-9)
     for kind, output in (("rate", rate), ("angle", alpha - np.pi / 4)):
         run = piga.Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", kind=kind)
-        found = piga.calibrate(replace(run, estimation=start), ["tan_beta"], "published")
-        assert found["tan_beta"].value == pytest.approx(tangent, rel=0.05)
-        assert found["phi"].value == pytest.approx(np.pi / 4, abs=0.05)
+        calibration = piga.calibrate(replace(run, estimation=start), ["tan_beta"], "published")
+        assert calibration["tan_beta"].value == pytest.approx(tangent, rel=0.05)
+        assert calibration["phi"].value == pytest.approx(np.pi / 4, abs=0.05)
         wrong = EstimationTable(x0=(1e-3, 0.1, 0.0), P0=1.0)
         with pytest.raises(piga.CalibrationError, match=r"\[estimation\] x0 has 3 values, 2 are needed"):
             piga.calibrate(replace(run, estimation=wrong), ["tan_beta"], "published")
@@ -117,8 +117,8 @@ def test_whole_turns_need_steady_positions_and_a_term() -> None:
         piga.calibrate(run, ["tan_beta"], "revolutions")
     f = run.f.copy()
     f[run.segment_index == 2] *= (1.0 + 0.2 * np.sin(run.t[run.segment_index == 2]))[:, None]
-    found = piga.calibrate(replace(run, f=f), ["scale_factor", "k0"], "revolutions")
-    assert "2" not in {segment.label for segment in found.segments}
+    calibration = piga.calibrate(replace(run, f=f), ["scale_factor", "k0"], "revolutions")
+    assert "2" not in {segment.label for segment in calibration.segments}
     assert "2" in {
         segment.label for segment in piga.calibrate(run, ["scale_factor", "k0"], "revolutions").segments
     }

@@ -66,12 +66,12 @@ def test_a_coefficient_that_rests_on_one_position_is_said():
     forces = np.vstack([np.tile([[1.0, 0.0, 0.1], [-1.0, 0.0, 0.1]], (4, 1)), [[0.4, 0.0, 0.1]]])
     terms = ("scale_factor", "tan_beta", "k0", "k2")
     scenario = Scenario("sole", forces, seconds=6.0, white=2.5e-5, walk=2e-5, terms=terms)
-    found = scenario.calibrate(scenario.record(np.random.default_rng(1)))
-    row = found.diagnostics.leverage["8"]
+    calibration = scenario.calibrate(scenario.record(np.random.default_rng(1)))
+    row = calibration.diagnostics.leverage["8"]
     assert row.share["k2"] == 1.0
     assert row.shift["k2"] is None
     assert row.share["scale_factor"] < 0.5
-    assert any("k2" in note and "rest on segment '8' alone" in note for note in found.notes)
+    assert any("k2" in note and "rest on segment '8' alone" in note for note in calibration.notes)
 
 
 @pytest.mark.only_compiled
@@ -80,8 +80,8 @@ def test_a_position_that_is_wrong_is_named():
     run = scenario.record(np.random.default_rng(1))
     off = np.zeros((12, 3))
     off[3, 0] = 3e-4 * G0
-    found = piga.calibrate(replace(run, f=run.f + off[run.segment_index]), TERMS)
-    assert any("without segment '3'" in note for note in found.notes)
+    calibration = piga.calibrate(replace(run, f=run.f + off[run.segment_index]), TERMS)
+    assert any("without segment '3'" in note for note in calibration.notes)
     assert not any("without segment" in note for note in piga.calibrate(run, TERMS).notes)
 
 
@@ -90,9 +90,9 @@ def test_positions_that_all_scatter_are_not_named_one_by_one():
     """Thirty times the scatter that the noise explains: one remark on all, none on each; one that is far off, still."""
     scenario = replace(SCENARIOS["scatter"], scatter=1e-4)
     run = scenario.record(np.random.default_rng(4))
-    found = scenario.calibrate(run)
-    notes = found.notes
-    shifts = [row.shift["scale_factor"] for row in found.diagnostics.leverage.values()]
+    calibration = scenario.calibrate(run)
+    notes = calibration.notes
+    shifts = [row.shift["scale_factor"] for row in calibration.diagnostics.leverage.values()]
     assert max(map(abs, shifts)) < 3.0, "in units of the uncertainty with the scatter"
     assert any("the mean rates of the segments scatter" in note for note in notes)
     assert not any("without segment" in note for note in notes)
@@ -112,7 +112,7 @@ def test_one_segment_has_no_leverage():
 @pytest.mark.only_compiled
 def test_a_bias_drift_leaves_the_leverage_of_each_segment():
     scenario = SCENARIOS["drift"]
-    found = scenario.calibrate(scenario.record(np.random.default_rng(0)))
-    table = found.diagnostics.leverage
+    calibration = scenario.calibrate(scenario.record(np.random.default_rng(0)))
+    table = calibration.diagnostics.leverage
     assert sum(row.leverage for row in table.values()) == pytest.approx(6.0, rel=1e-6)
-    assert not any("alone" in note for note in found.notes)
+    assert not any("alone" in note for note in calibration.notes)

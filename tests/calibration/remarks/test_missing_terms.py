@@ -22,22 +22,22 @@ SIZES = {
 @pytest.mark.parametrize("name", SIZES)
 def test_every_signature_is_recognised(name):
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), name, SIZES[name])
-    found = piga.calibrate(run, TERMS)
-    first = found.diagnostics.missing_terms[0]
+    calibration = piga.calibrate(run, TERMS)
+    first = calibration.diagnostics.missing_terms[0]
     assert name in first.terms
     at = first.terms.index(name)
     miss = abs(first.estimate[at] - SIZES[name]) / first.standard_uncertainty[at]
     assert miss < 5.0
     assert first.standard_uncertainty[at] < 0.1 * abs(SIZES[name])
-    assert any("signature of a missing term" in note and name in note for note in found.notes)
-    assert name not in [c.name for c in found.coefficients]
+    assert any("signature of a missing term" in note and name in note for note in calibration.notes)
+    assert name not in [c.name for c in calibration.coefficients]
 
 
 @pytest.mark.only_compiled
 def test_the_bias_is_missed_too():
     run = EVERYWHERE.record(np.random.default_rng(5))
-    found = piga.calibrate(run, ("scale_factor", "tan_beta"))
-    first = found.diagnostics.missing_terms[0]
+    calibration = piga.calibrate(run, ("scale_factor", "tan_beta"))
+    first = calibration.diagnostics.missing_terms[0]
     assert first.terms == ("k0",)
     assert first.estimate[0] == pytest.approx(1.6e-3, abs=5.0 * first.standard_uncertainty[0])
 
@@ -53,15 +53,15 @@ def test_the_coupling_is_missed_too():
 @pytest.mark.only_compiled
 def test_a_phase_per_segment_hides_no_missing_term():
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k_XY", 2e-4)
-    found = piga.calibrate(run, TERMS, phases="per-segment")
-    assert found.diagnostics.missing_terms[0].terms == ("k_XY",)
+    calibration = piga.calibrate(run, TERMS, phases="per-segment")
+    assert calibration.diagnostics.missing_terms[0].terms == ("k_XY",)
 
 
 @pytest.mark.only_compiled
 def test_two_missing_terms_are_both_found():
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k2", 2e-4)
-    found = piga.calibrate(with_term(run, "k_YZ", 1e-4), TERMS)
-    assert [m.terms for m in found.diagnostics.missing_terms] == [("k2",), ("k_YZ",)]
+    calibration = piga.calibrate(with_term(run, "k_YZ", 1e-4), TERMS)
+    assert [m.terms for m in calibration.diagnostics.missing_terms] == [("k2",), ("k_YZ",)]
 
 
 @pytest.mark.only_compiled
@@ -79,8 +79,8 @@ def test_what_the_model_cannot_tell_apart_is_not_suggested():
     """On a tumble at one level k_YY is k0 and k2 again."""
     run = SCENARIOS["static"].record(np.random.default_rng(3))
     one = Scenario("one", tumble(12, side=0.0), white=2.5e-5, walk=2e-5, terms=(*TERMS, "k2"))
-    found = piga.calibrate(with_term(one.record(np.random.default_rng(3)), "k_YY", 3e-4), one.terms)
-    assert not any("k_YY" in m.terms for m in found.diagnostics.missing_terms)
+    calibration = piga.calibrate(with_term(one.record(np.random.default_rng(3)), "k_YY", 3e-4), one.terms)
+    assert not any("k_YY" in m.terms for m in calibration.diagnostics.missing_terms)
     assert not piga.calibrate(run, SCENARIOS["static"].terms).diagnostics.missing_terms
 
 
@@ -102,8 +102,8 @@ def test_errors_of_single_positions_are_not_taken_for_a_term():
 @pytest.mark.parametrize("name", ["static", "centrifuge", "white", "walk"])
 def test_a_right_model_gets_no_suggestion(name):
     scenario = SCENARIOS[name]
-    found = scenario.calibrate(scenario.record(np.random.default_rng(8)))
-    assert not found.diagnostics.missing_terms
+    calibration = scenario.calibrate(scenario.record(np.random.default_rng(8)))
+    assert not calibration.diagnostics.missing_terms
 
 
 WARMING = Bench(
@@ -128,8 +128,8 @@ def test_a_temperature_that_does_nothing_is_not_suggested():
     """200 sound records with a temperature: at most 1 %; 40 in which the bias follows it: at least 95 %."""
 
     def suggested(bench, seed):
-        found = piga.calibrate(bench.record(seed), TERMS).diagnostics.missing_terms
-        return any("k0_T" in (*entry.terms, *entry.alike) for entry in found)
+        missing = piga.calibrate(bench.record(seed), TERMS).diagnostics.missing_terms
+        return any("k0_T" in (*entry.terms, *entry.alike) for entry in missing)
 
     assert sum(suggested(replace(WARMING, k0_T=0.0), seed) for seed in range(200)) <= 2
     assert sum(suggested(WARMING, seed) for seed in range(40)) >= 38

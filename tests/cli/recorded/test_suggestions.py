@@ -32,8 +32,8 @@ terms = ["scale_factor", "k0"]
 def suggested(path: Path) -> list[tuple[str, str]]:
     """Table and line of each suggestion."""
     done = CliRunner().invoke(app, ["check", str(path), "--fix-suggestions"])
-    found = [line.split("    # in [") for line in done.stdout.splitlines() if "    # in [" in line]
-    return [(table.removesuffix("]"), line) for line, table in found]
+    seen = [line.split("    # in [") for line in done.stdout.splitlines() if "    # in [" in line]
+    return [(table.removesuffix("]"), line) for line, table in seen]
 
 
 def with_line(path: Path, table: str, line: str) -> Path:
@@ -51,9 +51,9 @@ def test_a_sheet_of_several(tmp_path: Path) -> None:
     book.create_sheet("notes")
     book.save(tmp_path / "run.xlsx")
     path = write_run(tmp_path, "run.xlsx")
-    found = suggested(path)
-    assert found == [("data", "sheet = 'log 2'")]  # the other one does not hold the columns
-    assert piga.read_run(with_line(path, *found[0])).size == 40
+    suggestion = suggested(path)
+    assert suggestion == [("data", "sheet = 'log 2'")]  # the other one does not hold the columns
+    assert piga.read_run(with_line(path, *suggestion[0])).size == 40
 
 
 @pytest.mark.parametrize(("bits", "begin", "which"), [(16, 0, 16), (24, (1 << 24) - 9000, 24)])
@@ -62,9 +62,9 @@ def test_the_width_of_a_counter_that_folds(tmp_path: Path, bits: int, begin: int
     folded = [f"{t},{(int(n) + begin) % (1 << bits)},{rest}" for t, n, rest in cells]
     write_log(tmp_path, folded)
     path = write_run(tmp_path)
-    found = suggested(path)
-    assert found == [("instrument", f"counter_bits = {which}")]
-    run = piga.read_run(with_line(path, *found[0]))
+    suggestion = suggested(path)
+    assert suggestion == [("instrument", f"counter_bits = {which}")]
+    run = piga.read_run(with_line(path, *suggestion[0]))
     assert events(run) == {"counter-roll-over": 4 if bits == 16 else 1}
     np.testing.assert_allclose(psi_steps(run), 0.5 * 10179.0 * 2.0 * math.pi / 72000.0, atol=1e-4)
 
@@ -83,9 +83,9 @@ def test_the_range_of_a_column_that_saturates(tmp_path: Path, sign: float, limit
     write_log(tmp_path, saturated(sign))
     path = write_run(tmp_path)
     assert "stuck-value" in events(piga.read_run(path))
-    found = suggested(path)
-    assert found == [("data", f"range = {{ fy = {limits} }}")]
-    after = piga.read_run(with_line(path, *found[0]))
+    suggestion = suggested(path)
+    assert suggestion == [("data", f"range = {{ fy = {limits} }}")]
+    after = piga.read_run(with_line(path, *suggestion[0]))
     assert "stuck-value" not in events(after)
     assert events(after)["saturated"] > 8
 
@@ -107,9 +107,11 @@ def test_an_encoding_that_was_found(tmp_path: Path) -> None:
         "\n".join(["t,n,fx,fy,fz,备注", *(f"{row},好" for row in lines()), ""]).encode("gb18030")
     )
     path = write_run(tmp_path)
-    found = suggested(path)
-    assert found == [("data", "encoding = 'gb18030'")]
-    np.testing.assert_array_equal(piga.read_run(with_line(path, *found[0])).output, piga.read_run(path).output)
+    suggestion = suggested(path)
+    assert suggestion == [("data", "encoding = 'gb18030'")]
+    np.testing.assert_array_equal(
+        piga.read_run(with_line(path, *suggestion[0])).output, piga.read_run(path).output
+    )
 
 
 @pytest.mark.parametrize(

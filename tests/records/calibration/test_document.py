@@ -36,15 +36,15 @@ def test_schema_and_round_trip(calibration: piga.Calibration, tmp_path: Path) ->
     jsonschema.Draft202012Validator.check_schema(schema)
     document = json.loads(path.read_text())
     jsonschema.Draft202012Validator(schema).validate(document)
-    found = piga.Calibration.from_json(path)
-    assert found.coefficients == calibration.coefficients
-    np.testing.assert_array_equal(found.covariance, calibration.covariance)
-    assert found.segments == calibration.segments
-    assert found.notes == calibration.notes
-    assert found.quality == calibration.quality
-    assert found.scale_factor_nominal == pytest.approx(calibration.scale_factor_nominal, rel=1e-15)
-    assert found.residuals is None
-    found.to_json(tmp_path / "again.json")
+    result = piga.Calibration.from_json(path)
+    assert result.coefficients == calibration.coefficients
+    np.testing.assert_array_equal(result.covariance, calibration.covariance)
+    assert result.segments == calibration.segments
+    assert result.notes == calibration.notes
+    assert result.quality == calibration.quality
+    assert result.scale_factor_nominal == pytest.approx(calibration.scale_factor_nominal, rel=1e-15)
+    assert result.residuals is None
+    result.to_json(tmp_path / "again.json")
     assert json.loads((tmp_path / "again.json").read_text()).keys() == document.keys()
 
 

@@ -57,12 +57,12 @@ def test_back_from_the_file(joint: Calibration, tmp_path: Path) -> None:
     written = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
     assert [run["phase"] for run in written["runs"]] == [run.phases for run in joint.runs]
     assert written["model"]["phase"] == joint.phases
-    found = Calibration.from_json(tmp_path / "c.json")
-    assert found.coefficients == joint.coefficients
-    assert found.runs == joint.runs
-    assert found.outliers == joint.outliers
-    np.testing.assert_array_equal(found.covariance, joint.covariance)
-    found.to_json(tmp_path / "again.json")
+    result = Calibration.from_json(tmp_path / "c.json")
+    assert result.coefficients == joint.coefficients
+    assert result.runs == joint.runs
+    assert result.outliers == joint.outliers
+    np.testing.assert_array_equal(result.covariance, joint.covariance)
+    result.to_json(tmp_path / "again.json")
     assert (tmp_path / "again.json").read_bytes() == (tmp_path / "c.json").read_bytes()
 
 
@@ -113,11 +113,11 @@ def test_residuals_name_their_run(joint: Calibration, tmp_path: Path) -> None:
         write_residuals(joint, tmp_path / "r.parquet")
     assert not (tmp_path / "r.parquet").exists()
     numbers = np.arange(4.0)
-    found = Residuals(
+    residuals = Residuals(
         np.arange(4), numbers, numbers, numbers, numbers, numbers, numbers,
         np.zeros(4, np.int32), np.array([0, 0, 1, 1], np.int32),
     )  # fmt: skip
-    write_residuals(replace(joint, residuals=found), tmp_path / "r.parquet")
+    write_residuals(replace(joint, residuals=residuals), tmp_path / "r.parquet")
     table = pq.read_table(tmp_path / "r.parquet")
     assert table.column("run").to_pylist() == ["east", "east", "west", "west"]
     assert table.schema.field("before").metadata == {b"unit": b"rad"}

@@ -39,7 +39,7 @@ from piga.records.run import Run
 
 Array = NDArray[np.float64]
 
-TURN = 2.0 * np.pi
+FULL_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
@@ -158,11 +158,11 @@ def find_positions(run: Run) -> Positions:
     for index, label in enumerate(run.labels):
         part = _longest_stretch(run, index)
         x = np.maximum.accumulate(np.abs(run.output[part] - run.output[part][0]))
-        count = int(x[-1] / TURN) if x.size else 0
+        count = int(x[-1] / FULL_TURN) if x.size else 0
         if count < 1:
             short.append(label)
             continue
-        at = np.interp(TURN * np.arange(count + 1), x, run.t[part])
+        at = np.interp(FULL_TURN * np.arange(count + 1), x, run.t[part])
         inside = slice(part.start, part.start + int(np.searchsorted(run.t[part], at[-1])) + 1)
         force = run.f[inside]
         if np.ptp(force, axis=0).max() > REVOLUTIONS.steady * np.linalg.norm(force, axis=1).max():
@@ -173,10 +173,12 @@ def find_positions(run: Run) -> Positions:
         if pulled > REVOLUTIONS.locking:
             locking.append(label)
             continue
-        squares.append(float(np.sum((np.diff(at) * (TURN * count / span) - TURN) ** 2)))
+        squares.append(float(np.sum((np.diff(at) * (FULL_TURN * count / span) - FULL_TURN) ** 2)))
         shapes.append((span / count * pulled, 2.0 * slow))
         sign = np.sign(run.output[part][-1] - run.output[part][0])
-        points.append((0.5 * (at[0] + at[-1]), sign * TURN * count / span, *force.mean(axis=0), part.start))
+        points.append(
+            (0.5 * (at[0] + at[-1]), sign * FULL_TURN * count / span, *force.mean(axis=0), part.start)
+        )
         durations.append(span)
         turns.append(float(count))
         rows.append(part.stop - part.start)
@@ -211,7 +213,7 @@ def _amplification(x: Array, t: Array, count: int) -> tuple[float, float]:
     turn: ``w^3/(2 pi) integral d(angle)/r^3``, which is ``(1 + r0^2/2)/(1 - r0^2)`` for ``r0 = b/a``. For reading
     noise, r is the rate where turns begin and end.
     """
-    inner = np.interp(TURN / REVOLUTIONS.phases * np.arange(REVOLUTIONS.phases * count + 1), x, t)
+    inner = np.interp(FULL_TURN / REVOLUTIONS.phases * np.arange(REVOLUTIONS.phases * count + 1), x, t)
     times = np.diff(inner).reshape(count, REVOLUTIONS.phases).mean(axis=0)
     slowness = times / times.mean()
     return float(np.mean(slowness**3)), float(0.5 * (slowness[0] + slowness[-1])) ** 2

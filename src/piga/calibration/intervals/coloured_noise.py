@@ -29,7 +29,7 @@ JUMPING = ("drift", "scatter")
 
 
 @dataclass(frozen=True)
-class _Candidate:
+class _ColourCandidate:
     """A component with a time, its estimated levels, its gain, and its prior weight; ``name`` is empty for none."""
 
     name: str
@@ -142,7 +142,7 @@ def _rates(name: str, bins: RateBins, time: float) -> Array:
     return RATES[name](bins, time)
 
 
-def _candidates(contrasts: Contrasts, bins: RateBins, segments: int) -> list[_Candidate]:
+def _candidates(contrasts: Contrasts, bins: RateBins, segments: int) -> list[_ColourCandidate]:
     """No component, and every component with a level above zero."""
     base = _estimated(contrasts, bins, "")
     if base is None:
@@ -151,15 +151,17 @@ def _candidates(contrasts: Contrasts, bins: RateBins, segments: int) -> list[_Ca
     tried = [("flicker", 0.0, 1.0)]
     tried += [(name, 0.0, NOISE.colour_prior) for name in _allowed(segments)]
     tried += [("markov", float(time), NOISE.colour_prior / times.size) for time in times]
-    candidates = [_Candidate("", 0.0, base, 0.0, 1.0)]
+    candidates = [_ColourCandidate("", 0.0, base, 0.0, 1.0)]
     for name, time, prior in tried:
         levels = _estimated(contrasts, bins, name, time, base)
         if levels is not None and levels.values[-1] > 0.0:
-            candidates.append(_Candidate(name, time, levels, base.deviance - levels.deviance, prior))
+            candidates.append(_ColourCandidate(name, time, levels, base.deviance - levels.deviance, prior))
     return candidates
 
 
-def _averaged(fit: Fit, bins: RateBins, moved: Array, candidates: list[_Candidate], best: _Candidate) -> Fit:
+def _averaged(
+    fit: Fit, bins: RateBins, moved: Array, candidates: list[_ColourCandidate], best: _ColourCandidate
+) -> Fit:
     """The fit with the covariance averaged over the candidates.
 
     Levels may be negative, so that the variances are right on average; the correlations are those of the levels from zero
@@ -199,7 +201,7 @@ def _averaged(fit: Fit, bins: RateBins, moved: Array, candidates: list[_Candidat
     return replace(fit, covariance=average * np.outer(size, size), colour=colour)
 
 
-def _colour(bins: RateBins, best: _Candidate, degrees: Array) -> Colour:
+def _colour(bins: RateBins, best: _ColourCandidate, degrees: Array) -> Colour:
     """The likeliest component."""
     level, deviation = float(best.levels.values[-1]), float(np.sqrt(best.levels.covariance[-1, -1]))
     rms = float(np.sqrt(level * np.diag(_rates(best.name, bins, best.time)).mean()))

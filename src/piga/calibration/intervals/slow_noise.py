@@ -48,7 +48,7 @@ class Level:
 
 
 @dataclass(frozen=True)
-class _Candidate:
+class _SlowCandidate:
     """A slow noise, the white noise and random walk estimated with it, and its gain."""
 
     basis: SlowBasis
@@ -128,19 +128,19 @@ def _solved(fit: Fit, noise: Noise) -> Fit:
     return replace(fit, noise=noise, summaries=summaries, solution=solution, covariance=solution.covariance)
 
 
-def _looked_for(fit: Fit, basis: SlowBasis) -> _Candidate | None:
+def _looked_for(fit: Fit, basis: SlowBasis) -> _SlowCandidate | None:
     """A slow noise and the levels estimated with it; None if a quick test shows no slow noise."""
     if fit.design.rows > NOISE.restricted_rows and quick_look(fit, basis).gain < NOISE.slow_suspected:
         return None
     if likely_level(slow_factor(fit, fit.noise, basis), basis).gain < NOISE.slow_suspected:
         return None
-    return _Candidate(basis, *_levels_together(fit, basis))
+    return _SlowCandidate(basis, *_levels_together(fit, basis))
 
 
-def _beside_counts(fit: Fit, basis: SlowBasis) -> _Candidate | None:
+def _beside_counts(fit: Fit, basis: SlowBasis) -> _SlowCandidate | None:
     """A slow noise beside coarse counts, which keep their weights and random walk."""
     gain = likely_level(slow_factor(fit, fit.noise, basis), basis).gain
-    return _Candidate(basis, fit.noise, gain)
+    return _SlowCandidate(basis, fit.noise, gain)
 
 
 def slow_factor(fit: Fit, noise: Noise, basis: NoiseColumns) -> Array:

@@ -16,7 +16,7 @@ LARGEST = 200_000_000
 
 
 @dataclass(frozen=True)
-class Question:
+class LogQuestion:
     """A command that prints JSON about a run file: the mark of its jobs, their title, the command and its options."""
 
     mark: str
@@ -25,8 +25,8 @@ class Question:
     options: tuple[str, ...]
 
 
-CHECK = Question("check", "Check", "check", ("--json",))
-TERMS = Question("terms", "Ask for each term", "check", ("--terms", "--json"))
+CHECK = LogQuestion("check", "Check", "check", ("--json",))
+TERMS = LogQuestion("terms", "Ask for each term", "check", ("--terms", "--json"))
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Answer:
     message: str
 
 
-def ask(bench: Workbench, name: str, question: Question, *, always: bool = False) -> Answer | None:
+def ask(bench: Workbench, name: str, question: LogQuestion, *, always: bool = False) -> Answer | None:
     """The answer for a run file and its log as they are now; it is asked if it was not.
 
     Parameters
