@@ -110,7 +110,15 @@ def command_text(name: str, command: Any) -> str:
         f"| `{label_of(parameter)}` | {cell(getattr(parameter, 'help', '') or '')} | {default_text(parameter.default)} |"
         for parameter in shown
     ]
-    return f"## {name}\n\n{command.help}\n\n    {usage}\n\n" + "\n".join(rows) + "\n"
+    return f"## {name}\n\n{command.help}\n\n    {usage}\n\n" + "\n".join(rows) + "\n\n" + in_python(name)
+
+
+def in_python(name: str) -> str:
+    """What does the same in Python: the section of the command, or of its group, in the examples."""
+    parts = (EXAMPLES / "commands.md").read_text(encoding="utf-8").split("## ")[1:]
+    sections = {title: body.strip() for title, _, body in (part.partition("\n") for part in parts)}
+    body = sections.get(name) or sections.get(name.rpartition(" ")[0])
+    return "" if body is None else f"In Python:\n\n{body}\n"
 
 
 def label_of(parameter: Any) -> str:

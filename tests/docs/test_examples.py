@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+import typer
 
 import piga
+from piga.cli.main import app
 
-from .pages import DOCS, blocks
+from .pages import DOCS, ROOT, blocks
 
 EXAMPLES = DOCS / "reference" / "examples"
 ROOMS = (*piga.ROOMS, "describe")
@@ -36,6 +39,47 @@ def test_every_name_of_the_flat_namespace_has_an_example() -> None:
     assert missing <= {"__version__"}
 
 
+def commands(path: str, command: object) -> list[str]:
+    below = getattr(command, "commands", None)
+    return (
+        [path]
+        if below is None
+        else [one for name, child in below.items() for one in commands(f"{path} {name}", child)]
+    )
+
+
+def test_every_command_has_its_python_beside_it() -> None:
+    """A section of its own, or that of its group; but for commands that have no meaning in Python."""
+    text = (EXAMPLES / "commands").with_suffix(".md").read_text(encoding="utf-8")
+    sections = {line.removeprefix("## ") for line in text.splitlines() if line.startswith("## ")}
+    names = commands("piga", typer.main.get_command(app))
+    missing = {name for name in names if not {name, name.rpartition(" ")[0]} & sections}
+    assert missing == {"piga ui", "piga completion", "piga examples"}
+    assert sections <= {*names, *(name.rpartition(" ")[0] for name in names)}
+
+
+def test_files_are_read_from_their_text() -> None:
+    text = (ROOT / "examples" / "plan-dividing-head.toml").read_text(encoding="utf-8")
+    assert (
+        piga.read_plan("no/plan.toml", content=text).table
+        == piga.read_plan(ROOT / "examples/plan-dividing-head.toml").table
+    )
+    text = (ROOT / "examples" / "twin.toml").read_text(encoding="utf-8")
+    assert (
+        piga.read_scenario("twin.toml", content=text).table
+        == piga.read_scenario(ROOT / "examples/twin.toml").table
+    )
+    text = (ROOT / "examples" / "platform-piga.toml").read_text(encoding="utf-8")
+    read = piga.platform.load_scenario("p.toml", content=text)
+    assert replace(read, source=None) == replace(
+        piga.platform.load_scenario(ROOT / "examples/platform-piga.toml"), source=None
+    )
+    text = (ROOT / "examples" / "certificate.toml").read_text(encoding="utf-8")
+    assert piga.certificate.read_certificate_file("c.toml", content=text).item.description
+    with pytest.raises(piga.RunFileError, match=r"nothing\.toml: not valid TOML"):
+        piga.read_plan("nothing.toml", content="[")
+
+
 def test_an_import_is_no_example(tmp_path: Path) -> None:
     page = tmp_path / "index.md"
     page.write_text("```python\nfrom piga import Run, calibrate\nx: Run\ncalibrate\n```\n", encoding="utf-8")
@@ -45,4 +89,4 @@ def test_an_import_is_no_example(tmp_path: Path) -> None:
 
 
 def test_every_page_of_examples_belongs_to_a_room() -> None:
-    assert {page.stem for page in EXAMPLES.glob("*.md")} == {*ROOMS, "errors"}
+    assert {page.stem for page in EXAMPLES.glob("*.md")} == {*ROOMS, "errors", "commands"}

@@ -187,15 +187,18 @@ class CertificateFile(_Table, frozen=True):
     statements: StatementsTable = StatementsTable()
 
 
-def read_certificate_file(path: str | Path) -> CertificateFile:
+def read_certificate_file(path: str | Path, *, content: str | None = None) -> CertificateFile:
     """Read a certificate's administrative data.
+
+    ``content`` is the text of the file, for one that is not on disk. ``path`` is then its name in messages, and where the files
+    that it names are looked for.
 
     Raises
     ------
     RunFileError
         If the file is not TOML, has an unknown key or a value of the wrong type.
     """
-    return read_toml(Path(path), CertificateFile)
+    return read_toml(Path(path), CertificateFile, None if content is None else content.encode())
 
 
 _NEEDED = (

@@ -106,8 +106,11 @@ class PlanRequest(Result):
         return stand.parts if isinstance(stand, CompositeTable) else (stand,)
 
 
-def read_plan(path: str | Path) -> PlanRequest:
+def read_plan(path: str | Path, *, content: str | None = None) -> PlanRequest:
     """Read a plan file.
+
+    ``content`` is the text of the file, for one that is not on disk. ``path`` is then its name in messages, and where the files
+    that it names are looked for.
 
     Raises
     ------
@@ -115,7 +118,7 @@ def read_plan(path: str | Path) -> PlanRequest:
         For an unknown key, a wrong unit or a request that cannot be planned; names file and key.
     """
     path = Path(path)
-    table = read_toml(path, PlanTable)
+    table = read_toml(path, PlanTable, None if content is None else content.encode())
     try:
         model = _converted(table.model, ModelTable, "model")
         uncertainty = _converted(table.uncertainty, UncertaintyTable, "uncertainty")

@@ -324,8 +324,11 @@ class Scenario:
         return imperfections(self.table.imperfections, rng=rng)
 
 
-def read_scenario(path: str | Path) -> Scenario:
+def read_scenario(path: str | Path, *, content: str | None = None) -> Scenario:
     """Read a scenario file.
+
+    ``content`` is the text of the file, for one that is not on disk. ``path`` is then its name in messages, and where the files
+    that it names are looked for.
 
     Raises
     ------
@@ -333,7 +336,8 @@ def read_scenario(path: str | Path) -> Scenario:
         For an unknown or missing key, a wrong unit or an implausible value. The message names file and key.
     """
     path = Path(path)
-    return scenario_of(path, read_toml(path, ScenarioTable))
+    raw = None if content is None else content.encode()
+    return scenario_of(path, read_toml(path, ScenarioTable, raw))
 
 
 def scenario_of(path: Path, table: ScenarioTable) -> Scenario:

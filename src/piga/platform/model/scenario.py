@@ -299,8 +299,11 @@ class PlatformScenario:
         return replace(self, polar=Gyro(), equatorial=Gyro(), sensors=Sensors())
 
 
-def load_scenario(path: str | Path) -> PlatformScenario:
+def load_scenario(path: str | Path, *, content: str | None = None) -> PlatformScenario:
     """Read a scenario file (TOML).
+
+    ``content`` is the text of the file, for one that is not on disk. ``path`` is then its name in messages, and where the files
+    that it names are looked for.
 
     Raises
     ------
@@ -310,7 +313,8 @@ def load_scenario(path: str | Path) -> PlatformScenario:
         If a quantity lacks its unit or has one of another kind.
     """
     path = Path(path)
-    return _Reader(path).scenario(read_toml(path, ScenarioFile))
+    raw = None if content is None else content.encode()
+    return _Reader(path).scenario(read_toml(path, ScenarioFile, raw))
 
 
 def scenario_of_document(path: Path, document: dict[str, Any]) -> PlatformScenario:
