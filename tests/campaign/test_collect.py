@@ -37,6 +37,8 @@ def test_figures_are_those_of_the_rows(small):
         own = [row for row in every if row["case"] == index]
         assert group["records"] == len(own) == (10, 7)[index]
         assert group["nees"] == pytest.approx(np.mean([row["nees"] for row in own]), rel=1e-12)
+        names = {name for row in own for name in row["seen"]}
+        assert group["seen"] == {name: np.mean([name in row["seen"] for row in own]) for name in sorted(names)}
         for k, c in enumerate(group["coefficients"]):
             value, u, low, high, truth, off = (
                 np.array([row[name][k] for row in own])

@@ -46,6 +46,9 @@ def test_page_of_a_grid(grid):
     k0 = [next(c for c in r.coefficients if c.name == "k0") for r in grid.groups if r.group.name == "white"]
     assert list(lines[0].y) == [1e6 * c.bias for c in k0], "in micro-g, as on all pages"
     html = page_html(page)
+    seen = next(table for table in tables if table.columns[0].heading == "Group")
+    assert [row[0] for row in seen.rows] == [result.group.label for result in grid.groups if result.seen]
+    assert "random walk" in [column.heading for column in seen.columns]
     assert "piga campaign repeat small.toml --case" in html
     assert "constant_force.white = 4e-5 rad" in html
     assert "coverage" in collected_text(grid)
@@ -68,7 +71,7 @@ def test_coverage_away_from_95_per_cent_is_marked(grid):
 
 @pytest.mark.only_compiled
 def test_rows_of_the_accuracy_page_are_never_replaced_by_fewer_tests(tmp_path):
-    """A campaign of as many tests replaces a row, a smaller one leaves it."""
+    """A campaign of as many tests replaces a row, a smaller one leaves it; fewer replace a row of another version."""
     folder = tmp_path / "measured"
     folder.mkdir()
     kept = (measured.FOLDER / "intervals.json").read_text(encoding="utf-8")
@@ -77,13 +80,18 @@ def test_rows_of_the_accuracy_page_are_never_replaced_by_fewer_tests(tmp_path):
     for shard in range(campaign.shards):
         run_shard(str(tmp_path / "out"), shard)
     found = document(collect(campaign))
+    rows = json.loads(kept)["figures"]
+    shown = next(f["value"] for f in rows if (f["scenario"], f["column"]) == ("near-critical", "tests"))
     said = intervals.put_down(found, folder)
-    assert said == ["near-critical: 3 tests; the row of 10000 tests stays"]
+    assert said == [f"near-critical: 3 tests; the row of {shown} tests stays"]
     assert (folder / "intervals.json").read_text(encoding="utf-8") == kept
     found["groups"][0]["records"] = 10_000
     stays = intervals.put_down(found | {"complete": False}, folder)
     assert stays == ["near-critical: records are missing or failed; the row stays"]
     assert intervals.put_down(found, folder) == ["near-critical: 10000 tests put down"]
+    found["groups"][0]["records"] = 9000
+    assert intervals.put_down(found | {"version": measured.version()}, folder)[0].endswith("10000 tests stays")
+    assert intervals.put_down(found | {"version": "9.9"}, folder) == ["near-critical: 9000 tests put down"]
     rows = {
         f["name"]: f["value"]
         for f in json.loads((folder / "intervals.json").read_text(encoding="utf-8"))["figures"]

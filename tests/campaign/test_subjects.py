@@ -125,6 +125,37 @@ def test_bound_of_a_stand_is_that_of_known_noise(tmp_path):
     )
 
 
+NOISY = """
+[campaign]
+repeats = 1
+[[case]]
+name = "scatter"
+[case.constant_force]
+tumble = { positions = 8, levels = [0.5, 1.0] }
+seconds = "10 s"
+rate = "4 Hz"
+white = "2.5e-5 rad"
+scatter = "1e-4 rad/s"
+truth = { k0 = 1.6e-3, m_Y = 5e-3 }
+terms = ["scale_factor", "tan_beta", "k0"]
+"""
+
+
+@pytest.mark.only_compiled
+def test_what_a_calibration_reports_is_counted(tmp_path):
+    """Kinds of noise, and terms that are suggested."""
+
+    def seen(text):
+        plan = read_campaign(written(tmp_path, text))
+        return compute(plan, plan.find(0, 0)).seen
+
+    quiet = NOISY.replace('scatter = "1e-4 rad/s"\n', "")
+    whole = ('"k0"]', '"k0", "m_Y"]')
+    assert seen(quiet.replace(*whole)) == ()
+    assert "scatter of the segments" in seen(NOISY.replace(*whole))
+    assert "suggested: m_Y" in seen(quiet)
+
+
 def test_seeds_of_the_platform_scatter_with_the_noise(tmp_path):
     text = (ROOT / "examples" / "platform-published.toml").read_text(encoding="utf-8")
     written(tmp_path, text.replace('"10 d"', '"2 h"').replace('step = "1 s"', 'step = "20 s"'), "platform.toml")

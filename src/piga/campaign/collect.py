@@ -158,6 +158,7 @@ class GroupResult:
     """The results of one group: figures by coefficient, records that failed by class, NEES of all coefficients together.
 
     ``verdicts`` counts the results of the comparison with the stored calibrations of an archive.
+    ``seen`` is the share of the records whose calibration reports a kind of noise or suggests a term.
     """
 
     group: CampaignGroup
@@ -167,6 +168,7 @@ class GroupResult:
     nees: float | None
     nees_expected: float | None
     verdicts: dict[str, int]
+    seen: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -228,6 +230,7 @@ class _Group:
         self.records = 0
         self.failed: Counter[str] = Counter()
         self.verdicts: Counter[str] = Counter()
+        self.seen: Counter[str] = Counter()
         self.sums: dict[str, Sums] = {}
         self.nees = self.expected = 0.0
         self.judged = 0
@@ -394,6 +397,8 @@ def _flat(
 def _add(group: _Group, batch: pa.RecordBatch) -> None:
     group.records += batch.num_rows
     group.failed.update(name for name in batch.column("error_class").to_pylist() if name is not None)
+    for reported in batch.column("seen").to_pylist():
+        group.seen.update(reported or ())
     group.verdicts.update(name for name in batch.column("verdict").to_pylist() if name is not None)
     nees, expected = (
         batch.column(c).to_numpy(zero_copy_only=False).astype(float) for c in ("nees", "nees_expected")
@@ -442,6 +447,7 @@ def _result(group: CampaignGroup, sums: _Group) -> GroupResult:
         nees=sums.nees / sums.judged if sums.judged else None,
         nees_expected=sums.expected / sums.judged if sums.judged else None,
         verdicts=dict(sorted(sums.verdicts.items())),
+        seen={name: count / sums.records for name, count in sorted(sums.seen.items())},
     )
 
 
@@ -534,6 +540,7 @@ def _group_document(result: GroupResult) -> dict[str, Any]:
         "nees": _finite(result.nees),
         "nees_expected": _finite(result.nees_expected),
         "coefficients": [coefficient_document(c) for c in result.coefficients],
+        "seen": result.seen,
     }
     if result.verdicts or group.subject == "archive":
         entry["compared_with_store"] = result.verdicts

@@ -74,6 +74,9 @@ def campaign_page(collected: Collected) -> Page:
     grid = _grid_figures(collected)
     if grid:
         sections.append(Section("Over the grid", "grid", tuple(FigureBlock(figure) for figure in grid)))
+    seen = [result for result in collected.groups if result.seen]
+    if seen:
+        sections.append(Section("What the calibrations report", "seen", (_seen_table(seen),)))
     if collected.worst:
         sections.append(Section("Worst cases", "worst", (_worst_table(collected),)))
     if collected.failures:
@@ -213,6 +216,27 @@ def _interval_table(result: GroupResult) -> Table:
     if result.nees is not None:
         note += f" NEES of all coefficients together: {result.nees:.3f}; expected {result.nees_expected:.3f}."
     return Table(columns, tuple(rows), result.group.label, (note,))
+
+
+def _seen_table(results: list[GroupResult]) -> Table:
+    """Share of the records of each group whose calibration reports a kind of noise or suggests a term."""
+    names = sorted(dict.fromkeys(name for result in results for name in result.seen))
+    columns = (
+        TableColumn("Group", align="text"),
+        TableColumn("Records"),
+        *(TableColumn(name, "%") for name in names),
+    )
+    rows = tuple(
+        (
+            result.group.label,
+            str(result.records),
+            *(f"{100 * result.seen[name]:.1f}" if name in result.seen else "–" for name in names),
+        )
+        for result in results
+    )
+    return Table(
+        columns, rows, notes=("Share of the records with this noise in the result, or this term suggested.",)
+    )
 
 
 def _percent(share: float | None) -> str:

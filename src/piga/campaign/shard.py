@@ -153,6 +153,7 @@ def _columns(outcome: Outcome) -> dict[str, Any]:
         "nees": outcome.nees,
         "nees_expected": outcome.nees_expected,
         "notes": list(outcome.notes),
+        "seen": list(outcome.seen),
         "stored": outcome.stored,
         "verdict": outcome.verdict,
     }
@@ -185,6 +186,7 @@ def part_schema() -> pa.Schema:
             ("nees", pa.float64()),
             ("nees_expected", pa.float64()),
             ("notes", texts),
+            ("seen", texts),
             ("stored", pa.string()),
             ("verdict", pa.string()),
             ("seconds", pa.float64()),

@@ -40,6 +40,7 @@ class Outcome:
     archive. ``error`` is value minus truth; for a phase it is taken to the nearest turn. ``bound`` is the standard
     deviation of Cramer and Rao. Unknown values are nan. ``nees`` is the mean square of all errors in their
     covariance, ``nees_expected`` its expected value for Student's t.
+    ``seen`` names what the calibration reports: kinds of noise, and terms it suggests.
     """
 
     names: tuple[str, ...]
@@ -55,6 +56,7 @@ class Outcome:
     nees: float = math.nan
     nees_expected: float = math.nan
     notes: tuple[str, ...] = ()
+    seen: tuple[str, ...] = ()
     stored: str | None = None
     verdict: str | None = None
 
@@ -209,7 +211,23 @@ def of_calibration(calibration: Calibration, truth: Array, bound: Array | None =
         nees=nees,
         nees_expected=expected,
         notes=tuple(calibration.notes),
+        seen=_seen(calibration),
     )
+
+
+def _seen(calibration: Calibration) -> tuple[str, ...]:
+    """Kinds of noise that a calibration reports, and terms that it suggests."""
+    coloured = calibration.coloured_noise
+    levels = {
+        "random walk": calibration.angle_random_walk,
+        "bias drift": calibration.bias_drift,
+        "scatter of the segments": calibration.segment_scatter,
+    }
+    if coloured is not None:
+        levels[f"coloured noise: {coloured.kind}"] = coloured.rms
+    noise = [name for name, level in levels.items() if level > 0.0]
+    missing = calibration.diagnostics.missing_terms
+    return (*noise, *dict.fromkeys(f"suggested: {' '.join(entry.terms)}" for entry in missing))
 
 
 def _simulated(plan: CampaignPlan, record: RecordName, scenario: Scenario, *, with_bound: bool) -> Outcome:

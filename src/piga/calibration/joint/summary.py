@@ -379,9 +379,10 @@ def validity_ranges(run: Run) -> dict[str, tuple[float, float]]:
     """Range in which the calibration is valid (SI): axial and transverse force, temperature."""
     low, high = math.inf, 0.0
     for part in spans(run.size):
-        transverse = np.hypot(run.f[part, 1], run.f[part, 2])
-        low, high = min(low, float(transverse.min())), max(high, float(transverse.max()))
-    ranges = {"a_x": (float(run.f[:, 0].min()), float(run.f[:, 0].max())), "a_t": (low, high)}
+        square = run.f[part, 1] ** 2 + run.f[part, 2] ** 2
+        low, high = min(low, float(square.min())), max(high, float(square.max()))
+    transverse = (math.sqrt(low), math.sqrt(high))
+    ranges = {"a_x": (float(run.f[:, 0].min()), float(run.f[:, 0].max())), "a_t": transverse}
     if run.temperature is not None:
         ranges["temperature"] = (float(run.temperature.min()), float(run.temperature.max()))
     return ranges
