@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piga.campaign import plan_campaign, read_campaign
-from piga.campaign.manifest import shard_size
+from piga.campaign.manifest import probes, shard_size
 from piga.campaign.subjects import seed_of
 from piga.errors import PigaError, RunFileError
 from tests.campaign.small import ROOT, SMALL, written
@@ -98,6 +98,17 @@ def test_cut_is_measured_once_and_kept(tmp_path):
     first = plan_campaign(path, tmp_path / "a")
     assert first.manifest.seconds_per_record > 0.0
     assert plan_campaign(path, tmp_path / "a").manifest == first.manifest
+
+
+def test_records_that_are_timed_have_no_bound(tmp_path):
+    """A bound takes longer than the record; timed with it, a campaign was announced to take fifty times as long."""
+    groups = read_campaign(written(tmp_path, SMALL)).groups
+    assert [group.bounds for group in groups] == [3, 3]
+    for text in (SMALL, SMALL[: SMALL.index("[[case]]", SMALL.index("[[case]]") + 1)]):
+        plan = read_campaign(written(tmp_path, text))
+        timed = probes(plan)
+        assert len(timed) >= len(plan.groups)
+        assert all(plan.record(number).repeat >= 3 for number in timed)
 
 
 @pytest.mark.parametrize(

@@ -254,13 +254,18 @@ def _known(campaign: Campaign, wanted: Manifest) -> Campaign:
 
 
 def probes(plan: CampaignPlan) -> list[int]:
-    """Numbers of the records that represent all others: the first of each group, or an even selection of these."""
-    starts = [group.start for group in plan.groups if group.records]
+    """Numbers of the records that represent all others: the last of each group, or an even selection of these.
+
+    The last repeats have no bound of Cramer and Rao. That bound takes far longer than the record itself.
+    """
+    ends = [group.start + group.records - 1 for group in plan.groups if group.records]
     if len(plan.groups) == 1:
-        starts = [round(k * (plan.records - 1) / (CUT.probes - 1)) for k in range(CUT.probes)]
-    elif len(starts) > CUT.probes:
-        starts = [starts[round(k * (len(starts) - 1) / (CUT.probes - 1))] for k in range(CUT.probes)]
-    return sorted({start for start in starts if start < plan.records})
+        first = min(plan.groups[0].bounds, plan.records - 1)
+        step = (plan.records - 1 - first) / (CUT.probes - 1)
+        ends = [first + round(k * step) for k in range(CUT.probes)]
+    elif len(ends) > CUT.probes:
+        ends = [ends[round(k * (len(ends) - 1) / (CUT.probes - 1))] for k in range(CUT.probes)]
+    return sorted(set(ends))
 
 
 def compile_kernels(campaign: Campaign) -> None:
