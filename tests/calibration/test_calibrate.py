@@ -380,3 +380,15 @@ def test_truth_table_is_what_the_record_holds() -> None:
     calibration = piga.calibrate(record(np.random.default_rng(21), white=1e-9), TERMS)
     for name in ("tan_beta", "k0", "k2", "m_Y"):
         assert calibration[name].value == pytest.approx(TRUTH[name], abs=1e-7)
+
+
+def test_the_former_name_of_phases_still_works():
+    """Scripts and run files of 0.1.0 say ``phase``."""
+    run = record(np.random.default_rng(2), seconds=12.0, rate=4.0, count=5)
+    by_phase, by_phases = (
+        piga.calibrate(run, ["scale_factor", "k0"], **{n: "per-segment"}) for n in ("phase", "phases")
+    )
+    assert by_phase["k0"] == by_phases["k0"]
+    assert by_phase.phase == by_phase.phases == "per-segment"
+    with pytest.raises(piga.PigaError, match="give phases alone"):
+        piga.calibrate(run, phase="shared", phases="shared")

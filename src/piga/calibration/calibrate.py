@@ -67,7 +67,7 @@ from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
 from piga.calibration.remarks.temperature import unseen_bias
-from piga.errors import CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
+from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.progress import Progress, Steps
 from piga.reading.signal_checks import largest_size
 from piga.records.calibration import (
@@ -102,6 +102,7 @@ def calibrate(
     phase_source: str | None = None,
     per_run: str | list[str] | tuple[str, ...] | None = None,
     progress: Progress | None = None,
+    phase: str | None = None,
 ) -> Calibration:
     """Estimate the coefficients of an instrument from a recorded test, or from several together.
 
@@ -119,6 +120,9 @@ def calibrate(
         one text, ``"scale_factor, tan_beta, k0"``.
     progress:
         Called as ``progress(done, total, what)`` before each step; it returns False to stop (:mod:`piga.progress`).
+
+    phase:
+        Former name of ``phases``; scripts that use it run on.
 
     Returns
     -------
@@ -139,6 +143,9 @@ def calibrate(
     CancelledError
         If ``progress`` returns False.
     """
+    if phase is not None and phases is not None:
+        raise ArgumentError("phase and phases: one is the former name of the other", remedy="give phases alone")
+    phases = phases or phase
     steps = Steps(progress, STEPS)
     wanted, own = (None if names is None else list(term_names(names)) for names in (terms, per_run))
     with one_thread():

@@ -273,7 +273,7 @@ def add(
     ] = None,
     terms: Annotated[str | None, typer.Option(metavar="A,B,...", help="As for piga calibrate.")] = None,
     method: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
-    phases: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
+    phases: Annotated[str | None, typer.Option("--phases", "--phase", help="As for piga calibrate.")] = None,
     phase_source: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
     report: Annotated[bool, typer.Option(help="Write and keep report.html.")] = True,
     as_json: JsonOption = False,

@@ -42,7 +42,9 @@ def calibrate(
     method: Annotated[
         str | None, typer.Option(help="Estimator: information | rate | recursive | published | revolutions.")
     ] = None,
-    phases: Annotated[str | None, typer.Option(help="Phases of the output zero: shared | per-segment.")] = None,
+    phases: Annotated[
+        str | None, typer.Option("--phases", "--phase", help="Phases of the output zero: shared | per-segment.")
+    ] = None,
     phase_source: Annotated[
         str | None, typer.Option(help="Angle that turns the coupling: output | input.")
     ] = None,

@@ -189,6 +189,11 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
             object.__setattr__(self, "budget", BudgetTable(tuple(self.budget)))
 
     @property
+    def phase(self) -> str:
+        """Former name of ``phases``."""
+        return self.phases
+
+    @property
     def type_a_only(self) -> bool:
         """True if the budget has no Type B source of the reference. The reference then counts as exact."""
         return not self.given and not any(
