@@ -442,7 +442,7 @@ def scenario_text(plan: Plan) -> str:
     """The planned test as a scenario file (TOML)."""
     whole = given_values(msgspec.to_builtins(plan.request.table))
     whole["model"] = {
-        "phase": plan.request.model.phases,
+        "phases": plan.request.model.phases,
         **whole["model"],
         "terms": list(plan.request.model.terms),
     }
