@@ -195,3 +195,17 @@ def test_run_file_of_an_output_in_rad(tmp_path: Path, output: str, unit: str) ->
 def test_toml_values() -> None:
     values = {"a": True, "b": "°", "c": [1, 2.5], "d": {"e": False}, "f": (1,)}
     assert tomllib.loads(toml_table("x", values))["x"] == values | {"f": [1]}
+
+
+@pytest.mark.parametrize(
+    ("noise", "words"),
+    [
+        ('flicker = "-1 ug"', r"\[noise\] flicker: -1 ug is negative"),
+        ('markov = "1 ug"\nmarkov_time = "-3 s"', r"\[noise\] markov_time: -3 s is negative"),
+        ('markov = "1 ug"', r"\[noise\] markov: its correlation time is missing"),
+    ],
+)
+def test_levels_of_coloured_noise_that_cannot_be(tmp_path: Path, noise: str, words: str) -> None:
+    """The message names the key of the scenario file in its own unit."""
+    with pytest.raises((ArgumentError, RunFileError), match=words):
+        read_scenario(written(tmp_path, f"{SCENARIO}\n[noise]\n{noise}\n"))

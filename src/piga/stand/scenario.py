@@ -475,6 +475,19 @@ def _electronics(table: ScenarioTable) -> Electronics:
     def si(key: str, unit: str) -> float:
         return to_si(getattr(e, key), unit, what=f"[electronics] {key}")
 
+    def coloured(key: str, unit: str) -> float:
+        value = to_si(getattr(noise, key), unit, what=f"[noise] {key}")
+        if value < 0.0:
+            raise ArgumentError(
+                f"[noise] {key}: {getattr(noise, key)} is negative",
+                remedy="give a standard deviation or a time, zero or more",
+            )
+        return value
+
+    if coloured("markov", "g") > 0.0 and coloured("markov_time", "s") == 0.0:
+        raise ArgumentError(
+            "[noise] markov: its correlation time is missing", remedy='set [noise] markov_time, e.g. "5 s"'
+        )
     return Electronics(
         sample_rate=si("sample_rate", "Hz"),
         kind=e.output,
@@ -484,9 +497,9 @@ def _electronics(table: ScenarioTable) -> Electronics:
         angle_noise=si("angle_noise", "rad"),
         angle_random_walk=si("angle_random_walk", "rad/sqrt(s)"),
         bias_random_walk=si("bias_random_walk", "g/sqrt(s)"),
-        bias_flicker=to_si(noise.flicker, "g", what="[noise] flicker"),
-        bias_markov=to_si(noise.markov, "g", what="[noise] markov"),
-        bias_markov_time=to_si(noise.markov_time, "s", what="[noise] markov_time"),
+        bias_flicker=coloured("flicker", "g"),
+        bias_markov=coloured("markov", "g"),
+        bias_markov_time=coloured("markov_time", "s"),
         clock_offset=si("clock_offset", "s"),
         clock_jitter=si("clock_jitter", "s"),
     )

@@ -87,6 +87,24 @@ def test_levels_are_right_on_average_and_as_uncertain_as_said() -> None:
     assert spread == pytest.approx(np.mean(said, axis=0), rel=0.4)
 
 
+@pytest.mark.parametrize(
+    ("segments", "seconds", "size"),
+    [
+        (24, 60.0, 4),
+        (24, 180.0, 8),
+        (40, 60.0, 4),
+        (40, 20.0, 2),
+        (16, 20.0, 6),
+        (2, 900.0, 32),
+        (100, 900.0, 2),
+    ],
+)
+def test_long_segments_have_more_parts(segments: int, seconds: float, size: int) -> None:
+    """Parts of 15 s if 192 are enough for that, and 96 in any case; 2 to 32 in a segment."""
+    held = replace(HEAD, forces=tumble(segments), seconds=seconds, rate=0.5)
+    assert RateBins.of(held.record(np.random.default_rng(1))).size == size
+
+
 def test_a_level_may_be_negative() -> None:
     """Rates that scatter less than the white noise says; no level below what is still a covariance."""
     bins = RateBins(np.array([np.linspace(90.0 * k, 90.0 * k + 60.0, 5) for k in range(24)]))

@@ -54,7 +54,10 @@ def include_coloured_noise(fit: Fit) -> Fit:
     bins = RateBins.of(run)
     if fit.design.rows < NOISE.colour_least * bins.count or bins.widths.min() <= 0.0:
         return fit
-    if fit.design.rows > NOISE.restricted_rows and not _suspected(_bin_contrasts(fit, bins), bins, segments):
+    coarse = RateBins.of(run, coarse=True)
+    if fit.design.rows > NOISE.restricted_rows and not _suspected(
+        _bin_contrasts(fit, coarse), coarse, segments
+    ):
         return fit
     factor = slow_factor(fit, fit.noise, bins)
     parameters = len(fit.solution.amplitudes) + len(fit.solution.phases)

@@ -29,10 +29,16 @@ class RateBins:
     point: bool = False
 
     @classmethod
-    def of(cls, run: Run) -> RateBins:
-        """Parts for one run: some ``colour_bins`` in all segments together."""
+    def of(cls, run: Run, *, coarse: bool = False) -> RateBins:
+        """Parts for one run: some ``colour_bins`` in all segments together; more where they are longer than ``colour_part``.
+
+        ``coarse``: not more, for the quick test of a long record.
+        """
         limits = run.segment_edges()
-        size = int(np.clip(NOISE.colour_bins // (limits.size - 1), 2, NOISE.colour_most))
+        count = limits.size - 1
+        longest = float(np.max(run.t[limits[1:] - 1] - run.t[limits[:-1]]))
+        wanted = 0 if coarse else min(math.ceil(longest / NOISE.colour_part), NOISE.colour_bins_long // count)
+        size = int(np.clip(max(NOISE.colour_bins // count, wanted), 2, NOISE.colour_most))
         edges = [np.linspace(float(run.t[a]), float(run.t[b - 1]), size + 1) for a, b in pairwise(limits)]
         return cls(np.array(edges), run.kind == "rate")
 

@@ -146,7 +146,12 @@ class NoiseSettings:
     white_contrasts:
         Contrasts in all stretches together for this test, if the stretches have as many.
     colour_bins:
-        Most parts of all segments together in which the rate has a value of its own.
+        Parts of all segments together in which the rate has a value of its own.
+    colour_part:
+        Length of a part [s] above which there are more of them.
+    colour_bins_long:
+        Most parts of all segments together in such a record. In a record of 40 positions and 96 parts flicker noise was taken for a
+        scatter, in one of positions of 180 s for a drift.
     colour_most:
         Most such parts of a segment.
     colour_least:
@@ -256,6 +261,8 @@ class NoiseSettings:
 
     # Coloured noise
     colour_bins: int = 96
+    colour_part: float = 15.0
+    colour_bins_long: int = 192
     colour_most: int = 32
     colour_least: int = 8
     colour_means: int = 2
