@@ -234,6 +234,12 @@ def test_sliders_draw_the_regimes_anew(browser: Browser) -> None:
     page.fill("#a_x", "0.03")
     browser.until("document.getElementById('picture').innerText.includes('running')")
     assert page.get_attribute("[data-pair=a_x]", "max") == "2.0"
+    assert "65.77 ug/g^3" in page.inner_text("#picture")  # K ml/(2 k_i), by hand
+    page.fill("#k_i", "1200")
+    browser.until("document.getElementById('picture').innerText.includes('32.89 ug/g^3')")
+    page.fill("#c", "0")
+    page.fill("#k_p", "0")
+    browser.until("document.getElementById('picture').innerText.includes('unstable')")
     browser.is_accessible()
 
 

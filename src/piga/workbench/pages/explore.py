@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.instrument import (
@@ -19,6 +20,9 @@ from piga.instrument import (
     regime,
     revolution_period,
 )
+from piga.instrument.twin.linear import LoopAnalysis, analyse_loop, loop_poles, servo_terms, step_response
+from piga.instrument.twin.parameters import TwinParameters
+from piga.records.terms import si_factor
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.units import G0
 from piga.workbench.pages.common import bench_of, redirect, render
@@ -50,6 +54,10 @@ SLIDERS = (
     Slider("beta", "Non-orthogonality β", "arcsec", -3600.0, 3600.0, 1.0, 1000.0),
     Slider("K", "Scale factor K", "rad/s/g", 0.1, 3.0, 0.0001, 0.8884),
     Slider("time", "Time shown", "s", 1.0, 2000.0, 1.0, 200.0),
+    Slider("k_p", "Servo: proportional gain k_p", "N m/rad", 0.0, 200.0, 0.1, 30.0),
+    Slider("k_i", "Servo: integral gain k_i", "N m/(rad s)", 1.0, 5000.0, 1.0, 600.0),
+    Slider("k_d", "Servo: rate gain k_d", "N m s/rad", 0.0, 1.0, 0.001, 0.0),
+    Slider("c", "Damping of the float c", "N m s/rad", 0.0, 0.5, 0.001, 0.05),
 )
 
 
@@ -85,13 +93,62 @@ def _rendered(request: Request, template: str) -> Response:
     values = _values(request)
     inst = Instrument(scale_factor=f"{values['K']} rad/s/g", beta=f"{values['beta']} arcsec")
     forces = (values["a_x"] * G0, values["a_t"] * G0, 0.0)
-    figures = [
-        (figure, figure_svg(figure))
-        for figure in (_portrait(inst, forces), _rates(inst, forces), _motion(inst, forces, values["time"]))
-    ]
+    twin = _twin(values)
+    poles = loop_poles(twin)
+    with np.errstate(all="ignore"):  # a servo at the edge of its ranges may have no margin
+        loop = analyse_loop(twin) if poles.real.max() < 0.0 else None
+    drawn = [_portrait(inst, forces), _rates(inst, forces), _motion(inst, forces, values["time"])]
+    drawn += [_step(twin, poles)] if loop is not None else []
     return render(
-        request, template, sliders=SLIDERS, values=values, figures=figures, numbers=_numbers(inst, forces)
+        request, template, sliders=SLIDERS, values=values, figures=[(figure, figure_svg(figure)) for figure in drawn],
+        numbers=_numbers(inst, forces), servo=_servo_numbers(twin, poles, loop),
     )  # fmt: skip
+
+
+def _twin(values: dict[str, float]) -> TwinParameters:
+    """The twin of the sliders: its example rotor and float, with this scale factor and this servo."""
+    plain = TwinParameters()
+    return replace(
+        plain, pendulosity=values["K"] * plain.angular_momentum / G0, proportional_gain=values["k_p"],
+        integral_gain=values["k_i"], rate_gain=values["k_d"], damping=values["c"],
+    )  # fmt: skip
+
+
+def _servo_numbers(
+    twin: TwinParameters, poles: NDArray[np.complex128], loop: LoopAnalysis | None
+) -> list[tuple[str, str]]:
+    """What the library says about this servo, in words."""
+    if loop is None:
+        worst = poles[int(np.argmax(poles.real))]
+        return [("servo loop", "unstable"), ("worst pole", f"{worst:.4g} 1/s")]
+    terms, cube = servo_terms(twin), si_factor("servo")
+    return [
+        ("servo loop", "stable"),
+        ("bandwidth of the rate", f"{loop.bandwidth / (2.0 * math.pi):.4g} Hz"),
+        ("phase margin", f"{DEG * loop.phase_margin:.4g} deg"),
+        ("nutation", f"{loop.nutation / (2.0 * math.pi):.4g} Hz, damping {loop.nutation_damping:.3g}"),
+        ("term servo", f"{1e6 * terms.servo / cube:.4g} ug/g^3"),
+        ("term servo_damping", f"{1e6 * terms.servo_damping / cube:.4g} ug/g^3"),
+    ]
+
+
+def _step(twin: TwinParameters, poles: NDArray[np.complex128]) -> Figure:
+    slowest = float(np.abs(poles.real).min())
+    t = np.linspace(0.0, min(max(6.0 / slowest, 1e-3), 100.0), POINTS)
+    panel = Panel(
+        Axis("time after the step", "s"),
+        Axis("output rate over K a_x", "1"),
+        (
+            Series(t, step_response(twin, t), "twin", role="after"),
+            Series(t[[0, -1]], np.ones(2), "without servo dynamics", role="muted"),
+        ),
+    )
+    return Figure(
+        "step",
+        "Step of specific force",
+        (panel,),
+        "The servo of the twin answers a step of a_x, linear analysis.",
+    )
 
 
 def _numbers(inst: Instrument, forces: tuple[float, float, float]) -> list[tuple[str, str]]:
