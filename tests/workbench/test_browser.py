@@ -123,6 +123,7 @@ def test_every_page_is_clean(browser: Browser) -> None:
         "/calibrate/tumble-a.toml",
         "/compensate/tumble-a.toml",
         "/instrument",
+        "/certificate",
         "/plan",
         "/twin",
         "/platform",
@@ -165,9 +166,18 @@ def test_the_main_job_by_mouse(browser: Browser, place: Path, tmp_path: Path) ->
     page.get_by_role("heading", name="Files").wait_for()
     assert (place / "tumble-a-compensated.parquet").is_file()
     browser.open("/instrument")
+    page.get_by_role("button", name="Certificate").first.click()
+    browser.is_accessible()
+    page.get_by_role("button", name="Preview").click()
+    page.get_by_role("heading", name="Files").wait_for()
+    issued = place / "certificate-tumble-a-calibration"
+    assert not issued.exists() or page.viewport_size["width"] == 400  # the wide test came before
+    page.locator("iframe").wait_for()
+    page.go_back()
+    page.get_by_label("certificate.number").fill('"K-7"')
     page.get_by_role("button", name="Issue").click()
     page.get_by_role("heading", name="Files").wait_for()
-    assert (place / "certificate-tumble-a-calibration" / "certificate.html").is_file()
+    assert "K-7" in (issued / "certificate.html").read_text(encoding="utf-8")
     browser.is_accessible()
     browser.open("/instrument")
     store = f"lab-{page.viewport_size['width']}.sqlite"

@@ -9,6 +9,7 @@ def all_routes() -> list[Any]:
     """The routes of all pages, and of the files that they load."""
     from piga.workbench.pages import (
         calibrate,
+        certificate,
         common,
         compensate,
         describe,
@@ -29,6 +30,7 @@ def all_routes() -> list[Any]:
         *calibrate.routes(),
         *compensate.routes(),
         *instrument.routes(),
+        *certificate.routes(),
         *scenario.routes(),
         *explore.routes(),
         *live.routes(),

@@ -1,4 +1,4 @@
-"""Instruments: years of one instrument: its calibrations, trend and certificates, and the ledger that keeps them."""
+"""Instruments: years of one instrument: its calibrations and their trend, and the ledger that keeps them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from piga.errors import ArgumentError
+from piga.workbench.pages.certificate import plain
 from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form
 from piga.workbench.pages.compensate import calibrations
 
@@ -17,7 +18,7 @@ STORES = (".sqlite", ".db")
 """Endings of ledgers."""
 LEDGER = {"list": "List the ledger", "verify": "Verify the ledger", "export": "Export the ledger"}
 """Commands on a ledger, and their titles."""
-TITLES = ("Trend", "Certificate", "Keep", *LEDGER.values())
+TITLES = ("Trend", "Keep", *LEDGER.values())
 
 
 def _by_serial(bench: Workbench) -> dict[str, list[str]]:
@@ -30,14 +31,9 @@ def _by_serial(bench: Workbench) -> dict[str, list[str]]:
 def show(request: Request) -> Response:
     """All instruments of the folder."""
     bench = bench_of(request)
-    certificates = [
-        bench.folder.name(path)
-        for path in sorted(bench.folder.root.glob("*.toml"))
-        if path.is_file() and "[laboratory]" in path.read_text(encoding="utf-8", errors="replace")
-    ]
     jobs = [(job, bench.jobs.status(job)) for job in bench.jobs.all() if job.title in TITLES]
     return render(
-        request, "instrument.html.jinja", instruments=_by_serial(bench), certificates=certificates, jobs=jobs,
+        request, "instrument.html.jinja", instruments=_by_serial(bench), jobs=jobs,
         stores=_stores(bench), runs=_runs(bench),
     )  # fmt: skip
 
@@ -67,29 +63,11 @@ async def trend(request: Request) -> Response:
     paths = _by_serial(bench).get(serial)
     if not paths:
         raise ArgumentError(f"there is no calibration of {serial!r}", remedy="calibrate a record first")
-    out = f"trend-{_plain(serial)}"
+    out = f"trend-{plain(serial)}"
     command = ["records", "trend", *paths, "--out", out, "--force"]
     at = only(fields, "at").strip()
     command += [f"--at={at}"] if at else []
     job = await run_in_threadpool(bench.jobs.start, command, "Trend", serial, out)
-    return redirect(request, f"/jobs/{job.key}")
-
-
-async def certificate(request: Request) -> Response:
-    """Issue the certificate of a calibration."""
-    from starlette.concurrency import run_in_threadpool
-
-    bench = bench_of(request)
-    fields = await sent_form(request)
-    calibration = bench.folder.file(only(fields, "calibration"))
-    data = bench.folder.toml(only(fields, "data"))
-    out = f"certificate-{_plain(calibration.parent.name)}"
-    command = [
-        "certificate", "issue", bench.folder.name(calibration), "--data", bench.folder.name(data),
-        "--out", out, "--force",
-    ]  # fmt: skip
-    command += ["--dcc"] if only(fields, "dcc") else []
-    job = await run_in_threadpool(bench.jobs.start, command, "Certificate", calibration.parent.name, out)
     return redirect(request, f"/jobs/{job.key}")
 
 
@@ -135,11 +113,6 @@ def _store(bench: Workbench, name: str, *, there: bool = False) -> str:
     return path.name
 
 
-def _plain(name: str) -> str:
-    """The letters and digits of a name, for a folder."""
-    return "".join(letter if letter.isalnum() else "-" for letter in name).strip("-")[:60] or "instrument"
-
-
 def routes() -> list[Any]:
     """Routes of this page."""
     from starlette.routing import Route
@@ -149,5 +122,4 @@ def routes() -> list[Any]:
         Route("/instrument/keep", keep, methods=["POST"]),
         Route("/instrument/ledger", ledger, methods=["POST"]),
         Route("/instrument/trend", trend, methods=["POST"]),
-        Route("/instrument/certificate", certificate, methods=["POST"]),
     ]

@@ -1,0 +1,134 @@
+"""Certificate: its administrative part as form and text, a preview, the certificate itself, and the proof of a signed one."""
+
+from __future__ import annotations
+
+import secrets
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from piga.data import example_files
+from piga.errors import ArgumentError, PigaError
+from piga.records.text_files import toml_document
+from piga.workbench.folder import Folder
+from piga.workbench.forms import form_of_text, sent_text
+from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form
+from piga.workbench.pages.compensate import calibrations
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+KEYS = (".pem", ".crt", ".cer")
+"""Endings of keys and X.509 certificates."""
+TITLES = ("Preview of the certificate", "Certificate", "Verify the certificate")
+
+
+def administrative_parts(folder: Folder) -> list[str]:
+    """Files of the folder that hold the administrative part of a certificate."""
+    return [
+        folder.name(path)
+        for path in sorted(folder.root.glob("*.toml"))
+        if path.is_file()
+        and not path.is_symlink()
+        and not path.name.startswith((".", "-"))
+        and "[laboratory]" in path.read_text(encoding="utf-8", errors="replace")
+    ]
+
+
+def _named(folder: Folder, endings: tuple[str, ...], pattern: str = "*") -> list[str]:
+    paths = (path for path in sorted(folder.root.glob(pattern)) if path.suffix in endings and path.is_file())
+    return [
+        folder.name(path) for path in paths if not path.is_symlink() and not path.name.startswith((".", "-"))
+    ]
+
+
+def show(request: Request) -> Response:
+    """The form of a certificate."""
+    folder, query = bench_of(request).folder, request.query_params
+    names = administrative_parts(folder)
+    name = query.get("data", names[0] if names else "")
+    text = (
+        folder.file(name).read_text(encoding="utf-8", errors="replace")
+        if name
+        else example_files()["certificate.toml"].decode("utf-8")
+    )
+    return _page(request, name, text, query.get("calibration", ""))
+
+
+def _page(
+    request: Request, name: str, text: str, calibration: str, message: str = "", code: int = 200
+) -> Response:
+    bench = bench_of(request)
+    jobs = [(job, bench.jobs.status(job)) for job in bench.jobs.all() if job.title in TITLES]
+    return render(
+        request, "certificate.html.jinja", code, form=form_of_text(text, "certificate", message), name=name,
+        names=administrative_parts(bench.folder), calibration=calibration, calibrations=calibrations(bench.folder),
+        keys=_named(bench.folder, KEYS), signed=_named(bench.folder, (".xml",), "**/*.xml"), jobs=jobs[:20],
+    )  # fmt: skip
+
+
+async def issue(request: Request) -> Response:
+    """Save the administrative part; show a preview or issue the certificate."""
+    from starlette.concurrency import run_in_threadpool
+
+    fields = await sent_form(request)
+    return await run_in_threadpool(_issue, request, fields)
+
+
+def _issue(request: Request, fields: dict[str, list[str]]) -> Response:
+    bench, word = bench_of(request), only(fields, "do")
+    name, chosen = only(fields, "name"), only(fields, "calibration")
+    text = only(fields, "text").replace("\r\n", "\n")
+    if word not in ("save", "preview", "issue"):
+        raise ArgumentError(f"{word!r}: is not a command of this page", remedy="use its buttons")
+    try:
+        text = sent_text(fields, "certificate")
+        name = name if name.endswith(".toml") else f"{name}.toml"
+        bench.folder.write_toml(bench.folder.path(name), text, toml_document)
+    except PigaError as error:
+        return _page(request, name, text, chosen, str(error), 422)
+    if word == "save":
+        return redirect(request, f"/certificate?data={quote(name)}&calibration={quote(chosen)}")
+    calibration = bench.folder.file(chosen)
+    subject = calibration.parent.name
+    if word == "preview":
+        out = f"{bench.folder.name(bench.folder.state_room('trials'))}/{secrets.token_hex(6)}"
+    else:
+        out = f"certificate-{plain(subject)}"
+    command = ["certificate", "issue", bench.folder.name(calibration), "--data", name, "--out", out, "--force"]
+    command += ["--dcc"] if only(fields, "dcc") else []
+    for option in ("key", "certificate"):
+        value = only(fields, option)
+        command += [f"--{option}={bench.folder.name(bench.folder.file(value))}"] if value else []
+    title = TITLES[0] if word == "preview" else TITLES[1]
+    job = bench.jobs.start(command, title, subject, out)
+    return redirect(request, f"/jobs/{job.key}")
+
+
+async def verify(request: Request) -> Response:
+    """Verify a signed certificate of the folder."""
+    from starlette.concurrency import run_in_threadpool
+
+    bench: Workbench = bench_of(request)
+    fields = await sent_form(request)
+    signed = bench.folder.name(bench.folder.file(only(fields, "signed")))
+    by = bench.folder.name(bench.folder.file(only(fields, "certificate")))
+    command = ("certificate", "verify", signed, f"--certificate={by}")
+    job = await run_in_threadpool(bench.jobs.start, command, TITLES[2], signed)
+    return redirect(request, f"/jobs/{job.key}")
+
+
+def plain(name: str) -> str:
+    """The letters and digits of a name, for a folder."""
+    return "".join(letter if letter.isalnum() else "-" for letter in name).strip("-")[:60] or "instrument"
+
+
+def routes() -> list[Any]:
+    """Routes of this page."""
+    from starlette.routing import Route
+
+    return [
+        Route("/certificate", show, methods=["GET"]),
+        Route("/certificate", issue, methods=["POST"]),
+        Route("/certificate/verify", verify, methods=["POST"]),
+    ]
