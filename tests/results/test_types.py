@@ -21,14 +21,23 @@ WRONG = "run.segment(3)\ncal['k0'].si.nothing\npiga.calibrate(run, progres=None)
 """Mistakes of a user that the types must show."""
 
 
+def script_of(page: str) -> str:
+    """Name of the script of a page; those of the examples do not bear the names of packages."""
+    stem = Path(page).stem
+    return f"examples_of_{stem}" if "examples" in page else stem
+
+
 @pytest.fixture(scope="module")
 def scripts(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("scripts")
-    for page in PAGES:
+    examples = sorted(
+        page.relative_to(ROOT).as_posix() for page in (ROOT / "docs/reference/examples").glob("*.md")
+    )
+    for page in (*PAGES, *examples):
         text = (ROOT / page).read_text(encoding="utf-8")
         code = "\n".join(re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL))
         assert code
-        (folder / f"{Path(page).stem}.py").write_text(code, encoding="utf-8")
+        (folder / f"{script_of(page)}.py").write_text(code, encoding="utf-8")
     wrong = (folder / "api.py").read_text(encoding="utf-8") + WRONG
     (folder / "wrong.py").write_text(wrong, encoding="utf-8")
     return folder
@@ -42,7 +51,7 @@ def mypy(folder: Path, *names: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.only_compiled
 def test_mypy_takes_the_documented_examples_and_sees_mistakes(scripts):
-    done = mypy(scripts, "README.py", "api.py")
+    done = mypy(scripts, *sorted(path.name for path in scripts.glob("*.py") if path.name != "wrong.py"))
     assert done.returncode == 0, done.stdout
     done = mypy(scripts, "wrong.py")
     seen = [line for line in done.stdout.splitlines() if "error" in line and line.startswith("wrong.py")]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,6 +126,30 @@ class ErrorModel:
     k1_T: float = 0.0
     T_ref: float = 293.15
 
+    if TYPE_CHECKING:  # text is taken, too; the fields are numbers
+
+        def __init__(
+            self,
+            k0: Quantity = 0.0,
+            k1: Quantity = 0.0,
+            k2: Quantity = 0.0,
+            k3: Quantity = 0.0,
+            k2o: Quantity = 0.0,
+            m_Y: Quantity = 0.0,
+            m_Z: Quantity = 0.0,
+            k_XY: Quantity = 0.0,
+            k_XZ: Quantity = 0.0,
+            k_YY: Quantity = 0.0,
+            k_ZZ: Quantity = 0.0,
+            k_YZ: Quantity = 0.0,
+            s1: Quantity = 0.0,
+            c1: Quantity = 0.0,
+            k0_t: Quantity = 0.0,
+            k0_T: Quantity = 0.0,
+            k1_T: Quantity = 0.0,
+            T_ref: Quantity = 293.15,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         for field in fields(self):
             unit = _ERROR_UNITS[field.name]
@@ -145,7 +170,7 @@ class ErrorModel:
                     f"ErrorModel: term '{name}' cannot be propagated",
                     remedy=f"known terms: {' '.join(_ERROR_UNITS)}; higher harmonics are only calibrated",
                 )
-        return cls(**terms)  # type: ignore[arg-type]  # text is converted in __post_init__
+        return cls(**terms)
 
     @property
     def needs_temperature(self) -> bool:
