@@ -129,6 +129,22 @@ def _default(entry: Any) -> str:
     return json.dumps(entry.default, ensure_ascii=False)
 
 
+_PLURALS = {
+    "quantity": "quantities",
+    "number": "numbers",
+    "whole number": "whole numbers",
+    "text": "texts",
+    "table": "tables",
+}
+
+
+def _plural(words: str) -> str:
+    """Types in words, in the plural."""
+    if words.startswith(("list of ", "table of ")):
+        return f"{words.partition(' ')[0]}s {words.partition(' ')[2]}"
+    return " or ".join(_PLURALS.get(word, word) for word in words.split(" or "))
+
+
 def type_words(annotation: Any) -> str:
     """A type in words."""
     origin, parts = get_origin(annotation), get_args(annotation)
@@ -142,9 +158,9 @@ def type_words(annotation: Any) -> str:
         words += [type_words(part) for part in real if not words or part not in (str, float, int)]
         return " or ".join(dict.fromkeys(words))
     if origin in (tuple, list):
-        return f"list of {type_words(next(part for part in parts if part is not Ellipsis))}"
+        return f"list of {_plural(type_words(next(part for part in parts if part is not Ellipsis)))}"
     if origin is dict:
-        return f"table of {type_words(parts[-1])}"
+        return f"table of {_plural(type_words(parts[-1]))}"
     if structs_in(annotation):
         return "table"
     return {str: "text", float: "number", int: "whole number", bool: "true | false", Any: "any value"}.get(

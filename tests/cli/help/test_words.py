@@ -14,6 +14,7 @@ from piga.cli.main import app
 from piga.describe.keys import FILES, key_table, places_of
 from piga.records.run_file import METHOD_WORDS, METHODS
 from piga.records.terms import MEANING, TERM_WORDS, UNITS, term_words
+from piga.units import to_si
 
 
 @pytest.mark.parametrize("file", FILES)
@@ -107,3 +108,27 @@ def test_the_report_shows_the_words_of_a_coefficient() -> None:
         cell.title
         == "bias; adds k0; shown by a tumble on a dividing head; e.g. 1600 ug in the example of [Wei2024]"
     )
+
+
+def test_the_value_of_a_key_is_said_in_words() -> None:
+    for key, words in (
+        ("wanted", "table of quantities"),
+        ("x0", "list of numbers"),
+        ("compare", "list of lists of"),
+    ):
+        assert f"value    {words}" in CliRunner().invoke(app, ["check", "--explain", key]).stdout
+    assert "e.g. in 1" not in CliRunner().invoke(app, ["check", "--explain", "seed"]).stdout
+
+
+def test_every_example_is_toml_and_in_its_unit() -> None:
+    """A quantity of an example can be read in the unit that stands beside it."""
+    for table, keys in key_table().items():
+        for key, words in keys.items():
+            value = tomllib.loads(f"v = {words.example}")["v"]
+            texts = [value] if isinstance(value, str) else value if isinstance(value, list) else []
+            unit = words.unit
+            if unit in ("", "own", "as the value", "1", "row", "rows", "bit", "date", "UTC") or "," in unit:
+                continue
+            for text in texts:
+                if isinstance(text, str) and ":" not in text:
+                    to_si(text, unit, what=f"{table}.{key}")

@@ -55,7 +55,10 @@ def say_keys(hits: list[KeyPlace]) -> None:
         say("; ".join(list(names)[:4]) + (f"; and {len(names) - 4} more" if len(names) > 4 else ""))
         say(f"  {sentence}")
         unit = group[0].words.unit
-        say(f"  value    {kind}" + (f", e.g. in {unit}" if unit not in ("", "own") else ""))
+        say(
+            f"  value    {kind}"
+            + (f", e.g. in {unit}" if unit not in ("", "1", "own", "as the value", "row", "rows") else "")
+        )
         say(f"  default  {default}")
         say(f"  example  {group[0].path.rpartition('.')[2]} = {example}")
 
