@@ -22,6 +22,7 @@ from piga.records.distribution import GivenParameter
 from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
 from piga.records.spool import Arrays, exact_median, spans, steps
 from piga.records.terms import check_terms
+from piga.records.text_files import RENAMED
 from piga.results import Column, Reported, Result, Tabular, above, plotted
 
 if TYPE_CHECKING:
@@ -429,7 +430,9 @@ T = TypeVar("T")
 
 
 def _table(name: str, given: T | dict[str, object] | None, kind: type[T]) -> T:
-    """A table of the run file, from its keys."""
+    """A table of the run file, from its keys; former names of keys are read as in a file."""
+    if isinstance(given, dict):
+        given = {RENAMED.get((name, key), key): value for key, value in given.items()}
     try:
         return msgspec.convert(given or {}, kind)
     except msgspec.ValidationError as error:
