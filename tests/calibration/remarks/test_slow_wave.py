@@ -48,6 +48,7 @@ def test_white_noise_has_its_share_of_waves(monkeypatch: pytest.MonkeyPatch) -> 
     assert (chances < 0.5).sum() > 20, "not far too careful"
 
 
+@pytest.mark.only_compiled
 def test_no_wave_is_looked_for_in_angle_logs_and_short_records() -> None:
     assert waves(replace(HEAD, forces=head(12), seconds=20.0, rate=2.0, wave=(4e-5, 100.0)), 1) is None
     assert waves(replace(SMALL, seconds=4.0, wave=(4e-5, 100.0)), 1) is None
@@ -77,6 +78,7 @@ def test_flicker_noise_of_the_truth_has_its_variance_in_each_decade() -> None:
         assert power[inside].sum() * frequency[1] == pytest.approx(4.0, rel=0.12)
 
 
+@pytest.mark.only_compiled
 def test_the_truth_without_noise_comes_back() -> None:
     """Angle and rate logs of the independent motion: its coefficients, to the error of the sampled rates."""
     for test, error in ((replace(HEAD, white=0.0, walk=0.0), 1e-9), (replace(LOG, walk=0.0), 1e-6)):
