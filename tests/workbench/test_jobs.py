@@ -124,3 +124,54 @@ def test_many_pages_may_ask_at_the_same_time(jobs: Jobs) -> None:
             if states[-1] != "running":
                 break
     assert set(states) <= {"running", "failed"}
+
+
+@pytest.mark.only_compiled
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_job_that_is_killed_while_it_writes_leaves_the_older_results_whole(
+    jobs: Jobs, tmp_path: Path
+) -> None:
+    command = ("calibrate", "tumble-a.toml", "--out", "out", "--force")
+    assert ended(jobs, jobs.start(command, "Calibrate", "tumble-a.toml", "out")).state == "done"
+
+    def shown() -> dict[str, bytes]:
+        return {path.name: path.read_bytes() for path in (tmp_path / "out").glob("[!.]*")}
+
+    before = shown()
+    job = jobs.start(command, "Calibrate", "tumble-a.toml", "out")
+    while not list((tmp_path / "out").glob(".piga-stage-*/*")):  # a result is being written there
+        assert jobs.status(job).state == "running"
+    os.kill(job.pid, signal.SIGKILL)
+    assert ended(jobs, job).state == "lost"
+    assert shown() == before
+    assert ended(jobs, jobs.start(command, "Calibrate", "tumble-a.toml", "out")).state == "done"
+    assert set(shown()) == set(before)
+    assert not list((tmp_path / "out").glob(".piga-stage-*"))
+
+
+@pytest.mark.only_compiled
+def test_a_server_that_is_killed_in_an_upload_leaves_no_half_file(tmp_path: Path) -> None:
+    import socket
+
+    first = Server(tmp_path)
+    first.client.enter()
+    home = f"127.0.0.1:{first.client.port}"
+    with socket.create_connection(("127.0.0.1", first.client.port), timeout=20) as raw:
+        head = f"POST /upload?name=half.csv HTTP/1.1\r\nHost: {home}\r\nOrigin: http://{home}\r\n"
+        raw.sendall(
+            f"{head}Cookie: {first.client.cookie}\r\nContent-Length: 99999\r\n\r\nt,x\r\n0,1\r\n".encode()
+        )
+        parts = tmp_path / ".piga-ui" / "parts"
+        limit = time.monotonic() + 20.0
+        while not list(parts.iterdir()):
+            assert time.monotonic() < limit
+            time.sleep(0.02)
+        first.process.kill()
+        first.process.communicate()
+    assert list(parts.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == [".piga-ui"]
+    second = Server(tmp_path)
+    second.client.enter()
+    assert not list(parts.iterdir())
+    assert "no record in this folder" in second.client.page("/")
+    assert second.end() == (0, "")

@@ -152,7 +152,7 @@ class Jobs:
         end = _document(place / "end.json")
         if child is not None:
             with suppress(subprocess.TimeoutExpired):
-                child.wait(PATIENCE if end is not None else 0.0)
+                child.wait(PATIENCE if end is not None or not there else 0.0)
                 self._children.pop(job.key, None)  # two pages may ask at the same time
         if end is not None:
             code = int(end["code"]) if isinstance(end.get("code"), int) else 1
