@@ -17,7 +17,7 @@ from piga.describe.names import kind_of_name
 from piga.describe.toml_writer import toml_key, toml_text, toml_value
 from piga.errors import PigaError
 from piga.records.run import Run
-from piga.records.text_files import toml_bytes, toml_document
+from piga.records.text_files import toml_bytes, toml_document, written_key
 from piga.stand.run_reference import read_run
 
 _FAULT_LINE = re.compile(
@@ -77,7 +77,8 @@ def suggestions(path: Path) -> list[Suggestion]:
     log be read, the others are left out. The list is empty if no lines let the log be read.
     """
     try:
-        document: Document = toml_document(path, toml_bytes(path))
+        raw = toml_bytes(path)
+        document: Document = toml_document(path, raw)
     except PigaError:
         return []
     kept: list[Change] = []
@@ -92,7 +93,8 @@ def suggestions(path: Path) -> list[Suggestion]:
     if isinstance(_read(path, document), PigaError):
         return []
     return [
-        Suggestion(table, f"{toml_key(key)} = {_shown(value)}", reason) for table, key, value, reason in kept
+        Suggestion(table, f"{toml_key(written_key(raw, table, key))} = {_shown(value)}", reason)
+        for table, key, value, reason in kept
     ]
 
 

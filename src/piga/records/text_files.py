@@ -93,6 +93,13 @@ RENAMED = {("model", "phase"): "phases"}
 """Keys that had another name before: the new name by table and old name. Files with the old name are read."""
 
 
+def written_key(raw: bytes, table: str, key: str) -> str:
+    """The name that a valid TOML file itself uses for a key: the former one if the file has it."""
+    entries = tomllib.loads(raw.decode("utf-8-sig")).get(table)
+    former = (old for (place, old), new in RENAMED.items() if (place, new) == (table, key))
+    return next((old for old in former if isinstance(entries, dict) and old in entries), key)
+
+
 def _with_new_names(path: Path, document: dict[str, Any]) -> dict[str, Any]:
     for (table, old), new in RENAMED.items():
         entries = document.get(table)
