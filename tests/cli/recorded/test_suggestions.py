@@ -100,8 +100,8 @@ def test_a_phase_that_is_lost(tmp_path: Path) -> None:
     assert len(set(run.phase_group)) == 2
     assert ("model", "phases = 'per-segment'") in suggested(path)
     assert events(piga.read_run(with_line(path, "model", "phases = 'per-segment'"))) == events(run)
-    path.write_text(path.read_text(encoding="utf-8") + "[model]\nphase = 'shared'\n", encoding="utf-8")
-    assert ("model", "phase = 'per-segment'") in suggested(path), "the name that the file uses"
+    former = with_line(path, "model", "phase = 'shared'")
+    assert ("model", "phase = 'per-segment'") in suggested(former), "the name that the file uses"
 
 
 def test_an_encoding_that_was_found(tmp_path: Path) -> None:
