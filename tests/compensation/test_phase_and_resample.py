@@ -23,6 +23,7 @@ def test_noiseless_phase_is_found():
     assert abs(identify_phase(rest_record(2.5, 0.0, 0), cal, 30.0).value - 2.5) < 1e-4
 
 
+@pytest.mark.only_compiled
 def test_phase_error_fits_its_uncertainty():
     """50 power-ups with 0.1 mrad of angle noise: mean square of error over uncertainty within 1 +- 0.6."""
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA}, angle_rms=1e-4)

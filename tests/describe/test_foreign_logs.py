@@ -65,6 +65,7 @@ def test_times_without_decimals_give_the_rate_of_the_samples(tmp_path: Path) -> 
     assert try_run_file(draft, tmp_path / "run.toml").labels == tuple("123456")
 
 
+@pytest.mark.only_compiled
 def test_times_that_are_rounded_are_named_by_the_reader(tmp_path: Path) -> None:
     path = tmp_path / "rounded.csv"
     foreign.text(path, foreign.NAMES, foreign.rows(foreign.rounded))
@@ -131,6 +132,7 @@ def test_the_rotation_of_the_earth_is_named_where_no_rate_is_logged(tmp_path: Pa
     assert not any("Earth" in line for line in draft.comments["data.reference"])
 
 
+@pytest.mark.only_compiled
 def test_the_time_of_a_waveform(tmp_path: Path) -> None:
     from nptdms import ChannelObject, TdmsWriter
 

@@ -105,6 +105,7 @@ def test_an_identification_in_one_go_has_no_figure(platform_results):
         platform_results["Identification"].plot()
 
 
+@pytest.mark.only_compiled
 def test_a_plan_keeps_the_contract(plan):
     keeps_the_contract(plan)
     labelled(plan.plot())

@@ -110,6 +110,7 @@ def test_a_name_that_looks_like_an_option_is_refused(client: Client, server: Ser
         Folder(server.folder).path("sub/-x.toml")
 
 
+@pytest.mark.only_compiled
 def test_every_page_escapes_what_files_say(tmp_path: Path) -> None:
     run = shipped_record(tmp_path)
     rows = (tmp_path / "tumble-a.csv").read_text(encoding="utf-8").splitlines()
@@ -180,6 +181,7 @@ def test_every_page_escapes_what_files_say(tmp_path: Path) -> None:
         assert running.end() == (0, "")
 
 
+@pytest.mark.only_compiled
 @pytest.mark.skipif(os.name == "nt", reason="links and signals of POSIX")
 def test_a_strangers_folder_cannot_remove_or_signal_anything(tmp_path: Path) -> None:
     victim = tmp_path / "victim"

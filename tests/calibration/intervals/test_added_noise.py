@@ -48,6 +48,7 @@ def by_hand() -> AddedNoise:
     return AddedNoise("drift", 1.0, 1.0, True, (first, second))
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize(
     ("gains", "coloured"),
     [

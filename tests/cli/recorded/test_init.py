@@ -102,7 +102,7 @@ def test_a_log_without_names_gets_a_run_file_with_its_questions(tmp_path: Path) 
     ("data.sheep=3", "has the unknown key 'sheep'"),
     ("instrument.scale_factor=-1 rad/s/g", "must be positive"),
     ("data.output=counter", "[data.output]: expected a table { ... }, got text"),
-    ("model.phase=x", "[model.phase]: 'x' is not one of the allowed values"),
+    ("model.phase=x", "[model.phases]: 'x' is not one of the allowed values"),
 ])  # fmt: skip
 def test_settings_that_cannot_be_used(log: Path, setting: str, words: str) -> None:
     _, _, message = run("init", log, "--yes", "--set", SCALE, "--set", setting)

@@ -104,6 +104,7 @@ def test_every_kind_of_column(
     assert repairs == {}
 
 
+@pytest.mark.only_compiled
 def test_phases_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = written(tmp_path, more='segment = "part"')
     values = {
