@@ -86,10 +86,12 @@ def test_rows_of_the_accuracy_page_are_never_replaced_by_fewer_tests(tmp_path):
     assert said == [f"near-critical: 3 tests; the row of {shown} tests stays"]
     assert (folder / "intervals.json").read_text(encoding="utf-8") == kept
     found["groups"][0]["records"] = 10_000
-    stays = intervals.put_down(found | {"complete": False}, folder)
+    found["groups"][0]["planned"] = 10_001
+    stays = intervals.put_down(found, folder)
     assert stays == ["near-critical: records are missing or failed; the row stays"]
+    found["groups"][0]["planned"] = 10_000
     assert intervals.put_down(found, folder) == ["near-critical: 10000 tests put down"]
-    found["groups"][0]["records"] = 9000
+    found["groups"][0] |= {"records": 9000, "planned": 9000}
     assert intervals.put_down(found | {"version": measured.version()}, folder)[0].endswith("10000 tests stays")
     assert intervals.put_down(found | {"version": "9.9"}, folder) == ["near-critical: 9000 tests put down"]
     rows = {

@@ -535,6 +535,7 @@ def _group_document(result: GroupResult) -> dict[str, Any]:
         "name": group.name,
         "set": group.set,
         "subject": group.subject,
+        "planned": group.records,
         "records": result.records,
         "failed": result.failed,
         "nees": _finite(result.nees),
