@@ -62,7 +62,8 @@ def one_case(name: str, repeats: int, **values: object) -> str:
     lines = [line for line in body.splitlines() if not line.startswith("repeats")]
     own = "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
     head = head.partition("[campaign]")[2].partition("\n#")[0]
-    kept = "\n".join(line for line in head.splitlines() if not line.startswith("repeats"))
+    given = ("repeats", *values)
+    kept = "\n".join(line for line in head.splitlines() if not line.startswith(given))
     return f"[campaign]{kept}\nrepeats = {repeats}\n{own}\n[[case]]\n" + "\n".join(lines) + "\n"
 
 

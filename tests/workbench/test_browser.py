@@ -261,6 +261,7 @@ def test_a_file_is_added_and_a_wrong_one_is_refused(browser: Browser, place: Pat
     page.set_input_files("#file", log)
     page.get_by_text("new-log.csv").first.wait_for()
     (place / "new-log.csv").unlink()
+    browser.open("/")
     wrong = tmp_path / "tool.exe"
     wrong.write_bytes(b"MZ")
     page.set_input_files("#file", wrong)

@@ -78,7 +78,7 @@ def test_a_slip_of_the_counter_is_taken_off_what_follows(offset, angle, clean):
         check(BENCH, calibration, clean)
         texts = [event.detail for event in calibration.quality.events if event.kind == "outlier-jump"]
         assert len(texts) == 1
-        assert texts[0].endswith("all later readings are corrected")
+        assert texts[0].endswith("all later readings are corrected by it")
 
 
 @pytest.mark.only_compiled

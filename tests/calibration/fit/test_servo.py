@@ -336,7 +336,7 @@ def test_comparison_offers_the_servo_first_and_says_what_k_becomes():
     values = [{c.name: c.value for c in row.coefficients}["scale_factor"] for row in comparison.sets]
     assert values[1] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
     assert values[2] == pytest.approx(TRUTH["scale_factor"] * (1.0 - 1.3e-5), rel=2e-6)
-    assert "choice of meaning" in comparison.notes[0]
+    assert "BIC and prediction cannot choose" in comparison.notes[0]
     assert f"{values[1]:.8g}" in comparison.notes[0]
 
 

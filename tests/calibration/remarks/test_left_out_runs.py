@@ -99,7 +99,7 @@ def test_head_and_centrifuge_tell_what_the_model_lacks():
         assert abs(calibration[name].value - TRUTH[name]) < calibration[name].expanded, name
     assert abs(calibration["scale_factor"].value / TRUTH["scale_factor"] - 1.0) > 5e-6
     assert half_width(calibration, source) > 4e-6
-    note = next(note for note in calibration.notes if "signature of servo" in note)
+    note = next(note for note in calibration.notes if "the runs together show servo" in note)
     assert "Add 'servo' and 'servo_damping'" in note
     whole = calibrate(runs, TERMS)
     assert source not in [row.source for row in whole.budget]

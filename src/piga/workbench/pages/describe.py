@@ -47,8 +47,9 @@ def _run_file_page(request: Request, name: str, text: str, message: str = "", co
             check = ask(bench, name, CHECK, always="again" in request.query_params)
         except (PigaError, OSError) as error:
             faulty = str(error)
+    page = "check-part" if request.headers.get("hx-request") else "describe-run"
     return render(
-        request, "describe/describe-run.html.jinja", code, name=name, form=form, check=check, faulty=faulty,
+        request, f"describe/{page}.html.jinja", code, name=name, form=form, check=check, faulty=faulty,
         back=f"/describe/{quote(name)}",
     )  # fmt: skip
 
