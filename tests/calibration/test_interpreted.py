@@ -18,7 +18,7 @@ def small(**options: object) -> piga.Run:
 @pytest.mark.parametrize(
     "method", ["information", "rate", pytest.param("recursive", marks=pytest.mark.only_compiled)]
 )
-@pytest.mark.parametrize("phase", ["shared", "per-segment"])
+@pytest.mark.parametrize("phase", ["shared", pytest.param("per-segment", marks=pytest.mark.only_compiled)])
 def test_small_record(method: str, phase: str) -> None:
     run = small(per_segment=phase == "per-segment")
     calibration = piga.calibrate(run, TERMS, method, phases=phase)

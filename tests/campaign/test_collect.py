@@ -72,6 +72,7 @@ def test_standard_error_of_a_share(held, tests, error):
     assert _share_error(held, tests) == pytest.approx(error, rel=1e-5)
 
 
+@pytest.mark.only_compiled
 def test_worst_case_is_repeated_by_its_command(small, tmp_path, capsys):
     found = collect(open_campaign(small))
     every = rows(small)
@@ -100,6 +101,7 @@ def test_collect_does_not_depend_on_the_cut(small, tmp_path):
     assert first["csv"] == second["csv"]
 
 
+@pytest.mark.only_compiled
 def test_a_record_that_fails_is_a_row(tmp_path):
     same = "forces = [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]"
     text = SMALL.replace("tumble = { positions = 6 }", same, 1)

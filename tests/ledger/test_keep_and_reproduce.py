@@ -32,6 +32,7 @@ def small_run(folder: Path, name: str = "run.csv") -> Path:
     return write_run(folder, name, data='segment = "seg"')
 
 
+@pytest.mark.only_compiled
 def test_keep_and_reproduce(tmp_path: Path) -> None:
     run = small_run(tmp_path)
     with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:

@@ -71,6 +71,7 @@ def test_document_text_and_scenario(plan: Plan, tmp_path: Path) -> None:
     assert [s.duration for s in segments if s.recorded] == [visit.dwell for visit in plan.best.visits]
 
 
+@pytest.mark.only_compiled
 def test_the_stand_may_not_be_good_enough(tmp_path: Path) -> None:
     wish = request(
         tmp_path,
@@ -88,6 +89,7 @@ def test_the_stand_may_not_be_good_enough(tmp_path: Path) -> None:
     assert plan_document(plan, None)["cheapest"]["refusal"] == plan.cheapest.refusal
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("criterion", ["A", "c", "wanted"])
 def test_other_criteria_are_no_worse_than_the_standard_test(tmp_path: Path, criterion: str) -> None:
     extra = 'combination = { k0 = 1.0 }\nwanted = { k0 = "1 ug", scale_factor = "1e-6 rad/s/g" }'

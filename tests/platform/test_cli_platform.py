@@ -92,6 +92,7 @@ def test_budget_is_added_on_request(capsys, monkeypatch, scenario, tmp_path):
     assert document["budget"][-1]["source"] == "all together"
 
 
+@pytest.mark.only_compiled
 def test_gyro_accelerometers_get_their_own_page(capsys, monkeypatch, scenario, tmp_path):
     step = "1 s"
     text = SHORT.replace(STEP, step).replace("1 h", "20 min")

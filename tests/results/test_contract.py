@@ -215,6 +215,7 @@ def same_after(value: object) -> tuple[object, str]:
     return value, repr(value)
 
 
+@pytest.mark.only_compiled
 def test_results_travel_through_spawn(samples):
     sent = [samples[name] for name in NAMES]
     with multiprocessing.get_context("spawn").Pool(1) as pool:

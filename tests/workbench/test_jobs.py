@@ -29,6 +29,7 @@ def jobs(tmp_path: Path) -> Jobs:
     return Jobs(tmp_path / "jobs", tmp_path)
 
 
+@pytest.mark.only_compiled
 def test_a_job_is_the_command(jobs: Jobs, tmp_path: Path) -> None:
     job = jobs.start(("check", "tumble-a.toml", "--json"), "Check", "tumble-a.toml")
     status = ended(jobs, job)

@@ -37,6 +37,7 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.only_compiled
 def test_a_stream_shows_what_the_whole_record_gives(calibration: Path) -> None:
     run = record()
     live = Live(calibration)

@@ -27,6 +27,7 @@ def lab(tmp_path_factory):
     return folder
 
 
+@pytest.mark.only_compiled
 def test_issue_verify_read(lab, tmp_path):
     done = piga(
         "certificate", "calibration.json", "--data", EXAMPLE, "--out", tmp_path, "--dcc", "--key", "lab-key.pem",
@@ -81,6 +82,7 @@ def test_refused_with_the_whole_list(lab, tmp_path):
     assert not (tmp_path / "o").exists()
 
 
+@pytest.mark.only_compiled
 def test_a_file_without_a_date_is_issued_today(lab, tmp_path):
     """The shipped example, with a calibration made now: a date in the file would be before its evaluation."""
     assert read_certificate_file(EXAMPLE).certificate.issued is None
@@ -130,6 +132,7 @@ def expired(lab):
     return lab
 
 
+@pytest.mark.only_compiled
 def test_an_expired_signer_stands_in_the_first_line_and_the_exit_code(expired, tmp_path):
     verify = ("certificate", "verify", "expired.xml", "--certificate", "expired-cert.pem")
     now = piga(*verify, cwd=expired)
@@ -150,6 +153,7 @@ def test_an_expired_signer_stands_in_the_first_line_and_the_exit_code(expired, t
     assert not (tmp_path / "back.json").exists()
 
 
+@pytest.mark.only_compiled
 def test_what_is_not_signed_is_called_so(expired, tmp_path):
     from piga.certificate.dcc.writer import dcc_document
     from piga.certificate.dcc.xml_signature import written

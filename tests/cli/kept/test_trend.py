@@ -30,6 +30,7 @@ def folder(tmp_path_factory):
     return path
 
 
+@pytest.mark.only_compiled
 def test_directories_and_files(folder, tmp_path):
     done = piga(
         "records", "trend", folder, "--at", "2024-01-01", "--common", "0.5", "--out", tmp_path, "--json"
@@ -93,6 +94,7 @@ def test_exit_code_of_wrong_use():
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.only_compiled
 def test_records_of_a_store(tmp_path):
     pytest.importorskip("sqlalchemy")
     from piga.ledger.store import Draft, DraftFile, open_store

@@ -130,8 +130,9 @@ VARIANTS = {
 }  # fmt: skip
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("chunk", [37, pytest.param(1000, marks=pytest.mark.only_compiled)])
+@pytest.mark.parametrize("chunk", [37, 1000])
 def test_every_kind_of_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str, chunk: int
 ) -> None:

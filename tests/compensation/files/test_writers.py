@@ -55,6 +55,7 @@ def test_a_record_in_pieces_is_the_record(monkeypatch):
     assert np.concatenate([chunk.a_Y for _, chunk, _ in result]).tobytes() == run.f[:, 1].tobytes()
 
 
+@pytest.mark.only_compiled
 def test_a_long_record_with_a_stand_is_written_in_pieces(tmp_path, monkeypatch, capsys):
     """No reference columns: the stand computes it; the file and the page are those of the short record."""
     run = write(tmp_path, rows=1000)

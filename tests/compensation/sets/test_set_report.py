@@ -111,6 +111,7 @@ def test_what_is_taken_out_of_an_instrument_is_its_cross_coupling():
     assert [panel.title for panel in figure.panels] == list(NAMES[:3])
 
 
+@pytest.mark.only_compiled
 def test_page_says_what_contradicts_and_has_units_on_every_axis():
     result, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200)
     figures = (set_force_figure(result), misfit_figure(result, NAMES))

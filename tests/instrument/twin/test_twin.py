@@ -305,6 +305,7 @@ def test_wheel_speed_changes_the_scale_factor():
     assert H[0] == pytest.approx(0.08)
 
 
+@pytest.mark.only_compiled
 def test_saturated_torque_motor_loses_lock_and_recovers():
     p = replace(EXAMPLE, torque_limit=0.03, pick_off_range=5e-3, stop_angle=0.02)
     t = np.arange(0, 1.5, 1e-3)

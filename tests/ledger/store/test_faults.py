@@ -34,6 +34,7 @@ def run(shim: Path, folder: Path, step: int) -> dict[str, dict[str, int]]:
     return json.loads(done.stdout)
 
 
+@pytest.mark.only_compiled
 def test_some_calls_fail(shim: Path, memory_path: Path) -> None:
     outcome = run(shim, memory_path, 9)
     assert len(outcome) == OPERATIONS

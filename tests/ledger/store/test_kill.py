@@ -120,6 +120,7 @@ def _check_migrated(folder: Path, path: Path) -> None:
     path.unlink()
 
 
+@pytest.mark.only_compiled
 def test_some_kills(memory_path: Path) -> None:
     figures = campaign(memory_path, 15, seed=5)
     assert figures["add"] == 3

@@ -58,6 +58,7 @@ def _acknowledged(pipe) -> list[str]:  # type: ignore[no-untyped-def]
         return names
 
 
+@pytest.mark.only_compiled
 def test_two_stations_at_once(url: str) -> None:
     context = multiprocessing.get_context("spawn")
     together = context.Barrier(2)
@@ -78,6 +79,7 @@ def test_two_stations_at_once(url: str) -> None:
     assert changes >= 14, "a station waited for the other to end"
 
 
+@pytest.mark.only_compiled
 def test_a_killed_station_loses_nothing(url: str) -> None:
     open_store(url, create=True).close()
     context, chance, names = multiprocessing.get_context("forkserver"), random.Random(3), set[str]()
