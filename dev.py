@@ -92,7 +92,7 @@ def test(arguments: list[str]) -> None:
             call([python, "-m", "pytest", "-n", "2", "-m", "smoke", *map(str, smoke)])
         if types.returncode:
             sys.exit(types.returncode)
-        print("all tests with the JIT off (four and a half minutes on two cores)", flush=True)
+        print("all tests with the JIT off (just under four minutes on two cores)", flush=True)
     call([python, "-m", "pytest", "-n", "2", "-m", "not slow", *arguments], NUMBA_DISABLE_JIT="1")
 
 

@@ -127,6 +127,8 @@ def test_a_summary_alone_says_what_the_run_says(
         first = (alone.coefficients[0], merged.coefficients[0])
         assert first[1].degrees_of_freedom == pytest.approx(first[0].degrees_of_freedom, rel=0.06)
         compared += 1
+        if compared == 6:
+            break
     assert compared >= 2
     assert at_border <= 1
 
