@@ -8,7 +8,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from piga.errors import CalibrationError, PigaError, UnitError
 from piga.output import settle
 from piga.records.calibration import (
+    Amount,
     BudgetEntry,
     BudgetTable,
     Calibration,
@@ -73,11 +74,6 @@ class DocumentSettings:
 DOCUMENT = DocumentSettings()
 
 
-class _Quantity(msgspec.Struct, frozen=True):
-    value: Number
-    unit: str
-
-
 class _Level(msgspec.Struct, frozen=True):
     value: Level
     unit: str
@@ -99,7 +95,7 @@ class _Model(msgspec.Struct, frozen=True):
     phase_source: PhaseSource
     method: Method
     temperature_reference: _Level = _Level(293.15, "K")
-    time_reference: _Quantity = _Quantity(0.0, "s")
+    time_reference: Amount = Amount(0.0, "s")
 
 
 class _Coefficient(msgspec.Struct, frozen=True):
@@ -153,26 +149,6 @@ class _Provenance(msgspec.Struct, frozen=True):
     options: dict[str, Any] = {}
 
 
-class _Run(msgspec.Struct, frozen=True, kw_only=True):
-    """A :class:`RunRecord`. The schema calls its ``phases`` ``phase``."""
-
-    name: str
-    source: str
-    stand: str | None
-    phases: str = msgspec.field(name="phase")
-    raw: bool
-    rows: int
-    angle_rms: float
-    angle_random_walk: float
-    residual_rms: float
-    residual_rms_before: float
-    residual_max_before: float
-    residual_max_after: float
-    quality: Quality
-    undetermined: tuple[str, ...] = ()
-    input_sha256: dict[str, str] = {}
-
-
 class _Document(msgspec.Struct, frozen=True):
     schema: str
     instrument: _Instrument
@@ -189,7 +165,7 @@ class _Document(msgspec.Struct, frozen=True):
     degrees_of_freedom: Level = math.inf
     diagnostics: Diagnostics = Diagnostics()
     segments: tuple[SegmentSummary, ...] = ()
-    runs: tuple[_Run, ...] = ()
+    runs: tuple[dict[str, Any], ...] = ()
     outliers: tuple[Outlier, ...] = ()
 
 
@@ -225,7 +201,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "provenance": msgspec.to_builtins(c.provenance),
     }
     if c.runs:
-        document["runs"] = [msgspec.to_builtins(_Run(**_fields(run))) for run in c.runs]
+        document["runs"] = [_renamed(msgspec.to_builtins(run), "phases", "phase") for run in c.runs]
     if c.outliers:
         document["outliers"] = [msgspec.to_builtins(outlier) for outlier in c.outliers[: DOCUMENT.outliers]]
     return document
@@ -353,8 +329,8 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     CalibrationError
         As :func:`read_calibration`.
     """
-    document = _decode(raw, path)
-    matrix = _check(path, document)
+    document, runs = _decode(raw, path)
+    matrix = _check(path, document, runs)
     condition = document.identifiability.condition
     return Calibration(
         serial=document.instrument.serial,
@@ -385,7 +361,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         provenance=_provenance(document.provenance),
         temperature_reference=_in_si(document.model.temperature_reference, "K", path),
         time_reference=_in_si(document.model.time_reference, "s", path),
-        runs=tuple(RunRecord(**_fields(run)) for run in document.runs),
+        runs=runs,
         outliers=document.outliers,
     )
 
@@ -449,12 +425,26 @@ def _coefficient(entry: _Coefficient) -> Coefficient:
     )
 
 
-def _fields(run: RunRecord | _Run) -> dict[str, Any]:
-    return {f.name: getattr(run, f.name) for f in fields(RunRecord)}
+def _runs(document: _Document) -> tuple[RunRecord, ...]:
+    """The runs of a joint record. The file calls their ``phases`` ``phase``."""
+    entries = [_renamed(run, "phase", "phases") for run in document.runs]
+    try:
+        return msgspec.convert(entries, tuple[RunRecord, ...])
+    except msgspec.ValidationError as error:
+        text = str(error).replace("$", "$.runs", 1).replace("`phases`", "`phase`").replace(".phases", ".phase")
+        raise JsonError(text) from None
 
 
-def _decode(raw: bytes, path: Path) -> _Document:
-    return _of_schema(raw, path, lambda: decode_json(raw, _Document))
+def _renamed(entry: dict[str, Any], old: str, new: str) -> dict[str, Any]:
+    return {new if key == old else key: value for key, value in entry.items()}
+
+
+def _decode(raw: bytes, path: Path) -> tuple[_Document, tuple[RunRecord, ...]]:
+    def read() -> tuple[_Document, tuple[RunRecord, ...]]:
+        document = decode_json(raw, _Document)
+        return document, _runs(document)
+
+    return _of_schema(raw, path, read)
 
 
 def _of_schema(raw: bytes, path: Path, read: Callable[[], T]) -> T:
@@ -487,14 +477,14 @@ def _level(level: _Level | None) -> float:
     return 0.0 if level is None else level.value
 
 
-def _in_si(quantity: _Quantity | _Level | _Nominal, like: str, path: Path) -> float:
+def _in_si(quantity: Amount | _Level | _Nominal, like: str, path: Path) -> float:
     try:
         return quantity.value * conversion_factor(quantity.unit, like)
     except UnitError as error:
         raise CalibrationError(f"{path}: {error.message}", remedy="calibrate again") from None
 
 
-def _check(path: Path, document: _Document) -> Array:
+def _check(path: Path, document: _Document, records: tuple[RunRecord, ...]) -> Array:
     """Check that the parts agree with each other, and return the covariance.
 
     Raises
@@ -508,7 +498,7 @@ def _check(path: Path, document: _Document) -> Array:
             check_label(document.instrument.serial, "the serial")
         wrong = (
             *(fault for c in coefficients for fault in _faults(c)),
-            *_contradictions(document, coefficients),
+            *_contradictions(document, coefficients, {run.name for run in records}),
         )
         if not wrong:
             return _covariance(document, coefficients)
@@ -535,7 +525,9 @@ def _faults(c: Coefficient) -> Iterator[str]:
         yield f"'{c.key}': the coefficient belongs to the instrument, not to a run"
 
 
-def _contradictions(document: _Document, coefficients: tuple[Coefficient, ...]) -> Iterator[str]:
+def _contradictions(
+    document: _Document, coefficients: tuple[Coefficient, ...], runs: set[str]
+) -> Iterator[str]:
     """Contradictions between the parts of a record."""
     model, quality = document.model, document.quality
     keys = [c.key for c in coefficients]
@@ -548,7 +540,6 @@ def _contradictions(document: _Document, coefficients: tuple[Coefficient, ...]) 
     for term in model.terms:
         if term not in names:
             yield f"there is no coefficient of the term '{term[:60]}'"
-    runs = {run.name for run in document.runs}
     for c in coefficients:
         if c.name not in (*model.terms, "phi"):
             yield f"the coefficient '{c.name[:60]}' is not among the terms"
