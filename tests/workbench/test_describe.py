@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import piga
-from piga.describe.toml_writer import toml_value
+from piga.describe.draft import toml_value
 from piga.records.text_files import toml_document
 from piga.workbench.forms import digest, form_fields, form_of_text, sent_text, text_with
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from piga.describe.draft import toml_value
 from piga.describe.keys import places_of
-from piga.describe.toml_writer import toml_value
 from piga.errors import ArgumentError, PigaError
 from piga.records.text_files import toml_document
 

@@ -10,7 +10,7 @@ import pytest
 
 import piga
 from piga.describe import suggestions
-from piga.describe.toml_writer import toml_text
+from piga.describe.draft import toml_text
 from tests.records.containers import columns, write_xlsx
 from tests.records.files import events, lines, write_log, write_run
 
