@@ -162,9 +162,9 @@ def test_trapezoid_of_the_coupling_would_be_biased() -> None:
     f = np.tile(G0 * np.array([2.0, 3.0, 0.0]), (t.size, 1))
     inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec")
     run = piga.Run.from_arrays(t, piga.propagate(inst, t, f), f, scale_factor=SCALE)
-    found = piga.calibrate(run, ["tan_beta"])["tan_beta"].value
+    estimate = piga.calibrate(run, ["tan_beta"])["tan_beta"].value
     truth = 0.00484817479568412
-    assert found == pytest.approx(truth, rel=2e-6)
+    assert estimate == pytest.approx(truth, rel=2e-6)
     scale = 0.8884 / G0
     coupling = scale * np.column_stack([f[:, 1] * np.sin(run.output), f[:, 1] * np.cos(run.output)])
     columns = 0.05 * (coupling[1:] + coupling[:-1])
@@ -330,10 +330,10 @@ def test_given_noise_levels_are_used() -> None:
 
     run = record(np.random.default_rng(18))
     given = replace(run, estimation=EstimationTable(angle_rms="5e-5 rad", angle_random_walk="0 rad/sqrt(s)"))
-    found, used = piga.calibrate(run, TERMS), piga.calibrate(given, TERMS)
+    estimated, used = piga.calibrate(run, TERMS), piga.calibrate(given, TERMS)
     assert used.angle_rms == 5e-5
-    assert used["k0"].std == pytest.approx(2.0 * found["k0"].std, rel=0.2)
-    assert found.angle_rms == pytest.approx(2.5e-5, rel=0.03)
+    assert used["k0"].std == pytest.approx(2.0 * estimated["k0"].std, rel=0.2)
+    assert estimated.angle_rms == pytest.approx(2.5e-5, rel=0.03)
 
 
 def test_sampling_too_slow_for_the_motion_is_refused() -> None:

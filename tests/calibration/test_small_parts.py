@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -14,10 +13,13 @@ import pytest
 import piga
 from piga.calibration.budget.monte_carlo import standard_draws
 from piga.calibration.choice.cross_validation import predict
+from piga.calibration.fit.one_run import Fit, fit_run
 from piga.calibration.intervals import degrees_of_freedom
 from piga.calibration.intervals.slow_noise import _whitened_means, quick_look
+from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import _aligned, notes_in_words, refuse_useless, remarks_in_words
 from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import KNOTS, Estimate, Layout, name_parameters
 from piga.calibration.noise.counted import count_of
 from piga.calibration.noise.levels import Noise
@@ -25,7 +27,7 @@ from piga.calibration.noise.settings import NOISE
 from piga.calibration.noise.slow_bases import DriftBasis
 from piga.calibration.remarks.advice import with_advice
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
-from piga.planning.candidates import _without_phase, coefficient_names
+from piga.planning.candidates import _without_phase, coefficient_names, model_request, run_of
 from piga.planning.mounting import plan_mounting
 from piga.records.calibration import Coefficient, SegmentScatter
 from piga.trend.history import Forecast
@@ -157,26 +159,29 @@ def test_draws_of_students_t_have_its_wider_spread() -> None:
     assert np.mean(x**2) == pytest.approx(10.0 / 8.0, rel=0.04)
 
 
-def residual_of(d: np.ndarray, noise: Noise, stretches: int = 1) -> SimpleNamespace:
-    """What the quick look needs of a fit: stretches of a record at 10 Hz, with residual increments ``d``."""
-    t = 0.1 * np.arange(d.size)
-    begins = np.arange(d.size) % (d.size // stretches) == 0
-    run = SimpleNamespace(t=t, size=d.size, begins=begins, segment_index=np.cumsum(begins) - 1)
-    return SimpleNamespace(design=SimpleNamespace(run=run), noise=noise, d=d)
+def fit_with(size: int, noise: Noise, stretches: int = 1) -> Fit:
+    """A small fit of segments at 10 Hz, with these noise levels."""
+    t = 0.1 * np.arange(size)
+    f = np.zeros((size, 3))
+    f[:, 0] = G0 * (1.0 + 0.1 * np.sin(t))
+    segment = (np.arange(size) // (size // stretches)).astype(np.int32)
+    run = piga.Run.from_arrays(
+        t, piga.propagate(piga.Instrument(SCALE, BETA), t, f), f, scale_factor=SCALE, segment=segment
+    )
+    return replace(fit_run(run, make_request(run, ["scale_factor"], None, None, None)), noise=noise)
 
 
 def test_means_of_bins_are_whitened_as_angle_noise_and_random_walk_say() -> None:
     """Against the covariance of every single sample: white noise 4e-10 rad^2 and a walk that is as large within a bin."""
     size, bins = 800, 8
     noise = Noise(4e-8, 1e-10)
-    rows = []
+    fit, rows = fit_with(size, noise), []
     for k in range(size):  # the map is linear: its columns from unit angles
         d = np.zeros(size)
         d[k] = 1.0
         if k + 1 < size:
             d[k + 1] = -1.0
-        fit = residual_of(d, noise)
-        rows.append(_whitened_means(fit, DriftBasis.of(fit.design.run), 0, size, bins)[:, -1])
+        rows.append(_whitened_means(replace(fit, d=d), DriftBasis.of(fit.design.run), 0, size, bins)[:, -1])
     linear = np.array(rows).T
     t = 0.1 * np.arange(size)
     covariance = noise.white * np.eye(size) + noise.walk * np.minimum.outer(t, t)
@@ -186,13 +191,14 @@ def test_means_of_bins_are_whitened_as_angle_noise_and_random_walk_say() -> None
 def test_the_quick_look_sees_a_drift_and_no_noise_for_one() -> None:
     rng = np.random.default_rng(11)
     size, noise = 4000, Noise(1e-12, 1e-12)
+    fit = fit_with(size, noise, 8)
 
     def gain(drift: float) -> float:
         angle = np.cumsum(np.sqrt(0.1 * noise.walk) * rng.standard_normal(size))
         rate = np.cumsum(np.sqrt(0.1 * drift) * rng.standard_normal(size))
         angle += np.cumsum(0.1 * rate) + np.sqrt(noise.white) * rng.standard_normal(size)
-        fit = residual_of(np.diff(angle, prepend=0.0), noise, 8)
-        return quick_look(fit, DriftBasis.of(fit.design.run)).gain  # type: ignore[arg-type]
+        residual = replace(fit, d=np.diff(angle, prepend=0.0))
+        return quick_look(residual, DriftBasis.of(fit.design.run)).gain
 
     assert np.median([gain(0.0) for _ in range(20)]) < 0.3
     assert np.median([gain(1e-15) for _ in range(20)]) > 3.0
@@ -200,9 +206,8 @@ def test_the_quick_look_sees_a_drift_and_no_noise_for_one() -> None:
 
 def test_a_quick_look_at_few_bins_sees_nothing() -> None:
     """Fewer rows than steps of the drift: whatever the residuals are, they are no evidence."""
-    d = np.linspace(0.0, 1.0, KNOTS)
-    fit = residual_of(d, Noise(1e-12, 1e-12))
-    assert quick_look(fit, DriftBasis.of(fit.design.run)).gain == 0.0  # type: ignore[arg-type]
+    fit = replace(fit_with(KNOTS, Noise(1e-12, 1e-12)), d=np.linspace(0.0, 1.0, KNOTS))
+    assert quick_look(fit, DriftBasis.of(fit.design.run)).gain == 0.0
 
 
 def test_spikes_of_a_log_of_rates() -> None:
@@ -344,8 +349,9 @@ def test_a_phase_of_its_own_costs_information(tmp_path: Path, phase: str) -> Non
     size = len([name for name in names if name != "phi"]) + 1
     spread = np.random.default_rng(6).standard_normal((3, size, size + 3))
     information = spread @ spread.swapaxes(1, 2)
-    design = SimpleNamespace(names=("p", "q"), request=SimpleNamespace(harmonics=()))
-    result = _without_phase(information, wish, design)  # type: ignore[arg-type]
+    t, f = np.arange(3.0), np.full((3, 3), G0)
+    run = run_of(wish, t, t, f, np.zeros((3, 3)), np.zeros(3, np.int32))
+    result = _without_phase(information, wish, Design(run, model_request(wish), run.scale_factor))
     covariance = np.linalg.inv(information)
     order = [name for name in names if name != "phi"] + ["phi"]
     kept = [order.index(name) for name in names]

@@ -30,10 +30,15 @@ def small(tmp_path_factory):
 
 
 def test_figures_are_those_of_the_rows(small):
-    found = document(collect(open_campaign(small)))
+    figures = document(collect(open_campaign(small)))
     every = rows(small)
-    assert (found["records"], found["computed"], found["failed"], found["complete"]) == (17, 17, 0, True)
-    for index, group in enumerate(found["groups"]):
+    assert (figures["records"], figures["computed"], figures["failed"], figures["complete"]) == (
+        17,
+        17,
+        0,
+        True,
+    )
+    for index, group in enumerate(figures["groups"]):
         own = [row for row in every if row["case"] == index]
         assert group["records"] == len(own) == (10, 7)[index]
         assert group["nees"] == pytest.approx(np.mean([row["nees"] for row in own]), rel=1e-12)
@@ -74,12 +79,12 @@ def test_standard_error_of_a_share(held, tests, error):
 
 @pytest.mark.only_compiled
 def test_worst_case_is_repeated_by_its_command(small, tmp_path, capsys):
-    found = collect(open_campaign(small))
+    collection = collect(open_campaign(small))
     every = rows(small)
     largest = max(abs(z) for row in every for z in row["z"])
-    worst = found.worst[0]
+    worst = collection.worst[0]
     assert abs(worst.z) == largest
-    assert [abs(w.z) for w in found.worst] == sorted((abs(w.z) for w in found.worst), reverse=True)
+    assert [abs(w.z) for w in collection.worst] == sorted((abs(w.z) for w in collection.worst), reverse=True)
     words = worst.command.replace("small.toml", str(small.parent / "small.toml")).replace(
         "DIR", str(tmp_path / "r")
     )
@@ -106,12 +111,12 @@ def test_a_record_that_fails_is_a_row(tmp_path):
     same = "forces = [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]"
     text = SMALL.replace("tumble = { positions = 6 }", same, 1)
     folder = computed(tmp_path, text)
-    found = collect(open_campaign(folder))
-    assert found.failed == 10
-    assert found.groups[0].failed == {"IdentifiabilityError": 10}
-    assert found.groups[0].coefficients == ()
-    assert found.groups[1].coefficients[0].tests == 7
-    failure = found.failures[0]
+    collection = collect(open_campaign(folder))
+    assert collection.failed == 10
+    assert collection.groups[0].failed == {"IdentifiabilityError": 10}
+    assert collection.groups[0].coefficients == ()
+    assert collection.groups[1].coefficients[0].tests == 7
+    failure = collection.failures[0]
     assert (failure.error_class, failure.records, failure.first) == ("IdentifiabilityError", 10, 0)
     assert "--case 0 --repeat 0" in failure.command
     assert all(row["error"] for row in rows(folder)[:10])
@@ -121,10 +126,10 @@ def test_a_record_that_fails_is_a_row(tmp_path):
 @pytest.mark.only_compiled
 def test_incomplete(tmp_path):
     folder = computed(tmp_path, shards=(0, 2))
-    found = collect(open_campaign(folder))
-    assert found.missing == (1, 3, 4)
-    assert found.computed == 8
-    assert not found.complete
+    collection = collect(open_campaign(folder))
+    assert collection.missing == (1, 3, 4)
+    assert collection.computed == 8
+    assert not collection.complete
     with pytest.raises(PigaError, match="has no results yet"):
         collect(plan_campaign(tmp_path / "small.toml", tmp_path / "empty"))
 

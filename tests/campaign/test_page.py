@@ -79,24 +79,26 @@ def test_rows_of_the_accuracy_page_are_never_replaced_by_fewer_tests(tmp_path):
     campaign = plan_campaign(written(tmp_path, one_case("near-critical", 3)), tmp_path / "out")
     for shard in range(campaign.shards):
         run_shard(str(tmp_path / "out"), shard)
-    found = document(collect(campaign))
+    figures = document(collect(campaign))
     rows = json.loads(kept)["figures"]
     shown = next(f["value"] for f in rows if (f["scenario"], f["column"]) == ("near-critical", "tests"))
-    said = intervals.put_down(found, folder)
+    said = intervals.put_down(figures, folder)
     assert said == [f"near-critical: 3 tests; the row of {shown} tests stays"]
     assert (folder / "intervals.json").read_text(encoding="utf-8") == kept
-    found["groups"][0]["records"] = 10_000
-    found["groups"][0]["planned"] = 10_001
-    stays = intervals.put_down(found, folder)
+    figures["groups"][0]["records"] = 10_000
+    figures["groups"][0]["planned"] = 10_001
+    stays = intervals.put_down(figures, folder)
     assert stays == ["near-critical: records are missing or failed; the row stays"]
-    found["groups"][0]["planned"] = 10_000
-    assert intervals.put_down(found, folder) == ["near-critical: 10000 tests put down"]
-    found["groups"][0] |= {"records": 9000, "planned": 9000}
-    assert intervals.put_down(found | {"version": measured.version()}, folder)[0].endswith("10000 tests stays")
-    assert intervals.put_down(found | {"version": "9.9"}, folder) == ["near-critical: 9000 tests put down"]
+    figures["groups"][0]["planned"] = 10_000
+    assert intervals.put_down(figures, folder) == ["near-critical: 10000 tests put down"]
+    figures["groups"][0] |= {"records": 9000, "planned": 9000}
+    assert intervals.put_down(figures | {"version": measured.version()}, folder)[0].endswith(
+        "10000 tests stays"
+    )
+    assert intervals.put_down(figures | {"version": "9.9"}, folder) == ["near-critical: 9000 tests put down"]
     rows = {
         f["name"]: f["value"]
         for f in json.loads((folder / "intervals.json").read_text(encoding="utf-8"))["figures"]
     }
-    assert rows["near-critical: NEES"] == round(found["groups"][0]["nees"], 3)
+    assert rows["near-critical: NEES"] == round(figures["groups"][0]["nees"], 3)
     assert rows["near-critical: coverage"] == sorted(rows["near-critical: coverage"])

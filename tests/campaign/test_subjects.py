@@ -171,12 +171,12 @@ name = "p"
 set = { "sensors.gimbal_noise" = "5 arcsec", "compensation.models" = ["A", "B"], "identification.duration" = "1 h" }
 """
     computed(written(tmp_path, campaign), tmp_path / "out")
-    found = document(collect(open_campaign(tmp_path / "out")))
-    assert found["failed"] == 0, found["failures"]
-    assert [group["set"] for group in found["groups"]] == [
+    figures = document(collect(open_campaign(tmp_path / "out")))
+    assert figures["failed"] == 0, figures["failures"]
+    assert [group["set"] for group in figures["groups"]] == [
         {"equatorial.drift.0": v} for v in ("0 deg/h", "0.02 deg/h")
     ]
-    for group in found["groups"]:
+    for group in figures["groups"]:
         names = [c["name"] for c in group["coefficients"]]
         assert "position_error[A]" in names
         assert "east_velocity_line[B]" in names
@@ -225,12 +225,12 @@ TEXT = '[campaign]\nrecords_per_shard = 2\n[archive]\nruns = "runs/*/run.toml"\n
 @pytest.mark.only_compiled
 def test_archive_against_the_store(archive, tmp_path):
     computed(written(archive, TEXT), tmp_path / "out")
-    found = document(collect(open_campaign(tmp_path / "out")))
-    assert (found["computed"], found["failed"]) == (4, 1)
-    assert found["failures"][0]["error_class"] == "RunFileError"
-    assert "not valid TOML" in found["failures"][0]["message"]
-    assert found["failures"][0]["command"] == "piga calibrate runs/bad/run.toml"
-    group = found["groups"][0]
+    figures = document(collect(open_campaign(tmp_path / "out")))
+    assert (figures["computed"], figures["failed"]) == (4, 1)
+    assert figures["failures"][0]["error_class"] == "RunFileError"
+    assert "not valid TOML" in figures["failures"][0]["message"]
+    assert figures["failures"][0]["command"] == "piga calibrate runs/bad/run.toml"
+    group = figures["groups"][0]
     assert group["compared_with_store"] == {"identical": 2}
     scale = group["coefficients"][0]
     assert (scale["name"], scale["tests"], scale["bias"], scale["largest_z"]) == ("scale_factor", 3, 0.0, 0.0)
@@ -260,18 +260,18 @@ def test_archive_that_changed(archive, tmp_path):
             run_shard(str(tmp_path / "out"), shard)
     finally:
         run.write_bytes(before)
-    found = document(collect(open_campaign(tmp_path / "out")))
-    assert {f["error_class"]: f["records"] for f in found["failures"]} == {"DataError": 1, "RunFileError": 1}
-    assert any("changed since the campaign was planned" in f["message"] for f in found["failures"])
+    figures = document(collect(open_campaign(tmp_path / "out")))
+    assert {f["error_class"]: f["records"] for f in figures["failures"]} == {"DataError": 1, "RunFileError": 1}
+    assert any("changed since the campaign was planned" in f["message"] for f in figures["failures"])
 
 
 @pytest.mark.only_compiled
 def test_terms_of_an_archive(archive, tmp_path):
     computed(written(archive, TEXT + 'terms = ["scale_factor", "k0"]\n'), tmp_path / "out")
-    found = document(collect(open_campaign(tmp_path / "out")))["groups"][0]
-    assert [c["name"] for c in found["coefficients"]] == ["scale_factor", "k0"]
-    assert found["compared_with_store"] == {"different": 2}
-    assert math.isfinite(found["coefficients"][1]["largest_z"])
+    figures = document(collect(open_campaign(tmp_path / "out")))["groups"][0]
+    assert [c["name"] for c in figures["coefficients"]] == ["scale_factor", "k0"]
+    assert figures["compared_with_store"] == {"different": 2}
+    assert math.isfinite(figures["coefficients"][1]["largest_z"])
 
 
 @pytest.mark.only_compiled

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from piga.platform import load_scenario
+from piga.platform import Alignment, load_scenario
 from piga.platform.runs.budget import standard_sources
 from piga.platform.runs.chain import _drift
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def alignment(drift: tuple[float, ...] = (0.0, 0.0, 0.0), std: tuple[float, ...] = (1.0,) * 9) -> Alignment:
+    """An alignment at the place of the published case, with this drift and these standard uncertainties."""
+    place = load_scenario(EXAMPLES / "platform-published.toml").place
+    return Alignment(place, np.eye(3), np.array(drift), np.eye(3), np.diag(np.square(std)), {}, {}, 1.0)
 
 
 def test_the_drift_that_the_navigator_is_told() -> None:
@@ -26,9 +31,9 @@ def test_the_drift_that_the_navigator_is_told() -> None:
         equatorial=replace(s.equatorial, drift=(7e-8, w2z)),
         redundancy=eta,
     )
-    aligned = SimpleNamespace(drift=np.array([1e-8, 2e-8, 3e-8]))
+    aligned = alignment(drift=(1e-8, 2e-8, 3e-8))
     told = {
-        kind: _drift(replace(s, compensation=replace(s.compensation, drift=kind)), aligned)  # type: ignore[arg-type]
+        kind: _drift(replace(s, compensation=replace(s.compensation, drift=kind)), aligned)
         for kind in ("none", "aligned", "true")
     }
     assert told["none"].tolist() == [0.0, 0.0, 0.0]
@@ -38,8 +43,8 @@ def test_the_drift_that_the_navigator_is_told() -> None:
 
 @pytest.mark.parametrize("axis", range(3))
 def test_sources_of_the_budget_act_on_one_axis_each(axis: int) -> None:
-    aligned = SimpleNamespace(std=np.array([1e-6, 2e-6, 3e-6, 4e-9, 5e-9, 6e-9]))
-    sources = standard_sources(aligned)  # type: ignore[arg-type]
+    aligned = alignment(std=(1e-6, 2e-6, 3e-6, 4e-9, 5e-9, 6e-9, 7e-6, 8e-6, 9e-6))
+    sources = standard_sources(aligned)
     label = "xyz"[axis]
     tilt = sources[f"triad attitude {label}"].attitude
     assert tilt == tuple(aligned.std[k] if k == axis else 0.0 for k in range(3))

@@ -1,8 +1,8 @@
 """Compute every published case with the library, compare with the published number, and judge the difference.
 
 >>> from piga.studies import reproduce
->>> found = reproduce("mounting")
->>> [case.verdict for case in found.cases]
+>>> mounting = reproduce("mounting")
+>>> [case.verdict for case in mounting.cases]
 ['pass', 'pass', 'info']
 """
 

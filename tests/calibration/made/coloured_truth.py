@@ -179,16 +179,20 @@ def judged(test: Coloured, tests: int, first: int = 0) -> dict[str, Any]:
     """Records, share with coloured noise, drift or scatter, share of intervals that hold (worst, best), warned misses."""
     held, seen, warned, degrees = [], 0, [], []
     for seed in range(first, first + tests):
-        found = piga.calibrate(test.record(seed), test.terms)
-        errors = np.array([c.value - test.true(c.name) for c in found.coefficients])
-        turns = np.array([c.name == "phi" for c in found.coefficients])
+        calibration = piga.calibrate(test.record(seed), test.terms)
+        errors = np.array([c.value - test.true(c.name) for c in calibration.coefficients])
+        turns = np.array([c.name == "phi" for c in calibration.coefficients])
         errors = np.where(turns, np.angle(np.exp(1j * errors)), errors)
-        inside = np.abs(errors) <= [c.expanded for c in found.coefficients]
+        inside = np.abs(errors) <= [c.expanded for c in calibration.coefficients]
         held.append(inside)
-        degrees.append(np.median([c.degrees_of_freedom for c in found.coefficients]))
-        seen += found.coloured_noise is not None or found.bias_drift > 0.0 or found.segment_scatter > 0.0
+        degrees.append(np.median([c.degrees_of_freedom for c in calibration.coefficients]))
+        seen += (
+            calibration.coloured_noise is not None
+            or calibration.bias_drift > 0.0
+            or calibration.segment_scatter > 0.0
+        )
         if not inside.all():
-            words = " ".join(doubt.what for doubt in found.verdict.doubts)
+            words = " ".join(doubt.what for doubt in calibration.verdict.doubts)
             warned.append(
                 any(word in words for word in ("coloured noise", "drift", "scatter", "slow wave", "not white"))
             )
@@ -199,7 +203,7 @@ def judged(test: Coloured, tests: int, first: int = 0) -> dict[str, Any]:
         "intervals hold": (round(float(share.min()), 1), round(float(share.max()), 1)),
         "misses with a warning": round(100.0 * float(np.mean(warned))) if warned else 100,
         "degrees of freedom": round(float(np.median(degrees))),
-        "worst": found.coefficients[int(share.argmin())].name,
+        "worst": calibration.coefficients[int(share.argmin())].name,
     }
 
 

@@ -27,12 +27,12 @@ def waves(test: Coloured, seed: int) -> SlowWave | None:
 
 def test_a_clear_wave_has_its_period_and_its_amplitude() -> None:
     """Three cycles in the record, of ten times the noise of a mean rate: no coefficient looks like them."""
-    found = waves(replace(SMALL, wave=(4e-5, SPAN / 3.0)), 1)
-    assert found is not None
-    assert found.period == pytest.approx(SPAN / 3.0, rel=0.06)
-    assert found.amplitude == pytest.approx(4e-5 / K, rel=0.25)
-    assert found.probability < 1e-6
-    assert f"{1e6 * found.amplitude:.2g} ug" in found.words
+    wave = waves(replace(SMALL, wave=(4e-5, SPAN / 3.0)), 1)
+    assert wave is not None
+    assert wave.period == pytest.approx(SPAN / 3.0, rel=0.06)
+    assert wave.amplitude == pytest.approx(4e-5 / K, rel=0.25)
+    assert wave.probability < 1e-6
+    assert f"{1e6 * wave.amplitude:.2g} ug" in wave.words
 
 
 @pytest.mark.only_compiled

@@ -86,10 +86,10 @@ def _counting() -> Iterator[Pair]:
             wave = np.cos(2 * np.pi * m * (psi[j] - psi[k]) / c) * np.exp(-2 * np.pi**2 * m**2 * v / c**2)
             literal[j, k] = np.sum(c**2 / (2 * np.pi**2 * m**2) * wave)
     phase = 2 * np.pi * np.outer(m, psi) / c
-    found = np.zeros((9, 3, 3))
+    parts = np.zeros((9, 3, 3))
     power = c**2 / (2 * np.pi**2 * m**2)
-    saw_tooth_covariance(np.cos(phase), np.sin(phase), power, t, t, q_w / c**2, -(u**2) / c**2, found)
-    yield literal, found.sum(axis=0), 1e-6
+    saw_tooth_covariance(np.cos(phase), np.sin(phase), power, t, t, q_w / c**2, -(u**2) / c**2, parts)
+    yield literal, parts.sum(axis=0), 1e-6
 
 
 @equation("calibration-added-variable")
@@ -106,9 +106,9 @@ def _added_variable() -> Iterator[Pair]:
     fall, estimate = (rest @ e) ** 2 / (rest @ rest), (rest @ e) / (rest @ rest)
     rows = np.column_stack([X, x, y])
     pieces = [np.linalg.qr(rows[at : at + 12], mode="r") for at in range(0, 60, 12)]
-    found = tested(pieces, ["k2"], ("k2",), 60)
-    yield fall / (e @ e), found.fall, 1e-12
-    yield estimate, found.columns[0], 1e-12
+    candidates = tested(pieces, ["k2"], ("k2",), 60)
+    yield fall / (e @ e), candidates.fall, 1e-12
+    yield estimate, candidates.columns[0], 1e-12
 
 
 @equation("calibration-shift-and-signature")
@@ -199,14 +199,14 @@ def _likelihood() -> Iterator[Pair]:
         return (n - m) * np.log(S) + np.linalg.slogdet(V)[1] + information(log_ratio)
 
     literal = minimize_scalar(objective, bounds=(-2.0, 2.0), method="bounded", options={"xatol": 1e-6}).x
-    found = find_noise(
+    levels = find_noise(
         residual,
         np.full(n, h),
         m,
         0.0,
         information=lambda grid: np.array([information(float(g)) for g in grid]),
     )
-    yield literal, np.log10(found.walk * h / found.white), 2e-2
+    yield literal, np.log10(levels.walk * h / levels.white), 2e-2
 
 
 @equation("calibration-pulled")
@@ -237,7 +237,7 @@ def _servo_case() -> tuple[np.ndarray, np.ndarray, Callable[[float], float], com
 
 @equation("calibration-servo-columns")
 def _servo_columns() -> Iterator[Pair]:
-    found, _, psi, zeta, w = _servo_case()
+    integrals, _, psi, zeta, w = _servo_case()
     second, first = (
         (lambda t: w * zeta**2 * np.exp(-2j * psi(t))),
         (lambda t: w**2 * zeta * np.exp(-1j * psi(t))),
@@ -249,17 +249,17 @@ def _servo_columns() -> Iterator[Pair]:
         _integral(lambda t: first(t).real),
         _integral(lambda t: first(t).imag),
     ]
-    yield np.array(literal), found, 1e-14
+    yield np.array(literal), integrals, 1e-14
 
 
 @equation("calibration-servo-terms")
 def _servo_terms() -> Iterator[Pair]:
     """The printed combination, the library's, and the terms of the servo page integrated."""
-    found, _, psi, zeta, w = _servo_case()
-    phi, (m, c2, s2, c1, s1) = 0.7, found
+    integrals, _, psi, zeta, w = _servo_case()
+    phi, (m, c2, s2, c1, s1) = 0.7, integrals
     literal = np.array([-m + c2 * np.cos(2 * phi) - s2 * np.sin(2 * phi), -c1 * np.cos(phi) - s1 * np.sin(phi)])
     rows = ServoState((phi,), 0.0, 0.0, 0.0).term_rows(phi)
-    yield literal, np.array([rows["servo"] @ found, rows["servo_damping"] @ found]), 1e-15
+    yield literal, np.array([rows["servo"] @ integrals, rows["servo_damping"] @ integrals]), 1e-15
     across = lambda t: zeta.real * np.sin(psi(t) + phi) - zeta.imag * np.cos(psi(t) + phi)  # noqa: E731
     along = lambda t: zeta.real * np.cos(psi(t) + phi) + zeta.imag * np.sin(psi(t) + phi)  # noqa: E731
     exact = [_integral(lambda t: -2.0 * w * across(t) ** 2), _integral(lambda t: -(w**2) * along(t))]
@@ -269,15 +269,15 @@ def _servo_terms() -> Iterator[Pair]:
 @equation("calibration-servo-step")
 def _servo_step() -> Iterator[Pair]:
     """What the step adds to the columns of the coupling is the derivative of the terms by ``p`` and ``q``."""
-    found = _servo_case()[0]
+    integrals = _servo_case()[0]
     stiffness, damping, p, q = 0.3, 0.2, 0.5, 1.2
 
     def terms(p: float, q: float) -> float:
         rows = ServoState((0.0,), 0.0, 0.0, 0.0).term_rows(np.arctan2(q, p))
-        return stiffness * (rows["servo"] @ found) + damping * (rows["servo_damping"] @ found)
+        return stiffness * (rows["servo"] @ integrals) + damping * (rows["servo_damping"] @ integrals)
 
     size, phi = np.hypot(p, q), np.arctan2(q, p)
-    over = ServoState((phi,), stiffness, damping, 1.0 / size).phase_row(phi) @ found
+    over = ServoState((phi,), stiffness, damping, 1.0 / size).phase_row(phi) @ integrals
     step = 1e-6
     derivative = [
         (terms(p + step, q) - terms(p - step, q)) / (2.0 * step),

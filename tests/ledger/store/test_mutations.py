@@ -135,12 +135,12 @@ def mutate_store_bytes(folder: Path, count: int, seed: int) -> Counter[str]:
     filled(folder / "a.sqlite", 3, size=20_000).close()
     raw, whole = (folder / "a.sqlite").read_bytes(), everything(folder / "a.sqlite")
     chance, result, work = random.Random(seed), Counter[str](), folder / "work"
-    while result["found"] < count:
+    while result["noticed"] < count:
         work.mkdir()
         path = work / "m.sqlite"
         path.write_bytes(cut(raw, chance) if chance.random() < 0.1 else flip(raw, chance))
         sound = verify(path).sound
-        result["no content" if sound and everything(path) == whole else "missed" if sound else "found"] += 1
+        result["no content" if sound and everything(path) == whole else "missed" if sound else "noticed"] += 1
         shutil.rmtree(work)
     return result
 
@@ -187,7 +187,7 @@ def mutate_export(folder: Path, count: int, seed: int) -> Counter[str]:
                 continue
         else:
             path.write_bytes(flip(raw, chance))
-        result["missed" if verify(path).sound else "found"] += 1
+        result["missed" if verify(path).sound else "noticed"] += 1
     return result
 
 
