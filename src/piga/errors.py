@@ -6,6 +6,9 @@ The command line turns a :class:`PigaError` into one message on stderr and exit 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 
 class PigaError(Exception):
     """Base of all errors caused by input that piga cannot use.
@@ -15,13 +18,24 @@ class PigaError(Exception):
     message:
         What is wrong, with file, row, column or argument, and the value met.
     remedy:
-        What the user can do about it; appended to the message.
+        What the user can do about it; appended to the message. Every error has one.
     """
 
-    def __init__(self, message: str, *, remedy: str | None = None) -> None:
+    def __init__(self, message: str, *, remedy: str) -> None:
         self.message = message
         self.remedy = remedy
-        super().__init__(message if remedy is None else f"{message}\n  remedy: {remedy}")
+        super().__init__(f"{message}\n  remedy: {remedy}")
+
+    def __reduce__(self) -> tuple[Callable[..., PigaError], tuple[type[PigaError], dict[str, Any]]]:
+        return _restored, (type(self), {**self.__dict__, "args": self.args})
+
+
+def _restored(kind: type[PigaError], state: dict[str, Any]) -> PigaError:
+    """An error that comes from another process, with message and remedy."""
+    error = kind.__new__(kind)
+    for name, value in state.items():
+        setattr(error, name, value)
+    return error
 
 
 class MissingPackageError(PigaError, ImportError):
@@ -47,7 +61,7 @@ class DataError(PigaError):
 class IdentifiabilityError(PigaError):
     """The record cannot tell the requested coefficients apart; ``terms`` names them."""
 
-    def __init__(self, message: str, *, remedy: str | None = None, terms: tuple[str, ...] = ()) -> None:
+    def __init__(self, message: str, *, remedy: str, terms: tuple[str, ...] = ()) -> None:
         self.terms = terms
         super().__init__(message, remedy=remedy)
 

@@ -113,6 +113,7 @@ _TOKEN = re.compile(r"\s*(sqrt|[A-Za-z%µμ°′″℃][A-Za-z%]*|1|[*/()^·]|-?
 _QUANTITY = re.compile(r"^\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*$")
 
 
+_UNIT_REMEDY = f"use one of: {' '.join(_ATOMS)}; combine with * / ^ sqrt()"
 MOST_LETTERS = 200
 """Characters of a unit: parentheses are read by recursion."""
 LARGEST = 1e100
@@ -141,7 +142,9 @@ class _UnitParser:
         while position < len(text.rstrip()):
             match = _TOKEN.match(text, position)
             if match is None:
-                raise UnitError(f"unit '{text}' cannot be read at '{text[position:].strip()}'")
+                raise UnitError(
+                    f"unit '{text}' cannot be read at '{text[position:].strip()}'", remedy=_UNIT_REMEDY
+                )
             self.tokens.append(match.group(1))
             position = match.end()
         self.at = 0
@@ -171,7 +174,9 @@ class _UnitParser:
             try:
                 exponent = float(self.take())
             except ValueError:
-                raise UnitError(f"unit '{self.text}': a number must follow '^'") from None
+                raise UnitError(
+                    f"unit '{self.text}': a number must follow '^'", remedy="e.g. 'g/g^2'"
+                ) from None
             factor, dimension = factor**exponent, tuple(exponent * d for d in dimension)
         return factor, dimension
 
@@ -179,10 +184,10 @@ class _UnitParser:
         token = self.take()
         if token in ("sqrt", "("):
             if token == "sqrt" and self.take() != "(":
-                raise UnitError(f"unit '{self.text}': 'sqrt' needs parentheses")
+                raise UnitError(f"unit '{self.text}': 'sqrt' needs parentheses", remedy="e.g. 'rad/sqrt(s)'")
             factor, dimension = self.expression()
             if self.take() != ")":
-                raise UnitError(f"unit '{self.text}': a parenthesis is not closed")
+                raise UnitError(f"unit '{self.text}': a parenthesis is not closed", remedy="e.g. 'rad/sqrt(s)'")
             if token == "sqrt":
                 return math.sqrt(factor), tuple(d / 2 for d in dimension)
             return factor, dimension
@@ -190,7 +195,7 @@ class _UnitParser:
         if token not in _ATOMS:
             raise UnitError(
                 f"unknown unit '{token}' in '{self.text}'" if token else f"unit '{self.text}' is incomplete",
-                remedy=f"use one of: {' '.join(_ATOMS)}; combine with * / ^ sqrt()",
+                remedy=_UNIT_REMEDY,
             )
         return _ATOMS[token]
 
@@ -217,7 +222,7 @@ def parse_unit(text: str) -> Unit:
     if not (isinstance(factor, float) and 0.0 < factor < math.inf and all(map(math.isfinite, dimension))):
         raise UnitError(f"unit '{text}' is too large or too small to compute with", remedy="e.g. 'rad/s/g'")
     if parser.at < len(parser.tokens):
-        raise UnitError(f"unit '{text}' cannot be read at '{parser.peek()}'")
+        raise UnitError(f"unit '{text}' cannot be read at '{parser.peek()}'", remedy=_UNIT_REMEDY)
     return Unit(stripped, factor, dimension)
 
 
@@ -246,6 +251,13 @@ def offset_to_si(unit: str) -> float:
     return 273.15 if parse_unit(unit).text == "degC" else 0.0
 
 
+def _too_large(what: str, value: str) -> UnitError:
+    return UnitError(
+        f"{what}: {value[:42]} is not a finite number, or too large to compute with",
+        remedy=f"give a number of at most {LARGEST:g} in SI",
+    )
+
+
 def to_si(value: str | float, like: str, *, what: str = "quantity") -> float:
     """SI value of a quantity written by a person.
 
@@ -265,17 +277,17 @@ def to_si(value: str | float, like: str, *, what: str = "quantity") -> float:
     """
     expected = parse_unit(like)
     if isinstance(value, bool) or not isinstance(value, (str, int, float)):
-        raise UnitError(f"{what}: expected a quantity such as '1 {like}', got {value!r}")
+        raise UnitError(f"{what}: {value!r} is not a quantity", remedy=f"write e.g. '1 {like}'")
     if not isinstance(value, str):
         if not abs(value) <= LARGEST:
-            raise UnitError(f"{what}: {str(value)[:40]} is not a finite number, or too large to compute with")
+            raise _too_large(what, str(value))
         return float(value)
     match = _QUANTITY.match(value)
     if match is None:
         raise UnitError(f"{what}: '{value}' is not a number with a unit", remedy=f"write e.g. '1 {like}'")
     number, unit_text = float(match.group(1)), match.group(2)
     if not abs(number) <= LARGEST:
-        raise UnitError(f"{what}: '{value[:40]}' is not a finite number, or too large to compute with")
+        raise _too_large(what, f"'{value[:40]}'")
     if not unit_text:
         if expected.dimension == _DIMENSIONLESS:
             return number
@@ -291,7 +303,7 @@ def to_si(value: str | float, like: str, *, what: str = "quantity") -> float:
         )
     result = number * unit.factor + offset_to_si(unit_text)
     if not abs(result) <= LARGEST:
-        raise UnitError(f"{what}: '{value[:40]}' is not a finite number, or too large to compute with")
+        raise _too_large(what, f"'{value[:40]}'")
     return result
 
 

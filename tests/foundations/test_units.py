@@ -49,8 +49,8 @@ def test_values(text: str | float, like: str, value: float) -> None:
         ("5 /s", "Hz", "unknown unit"),
         ("1e999 m", "m", "not a finite"),
         (float("nan"), "m", "not a finite"),
-        (True, "m", "expected a quantity"),
-        (None, "m", "expected a quantity"),
+        (True, "m", "is not a quantity"),
+        (None, "m", "is not a quantity"),
     ],
 )
 def test_refusals_name_the_quantity(text: object, like: str, message: str) -> None:

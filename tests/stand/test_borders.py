@@ -85,7 +85,7 @@ def test_bad_parts() -> None:
         Composite(())
     with pytest.raises(ArgumentError, match="pause"):
         Composite((HEAD,), pause=0.0)
-    with pytest.raises(ArgumentError, match="2 finite rows"):
+    with pytest.raises(ArgumentError, match="2 rows of three finite numbers"):
         LoggedProfile(np.array([0.0, 1.0]), np.zeros((2, 3)), np.full((2, 3), np.nan))
 
 

@@ -49,7 +49,7 @@ def test_logged_profile_is_linear_between_samples(tmp_path):
     path.write_text("t,fx,fy,fz\n0,1,0,0\n1,,0,1\n")
     with pytest.raises(DataError, match="row 2"):
         read_profile(path, ("t", "s"), (("fx", "fy", "fz"), "g"))
-    with pytest.raises(ArgumentError, match="later than the one before"):
+    with pytest.raises(ArgumentError, match="fewer than two, or do not increase"):
         LoggedProfile(np.array([0.0, 0.0]), np.zeros((2, 3)), np.zeros((2, 3)))
 
 

@@ -173,7 +173,7 @@ def test_every_line_so_far_is_the_line_of_its_days_alone():
 
 
 def test_too_few_values():
-    with pytest.raises(ArgumentError, match="needs 3 days"):
+    with pytest.raises(ArgumentError, match="give values of 3 days"):
         fit_line(np.arange(2.0), np.arange(2.0), np.ones(2))
     with pytest.raises(ArgumentError, match="different times"):
         fit_line(np.zeros(4), np.arange(4.0), np.ones(4))

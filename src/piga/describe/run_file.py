@@ -100,10 +100,9 @@ def try_run_file(draft: RunFileDraft, path: Path) -> Run:
 
 def _without_damage(draft: RunFileDraft, path: Path, error: DataError) -> Run:
     """Read the log without a few damaged rows: words that mark missing values, or a footer. The draft says so."""
-    remedy = error.remedy or ""
-    if "damaged_rows = 'mask'" not in remedy:
+    if "damaged_rows = 'mask'" not in error.remedy:
         raise error
-    words = re.findall(r"missing = \['([^']*)'\]", remedy)
+    words = re.findall(r"missing = \['([^']*)'\]", error.remedy)
     for key, value in (*(("data.missing", [word]) for word in words), ("data.damaged_rows", "mask")):
         before = draft.document["data"].get(key.partition(".")[2])
         draft.put(

@@ -179,17 +179,16 @@ def _changed(document: Document, change: Change) -> dict[str, Any]:
 def _of_error(error: PigaError, document: Document) -> list[Change]:
     changes: list[Change] = []
     first = error.message.split(": ", 1)[-1][:160]
-    remedy = error.remedy or ""
-    for match in _FAULT_LINE.finditer(remedy):
+    for match in _FAULT_LINE.finditer(error.remedy):
         for line in match.groups()[1:]:
             if line and "..." not in line:
                 changes += [(match.group(1), key, value, first) for key, value in _parsed(line)]
-    for match in _STAMP.finditer(remedy):
+    for match in _STAMP.finditer(error.remedy):
         changes += [("data", key, value, first) for key, value in _parsed(match.group())]
     missing = _MISSING.search(error.message)
     if missing:
         changes += _of_names(re.findall(r"'([^']*)'", missing.group(1)), missing.group(2).split(", "), document)
-    if "encoding = '...'" in remedy:
+    if "encoding = '...'" in error.remedy:
         changes += [("data", "encoding", name, first) for name in _GUESSES]
     sheets = _SHEETS.search(error.message)
     if sheets:

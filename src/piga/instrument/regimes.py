@@ -45,10 +45,13 @@ def effective_rates(
     """
     omega = np.zeros(3) if base_rate is None else np.asarray(base_rate, dtype=float)
     if omega.shape != (3,):
-        raise ArgumentError(f"base_rate: shape {omega.shape} instead of (3,)")
+        raise ArgumentError(
+            f"base_rate: shape {omega.shape} instead of (3,)",
+            remedy="give three rates [rad/s] along X0, Y0 and Z0",
+        )
     for name, value in (("a_x", a_x), ("a_Y", a_Y), ("a_Z", a_Z), ("base_rate", omega.sum())):
         if not math.isfinite(value):
-            raise ArgumentError(f"{name}: {value!r} is not a finite number")
+            raise ArgumentError(f"{name}: {value!r} is not a finite number", remedy="give a finite number")
     K = inst.scale_factor
     u_x, u_Y, u_Z = K * a_x - omega[0], K * a_Y - omega[1], K * a_Z - omega[2]
     return float(u_x), float(inst.tan_beta * u_Y), float(inst.tan_beta * u_Z)
@@ -106,13 +109,18 @@ def _adler(
     try:
         forces = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (a_x, a_Y, a_Z)))
     except ValueError:
-        raise ArgumentError("a_x, a_Y, a_Z: shapes do not fit together") from None
+        raise ArgumentError(
+            "a_x, a_Y, a_Z: shapes do not fit together", remedy="give numbers, or arrays of one shape [m/s^2]"
+        ) from None
     omega = np.zeros(3) if base_rate is None else np.asarray(base_rate, dtype=float)
     if omega.shape != (3,):
-        raise ArgumentError(f"base_rate: shape {omega.shape} instead of (3,)")
+        raise ArgumentError(
+            f"base_rate: shape {omega.shape} instead of (3,)",
+            remedy="give three rates [rad/s] along X0, Y0 and Z0",
+        )
     for name, value in (("a_x", forces[0]), ("a_Y", forces[1]), ("a_Z", forces[2]), ("base_rate", omega)):
         if not np.isfinite(value).all():
-            raise ArgumentError(f"{name}: holds a value that is not a finite number")
+            raise ArgumentError(f"{name}: holds a value that is not a finite number", remedy="leave it out")
     K = inst.scale_factor
     u_x, u_Y, u_Z = (K * force - rate for force, rate in zip(forces, omega, strict=True))
     return u_x, np.asarray(inst.tan_beta * np.hypot(u_Y, u_Z)), np.asarray(np.arctan2(u_Z, u_Y))

@@ -498,7 +498,9 @@ def check_arrays(
         shapes["temperature"] = (np.asarray(temperature), (t.size,))
     for name, (array, shape) in shapes.items():
         if array.shape != shape:
-            raise ArgumentError(f"{name}: shape {array.shape}, but t has {t.size} samples: {shape} is needed")
+            raise ArgumentError(
+                f"{name}: shape {array.shape}, but t has {t.size} samples", remedy=f"give shape {shape}"
+            )
     arrays: dict[str, NDArray[Any]] = {"t": t} | {name: pair[0] for name, pair in shapes.items()}
     for name, array in arrays.items():
         finite = np.isfinite(array)

@@ -336,8 +336,7 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
     try:
         check_run_file(run_file)
     except (UnitError, RunFileError) as error:
-        remedy = error.remedy or "write a number with a unit, e.g. '0.8884 rad/s/g'"
-        raise RunFileError(f"{path}: {error.message}", remedy=remedy) from None
+        raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
     return run_file
 
 

@@ -190,7 +190,9 @@ class Composite:
         if not self.parts:
             raise ArgumentError("composite: no parts", remedy="add [[stand.parts]] tables")
         if self.pause <= 0.0:
-            raise ArgumentError("composite pause must be positive")
+            raise ArgumentError(
+                f"composite: pause {self.pause:g} s must be positive", remedy='e.g. pause = "10 s"'
+            )
 
     @property
     def accepted(self) -> tuple[str, ...]:

@@ -291,10 +291,15 @@ def lines_so_far(
     first = day_starts(days)
     count = first.size - 1
     if count < TREND.least_days:
-        raise ArgumentError(f"a line with uncertainty needs {TREND.least_days} days, not {count}")
+        raise ArgumentError(
+            f"values of {count} days: too few for a line with uncertainty",
+            remedy=f"give values of {TREND.least_days} days or more",
+        )
     t = np.asarray(time, dtype=float)
     if np.ptp(t) == 0.0:
-        raise ArgumentError("a drift needs values at different times")
+        raise ArgumentError(
+            "all values are of one time: no drift can be seen", remedy="give values of different times"
+        )
     figures = np.empty((count + 1 - TREND.least_days, 11))
     known = np.empty((figures.shape[0], 2, shared.shape[0]))
     y, v = np.asarray(values, dtype=float), _not_exact(values, variances)

@@ -30,6 +30,7 @@ from piga.calibration.model.identifiability import (
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import Estimate, Layout, merged, name_parameters, solve_parts
+from piga.calibration.noise.counted import Counted
 from piga.calibration.noise.weighting import weighted_blocks
 from piga.calibration.remarks.missing_terms import CUBIC, constant_squares
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
@@ -311,7 +312,13 @@ class Weighed:
         groups, per_segment = design.groups, design.per_segment
         if fit.counted is not None:
             return cls(
-                fit, design, fit.counted.reduce(design), groups, per_segment, "segment", _log_counted(fit)
+                fit,
+                design,
+                fit.counted.reduce(design),
+                groups,
+                per_segment,
+                "segment",
+                _log_counted(fit.counted),
             )
         edges, parted_by = row_edges(design.run, per_segment)
         parts, logarithm = _reduce(design, fit, edges)
@@ -346,7 +353,7 @@ class Weighed:
             estimate = solve_parts(layout, chosen)
             coefficients, alike = self._named(layout, estimate, terms, own)
         except (CalibrationError, IdentifiabilityError) as error:
-            return TermSet(terms, error.message, error.remedy or "")
+            return TermSet(terms, error.message, error.remedy)
         n, m = self.observations, len(estimate.amplitudes) + len(estimate.phases)
         likelihood = -0.5 * (n * math.log(2.0 * math.pi) + self.log_determinant + estimate.cost)
         return TermSet(
@@ -460,11 +467,9 @@ def _reduce(design: Design, fit: Fit, edges: NDArray[np.int64]) -> tuple[list[Re
     return parts, logarithm
 
 
-def _log_counted(fit: Fit) -> float:
+def _log_counted(counted: Counted) -> float:
     """``ln|V|`` of the contrasts of a coarsely counted record."""
-    if fit.counted is None:
-        raise ArgumentError("the record is not coarsely counted")
-    covariance = fit.counted.stretches.covariance(fit.counted.noise)
+    covariance = counted.stretches.covariance(counted.noise)
     return float(np.linalg.slogdet(covariance)[1].sum())
 
 

@@ -67,7 +67,9 @@ class Reduction:
         """
         size = len(self.names) + 1
         if columns.shape[0] != size:
-            raise ArgumentError(f"columns: {columns.shape[0]} given, {size} needed")
+            raise ArgumentError(
+                f"columns: {columns.shape[0]} given, {size} needed", remedy="give one row for each name, then y"
+            )
         if columns.shape[1] <= SHORT:
             rows = np.zeros((2, columns.shape[1], size))
             rows[0] = columns.T
@@ -86,7 +88,10 @@ class Reduction:
     def merge(self, other: Reduction) -> None:
         """Absorb another summary of the same columns."""
         if other.names != self.names:
-            raise ArgumentError(f"summaries of different columns: {self.names} and {other.names}")
+            raise ArgumentError(
+                f"summaries of different columns: {self.names} and {other.names}",
+                remedy="merge summaries that were made with the same terms",
+            )
         gather(self.weight, self.unit, other.unit.copy(), other.weight)
         self.count += other.count
 

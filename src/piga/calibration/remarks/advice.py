@@ -269,7 +269,7 @@ def advise(run: Run, request: Request) -> tuple[str, ...]:
 def with_advice(error: PigaError, words: tuple[str, ...]) -> PigaError:
     """The same error with advice added to its remedy."""
     if words:
-        PigaError.__init__(error, error.message, remedy="; or ".join(filter(None, (error.remedy, *words))))
+        PigaError.__init__(error, error.message, remedy="; or ".join((error.remedy, *words)))
     return error
 
 

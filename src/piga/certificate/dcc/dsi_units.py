@@ -17,6 +17,7 @@ G = Decimal("9.80665")
 DIGITS = 17
 """Significant digits of converted numbers: enough to distinguish any two floats."""
 
+_AGAIN = "correct the number, or get the certificate from its laboratory again"
 _EXACT = Context(prec=60)
 _SHOWN = Context(prec=DIGITS)
 _POWERS = {"rad/s/g": -1, "1": 0, "rad": 0, "g": 1, "g/g^2": -1, "g/g^3": -2, "g/s": 1, "g/K": 1, "1/K": 0}
@@ -40,7 +41,10 @@ def dsi_unit(*units: str) -> str:
     """
     totals = [sum(column) for column in zip(*(parse_unit(unit).dimension for unit in units), strict=True)]
     if any(totals[len(_BASE) :]):
-        raise DataError(f"unit '{' '.join(units)}' is not made of SI base units and the radian")
+        raise DataError(
+            f"unit '{' '.join(units)}' is not made of SI base units and the radian",
+            remedy="write the quantity in units that are",
+        )
     parts = [_powered(name, power) for name, power in zip(_BASE, totals, strict=False) if power]
     return "".join(parts) or r"\one"
 
@@ -72,7 +76,7 @@ def from_dsi(text: str, power: int = 0) -> float:
     try:
         number = Decimal(text.strip())
     except InvalidOperation:
-        raise DataError(f"'{text[:40]}' is not a number") from None
+        raise DataError(f"'{text[:40]}' is not a number", remedy=_AGAIN) from None
     if not number.is_finite() or abs(number.adjusted()) > 300:
-        raise DataError(f"'{text[:40]}' is not a finite number")
+        raise DataError(f"'{text[:40]}' is not a finite number", remedy=_AGAIN)
     return float(_EXACT.divide(number, _EXACT.power(G, power)) if power else number)

@@ -182,8 +182,7 @@ def _say_outcome(target: Path, tried: Run | PigaError) -> None:
 
     if isinstance(tried, PigaError):
         say(f"The log cannot be read with it yet: {tried.message}")
-        if tried.remedy:
-            say(f"  remedy: {tried.remedy}")
+        say(f"  remedy: {tried.remedy}")
         print_suggestions(target)
         return
     counts: dict[str, int] = {}

@@ -205,6 +205,9 @@ def require_stable(p: TwinParameters) -> LoopAnalysis:
     )
 
 
+_INTEGRATES = "give a positive integral gain: the servo terms are those of a servo that integrates"
+
+
 @dataclass(frozen=True)
 class ServoParameters:
     """Parameters of the servo terms, SI units. Symbols as in :class:`~piga.instrument.twin.parameters.TwinParameters`.
@@ -229,10 +232,8 @@ class ServoParameters:
         for entry in fields(self):
             value, least = getattr(self, entry.name), "positive" if entry.default != 0.0 else "zero or more"
             if not (value > 0.0 or (value == 0.0 and least != "positive")) or not math.isfinite(value):
-                remedy = (
-                    "the servo terms are those of a servo that integrates" if "integral" in entry.name else ""
-                )
-                raise ArgumentError(f"servo {entry.name} = {value:g}: must be {least}", remedy=remedy or None)
+                remedy = "correct the value" if "integral" not in entry.name else _INTEGRATES
+                raise ArgumentError(f"servo {entry.name} = {value:g}: must be {least}", remedy=remedy)
 
     @classmethod
     def of_twin(cls, p: TwinParameters) -> ServoParameters:

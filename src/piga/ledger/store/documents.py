@@ -292,7 +292,9 @@ def check_record(document: RecordDocument) -> None:
     if not is_id(document.id):
         raise ArgumentError(f"id: '{document.id[:40]}' is not the name of a record", remedy="e.g. 7K3QP-9XW2M")
     if document.supersedes is not None and not is_id(document.supersedes):
-        raise ArgumentError(f"supersedes: '{document.supersedes[:40]}' is not the name of a record")
+        raise ArgumentError(
+            f"supersedes: '{document.supersedes[:40]}' is not the name of a record", remedy="e.g. 7K3QP-9XW2M"
+        )
     check_label(document.serial, "the serial")
     checked_moment("created", document.created)
     if document.measured is not None:
@@ -310,7 +312,10 @@ def check_record(document: RecordDocument) -> None:
         safe_name(file.name)
         check_label(file.role, "the role of a file")
         if not is_digest(file.sha256) or file.size < 0:
-            raise ArgumentError(f"file '{file.name}': its SHA-256 or size is not valid")
+            raise ArgumentError(
+                f"file '{file.name}': its SHA-256 or size is not valid",
+                remedy="64 digits 0-9 and a-f, and 0 bytes or more",
+            )
     if len({file.name for file in document.files}) != len(document.files):
         raise ArgumentError("files: two have the same name", remedy="give each file a name of its own")
 
@@ -325,9 +330,12 @@ def _check_plain(name: str, value: Any, depth: int = 8) -> None:
         else ()
     )
     if isinstance(value, str) and (len(value) > MAX_TEXT or _CONTROL.search(value)):
-        raise ArgumentError(f"{name}: a text is longer than {MAX_TEXT} letters or holds a control character")
+        raise ArgumentError(
+            f"{name}: a text is longer than {MAX_TEXT} letters or holds a control character",
+            remedy="write a shorter text on one line",
+        )
     if parts and not depth:
-        raise ArgumentError(f"{name}: nested more than eight deep")
+        raise ArgumentError(f"{name}: nested more than eight deep", remedy="use fewer levels")
     for part in parts:
         _check_plain(name, part, depth - 1)
 

@@ -122,7 +122,9 @@ def _refuse_unfit(
     """Refuse records that ``add`` would not have written."""
     try:
         if encode(document) != raw:
-            raise StoreError("it is not written as piga writes records")
+            raise StoreError(
+                "it is not written as piga writes records", remedy="ask its laboratory for a new export"
+            )
         store.check(connection, document)
     except PigaError as error:
         raise StoreError(

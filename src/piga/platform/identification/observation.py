@@ -458,7 +458,7 @@ class ObservedRecord:
         unknown = [s for s in sources if s not in {"gimbals", "pick-off", "force"}]
         if unknown or not sources:
             raise ArgumentError(
-                f"identification: sources {list(sources)!r} must be among gimbals, pick-off, force"
+                f"identification: sources {list(sources)!r}", remedy="name some of gimbals, pick-off, force"
             )
         record = cls(readouts, tuple(sources), orders)
         fast, slow = record.periods

@@ -425,7 +425,9 @@ class _Reader:
         for index, entry in enumerate(g.harmonics):
             key = f"[{name}] harmonics[{index}]"
             if entry[0] < 1:
-                raise RunFileError(f"{self.path}: {key}: the order must be 1 or more, got {entry[0]}")
+                raise RunFileError(
+                    f"{self.path}: {key}: order {entry[0]} is below 1", remedy='e.g. [1, "2 arcsec", "30 deg"]'
+                )
             harmonics.append(Harmonic(entry[0], self.si(entry[1], "rad", key), self.si(entry[2], "rad", key)))
         key = f"[{name}]"
         return Gyro(

@@ -166,7 +166,7 @@ def _read_track(path: Path) -> dict[str, Array]:
     except (DataError, UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"[motion] file {path}: cannot be read ({error})", remedy="check the path") from None
     if len(rows) < 5:
-        raise DataError(f"[motion] file {path}: a header and at least 4 rows are needed")
+        raise DataError(f"[motion] file {path}: {len(rows)} rows", remedy="give a header and 4 rows or more")
     header = [name.strip() for name in rows[0]]
     table = {}
     for key, names in _TRACK_COLUMNS.items():
@@ -178,8 +178,12 @@ def _read_track(path: Path) -> dict[str, Array]:
         table[key] = np.array([_number(path, line, row, column) for line, row in enumerate(rows[1:], start=2)])
         if key not in {"time", "height"}:
             table[key] = np.radians(table[key])
-    if not np.all(np.diff(table["time"]) > 0.0):
-        raise DataError(f"[motion] file {path}: the time does not increase at every row")
+    still = np.flatnonzero(np.diff(table["time"]) <= 0.0)
+    if still.size:
+        raise DataError(
+            f"[motion] file {path}: line {still[0] + 3}: the time does not increase",
+            remedy="sort the rows by time, and leave out repeated times",
+        )
     return table
 
 
@@ -194,7 +198,10 @@ def _number(path: Path, line: int, row: list[str], column: int) -> float:
         value = float("nan")
     if not np.isfinite(value):
         text = row[column] if column < len(row) else "nothing"
-        raise DataError(f"[motion] file {path}: line {line}, column {column + 1}: '{text}' is not a number")
+        raise DataError(
+            f"[motion] file {path}: line {line}, column {column + 1}: '{text}' is not a number",
+            remedy="correct the line",
+        )
     return value
 
 

@@ -78,7 +78,9 @@ class Navigator:
         self, compensator: CaseCompensator, start: Start, step: float, damping_time: float = 100.0
     ) -> None:
         if step <= 0.0:
-            raise ArgumentError(f"step = {step!r} s must be positive")
+            raise ArgumentError(
+                f"step = {step!r} s must be positive", remedy="give the step of the increments, e.g. 1.0"
+            )
         self.compensator, self.step = compensator, step
         self.drift, self.triad = np.array(start.drift), np.array(start.triad)
         self.damping = damping_gains(damping_time)
@@ -104,7 +106,10 @@ class Navigator:
         """
         n = len(increments)
         if n % every:
-            raise ArgumentError(f"push: {n} increments are not a multiple of every = {every}")
+            raise ArgumentError(
+                f"push: {n} increments are not a multiple of every = {every}",
+                remedy="push a multiple of it, or use every=1",
+            )
         positions, velocities = np.empty((n // every, 3)), np.empty((n // every, 3))
         if self.steps == 0 and n > 0:
             self._prime(increments)

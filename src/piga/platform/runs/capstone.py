@@ -153,7 +153,10 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
     """
     sensors = scenario.sensors.piga
     if sensors is None:
-        raise ArgumentError("this page needs [sensors] accelerometers = 'piga'")
+        raise ArgumentError(
+            f"{scenario.source or 'the scenario'}: there are no gyro accelerometers",
+            remedy="set [sensors] accelerometers = 'piga'",
+        )
     ways = readings(sensors)
     steps = Steps(progress, 2 + len(ways))
     steps("simulating")

@@ -503,7 +503,7 @@ def _check(path: Path, document: _Document, records: tuple[RunRecord, ...]) -> A
         if not wrong:
             return _covariance(document, coefficients)
     except PigaError as error:
-        raise CalibrationError(f"{path}: {error.message}", remedy=error.remedy or "calibrate again") from None
+        raise CalibrationError(f"{path}: {error.message}", remedy=error.remedy) from None
     raise CalibrationError(f"{path}: {wrong[0]}", remedy="get the file from its author, or calibrate again")
 
 

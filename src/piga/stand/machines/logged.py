@@ -41,11 +41,16 @@ class LoggedProfile(Result):
 
     def __post_init__(self) -> None:
         if self.t.ndim != 1 or self.t.size < 2 or not self.fastest > 0.0:
-            raise ArgumentError("profile: needs at least two times, each later than the one before")
+            raise ArgumentError(
+                "profile: the times are fewer than two, or do not increase", remedy="sort the rows by time"
+            )
         for name, array in (("force", self.force), ("base rate", self.base_rate)):
             right = array.shape == (self.t.size, 3)
             if not (right and all(np.isfinite(array[part]).all() for part in spans(self.t.size))):
-                raise ArgumentError(f"profile {name}: needs {self.t.size} finite rows of three numbers")
+                raise ArgumentError(
+                    f"profile {name}: does not hold {self.t.size} rows of three finite numbers",
+                    remedy="give one row for each time",
+                )
 
     @property
     def fastest(self) -> float:

@@ -53,14 +53,19 @@ class Drive:
     def __post_init__(self) -> None:
         if self.duration <= 0.0 or self.frequency <= 0.0 or self.last_frequency <= 0.0 or self.taper < 0.0:
             raise ArgumentError(
-                "vibration drive: duration and frequencies must be positive, taper not negative"
+                "vibration drive: duration, frequency or last_frequency is not positive, or taper is negative",
+                remedy='e.g. duration = "20 s", frequency = "8 Hz", taper = "0.5 s"',
             )
         if 2.0 * self.taper > self.duration and self.shape != "rest":
             raise ArgumentError(
-                f"vibration drive: taper {self.taper:g} s does not fit twice into {self.duration:g} s"
+                f"vibration drive: taper {self.taper:g} s does not fit twice into {self.duration:g} s",
+                remedy="use a shorter taper or a longer duration",
             )
         if self.shape == "random" and self.last_frequency <= self.frequency:
-            raise ArgumentError("vibration drive: random needs last_frequency above frequency")
+            raise ArgumentError(
+                f"vibration drive: random from {self.frequency:g} Hz to {self.last_frequency:g} Hz",
+                remedy="give a last_frequency above frequency",
+            )
 
     @property
     def highest(self) -> float:

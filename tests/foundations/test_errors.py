@@ -1,0 +1,44 @@
+"""Errors keep message, place and remedy, also on their way from another process."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import pytest
+
+from piga import errors
+from piga.errors import IdentifiabilityError, PigaError, missing_package
+
+
+def pickled(error: PigaError) -> PigaError:
+    return pickle.loads(pickle.dumps(error))  # noqa: S301 - its own bytes
+
+
+KINDS = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, PigaError)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_error_needs_a_remedy(kind: type[PigaError]) -> None:
+    with pytest.raises(TypeError, match="remedy"):
+        kind("it is wrong")
+    error = kind("it is wrong", remedy="mend it")
+    assert str(error) == "it is wrong\n  remedy: mend it"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("passed_on", [copy.copy, pickled])
+def test_an_error_of_another_process_is_the_same(kind: type[PigaError], passed_on) -> None:
+    again = passed_on(kind("it is wrong", remedy="mend it"))
+    assert type(again) is kind
+    assert (again.message, again.remedy, str(again)) == (
+        "it is wrong",
+        "mend it",
+        "it is wrong\n  remedy: mend it",
+    )
+
+
+def test_what_an_error_carries_besides_goes_with_it() -> None:
+    error = IdentifiabilityError("cannot tell", remedy="add a run", terms=("k0", "k2"))
+    assert pickled(error).terms == ("k0", "k2")
+    assert isinstance(pickled(missing_package("scipy")), ImportError)
