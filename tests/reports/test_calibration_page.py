@@ -405,3 +405,65 @@ def test_an_outline_says_how_many_rows_it_shows() -> None:
     names = ("row", "t", "psi", "a_x", "before", "after", "innovation", "segment")
     short = dataclasses.replace(residuals, **{name: getattr(residuals, name)[:500] for name in names})
     assert residual_figure(short).notes == ()
+
+
+def figure_of(cal, key):
+    return next(figure for figure in calibration_figures(cal) if figure.key == key)
+
+
+def test_every_point_of_a_segment_knows_its_segment(cal):
+    """Each point of the figures against the samples and the summary of the segment that it names."""
+    residuals = cal.residuals
+    for panel in figure_of(cal, "residual-time").panels:
+        series = panel.series[0]
+        own = residuals.segment[np.asarray(series.rows) - 1]
+        np.testing.assert_array_equal(series.segments, own)
+    for trace in figure_spec(figure_of(cal, "segment-rms"))["data"]:
+        for x, segment in zip(trace["x"], trace["meta"], strict=True):
+            assert x == pytest.approx(cal.segments[segment].mean_a_x / 9.80665, abs=1e-5)
+    for panel in tables(calibration_page(cal))["segments"]:
+        assert [cal.segments[k].label for k in panel.segments] == [row[0] for row in panel.rows]
+
+
+def test_of_very_many_segments_each_point_still_has_its_row_and_segment(cal):
+    """With 400 segments the curve is reduced twice; rows and segments were not, so they belonged to other points."""
+    count, each = 400, 30
+    t = np.arange(count * each) * 0.05
+    noise = np.random.default_rng(4).normal(size=t.size)
+    segment = np.repeat(np.arange(count, dtype=np.int32), each)
+    residuals = Residuals(np.arange(1, t.size + 1), t, t, t, noise, noise, noise, segment)
+    for trace in figure_spec(residual_figure(residuals))["data"]:
+        assert len(trace["x"]) == len(trace["customdata"]) == len(trace["meta"])
+        rows = np.array(trace["customdata"]) - 1
+        np.testing.assert_allclose(trace["x"], t[rows], atol=0.01)
+        np.testing.assert_array_equal(trace["meta"], segment[rows])
+
+
+def test_the_allan_deviation_of_one_segment_is_from_its_own_samples(cal):
+    """By the definition of [Riley2008], eq. 11, from the samples of segment 7 alone."""
+    (panel,) = figure_of(cal, "allan").panels
+    own = dict(panel.of_segments)
+    assert list(own) == list(range(24))
+    angle = cal.residuals.after[cal.residuals.segment == 7] / (math.pi / 648000.0)
+    tau, deviation = own[7].arrays()
+    for at in (0, tau.size // 2, tau.size - 1):
+        m = round(tau[at] / 0.05)
+        second = angle[2 * m :] - 2.0 * angle[m:-m] + angle[: -2 * m]
+        wanted = math.sqrt(np.mean(second**2) / (2.0 * (0.05 * m) ** 2))
+        assert deviation[at] == pytest.approx(wanted, rel=1e-6)
+
+
+def test_leverage_rows_name_their_segments_and_a_name_that_is_there_twice_names_none(cal):
+    row = SegmentLeverage(0.5, {"k0": 0.1}, {"k0": 0.2})
+    leverage = {"5": row, "3": row}
+    with_rows = dataclasses.replace(cal, diagnostics=dataclasses.replace(cal.diagnostics, leverage=leverage))
+    assert leverage_tables(with_rows)[0].segments == (5, 3)
+    twice = tuple(dataclasses.replace(s, label="3") if s.label == "9" else s for s in cal.segments)
+    assert leverage_tables(dataclasses.replace(with_rows, segments=twice))[0].segments == (5, None)
+
+
+def test_of_too_many_segments_none_can_be_selected(cal):
+    many = dataclasses.replace(cal, segments=cal.segments * 50, residuals=None)
+    assert calibration_page(many).segments == ()
+    assert 'id="chosen"' not in page_html(calibration_page(many))
+    assert calibration_page(cal).segments == tuple(map(str, range(24)))

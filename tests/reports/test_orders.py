@@ -133,3 +133,18 @@ def test_a_ripple_has_no_more_bins_than_samples_in_a_turn(stride, bins):
         dataclasses.replace(whole, after=zero, innovation=zero, segment=np.zeros(psi.size, dtype=np.int32)), K
     )
     assert result.before.size == bins
+
+
+def test_a_ripple_of_one_segment_is_in_its_own_spectrum_only():
+    """Ripple planted in segment 3; segments 2 and 4 turn as far and have none."""
+    planted = 50.0 * MICRO_G
+    plain = residuals(white=0.5 * ARCSEC, walk=0.2 * ARCSEC)
+    at_three = plain.segment == 3
+    extra = np.zeros(plain.t.size)
+    extra[at_three] = K * planted * ripple_integral(plain.psi[at_three], plain.t[at_three], 2, 0.3)
+    spectrum = order_spectrum(dataclasses.replace(plain, after=plain.after + extra), K)
+    single = dict(spectrum.single)
+    line = at(spectrum, 2)
+    assert len(single) == spectrum.segments
+    assert single[3][line] == pytest.approx(planted, rel=0.02)
+    assert max(single[2][line], single[4][line]) < 0.1 * planted

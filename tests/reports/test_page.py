@@ -162,7 +162,7 @@ def test_tables_have_scoped_headings_and_scroll_in_their_own_box():
     assert all(attrs.get("scope") in {"col", "row"} for attrs in parsed.all("th"))
     boxes = [attrs for attrs in parsed.all("div") if attrs.get("class") == "table"]
     assert len(boxes) == len(parsed.all("table")) == 3
-    assert all(box["tabindex"] == "0" and box["role"] == "region" for box in boxes)
+    assert all(box["tabindex"] == "0" and box["role"] == "group" for box in boxes)
 
 
 @pytest.mark.parametrize(

@@ -7,114 +7,14 @@ import math
 import shutil
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.workbench.conftest import Server, shipped_record
+from tests.workbench.conftest import Browser, Server, shipped_record
 
 pytestmark = pytest.mark.only_compiled
-WIDTHS = (1300, 400)
-
-
-class Browser:
-    """A page of a browser that notes every fault."""
-
-    def __init__(self, context: Any, server: Server) -> None:
-        self.page = context.new_page()
-        self.server = server
-        self.faults: list[str] = []
-        self.page.on("console", lambda entry: self._note(entry.type, entry.text))
-        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
-        self.page.on("request", lambda request: self._from(request.url))
-        self.page.set_default_timeout(60_000)
-
-    def _note(self, kind: str, text: str) -> None:
-        if kind in ("error", "warning"):
-            self.faults.append(text)
-
-    def _from(self, url: str) -> None:
-        home = f"http://127.0.0.1:{self.server.client.port}/"
-        if not url.startswith((home, "data:", "blob:", "about:")):
-            self.faults.append(f"a request to {url}")
-
-    def open(self, path: str) -> None:
-        self.page.goto(f"http://127.0.0.1:{self.server.client.port}{path}")
-
-    def until(self, expression: str) -> None:
-        """Wait until an expression is true. The page's policy forbids the browser's own way of waiting."""
-        limit = time.monotonic() + 60.0
-        from playwright.sync_api import Error
-
-        while True:
-            try:
-                if self.page.evaluate(expression):
-                    return
-            except Error:  # the page is just being replaced
-                pass
-            assert time.monotonic() < limit, expression
-            time.sleep(0.05)
-
-    def is_accessible(self) -> None:
-        """No violation by axe, and nothing wider than the window."""
-        from axe_playwright_python.sync_playwright import Axe
-
-        result = Axe().run(
-            self.page, options={"runOnly": ["wcag2a", "wcag2aa", "best-practice"], "iframes": False}
-        )
-        problems = [
-            f"{item['id']}: {item['help']}: {item['nodes'][0]['html'][:120]}"
-            for item in result.response["violations"]
-        ]
-        assert not problems, (self.page.url, problems)
-        width = self.page.evaluate(
-            "document.documentElement.scrollWidth - document.documentElement.clientWidth"
-        )
-        assert width <= 0, self.page.url
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("bench")
-    shipped_record(folder)
-    for name in ("plan-dividing-head.toml", "platform-published.toml", "twin.toml", "certificate.toml"):
-        shutil.copy(Path("examples") / name, folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def running(place: Path) -> Iterator[Server]:
-    server = Server(place)
-    server.client.enter()
-    yield server
-    code, errors = server.end()
-    assert code == 0
-    assert not errors, errors[-3000:]
-
-
-@pytest.fixture(scope="module")
-def program(chromium: str) -> Iterator[Any]:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        yield browser
-        browser.close()
-
-
-@pytest.fixture(params=[(1300, "light"), (400, "dark")], ids=["wide-light", "narrow-dark"])
-def browser(request: pytest.FixtureRequest, program: Any, running: Server) -> Iterator[Browser]:
-    width, scheme = request.param
-    context = program.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
-    name, _, value = running.client.cookie.partition("=")
-    context.add_cookies([{"name": name, "value": value, "url": f"http://127.0.0.1:{running.client.port}"}])
-    opened = Browser(context, running)
-    yield opened
-    context.close()
-    assert not opened.faults, opened.faults
 
 
 def test_every_page_is_clean(browser: Browser) -> None:
@@ -148,9 +48,11 @@ def test_the_main_job_by_mouse(browser: Browser, place: Path, tmp_path: Path) ->
     page.get_by_role("link", name="Calibrate").click()
     page.get_by_role("button", name="Calibrate").click()
     page.get_by_role("button", name="Keep this result").wait_for()
-    assert "0.88850659" in page.inner_text("main")
     frame = page.frame_locator("iframe")
     frame.get_by_role("heading", name="Calibration of tumble-a").wait_for()
+    assert "0.88850659" in frame.locator("#coefficients + * + .table").inner_text()
+    assert frame.locator(".judgement").count() == 1
+    assert "Verdict" not in page.inner_text("main")
     browser.is_accessible()
     page.get_by_role("button", name="Keep this result").click()
     page.get_by_text("Kept results lie in").wait_for()
@@ -313,7 +215,7 @@ def test_a_german_log_is_described_and_calibrated(browser: Browser, place: Path)
     page.get_by_role("link", name="Calibrate").last.click()
     page.get_by_role("button", name="Calibrate").click()
     page.get_by_role("button", name="Keep this result").wait_for()
-    assert "k0" in page.inner_text("main")
+    page.frame_locator("iframe").get_by_role("rowheader", name="k0", exact=True).first.wait_for()
     (place / "Messung 7.toml").unlink()
 
 

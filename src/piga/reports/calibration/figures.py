@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import cast
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from piga.calibration.allan import AllanDeviation, allan_deviation, drift_line, model_deviation
 from piga.records.calibration import Calibration, Residuals
 from piga.records.terms import shown_unit
-from piga.reports.calibration.tables import budget_shares, residual_quantity, source_in_words
+from piga.reports.calibration.tables import budget_shares, residual_quantity, shown_segments, source_in_words
 from piga.reports.render.decimate import POINTS, envelope_rows, leading_part, outline
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.render.numbers import pretty_unit
@@ -40,22 +41,33 @@ def _allan_band(deviation: AllanDeviation) -> Series:
     return Series(deviation.tau, lower, "68 % band", "band", "muted", upper=upper)
 
 
-def allan_figure(residuals: Residuals, noise: tuple[float, float], bias_drift: float = 0.0) -> Figure | None:
+def allan_figure(
+    residuals: Residuals, noise: tuple[float, float], bias_drift: float = 0.0, single: Sequence[int] = ()
+) -> Figure | None:
     """Overlapping Allan deviation with its 68 % band, the noise found, and the slope of a bias drift.
 
     ``residuals`` are angles [rad]; ``noise`` is the white angle noise [rad] and the random walk [rad/sqrt(s)],
-    ``bias_drift`` that found [rad/s/sqrt(s)]; without one a line of its slope is drawn for comparison.
+    ``bias_drift`` that found [rad/s/sqrt(s)]; without one a line of its slope is drawn for comparison. Each of the
+    segments ``single`` gets a curve of its own, from its own samples.
     """
     white, walk = noise[0] ** 2, noise[1] ** 2
-    deviation = allan_deviation(
+    angle_of, time, begins = (
         np.asarray(residuals.after, dtype=float),
         np.asarray(residuals.t),
         _begins(residuals),
-        white=white,
-        walk=walk,
     )
+    deviation = allan_deviation(angle_of, time, begins, white=white, walk=walk)
     if deviation.tau.size < 2:
         return None
+    chosen = frozenset(single)
+    parts = [part for part in segment_slices(residuals.segment) if int(residuals.segment[part.start]) in chosen]
+    own = [
+        (
+            int(residuals.segment[part.start]),
+            allan_deviation(angle_of[part], time[part], begins[part], white=white, walk=walk),
+        )
+        for part in parts
+    ]
     tau = deviation.tau
     angle, wander = (part / ARCSEC for part in model_deviation(tau, white, walk))
     both = np.hypot(np.hypot(angle, wander), drift_line(tau, bias_drift / ARCSEC))
@@ -84,7 +96,18 @@ def allan_figure(residuals: Residuals, noise: tuple[float, float], bias_drift: f
     return Figure(
         key="allan",
         title="Allan deviation of the residual rate.",
-        panels=(Panel(Axis("averaging time", "s", log=True), y, tuple(series)),),
+        panels=(
+            Panel(
+                Axis("averaging time", "s", log=True),
+                y,
+                tuple(series),
+                of_segments=tuple(
+                    (index, Series(part.tau, part.deviation / ARCSEC, mark="line+points", role="reference"))
+                    for index, part in own
+                    if part.tau.size > 1
+                ),
+            ),
+        ),
         caption="Overlapping Allan deviation of what the calibration leaves, with its 68 % band. Stretches are pooled, "
         "not joined: nothing longer than a third of the longest one is seen. Good: the curve follows the noise found; "
         "one that turns upwards along the dashed slope, above it, shows a drift of the bias that was not found.",
@@ -104,8 +127,13 @@ def _begins(residuals: Residuals) -> NDArray[np.bool_]:
 Array = NDArray[np.float64]
 
 
-def spectrum_figure(spectrum: OrderSpectrum) -> Figure:
-    """Ripple amplitude against revolution order."""
+def spectrum_figure(spectrum: OrderSpectrum, single: Sequence[int] = ()) -> Figure:
+    """Ripple amplitude against revolution order. Each of the segments ``single`` gets a curve of its own."""
+    own = tuple(
+        (index, Series(spectrum.order, after / MICRO_G, role="reference"))
+        for index, after in spectrum.single
+        if index in single
+    )
     y = Axis("ripple amplitude", "µg", log=True)
     series = (
         Series(spectrum.order, spectrum.before / MICRO_G, name="before", role="before"),
@@ -121,7 +149,7 @@ def spectrum_figure(spectrum: OrderSpectrum) -> Figure:
     return Figure(
         key="residual-order",
         title="Residual against revolution order.",
-        panels=(Panel(Axis("revolution order", "cycles/rev"), y, series),),
+        panels=(Panel(Axis("revolution order", "cycles/rev"), y, series, of_segments=own),),
         caption="Specific-force ripple that would leave these residuals, by how often it repeats in one turn "
         "of the output. Good: after calibration no line stands out of the expected noise. A line at a whole "
         "order is a harmonic that the model lacks (order 1: cross-coupling; 2: servo stiffness, unequal "
@@ -226,14 +254,11 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
         assert part.residuals is not None  # noqa: S101 - made from residuals
         figures += [whiteness_figure(part.residuals)] if np.isfinite(part.residuals.innovation).any() else []
         angles = residual_angles(part)
-        allan = (
-            None if cal.runs else allan_figure(angles, (cal.angle_rms, cal.angle_random_walk), cal.bias_drift)
-        )
+        noise, single = (cal.angle_rms, cal.angle_random_walk), shown_segments(cal)
+        allan = None if cal.runs else allan_figure(angles, noise, cal.bias_drift, single)
         figures += [allan] if allan else []
-        spectrum, turned = spectrum_and_ripple(
-            angles, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk)
-        )
-        figures += [spectrum_figure(spectrum)] if spectrum.segments else []
+        spectrum, turned = spectrum_and_ripple(angles, scale_factor(cal), noise)
+        figures += [spectrum_figure(spectrum, single)] if spectrum.segments else []
         figures += [ripple_figure(turned)] if turned.segments else []
     if len(cal.segments) > 1:
         figures.append(segment_figure(cal))
@@ -369,6 +394,7 @@ def residual_figure(residuals: Residuals, quantity: tuple[str, str] = ("residual
             mark="points" if single else "line",
             role="before" if role == "before" else "after",
             rows=np.asarray(residuals.row)[kept],
+            segments=np.asarray(residuals.segment)[kept],
         )
         panels.append(Panel(Axis("elapsed time", unit), Axis(*quantity), (series,), title=title))
     return Figure(
@@ -529,8 +555,18 @@ def segment_figure(cal: Calibration) -> Figure:
                 Axis("mean specific force along the input axis", "g"),
                 Axis(f"{quantity}, rms", unit, log=True),
                 (
-                    Series(a_x[rows], before, name="before", mark="points", role="before", text=labels),
-                    Series(a_x[rows], after, name="after", mark="points", role="after", text=labels),
+                    Series(
+                        a_x[rows],
+                        before,
+                        name="before",
+                        mark="points",
+                        role="before",
+                        text=labels,
+                        segments=rows,
+                    ),
+                    Series(
+                        a_x[rows], after, name="after", mark="points", role="after", text=labels, segments=rows
+                    ),
                 ),
             ),
         ),

@@ -33,6 +33,7 @@ from piga.reports.calibration.tables import (
     runs_table,
     scalars,
     segment_table,
+    selectable_segments,
     sensitivity_tables,
     sentence,
 )
@@ -264,6 +265,7 @@ def calibration_page(cal: Calibration) -> Page:
         kicker="piga · gyro accelerometer calibration",
         footer=f"Made by {cal.provenance.software} on {cal.provenance.created}. This file holds all it shows: "
         "it opens without a network, and prints on A4.",
+        segments=selectable_segments(cal),
     )
 
 

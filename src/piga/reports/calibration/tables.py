@@ -42,6 +42,8 @@ class TableSettings:
         Share of the variance below which a source is left out on the terminal.
     leverage:
         Segments in the table of leverage, those with the most first.
+    selectable:
+        Most segments of a page on which the reader can select one.
     """
 
     segments: int = 60
@@ -53,6 +55,7 @@ class TableSettings:
     negligible: float = 1e-3
     slight: float = 0.01
     leverage: int = 24
+    selectable: int = 1000
 
 
 TABLES = TableSettings()
@@ -204,13 +207,23 @@ def residual_quantity(cal: Calibration) -> tuple[str, str]:
     return ("residual rate", "arcsec/s") if rate else ("residual angle", "arcsec")
 
 
+def shown_segments(cal: Calibration) -> list[int]:
+    """Indices of the segments that have a row of their own: all, or of very many those with the largest residuals."""
+    worst = sorted(range(len(cal.segments)), key=lambda index: -cal.segments[index].rms)
+    return sorted(worst[: TABLES.segments])
+
+
+def selectable_segments(cal: Calibration) -> tuple[str, ...]:
+    """Names of the segments, if the reader can select one."""
+    return () if len(cal.segments) > TABLES.selectable else tuple(segment.label for segment in cal.segments)
+
+
 def segment_table(cal: Calibration) -> Table:
     """One row per segment; of very many the ones with the largest residuals."""
-    shown = list(cal.segments)
+    chosen = shown_segments(cal)
+    shown = [cal.segments[index] for index in chosen]
     notes: tuple[str, ...] = ()
-    if len(shown) > TABLES.segments:
-        worst = sorted(range(len(shown)), key=lambda row: -shown[row].rms)[: TABLES.segments]
-        shown = [shown[row] for row in sorted(worst)]
+    if len(shown) < len(cal.segments):
         notes = (f"The {TABLES.segments} of {len(cal.segments)} segments with the largest residuals.",)
     unit = residual_quantity(cal)[1]
     phases = {c.owner: c for c in cal.coefficients if c.name == "phi" and c.segment is not None}
@@ -243,7 +256,7 @@ def segment_table(cal: Calibration) -> Table:
         rows.append(tuple(row))
     if phases:
         columns.append(TableColumn("Phase φ", "rad"))
-    return Table(tuple(columns), tuple(rows), notes=notes)
+    return Table(tuple(columns), tuple(rows), notes=notes, segments=tuple(chosen))
 
 
 def phase_shown(phase: Coefficient) -> str:
@@ -616,6 +629,8 @@ def leverage_tables(cal: Calibration) -> tuple[Table, ...]:
         TableColumn("Leverage"),
         *(TableColumn(name) for name in names),
     )
+    labels = [segment.label for segment in cal.segments]
+    at = tuple(labels.index(label) if labels.count(label) == 1 else None for label in leverage if label in most)
     rows: tuple[tuple[str | Cell, ...], ...] = tuple(
         (
             label,
@@ -630,7 +645,7 @@ def leverage_tables(cal: Calibration) -> tuple[Table, ...]:
         if len(leverage) > TABLES.leverage
         else ()
     )
-    return Table(columns, rows, notes=notes).parts(2, TABLES.sensitivities_across)
+    return Table(columns, rows, notes=notes, segments=at).parts(2, TABLES.sensitivities_across)
 
 
 def _share(share: float | None, shift: float | None) -> Cell:

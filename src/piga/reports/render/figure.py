@@ -47,7 +47,8 @@ class Series(Result):
     ``upper`` is used with mark ``band``: the band lies between ``y`` and ``upper``.
     ``error`` draws symmetric error bars of that half-length. ``text`` is a hover label per point.
     ``rows`` is the row of the record of each point, for a curve that shows only the outline of its rows: the page
-    then says how many of the rows in view are drawn.
+    then says how many of the rows in view are drawn. ``segments`` is the index of the segment of each point: the reader
+    can then select one, and the page marks it wherever it is shown.
     """
 
     x: ArrayLike
@@ -60,6 +61,7 @@ class Series(Result):
     dashed: bool = False
     text: tuple[str, ...] | None = None
     rows: ArrayLike | None = None
+    segments: ArrayLike | None = None
 
     def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """``x`` and ``y`` as float arrays."""
@@ -68,13 +70,18 @@ class Series(Result):
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes with its series. ``equal`` keeps the same scale on both axes (polar plots)."""
+    """One pair of axes with its series. ``equal`` keeps the same scale on both axes (polar plots).
+
+    ``of_segments`` are curves of single segments, each with the index of its segment. A page on the screen shows one while
+    its segment is selected; print and pictures leave them out.
+    """
 
     x: Axis
     y: Axis
     series: tuple[Series, ...]
     title: str = ""
     equal: bool = False
+    of_segments: tuple[tuple[int, Series], ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -21,22 +21,28 @@ _DAY = 86.4e6
 
 
 def figure_spec(figure: Figure) -> dict[str, Any]:
-    """The figure as a plotly.js document: ``data``, ``layout`` and ``narrow`` (layout changes for a phone).
+    """The figure as a plotly.js document: ``data``, ``layout``, ``narrow`` (layout changes for a phone) and ``single``.
+
+    ``single`` are the curves of single segments; their ``meta`` is the index of the segment. The ``meta`` of another
+    trace is the index of the segment of each of its points.
 
     The traces carry the names of :func:`piga.reports.render.scene.series_key` as ``uid``. Numbers keep six
     significant digits of their own spread; the values shown under the pointer carry their units.
     """
-    traces, layout, shown = [], _layout(figure), set()
+    traces, single, layout, shown = [], [], _layout(figure), set()
     for index, panel in enumerate(figure.panels):
         for order, series in enumerate(panel.series):
             trace = _trace(series, panel, suffix=_suffix(index))
             trace["uid"] = series_key(figure, index, order)
-            if series.rows is not None:
-                trace["customdata"] = np.asarray(series.rows).astype(int).tolist()
             trace["showlegend"] = bool(series.name) and series.name not in shown
             shown.add(series.name)
             traces += [*_band_base(trace, series), trace]
-    return {"data": traces, "layout": layout, "narrow": _narrow(figure)}
+        single += [
+            _trace(series, panel, suffix=_suffix(index))
+            | {"meta": segment, "uid": f"{figure.key}-single-{index}"}
+            for segment, series in panel.of_segments
+        ]
+    return {"data": traces, "layout": layout, "narrow": _narrow(figure), "single": single}
 
 
 def _suffix(index: int) -> str:
@@ -85,6 +91,10 @@ def _trace(series: Series, panel: Panel, suffix: str) -> dict[str, Any]:
         "legendgroup": _text(series.name),
         "hovertemplate": _hover(series, panel),
     }
+    if series.rows is not None:
+        trace["customdata"] = np.asarray(series.rows)[rows].astype(int).tolist()
+    if series.segments is not None:
+        trace["meta"] = np.asarray(series.segments)[rows].astype(int).tolist()
     if series.text is not None:
         trace["text"] = [_text(series.text[row]) for row in rows]
     if series.role == "muted" and not series.name:

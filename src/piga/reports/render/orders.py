@@ -41,7 +41,8 @@ class OrderSpectrum(Result):
     """Ripple amplitude [m/s^2] by revolution order, root-mean-square over the segments.
 
     ``noise`` is the amplitude that the stated noise levels alone would show. ``segments`` is how many
-    segments turned far enough to be used; orders that none of them can show are nan.
+    segments turned far enough to be used; orders that none of them can show are nan. ``single`` are these segments by
+    index, each with its own amplitudes after calibration.
     """
 
     order: Array
@@ -49,6 +50,7 @@ class OrderSpectrum(Result):
     after: Array
     noise: Array
     segments: int
+    single: tuple[tuple[int, Array], ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -64,11 +66,12 @@ class Ripple(Result):
 
 @dataclass(frozen=True)
 class _Segment:
-    """Finite samples of one segment; ``residual`` has the rows before and after."""
+    """Finite samples of one segment; ``residual`` has the rows before and after, ``index`` is that of the segment."""
 
     t: Array
     psi: Array
     residual: Array
+    index: int
 
     @property
     def turns(self) -> float:
@@ -89,11 +92,12 @@ def _segments(residuals: Residuals, least: int = 8) -> list[_Segment]:
     for part in segment_slices(residuals.segment):
         t, psi = residuals.t[part], residuals.psi[part]
         residual = np.stack((residuals.before[part], residuals.after[part]))
+        index = int(residuals.segment[part.start])
         if all(math.isfinite(values.sum()) for values in (t, psi, residual)):
-            segment = _Segment(t, psi, residual)  # nothing to leave out, nothing to copy
+            segment = _Segment(t, psi, residual, index)  # nothing to leave out, nothing to copy
         else:
             good = np.isfinite(t) & np.isfinite(psi) & np.isfinite(residual).all(axis=0)
-            segment = _Segment(t[good], psi[good], residual[:, good])
+            segment = _Segment(t[good], psi[good], residual[:, good], index)
         if segment.t.size >= least:
             segments.append(segment)
     return segments
@@ -150,7 +154,8 @@ def _spectrum(
     highest: float = 6.0,
 ) -> OrderSpectrum:
     order = order_grid(highest, step)
-    power, weight, used = np.zeros((3, order.size)), np.zeros(order.size), 0
+    power, weight = np.zeros((3, order.size)), np.zeros(order.size)
+    single: list[tuple[int, Array]] = []
     enough = 0.499 * max((segment.turns for segment in segments), default=0.0)
     for segment in segments:
         shown = (order * segment.turns >= TURNS_NEEDED) & (segment.turns >= enough)
@@ -161,10 +166,10 @@ def _spectrum(
         good = shown & (information > 0.0)
         power[:, good] += information[good] * square[:, good]
         weight[good] += information[good]
-        used += 1
+        single.append((segment.index, np.sqrt(np.where(good, square[1], np.nan))))
     with np.errstate(invalid="ignore", divide="ignore"):
         amplitude = np.sqrt(power / weight)
-    return OrderSpectrum(order, amplitude[0], amplitude[1], amplitude[2], used)
+    return OrderSpectrum(order, amplitude[0], amplitude[1], amplitude[2], len(single), tuple(single))
 
 
 def _joined(segment: _Segment, highest: float) -> _Segment:
@@ -176,7 +181,8 @@ def _joined(segment: _Segment, highest: float) -> _Segment:
     width = min(2 * max(half, 0) + 1, 2 * (segment.t.size // LONG) + 1)
     stop = segment.t.size // width * width
     means = segment.residual[:, :stop].reshape(2, -1, width).mean(axis=2)
-    return _Segment(segment.t[width // 2 : stop : width], segment.psi[width // 2 : stop : width], means)
+    middle = slice(width // 2, stop, width)
+    return _Segment(segment.t[middle], segment.psi[middle], means, segment.index)
 
 
 def _noise_power(segment: _Segment, order: Array, noise: tuple[float, float]) -> Array:

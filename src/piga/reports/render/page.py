@@ -86,7 +86,8 @@ class Table:
     """Rows of text or :class:`Cell`, as long as ``columns``. The first column names the row.
 
     ``code`` sets the cells of text columns in fixed-width letters (digests, options). ``upright`` turns the headings
-    of number columns: a matrix with long names then fits the page.
+    of number columns: a matrix with long names then fits the page. ``segments`` is the index of the segment of each row,
+    for a table whose rows are segments: the reader can select one.
     """
 
     columns: tuple[TableColumn, ...]
@@ -95,6 +96,7 @@ class Table:
     notes: tuple[str, ...] = ()
     code: bool = False
     upright: bool = False
+    segments: tuple[int | None, ...] = ()
 
     def __post_init__(self) -> None:
         for row in self.rows:
@@ -167,7 +169,11 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole page. ``kicker`` is the small line above the title, ``footer`` the last line."""
+    """A whole page. ``kicker`` is the small line above the title, ``footer`` the last line.
+
+    ``segments`` are the names of the segments that figures and tables name by index. With two and more the reader can
+    select one; it is then marked in all of them.
+    """
 
     title: str
     subtitle: str = ""
@@ -176,6 +182,7 @@ class Page:
     kicker: str = "piga"
     footer: str = ""
     judgement: Judgement | None = None
+    segments: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         names = [section.anchor for section in self.sections] + [figure.key for figure in self.figures()]

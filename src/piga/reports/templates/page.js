@@ -46,8 +46,37 @@
     line.textContent = points.length ? `In view: ${points.length} points of ${last - first + 1} rows.` : "In view: no point.";
   };
 
+  // A selected segment is marked in every figure and table: its points are ringed or drawn heavily, the others fade.
+  const picker = document.getElementById("chosen");
+  const names = picker ? [...picker.options].slice(1).map((option) => option.text) : [];
+  let selected = null;
+  const marked = (spec, layout) => {
+    const ink = layout.font.color;
+    const extra = [];
+    const name = `segment ${names[selected]}`.replace(/&/g, "&amp;").replace(/</g, "&lt;");
+    const add = (trace) => extra.push({
+      ...trace, meta: null, customdata: null, text: null, hoverinfo: "skip", hovertemplate: "", name,
+      legendgroup: "selected", showlegend: !extra.length, uid: `${trace.uid}-selected`,
+    });
+    const data = spec.data.map((trace) => {
+      if (!Array.isArray(trace.meta) || !trace.meta.includes(selected)) return trace;
+      const y = trace.y.map((value, k) => (trace.meta[k] === selected ? value : null));
+      if (trace.mode === "markers") add({ ...trace, y, marker: { color: ink, size: 13, symbol: "circle-open", line: { width: 2.5 } } });
+      else add({ ...trace, y, line: { color: ink, width: 2 } });
+      return { ...trace, opacity: 0.35 };
+    });
+    spec.single.filter((trace) => trace.meta === selected).forEach((trace) => {
+      const axis = layout[trace.yaxis.replace("y", "yaxis")];
+      delete axis.range;
+      axis.autorange = true;
+      add({ ...trace, line: { ...trace.line, width: 2.5 } });
+    });
+    return data.concat(extra);
+  };
+
+  const specs = new Map(figures.map((figure) => [figure, JSON.parse(figure.querySelector("script.spec").textContent)]));
   const draw = (figure) => {
-    const spec = JSON.parse(figure.querySelector("script.spec").textContent);
+    const spec = specs.get(figure);
     const style = getComputedStyle(document.documentElement);
     const layout = themed(spec.layout, style);
     const narrow = figure.clientWidth < 560;
@@ -60,15 +89,23 @@
       layout.dragmode = false;
       Object.keys(layout).filter((key) => /^[xy]axis/.test(key)).forEach((key) => { layout[key].fixedrange = true; });
     }
+    layout.uirevision = "kept";  // what the reader zoomed stays
+    const themedData = themed(spec.data, style);
+    const data = selected === null ? themedData : marked({ data: themedData, single: themed(spec.single, style) }, layout);
     const live = figure.querySelector(".live");
+    live.dataset.plain = live.dataset.plain || live.getAttribute("aria-label");
+    live.setAttribute("aria-label", live.dataset.plain + (data.length > spec.data.length ? ` Segment ${names[selected]} is marked.` : ""));
     figure.classList.add("upgraded");
     // In a narrow figure the buttons would cover the legend; dragging and a double click zoom there, too.
     const own = touch.matches || narrow ? { ...config, displayModeBar: false } : config;
-    Plotly.react(live, themed(spec.data, style), layout, own)
+    Plotly.react(live, data, layout, own)
       .then(() => {
         tell(figure, live);
-        live.removeAllListeners("plotly_relayout");
+        ["plotly_relayout", "plotly_click"].forEach((event) => live.removeAllListeners(event));
         live.on("plotly_relayout", () => tell(figure, live));
+        live.on("plotly_click", ({ points: [point] }) => {
+          if (Array.isArray(point.data.meta)) toggle(point.data.meta[point.pointNumber]);
+        });
       })
       .catch(() => figure.classList.remove("upgraded"));
   };
@@ -80,6 +117,35 @@
     });
   }, { rootMargin: "400px" });
   figures.forEach((figure) => observer.observe(figure));
+
+  const rows = [...document.querySelectorAll("tr[data-segment]")].filter((row) => names[Number(row.dataset.segment)] !== undefined);
+  const select = (segment) => {
+    selected = segment;
+    picker.value = segment === null ? "" : String(segment);
+    rows.forEach((row) => {
+      const own = Number(row.dataset.segment) === segment;
+      row.classList.toggle("selected", own);
+      row.querySelector("button").setAttribute("aria-pressed", String(own));
+    });
+    const linked = ({ data, single }) => single.length > 0 || data.some((trace) => Array.isArray(trace.meta));
+    redraw((figure) => linked(specs.get(figure)));
+  };
+  const toggle = (segment) => {
+    if (names[segment] !== undefined) select(segment === selected ? null : segment);
+  };
+  if (picker) {
+    picker.closest(".chosen").hidden = false;
+    picker.addEventListener("change", () => select(picker.value === "" ? null : Number(picker.value)));
+    document.addEventListener("keydown", (event) => { if (event.key === "Escape" && selected !== null) select(null); });
+    rows.forEach((row) => {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.append(...row.cells[0].childNodes);
+      button.setAttribute("aria-pressed", "false");
+      row.cells[0].append(button);
+      row.addEventListener("click", () => toggle(Number(row.dataset.segment)));
+    });
+  }
 
   const redraw = (test) => figures.filter((f) => f.classList.contains("upgraded") && test(f)).forEach(draw);
   dark.addEventListener("change", () => redraw(() => true));

@@ -138,7 +138,7 @@ def result(request: Request) -> Response:
     if status.state != "done" or not (trial / "calibration.json").is_file():
         text = bench.jobs.text(job, "err")
         return render(request, "calibrate/result-failed.html.jinja", text=text, **values)
-    return render(request, "calibrate/result.html.jinja", **_result_parts(trial), **values)
+    return render(request, "calibrate/result.html.jinja", **values)
 
 
 def _is_part(request: Request) -> bool:
@@ -149,19 +149,6 @@ def _shown_line(job: Job) -> str:
     """The command in a terminal. Its results go to the usual place."""
     kept = job.command[: job.command.index("--out")] if "--out" in job.command else job.command
     return command_line(Job(job.key, kept, job.title, job.subject))
-
-
-def _result_parts(trial: Path) -> dict[str, Any]:
-    """Verdict and tables of a result: those of the report."""
-    from piga.records import Calibration
-    from piga.reports.calibration.tables import coefficient_table, judgement
-
-    calibration = Calibration.from_json(trial / "calibration.json")
-    return {
-        "judgement": judgement(calibration),
-        "table": coefficient_table(calibration),
-        "notes": calibration.notes,
-    }
 
 
 def adopt(request: Request) -> Response:

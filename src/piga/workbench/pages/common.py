@@ -65,14 +65,12 @@ def _environment() -> Any:
     import jinja2
 
     def text(name: str) -> str:
-        package = "piga.reports" if name == "blocks.html.jinja" else "piga.workbench"
-        return resources.files(package).joinpath("templates", name).read_text(encoding="utf-8")
+        return resources.files("piga.workbench").joinpath("templates", name).read_text(encoding="utf-8")
 
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(text), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    environment.tests["block"] = lambda block, kind: type(block).__name__ == kind
     environment.filters["bytes"] = in_bytes
     return environment
 
