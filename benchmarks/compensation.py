@@ -27,7 +27,6 @@ import numpy as np
 import piga
 from piga.compensation import Mounted, SetCompensator
 from piga.compensation.compensator import (
-    NO_FLAGS,
     NO_MARKS,
     NO_RATES,
     NONE,
@@ -115,7 +114,9 @@ def single(threads: int) -> None:
         chunk = Chunk(
             data["t"][rows], output[rows], data["y"][rows], data["z"][rows], NO_MARKS, NO_RATES, NONE, angle
         )
-        result = Step(ax[rows], dv[rows], u[rows] if full else NONE, flags[rows] if full else NO_FLAGS)
+        result = Step(
+            ax[rows], dv[rows], u[rows] if full else NONE, flags[rows] if full else NONE.astype(np.int32)
+        )
         work = work_array()
         return lambda: run_kernel(model, init_state(), chunk, kind, 0.01, work, result)
 

@@ -1,4 +1,4 @@
-"""Figures and tables of docs/twin.md: ``python -m builders.build_twin_figures [STUDY ...]`` from the repository root.
+"""Figures and tables of docs/twin.md, figure of the triad: ``python -m builders.build_twin_figures [STUDY ...]``, from the root.
 
 The tables go into ``docs/measured``; then run ``python benchmarks/measured.py``.
 """
@@ -16,6 +16,8 @@ import numpy as np
 from benchmarks import measured
 from benchmarks.measured import ROOT, rounded
 from scipy.integrate import solve_ivp
+from tests.compensation.sets.twin_triad import run as run_triad
+from tests.compensation.sets.twin_triad import spectrum
 
 from piga._kernels.motion import servo
 from piga.calibration.calibrate import calibrate
@@ -30,8 +32,9 @@ from piga.instrument.twin.linear import (
 )
 from piga.instrument.twin.parameters import PRESETS
 from piga.instrument.twin.run import run_twin
-from piga.reports.calibration.figures import order_spectrum, scale_factor, spectrum_figure
+from piga.reports.calibration.figures import scale_factor, spectrum_figure
 from piga.reports.render.figure import Axis, Figure, Panel, Series
+from piga.reports.render.orders import order_spectrum
 from piga.reports.render.static import write_figure
 from piga.reports.stand import loop_figures, servo_figure
 from piga.stand import DividingHead, Specimen, read_run, read_scenario, run_scenario, simulate_test
@@ -393,6 +396,30 @@ def lock():
     print(f"first lost {changes[0]}, last recovered {changes[-1]}, {len(changes)} changes")
 
 
+def triad():
+    """Error along an input axis by revolution order: raw, compensated, and the noise that was put in."""
+    orders, outcome = np.arange(0.3, 5.01, 0.02), run_triad(120.0)
+
+    def line(error, **look):
+        return Series(orders, spectrum(outcome.psi, error, orders) / (1e-6 * G0), **look)
+
+    series = (
+        line(outcome.before, name="before", role="before"),
+        line(outcome.after, name="after", role="after"),
+        line(outcome.noise, name="noise put in", role="reference", dashed=True),
+    )
+    y = Axis("error along the input axis", "µg", log=True)
+    save(
+        Figure(
+            key="compensation-triad-orders",
+            title="A triad of servo twins, before and after compensation.",
+            panels=(Panel(Axis("revolution order", "cycles/rev"), y, series),),
+            caption="Three twins on a cone, 120 s of slow swing. Order 1 is cross-coupling.",
+            height=3.0,
+        )
+    )
+
+
 def main():
     OUT.mkdir(parents=True, exist_ok=True)
     studies = {
@@ -407,6 +434,7 @@ def main():
         "round-trip": round_trip,
         "missing-harmonic": missing_harmonic,
         "lock": lock,
+        "triad": triad,
     }
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("studies", nargs="*", choices=[*studies, []], help="all when none is named")

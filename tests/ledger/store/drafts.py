@@ -1,8 +1,10 @@
-"""Small records for the store's tests: quick to make, each with its own bytes."""
+"""Small records for the store's tests: quick to make, each with its own bytes; and a station that writes them."""
 
 from __future__ import annotations
 
 import hashlib
+from multiprocessing.connection import Connection
+from multiprocessing.synchronize import Barrier
 from pathlib import Path
 
 from piga.ledger.store import Draft, DraftFile, Store, open_store
@@ -39,3 +41,13 @@ def filled(path: Path, count: int = 3, **options: object) -> Store:
     for index in range(count):
         add(store, f"{path.name}-{index}", **options)
     return store
+
+
+def station(url: str, name: str, count: int, pipe: Connection, together: Barrier | None = None) -> None:
+    """A process that writes ``count`` records and says which are safe; where ``together``, each when all are ready."""
+    with open_store(url, create=True) as store:
+        for index in range(count):
+            if together is not None:
+                together.wait(60.0)
+            pipe.send(add(store, f"{name}-{index}", size=3000))
+    pipe.close()

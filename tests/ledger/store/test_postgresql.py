@@ -15,7 +15,7 @@ from piga.errors import StoreError
 from piga.ledger.store import Store, open_store
 from piga.ledger.store.transfer import backup, export_records, import_records, restore
 from piga.ledger.store.verify import verify
-from tests.ledger.store import station
+from tests.ledger.store import drafts
 from tests.ledger.store.drafts import add, content, filled
 from tests.ledger.store.postgres_server import missing, server
 
@@ -43,7 +43,7 @@ def new_database(socket: Path, name: str) -> str:
 
 def _start(context: multiprocessing.context.BaseContext, url: str, name: str, count: int, together=None):  # type: ignore[no-untyped-def]
     mine, other = context.Pipe(duplex=False)
-    process = context.Process(target=station.station, args=(url, name, count, other, together))
+    process = context.Process(target=drafts.station, args=(url, name, count, other, together))
     process.start()
     other.close()
     return process, mine
@@ -83,7 +83,7 @@ def test_two_stations_at_once(url: str) -> None:
 def test_a_killed_station_loses_nothing(url: str) -> None:
     open_store(url, create=True).close()
     context, chance, names = multiprocessing.get_context("forkserver"), random.Random(3), set[str]()
-    context.set_forkserver_preload([station.__name__])
+    context.set_forkserver_preload([drafts.__name__])
     for index in range(4):
         process, pipe = _start(context, url, f"s{index}", 1000)
         names.add(pipe.recv())

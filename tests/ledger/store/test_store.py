@@ -20,7 +20,7 @@ from piga.ledger.store import store as store_module
 from piga.ledger.store.documents import PART, encode, safe_name, sha256
 from piga.ledger.store.transfer import backup, export_records, import_records, restore
 from piga.ledger.store.verify import verify
-from tests.ledger.store import station
+from tests.ledger.store import drafts
 from tests.ledger.store.drafts import add, content, draft, filled
 
 
@@ -335,11 +335,11 @@ def test_altered_schema_is_found(tmp_path: Path, change: str) -> None:
 
 def test_two_programs_at_once_on_one_file(tmp_path: Path) -> None:
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([station.__name__])
+    context.set_forkserver_preload([drafts.__name__])
     started = []
     for name in ("east", "west"):
         mine, other = context.Pipe(duplex=False)
-        process = context.Process(target=station.station, args=(str(tmp_path / "a.sqlite"), name, 12, other))
+        process = context.Process(target=drafts.station, args=(str(tmp_path / "a.sqlite"), name, 12, other))
         process.start()
         other.close()
         started.append((process, mine))
