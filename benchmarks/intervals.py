@@ -1,8 +1,8 @@
-"""The two tables of intervals on the page 'Accuracy and limits', from a collected campaign.
+"""The tables of intervals on the page 'Accuracy and limits', from a collected campaign.
 
 Run ``piga campaign run examples/campaigns/coverage.toml --out DIR`` and ``piga campaign collect DIR``, then
-``python -m benchmarks.intervals DIR``; likewise with ``interval-cases.toml``. A row is replaced by a campaign of at
-least as many tests. A row of another version is also replaced by fewer, but at least ``FEWEST`` tests.
+``python -m benchmarks.intervals DIR``; likewise with ``interval-cases.toml`` and ``coloured.toml``. A row is replaced by a
+campaign of at least as many tests. A row of another version is also replaced by fewer, but at least ``FEWEST`` tests.
 """
 
 from __future__ import annotations
@@ -14,7 +14,18 @@ from typing import Any
 
 from benchmarks import measured
 
+from piga.campaign.subjects import NOISE_DOUBTED, NOISE_LEFT
+
 TABLES = {"coverage.toml": "intervals", "interval-cases.toml": "interval-cases"}
+COLOURED = {
+    "head-flicker": "angle log, flicker of 3e-6 rad/s a decade",
+    "head-markov": "angle log, Markov noise of 3e-6 rad/s and 5 s",
+    "head-cycle": "angle log, wave of 5 µg and 1500 s",
+    "rate-flicker": "rate log, flicker of 3e-6 rad/s a decade",
+    "rate-markov": "rate log, Markov noise of 3e-6 rad/s and 5 s",
+    "rate-cycle": "rate log, wave of 5 µg and 1500 s",
+}
+"""Rows of the table of coloured noise by the cases of ``coloured.toml``. The table is written as a whole."""
 COMMAND = "piga campaign run examples/campaigns/{} --out DIR"
 FEWEST = 300
 """Fewest tests that replace a row of another version."""
@@ -70,13 +81,61 @@ def put_down(collected: dict[str, Any], folder: Path = measured.FOLDER) -> list[
     return said
 
 
+def coloured_row(group: dict[str, Any]) -> dict[str, measured.Value]:
+    """The columns of a row of coloured noise; shares in percent, of the misses 100 if there are none."""
+    share = [100.0 * c["coverage"] for c in group["coefficients"]]
+    warned, told = (
+        sum(group["seen_where_missed"].get(name, 0.0) for name in names) if group["missed"] else 1.0
+        for names in ((NOISE_DOUBTED,), (NOISE_DOUBTED, NOISE_LEFT))
+    )
+    return {
+        "records": group["records"],
+        "intervals hold": (round(min(share), 1), round(max(share), 1)),
+        "misses": group["missed"],
+        "misses with a warning": round(100.0 * warned),
+        "with a warning or the remark": round(100.0 * told),
+        "remark": round(100.0 * group["seen"].get(NOISE_LEFT, 0.0)),
+    }
+
+
+def put_down_coloured(collected: dict[str, Any], folder: Path = measured.FOLDER) -> list[str]:
+    """Replace the table of coloured noise, if the campaign is complete and has as many tests as the table."""
+    groups = {group["name"]: group for group in collected["groups"]}
+    shown = [f["value"] for f in measured.load("coloured-intervals", folder)[1] if f["column"] == "records"]
+    short = [
+        name
+        for name in COLOURED
+        if (group := groups.get(name)) is None or group["failed"] or group["records"] < group["planned"]
+    ]
+    if short:
+        return [f"{', '.join(short)}: records are missing or failed; the table stays"]
+    records = min(groups[name]["records"] for name in COLOURED)
+    if records < min(shown):
+        return [f"{records} tests; the table of {min(shown)} tests stays"]
+    rows = {row: coloured_row(groups[name]) for name, row in COLOURED.items()}
+    measured.write(
+        "coloured-intervals",
+        "record",
+        rows,
+        {column: "%" for column in next(iter(rows.values())) if column not in ("records", "misses")},
+        folder=folder,
+        command=COMMAND.format("coloured.toml"),
+        conditions="dividing head, 24 positions of 60 s in the order of their angle, 5 Hz; angle logs with 2.5e-5 rad of white "
+        "noise and a walk of 1e-6 rad/√s, rate logs with a walk of 2e-5 rad/√s. Intervals: worst and best coefficient. "
+        "Misses: records in which the interval of any coefficient misses. Warning: a doubt about the noise. Remark: share of "
+        "all records that have no doubt about the noise, but the remark on coloured noise that is not excluded",
+    )
+    return [f"{row}: {groups[name]['records']} tests put down" for name, row in COLOURED.items()]
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="folder of the campaign, collected")
     chosen = parser.parse_args()
     document = json.loads((chosen.folder / "collected" / "collect.json").read_text(encoding="utf-8"))
-    print("\n".join(put_down(document)))
+    put = put_down_coloured if document["campaign"] == "coloured.toml" else put_down
+    print("\n".join(put(document)))
 
 
 if __name__ == "__main__":

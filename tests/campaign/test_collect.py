@@ -14,6 +14,8 @@ from piga.cli.main import app
 from piga.errors import DataError, PigaError
 from tests.campaign.small import SMALL, collected, rows, written
 
+ENDS = ("low", "truth", "high")
+
 
 def computed(folder, text=SMALL, name="out", shards=None):
     """A campaign computed in this process."""
@@ -38,12 +40,21 @@ def test_figures_are_those_of_the_rows(small):
         0,
         True,
     )
+    assert sum(group["missed"] for group in figures["groups"]) > 0
     for index, group in enumerate(figures["groups"]):
         own = [row for row in every if row["case"] == index]
         assert group["records"] == len(own) == (10, 7)[index]
         assert group["nees"] == pytest.approx(np.mean([row["nees"] for row in own]), rel=1e-12)
         names = {name for row in own for name in row["seen"]}
         assert group["seen"] == {name: np.mean([name in row["seen"] for row in own]) for name in sorted(names)}
+        missed = [
+            row for row in own if any(not a <= t <= b for a, t, b in zip(*map(row.get, ENDS), strict=True))
+        ]
+        assert group["missed"] == len(missed)
+        names = {name for row in missed for name in row["seen"]}
+        assert group["seen_where_missed"] == {
+            name: np.mean([name in row["seen"] for row in missed]) for name in sorted(names)
+        }
         for k, c in enumerate(group["coefficients"]):
             value, u, low, high, truth, off = (
                 np.array([row[name][k] for row in own])

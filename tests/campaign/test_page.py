@@ -5,11 +5,12 @@ import json
 import pytest
 from benchmarks import intervals, measured
 
-from piga.campaign import collect, document, open_campaign, plan_campaign
+from piga.campaign import collect, document, open_campaign, plan_campaign, read_campaign
 from piga.campaign.page import campaign_page, collected_text
 from piga.campaign.shard import run_shard
+from piga.campaign.subjects import NOISE_DOUBTED, NOISE_LEFT
 from piga.reports.render.page import FigureBlock, Notice, Table, page_html
-from tests.campaign.small import SMALL, one_case, written
+from tests.campaign.small import COVERAGE, SMALL, one_case, written
 
 GRID = (
     SMALL.replace("repeats = 10", "repeats = 6").replace("repeats = 7", "repeats = 6")
@@ -102,3 +103,33 @@ def test_rows_of_the_accuracy_page_are_never_replaced_by_fewer_tests(tmp_path):
     }
     assert rows["near-critical: NEES"] == round(figures["groups"][0]["nees"], 3)
     assert rows["near-critical: coverage"] == sorted(rows["near-critical: coverage"])
+
+
+def test_the_table_of_coloured_noise_is_written_as_a_whole(tmp_path):
+    """Shares of the records with a miss: a doubt, and a doubt or the remark. Too few tests or kinds leave the table."""
+    kept = (measured.FOLDER / "coloured-intervals.json").read_text(encoding="utf-8")
+    (tmp_path / "coloured-intervals.json").write_text(kept, encoding="utf-8")
+    cases = [group.name for group in read_campaign(COVERAGE.parent / "coloured.toml").groups]
+    group = {
+        "records": 2000, "planned": 2000, "failed": {}, "coefficients": [{"coverage": 0.95}, {"coverage": 0.57}],
+        "seen": {NOISE_LEFT: 0.6}, "missed": 40, "seen_where_missed": {NOISE_DOUBTED: 0.25, NOISE_LEFT: 0.63},
+    }  # fmt: skip
+    collected = {"campaign": "coloured.toml", "groups": [{"name": name} | group for name in cases]}
+    few = {"groups": [{"name": name} | group | {"records": 9, "planned": 9} for name in cases]}
+    assert intervals.put_down_coloured(few, tmp_path)[0].startswith("9 tests; the table of ")
+    some = intervals.put_down_coloured({"groups": collected["groups"][1:]}, tmp_path)
+    assert some == ["head-flicker: records are missing or failed; the table stays"]
+    assert (tmp_path / "coloured-intervals.json").read_text(encoding="utf-8") == kept
+    assert len(intervals.put_down_coloured(collected, tmp_path)) == 6
+    table, figures = measured.load("coloured-intervals", tmp_path)
+    assert [f["row"] for f in figures][::6] == list(intervals.COLOURED.values())
+    assert {f["column"]: f["value"] for f in figures[:6]} == {
+        "records": 2000,
+        "intervals hold": [57.0, 95.0],
+        "misses": 40,
+        "misses with a warning": 25,
+        "with a warning or the remark": 88,
+        "remark": 60,
+    }
+    assert {f["unit"] for f in figures if f["column"] in ("records", "misses")} == {"1"}
+    assert table["rows"] == "record"

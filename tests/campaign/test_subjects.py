@@ -11,7 +11,7 @@ import piga
 from piga.campaign import collect, document, open_campaign, plan_campaign, read_campaign
 from piga.campaign.manifest import Archive
 from piga.campaign.shard import run_shard
-from piga.campaign.subjects import compute, seed_of
+from piga.campaign.subjects import NOISE_DOUBTED, NOISE_LEFT, compute, seed_of
 from piga.cli.main import app
 from tests.campaign.small import ROOT, collected, rows, written
 
@@ -238,6 +238,38 @@ def test_archive_against_the_store(archive, tmp_path):
     page = collected(tmp_path / "out")["page"].decode()
     assert "identical" in page
     assert "1 records are not in the store" in page
+
+
+LOGGED = """
+[campaign]
+repeats = 1
+[[case]]
+name = "rates"
+[case.constant_force]
+tumble = { positions = 12 }
+seconds = "20 s"
+pause = "10 s"
+rate = "5 Hz"
+kind = "rate"
+walk = "2e-5 rad/sqrt(s)"
+truth = { k0 = 3e-4 }
+terms = ["scale_factor", "tan_beta", "k0"]
+"""
+
+
+def test_seen_has_what_the_record_says_of_its_noise(tmp_path):
+    """A sound short rate log has the remark, a loud one the doubt, a sound angle log neither."""
+
+    def seen(text):
+        plan = read_campaign(written(tmp_path, text))
+        return compute(plan, plan.find(0, 0)).seen
+
+    assert NOISE_LEFT in seen(LOGGED)
+    loud = seen(LOGGED.replace("truth =", 'flicker = "6e-5 rad/s"\ntruth ='))
+    assert NOISE_DOUBTED in loud
+    assert NOISE_LEFT not in loud
+    angles = LOGGED.replace('kind = "rate"', 'white = "2.5e-5 rad"').replace("2e-5 rad/sqrt", "1e-6 rad/sqrt")
+    assert not {NOISE_LEFT, NOISE_DOUBTED} & set(seen(angles))
 
 
 @pytest.mark.only_compiled

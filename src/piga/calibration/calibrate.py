@@ -67,6 +67,7 @@ from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
 from piga.calibration.remarks.temperature import unseen_bias
+from piga.calibration.remarks.unseen_noise import unseen_noise
 from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.progress import Progress, Steps
 from piga.reading.signal_checks import largest_size
@@ -208,8 +209,9 @@ def _calibration(
         result = _assemble(run, fit, coefficients, covariance, budget.rows, residuals, notes, history)
     said = remarks.result()
     unseen = unseen_bias(without_slow(fit), coefficients, said.missing)
-    warm = (unseen.words,) if unseen else ()
-    result = replace(result, remarks=(*warm, *remarks_in_words(coefficients, request.phases)))
+    noise = unseen_noise(fit, coefficients)
+    unexcluded = tuple(one.words for one in (unseen, noise) if one)
+    result = replace(result, remarks=(*unexcluded, *remarks_in_words(coefficients, request.phases)))
     result = with_remarks(result, fit, said, doubts)
     result = with_given_servo(result, given_servo(run), _moved_servo(run))
     compared = compare_models(run).document() if run.model.compare else None

@@ -102,9 +102,8 @@ class Sums:
     def _judge(self, rows: dict[str, Array]) -> None:
         """Rows with a known truth."""
         off, z = rows["deviation"], rows["z"]
-        truth = rows["value"] - off
         self.known += off.size
-        self.held += int(np.count_nonzero((rows["low"] <= truth) & (truth <= rows["high"])))
+        self.held += int(np.count_nonzero(_held(rows)))
         self.deviation, self.deviation2 = _sum(self.deviation, off), _sum(self.deviation2, off**2)
         self.half = _sum(self.half, 0.5 * (rows["high"] - rows["low"]))
         finite = np.isfinite(z)
@@ -114,6 +113,13 @@ class Sums:
         self.expected = _sum(self.expected, 1.0 / (1.0 - 2.0 / np.maximum(degrees, 3.0)))
         self.largest_z = max(self.largest_z, float(np.abs(z).max(initial=0.0)))
         self.histogram += np.histogram(np.clip(z, EDGES[0], EDGES[-1]), EDGES)[0]
+
+
+def _held(rows: dict[str, Array]) -> NDArray[np.bool_]:
+    """True where the interval of a coefficient holds its truth."""
+    truth = rows["value"] - rows["deviation"]
+    held: NDArray[np.bool_] = (rows["low"] <= truth) & (truth <= rows["high"])
+    return held
 
 
 def _sum(start: float, values: Array) -> float:
@@ -158,7 +164,9 @@ class GroupResult:
     """The results of one group: figures by coefficient, records that failed by class, NEES of all coefficients together.
 
     ``verdicts`` counts the results of the comparison with the stored calibrations of an archive.
-    ``seen`` is the share of the records whose calibration reports a kind of noise or suggests a term.
+    ``seen`` is the share of the records whose calibration reports a kind of noise, suggests a term, or has a doubt or a remark
+    about the noise. ``missed`` counts the records in which an interval misses its truth, ``seen_where_missed`` is ``seen`` of
+    these.
     """
 
     group: CampaignGroup
@@ -169,6 +177,8 @@ class GroupResult:
     nees_expected: float | None
     verdicts: dict[str, int]
     seen: dict[str, float]
+    missed: int
+    seen_where_missed: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -231,6 +241,8 @@ class _Group:
         self.failed: Counter[str] = Counter()
         self.verdicts: Counter[str] = Counter()
         self.seen: Counter[str] = Counter()
+        self.missed = 0
+        self.seen_where_missed: Counter[str] = Counter()
         self.sums: dict[str, Sums] = {}
         self.nees = self.expected = 0.0
         self.judged = 0
@@ -397,8 +409,9 @@ def _flat(
 def _add(group: _Group, batch: pa.RecordBatch) -> None:
     group.records += batch.num_rows
     group.failed.update(name for name in batch.column("error_class").to_pylist() if name is not None)
-    for reported in batch.column("seen").to_pylist():
-        group.seen.update(reported or ())
+    seen = [reported or () for reported in batch.column("seen").to_pylist()]
+    for reported in seen:
+        group.seen.update(reported)
     group.verdicts.update(name for name in batch.column("verdict").to_pylist() if name is not None)
     nees, expected = (
         batch.column(c).to_numpy(zero_copy_only=False).astype(float) for c in ("nees", "nees_expected")
@@ -406,7 +419,10 @@ def _add(group: _Group, batch: pa.RecordBatch) -> None:
     judged = np.isfinite(nees)
     group.judged += int(np.count_nonzero(judged))
     group.nees, group.expected = _sum(group.nees, nees[judged]), _sum(group.expected, expected[judged])
-    columns, names, units, _ = _flat(batch)
+    columns, names, units, rows = _flat(batch)
+    for row in np.unique(rows[np.isfinite(columns["deviation"]) & ~_held(columns)]).tolist():
+        group.missed += 1
+        group.seen_where_missed.update(seen[row])
     for name in dict.fromkeys(names.tolist()):
         mine = names == name
         sums = group.sums.get(name)
@@ -448,6 +464,8 @@ def _result(group: CampaignGroup, sums: _Group) -> GroupResult:
         nees_expected=sums.expected / sums.judged if sums.judged else None,
         verdicts=dict(sorted(sums.verdicts.items())),
         seen={name: count / sums.records for name, count in sorted(sums.seen.items())},
+        missed=sums.missed,
+        seen_where_missed={n: count / sums.missed for n, count in sorted(sums.seen_where_missed.items())},
     )
 
 
@@ -542,6 +560,8 @@ def _group_document(result: GroupResult) -> dict[str, Any]:
         "nees_expected": _finite(result.nees_expected),
         "coefficients": [coefficient_document(c) for c in result.coefficients],
         "seen": result.seen,
+        "missed": result.missed,
+        "seen_where_missed": result.seen_where_missed,
     }
     if result.verdicts or group.subject == "archive":
         entry["compared_with_store"] = result.verdicts

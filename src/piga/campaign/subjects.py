@@ -40,7 +40,7 @@ class Outcome:
     archive. ``error`` is value minus truth; for a phase it is taken to the nearest turn. ``bound`` is the standard
     deviation of Cramer and Rao. Unknown values are nan. ``nees`` is the mean square of all errors in their
     covariance, ``nees_expected`` its expected value for Student's t.
-    ``seen`` names what the calibration reports: kinds of noise, and terms it suggests.
+    ``seen`` names what the calibration reports: kinds of noise, terms it suggests, and what it says of the noise.
     """
 
     names: tuple[str, ...]
@@ -215,8 +215,15 @@ def of_calibration(calibration: Calibration, truth: Array, bound: Array | None =
     )
 
 
+NOISE_DOUBTED = "doubt about the noise"
+NOISE_LEFT = "no doubt, but noise not excluded"
+"""Entries of ``seen``: a record has one of them or none."""
+
+
 def _seen(calibration: Calibration) -> tuple[str, ...]:
-    """Kinds of noise that a calibration reports, and terms that it suggests."""
+    """Kinds of noise that a calibration reports, terms that it suggests, and what it says of the noise."""
+    from piga.calibration.remarks.unseen_noise import NOT_EXCLUDED
+
     coloured = calibration.coloured_noise
     levels = {
         "random walk": calibration.angle_random_walk,
@@ -227,6 +234,10 @@ def _seen(calibration: Calibration) -> tuple[str, ...]:
         levels[f"coloured noise: {coloured.kind}"] = coloured.rms
     noise = [name for name, level in levels.items() if level > 0.0]
     missing = calibration.diagnostics.missing_terms
+    if calibration.verdict.warns_of_noise:
+        noise.append(NOISE_DOUBTED)
+    elif any(remark.startswith(NOT_EXCLUDED) for remark in calibration.remarks):
+        noise.append(NOISE_LEFT)
     return (*noise, *dict.fromkeys(f"suggested: {' '.join(entry.terms)}" for entry in missing))
 
 

@@ -21,9 +21,11 @@ import numpy as np
 from benchmarks import measured
 
 import piga
+from piga.calibration.remarks.unseen_noise import NOT_EXCLUDED
 from piga.units import G0
 from tests.calibration.made.independent import Array, K, head
 
+WARNED, TOLD = "misses with a warning", "with a warning or the remark"
 POINTS = 4
 """Points of the noise in an interval."""
 PASSES = 4
@@ -155,12 +157,14 @@ SHAPES = {
     "24 positions of 180 s": {"seconds": 180.0},
     "12 positions of 60 s": {"forces": head(12)},
     "40 positions of 60 s": {"forces": head(40)},
+    "24 positions of 600 s": {"seconds": 600.0},
 }
 NOISES = {
     "sound": {},
     "flicker": {"flicker": 3e-6},
     "Markov 5 s": {"markov": (3e-6, 5.0)},
     "Markov 60 s": {"markov": (3e-6, 60.0)},
+    "wave of 5 µg and 1500 s": {"wave": (5e-6 * K, 1500.0)},
 }
 
 
@@ -176,51 +180,65 @@ def cases() -> dict[str, Coloured]:
 
 
 def judged(test: Coloured, tests: int, first: int = 0) -> dict[str, Any]:
-    """Records, share with coloured noise, drift or scatter, share of intervals that hold (worst, best), warned misses."""
-    held, seen, warned, degrees = [], 0, [], []
+    """Records, share with coloured noise, drift or scatter, share of intervals that hold (worst, best), what the records say."""
+    held, seen, warned, remarked, degrees = [], 0, [], [], []
     for seed in range(first, first + tests):
         calibration = piga.calibrate(test.record(seed), test.terms)
         errors = np.array([c.value - test.true(c.name) for c in calibration.coefficients])
         turns = np.array([c.name == "phi" for c in calibration.coefficients])
         errors = np.where(turns, np.angle(np.exp(1j * errors)), errors)
-        inside = np.abs(errors) <= [c.expanded for c in calibration.coefficients]
-        held.append(inside)
+        held.append(np.abs(errors) <= [c.expanded for c in calibration.coefficients])
         degrees.append(np.median([c.degrees_of_freedom for c in calibration.coefficients]))
         seen += (
             calibration.coloured_noise is not None
             or calibration.bias_drift > 0.0
             or calibration.segment_scatter > 0.0
         )
-        if not inside.all():
-            words = " ".join(doubt.what for doubt in calibration.verdict.doubts)
-            warned.append(
-                any(word in words for word in ("coloured noise", "drift", "scatter", "slow wave", "not white"))
-            )
-    share = 100.0 * np.mean(held, axis=0)
+        warned.append(calibration.verdict.warns_of_noise)
+        remarked.append(any(remark.startswith(NOT_EXCLUDED) for remark in calibration.remarks))
+    share, missed = 100.0 * np.mean(held, axis=0), ~np.all(held, axis=1)
+    told = np.logical_or(warned, remarked)
     return {
         "records": tests,
         "seen": round(100.0 * seen / tests),
         "intervals hold": (round(float(share.min()), 1), round(float(share.max()), 1)),
-        "misses with a warning": round(100.0 * float(np.mean(warned))) if warned else 100,
+        "misses": int(missed.sum()),
+        WARNED: percent(np.array(warned)[missed]),
+        TOLD: percent(told[missed]),
+        "remark": percent(np.array(remarked)),
         "degrees of freedom": round(float(np.median(degrees))),
         "worst": calibration.coefficients[int(share.argmin())].name,
     }
 
 
+def percent(said: Array) -> int:
+    """Share [%] of records; 100 of none."""
+    return round(100.0 * float(np.mean(said))) if said.size else 100
+
+
 def put_down(rows: dict[str, dict[str, Any]], command: str) -> None:
-    """The table of the page 'Accuracy and limits'."""
-    units = {"seen": "%", "intervals hold": "%", "misses with a warning": "%"}
-    columns = ("records", "seen", "intervals hold", "misses with a warning", "degrees of freedom")
+    """These rows in the table of the page 'Accuracy and limits'; its other rows stay as they are."""
+    columns = (
+        "records", "seen", "intervals hold", "misses", WARNED, TOLD, "remark", "degrees of freedom"
+    )  # fmt: skip
+    table: dict[str, dict[str, Any]] = {}
+    for figure in measured.load("coloured-shapes")[1]:
+        kept = {key: figure[key] for key in ("value", "version", "commit", "date", "command")}
+        table.setdefault(figure["row"], {})[figure["column"]] = kept
+    table |= {
+        name: {column: {"value": row[column], "command": command} for column in columns}
+        for name, row in rows.items()
+    }
     measured.write(
         "coloured-shapes",
         "record",
-        {name: {column: row[column] for column in columns} for name, row in rows.items()},
-        units,
-        command=command,
+        {name: {c: table[name][c] for c in columns if c in table[name]} for name in cases() if name in table},
+        dict.fromkeys(("seen", "intervals hold", WARNED, TOLD, "remark"), "%"),
+        command="python -m tests.calibration.made.coloured_truth --tests 100 --first 1000 --record 'NAME OF THE ROW'",
         conditions="independent motion and noise (NumPy): dividing head in the order of its angle, pauses of 30 s, 5 Hz; "
         "angle logs: 2.5e-5 rad, walk 1e-6 rad/√s; rate logs: walk 2e-5 rad/√s; colour of 3e-6 rad/s. Seen: coloured "
-        "noise, drift or scatter in the covariance. Intervals: worst and best coefficient. Warning: a doubt about the "
-        "noise in a record with a miss",
+        "noise, drift or scatter in the covariance. Intervals: worst and best coefficient. Misses: records in which "
+        "the interval of any coefficient misses. Warning: a doubt about the noise. Remark: noise that is not excluded",
     )
 
 
@@ -239,14 +257,15 @@ def main() -> None:
         low, high = row["intervals hold"]
         sys.stdout.write(
             f"{name}: {row['records']} records, seen {row['seen']} %, hold {low} ({row['worst']}) to {high} %, "
-            f"warned {row['misses with a warning']} %, degrees of freedom {row['degrees of freedom']}\n"
+            f"{row['misses']} misses, warned {row[WARNED]} %, told {row[TOLD]} %, remark {row['remark']} %, "
+            f"degrees of freedom {row['degrees of freedom']}\n"
         )
         sys.stdout.flush()
-    if given.record:
-        put_down(
-            rows,
-            f"python -m tests.calibration.made.coloured_truth --tests {given.tests} --first {given.first} --record",
-        )
+        if given.record:
+            put_down(
+                rows,
+                f"python -m tests.calibration.made.coloured_truth --tests {given.tests} --first {given.first} --record",
+            )
 
 
 if __name__ == "__main__":

@@ -61,7 +61,7 @@ def include_coloured_noise(fit: Fit) -> Fit:
         return fit
     factor = slow_factor(fit, fit.noise, bins)
     parameters = len(fit.solution.amplitudes) + len(fit.solution.phases)
-    contrasts = contrasts_of(fit, factor, bins)
+    contrasts = contrasts_of(fit, factor, fit.design.rows, bins)
     moved = moved_by(factor, bins, parameters)
     if contrasts is None or moved is None or not _suspected(contrasts, bins, segments):
         return fit
@@ -77,15 +77,15 @@ def include_coloured_noise(fit: Fit) -> Fit:
     return _averaged(fit, bins, moved, candidates, best)
 
 
-def contrasts_of(fit: Fit, factor: Array, bins: RateBins) -> Contrasts | None:
-    """Slow values of a record without its model, from the triangular ``factor`` of ``[slow rates | model | y]``."""
+def contrasts_of(fit: Fit, factor: Array, rows: int, bins: RateBins) -> Contrasts | None:
+    """Slow values of a record without its model, from the triangular ``factor`` of ``rows`` rows ``[slow rates | model | y]``."""
     size = factor.shape[1] - 1
     model = size - bins.count
     turned = triangle(factor[:, [*range(bins.count, size), *range(bins.count), size]])
     if turned.shape[0] < size:
         return None
     rest = float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0
-    fast = fit.design.rows - model - bins.count
+    fast = rows - model - bins.count
     scale = 1.0 / fit.sample_variance if fit.mode == "samples" else 1.0
     if fit.counted is not None:
         stretches = fit.counted.stretches

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
 
 from piga.calibration.noise.settings import NOISE
 
@@ -115,6 +116,78 @@ def estimate(contrasts: Contrasts, start: Array) -> Levels | None:
         if gain < NOISE.converged:
             break
     return Levels(levels, _inverse(_expected(contrasts, levels, factor)), best)
+
+
+@dataclass(frozen=True)
+class UpperLimit:
+    """Largest level that a record does not exclude.
+
+    ``replaced`` [1] is the share of the walk that the component then takes the place of.
+    """
+
+    level: float
+    replaced: float
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Restricted likelihood of the level of one component, at the best white noise and walk (theory/noise, noise-limit).
+
+    ``y`` (shares, n) are the slow values whitened by white noise and the rest of the walk, if the component takes the place of a
+    share of the walk of the weights; ``inverses`` (shares, n, n) whiten them, ``logarithms`` are those of their covariances.
+    """
+
+    y: Array
+    inverses: Array = field(repr=False)
+    logarithms: Array
+    rest: float
+    freedom: int
+
+    @classmethod
+    def of(cls, contrasts: Contrasts, walk: Array | None) -> Profile:
+        """From slow values with white noise alone, and their covariance (n, n) by the walk of the weights; None without one."""
+        size = contrasts.y.size
+        shares = (0.0,) if walk is None else NOISE.limit_shares
+        lower = np.array(
+            [np.linalg.cholesky(np.eye(size) - (0.0 if walk is None else share * walk)) for share in shares]
+        )
+        inverses = np.linalg.inv(lower)
+        logarithms = 2.0 * np.log(np.einsum("sii->si", lower)).sum(axis=1)
+        return cls(inverses @ contrasts.y, inverses, logarithms, contrasts.rest, size + contrasts.fast)
+
+    def excludes(self, unit: Array, level: float, confidence: float) -> bool:
+        """True if a level is excluded beside none at all; cheaper than the limit."""
+        ratio = level * self.freedom / (self.rest + float((self.y[0] ** 2).sum()))
+        none, there = [], []
+        for y, inverse, logarithm in zip(self.y, self.inverses, self.logarithms, strict=True):
+            lower = np.linalg.cholesky(np.eye(y.size) + ratio * inverse @ unit @ inverse.T)
+            white = np.linalg.solve(lower, y)
+            size = logarithm + 2.0 * float(np.log(np.diag(lower)).sum())
+            none.append(float(restricted(logarithm, y @ y + self.rest, self.freedom)))
+            there.append(float(restricted(size, white @ white + self.rest, self.freedom)))
+        return min(there) - min(none) > float(ndtri(confidence)) ** 2
+
+    def limit(self, unit: Array, confidence: float) -> UpperLimit:
+        """Upper limit of the level of a component whose unit has the covariance (n, n); inf where no level is excluded."""
+        levels, deviances = [], []
+        for y, inverse, logarithm in zip(self.y, self.inverses, self.logarithms, strict=True):
+            values, vectors = np.linalg.eigh(inverse @ unit @ inverse.T)
+            ratio = np.append(0.0, 10.0 ** np.arange(-4.0, 5.0, NOISE.limit_step) / values[-1])
+            spread = 1.0 + ratio[:, None] * np.maximum(values, 0.0)
+            total = ((vectors.T @ y) ** 2 / spread).sum(axis=1) + self.rest
+            levels.append(ratio * total / self.freedom)
+            deviances.append(restricted(logarithm + np.log(spread).sum(axis=1), total, self.freedom))
+        table = np.array([np.interp(levels[0], own, d) for own, d in zip(levels, deviances, strict=True)])
+        profile = table.min(axis=0)
+        best = int(profile.argmin())
+        rise = profile[best:] - profile[best] - float(ndtri(confidence)) ** 2
+        if rise.max() <= 0.0:
+            return UpperLimit(np.inf, 0.0)
+        above = int(np.argmax(rise > 0.0))
+        part = rise[above - 1] / (rise[above - 1] - rise[above])
+        low, high = levels[0][best + above - 1], levels[0][best + above]
+        shares = NOISE.limit_shares[: len(table)]
+        return UpperLimit(float(low + part * (high - low)), shares[int(table[:, best + above].argmin())])
 
 
 def _slope(contrasts: Contrasts, levels: Array, factor: Array) -> Array:

@@ -174,6 +174,10 @@ class NoiseSettings:
         Longest correlation time tried, as a share of the record.
     per_decade:
         Markov processes per decade of time whose sum is the flicker noise.
+    limit_step:
+        Step of the logarithm of the levels that are tried for an upper limit [decades].
+    limit_shares:
+        Shares of the random walk of the weights that a component may take the place of, for its upper limit.
     iterations:
         Most steps of the search for the levels.
     halvings:
@@ -275,6 +279,8 @@ class NoiseSettings:
     per_decade: int = 2
 
     # Restricted likelihood
+    limit_step: float = 0.1
+    limit_shares: tuple[float, ...] = (0.0, 0.5, 0.9)
     iterations: int = 12
     halvings: int = 12
     converged: float = 1e-3

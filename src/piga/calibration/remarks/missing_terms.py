@@ -10,7 +10,7 @@ the record is smooth over a few samples, the columns of candidates are integrate
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -362,8 +362,12 @@ def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
     parameters = len(layout.columns) + len(extra[:2])
     parts = 1 if segments >= parameters + CANDIDATES.spare else math.ceil(CANDIDATES.pieces / segments)
     collected: list[list[Array]] = [[] for _ in range(segments)]
-    total = 0
-    for segment, weighted, formed in _weighted(fit, extra):
+    total, step = 0, smooth_step(design.run, CANDIDATES.sample_turn)
+
+    def sums(block: Block, starts: NDArray[np.int64], _h: Array) -> Array:
+        return np.stack(candidate_sums(fit, block, extra, starts, step))
+
+    for segment, weighted, formed in joined_rows(fit, sums, len(extra)):
         total += formed
         collected[segment].append(weighted)
     pieces = []
@@ -382,21 +386,23 @@ def _stated(fit: Fit) -> bool:
     return bool(fit.noise.stated) and fit.counted is None and fit.mode == "increments"
 
 
-def _weighted(fit: Fit, extra: list[str]) -> Iterator[tuple[int, Array, int]]:
-    """Segment, weighted rows ``[columns | extra | residual]`` and number of formed rows, block by block.
+def joined_rows(
+    fit: Fit, others: Callable[[Block, NDArray[np.int64], Array], Array], size: int
+) -> Iterator[tuple[int, Array, int]]:
+    """Segment, weighted rows ``[columns | others | residual]`` and number of formed rows, block by block.
 
-    With a stated scatter of the segments, the intervals are the first column.
+    Neighbouring increments are joined, so that there are some ``rows`` of them. ``others`` are ``size`` further columns (size, n)
+    of the joined intervals of a block, from their first rows and lengths. With a stated scatter of the segments, the intervals
+    are the first column.
     """
     design, mode = fit.design, "samples" if fit.mode == "samples" else "increments"
-    count, step = _joined(fit), smooth_step(design.run, CANDIDATES.sample_turn)
-    stated = _stated(fit)
-    whitener = Whitener(mode, fit.noise, len(design.names) + len(extra) + 1 + stated)
+    count, stated = _joined(fit), _stated(fit)
+    whitener = Whitener(mode, fit.noise, len(design.names) + size + 1 + stated)
     for block in design.blocks():
         values = fit.solution.values[block.segment]
         starts, h = block.joins(count)
         model = np.add.reduceat(block.columns, starts, axis=1)
-        others = np.stack(candidate_sums(fit, block, extra, starts, step))
-        columns = np.vstack([model[:-1], others, model[-1] - values @ model[:-1]])
+        columns = np.vstack([model[:-1], others(block, starts, h), model[-1] - values @ model[:-1]])
         if mode == "samples":
             columns = columns / np.sqrt(np.maximum(h, 1.0))
         if stated:

@@ -8,6 +8,8 @@ of the segments, without the model, are compared with waves of each period (docs
 The gain in chi-square by cosine and sine together is exponentially distributed for white noise, with mean two. About two
 periods per cycle in the record are independent.
 
+The slow rates come from joined rows, so a long record costs no more than a short one.
+
 What the model takes up of a wave is in no residual, so a wave is often not seen. Where it is seen, coloured noise is mostly in the
 covariance as well.
 """
@@ -22,9 +24,11 @@ from numpy.typing import NDArray
 
 from piga.calibration.fit.one_run import Fit
 from piga.calibration.intervals.coloured_noise import contrasts_of
-from piga.calibration.intervals.slow_noise import slow_factor
+from piga.calibration.intervals.slow_noise import triangle
+from piga.calibration.model.design import Block
 from piga.calibration.noise.components import RateBins
 from piga.calibration.noise.settings import NOISE
+from piga.calibration.remarks.missing_terms import joined_rows
 from piga.units import G0
 
 Array = NDArray[np.float64]
@@ -92,7 +96,7 @@ def slow_wave(fit: Fit) -> SlowWave | None:
     bins = RateBins.of(run)
     if fit.design.rows < NOISE.colour_least * bins.count or bins.widths.min() <= 0.0:
         return None
-    contrasts = contrasts_of(fit, slow_factor(fit, fit.noise, bins), bins)
+    contrasts = contrasts_of(fit, *joined_factor(fit, bins), bins)
     if contrasts is None:
         return None
     white = contrasts.rest / contrasts.fast
@@ -119,3 +123,27 @@ def _waves(bins: RateBins, cycles: float) -> Array:
     at = turn * bins.middles
     waves: Array = kept[:, None] * np.stack([np.cos(at), np.sin(at)], axis=1)
     return waves
+
+
+def joined_factor(fit: Fit, bins: RateBins) -> tuple[Array, int]:
+    """Triangular factor of ``[slow rates | parameters | residual]``, and the number of joined rows."""
+    design, m, size = fit.design, len(fit.design.names), bins.size
+
+    def columns(block: Block, starts: NDArray[np.int64], h: Array) -> Array:
+        ends = np.append(starts[1:], block.h.size) - 1
+        t = design.run.t[block.start : block.stop]
+        if not bins.point:
+            return bins.increments(np.asarray(t[ends]), h)
+        middles: Array = np.maximum(h, 0.0) * bins.increments(0.5 * (t[starts] + t[ends]), h)
+        return middles
+
+    parts, total = [], 0
+    for segment, rows, formed in joined_rows(fit, columns, size):
+        turned = rows[:, :m] @ fit.solution.jacobians[design.groups[segment]]
+        own = triangle(np.column_stack([rows[:, m : m + size], turned, rows[:, -1]]))
+        parts.append(bins.placed(own, segment))
+        total += formed
+    factor = triangle(np.vstack(parts))
+    kept = np.ones(factor.shape[1], dtype=bool)
+    kept[bins.count : -1] = factor[:, bins.count : -1].any(axis=0)
+    return factor[:, kept], total

@@ -54,6 +54,9 @@ class Thresholds:
 
 THRESHOLDS = Thresholds()
 
+NOISE_WORDS = ("coloured noise", "drift", "scatter", "slow wave", "not white")
+"""A doubt with one of these words warns of the noise of the record."""
+
 
 @dataclass(frozen=True)
 class Doubt:
@@ -82,6 +85,11 @@ class Verdict:
         if any(doubt.grave for doubt in self.doubts):
             return "bad"
         return "doubtful" if self.doubts else "good"
+
+    @property
+    def warns_of_noise(self) -> bool:
+        """True if a doubt is about the noise of the record."""
+        return any(word in doubt.what for doubt in self.doubts for word in NOISE_WORDS)
 
     @property
     def headline(self) -> str:

@@ -1,0 +1,202 @@
+"""Remark on coloured noise of the rate that the record does not exclude.
+
+Coloured noise is in the uncertainties where the record shows it (:mod:`~piga.calibration.intervals.coloured_noise`). Below, it
+is not, and a record of a few positions cannot show much of it: most of what flicker noise or a drift does to a coefficient is in
+the few slowest shapes of the record, which the model takes up. The remark therefore states the largest noise that the record does
+not exclude, and how much larger it would make an expanded uncertainty. It changes no number (own derivation, docs/theory/noise).
+
+The slow rates of the record come from joined rows, so a long record costs no more than a short one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from piga.calibration.fit.one_run import Fit, without_slow
+from piga.calibration.intervals.coloured_noise import contrasts_of
+from piga.calibration.intervals.slow_noise import moved_by
+from piga.calibration.model.solution import name_coefficients
+from piga.calibration.noise.components import RATES, RateBins, markov_times
+from piga.calibration.noise.likelihood import Profile
+from piga.calibration.noise.settings import NOISE
+from piga.calibration.remarks.slow_wave import joined_factor
+from piga.records.calibration import Coefficient
+from piga.records.calibration.verdict import THRESHOLDS
+from piga.units import G0
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class UnseenSettings:
+    """Limits for the remark on coloured noise that the record does not exclude.
+
+    Attributes
+    ----------
+    confidence:
+        Probability [1] that the level is below its limit.
+    growth:
+        Ratio [1] of the expanded uncertainty with the noise to the reported one above which the remark is made. An interval that
+        is too narrow by this ratio holds in 92 % instead of 95 %, the least that is asked of coloured noise.
+    size:
+        Smallest noise [g] that is worth a remark (own choice: the tables of docs/accuracy have 3.4 micro-g). It is the noise
+        of a decade of frequency (flicker), of the rate (Markov) or of the whole test (drift). Without it the remark would stand
+        in records of any length: the limit of the noise falls with the length as the uncertainties do.
+    shuffled:
+        Largest share [1] of the excess of the growth that another order of the positions leaves for it to be named.
+    stride:
+        Step from one position to the next in that order, as a share [1] of the positions (the golden section).
+    """
+
+    confidence: float = 0.95
+    growth: float = 1.12
+    size: float = 3e-6
+    shuffled: float = 0.5
+    stride: float = 0.381966
+
+
+UNSEEN = UnseenSettings()
+
+NOT_EXCLUDED = "the record does not exclude coloured noise of the rate"
+"""Beginning of the remark."""
+
+
+@dataclass(frozen=True)
+class UnseenNoise:
+    """Coloured noise of the rate that the record does not exclude.
+
+    ``kind`` and ``time`` [s] are those of a component (:mod:`piga.calibration.noise.components`), ``size`` [g] the limit of its
+    size. It would make the expanded uncertainty of ``coefficient`` ``growth`` times as large, ``shuffled`` times with the same
+    positions in another order. ``seconds`` [s] is the duration of a position. It must be ``longer`` times as long for the limit
+    to fall to the smallest size; nan where that is not known.
+    """
+
+    kind: str
+    time: float
+    size: float
+    coefficient: str
+    growth: float
+    shuffled: float
+    seconds: float
+    longer: float
+    positions: int
+
+    @property
+    def words(self) -> str:
+        """The remark in one sentence, and the test that would show the noise."""
+        size = f"{1e6 * self.size:.2g} ug" if math.isfinite(self.size) else "any size"
+        noise = {
+            "flicker": f"1/f noise up to {size} in a decade of frequency",
+            "markov": f"first-order Markov noise of about {self.time:.2g} s up to {size}",
+            "drift": f"a drift (random walk) up to {size} over the test",
+        }[self.kind]
+        return (
+            f"{NOT_EXCLUDED}: {noise} (95 %) would make the expanded uncertainty of {self.coefficient} "
+            f"{self.growth:.2g} times as large; {self._cure}"
+        )
+
+    @property
+    def _cure(self) -> str:
+        one = self.positions == 1
+        cure = "record more revolutions" if one else "record longer at each position"
+        if math.isfinite(self.longer):
+            needed = f"about {float(f'{self.longer * self.seconds:.2g}'):g} s instead of {self.seconds:.3g} s"
+            whole = f"a record of {needed}" if one else f"positions of {needed}"
+            cure = f"{whole} would show such noise or exclude {1e6 * UNSEEN.size:.2g} ug of it"
+        if one or self.shuffled - 1.0 > UNSEEN.shuffled * (self.growth - 1.0):
+            return cure
+        return (
+            f"{cure}; in a shuffled order of the same positions it would be {max(self.shuffled, 1.0):.1f} times"
+        )
+
+
+def unseen_noise(fit: Fit, coefficients: tuple[Coefficient, ...]) -> UnseenNoise | None:
+    """The coloured noise that a record does not exclude; None if it is small or would not widen an interval much.
+
+    Not for records with a doubt about coloured noise, or with a drift or scatter in the uncertainties; not with given noise
+    levels, a stated scatter or coarse counts, nor with methods other than whitened least squares in one go.
+
+    Parameters
+    ----------
+    fit:
+        The finished fit.
+    coefficients:
+        Those of the result, with combined uncertainties.
+    """
+    run, request = fit.design.run, fit.design.request
+    able = fit.mode in ("increments", "samples") and request.method == "information" and fit.counted is None
+    told = fit.noise.slow > 0.0 or (fit.colour is not None and fit.colour.gain > THRESHOLDS.coloured)
+    if not able or told or request.angle_rms is not None or fit.noise.stated:
+        return None
+    if len(run.labels) > NOISE.most_segments:
+        return None
+    bins = RateBins.of(run, coarse=True)
+    if fit.design.rows < NOISE.colour_least * bins.count or bins.widths.min() <= 0.0:
+        return None
+    plain = without_slow(fit)
+    factor, rows = joined_factor(plain, bins)
+    contrasts = contrasts_of(plain, factor, rows, bins)
+    moved = moved_by(factor, bins, len(plain.solution.amplitudes) + len(plain.solution.phases))
+    if contrasts is None or moved is None:
+        return None
+    walk = 0.0 if bins.point else plain.noise.walk
+    profile = Profile.of(contrasts, contrasts.turned(walk * RATES["walk"](bins, 0.0)) if walk else None)
+    expanded = np.array([c.expanded for c in coefficients]) / float(ndtri(0.5 + 0.5 * UNSEEN.confidence))
+    white = _variances(plain, plain.solution.covariance) * (plain.sample_variance if bins.point else 1.0)
+    without = np.array([c.std**2 for c in coefficients]) - _variances(fit, fit.covariance) + white
+    lost = walk * _shares(plain, moved, RATES["walk"](bins, 0.0))
+    seconds = float(np.median(bins.edges[:, -1] - bins.edges[:, 0]))
+    worst: UnseenNoise | None = None
+    times = [("markov", float(time)) for time in markov_times(bins)]
+    for kind, time in (("flicker", 0.0), *times, ("drift", 0.0)):
+        rates = RATES[kind](bins, time)
+        unit = contrasts.turned(rates)
+        per_size = (fit.design.scale_factor * G0) ** 2 / (np.diag(rates).mean() if kind == "drift" else 1.0)
+        if profile.excludes(unit, UNSEEN.size**2 * per_size, UNSEEN.confidence):
+            continue
+        limit = profile.limit(unit, UNSEEN.confidence)
+        size = math.sqrt(limit.level / per_size)
+        grown, other = (
+            np.sqrt(np.maximum(without + limit.level * _shares(plain, one, rates) - limit.replaced * lost, 0.0))
+            / expanded
+            for one in (moved, moved[:, _shuffled(bins)])
+        )
+        at = int(grown.argmax())
+        if size > UNSEEN.size and grown[at] > max(UNSEEN.growth, 0.0 if worst is None else worst.growth):
+            worst = UnseenNoise(
+                kind=kind,
+                time=time,
+                size=size,
+                coefficient=coefficients[at].name,
+                growth=float(grown[at]),
+                shuffled=float(other[at]),
+                seconds=seconds,
+                longer=math.nan if kind == "markov" else (size / UNSEEN.size) ** 2,
+                positions=len(run.labels),
+            )
+    return worst
+
+
+def _variances(fit: Fit, covariance: Array) -> Array:
+    """Variances of the coefficients (file units) for a covariance of the parameters."""
+    return np.diag(name_coefficients(fit.design, fit.solution, covariance)[1]).copy()
+
+
+def _shares(fit: Fit, moved: Array, rates: Array) -> Array:
+    """Variances of the coefficients by a covariance of the slow rates."""
+    return _variances(fit, moved @ rates @ moved.T)
+
+
+def _shuffled(bins: RateBins) -> NDArray[np.int64]:
+    """Parts of the record if the positions were visited in steps of ``stride``: the same parts of each, at other times."""
+    count = bins.edges.shape[0]
+    step = max(round(UNSEEN.stride * count), 1)
+    while math.gcd(step, count) > 1:
+        step += 1
+    order = np.argsort((step * np.arange(count)) % count)
+    return (bins.size * order[:, None] + np.arange(bins.size)).ravel()
