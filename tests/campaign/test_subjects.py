@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,10 @@ import piga
 from piga.campaign import collect, document, open_campaign, plan_campaign, read_campaign
 from piga.campaign.manifest import Archive
 from piga.campaign.shard import run_shard
-from piga.campaign.subjects import NOISE_DOUBTED, NOISE_LEFT, compute, seed_of
+from piga.campaign.subjects import NOISE_DOUBTED, NOISE_LEFT, compute, of_calibration, seed_of
 from piga.cli.main import app
+from tests.calibration.made.coloured_truth import LOG
+from tests.calibration.made.independent import head
 from tests.campaign.small import ROOT, collected, rows, written
 
 EXAMPLES = ROOT / "examples" / "campaigns"
@@ -240,6 +243,7 @@ def test_archive_against_the_store(archive, tmp_path):
     assert "1 records are not in the store" in page
 
 
+RATES = replace(LOG, forces=head(12), seconds=20.0, pause=10.0)
 LOGGED = """
 [campaign]
 repeats = 1
@@ -265,6 +269,12 @@ def test_seen_has_what_the_record_says_of_its_noise(tmp_path):
         return compute(plan, plan.find(0, 0)).seen
 
     assert NOISE_LEFT in seen(LOGGED)
+    quiet = piga.calibrate(RATES.record(2), RATES.terms)
+    assert NOISE_LEFT in of_calibration(quiet, np.full(len(quiet), np.nan)).seen
+    doubted = replace(quiet, notes=(*quiet.notes, "the rates have a slow wave"))
+    said = of_calibration(doubted, np.full(len(quiet), np.nan)).seen
+    assert NOISE_DOUBTED in said
+    assert NOISE_LEFT not in said
     loud = seen(LOGGED.replace("truth =", 'flicker = "6e-5 rad/s"\ntruth ='))
     assert NOISE_DOUBTED in loud
     assert NOISE_LEFT not in loud

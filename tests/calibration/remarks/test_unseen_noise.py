@@ -220,7 +220,13 @@ def test_where_it_is_not_needed() -> None:
     assert remarks_of(piga.calibrate(run, SMALL.terms, "rate" if run.kind == "angle" else "recursive")) == []
     fit = fitted(SMALL, 2)
     coefficients = piga.calibrate(run, SMALL.terms).coefficients
-    assert unseen_noise.unseen_noise(fit, coefficients) is not None
+    alone = unseen_noise.unseen_noise(fit, coefficients)
+    assert alone is not None
+    twice = unseen_noise.unseen_noise(fit, tuple(replace(c, std=2.0 * c.std) for c in coefficients))
+    assert twice is not None
+    assert twice.growth == pytest.approx(math.sqrt(3.0 + alone.growth**2) / 2.0, rel=1e-3), (
+        "as much again of Type B"
+    )
     vague = tuple(replace(c, std=20.0 * c.std) for c in coefficients)
     assert unseen_noise.unseen_noise(fit, vague) is None
 
