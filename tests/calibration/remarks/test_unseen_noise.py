@@ -17,7 +17,7 @@ from piga.calibration.intervals.coloured_noise import contrasts_of
 from piga.calibration.intervals.slow_noise import moved_by, slow_factor
 from piga.calibration.model.request import make_request
 from piga.calibration.noise.components import RATES, RateBins
-from piga.calibration.noise.likelihood import Contrasts, Profile
+from piga.calibration.noise.likelihood import Contrasts, Profile, UpperLimit
 from piga.calibration.remarks import missing_terms, unseen_noise
 from piga.calibration.remarks.slow_wave import joined_factor
 from piga.calibration.remarks.unseen_noise import NOT_EXCLUDED, UNSEEN
@@ -229,6 +229,31 @@ def test_where_it_is_not_needed() -> None:
     )
     vague = tuple(replace(c, std=20.0 * c.std) for c in coefficients)
     assert unseen_noise.unseen_noise(fit, vague) is None
+
+
+@pytest.mark.only_compiled
+def test_a_drift_in_the_uncertainties_needs_no_remark() -> None:
+    angles = replace(HEAD, forces=head(12), seconds=60.0)
+    drifting = Drifting(**(vars(angles) | {"drift": 2e-5}))
+    calibration = piga.calibrate(drifting.record(1), angles.terms)
+    assert calibration.bias_drift > 0.0
+    assert remarks_of(calibration) == []
+
+
+@pytest.mark.only_compiled
+def test_what_the_noise_takes_the_place_of_is_subtracted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An angle log whose noise is all walk: 90 % of the walk is 90 % of the squared standard uncertainty."""
+    angles = replace(HEAD, forces=head(12), seconds=20.0, white=1e-7, walk=2e-5)
+    fit, coefficients = fitted(angles, 1), piga.calibrate(angles.record(1), angles.terms).coefficients
+    grown = []
+    for share in (0.0, 0.9):
+        limit = UpperLimit(1e-10, share)
+        monkeypatch.setattr(Profile, "limit", lambda *_, limit=limit: limit)
+        monkeypatch.setattr(Profile, "excludes", lambda *_: False)
+        found = unseen_noise.unseen_noise(fit, coefficients)
+        assert found is not None
+        grown.append(found.growth)
+    assert grown[0] ** 2 - grown[1] ** 2 == pytest.approx(0.9, rel=0.1)
 
 
 def test_words_of_every_kind() -> None:
