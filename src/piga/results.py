@@ -42,7 +42,7 @@ DOORS = {
     "run_from_table": "piga.stand.table_run:run_from_table",
     "stand_reference": "piga.stand.run_reference:stand_reference",
     "visits": "piga.reading.raw_columns:Visits",
-    "correlated": "piga.formats.correlated:correlated",
+    "correlated": "piga.formats.tables:correlated",
 }
 """Functions of upper rooms that methods of results call: ``module:function`` by what they do."""
 

@@ -131,7 +131,7 @@ def test_exact_coefficients_correlate_with_none():
 
 
 def test_without_a_library_the_extra_is_named(cal, monkeypatch):
-    import piga.formats.correlated as module
+    import piga.formats.tables as module
 
     monkeypatch.setattr(module, "find_spec", lambda name: None if name == "uncertainties" else object())
     assert "GTC" in type(next(iter(cal.correlated().values()))).__module__

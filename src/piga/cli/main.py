@@ -18,9 +18,7 @@ from piga.cli.computed import campaign, platform
 from piga.cli.computed.plan import plan
 from piga.cli.computed.reproduce import reproduce
 from piga.cli.computed.simulate import simulate
-from piga.cli.help.completion import completion
-from piga.cli.help.examples import examples
-from piga.cli.help.words import methods, terms
+from piga.cli.help.words import completion, examples, methods, terms
 from piga.cli.kept import certificate, records, trend
 from piga.cli.recorded.calibrate import calibrate, demo
 from piga.cli.recorded.check import check, convert

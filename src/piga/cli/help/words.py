@@ -1,15 +1,18 @@
-"""``piga terms``, ``piga methods`` and ``piga check --explain``: what words of the files mean."""
+"""``piga terms``, ``methods``, ``examples``, ``completion`` and ``check --explain``: what helps to write files and commands."""
 
 from __future__ import annotations
 
 import difflib
 import re
-from typing import TYPE_CHECKING, Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from piga.cli.common import JsonOption, print_json, say
+from piga.cli.common import ForceOption, JsonOption, print_json, say
+from piga.data import example_files
 from piga.errors import ArgumentError
+from piga.output import results
 
 if TYPE_CHECKING:
     from piga.describe.keys import KeyPlace
@@ -128,3 +131,48 @@ def methods(as_json: JsonOption = False) -> None:
     for name, (what, use) in METHOD_WORDS.items():
         say(f"{name}: {what}")
         say(f"  use it   {use}")
+
+
+def examples(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files.")] = Path("examples"),
+    force: ForceOption = False,
+) -> None:
+    """Write all example files, as the how-tos use them.
+
+    Run the commands of the how-tos in the folder that holds DIR.
+    """
+    texts = example_files()
+    with results(out, "examples", tuple(texts), (), force=force) as folder:
+        for name, content in texts.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+    for name in texts:
+        say(f"wrote {out / name}")
+    say(f"Try: piga simulate {out / 'dividing-head.toml'} --out head; piga calibrate head/run.toml")
+
+
+WHERE = {
+    "bash": "piga completion bash >> ~/.bashrc",
+    "zsh": "piga completion zsh > ~/.zfunc/_piga, with 'fpath+=~/.zfunc; autoload -Uz compinit; compinit' in ~/.zshrc",
+    "fish": "piga completion fish > ~/.config/fish/completions/piga.fish",
+}
+"""How to install the script of each shell."""
+
+
+def completion(
+    shell: Annotated[
+        Literal["bash", "zsh", "fish"],
+        typer.Argument(metavar="SHELL", help="bash, zsh or fish.", show_default=False),
+    ],
+) -> None:
+    """Print the script for completion with Tab.
+
+    Install it with: piga completion bash >> ~/.bashrc; zsh: into a file _piga of your fpath; fish:
+    piga completion fish > ~/.config/fish/completions/piga.fish. Then open a new shell.
+    """
+    from typer._completion_shared import get_completion_script
+
+    say(f"# {WHERE[shell]}" if shell != "zsh" else "#compdef piga")
+    script = get_completion_script(prog_name="piga", complete_var="_PIGA_COMPLETE", shell=shell)
+    say(script.removeprefix("#compdef piga").strip())
