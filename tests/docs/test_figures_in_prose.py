@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 
 import pytest
-from scipy.stats import norm
+from scipy.stats import binomtest, norm
 
 from piga.calibration.budget.monte_carlo import MONTE_CARLO
 from piga.calibration.classical.revolutions import REVOLUTIONS
@@ -116,6 +117,31 @@ def test_calibration(sentence: str) -> None:
 
 def test_servo() -> None:
     assert f"by `s g²`: {1e6 * servo_term():.0f} ppm for the instrument above" in text("servo")
+
+
+def test_the_servo_body_is_as_near_as_the_page_says() -> None:
+    """The measured fall of the mean rate against ``s a_t^2``: to 1e-4 of it, and to the digits of the table."""
+    for figure in measured("servo-body"):
+        across = math.sin(math.radians(float(figure["column"].split()[0])))
+        assert figure["value"] == pytest.approx(-1e6 * servo_term() * across**2, rel=1e-4, abs=5e-5)
+    assert "is right to 1e-4 of the change" in text("servo")
+
+
+def test_mutation() -> None:
+    sample = [one for one in measured("mutation") if "version" not in one]  # those of the page: 0.1.0
+    noticed, of = (
+        int(sum(one["value"] for one in sample if one["column"] == name)) for name in ("noticed", "of")
+    )
+    interval = binomtest(noticed, of).proportion_ci(0.95, method="wilson")
+    words = re.sub(r"\s+", " ", (DOCS / "quality.md").read_text(encoding="utf-8"))
+    share = f"{noticed} were noticed: {100 * noticed / of:.0f} %"
+    assert f"{share}, with a 95 % interval of {100 * interval.low:.0f} to {100 * interval.high:.0f} %" in words
+    assert f"all numerics: {of} mutants" in words
+    assert f"of the {of - noticed} survivors" in words
+
+
+def measured(name: str) -> list[dict]:
+    return json.loads((DOCS / "measured" / f"{name}.json").read_text(encoding="utf-8"))["figures"]
 
 
 def text(page: str) -> str:
