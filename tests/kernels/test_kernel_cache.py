@@ -136,3 +136,22 @@ def test_a_module_that_a_cached_kernel_calls_has_another_name_now(tmp_path: Path
             env=environment,
         )
         assert (done.stdout.strip(), done.stderr) == ("42.0", ""), name
+
+
+@pytest.mark.only_compiled
+def test_a_kept_kernel_is_loaded_without_the_compiler(tmp_path: Path) -> None:
+    """A kernel that allocates memory: right again in a new process, in which the parts that only compile are not loaded."""
+    kernel = "import numpy as np\nfrom piga._kernels.jit import kernel\n\n@kernel\ndef twice(x):\n"
+    kernel += "    held = np.empty(2)\n    held[0] = held[1] = x\n    return held[0] + held[1]\n"
+    (tmp_path / "small.py").write_text(kernel)
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "0", "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    program = PROGRAM + "print('numba.np.linalg' in sys.modules)\n"
+    for loaded in ("True", "False"):
+        done = subprocess.run(
+            [sys.executable, "-c", program, str(tmp_path)],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=environment,
+        )
+        assert (done.stdout.split(), done.stderr) == (["42.0", loaded], "")

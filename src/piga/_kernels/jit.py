@@ -20,6 +20,7 @@ import numba
 from numba import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.runtime import rtsys
 
 try:
     import fcntl
@@ -99,6 +100,16 @@ class _SoundCacheFile(IndexDataCacheFile):
             Path(path).unlink()
 
 
+class _LoadedCache(FunctionCache):
+    """Cache of a kernel. It loads compiled code without the parts of Numba that only compiling needs."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled code for a signature, or None. Of Numba, compiled code needs only the memory manager."""
+        rtsys.initialize(target_context)  # type: ignore[no-untyped-call]
+        with self._guard_against_spurious_io_errors():  # type: ignore[no-untyped-call]
+            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+
+
 def _hold(folder: Path) -> IO[bytes] | None:
     """Hold the lock of a folder until the returned file is closed; None if the lock is not available.
 
@@ -162,6 +173,7 @@ def _compiled(function: F, fastmath: bool | set[str]) -> F:
         made = numba.njit(fastmath=fastmath, **(options | {"cache": False}))(function)
     cache = getattr(made, "_cache", None)
     if isinstance(cache, FunctionCache):
+        cache.__class__ = _LoadedCache
         cache._cache_file.__class__ = _SoundCacheFile
         made.compile = _Turn(made.compile, Path(cache.cache_path))
     return cast("F", made)

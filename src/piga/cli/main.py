@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import os
 import sys
 import traceback
@@ -30,6 +31,8 @@ from piga.errors import EXTRAS, CalibrationWarning, PigaError, PigaWarning, miss
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """One BLAS thread, because the matrices are small. More threads would wait for each other, for seconds on a busy machine."""
 
+RARELY = 100_000
+"""New objects between two searches for garbage: most objects of a command are made at its start and stay."""
 COMPLETE = "_PIGA_COMPLETE"
 """Environment variable by which a shell asks for completions."""
 STOPPED = 130
@@ -100,6 +103,7 @@ def main() -> None:
 
     Doubts about a calibration are printed with its result. Other warnings of piga are lines on stderr.
     """
+    gc.set_threshold(RARELY)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CalibrationWarning)
         show = warnings.showwarning

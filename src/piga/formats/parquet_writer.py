@@ -70,7 +70,7 @@ def write_run_parquet(run: Run, path: Path) -> None:
         "quality": json.dumps(msgspec.to_builtins(run.quality)),
     }
     schema = pa.schema(fields, metadata=metadata)
-    with parquet.ParquetWriter(path, schema, compression="zstd") as out:
+    with parquet.ParquetWriter(path, schema, compression="zstd", use_dictionary=_texts(schema)) as out:
         for start in range(0, run.size, GROUP_ROWS):
             trim()
             columns = _columns(run, slice(start, start + GROUP_ROWS))
@@ -89,6 +89,13 @@ def arrow_array(column: Column) -> pa.Array:
 def _columns(run: Run, part: slice) -> dict[str, tuple[Any, str]]:
     """Arrow arrays of a slice of rows with their units, by name."""
     return {name: (arrow_array(column), column.unit) for name, column in run.table_columns(part).items()}
+
+
+def _texts(schema: pa.Schema) -> list[str]:
+    """Columns of texts. Only they repeat few values: a dictionary of measured numbers would take time and space."""
+    import pyarrow as pa
+
+    return [f.name for f in schema if not (pa.types.is_floating(f.type) or pa.types.is_integer(f.type))]
 
 
 def data_table(run: Run, file: str) -> str:
@@ -141,4 +148,4 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
         fields, metadata={"serial": calibration.serial, "software": calibration.provenance.software}
     )
     table = pa.Table.from_arrays([array for array, _ in columns.values()], schema=schema)
-    parquet.write_table(table, path, compression="zstd")
+    parquet.write_table(table, path, compression="zstd", use_dictionary=_texts(schema))

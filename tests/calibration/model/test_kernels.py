@@ -185,7 +185,7 @@ def test_likelihood_is_that_of_the_dense_covariance() -> None:
     d[20] = 0.0
     kappas = np.geomspace(1e-3, 1e3, CANDIDATES)
     log, square = np.zeros(CANDIDATES), np.zeros(CANDIDATES)
-    likelihoods(d, h, kappas, log, square)
+    likelihoods(d, h, kappas, np.empty((4, CANDIDATES)), log, square)
     for kappa, found_log, found_square in zip(kappas, log, square, strict=True):
         wanted_log = wanted_square = 0.0
         for part in (slice(0, 20), slice(21, 50)):

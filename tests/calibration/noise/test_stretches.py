@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga._kernels.estimation.noise import add_waves
+from piga._kernels.estimation.noise import WAVES, add_waves
 from piga.calibration.fit.one_run import fit_run, refine_counted
 from piga.calibration.model import design as design_module
 from piga.calibration.model.design import DESIGN, Design
@@ -24,8 +24,9 @@ def test_waves_are_powers_of_the_first() -> None:
     turned = 1e5 * rng.random(50)
     edges = np.array([0, 13, 20, 41, 60])
     cosines, sines = np.zeros((8, 4)), np.zeros((8, 4))
-    add_waves(turned[:20], 7, edges, cosines, sines)
-    add_waves(turned[20:], 27, edges, cosines, sines)
+    work = np.empty((4, WAVES))
+    add_waves(turned[:20], 7, edges, work, cosines, sines)
+    add_waves(turned[20:], 27, edges, work, cosines, sines)
     wave = np.exp(2j * math.pi * np.outer(np.arange(1, 9), turned))
     bins = np.searchsorted(edges, np.arange(7, 57), side="right") - 1
     expected = np.stack([wave[:, bins == k].sum(axis=1) for k in range(4)], axis=1)
@@ -102,7 +103,7 @@ def test_power_over_white_is_one_for_white_noise() -> None:
     over = []
     for _ in range(250):
         tooth = SawTooth.of(stretch, 1e-4)
-        add_waves(rng.random(stretch.size), 0, stretch.edges, tooth.cosines, tooth.sines)
+        add_waves(rng.random(stretch.size), 0, stretch.edges, np.empty((4, WAVES)), tooth.cosines, tooth.sines)
         over.append(tooth.over_white())
     np.testing.assert_allclose(np.mean(over, axis=0), 1.0, atol=0.3)
     assert np.mean(over) == pytest.approx(1.0, abs=0.04)
@@ -113,7 +114,14 @@ def test_one_line_is_not_white() -> None:
     """A single contrast with twenty times the power of white noise."""
     stretch = empty_stretches(scanned(50.3, 0.5)[0].run, 160, 0)[0]
     tooth = SawTooth.of(stretch, 1e-4)
-    add_waves(np.random.default_rng(7).random(stretch.size), 0, stretch.edges, tooth.cosines, tooth.sines)
+    add_waves(
+        np.random.default_rng(7).random(stretch.size),
+        0,
+        stretch.edges,
+        np.empty((4, WAVES)),
+        tooth.cosines,
+        tooth.sines,
+    )
     assert looks_white([tooth])
     power = (stretch.contrasts**2 / np.diff(stretch.edges)).sum(axis=1)[20] * tooth.power.sum() / tooth.power[0]
     tooth.cosines[0] += math.sqrt(20.0 * power) * stretch.contrasts[20] * np.diff(stretch.edges)

@@ -73,17 +73,13 @@ def whiten(columns: Array, carry: Array, scale: Array, state: Array, out: Array)
 
 
 @kernel
-def likelihoods(d: Array, h: Array, kappas: Array, out_log: Array, out_square: Array) -> None:
+def likelihoods(d: Array, h: Array, kappas: Array, work: Array, out_log: Array, out_square: Array) -> None:
     """Sums of ``log v`` and ``i^2/v`` of the residual increments for each of CANDIDATES candidates of kappa.
 
-    Logarithms are taken of products of 16 variances. Accumulates into ``out_log`` and ``out_square``.
+    Logarithms are taken of products of 16 variances. Accumulates into ``out_log`` and ``out_square``. ``work``
+    (4, CANDIDATES) is scratch space.
     """
-    inverse, last, product, square = (
-        np.empty(CANDIDATES),
-        np.empty(CANDIDATES),
-        np.empty(CANDIDATES),
-        np.empty(CANDIDATES),
-    )
+    inverse, last, product, square = work[0], work[1], work[2], work[3]
     for k in range(CANDIDATES):
         inverse[k] = last[k] = square[k] = 0.0
         product[k] = 1.0
@@ -122,19 +118,16 @@ WAVES = 64
 
 
 @reducing_kernel
-def add_waves(turned: Array, first: int, edges: NDArray[np.int64], cosines: Array, sines: Array) -> None:
+def add_waves(
+    turned: Array, first: int, edges: NDArray[np.int64], work: Array, cosines: Array, sines: Array
+) -> None:
     """Add ``exp(2 pi i m turned)``, m = 1 .. M, of a path [counts] to sums over bins (M, bins).
 
     The first sample is ``first`` rows behind the start from which ``edges`` (bins + 1,) are counted. Samples of a bin
-    are worked on side by side, up to WAVES of them.
+    are worked on side by side, up to WAVES of them. ``work`` (4, WAVES) is scratch space.
     """
     harmonics = cosines.shape[0]
-    c, s, re, im = (
-        np.empty(WAVES),
-        np.empty(WAVES),
-        np.empty(WAVES),
-        np.empty(WAVES),
-    )
+    c, s, re, im = work[0], work[1], work[2], work[3]
     at = j = 0
     while j < turned.size:
         if first + j >= edges[at + 1]:

@@ -178,7 +178,7 @@ def deviance_sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
     results = [(np.zeros(CANDIDATES), np.zeros(CANDIDATES)) for _ in parts]
     with workers(d.size, 2) as pool:
         jobs = [
-            pool.submit(likelihoods, part[0], part[1], kappas, result[0], result[1])
+            pool.submit(likelihoods, *part, kappas, np.empty((4, CANDIDATES)), *result)
             for part, result in zip(parts, results, strict=True)
         ]
         for job in jobs:

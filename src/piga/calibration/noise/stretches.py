@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation.noise import add_waves, saw_tooth_covariance
+from piga._kernels.estimation.noise import WAVES, add_waves, saw_tooth_covariance
 from piga.calibration.model.design import Block, Design
 from piga.calibration.model.solution import Solution
 from piga.calibration.noise.settings import NOISE
@@ -247,11 +247,11 @@ class SawTooth:
 def follow(design: Design, stretches: list[Stretch], count: float, values: Array) -> list[SawTooth]:
     """The saw-tooth of every stretch along the path of column coefficients ``values`` (segments, m)."""
     teeth = {stretch.start: SawTooth.of(stretch, count) for stretch in stretches}
-    output = design.run.output
+    output, work = design.run.output, np.empty((4, WAVES))
     for stretch, first, rows, residual in angle_pieces(stretches, _residuals(design, values)):
         tooth = teeth[stretch.start]
         turned = (output[rows] - output[stretch.start] - residual) / count
-        add_waves(turned, first, stretch.edges, tooth.cosines, tooth.sines)
+        add_waves(turned, first, stretch.edges, work, tooth.cosines, tooth.sines)
     return list(teeth.values())
 
 

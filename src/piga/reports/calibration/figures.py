@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.allan import AllanDeviation, allan_deviation, drift_line, model_deviation
+from piga.calibration.fit.residuals import add_lagged_products
 from piga.records.calibration import Calibration, Residuals
 from piga.records.terms import shown_unit
 from piga.reports.calibration.tables import budget_shares, residual_quantity, shown_segments, source_in_words
@@ -488,7 +489,7 @@ def whiteness_figure(residuals: Residuals) -> Figure:
     """Distribution and autocorrelation of the whitened residuals."""
     innovation = np.asarray(residuals.innovation, dtype=float)
     innovation = innovation[np.isfinite(innovation)]
-    density, edges = np.histogram(innovation, bins=np.linspace(-5.0, 5.0, 51), density=True)
+    density, edges = np.histogram(innovation, bins=50, range=(-5.0, 5.0), density=True)
     centre = 0.5 * (edges[1:] + edges[:-1])
     normal = np.exp(-0.5 * centre**2) / math.sqrt(2.0 * math.pi)
     lags, correlation = autocorrelation(innovation, _LAGS)
@@ -534,9 +535,9 @@ def autocorrelation(values: Array, lags: int) -> tuple[Array, Array]:
     """Autocorrelation of ``values`` at lags 1 to ``lags``."""
     lags = min(lags, max(values.size - 2, 0))
     centred = values - values.mean() if values.size else values
-    total = float(centred @ centred) or 1.0
-    correlation = [float(centred[lag:] @ centred[:-lag]) / total for lag in range(1, lags + 1)]
-    return np.arange(1.0, lags + 1.0), np.array(correlation)
+    products = np.zeros(lags + 1)
+    add_lagged_products(centred, products)
+    return np.arange(1.0, lags + 1.0), products[1:] / (products[0] or 1.0)
 
 
 def segment_figure(cal: Calibration) -> Figure:

@@ -27,10 +27,9 @@ TURNS_NEEDED = 2.0
 
 _TAPER_LOSS = 1.5  # variance of an amplitude under the raised cosine, against equal weights
 
-LONG, JOINED = 1 << 16, 0.25
+LONG, JOINED = 1 << 16, 0.6
 """Samples from which neighbours are joined for the spectrum, and how far the highest order may turn [rad] over those
-joined: its amplitude is then too small by at most 0.3 %, that of the first order by 1e-4; the floor beside a strong line
-changes by less than 1 % of that line."""
+joined: the floor beside a strong line changes by less than 1 % of that line."""
 
 _CHUNK = 8192
 _STANDING = 1e-7
@@ -161,7 +160,9 @@ def _spectrum(
         shown = (order * segment.turns >= TURNS_NEEDED) & (segment.turns >= enough)
         if not shown.any():
             continue
-        square, information = _segment_power(_joined(segment, highest), step, order.size, scale_factor)
+        joined = _joined(segment, highest)
+        square, information = _segment_power(joined, step, order.size, scale_factor)
+        square /= _left_by_joining(segment, joined, order) ** 2
         square = np.vstack((square, _noise_power(segment, order, noise) / scale_factor**2))
         good = shown & (information > 0.0)
         power[:, good] += information[good] * square[:, good]
@@ -183,6 +184,17 @@ def _joined(segment: _Segment, highest: float) -> _Segment:
     means = segment.residual[:, :stop].reshape(2, -1, width).mean(axis=2)
     middle = slice(width // 2, stop, width)
     return _Segment(segment.t[middle], segment.psi[middle], means, segment.index)
+
+
+def _left_by_joining(segment: _Segment, joined: _Segment, order: Array) -> Array:
+    """Share of an amplitude that the means over w samples keep, to second order.
+
+    A wave that turns by x between samples keeps ``sin(w x/2)/(w sin(x/2)) = 1 - (w^2 - 1) x^2/24``. Its integral, of
+    which the amplitude is estimated, is larger where the output turns slowly: x^2 is averaged with weights 1/x^2.
+    """
+    width = segment.t.size // joined.t.size
+    square = np.maximum((np.diff(joined.psi) / width) ** 2, _STANDING**2)
+    return 1.0 - (width**2 - 1.0) * order**2 / float(np.mean(1.0 / square)) / 24.0
 
 
 def _noise_power(segment: _Segment, order: Array, noise: tuple[float, float]) -> Array:
