@@ -6,6 +6,7 @@ import ipaddress
 import json
 import os
 import random
+import re
 import signal
 import socket
 import subprocess
@@ -156,6 +157,10 @@ def test_off_the_local_machine_tls_is_required(tmp_path):
     assert code == 2
     assert "there are no TLS certificates" in err
     assert "distributed.comm.tls" in err
+    title = re.search("as the page '(.*)' shows", err)
+    page = ROOT / "docs" / "how-to" / "campaigns.md"
+    assert title is not None
+    assert page.read_text(encoding="utf-8").startswith(f"# {title[1]}\n"), "the page that the remedy names"
 
 
 @pytest.mark.parametrize(

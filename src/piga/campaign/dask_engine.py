@@ -51,7 +51,7 @@ class DaskEngine:
             raise PigaError(
                 f"--executor {address}: is not on this machine, and there are no TLS certificates",
                 remedy="a cluster runs whatever code it is sent: set distributed.comm.tls in Dask's configuration "
-                "(ca-file, client.cert, client.key), as the page 'Run a campaign on a cluster' shows",
+                "(ca-file, client.cert, client.key), as the page 'Run thousands of tests' shows",
             )
         if secure:
             security.require_encryption = True
