@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import gzip
+import hashlib
 import os
 import shutil
 import subprocess
@@ -25,6 +26,10 @@ PIP_INSTALL = [
     "--disable-pip-version-check",
     "--no-compile",
 ]  # what is used compiles itself
+INSTALLERS = 3
+"""Number of pip processes that set up an environment."""
+BYTECODE = {"PYTHONDONTWRITEBYTECODE": ""}
+"""Kept in any case: the tests start several hundred processes, which would compile the same modules again."""
 PYTHONS = ("python3.11", "python3.12", "python3.13", "python3.14")
 
 
@@ -34,26 +39,77 @@ def programs_of(folder: Path) -> Path:
 
 
 def environment(name: str, requirements: str) -> Path:
-    """A virtual environment ``name`` with the pinned requirements and piga itself; returns its programs."""
+    """A virtual environment ``name`` with the pinned requirements and piga itself; returns its programs.
+
+    New requirements make it anew. Changed sources install piga again. Otherwise it stays as it is, with its compiled kernels.
+    """
     folder = ROOT / name
     programs = programs_of(folder)
     python = programs / ("python.exe" if os.name == "nt" else "python")
-    if not python.exists():
-        print(f"setting up {folder.name} ...", flush=True)
+    pip = [str(python), "-m", "pip", *PIP_INSTALL, "--no-deps"]
+    pinned, sources = digest([ROOT / requirements], sys.version), digest(package_files())
+    commands: list[list[str]] = []
+    if not python.exists() or kept(folder / "requirements.sha256") != pinned:
+        print(f"setting up {folder.name}: about half a minute, and the download of the packages", flush=True)
         venv.create(folder, with_pip=True, clear=True)
-    pip = [str(python), "-m", "pip", *PIP_INSTALL]
-    call([*pip, "--require-hashes", "--only-binary", ":all:", "-r", str(ROOT / requirements)])
-    call([*pip, "--no-deps", "--force-reinstall", str(ROOT)])
+        for k, part in enumerate(parts_of(ROOT / requirements)):
+            listed = folder / f"requirements-{k}.txt"
+            listed.write_text(part, "utf-8")
+            commands.append([*pip, "--require-hashes", "--only-binary", ":all:", "-r", str(listed)])
+    if commands or kept(folder / "piga.sha256") != sources:
+        together([*commands, [*pip, "--force-reinstall", str(ROOT)]])
+        call([str(python), "-m", "pip", "check", "--disable-pip-version-check"])
+        (folder / "requirements.sha256").write_text(pinned, "utf-8")
+        (folder / "piga.sha256").write_text(sources, "utf-8")
     return programs
+
+
+def parts_of(requirements: Path) -> list[str]:
+    """A file of pinned requirements in parts that are installed at the same time: pip uses one core only."""
+    lines = [line for line in requirements.read_text("utf-8").splitlines() if not line.startswith("#")]
+    starts = [k for k, line in enumerate(lines) if line[:1].strip()]
+    blocks = ["\n".join(lines[i:j]) for i, j in zip(starts, [*starts[1:], len(lines)], strict=True)]
+    return ["\n".join(blocks[k::INSTALLERS]) + "\n" for k in range(INSTALLERS)]
+
+
+def package_files() -> list[Path]:
+    """What the installed package is made of."""
+    folders = [path for top in ("src", "examples") for path in sorted((ROOT / top).rglob("*"))]
+    files = [path for path in folders if path.is_file() and path.parent.name != "__pycache__"]
+    return [*files, *(ROOT / name for name in ("pyproject.toml", "README.md", "LICENSE", "NOTICE"))]
+
+
+def digest(paths: list[Path], more: str = "") -> str:
+    """SHA-256 of the names and contents of files."""
+    result = hashlib.sha256(more.encode())
+    for path in paths:
+        result.update(f"{path.relative_to(ROOT)} {path.stat().st_size}\n".encode() + path.read_bytes())
+    return result.hexdigest()
+
+
+def kept(path: Path) -> str:
+    """Text of a file; empty if there is none."""
+    return path.read_text("utf-8") if path.exists() else ""
 
 
 def call(command: list[str], **variables: str) -> None:
     """Run a command in the project's folder; stop with its exit code when it fails."""
+    together([command], **variables)
+
+
+def together(commands: list[list[str]], **variables: str) -> None:
+    """Run commands at the same time; stop with the exit code of the first that fails."""
+    processes = [start(command, **variables) for command in commands]
+    for code in [process.wait() for process in processes]:
+        if code:
+            sys.exit(code)
+
+
+def start(command: list[str], **variables: str) -> subprocess.Popen[bytes]:
+    """Start a command in the project's folder."""
     shown = " ".join([f"{name}={value}" for name, value in variables.items()] + command)
     print(f"+ {shown.replace(str(ROOT) + os.sep, '')}", flush=True)
-    code = subprocess.run(command, cwd=ROOT, env=os.environ | variables, check=False).returncode
-    if code:
-        sys.exit(code)
+    return subprocess.Popen(command, cwd=ROOT, env=os.environ | BYTECODE | variables)
 
 
 def demo(arguments: list[str]) -> None:
@@ -80,15 +136,14 @@ def test(arguments: list[str]) -> None:
     python = str(programs / "python")
     if not arguments:
         print("lint, import contract, types and smoke tests of the compiled kernels (one minute)", flush=True)
-        call([python, "-m", "ruff", "check"])
-        call([python, "-m", "ruff", "format", "--check"])
-        call([str(programs / "lint-imports")])
         smoke = [
             path
             for path in sorted((ROOT / "tests").rglob("test_*.py"))
             if "mark.smoke" in path.read_text("utf-8")
         ]
-        with subprocess.Popen([python, "-m", "mypy"], cwd=ROOT) as types:
+        with start([python, "-m", "mypy"]) as types:
+            checks = [[python, "-m", "ruff", "check"], [python, "-m", "ruff", "format", "--check"]]
+            together([*checks, [str(programs / "lint-imports")]])
             call([python, "-m", "pytest", "-n", "2", "-m", "smoke", *map(str, smoke)])
         if types.returncode:
             sys.exit(types.returncode)
