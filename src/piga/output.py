@@ -302,17 +302,46 @@ def _put_in_place(stage: Path, folder: Path) -> None:
     """Move the results of a complete hidden folder into the folder and remove those they replace. The mark file comes last."""
     marks = [path for path in stage.iterdir() if path.name.startswith(".piga-results-")]
     if marks:
-        mark = json.loads(marks[0].read_text(encoding="utf-8"))
-        for path in [path for path in stage.rglob("*") if path.is_file() and path != marks[0]]:
-            target = folder / path.relative_to(stage)
+        staged = [path for path in stage.rglob("*") if path.is_file() and path != marks[0]]
+        targets = [folder / path.relative_to(stage) for path in staged]
+        _check_stage(stage, folder, targets)
+        replaced = _replaced(marks[0], stage, folder)
+        for path, target in zip(staged, targets, strict=True):
             target.parent.mkdir(parents=True, exist_ok=True)
             path.replace(target)
-        for path in _matching(folder, mark["names"]):
-            if path.relative_to(folder).as_posix() not in mark["files"]:
-                path.unlink()
+        for path in replaced:
+            path.unlink()
         marks[0].replace(folder / marks[0].name)
     shutil.rmtree(stage)
     sync_directory(folder)
+
+
+def _replaced(mark: Path, stage: Path, folder: Path) -> list[Path]:
+    """Older results that the results of a complete hidden folder replace without being of the same name."""
+    try:
+        document = json.loads(mark.read_text(encoding="utf-8"))
+        matching, kept = _matching(folder, document["names"]), set(document["files"])
+    except (ValueError, KeyError, TypeError, AttributeError, NotImplementedError):
+        raise _not_ours(stage) from None
+    _check_stage(stage, folder, matching)
+    return [path for path in matching if path.relative_to(folder).as_posix() not in kept]
+
+
+def _check_stage(stage: Path, folder: Path, paths: Iterable[Path]) -> None:
+    """Refuse a hidden folder that would change a file outside of the folder of results. It is not one of piga's.
+
+    Raises
+    ------
+    PigaError
+        Naming it.
+    """
+    home = folder.resolve()
+    if stage.is_symlink() or not all(path.parent.resolve().is_relative_to(home) for path in paths):
+        raise _not_ours(stage)
+
+
+def _not_ours(stage: Path) -> PigaError:
+    return PigaError(f"{stage}: does not hold results of a stopped run", remedy="remove it")
 
 
 def _finish_stage(stage: Path, command: str, key: str, names: Sequence[str]) -> None:

@@ -217,6 +217,37 @@ def test_a_stop_while_results_are_put_in_place(
     assert not list(out.glob(".piga-stage*"))
 
 
+@pytest.mark.parametrize(
+    "how",
+    ["names above", "names absolute", "names a link", "names no text", "no names", "file", "link", "not JSON"],
+)
+def test_a_strangers_results_move_and_remove_nothing_outside(tmp_path: Path, how: str) -> None:
+    """A folder that came from elsewhere may hold anything, also what looks like the results of a stopped run."""
+    outside, folder = tmp_path / "outside", tmp_path / "folder"
+    for place in (outside, folder):
+        place.mkdir()
+    (outside / "mine.txt").write_text("mine")
+    (outside / ".piga-results-x.json").write_text(output.json.dumps({"key": "", "names": [], "files": {}}))
+    (folder / "sub").symlink_to(outside)
+    stage = folder / ".piga-stage-0123abcd.whole"
+    if how == "link":
+        stage.symlink_to(outside)
+    else:
+        (stage / "sub").mkdir(parents=True)
+        if how == "file":
+            (stage / "sub" / "mine.txt").write_text("theirs")
+        names: dict[str, object] = {
+            "names above": ["../outside/*"], "names absolute": [f"{outside}/*"], "names a link": ["sub/*"],
+            "names no text": [3], "no names": None,
+        }  # fmt: skip
+        mark = {"key": "", "names": names.get(how, []), "files": {}}
+        (stage / ".piga-results-x.json").write_text("[" if how == "not JSON" else output.json.dumps(mark))
+    before = {path: path.read_text() for path in outside.iterdir()}
+    with pytest.raises(PigaError, match=r"0123abcd.whole: .*\n.*remedy: remove it"):
+        settle(folder)
+    assert {path: path.read_text() for path in outside.iterdir()} == before
+
+
 WORK = """
 import sys
 from pathlib import Path

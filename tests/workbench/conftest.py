@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -81,12 +81,12 @@ class Client:
 
 
 class Server:
-    """``piga ui`` in a process of its own."""
+    """``piga ui`` in a process of its own. ``program`` starts it otherwise: options of Python and their values."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, program: Sequence[str] = ("-m", "piga")) -> None:
         self.folder = folder
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "piga", "ui", str(folder), "--no-browser"],
+            [sys.executable, *program, "ui", str(folder), "--no-browser"],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import os
 import signal
@@ -175,4 +176,66 @@ def test_a_server_that_is_killed_in_an_upload_leaves_no_half_file(tmp_path: Path
     second.client.enter()
     assert not list(parts.iterdir())
     assert "no record in this folder" in second.client.page("/")
+    assert second.end() == (0, "")
+
+
+KILLED = """
+import os
+from pathlib import Path
+from piga.cli.main import main
+left = {left}
+def counted(move):
+    def moved(self, target):
+        global left
+        if ".piga-stage-" in str(self):
+            if not left:
+                os.kill(os.getpid(), 9)
+            left -= 1
+        return move(self, target)
+    return moved
+Path.rename, Path.replace = counted(Path.rename), counted(Path.replace)
+main()
+"""
+"""A ``piga ui`` that is killed before a certain move of a hidden result: first the folder's, then each file's."""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("left", [0, 2, 4])
+def test_a_server_that_is_killed_while_a_result_is_kept(tmp_path: Path, left: int) -> None:
+    """The next start finds the former results or the new ones, never some of each; the trial is still there."""
+    shipped_record(tmp_path)
+    names = ("calibration.json", "report.html", "residuals.parquet")
+    kept = tmp_path / "tumble-a-calibration"
+    kept.mkdir()
+    for name in (*names, "summary-old.json"):
+        (kept / name).write_text('{"of": "the former"}', encoding="utf-8")
+    trial = tmp_path / ".piga-ui" / "trials" / "0123456789ab"
+    trial.mkdir(parents=True)
+    for name in names:
+        (trial / name).write_text('{"of": "the new"}', encoding="utf-8")
+    place = tmp_path / ".piga-ui" / "jobs" / "20990101-000000-abcdef"
+    place.mkdir(parents=True)
+    result = ".piga-ui/trials/0123456789ab"
+    job = {"command": ["calibrate", "tumble-a.toml", "--out", result], "title": "Calibrate", "result": result}
+    (place / "job.json").write_text(json.dumps(job | {"key": "", "subject": "tumble-a.toml"}), encoding="utf-8")
+    (place / "end.json").write_text(json.dumps({"code": 0, "seconds": 1.0}), encoding="utf-8")
+
+    def shown() -> dict[str, str]:
+        return {path.name: path.read_text(encoding="utf-8") for path in kept.iterdir() if path.name[0] != "."}
+
+    before = shown()
+    first = Server(tmp_path, ("-c", KILLED.format(left=left)))
+    first.client.enter()
+    with pytest.raises((http.client.HTTPException, ConnectionError)):
+        first.client.post(f"/result/{place.name}/adopt")
+    first.process.communicate(timeout=20)
+    assert first.process.returncode == -signal.SIGKILL
+    second = Server(tmp_path)
+    second.client.enter()
+    after = shown()
+    assert after == (before if left == 0 else {path.name: path.read_text() for path in trial.iterdir()})
+    assert second.client.post(f"/result/{place.name}/adopt")[0] == 303
+    assert shown() == {path.name: path.read_text() for path in trial.iterdir()}
+    assert not list(kept.glob(".piga-stage-*"))
     assert second.end() == (0, "")

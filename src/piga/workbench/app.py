@@ -46,6 +46,7 @@ def application(
 
     from piga.errors import PigaError
 
+    folder.settle()
     bench = Workbench(folder, Jobs(folder.state_room("jobs"), folder.root), live)
 
     for part in folder.state_room(PARTS).iterdir():
