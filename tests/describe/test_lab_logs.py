@@ -158,6 +158,19 @@ def test_what_the_log_does_not_say_is_asked() -> None:
     ]
 
 
+def test_a_stand_is_given_for_a_log_without_force(tmp_path: Path) -> None:
+    """Also key by key: the kind first, as a page or a command line gives it."""
+    log = tmp_path / "log.csv"
+    log.write_text("t,counts,position\n" + "".join(f"{t},{7 * t},{t // 10}\n" for t in range(40)))
+    stand = {"stand.kind": "dividing-head", "stand.latitude": "40 deg", "stand.positions": "0:360:90 deg"}
+    described = describe_log(log)
+    draft = draft_run_file(described, SCALE | {"stand.kind": "dividing-head"})
+    assert [one.key for one in draft.open] == ["instrument.counts_per_revolution", "stand.latitude"]
+    draft = draft_run_file(described, SCALE | stand | {"instrument.counts_per_revolution": 72000})
+    assert draft.open == []
+    assert draft.document["stand"] == {key.partition(".")[2]: value for key, value in stand.items()}
+
+
 def test_the_logs_are_those_of_the_builder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(build_lab_logs, "TARGET", tmp_path)
     build_lab_logs.main()

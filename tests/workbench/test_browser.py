@@ -12,9 +12,17 @@ from typing import Any
 
 import pytest
 
+from piga.records.text_files import toml_document
+from tests.certificate.certificate_data import budgeted, key_pair
+from tests.planning.cases import DEFAULTS as PLAN_DEFAULTS
+from tests.planning.cases import HEAD as PLAN
+from tests.reports.example import calibration
+from tests.stand.test_run_reference import edited
 from tests.workbench.conftest import Browser, Server, shipped_record
 
 pytestmark = pytest.mark.only_compiled
+WIDE = pytest.mark.parametrize("browser", [(1300, "light")], ids=["wide-light"], indirect=True)
+"""Paths that differ only in what they fill in are gone in one window."""
 
 
 def test_every_page_is_clean(browser: Browser) -> None:
@@ -217,6 +225,96 @@ def test_a_german_log_is_described_and_calibrated(browser: Browser, place: Path)
     page.get_by_role("button", name="Keep this result").wait_for()
     page.frame_locator("iframe").get_by_role("rowheader", name="k0", exact=True).first.wait_for()
     (place / "Messung 7.toml").unlink()
+
+
+@WIDE
+def test_instrument_and_stand_are_taken_over(browser: Browser, place: Path, tmp_path: Path) -> None:
+    """A log without reference columns, and the run file of an earlier one on the same stand."""
+    page = browser.page
+    lines = (place / "tumble-a.csv").read_text(encoding="utf-8").splitlines()
+    log = "".join(",".join(line.split(",")[:3]) + "\n" for line in lines)
+    for name in ("earlier.csv", "later.csv"):
+        (place / name).write_text(log, encoding="utf-8")
+    earlier = edited(tmp_path, uncertainty='\n[uncertainty]\nreference_scale = "1 ppm"\n')
+    text = earlier.read_text(encoding="utf-8").replace("tumble-a.csv", "earlier.csv")
+    (place / "earlier.toml").write_text(text, encoding="utf-8")
+    browser.open("/describe/later.csv")
+    page.get_by_label("The same instrument as in an earlier run file").select_option("earlier.toml")
+    page.get_by_role("button", name="Take it over").click()
+    browser.until("document.getElementById('k-stand.kind')?.value === '\"dividing-head\"'")
+    shown = page.input_value("#text")
+    for line in ('serial = "tumble-a"', 'positions = "0:360:15 deg"', 'reference_scale = "1 ppm"'):
+        assert line in shown
+    browser.is_accessible()
+    page.get_by_role("button", name="Write the run file").first.click()
+    page.get_by_text("The record can be calibrated.").wait_for()
+    one, other = (toml_document(place / f"{name}.toml") for name in ("earlier", "later"))
+    for table in ("instrument", "stand", "uncertainty"):
+        assert one[table] == other[table], table
+    for path in place.glob("*er.*"):
+        path.unlink()
+
+
+@WIDE
+def test_a_plan_is_made_from_its_form(browser: Browser, place: Path) -> None:
+    page = browser.page
+    (place / "small.toml").write_text(PLAN.format(**PLAN_DEFAULTS), encoding="utf-8")
+    browser.open("/plan?file=small.toml")
+    page.fill("#name", "short.toml")
+    page.fill("#k-plan\\.duration", '"800 s"')
+    page.locator("#k-plan\\.duration").blur()
+    browser.until("document.getElementById('text').value.includes('duration = \"800 s\"')")
+    page.fill("#k-plan\\.duration", '"900 s"')  # the button follows at once
+    page.get_by_role("button", name="Plan the test").click()
+    page.get_by_role("heading", name="Files").wait_for()
+    browser.is_accessible()
+    assert 'duration = "900 s"' in (place / "short.toml").read_text(encoding="utf-8")
+    assert toml_document(place / "short-plan" / "scenario.toml")["stand"]
+    assert (place / "short-plan" / "program.csv").is_file()
+    browser.open("/platform?file=platform-published.toml")
+    page.fill("#name", "days.toml")
+    page.fill("#k-run\\.duration", '"2 h"')
+    page.get_by_role("button", name="Save").click()
+    page.get_by_role("link", name="days.toml").wait_for()
+    former = toml_document(place / "platform-published.toml")
+    former["run"]["duration"] = "2 h"
+    assert toml_document(place / "days.toml") == former
+    for name in ("small", "short", "days"):
+        (place / f"{name}.toml").unlink()
+
+
+@WIDE
+def test_a_certificate_is_signed_verified_and_refused_when_it_was_changed(
+    browser: Browser, place: Path
+) -> None:
+    page = browser.page
+    made_up = place / "made-up"
+    made_up.mkdir()
+    budgeted(calibration(serial="tumble-a", with_residuals=False)).to_json(made_up / "calibration.json")
+    key_pair(place, "lab")
+    browser.open("/certificate?calibration=made-up/calibration.json")
+    page.get_by_label("Also as digital certificate").check()
+    page.get_by_label("Key that signs the DCC").select_option("lab-key.pem")
+    page.get_by_label("X.509 certificate of the laboratory").select_option("lab-cert.pem")
+    page.get_by_role("button", name="Issue").click()
+    page.get_by_role("link", name="certificate.xml").wait_for()
+    signed = place / "certificate-made-up" / "certificate.xml"
+    forged = place / "forged.xml"
+    text = signed.read_text(encoding="utf-8")
+    assert text.count("Example Navigation Ltd") == 1
+    forged.write_text(text.replace("Example Navigation Ltd", "Other Navigation Ltd"), encoding="utf-8")
+    for name, state, words in (
+        ("certificate-made-up/certificate.xml", "done", "the signature holds"),
+        ("forged.xml", "failed", "does not hold"),
+    ):
+        browser.open("/certificate")
+        page.locator("select[name=signed]").select_option(name)
+        page.get_by_label("signed by").select_option("lab-cert.pem")
+        page.get_by_role("button", name="Verify").click()
+        page.locator(f".state.{state}").wait_for()
+        page.get_by_text(words).first.wait_for()
+        browser.is_accessible()
+    forged.unlink()
 
 
 def test_a_chinese_log_takes_six_actions(browser: Browser, place: Path, tmp_path: Path) -> None:

@@ -255,7 +255,7 @@ def _slope(draft: RunFileDraft, log: LogDescription, output: ColumnGuess) -> flo
     if isinstance(reference, Mapping):
         force = log.numbers.get(str(next(iter(reference.get("columns", ("",))))))
         factor = parse_unit(str(reference["unit"])).factor
-    elif draft.document.get("stand", {}).get("kind") == "dividing-head":
+    elif draft.document.get("stand", {}).get("kind") == "dividing-head" and log.of("stand-angle"):
         column = log.of("stand-angle")[0]
         force, factor = np.cos(log.numbers[column.name] * parse_unit(column.unit).factor), G0
     else:
