@@ -20,14 +20,19 @@ from urllib.parse import urlencode
 
 import pytest
 
-READY = re.compile(r"piga ui: http://127\.0\.0\.1:(\d+)/\?token=(\S+)")
+READY = re.compile(r"piga ui: (\S+:(\d+))/(?:\?token=(\S+))?\n")
 
 
 class Client:
     """Requests as a browser sends them, with the session's cookie."""
 
-    def __init__(self, port: int, token: str) -> None:
+    def __init__(self, port: int, token: str, home: str = "") -> None:
         self.port, self.token, self.cookie = port, token, ""
+        self.home = home or f"http://127.0.0.1:{port}"
+
+    def connection(self) -> http.client.HTTPConnection:
+        """A new connection to the server."""
+        return http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
 
     def ask(
         self,
@@ -39,8 +44,8 @@ class Client:
         host: str = "",
     ) -> tuple[int, dict[str, str], bytes]:
         """Status, headers and body of the answer."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
-        sent = {"Host": host or f"127.0.0.1:{self.port}"}
+        connection = self.connection()
+        sent = {"Host": host or self.home.partition("//")[2]}
         sent |= {"Cookie": self.cookie} if self.cookie else {}
         sent |= headers or {}
         with contextlib.closing(connection):
@@ -64,7 +69,7 @@ class Client:
         """Send a form."""
         body = urlencode(fields or {}, doseq=True).encode()
         headers = {
-            "Origin": f"http://127.0.0.1:{self.port}",
+            "Origin": self.home,
             "Content-Type": "application/x-www-form-urlencoded",
         }
         return self.ask(path, "POST", body, headers)
@@ -83,10 +88,10 @@ class Client:
 class Server:
     """``piga ui`` in a process of its own. ``program`` starts it otherwise: options of Python and their values."""
 
-    def __init__(self, folder: Path, program: Sequence[str] = ("-m", "piga")) -> None:
+    def __init__(self, folder: Path, *options: str, program: Sequence[str] = ("-m", "piga")) -> None:
         self.folder = folder
         self.process = subprocess.Popen(
-            [sys.executable, *program, "ui", str(folder), "--no-browser"],
+            [sys.executable, *program, "ui", str(folder), "--no-browser", *options],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -98,7 +103,7 @@ class Server:
         if match is None:
             self.process.kill()
             assert match is not None, line + (self.process.stderr.read() if self.process.stderr else "")
-        self.client = Client(int(match[1]), match[2])
+        self.client = Client(int(match[2]), match[3] or "", match[1])
 
     def end(self, number: int = signal.SIGTERM) -> tuple[int, str]:
         """Exit code and messages."""

@@ -225,7 +225,7 @@ def test_a_server_that_is_killed_while_a_result_is_kept(tmp_path: Path, left: in
         return {path.name: path.read_text(encoding="utf-8") for path in kept.iterdir() if path.name[0] != "."}
 
     before = shown()
-    first = Server(tmp_path, ("-c", KILLED.format(left=left)))
+    first = Server(tmp_path, program=("-c", KILLED.format(left=left)))
     first.client.enter()
     with pytest.raises((http.client.HTTPException, ConnectionError)):
         first.client.post(f"/result/{place.name}/adopt")

@@ -79,6 +79,10 @@ def test_the_token_is_good_once_and_the_cookie_is_out_of_reach(server: Server) -
     assert stranger.ask("/?token=wrong")[0] == 403
     assert stranger.ask("/?token=%FF%C3%A9")[0] == 403
     assert stranger.ask("/healthz")[::2] == (200, b"ok\n")
+    for path in ("/login", "/assets/workbench.css"):  # of a server with a password
+        assert stranger.ask(path)[0] == 403
+    assert server.client.ask("/login")[0] == 404
+    assert server.client.post("/logout")[0] == 404
     stranger.cookie = f"other=a b; piga-{stranger.port}=wrong"
     assert stranger.ask("/")[0] == 403
 

@@ -19,6 +19,24 @@ def ui(
         Path, typer.Argument(metavar="FOLDER", help="Folder of records [default: this one].")
     ] = Path(),
     port: Annotated[int, typer.Option(metavar="N", help="Port on this machine [default: a free one].")] = 0,
+    host: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Let other computers in: the name of this machine that their browsers use. "
+            "Needs --tls and --password-file.",
+        ),
+    ] = None,
+    tls: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(metavar="CERT KEY", help="TLS certificate of that name and its private key (PEM)."),
+    ] = None,
+    password_file: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="File with the password (12 characters or more) that only you can read."
+        ),
+    ] = None,
     live: Annotated[
         Path | None,
         typer.Option(
@@ -31,16 +49,20 @@ def ui(
 ) -> None:
     """Open the workbench in the browser.
 
-    It answers on this machine only, to the browser that opens the printed address. Ctrl-C ends it.
+    It answers on this machine only, to the browser that opens the printed address. With --host it answers other
+    computers, too, and asks for the password. Ctrl-C ends it.
     """
     from piga.workbench.app import open_browser, serve
+    from piga.workbench.remote import entrance
+
+    way = entrance(host, tls, password_file)
 
     def ready(door: Door) -> None:
         say(f"piga ui: {door.address}")
         if browser:
             open_browser(door.address)
 
-    serve(folder, port, ready=ready, live=None if live is None else _live(live, phase))
+    serve(folder, port, ready=ready, live=None if live is None else _live(live, phase), entrance=way)
 
 
 def _live(calibration: Path, phase: str | None) -> Live:

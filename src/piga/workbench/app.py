@@ -1,25 +1,22 @@
-"""The server of the workbench: one Starlette application on the loopback address."""
+"""The server of the workbench: one Starlette application, on the loopback address or behind TLS and a password."""
 
 from __future__ import annotations
 
 import contextlib
 import signal
-import socket
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
-from piga.errors import ArgumentError
 from piga.workbench.folder import Folder
 from piga.workbench.jobs import Jobs
 from piga.workbench.live import Live
 from piga.workbench.pages import all_routes
 from piga.workbench.pages.common import Workbench, error_page, gone_page
 from piga.workbench.pages.records import PARTS
+from piga.workbench.remote import Entrance, listening
 from piga.workbench.security import Door, Guard
 
-WAITING = 128
-"""Connections that may wait to be accepted."""
 GRACE = 2
 """Time [s] that open requests have when the server ends."""
 
@@ -47,7 +44,7 @@ def application(
     from piga.errors import PigaError
 
     folder.settle()
-    bench = Workbench(folder, Jobs(folder.state_room("jobs"), folder.root), live)
+    bench = Workbench(folder, Jobs(folder.state_room("jobs"), folder.root), live, door)
 
     for part in folder.state_room(PARTS).iterdir():
         part.unlink(missing_ok=True)
@@ -73,7 +70,14 @@ def application(
     return Guard(app, door)
 
 
-def serve(folder: Path, port: int = 0, *, ready: Callable[[Door], None], live: Live | None = None) -> None:
+def serve(
+    folder: Path,
+    port: int = 0,
+    *,
+    ready: Callable[[Door], None],
+    live: Live | None = None,
+    entrance: Entrance | None = None,
+) -> None:
     """Serve the workbench of a folder until SIGINT or SIGTERM. Running jobs are then ended.
 
     Parameters
@@ -81,27 +85,26 @@ def serve(folder: Path, port: int = 0, *, ready: Callable[[Door], None], live: L
     folder:
         The folder to open.
     port:
-        Port on 127.0.0.1; 0 takes a free one.
+        Port to listen on; 0 takes a free one.
     ready:
         Called with the door once the server answers.
     live:
         The stream of the page Live, or None.
+    entrance:
+        Where to listen, and what to ask for. None: 127.0.0.1 and the token.
 
     Raises
     ------
     ArgumentError
-        If ``folder`` is not a folder, or the port is taken.
+        If ``folder`` is not a folder, or the name or port cannot be used.
     """
     import uvicorn
 
+    entrance = entrance or Entrance()
     opened = Folder(folder)
-    try:
-        listening = socket.create_server(("127.0.0.1", port), backlog=WAITING)
-    except (OSError, OverflowError) as error:
-        raise ArgumentError(
-            f"--port {port}: cannot be used ({error})", remedy="choose another port, or leave it out"
-        ) from None
-    door = Door(listening.getsockname()[1])
+    sockets = listening(entrance, port)
+    door = Door(sockets[0].getsockname()[1], entrance.host, entrance.login)
+    tls = entrance.tls
     config = uvicorn.Config(
         application(opened, door, lambda: ready(door), live),
         log_level="error",
@@ -110,11 +113,14 @@ def serve(folder: Path, port: int = 0, *, ready: Callable[[Door], None], live: L
         proxy_headers=False,
         timeout_graceful_shutdown=GRACE,
         lifespan="on",
+        ssl_context_factory=None if tls is None else lambda _config, _default: tls,
     )
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _ended)  # uvicorn raises the signal again when it has ended
-    with listening:
-        uvicorn.Server(config).run(sockets=[listening])
+    with contextlib.ExitStack() as stack:
+        for one in sockets:
+            stack.enter_context(one)
+        uvicorn.Server(config).run(sockets=sockets)
 
 
 def _ended(_number: int, _frame: Any) -> None:

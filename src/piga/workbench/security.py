@@ -1,12 +1,13 @@
-"""Access control: one browser on this machine may use the workbench.
+"""Access control: who may use the workbench.
 
 Every request passes :class:`Guard` first. It checks, in this order:
 
 1. the name of the host that the browser asked for (a foreign name that resolves to this machine is refused);
 2. where the request comes from (``Origin`` and ``Sec-Fetch-Site``; every request that changes something names its
    origin);
-3. the session. The address that ``piga ui`` prints holds a token that is good for one use. It is exchanged for a
-   cookie that scripts cannot read and that no other site can send.
+3. the session. On this machine the address that ``piga ui`` prints holds a token that is good for one use. A server
+   with a password (:mod:`piga.workbench.remote`) has a login page instead. Both give a cookie that scripts cannot read
+   and that no other site can send.
 
 The guard is plain ASGI, so it covers WebSockets and event streams, too.
 """
@@ -20,6 +21,8 @@ from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import parse_qs
 
+from piga.workbench.remote import LOOPBACK, Login
+
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
@@ -27,7 +30,13 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 SESSION_AGE = 12 * 3600.0
 """Age [s] at which a session ends. A new one starts with the address of a new ``piga ui``."""
+MOST_SESSIONS = 64
+"""Most sessions of a server. One more ends the oldest."""
 SAFE_METHODS = frozenset({"GET", "HEAD"})
+LOGIN = "/login"
+"""Address of the login page."""
+OPEN_WITH_PASSWORD = {LOGIN: SAFE_METHODS | {"POST"}, "/assets/workbench.css": SAFE_METHODS}
+"""What a server with a password answers without a session, and to which methods: the login page and its style."""
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; style-src-attr 'unsafe-inline'; img-src 'self' data:; "
     "connect-src 'self'; "
@@ -58,41 +67,83 @@ class Door:
     ----------
     port:
         The port that the server listens on.
+    host:
+        Name or address that browsers use.
+    login:
+        The password; the server then speaks HTTPS. None: the token opens it.
     token:
-        Token of the printed address; empty once it was used.
+        Token of the printed address; empty once it was used, and for a server with a password.
     """
 
     port: int
+    host: str = LOOPBACK
+    login: Login | None = None
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     clock: Callable[[], float] = time.monotonic
     _sessions: dict[str, float] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        if self.login is not None:
+            self.token = ""
+
+    @property
+    def scheme(self) -> str:
+        """``https`` for a server with a password."""
+        return "http" if self.login is None else "https"
+
     @property
     def cookie(self) -> str:
-        """Name of the session cookie. Browsers share cookies between ports, so the port is in the name."""
-        return f"piga-{self.port}"
+        """Name of the session cookie. Browsers share cookies between ports, so the port is in the name.
+
+        The prefix makes browsers refuse such a cookie from plain HTTP or from another host of the domain.
+        """
+        return f"piga-{self.port}" if self.login is None else f"__Host-piga-{self.port}"
 
     @property
     def address(self) -> str:
-        """The address to open, with the token."""
-        return f"http://127.0.0.1:{self.port}/?token={self.token}"
+        """The address to open, with the token if there is one."""
+        query = f"?token={self.token}" if self.login is None else ""
+        return f"{self.scheme}://{_in_address(self.host)}:{self.port}/{query}"
 
     def knows_host(self, host: str) -> bool:
-        """True if ``host`` (of the request) is this machine's loopback name with this server's port."""
-        return host.lower() in {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost", "[::1]")}
+        """True if ``host`` (of the request) is this server's name and port. Without a password, loopback names count, too."""
+        names = {_in_address(self.host)}
+        if self.login is None:
+            names |= {"127.0.0.1", "localhost", "[::1]"}
+        usual = {"http": 80, "https": 443}[self.scheme]
+        return host.lower() in {f"{name}:{self.port}" for name in names} | (
+            names if self.port == usual else set()
+        )
 
     def knows_origin(self, origin: str) -> bool:
         """True if ``origin`` is a page of this server."""
-        return origin.startswith("http://") and self.knows_host(origin.removeprefix("http://"))
+        start = f"{self.scheme}://"
+        return origin.startswith(start) and self.knows_host(origin.removeprefix(start))
 
     def open_session(self, token: str) -> str | None:
         """Exchange the token for a session. None if the token is wrong or was used before."""
         if not self.token or not secrets.compare_digest(token.encode(), self.token.encode()):
             return None
         self.token = ""
+        return self.new_session()
+
+    def new_session(self) -> str:
+        """A session for a browser that gave the token or the password."""
+        if len(self._sessions) >= MOST_SESSIONS:
+            del self._sessions[next(iter(self._sessions))]
         session = secrets.token_urlsafe(24)
         self._sessions[session] = self.clock()
         return session
+
+    def end_session(self, session: str) -> None:
+        """The session is over."""
+        self._sessions.pop(session, None)
+
+    def set_cookie(self, session: str) -> str:
+        """The header that gives a session to the browser; "" takes it away."""
+        secure = "" if self.login is None else "; Secure"
+        age = SESSION_AGE if session else 0.0
+        return f"{self.cookie}={session}; Path=/; HttpOnly; SameSite=Strict; Max-Age={age:.0f}{secure}"
 
     def has_session(self, session: str) -> bool:
         """True if the session is open and not too old."""
@@ -110,6 +161,7 @@ class Guard:
 
     def __init__(self, app: App, door: Door) -> None:
         self._app, self._door = app, door
+        self._open = {"/healthz": SAFE_METHODS} | ({} if door.login is None else OPEN_WITH_PASSWORD)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, or refuse it."""
@@ -127,28 +179,36 @@ class Guard:
     def _refusal(self, scope: Scope) -> tuple[int, str, tuple[tuple[bytes, bytes], ...]] | None:
         """Status, text and headers of the refusal; None if the request may pass."""
         headers = _headers(scope)
-        if headers is None or not self._door.knows_host(headers.get("host", "")):
-            return 421, "This server answers only as 127.0.0.1 or localhost.", ()
+        door = self._door
+        if headers is None or not door.knows_host(headers.get("host", "")):
+            names = "127.0.0.1 or localhost" if door.login is None else "the name that it was started with"
+            return 421, f"This server answers only as {names}.", ()
         if not self._comes_from_us(scope, headers):
             return 403, "This request comes from another site.", ()
-        path, query = scope["path"], parse_qs(scope["query_string"].decode("latin-1"))
-        if path == "/healthz" and scope["type"] == "http":
+        path, method = scope["path"], scope.get("method")
+        if method in self._open.get(path, ()):
             return None
-        known = self._door.has_session(_cookie(headers.get("cookie", ""), self._door.cookie))
-        if path == "/" and "token" in query and scope.get("method") == "GET":
-            session = self._door.open_session(query["token"][0])
+        known = door.has_session(cookie_value(headers.get("cookie", ""), door.cookie))
+        query = parse_qs(scope["query_string"].decode("latin-1"))
+        if path == "/" and "token" in query and method == "GET":
+            session = door.open_session(query["token"][0])
             if session is not None:
-                value = f"{self._door.cookie}={session}; Path=/; HttpOnly; SameSite=Strict; Max-Age={SESSION_AGE:.0f}"
-                return 303, "", ((b"location", b"/"), (b"set-cookie", value.encode()))
+                return 303, "", ((b"location", b"/"), (b"set-cookie", door.set_cookie(session).encode()))
             if known:
                 return 303, "", ((b"location", b"/"),)
         if known:
             return None
-        return (
-            403,
-            "Open the address that piga ui printed. It is good for one browser. Start piga ui again for a new one.",
-            (),
-        )
+        if door.login is None:
+            return (
+                403,
+                "Open the address that piga ui printed. It is good for one browser. Start piga ui again for a new one.",
+                (),
+            )
+        if "hx-request" in headers:
+            return 403, "Log in again.", ((b"hx-redirect", LOGIN.encode()),)
+        if method in SAFE_METHODS and "text/html" in headers.get("accept", ""):
+            return 303, "", ((b"location", LOGIN.encode()),)
+        return 403, f"Log in at {LOGIN}.", ()
 
     def _comes_from_us(self, scope: Scope, headers: dict[str, str]) -> bool:
         origin = headers.get("origin")
@@ -156,7 +216,7 @@ class Guard:
             return self._door.knows_origin(origin)
         changes = scope["type"] == "websocket" or scope["method"] not in SAFE_METHODS
         site = headers.get("sec-fetch-site", "none")
-        navigation = headers.get("sec-fetch-mode") == "navigate" and scope["path"] == "/"
+        navigation = headers.get("sec-fetch-mode") == "navigate" and scope["path"] in ("/", LOGIN)
         return not changes and (site in ("none", "same-origin") or navigation)
 
 
@@ -171,7 +231,12 @@ def _headers(scope: Scope) -> dict[str, str] | None:
     return result
 
 
-def _cookie(text: str, name: str) -> str:
+def _in_address(host: str) -> str:
+    """A host as an address has it: IPv6 in brackets."""
+    return f"[{host}]" if ":" in host else host
+
+
+def cookie_value(text: str, name: str) -> str:
     """Value of one cookie. Other cookies of this machine may have any form and are skipped."""
     for part in text.split(";"):
         key, _, value = part.strip().partition("=")

@@ -17,6 +17,7 @@ def all_routes() -> list[Any]:
         instrument,
         jobs,
         live,
+        login,
         records,
         scenario,
         signals,
@@ -35,4 +36,5 @@ def all_routes() -> list[Any]:
         *explore.routes(),
         *live.routes(),
         *jobs.routes(),
+        *login.routes(),
     ]

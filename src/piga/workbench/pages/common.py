@@ -14,6 +14,7 @@ from piga.errors import ArgumentError, PigaError
 from piga.workbench.folder import Folder, OutsideError
 from piga.workbench.jobs import Jobs
 from piga.workbench.live import Live
+from piga.workbench.security import Door
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -51,7 +52,8 @@ class Workbench:
 
     folder: Folder
     jobs: Jobs
-    live: Live | None = None
+    live: Live | None
+    door: Door
 
 
 def bench_of(request: Request) -> Workbench:
@@ -83,13 +85,20 @@ def render(request: Request, template: str, code: int = 200, **values: Any) -> R
     text = (
         _environment()
         .get_template(template)
-        .render(menu=MENU, at=request.url.path, folder=bench.folder.root.name, version=__version__, **values)
+        .render(
+            menu=MENU,
+            at=request.url.path,
+            folder=bench.folder.root.name,
+            version=__version__,
+            password=bench.door.login is not None,
+            **values,
+        )
     )
     return HTMLResponse(text, status_code=code)
 
 
-async def sent_form(request: Request) -> dict[str, list[str]]:
-    """The fields of a sent form, each with its values.
+async def sent_form(request: Request, most: int = MOST_FORM) -> dict[str, list[str]]:
+    """The fields of a sent form of at most ``most`` bytes, each with its values.
 
     Raises
     ------
@@ -99,8 +108,8 @@ async def sent_form(request: Request) -> dict[str, list[str]]:
     body = bytearray()
     async for part in request.stream():
         body += part
-        if len(body) > MOST_FORM:
-            raise ArgumentError("the form is too large", remedy=f"send at most {MOST_FORM >> 20} MiB")
+        if len(body) > most:
+            raise ArgumentError("the form is too large", remedy=f"send at most {in_bytes(most)}")
     try:
         pairs = parse_qsl(
             body.decode("utf-8"), keep_blank_values=True, strict_parsing=bool(body), max_num_fields=MOST_FIELDS,
