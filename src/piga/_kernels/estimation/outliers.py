@@ -27,7 +27,8 @@ def scan_samples(
     is a random walk (``walk`` per second) read with white noise (``white``): a Kalman filter of its level
     predicts every sample. One that misses by more than ``limit`` standard deviations, and ``floor`` [rad], is
     left out and does not move the filter. A second filter follows what the missing samples agree on; when
-    CONFIRM of them do, the angle has jumped and the second filter becomes the first.
+    CONFIRM of them do, the angle has jumped and the second filter becomes the first. In a stretch shorter than that,
+    the majority decides: if more samples agree on the second level than on the first, the first ones are left out.
     """
     member = np.zeros(CONFIRM, dtype=np.int64)
     angle = level = variance = other = other_variance = 0.0
@@ -35,6 +36,8 @@ def scan_samples(
     for i in range(d.size):
         flags[i] = 0
         if h[i] == 0.0:
+            if i - begin < CONFIRM and hits > accepted:
+                _keep_members(flags, member[:hits], begin, i)
             angle, level, variance = 0.0, 0.0, white
             hits, accepted, begin = 0, 1, i
             continue
@@ -74,6 +77,17 @@ def scan_samples(
             other, other_variance = angle, white
             hits, misses = 1, 0
             member[0] = i
+    if d.size - begin < CONFIRM and hits > accepted:
+        _keep_members(flags, member[:hits], begin, d.size)
+
+
+@kernel
+def _keep_members(flags: NDArray[np.int8], member: NDArray[np.int64], begin: int, stop: int) -> None:
+    """Leave out every sample of a stretch but the members of the level that most samples agree on."""
+    for k in range(begin, stop):
+        flags[k] = 1
+    for k in range(member.size):
+        flags[member[k]] = 0
 
 
 @kernel

@@ -13,9 +13,9 @@ from piga.calibration.fit.outliers import (
     find_flags,
     first_noise,
     is_misfit,
+    is_too_many,
     later_noise,
     misses_of,
-    refuse_if_too_many,
     resolution_of,
     robust_values,
     suspicious,
@@ -165,27 +165,27 @@ def fit_run(
         If more than ``OUTLIERS.largest_share`` of the samples are bad.
     """
     fit = plain = _fit(run, request)
-    if request.phase_source == "input" or not suspicious(fit.d, fit.h, fit.mode, fit.noise, run):
+    parameters = _parameters(fit.solution)
+    if request.phase_source == "input" or not suspicious(fit.d, fit.h, fit.mode, fit.noise, run, parameters):
         return fit
     plain.design.forget()
     raw = Design(run, request, run.scale_factor, plain.design.servo)
     resolution = resolution_of(run)
     misses = misses_of(raw, robust_values(raw))
     raw.forget()
-    noise = first_noise(misses)
-    flags = find_flags(misses, noise, resolution)
+    noise = first_noise(misses, parameters)
+    flags = find_flags(misses, noise, resolution, parameters)
     for _ in range(FIT.rounds):
-        if not flags.any() or is_misfit(run, misses, flags):
+        if not flags.any() or is_misfit(run, misses, flags) or is_too_many(flags):
             return plain
-        refuse_if_too_many(flags)
         cleaned, outliers = leave_out(run, misses, flags, raw, noise)
         fit.design.forget()
         fit = replace(_fit(cleaned, request), outliers=outliers)
         raw = raw.with_phase_of(fit.design)
         misses = misses_of(raw, fit.solution.values)
         raw.forget()
-        noise = later_noise(misses, fit.noise, flags)
-        again = find_flags(misses, noise, resolution)
+        noise = later_noise(misses, fit.noise, flags, parameters)
+        again = find_flags(misses, noise, resolution, parameters)
         if np.array_equal(again, flags):
             break
         flags = again

@@ -37,6 +37,9 @@ class OutlierSettings:
         Expected number of good samples left out per record.
     largest_share:
         Share of bad samples above which a record is refused.
+    least_refused:
+        Fewest samples of a record that is refused. In a shorter one nothing is left out instead: there the robust fit
+        follows half of the samples too easily.
     robust_rows:
         Increments used by the robust fit.
     narrow_core:
@@ -46,7 +49,11 @@ class OutlierSettings:
     least_counts:
         Smallest error of a bad sample in counts. A sample that toggles on a path known to half a count is not bad.
     misfit_pairs:
-        Neighbouring bad increments above which the model is checked for misfit.
+        Neighbouring bad increments above which the model is checked for misfit, in a long record.
+    misfit_part:
+        The same as a part of the samples, in a short record.
+    misfit_least:
+        Fewest of these pairs.
     misfit_share:
         Share of these pairs with errors of the same sign, above which the model is at fault.
     moved_counts:
@@ -78,11 +85,14 @@ class OutlierSettings:
 
     false_alarms: float = 0.05
     largest_share: float = 0.4
+    least_refused: int = 100
     robust_rows: int = 200_000
     narrow_core: float = 0.6
     least_miss: float = 1e-7
     least_counts: float = 1.5
     misfit_pairs: int = 100
+    misfit_part: float = 0.1
+    misfit_least: int = 20
     misfit_share: float = 0.8
     moved_counts: float = 3.0
     parts_of_a_stretch: int = 8
@@ -109,6 +119,14 @@ class Misses:
     h: Array
     point: bool
 
+    def small_sample(self, parameters: int) -> float:
+        """Factor by which the core of few residuals is too narrow, because the fit has followed it.
+
+        Source: [Rousseeuw1987].
+        """
+        formed = sum(int(np.count_nonzero(self.h[rows] > 0.0)) for rows in spans(self.h.size))
+        return 1.0 + 5.0 / max(formed - parameters, 1)
+
     @property
     def step(self) -> float:
         """Usual interval [s]."""
@@ -128,14 +146,18 @@ class Misses:
         return np.concatenate([part(rows)[::every].copy() for rows in spans(self.d.size)])
 
 
-def limit(count: int) -> float:
-    """Standard deviations above which a sample is bad. Of ``count`` normal samples ``false_alarms`` exceed it."""
-    from scipy.special import ndtri
+def limit(count: int, parameters: int) -> float:
+    """Standard deviations above which a sample is bad. Of ``count`` good samples ``false_alarms`` exceed it.
 
-    return float(-ndtri(0.5 * OUTLIERS.false_alarms / max(count, 100)))
+    Student's t: the noise level of few samples is itself uncertain.
+    """
+    from scipy.special import stdtrit
+
+    share = 0.5 * OUTLIERS.false_alarms / max(count, 100)
+    return float(-stdtrit(max(count - parameters, 1), share))
 
 
-def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run) -> bool:
+def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run, parameters: int) -> bool:
     """True if the residuals of a plain fit have tails or a core that normal noise does not have.
 
     Needs one pass. Half the limit is enough for the tails if the core is narrower than the noise level, because bad
@@ -165,7 +187,7 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run) -> bool:
         return True
     unit = spread if mode == "samples" else 1.0
     core = float(np.median(shown)) / 0.6745 / unit
-    return largest / unit > limit(d.size) * min(max(core, 0.5), 1.0)
+    return largest / unit > limit(d.size, parameters) * min(max(core, 0.5), 1.0)
 
 
 def robust_values(design: Design) -> Array:
@@ -256,22 +278,24 @@ def misses_of(design: Design, values: Array) -> Misses:
     return Misses(d, h, design.point)
 
 
-def first_noise(misses: Misses) -> Noise:
+def first_noise(misses: Misses, parameters: int) -> Noise:
     """First noise levels: half the core of the increments is angle noise, half is random walk.
 
     If equal readings give a core of no width, the smallest error of a bad sample replaces it.
     """
-    sigma = max(float(np.quantile(misses.sizes(), 0.25)) / 0.3186, OUTLIERS.least_miss)
+    core = float(np.quantile(misses.sizes(), 0.25)) / 0.3186 * misses.small_sample(parameters)
+    sigma = max(core, OUTLIERS.least_miss)
     if misses.point:
         return Noise(0.0, sigma**2)
     return Noise(sigma**2 / 3.0, sigma**2 / (3.0 * misses.step))
 
 
-def later_noise(misses: Misses, noise: Noise, flags: Flags) -> Noise:
+def later_noise(misses: Misses, noise: Noise, flags: Flags, parameters: int) -> Noise:
     """Noise levels of a fit without bad samples, from the core of its residuals; remaining bad samples have no effect."""
+    widened = misses.small_sample(parameters)
     if misses.point:
         good = misses.sizes(flags)
-        return Noise(0.0, (float(np.median(good)) / 0.6745) ** 2)
+        return Noise(0.0, (float(np.median(good)) / 0.6745 * widened) ** 2)
     whitener = Whitener("increments", noise, 1)
     every = max(1, misses.d.size // OUTLIERS.median_samples)
     whitened = [np.zeros(0)]
@@ -281,15 +305,15 @@ def later_noise(misses: Misses, noise: Noise, flags: Flags) -> Noise:
         merge_rows(d, h, flags[rows] == 1)
         whitened.append(np.abs(whitener.apply_columns(d, h)[0][h > 0.0][::every]))
     shown = np.concatenate(whitened)
-    core = float(np.median(shown)) / 0.6745 if shown.size else 1.0
+    core = float(np.median(shown)) / 0.6745 * widened if shown.size else 1.0
     factor = min(max(core, 0.2), 1.0) ** 2
     return Noise(noise.white * factor, noise.walk * factor)
 
 
-def find_flags(misses: Misses, noise: Noise, resolution: float) -> Flags:
+def find_flags(misses: Misses, noise: Noise, resolution: float, parameters: int) -> Flags:
     """0 good, 1 left out, 2 first after a jump, for every sample."""
     flags: Flags = arrays_like(misses.d).zeros(misses.d.size, np.int8)
-    bound = limit(misses.d.size)
+    bound = limit(misses.d.size, parameters)
     if misses.point:
         largest = max(bound * float(np.sqrt(noise.walk)), OUTLIERS.least_miss)
         for rows in spans(flags.size):
@@ -314,25 +338,27 @@ def is_misfit(run: Run, misses: Misses, flags: Flags) -> bool:
         sign = np.sign(misses.d[rows])
         count += int(pairs.sum())
         alike += int(np.count_nonzero((sign[1:] == sign[:-1]) & pairs))
-    return count > OUTLIERS.misfit_pairs and alike > OUTLIERS.misfit_share * count
+    fewest = max(OUTLIERS.misfit_least, int(OUTLIERS.misfit_part * flags.size))
+    return count > min(OUTLIERS.misfit_pairs, fewest) and alike > OUTLIERS.misfit_share * count
 
 
-def refuse_if_too_many(flags: Flags) -> None:
-    """Raise when more than the largest share of the samples are bad.
+def is_too_many(flags: Flags) -> bool:
+    """True if a short record has more than the largest share of bad samples.
 
     Raises
     ------
     DataError
-        Gives the share.
+        For a longer record. Gives the share.
     """
     share = count_flags(flags, 1) / flags.size
-    if share > OUTLIERS.largest_share:
+    if share > OUTLIERS.largest_share and flags.size >= OUTLIERS.least_refused:
         raise DataError(
             f"{100.0 * share:.0f} % of the samples contradict the reference; at most "
             f"{100.0 * OUTLIERS.largest_share:.0f} % can be left out",
             remedy="check the wiring of the output, its unit and the reference, or calibrate a sound part of "
             "the record",
         )
+    return share > OUTLIERS.largest_share
 
 
 def count_flags(flags: Flags, kind: int) -> int:
