@@ -46,8 +46,13 @@ def test_every_page_is_clean(browser: Browser) -> None:
 def test_the_main_job_by_mouse(browser: Browser, place: Path, tmp_path: Path) -> None:
     page = browser.page
     browser.open("/")
-    page.get_by_role("link", name="Signals").first.click()
+    link = page.get_by_role("link", name="Signals").first
+    box = link.bounding_box()
+    assert box["x"] + box["width"] <= page.viewport_size["width"]  # seen without moving the table
+    link.click()
     browser.until("document.querySelectorAll('figure.signal[data-points]').length >= 3")
+    wide = "(canvas) => canvas.clientWidth > 0.8 * canvas.closest('figure').clientWidth"
+    assert page.evaluate(f"[...document.querySelectorAll('figure canvas')].every({wide})")
     browser.is_accessible()
     page.get_by_role("button", name="Zoom in").click()
     browser.until("document.getElementById('span').textContent.startsWith('532.5')")

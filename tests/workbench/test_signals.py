@@ -150,3 +150,17 @@ def test_a_hundred_million_rows(tmp_path: Path) -> None:
         longest = max(longest, time.process_time() - started)
         assert len(rows) > 300
     assert longest < 0.1
+
+
+def test_temperature_is_shown_in_the_unit_of_the_record(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(100)
+    kelvin = 293.15 + t
+    run = Run.from_arrays(t, t, np.full((100, 3), 9.8), scale_factor="0.8884 rad/s/g", temperature=kelvin)
+    shown = {}
+    for name, unit in (("a-1", "degC"), ("b-1", "K")):
+        (signal,) = (s for s in write_envelopes(run, tmp_path / name, unit).signals if s.key == "temperature")
+        assert read_outline(tmp_path / name).signals[-1] == signal  # type: ignore[union-attr]
+        shown[signal.unit] = kelvin * signal.factor + signal.offset
+    assert list(shown) == ["°C", "K"]
+    assert shown["°C"] == pytest.approx(20.0 + t)
+    assert shown["K"] == pytest.approx(kelvin)

@@ -84,10 +84,12 @@ def run(folder: Path, arguments: list[str]) -> None:
 
 def _envelopes(run: Path, folder: Path) -> None:
     """Read a record and write what the page of its signals draws."""
+    from piga.records.run_file import read_run_file
     from piga.stand import read_run
     from piga.workbench.signals import write_envelopes
 
-    write_envelopes(read_run(run), folder)
+    temperature = read_run_file(run).data.temperature
+    write_envelopes(read_run(run), folder, temperature.unit if temperature is not None else "K")
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from piga.errors import ArgumentError
 from piga.records.run import Run
 from piga.records.spool import spans
-from piga.units import G0
+from piga.units import G0, offset_to_si, parse_unit
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ MOST_STRETCHES = 20_000
 """Longest breaks that are drawn as gaps. More of them would not be seen."""
 MOST_WIDTH = 4096
 """Largest width of a picture [pixels]."""
-FORM = 2
+FORM = 3
 """Version of the cache's files."""
 
 
@@ -49,6 +49,8 @@ class Signal:
         Factor from SI to ``unit``.
     group:
         Signals of one group share a picture.
+    offset:
+        Is added after the factor: degrees Celsius do not begin at zero kelvin.
     """
 
     key: str
@@ -56,6 +58,7 @@ class Signal:
     unit: str
     factor: float
     group: str
+    offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ def cache_key(paths: list[Path]) -> str:
     return hashlib.sha256(json.dumps([FORM, states]).encode()).hexdigest()[:24]
 
 
-def write_envelopes(run: Run, folder: Path) -> SignalOutline:
+def write_envelopes(run: Run, folder: Path, temperature_unit: str = "K") -> SignalOutline:
     """Write the columns and envelopes of a record.
 
     Parameters
@@ -97,11 +100,13 @@ def write_envelopes(run: Run, folder: Path) -> SignalOutline:
         The record as read.
     folder:
         New folder, ``RECORD-KEY``. It appears when it is complete; older ones of the same record are removed.
+    temperature_unit:
+        Unit in which the record states its temperature. It is shown in this unit.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     part = Path(tempfile.mkdtemp(prefix="part-", dir=folder.parent))
     try:
-        outline = _write_all(run, part)
+        outline = _write_all(run, part, temperature_unit)
         shutil.rmtree(folder, ignore_errors=True)
         part.rename(folder)
     finally:
@@ -112,7 +117,7 @@ def write_envelopes(run: Run, folder: Path) -> SignalOutline:
     return outline
 
 
-def _write_all(run: Run, folder: Path) -> SignalOutline:
+def _write_all(run: Run, folder: Path, temperature_unit: str) -> SignalOutline:
     begins = _breaks(run)
     t = _shown_time(run, folder / "t.npy")
     np.save(folder / "breaks.npy", begins[1:])
@@ -122,7 +127,7 @@ def _write_all(run: Run, folder: Path) -> SignalOutline:
     levels = _levels(run.size, begins)
     for number, edges in enumerate(levels):
         np.save(folder / f"edges-{number}.npy", edges)
-    columns = _columns(run)
+    columns = _columns(run, temperature_unit)
     for signal, values in columns:
         _write_column(folder, signal.key, values, run.size, levels)
     outline = _outline(run, t, tuple(signal for signal, _ in columns))
@@ -284,7 +289,7 @@ def _levels(size: int, breaks: NDArray[np.int64]) -> list[NDArray[np.int64]]:
         block *= FACTOR
 
 
-def _columns(run: Run) -> list[tuple[Signal, Any]]:
+def _columns(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
     turn = 2.0 * np.pi
     output = (
         Signal("output", "output angle", "rev", 1.0 / turn, "output")
@@ -296,10 +301,14 @@ def _columns(run: Run) -> list[tuple[Signal, Any]]:
         columns.append((Signal(f"f{axis}", f"a_{axis}", "g", 1.0 / G0, "specific force"), run.f[:, index]))
     if run.base_rate is not None:
         for index, axis in enumerate("XYZ"):
-            signal = Signal(f"rate{axis}", f"Omega_{axis}", "deg/s", 360.0 / turn, "base rate")
+            signal = Signal(f"rate{axis}", f"Ω_{axis}", "deg/s", 360.0 / turn, "base rate")
             columns.append((signal, run.base_rate[:, index]))
     if run.temperature is not None:
-        columns.append((Signal("temperature", "temperature", "K", 1.0, "temperature"), run.temperature))
+        factor = 1.0 / parse_unit(temperature_unit).factor
+        offset = -offset_to_si(temperature_unit) * factor
+        unit = temperature_unit.replace("deg", "°")
+        signal = Signal("temperature", "temperature", unit, factor, "temperature", offset)
+        columns.append((signal, run.temperature))
     return columns
 
 

@@ -35,7 +35,7 @@
       series.push({ label: `${title} largest`, stroke, width: 1, value, points: { show: false } });
       bands.push({ series: [2 * index + 2, 2 * index + 1], fill: () => `color-mix(in srgb, ${stroke()} 35%, transparent)` });
     });
-    const axis = { stroke: () => style("--soft"), grid: { stroke: () => style("--grid"), width: 1 }, ticks: { stroke: () => style("--grid"), width: 1 } };
+    const axis = { values: tickNumbers, stroke: () => style("--soft"), grid: { stroke: () => style("--grid"), width: 1 }, ticks: { stroke: () => style("--grid"), width: 1 } };
     picture.plot = new uPlot({
       width: picture.place.clientWidth, height: 190, series, bands,
       scales: { x: { time: false, auto: false, min: shown[0], max: shown[1] } },

@@ -1,4 +1,11 @@
 "use strict";
+// Numbers at the ticks of an axis, with as many digits as tell two neighbours apart.
+const tickNumbers = (u, splits, axis, space, step) => {
+  let digits = 0;
+  while (digits < 12 && Math.abs(step * 10 ** digits - Math.round(step * 10 ** digits)) > 1e-6) digits += 1;
+  const short = (value) => value.toExponential(Math.max(0, Math.ceil(Math.log10(Math.abs(value) / step))));
+  return splits.map((value) => (value === null ? "" : digits > 7 && value ? short(value) : value.toFixed(Math.min(digits, 7))));
+};
 (() => {
   // A file that is dropped on the page of records is sent as it is; the page then shows it.
   const form = document.getElementById("drop");

@@ -23,6 +23,13 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
+SILENT = {
+    "scale_factor": "not beside k1",
+    "k1": "not beside scale_factor",
+    "k0_T": "the record has no temperature that changes",
+    "k1_T": "the record has no temperature that changes",
+}
+"""Why the record is not asked about a term."""
 _SEPARATORS = re.compile(r"[,;\s]+")
 
 
@@ -30,10 +37,10 @@ def show(request: Request) -> Response:
     """The form of a record, and its calibrations so far."""
     bench, name = bench_of(request), request.path_params["name"]
     run_file = read_run_file(bench.folder.toml(name))
-    known = [term for term in UNITS if term != "phi"]
+    known = _shown_terms()
     chosen = list(run_file.model.terms)
     tried = [
-        (job, bench.jobs.status(job))
+        (job, bench.jobs.status(job), " ".join(_kept_options(job)))
         for job in bench.jobs.all()
         if job.subject == name and job.command[0] == "calibrate"
     ]
@@ -57,7 +64,14 @@ def prospects(request: Request) -> Response:
     """What the record says of each term, before a calibration; the page puts each verdict beside its term."""
     bench, name = bench_of(request), request.path_params["name"]
     answer = ask(bench, name, TERMS, always="again" in request.query_params)
-    return render(request, "calibrate/prospects.html.jinja", name=name, check=answer)
+    told = {row["term"] for row in answer.document.get("terms", ())} if answer is not None else set()
+    silent = [(term, SILENT[term]) for term in _shown_terms() if term in SILENT and term not in told]
+    return render(request, "calibrate/prospects.html.jinja", name=name, check=answer, silent=silent)
+
+
+def _shown_terms() -> list[str]:
+    """The terms that have a box of their own."""
+    return [term for term in UNITS if term != "phi"]
 
 
 async def start(request: Request) -> Response:
@@ -147,8 +161,14 @@ def _is_part(request: Request) -> bool:
 
 def _shown_line(job: Job) -> str:
     """The command in a terminal. Its results go to the usual place."""
-    kept = job.command[: job.command.index("--out")] if "--out" in job.command else job.command
-    return command_line(Job(job.key, kept, job.title, job.subject))
+    command = (*job.command[:2], *_kept_options(job))
+    return command_line(Job(job.key, command, job.title, job.subject))
+
+
+def _kept_options(job: Job) -> tuple[str, ...]:
+    """The options of a calibration but the place of its results."""
+    end = job.command.index("--out") if "--out" in job.command else len(job.command)
+    return job.command[2:end]
 
 
 def adopt(request: Request) -> Response:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,7 +13,7 @@ from urllib.parse import parse_qsl
 from piga._version import __version__
 from piga.errors import ArgumentError, PigaError
 from piga.workbench.folder import Folder, OutsideError
-from piga.workbench.jobs import Jobs
+from piga.workbench.jobs import Job, Jobs
 from piga.workbench.live import Live
 from piga.workbench.security import Door
 
@@ -74,6 +75,7 @@ def _environment() -> Any:
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
     environment.filters["bytes"] = in_bytes
+    environment.filters["moment"] = moment
     return environment
 
 
@@ -163,6 +165,14 @@ def in_bytes(size: int) -> str:
             return f"{value:.3g} {unit}"
         value /= 1000.0
     return f"{value:.3g} GB"
+
+
+def moment(job: Job) -> str:
+    """When a job began, in the time of this machine."""
+    try:
+        return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(job.started))
+    except (OSError, OverflowError, ValueError):
+        return job.key
 
 
 def redirect(request: Request, to: str) -> Response:

@@ -32,6 +32,12 @@ if TYPE_CHECKING:
     from starlette.responses import Response
 
 POINTS = 601
+SETTLED = 0.02
+"""Largest deviation of a step response that is not seen in its figure."""
+SHORTEST_STEP = 1e-3
+"""Shortest time [s] of a step response."""
+NARROW = 4.2
+"""Width [inch] of a figure for a narrow window; its text is then as large as that of the page."""
 DEG = 180.0 / math.pi
 
 
@@ -99,8 +105,12 @@ def _rendered(request: Request, template: str) -> Response:
         loop = analyse_loop(twin) if poles.real.max() < 0.0 else None
     drawn = [_portrait(inst, forces), _rates(inst, forces), _motion(inst, forces, values["time"])]
     drawn += [_step(twin, poles)] if loop is not None else []
+    figures = [
+        (figure, figure_svg(figure), figure_svg(replace(figure, key=f"{figure.key}-narrow"), width=NARROW))
+        for figure in drawn
+    ]
     return render(
-        request, template, sliders=SLIDERS, values=values, figures=[(figure, figure_svg(figure)) for figure in drawn],
+        request, template, sliders=SLIDERS, values=values, figures=figures,
         numbers=_numbers(inst, forces), servo=_servo_numbers(twin, poles, loop),
     )  # fmt: skip
 
@@ -133,13 +143,12 @@ def _servo_numbers(
 
 
 def _step(twin: TwinParameters, poles: NDArray[np.complex128]) -> Figure:
-    slowest = float(np.abs(poles.real).min())
-    t = np.linspace(0.0, min(max(6.0 / slowest, 1e-3), 100.0), POINTS)
+    t, response = _shown_step(twin, poles)
     panel = Panel(
         Axis("time after the step", "s"),
         Axis("output rate over K a_x", "1"),
         (
-            Series(t, step_response(twin, t), "twin", role="after"),
+            Series(t, response, "twin", role="after"),
             Series(t[[0, -1]], np.ones(2), "without servo dynamics", role="muted"),
         ),
     )
@@ -149,6 +158,22 @@ def _step(twin: TwinParameters, poles: NDArray[np.complex128]) -> Figure:
         (panel,),
         "The servo of the twin answers a step of a_x, linear analysis.",
     )
+
+
+def _shown_step(
+    twin: TwinParameters, poles: NDArray[np.complex128]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times and response to a step, until it has settled.
+
+    The slowest pole may hardly be excited. So the time is halved as long as nothing is seen in its second half.
+    """
+    time = min(max(6.0 / float(np.abs(poles.real).min()), 1e-3), 100.0)
+    while True:
+        t = np.linspace(0.0, time, POINTS)
+        response = step_response(twin, t)
+        if time <= SHORTEST_STEP or np.abs(response[POINTS // 2 :] - 1.0).max() > SETTLED:
+            return t, response
+        time *= 0.5
 
 
 def _numbers(inst: Instrument, forces: tuple[float, float, float]) -> list[tuple[str, str]]:

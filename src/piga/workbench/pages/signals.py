@@ -79,11 +79,12 @@ def data(request: Request) -> Response:
         first, last, width = float(query["from"]), float(query["to"]), int(query["width"])
     except (KeyError, ValueError):
         raise ArgumentError("the span of the picture is not valid", remedy="reload the page") from None
-    factors = {signal.key: signal.factor for signal in outline.signals}
+    signals = {signal.key: signal for signal in outline.signals}
     columns: list[Any] = []
     for key in query.get("keys", "").split(","):
         rows = picture(cache_of(bench, name), key, first, last, width)
-        columns += [rows[:, 1:] * factors[key]] if columns else [rows[:, :1], rows[:, 1:] * factors[key]]
+        shown = rows[:, 1:] * signals[key].factor + signals[key].offset
+        columns += [shown] if columns else [rows[:, :1], shown]
     table = np.ascontiguousarray(np.hstack(columns), dtype="<f8")
     headers = {"x-columns": str(table.shape[1])}
     return Response(table.tobytes(), media_type="application/octet-stream", headers=headers)

@@ -1,0 +1,174 @@
+"""The page Signals on large files: ``python -m tests.workbench.size [--record]``.
+
+A real ``piga ui`` reads a CSV file of ten million rows and a Parquet file of a hundred million. Measured are the time
+until the first picture once the envelopes are there, the longest of many zooms (each the best of three, HTTP included),
+and the memory of server and reading job without mapped files.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from benchmarks import measured
+from numpy.typing import NDArray
+
+from tests.workbench.conftest import Client, Server
+
+SIZES = {"csv": 10_000_000, "parquet": 100_000_000}
+"""Rows by kind of file."""
+CHUNK = 1 << 20
+STEP, SEGMENTS, SCALE = 0.005, 24, 0.8884
+WIDTH = 1300
+ZOOMS = 40
+RUN = f"""\
+[instrument]
+serial = "large"
+scale_factor = "{SCALE} rad/s/g"
+[data]
+file = "large.KIND"
+time = {{ column = "t", unit = "s" }}
+output = {{ column = "a", kind = "angle", unit = "rad" }}
+segment = "s"
+reference = {{ columns = ["x", "y", "z"], unit = "g" }}
+"""
+
+
+def columns(rows: int) -> Iterator[dict[str, NDArray[np.float64] | NDArray[np.int64]]]:
+    """A tumble test of 24 positions, chunk by chunk."""
+    angle = 0.0
+    for first in range(0, rows, CHUNK):
+        row = np.arange(first, min(first + CHUNK, rows))
+        segment = row * SEGMENTS // rows
+        head = 2.0 * np.pi * segment / SEGMENTS
+        x = np.cos(head)
+        a = angle + np.cumsum(SCALE * x * STEP)
+        angle = float(a[-1])
+        yield {"t": STEP * row, "a": a, "s": segment, "x": x, "y": np.sin(head), "z": np.zeros(row.size)}
+
+
+def write(folder: Path, kind: str, rows: int) -> None:
+    """The file and its run file."""
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    path, writer = folder / f"large.{kind}", None
+    for part in columns(rows):
+        table = pa.table(part)
+        if writer is None:
+            writer = (
+                pyarrow.csv.CSVWriter(path, table.schema)
+                if kind == "csv"
+                else pyarrow.parquet.ParquetWriter(path, table.schema)
+            )
+        writer.write_table(table)
+    assert writer is not None
+    writer.close()
+    (folder / "large.toml").write_text(RUN.replace("KIND", kind), encoding="utf-8")
+
+
+def memory(pid: int) -> float:
+    """Memory of a process without mapped files [MB]; 0 if it has ended."""
+    try:
+        text = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+    except OSError:
+        return 0.0
+    found = re.search(r"RssAnon:\s+(\d+) kB", text)
+    return int(found[1]) / 1000.0 if found else 0.0
+
+
+class Watch:
+    """Largest memory of all processes of one parent, and of that parent."""
+
+    def __init__(self, parent: int) -> None:
+        self.parent, self.job, self.server = parent, 0.0, 0.0
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._look)
+        self._thread.start()
+
+    def _look(self) -> None:
+        while not self._end.wait(0.05):
+            self.server = max(self.server, memory(self.parent))
+            children = Path(f"/proc/{self.parent}/task/{self.parent}/children").read_text()
+            for task in Path(f"/proc/{self.parent}/task").glob("*/children"):
+                children += f" {task.read_text()}"
+            self.job = max([self.job, *(memory(int(pid)) for pid in children.split())])
+
+    def end(self) -> None:
+        self._end.set()
+        self._thread.join()
+
+
+def ask(client: Client, keys: str, first: float, last: float) -> float:
+    """Seconds that a picture takes."""
+    started = time.perf_counter()
+    path = f"/signal-data/large.toml?keys={keys}&from={first}&to={last}&width={WIDTH}"
+    status, _, body = client.ask(path)
+    seconds = time.perf_counter() - started
+    assert status == 200
+    assert len(body) >= 48
+    return seconds
+
+
+def measure(folder: Path, kind: str, rows: int) -> dict[str, float]:
+    """Write a file, open it, zoom; what was measured, by its name."""
+    write(folder, kind, rows)
+    server = Server(folder)
+    watch = Watch(server.process.pid)
+    try:
+        client = server.client
+        client.enter()
+        client.page("/")
+        before = memory(server.process.pid)
+        started = time.perf_counter()
+        client.until("/signals/large.toml", lambda text: "is read and checked" not in text, 3600.0)
+        reading = time.perf_counter() - started
+        started = time.perf_counter()
+        page = client.page("/signals/large.toml")
+        duration = float(re.search(r'data-duration="([^"]+)"', page)[1])  # type: ignore[index]
+        pictures = re.findall(r'data-keys="([^"]+)"', page)
+        for keys in pictures:
+            ask(client, keys, 0.0, duration)
+        first = time.perf_counter() - started
+        longest = 0.0
+        rng = np.random.default_rng(1)
+        for share in np.geomspace(0.9, 1e-6, ZOOMS):
+            begin = rng.uniform(0.0, (1.0 - share) * duration)
+            for keys in pictures:
+                longest = max(
+                    longest, min(ask(client, keys, begin, begin + share * duration) for _ in range(3))
+                )
+        watch.end()
+        return {
+            "reading": reading,
+            "first": first,
+            "zoom": longest,
+            "job": watch.job,
+            "server": watch.server - before,
+        }
+    finally:
+        watch.end()
+        assert server.end() == (0, "")
+
+
+def main() -> None:
+    """Measure both files."""
+    values = {}
+    for kind, rows in SIZES.items():
+        with tempfile.TemporaryDirectory() as name:
+            result = measure(Path(name), kind, rows)
+        sys.stdout.write(f"{kind}, {rows} rows: {result}\n")
+        values |= {f"{kind}: {key}": measured.rounded(value) for key, value in result.items()}
+    if "--record" in sys.argv:
+        measured.record("workbench", values)
+
+
+if __name__ == "__main__":
+    main()
