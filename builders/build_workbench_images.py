@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import gzip
+import io
 import re
 import shutil
 import subprocess
@@ -15,11 +16,19 @@ import sys
 import tempfile
 from pathlib import Path
 
-from playwright.sync_api import sync_playwright
+from PIL import Image
+from playwright.sync_api import Page, sync_playwright
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "images"
 SIZE = {"width": 1200, "height": 760}
+TALL = {"width": 1200, "height": 1100}
+
+
+def take(page: Page, name: str) -> None:
+    """What the window shows, as a PNG of 256 colours."""
+    picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB").quantize(256)
+    picture.save(IMAGES / f"{name}.png", optimize=True)
 
 
 def main() -> None:
@@ -33,6 +42,7 @@ def main() -> None:
         data = ROOT / "src" / "piga" / "data"
         (folder / "tumble-a.csv").write_bytes(gzip.decompress((data / "tumble-a.csv.gz").read_bytes()))
         shutil.copy(data / "tumble-a.toml", folder)
+        shutil.copy(ROOT / "examples" / "certificate.toml", folder)
         server = subprocess.Popen(
             [sys.executable, "-m", "piga", "ui", str(folder), "--no-browser"], stdout=subprocess.PIPE, text=True
         )
@@ -49,14 +59,24 @@ def main() -> None:
                 page.goto(f"{home}/signals/tumble-a.toml")
                 page.locator("figure.signal[data-points] canvas").first.wait_for()
                 page.wait_for_timeout(1500)
-                page.screenshot(path=IMAGES / "workbench-signals.png")
+                take(page, "workbench-signals")
                 page.goto(f"{home}/calibrate/tumble-a.toml")
+                page.locator("#p-k3.bad").wait_for()
+                page.set_viewport_size(TALL)
+                take(page, "workbench-terms")
+                page.set_viewport_size(SIZE)
                 page.get_by_role("button", name="Calibrate").click()
                 page.get_by_role("button", name="Keep this result").wait_for()
                 page.frame_locator("iframe").get_by_role("heading", name="Calibration of tumble-a").wait_for()
-                page.screenshot(path=IMAGES / "workbench-result.png")
+                take(page, "workbench-result")
+                page.get_by_role("button", name="Keep this result").click()
+                page.get_by_text("Kept results lie in").wait_for()
+                page.goto(f"{home}/certificate")
+                page.set_viewport_size(TALL)
+                take(page, "workbench-certificate")
+                page.set_viewport_size(SIZE)
                 page.goto(f"{home}/explore")
-                page.screenshot(path=IMAGES / "workbench-explore.png")
+                take(page, "workbench-explore")
                 browser.close()
         finally:
             server.terminate()

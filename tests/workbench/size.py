@@ -1,7 +1,7 @@
 """The page Signals on large files: ``python -m tests.workbench.size [--record]``.
 
 A real ``piga ui`` reads a CSV file of ten million rows and a Parquet file of a hundred million. Measured are the time
-until the first picture once the envelopes are there, the longest of many zooms (each the best of three, HTTP included),
+until the first picture once the envelopes are there, the longest of many zooms (each the best of five, HTTP included),
 and the memory of server and reading job without mapped files.
 """
 
@@ -27,6 +27,7 @@ CHUNK = 1 << 20
 STEP, SEGMENTS, SCALE = 0.005, 24, 0.8884
 WIDTH = 1300
 ZOOMS = 40
+"""Widths of zoom; each is asked for every picture of the page."""
 RUN = f"""\
 [instrument]
 serial = "large"
@@ -143,7 +144,7 @@ def measure(folder: Path, kind: str, rows: int) -> dict[str, float]:
             begin = rng.uniform(0.0, (1.0 - share) * duration)
             for keys in pictures:
                 longest = max(
-                    longest, min(ask(client, keys, begin, begin + share * duration) for _ in range(3))
+                    longest, min(ask(client, keys, begin, begin + share * duration) for _ in range(5))
                 )
         watch.end()
         return {
@@ -158,16 +159,37 @@ def measure(folder: Path, kind: str, rows: int) -> dict[str, float]:
         assert server.end() == (0, "")
 
 
+COLUMNS = {
+    "reading": ("read and envelopes made", "s"),
+    "first": ("first picture", "s"),
+    "zoom": ("longest zoom", "s"),
+    "job": ("memory of the reading process", "MB"),
+    "server": ("memory that the server takes more", "MB"),
+}
+"""Names and units of what is measured, as the page shows them."""
+
+
 def main() -> None:
     """Measure both files."""
-    values = {}
-    for kind, rows in SIZES.items():
+    rows = {}
+    for kind, size in SIZES.items():
         with tempfile.TemporaryDirectory() as name:
-            result = measure(Path(name), kind, rows)
-        sys.stdout.write(f"{kind}, {rows} rows: {result}\n")
-        values |= {f"{kind}: {key}": measured.rounded(value) for key, value in result.items()}
+            result = measure(Path(name), kind, size)
+        sys.stdout.write(f"{kind}, {size} rows: {result}\n")
+        words = f"{'CSV' if kind == 'csv' else 'Parquet'}, {size // 1_000_000} million rows"
+        rows[words] = {title: measured.rounded(result[key]) for key, (title, _) in COLUMNS.items()}
     if "--record" in sys.argv:
-        measured.record("workbench", values)
+        measured.write(
+            "workbench",
+            "file",
+            rows,
+            dict(COLUMNS.values()),
+            command="python -m tests.workbench.size --record",
+            conditions=(
+                "six columns, two busy cores; pictures of all signals, 1300 pixels wide, with HTTP; zoom: the longest of "
+                "80, each the best of five; memory without mapped files"
+            ),
+        )
 
 
 if __name__ == "__main__":
