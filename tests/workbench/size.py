@@ -186,8 +186,8 @@ def main() -> None:
             dict(COLUMNS.values()),
             command="python -m tests.workbench.size --record",
             conditions=(
-                "six columns, two busy cores; pictures of all signals, 1300 pixels wide, with HTTP; zoom: the longest of "
-                "80, each the best of five; memory without mapped files"
+                "six columns, two busy cores; pictures of all signals, 1300 pixels wide, with HTTP, not drawn; zoom: the longest "
+                "of 80, each the best of five; memory without mapped files"
             ),
         )
 

@@ -7,15 +7,18 @@ import os
 import signal
 import socket
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from urllib.parse import quote
 
 import pytest
 
 from piga.errors import ArgumentError
+from piga.workbench.app import MOST_CONNECTIONS
 from piga.workbench.folder import Folder, OutsideError
-from piga.workbench.jobs import Jobs
+from piga.workbench.jobs import MOST_RUNNING, Jobs
 from tests.workbench.conftest import Client, Server, shipped_record
+from tests.workbench.size import memory
 
 EVIL = "\"'><img src=x onerror=alert(1)></textarea><script>alert(1)</script>{{7*7}}"
 RAW = ("<img src=x", "<script>alert", "</textarea><s", ">49<")
@@ -73,6 +76,115 @@ def test_half_requests_keep_nobody_out(client: Client, server: Server) -> None:
         time.sleep(0.1)
     assert not list(server.folder.glob("*slow*"))
     assert "Records" in client.page("/")
+
+
+@pytest.mark.only_compiled
+def test_fifty_jobs_at_once(tmp_path: Path) -> None:
+    """So many run as may run. The others are told so, and the server goes on answering."""
+    shipped_record(tmp_path)
+    running = Server(tmp_path)
+    running.client.enter()
+    try:
+        running.client.page("/calibrate/tumble-a.toml")
+        with ThreadPoolExecutor(50) as pool:
+            sent = [
+                pool.submit(running.client.post, "/calibrate/tumble-a.toml", {"term": "k0"}) for _ in range(50)
+            ]
+            while not all(answer.done() for answer in sent):
+                started = time.monotonic()
+                assert running.client.page("/healthz") == "ok\n"
+                assert time.monotonic() - started < 5.0
+        answers = [answer.result() for answer in sent]
+        assert sorted(status for status, _, _ in answers) == [303] * MOST_RUNNING + [429] * (50 - MOST_RUNNING)
+        assert all(
+            f"{MOST_RUNNING} jobs are running".encode() in body for status, _, body in answers if status == 429
+        )
+        started_jobs = list((tmp_path / ".piga-ui" / "jobs").glob("*/job.json"))
+        kinds = [json.loads(path.read_text(encoding="utf-8"))["command"][0] for path in started_jobs]
+        assert kinds == ["calibrate"] * MOST_RUNNING
+    finally:
+        assert running.end() == (0, "")
+    assert not list(tmp_path.glob(".piga-ui/trials/*"))
+
+
+@pytest.mark.only_compiled
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
+def test_clients_that_read_nothing_take_no_memory(tmp_path: Path) -> None:
+    place = tmp_path / ".piga-ui" / "jobs" / "20990101-000000-abcdef"
+    place.mkdir(parents=True)
+    job = {"command": ["plan"], "title": "Plan", "subject": "x", "key": "x", "result": "large"}
+    (place / "job.json").write_text(json.dumps(job), encoding="utf-8")
+    (place / "end.json").write_text(json.dumps({"code": 0, "seconds": 1.0}), encoding="utf-8")
+    (tmp_path / "large").mkdir()
+    with (tmp_path / "large" / "large.bin").open("wb") as stream:
+        stream.truncate(1 << 30)
+    running = Server(tmp_path)
+    client = running.client
+    client.enter()
+    client.page(f"/jobs/{place.name}")
+    before, held = memory(running.process.pid), []
+    try:
+        head = f"GET /jobs/{place.name}/file/large.bin HTTP/1.1\r\nHost: 127.0.0.1:{client.port}\r\n"
+
+        def one_more() -> bytes:
+            raw = socket.create_connection(("127.0.0.1", client.port), timeout=20)
+            held.append(raw)
+            raw.sendall(f"{head}Cookie: {client.cookie}\r\n\r\n".encode())
+            return raw.recv(12)
+
+        assert {one_more() for _ in range(200)} == {b"HTTP/1.1 200"}
+        for page in ("/healthz", "/", "/jobs"):
+            started = time.monotonic()
+            client.page(page)
+            assert time.monotonic() - started < 5.0
+        while len(held) < MOST_CONNECTIONS - 1:
+            assert one_more() == b"HTTP/1.1 200"
+        held += [socket.create_connection(("127.0.0.1", client.port), timeout=20) for _ in range(600)]
+        for raw in held[-600:]:
+            raw.sendall(f"{head}\r\n".encode())
+        assert held[-1].recv(12) == b"HTTP/1.1 503"
+        assert memory(running.process.pid) - before < 150.0
+        while held:
+            held.pop().close()
+        limit = time.monotonic() + 20.0
+        while client.ask("/jobs")[0] == 503:  # until the server has seen that they left
+            assert time.monotonic() < limit
+            time.sleep(0.05)
+        client.page("/jobs")
+    finally:
+        for raw in held:
+            raw.close()
+        assert running.end() == (0, "")
+
+
+SMALL = "from piga.workbench.pages import records; records.MOST_UPLOAD = 4 << 20; from piga.cli.main import main; main()"
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
+@pytest.mark.parametrize("declared", [True, False])
+def test_an_upload_without_end_is_cut_off(tmp_path: Path, declared: bool) -> None:
+    """Whether it says its length or comes in pieces."""
+    running = Server(tmp_path, program=("-c", SMALL))
+    client = running.client
+    client.enter()
+    client.page("/")
+    before = memory(running.process.pid)
+    head = f"POST /upload?name=endless.csv HTTP/1.1\r\nHost: 127.0.0.1:{client.port}\r\n"
+    head += f"Cookie: {client.cookie}\r\nOrigin: http://127.0.0.1:{client.port}\r\n"
+    head += f"Content-Length: {64 << 20}\r\n\r\n" if declared else "Transfer-Encoding: chunked\r\n\r\n"
+    piece = b"x" * (1 << 20)
+    piece = piece if declared else b"%x\r\n%b\r\n" % (len(piece), piece)
+    with socket.create_connection(("127.0.0.1", client.port), timeout=20) as raw:
+        raw.sendall(head.encode())
+        for _ in range(0 if declared else 64):
+            raw.sendall(piece)
+        answer = raw.recv(4000)
+    assert answer.startswith(b"HTTP/1.1 413 ")
+    assert client.page("/healthz") == "ok\n"
+    assert memory(running.process.pid) - before < 30.0
+    assert not list((tmp_path / ".piga-ui" / "parts").iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == [".piga-ui"]
+    assert running.end() == (0, "")
 
 
 @pytest.mark.parametrize(

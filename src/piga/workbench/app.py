@@ -14,9 +14,12 @@ from piga.workbench.live import Live
 from piga.workbench.pages import all_routes
 from piga.workbench.pages.common import Workbench, error_page, gone_page
 from piga.workbench.pages.records import PARTS
-from piga.workbench.remote import Entrance, listening
+from piga.workbench.remote import WAITING, Entrance, listening
 from piga.workbench.security import Door, Guard
 
+MOST_CONNECTIONS = 300
+"""Connections at a time; a request beyond is answered with 503. Each may hold a socket and a file, and a process usually
+may have 1024 of them."""
 GRACE = 2
 """Time [s] that open requests have when the server ends."""
 
@@ -112,6 +115,8 @@ def serve(
         server_header=False,
         proxy_headers=False,
         timeout_graceful_shutdown=GRACE,
+        backlog=WAITING,  # so many are accepted before the first of them is answered
+        limit_concurrency=MOST_CONNECTIONS,
         lifespan="on",
         ssl_context_factory=None if tls is None else lambda _config, _default: tls,
     )

@@ -15,6 +15,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -39,6 +40,11 @@ MOST_DOCUMENT = 20_000_000
 """Bytes of printed JSON that are read."""
 MOST_TEXT = 200_000
 """Bytes of printed text that a page shows."""
+
+
+class BusyError(ArgumentError):
+    """As many jobs run as may run."""
+
 
 State = Literal["running", "done", "failed", "stopped", "lost"]
 
@@ -91,6 +97,7 @@ class Jobs:
         self._folder, self._root = folder, root
         folder.mkdir(exist_ok=True)
         self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._starting = threading.Lock()
 
     def start(self, command: Sequence[str], title: str, subject: str, result: str = "") -> Job:
         """Start ``piga`` with these arguments in the opened folder.
@@ -99,15 +106,19 @@ class Jobs:
 
         Raises
         ------
-        ArgumentError
+        BusyError
             If too many jobs run.
         """
+        with self._starting:  # many requests may ask at the same time
+            return self._start(command, title, subject, result)
+
+    def _start(self, command: Sequence[str], title: str, subject: str, result: str) -> Job:
         running = [job for job in self.all() if self.status(job).state == "running"]
         for job in running:
             if result and job.result == result:
                 return job
         if len(running) >= MOST_RUNNING:
-            raise ArgumentError(f"{MOST_RUNNING} jobs are running", remedy="wait for one, or stop one")
+            raise BusyError(f"{MOST_RUNNING} jobs are running", remedy="wait for one, or stop one")
         key = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
         place = self._folder / key
         place.mkdir()

@@ -13,7 +13,7 @@ from urllib.parse import parse_qsl
 from piga._version import __version__
 from piga.errors import ArgumentError, PigaError
 from piga.workbench.folder import Folder, OutsideError
-from piga.workbench.jobs import Job, Jobs
+from piga.workbench.jobs import BusyError, Job, Jobs
 from piga.workbench.live import Live
 from piga.workbench.security import Door
 
@@ -45,6 +45,14 @@ MENU = (
     ("/jobs", "Jobs"),
 )
 """Pages that need no record."""
+
+
+class TooLargeError(ArgumentError):
+    """More was sent than is taken."""
+
+
+STATUSES: dict[type[Exception], int] = {OutsideError: 404, BusyError: 429, TooLargeError: 413}
+"""Status of the answer by kind of error; that of all other errors of a user is 422."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +143,7 @@ def error_page(request: Request, error: Exception) -> Response:
     """The page of an error: what is wrong, and the remedy."""
     from starlette.exceptions import HTTPException
 
-    status = 404 if isinstance(error, OutsideError) else 422
+    status = next((code for kind, code in STATUSES.items() if isinstance(error, kind)), 422)
     text, remedy = str(error), ""
     if isinstance(error, HTTPException):
         status = error.status_code

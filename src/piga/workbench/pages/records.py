@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from piga.errors import ArgumentError
 from piga.output import put_in_place
-from piga.workbench.pages.common import bench_of, render
+from piga.workbench.pages.common import TooLargeError, bench_of, render
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -59,8 +58,8 @@ async def take(request: Request) -> Response:
     return JSONResponse({"name": folder.name(target)})
 
 
-def _too_large(target: Path) -> ArgumentError:
-    return ArgumentError(
+def _too_large(target: Path) -> TooLargeError:
+    return TooLargeError(
         f"{target.name}: is larger than {MOST_UPLOAD >> 30} GiB", remedy="copy it into the folder"
     )
 
