@@ -14,6 +14,7 @@ import piga
 from piga.describe.draft import toml_value
 from piga.records.text_files import toml_document
 from piga.workbench.forms import digest, form_fields, form_of_text, sent_text, text_with
+from tests.workbench.conftest import Client, Server
 
 TEXT = files("piga.data").joinpath("tumble-a.toml").read_text(encoding="utf-8")
 ALL = [field.path for fields in form_fields(TEXT).values() for field in fields]
@@ -125,3 +126,10 @@ def test_text_without_form_keeps_its_message() -> None:
     form = form_of_text("[instrument", "run")
     assert form.tables == {}
     assert "not valid TOML" in form.message
+
+
+def test_a_question_keeps_its_capital_letters(client: Client, server: Server) -> None:
+    (server.folder / "open.csv").write_text("t,counts\n" + "".join(f"{t},{7 * t}\n" for t in range(40)))
+    page = client.page("/describe/open.csv")
+    (server.folder / "open.csv").unlink()
+    assert ">Columns of the specific force along X0, Y0 and Z0</label>" in page

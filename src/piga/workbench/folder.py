@@ -103,7 +103,11 @@ class Folder:
 
         A folder that may not be written stays as it is. The next page or command that reads its results says so.
         """
-        for here, folders, _ in self._walk():
+        seen = 0
+        for here, folders, names in self._walk():
+            seen += len(names)
+            if seen > MOST_FILES:
+                return
             if any(is_staged(here / name) for name in folders):
                 with suppress(PigaError):
                     settle(here)
