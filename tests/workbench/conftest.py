@@ -167,12 +167,11 @@ class Browser:
             self.faults.append(text)
 
     def _from(self, url: str) -> None:
-        home = f"http://127.0.0.1:{self.server.client.port}/"
-        if not url.startswith((home, "data:", "blob:", "about:")):
+        if not url.startswith((f"{self.server.client.home}/", "data:", "blob:", "about:")):
             self.faults.append(f"a request to {url}")
 
     def open(self, path: str) -> None:
-        self.page.goto(f"http://127.0.0.1:{self.server.client.port}{path}")
+        self.page.goto(f"{self.server.client.home}{path}")
 
     def until(self, expression: str) -> None:
         """Wait until an expression is true. The page's policy forbids the browser's own way of waiting."""

@@ -11,6 +11,7 @@ import socket
 import ssl
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -28,7 +29,7 @@ from piga.workbench.remote import (
 )
 from piga.workbench.security import MOST_SESSIONS, SESSION_AGE, Door
 from tests.cli.runner import exit_code
-from tests.workbench.conftest import Client, Server, shipped_record
+from tests.workbench.conftest import Browser, Client, Server, shipped_record
 
 PASSWORD = "größer als zwölf"
 PLAIN = {"Content-Type": "application/x-www-form-urlencoded"}
@@ -482,3 +483,27 @@ def test_plain_http_gets_no_answer_and_harms_nobody(server: Server, stranger: Re
                 answer = b""
         assert b"HTTP/1" not in answer
     assert stranger.ask("/login")[0] == 200
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize(("width", "scheme"), [(1300, "light"), (400, "dark")])
+def test_a_person_logs_in_works_and_logs_out(program: Any, server: Server, width: int, scheme: str) -> None:
+    context = program.new_context(
+        viewport={"width": width, "height": 900}, color_scheme=scheme, ignore_https_errors=True
+    )
+    browser = Browser(context, server)
+    page = browser.page
+    browser.open("/")
+    assert page.url == f"{server.client.home}/login"
+    browser.is_accessible()
+    page.keyboard.type(PASSWORD)
+    page.keyboard.press("Enter")
+    page.get_by_role("link", name="Signals").first.click()
+    browser.until("document.querySelectorAll('figure.signal[data-points]').length >= 3")
+    browser.is_accessible()
+    page.get_by_role("button", name="Log out").click()
+    page.get_by_role("heading", name="Log in to piga").wait_for()
+    browser.open("/jobs")
+    assert page.url == f"{server.client.home}/login"
+    context.close()
+    assert not browser.faults
