@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import datetime as dt
 import http.client
 import ipaddress
@@ -20,6 +21,7 @@ from piga.workbench.remote import (
     FORGOTTEN,
     LOOPBACK,
     MOST_ADDRESSES,
+    MOST_OPEN,
     Entrance,
     Login,
     entrance,
@@ -378,6 +380,30 @@ def test_sessions_end_and_are_not_many() -> None:
     assert door.has_session(last)
     now[0] = SESSION_AGE + 1.0
     assert not door.has_session(last)
+
+
+def test_one_address_has_only_so_many_connections() -> None:
+    with contextlib.ExitStack() as stack:
+        listener = stack.enter_context(listening(Entrance(login=Login(PASSWORD)), 0)[0])
+        listener.setblocking(False)
+
+        def connected(address: str) -> socket.socket:
+            own = socket.create_connection(listener.getsockname(), timeout=10, source_address=(address, 0))
+            return stack.enter_context(own)
+
+        def accepted() -> socket.socket:
+            return stack.enter_context(listener.accept()[0])
+
+        held = [(connected("127.0.0.2"), accepted()) for _ in range(MOST_OPEN)]
+        one_more = connected("127.0.0.2")
+        with pytest.raises(BlockingIOError):
+            accepted()
+        assert one_more.recv(1) == b""
+        connected("127.0.0.3")
+        accepted()
+        held[0][1].close()
+        connected("127.0.0.2")
+        accepted()
 
 
 # A stranger at a running server

@@ -118,6 +118,7 @@ def serve(
         backlog=WAITING,  # so many are accepted before the first of them is answered
         limit_concurrency=MOST_CONNECTIONS,
         lifespan="on",
+        loop="asyncio",  # others do not ask the listener
         ssl_context_factory=None if tls is None else lambda _config, _default: tls,
     )
     for number in (signal.SIGINT, signal.SIGTERM):

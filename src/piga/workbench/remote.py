@@ -22,6 +22,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from piga.errors import ArgumentError
 from piga.records.limits import open_regular, read_whole
@@ -42,6 +43,8 @@ MOST_ADDRESSES = 4096
 """Most addresses whose wrong passwords are remembered. The one that has not tried for longest is forgotten first."""
 MOST_CHECKS = 16
 """Most passwords that wait for their check. It takes about 50 ms, one after another."""
+MOST_OPEN = 100
+"""Most connections of one address at a time. Further ones are closed at once."""
 MOST_PORT = 65535
 WAITING = 128
 """Connections that may wait to be accepted."""
@@ -201,6 +204,23 @@ def _is_every_address(address: str) -> bool:
     return _inner(address).is_unspecified
 
 
+class Listener(socket.socket):
+    """A listening socket that accepts only so many connections of one address, so that one cannot use up all."""
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """The next connection of an address that has fewer than :data:`MOST_OPEN`."""
+        opened: dict[str, list[socket.socket]] = self.__dict__.setdefault("opened", {})
+        while True:
+            connection, where = super().accept()
+            for address in [a for a, all_of in opened.items() if all(one.fileno() < 0 for one in all_of)]:
+                del opened[address]
+            still = [one for one in opened.get(where[0], []) if one.fileno() >= 0]
+            if len(still) < MOST_OPEN:
+                opened[where[0]] = [*still, connection]
+                return connection, where
+            connection.close()
+
+
 def listening(entrance: Entrance, port: int) -> list[socket.socket]:
     """Sockets on the addresses that the entrance's name has on this machine.
 
@@ -238,7 +258,8 @@ def listening(entrance: Entrance, port: int) -> list[socket.socket]:
     try:
         for address, family in usable.items():
             taken = sockets[0].getsockname()[1] if sockets else port
-            sockets.append(socket.create_server((address, taken), family=family, backlog=WAITING))
+            plain = socket.create_server((address, taken), family=family, backlog=WAITING)
+            sockets.append(plain if entrance.login is None else Listener(fileno=plain.detach()))
     except OSError as error:
         for one in sockets:
             one.close()
