@@ -25,6 +25,7 @@ def test_small_record(method: str, phase: str) -> None:
     assert all(abs(z) < 4.5 for z in errors(calibration).values()), errors(calibration)
 
 
+@pytest.mark.only_compiled
 def test_harmonics_turn_with_the_phase() -> None:
     run = small()
     calibration = piga.calibrate(run, [*TERMS, "s2", "c2"])

@@ -31,6 +31,7 @@ def small(tmp_path_factory):
     return computed(tmp_path_factory.mktemp("small"))
 
 
+@pytest.mark.only_compiled
 def test_figures_are_those_of_the_rows(small):
     figures = document(collect(open_campaign(small)))
     every = rows(small)

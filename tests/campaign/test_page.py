@@ -31,6 +31,7 @@ def grid(tmp_path_factory):
     return collect(open_campaign(folder / "out"))
 
 
+@pytest.mark.only_compiled
 def test_page_of_a_grid(grid):
     page = campaign_page(grid)
     blocks = [block for section in page.sections for block in section.blocks]
@@ -55,6 +56,7 @@ def test_page_of_a_grid(grid):
     assert "coverage" in collected_text(grid)
 
 
+@pytest.mark.only_compiled
 def test_coverage_away_from_95_per_cent_is_marked(grid):
     from dataclasses import replace
 

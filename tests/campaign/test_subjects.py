@@ -261,6 +261,7 @@ terms = ["scale_factor", "tan_beta", "k0"]
 """
 
 
+@pytest.mark.only_compiled
 def test_seen_has_what_the_record_says_of_its_noise(tmp_path):
     """A sound short rate log has the remark, a loud one the doubt, a sound angle log neither."""
 

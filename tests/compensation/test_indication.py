@@ -46,7 +46,6 @@ def test_uneven_intervals_cost_the_higher_differences_only():
 
 
 @pytest.mark.compiled
-@pytest.mark.smoke
 def test_near_and_far_intervals_mixed_are_the_same_to_the_bit_whatever_the_chunks():
     """Some intervals turn beyond the formula, some are uneven, some begin stretches."""
     rng = np.random.default_rng(4)

@@ -16,7 +16,7 @@ from piga.reports.planning import plan_text
 from piga.stand import read_scenario
 from tests.planning.cases import request
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.only_compiled
 WALK = 1e-5
 TINY = {"rate": 1, "positions": "0:360:90 deg", "duration": 150, "terms": '"scale_factor", "k0"', "walk": WALK}
 SMALL = {"rate": 1, "positions": "0:360:60 deg", "duration": 301, "terms": '"scale_factor", "k0"', "walk": WALK}
@@ -71,7 +71,6 @@ def test_document_text_and_scenario(plan: Plan, tmp_path: Path) -> None:
     assert [s.duration for s in segments if s.recorded] == [visit.dwell for visit in plan.best.visits]
 
 
-@pytest.mark.only_compiled
 def test_the_stand_may_not_be_good_enough(tmp_path: Path) -> None:
     wish = request(
         tmp_path,
@@ -89,7 +88,6 @@ def test_the_stand_may_not_be_good_enough(tmp_path: Path) -> None:
     assert plan_document(plan, None)["cheapest"]["refusal"] == plan.cheapest.refusal
 
 
-@pytest.mark.only_compiled
 @pytest.mark.parametrize("criterion", ["A", "c", "wanted"])
 def test_other_criteria_are_no_worse_than_the_standard_test(tmp_path: Path, criterion: str) -> None:
     extra = 'combination = { k0 = 1.0 }\nwanted = { k0 = "1 ug", scale_factor = "1e-6 rad/s/g" }'

@@ -157,6 +157,7 @@ def _bound(s, sources):
     return np.sqrt(np.diag(np.linalg.inv(free.T @ free)))
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("sources", [ANGLES, FORCE])
 def test_every_uncertainty_is_the_cramer_rao_bound(sources):
     """Angles, phases and harmonics. The force is held to the bound of a base *known* to be at rest."""

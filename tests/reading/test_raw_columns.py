@@ -52,6 +52,7 @@ def assert_same(first: dict[str, Any] | str, second: dict[str, Any] | str) -> No
             assert value == second[name], name
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case.name)
 def test_damaged_files_in_small_pieces(tmp_path: Path, case: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     path = case.write(tmp_path)
@@ -112,6 +113,7 @@ def edit(rows: list[str], draw: random.Random) -> None:
     draw.choice(kinds)()
 
 
+@pytest.mark.only_compiled
 def test_mutated_text_in_small_pieces(tmp_path: Path) -> None:
     draw, path = seeded(9), tmp_path / "log.csv"
     for _ in range(300):

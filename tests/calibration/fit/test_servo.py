@@ -107,6 +107,7 @@ def test_turning_base_and_the_pulling_across_it():
     check(calibration, TRUTH, {name: 2.0 * size for name, size in EXACT.items()})
 
 
+@pytest.mark.only_compiled
 def test_log_of_rates():
     run = recorded(head(8), seconds=8.0, step=0.125)
     alpha = run.output + PHI
@@ -127,6 +128,7 @@ def test_phase_of_its_own_in_each_segment():
     assert np.abs(np.angle(np.exp(1j * (own - phases)))).max() < 1e-4
 
 
+@pytest.mark.only_compiled
 def test_strong_damping_turns_the_phase_and_is_told_apart():
     strong = 5e-4 / G0**2
     calibration = calibrate(given(recorded(head(8), d=strong)), TERMS)
@@ -351,6 +353,7 @@ SERVO = (
 S, D = K**2 * 0.1 / 6000.0, 0.1 * K**2 / 3000.0
 
 
+@pytest.mark.only_compiled
 def test_given_parameters_are_a_known_part_of_the_model_with_their_uncertainty():
     run = given(replace(recorded(head(8), seconds=8.0, s=S, d=D), servo=SERVO))
     calibration = calibrate(run, TERMS[:5])
@@ -368,6 +371,7 @@ def test_given_parameters_are_a_known_part_of_the_model_with_their_uncertainty()
     assert total == pytest.approx(calibration["servo_damping"].std)
 
 
+@pytest.mark.only_compiled
 def test_what_is_asked_for_is_estimated_even_where_it_is_given():
     wrong = (replace(SERVO[0], value=1500.0), *SERVO[1:])
     run = given(replace(recorded(head(8), seconds=8.0, s=S, d=D), servo=wrong))

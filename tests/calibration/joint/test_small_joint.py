@@ -202,6 +202,7 @@ def contributions(table: UncertaintyTable) -> tuple[dict[str, dict[str, float]],
     return {row.source: row.contributions for row in calibration.budget if row.type == "B"}, calibration
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("source", ["reference_scale", "timing"])
 def test_a_scale_goes_into_k(source: str) -> None:
     result = contributions(UncertaintyTable(**{source: "20 ppm"}))[0][source]
@@ -209,11 +210,13 @@ def test_a_scale_goes_into_k(source: str) -> None:
     assert abs(result["k0"]) < 20e-6 * 4e-3  # of the bias itself, 1.6e-3 g
 
 
+@pytest.mark.only_compiled
 def test_gravity_goes_into_k() -> None:
     result = contributions(UncertaintyTable(gravity="20 mGal"))[0]["gravity"]
     assert abs(result["scale_factor"]) == pytest.approx(20e-5 / G0 * 0.8884, rel=1e-2)
 
 
+@pytest.mark.only_compiled
 def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> None:
     outcome, result = contributions(UncertaintyTable(reference_bias="5 ug"))
     assert abs(outcome["reference_bias X0"]["k0"]) == pytest.approx(5e-6, rel=1e-2)
@@ -221,12 +224,14 @@ def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> 
     assert set(outcome) == {f"reference_bias {axis}" for axis in ("X0", "Y0", "Z0")}
 
 
+@pytest.mark.only_compiled
 def test_a_turn_of_the_reference_about_z_goes_into_the_misalignment() -> None:
     result, _ = contributions(UncertaintyTable(reference_misalignment="2 arcsec"))
     assert abs(result["reference_misalignment Z0"]["m_Y"]) == pytest.approx(np.radians(2.0 / 3600.0), rel=1e-2)
     assert abs(result["reference_misalignment Z0"]["scale_factor"]) < 1e-8
 
 
+@pytest.mark.only_compiled
 def test_a_thermometer_goes_into_the_bias_by_its_slope() -> None:
     outcome, result = contributions(UncertaintyTable(temperature="0.5 K"))
     assert abs(outcome["temperature"]["k0"]) == pytest.approx(0.5 * abs(result["k0_T"].value), rel=1e-6)
@@ -279,6 +284,7 @@ def test_pulling_that_does_not_show_on_a_small_record() -> None:
     assert any("do not show tan_beta" in note for note in calibration.notes)
 
 
+@pytest.mark.only_compiled
 def test_pulling_of_a_strongly_coupled_instrument() -> None:
     """3 g across, positions near the horizontal: the mean rate misses up to 1.5 %, and tells tan_beta."""
     angles = np.radians([10, 15, 25, 60, 120, 165, 195, 220, 300, 345])

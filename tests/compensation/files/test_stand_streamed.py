@@ -102,10 +102,10 @@ def same(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) 
     return summary
 
 
-@pytest.mark.compiled
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("stand", STANDS)
 @pytest.mark.parametrize("kind", ["parquet", "csv"])
-@pytest.mark.parametrize("chunk", [pytest.param(7, marks=pytest.mark.only_compiled), 37])
+@pytest.mark.parametrize("chunk", [7, 37])
 def test_every_stand(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stand: str, kind: str, chunk: int
 ) -> None:
@@ -154,6 +154,7 @@ def test_a_set_turns_with_its_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert (tmp_path / "parts").read_bytes() == (tmp_path / "whole").read_bytes()
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize(
     ("stand", "message"),
     [
@@ -187,6 +188,7 @@ print(max(own, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024))
 """
 
 
+@pytest.mark.only_compiled
 def test_pandas_stays_out(tmp_path: Path) -> None:
     """PyArrow loads it, where there is one, for empty cells in and out: 40 MB."""
     pytest.importorskip("pandas")

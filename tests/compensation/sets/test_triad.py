@@ -82,7 +82,7 @@ def test_full_error_model_of_angles():
     assert np.abs(compensated.f[1:] - f[1:]).max() < 2e-12 * G0 * max(1.0, 0.009 * ROWS)
 
 
-@pytest.mark.compiled
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("size", [3, 37])
 def test_a_redundant_set_that_locks_is_the_same_whatever_the_chunks(size: int) -> None:
     """Weights follow the force that is found without them: both solutions look back over the edges of the chunks."""
