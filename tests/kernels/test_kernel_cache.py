@@ -32,41 +32,40 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
 }
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], tuple[str, str, Path]]:
-    folder = tmp_path_factory.mktemp("kernel")
-    (folder / "small.py").write_text(KERNEL)
-    cache = folder / "cache"
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "0", "NUMBA_CACHE_DIR": str(cache)}
-
-    def call() -> tuple[str, str, Path]:
-        done = subprocess.run(
-            [sys.executable, "-c", PROGRAM, str(folder)],
-            capture_output=True,
-            text=True,
-            check=False,
-            env=environment,
-        )
-        return done.stdout.strip(), done.stderr, cache
-
-    call()
-    return call
+def call(folder: Path, program: str = PROGRAM, **variables: str) -> tuple[str, str]:
+    """Output and messages of a process that uses the kernels of ``folder``; they are kept in its folder ``cache``."""
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "0", "NUMBA_CACHE_DIR": str(folder / "cache")} | variables
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(folder)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment,
+    )
+    return done.stdout.strip(), done.stderr
 
 
 @pytest.mark.only_compiled
-@pytest.mark.parametrize(
-    ("ending", "damage"),
-    [(ending, damage) for ending in ("nbi", "nbc") for damage in DAMAGE],
-)
-def test_damaged_cache_files(run: Callable[[], tuple[str, str, Path]], ending: str, damage: str) -> None:
-    cache = run()[2]
-    (path,) = cache.rglob(f"small.twice*.{ending}")
-    sound = path.read_bytes()
-    path.write_bytes(DAMAGE[damage](sound))
-    answer, err, _ = run()
-    assert (answer, err) == ("42.0", "")
-    assert path.stat().st_size > 0.5 * len(sound)
-    assert run()[0] == "42.0"
+def test_damaged_cache_files(tmp_path: Path) -> None:
+    """A kernel for each damage of index and data, since a process costs much more than a kernel."""
+    damaged = [(ending, damage) for ending in ("nbi", "nbc") for damage in DAMAGE]
+    kernels = [f"@kernel\ndef twice_{k}(x):\n    return 2.0 * x\n" for k in range(len(damaged))]
+    (tmp_path / "small.py").write_text("\n".join(["from piga._kernels.jit import kernel\n", *kernels]))
+    answers = "\n".join(f"print({k}, small.twice_{k}(21.0))" for k in range(len(damaged)))
+    program = PROGRAM.replace("print(small.twice(21.0))", answers)
+    right = ("\n".join(f"{k} 42.0" for k in range(len(damaged))), "")
+    assert call(tmp_path, program) == right
+    sizes = {}
+    for k, (ending, damage) in enumerate(damaged):
+        (path,) = tmp_path.rglob(f"small.twice_{k}-*.{ending}")
+        sound = path.read_bytes()
+        path.write_bytes(DAMAGE[damage](sound))
+        assert path.read_bytes() != sound
+        sizes[path] = len(sound)
+    assert call(tmp_path, program) == right
+    for path, size in sizes.items():
+        assert path.stat().st_size > 0.5 * size, path
+    assert call(tmp_path, program) == right
 
 
 @pytest.mark.only_compiled
@@ -86,13 +85,8 @@ def refuse(self, path):
 
 Files._open_for_write = refuse
 """
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "0", "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     for program in (full + PROGRAM, full + PROGRAM, PROGRAM):
-        done = subprocess.run(
-            [sys.executable, "-c", program, str(tmp_path)],
-            capture_output=True, text=True, check=False, env=environment,
-        )  # fmt: skip
-        assert (done.stdout.strip(), done.stderr) == ("42.0", "")
+        assert call(tmp_path, program) == ("42.0", "")
     assert not list(tmp_path.rglob("*.tmp.*"))
 
 
@@ -102,17 +96,8 @@ def test_no_folder_to_keep_kernels_in(tmp_path: Path) -> None:
     """A package and a home that cannot be written to (a service account): compiled, not kept."""
     (tmp_path / "small.py").write_text(KERNEL)
     (tmp_path / "__pycache__").write_text("in the place of the folder")
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "0", "HOME": "/proc/none", "XDG_CACHE_HOME": "/proc/none"}
-    environment["NUMBA_CACHE_DIR"] = ""
-    environment["PYTHONDONTWRITEBYTECODE"] = "1"
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=environment,
-    )
-    assert (done.stdout.strip(), done.stderr) == ("42.0", "")
+    homes = {"HOME": "/proc/none", "XDG_CACHE_HOME": "/proc/none", "NUMBA_CACHE_DIR": ""}
+    assert call(tmp_path, **homes, PYTHONDONTWRITEBYTECODE="1") == ("42.0", "")
 
 
 @pytest.mark.only_compiled
@@ -124,18 +109,10 @@ def test_a_module_that_a_cached_kernel_calls_has_another_name_now(tmp_path: Path
     caller += "\n@kernel\ndef twice(x):\n    return double(x)\n"
     (tmp_path / "first.py").write_text(helper)
     (tmp_path / "small.py").write_text(caller)
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "0", "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     for name in ("first", "second"):
         if name == "second":
             (tmp_path / "first.py").rename(tmp_path / "second.py")
-        done = subprocess.run(
-            [sys.executable, "-c", PROGRAM, str(tmp_path)],
-            capture_output=True,
-            text=True,
-            check=False,
-            env=environment,
-        )
-        assert (done.stdout.strip(), done.stderr) == ("42.0", ""), name
+        assert call(tmp_path) == ("42.0", ""), name
 
 
 @pytest.mark.only_compiled
@@ -144,14 +121,6 @@ def test_a_kept_kernel_is_loaded_without_the_compiler(tmp_path: Path) -> None:
     kernel = "import numpy as np\nfrom piga._kernels.jit import kernel\n\n@kernel\ndef twice(x):\n"
     kernel += "    held = np.empty(2)\n    held[0] = held[1] = x\n    return held[0] + held[1]\n"
     (tmp_path / "small.py").write_text(kernel)
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "0", "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     program = PROGRAM + "print('numba.np.linalg' in sys.modules)\n"
     for loaded in ("True", "False"):
-        done = subprocess.run(
-            [sys.executable, "-c", program, str(tmp_path)],
-            capture_output=True,
-            text=True,
-            check=False,
-            env=environment,
-        )
-        assert (done.stdout.split(), done.stderr) == (["42.0", loaded], "")
+        assert call(tmp_path, program) == (f"42.0\n{loaded}", "")

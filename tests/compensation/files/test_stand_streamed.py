@@ -103,9 +103,15 @@ def same(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) 
 
 
 @pytest.mark.only_compiled
-@pytest.mark.parametrize("stand", STANDS)
-@pytest.mark.parametrize("kind", ["parquet", "csv"])
-@pytest.mark.parametrize("chunk", [7, 37])
+@pytest.mark.parametrize(
+    ("stand", "kind", "chunk"),
+    [
+        *((stand, "parquet", 37) for stand in STANDS),
+        ("head by label", "csv", 37),
+        ("profile", "csv", 7),
+        ("composite", "parquet", 7),
+    ],
+)
 def test_every_stand(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stand: str, kind: str, chunk: int
 ) -> None:
@@ -131,8 +137,9 @@ VARIANTS = {
 
 
 @pytest.mark.only_compiled
-@pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("chunk", [37, 1000])
+@pytest.mark.parametrize(
+    ("variant", "chunk"), [*((variant, 37) for variant in VARIANTS), ("missing at the start of a visit", 1000)]
+)
 def test_every_kind_of_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str, chunk: int
 ) -> None:
@@ -143,14 +150,13 @@ def test_every_kind_of_record(
 
 
 @pytest.mark.only_compiled
-@pytest.mark.parametrize("chunk", [37, 1000])
-def test_a_set_turns_with_its_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) -> None:
+def test_a_set_turns_with_its_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a logged base rate that of the stand holds, however long the files are."""
     runs = [written(tmp_path, STANDS["rate table"], name=name) for name in "xyz"]
     mounted = orthogonal_triad([calibration()] * 3)
     for name in ("whole", "parts"):
         set_files.compensate_set_files(runs, mounted, tmp_path / name, "parquet")
-        small_chunks(monkeypatch, chunk)
+        small_chunks(monkeypatch, 37)
     assert (tmp_path / "parts").read_bytes() == (tmp_path / "whole").read_bytes()
 
 
