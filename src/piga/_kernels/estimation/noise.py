@@ -62,14 +62,24 @@ def innovation_weights(
 
 @kernel
 def whiten(columns: Array, carry: Array, scale: Array, state: Array, out: Array) -> None:
-    """Run the recursion over every row of ``columns`` (m, n); ``state`` (m,) holds the last innovations."""
+    """Run the recursion over every row of ``columns`` (m, n); ``state`` (m,) holds the last innovations.
+
+    Each step waits for the one before, so four rows go side by side. The last row stands in where rows lack.
+    """
     m, n = columns.shape
-    for j in range(m):
-        last = state[j]
+    for j in range(0, m, 4):
+        k, p, q = min(j + 1, m - 1), min(j + 2, m - 1), min(j + 3, m - 1)
+        first, second, third, fourth = state[j], state[k], state[p], state[q]
         for i in range(n):
-            last = columns[j, i] + carry[i] * last
-            out[j, i] = last * scale[i]
-        state[j] = last
+            first = columns[j, i] + carry[i] * first
+            second = columns[k, i] + carry[i] * second
+            third = columns[p, i] + carry[i] * third
+            fourth = columns[q, i] + carry[i] * fourth
+            out[j, i] = first * scale[i]
+            out[k, i] = second * scale[i]
+            out[p, i] = third * scale[i]
+            out[q, i] = fourth * scale[i]
+        state[j], state[k], state[p], state[q] = first, second, third, fourth
 
 
 @kernel
