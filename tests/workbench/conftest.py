@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import gzip
 import http.client
 import os
@@ -15,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import urlencode
 
 import pytest
@@ -85,8 +86,15 @@ class Client:
             time.sleep(0.2)
 
 
+def ends_with_parent() -> None:
+    """Linux kills this process when its parent has ended, however that came."""
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+
+
 class Server:
     """``piga ui`` in a process of its own. ``program`` starts it otherwise: options of Python and their values."""
+
+    started: ClassVar[list[Server]] = []
 
     def __init__(self, folder: Path, *options: str, program: Sequence[str] = ("-m", "piga")) -> None:
         self.folder = folder
@@ -96,7 +104,9 @@ class Server:
             stderr=subprocess.PIPE,
             text=True,
             env=os.environ | {"OMP_NUM_THREADS": "1"},
+            preexec_fn=ends_with_parent if sys.platform == "linux" else None,  # noqa: PLW1509  no lock is held
         )
+        self.started.append(self)
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         match = READY.search(line)
@@ -110,6 +120,18 @@ class Server:
         self.process.send_signal(number)
         _, errors = self.process.communicate(timeout=60)
         return self.process.returncode, errors
+
+
+@pytest.fixture(autouse=True)
+def _no_server_is_left() -> Iterator[None]:
+    """A test that fails leaves none of its servers behind. Those of its module go on."""
+    before = list(Server.started)
+    yield
+    for server in Server.started:
+        if server not in before and server.process.poll() is None:
+            server.process.kill()
+            server.process.communicate()
+    Server.started = before
 
 
 def shipped_record(folder: Path) -> Path:

@@ -8,8 +8,11 @@ import datetime as dt
 import http.client
 import ipaddress
 import os
+import secrets
+import select
 import socket
 import ssl
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -509,6 +512,84 @@ def test_plain_http_gets_no_answer_and_harms_nobody(server: Server, stranger: Re
                 answer = b""
         assert b"HTTP/1" not in answer
     assert stranger.ask("/login")[0] == 200
+
+
+# Connections without a request
+
+HURRIED = "from piga.workbench import connection; connection.LONGEST_HEAD = 0.5; from piga.cli.main import main; main()"
+"""A ``piga ui`` that waits half a second for a head."""
+
+
+class Held:
+    """Connections to a server, each having sent so much."""
+
+    def __init__(self, stack: contextlib.ExitStack, tls: Path, kind: str, *program: str) -> None:
+        folder = tls / f"folder-{secrets.token_hex(4)}"
+        folder.mkdir()
+        files = (str(tls / "cert.pem"), str(tls / "key.pem"), "--password-file", str(secret(tls)))
+        options = ("--host", "localhost", "--tls", *files) if kind == "TLS" else ()
+        self.server = Server(folder, *options, program=program or ("-m", "piga"))
+        self.stack, self.context = stack, ssl.create_default_context(cafile=str(tls / "cert.pem"))
+        self.context.maximum_version = ssl.TLSVersion.TLSv1_2  # nothing is sent after the handshake
+        home, path = self.server.client.home, "/login"
+        if kind == "plain":
+            self.server.client.enter()
+            path = "/upload?name=slow.csv"
+        host = f"Host: {home.partition('//')[2]}\r\nOrigin: {home}\r\nCookie: {self.server.client.cookie}\r\n"
+        self.get = f"GET /healthz HTTP/1.1\r\n{host}\r\n".encode()
+        self.slow_post = f"POST {path} HTTP/1.1\r\n{host}Content-Length: 9\r\n\r\nslow".encode()
+
+    def connection(self, sent: bytes) -> socket.socket:
+        raw = socket.create_connection((LOOPBACK, self.server.client.port), timeout=10)
+        if self.server.client.home.startswith("https"):
+            raw = self.context.wrap_socket(raw, server_hostname="localhost")
+        self.stack.enter_context(raw).sendall(sent)
+        return raw
+
+    def answered(self) -> socket.socket:
+        raw = self.connection(self.get)
+        answer = b""
+        while not answer.endswith(b"ok\n"):
+            answer += raw.recv(4096)
+        return raw
+
+
+def is_closed(raw: socket.socket) -> bool:
+    try:
+        return raw.recv(1) == b""
+    except (ConnectionError, ssl.SSLEOFError):
+        return True
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("kind", ["plain", "TLS"])
+def test_a_connection_without_a_request_ends(tls: Path, kind: str) -> None:
+    """It sends nothing, part of a head, or a head without end. A request in progress may take its time."""
+    with contextlib.ExitStack() as stack:
+        held = Held(stack, tls, kind, "-c", HURRIED)
+        slow, again = held.connection(held.slow_post), held.answered()
+        again.sendall(held.get[:-2])
+        waiting = [held.connection(b""), held.connection(held.get[:-2]), again]
+        dripping = held.connection(held.get[:-2])
+        begun = time.monotonic()
+        with contextlib.suppress(ConnectionError, ssl.SSLError):
+            while not select.select([dripping], [], [], 0.05)[0]:
+                assert time.monotonic() - begun < 5.0
+                dripping.sendall(b"a")
+        assert all(is_closed(raw) for raw in (*waiting, dripping))
+        assert not select.select([slow], [], [], 0.0)[0]
+        assert held.server.end() == (0, "")
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("kind", ["plain", "TLS"])
+def test_the_end_of_the_server_waits_for_no_connection(tls: Path, kind: str) -> None:
+    with contextlib.ExitStack() as stack:
+        held = Held(stack, tls, kind)
+        for sent in (b"", held.get[:-2], held.slow_post):
+            held.connection(sent)
+        held.answered()
+        assert held.server.end() == (0, "")
 
 
 @pytest.mark.only_compiled

@@ -103,6 +103,8 @@ def serve(
     """
     import uvicorn
 
+    from piga.workbench.connection import Connection
+
     entrance = entrance or Entrance()
     opened = Folder(folder)
     sockets = listening(entrance, port)
@@ -117,6 +119,7 @@ def serve(
         timeout_graceful_shutdown=GRACE,
         backlog=WAITING,  # so many are accepted before the first of them is answered
         limit_concurrency=MOST_CONNECTIONS,
+        http=Connection,
         lifespan="on",
         loop="asyncio",  # others do not ask the listener
         ssl_context_factory=None if tls is None else lambda _config, _default: tls,
