@@ -169,6 +169,12 @@ def test_a_stand_is_given_for_a_log_without_force(tmp_path: Path) -> None:
     draft = draft_run_file(described, SCALE | stand | {"instrument.counts_per_revolution": 72000})
     assert draft.open == []
     assert draft.document["stand"] == {key.partition(".")[2]: value for key, value in stand.items()}
+    angles = ["0 deg", "90 deg", "180 deg", "270 deg"]
+    named = dict(zip("abcd", angles, strict=True))
+    for positions in ("0:360:90 deg", angles, named):
+        settings = SCALE | stand | {"stand.positions": positions, "instrument.counts_per_revolution": 72000}
+        terms = draft_run_file(described, settings).document["model"]["terms"]
+        assert terms == ["scale_factor", "tan_beta", "k0", "m_Y"]
 
 
 def test_the_logs_are_those_of_the_builder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

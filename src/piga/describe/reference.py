@@ -13,7 +13,8 @@ from piga.describe.columns import ColumnGuess, Values
 from piga.describe.draft import RunFileDraft, quantity_text
 from piga.describe.log import LogDescription
 from piga.describe.output import from_input_axis
-from piga.units import G0, parse_unit, to_si
+from piga.stand.scenario import head_positions
+from piga.units import G0, parse_unit
 
 Array = NDArray[np.float64]
 
@@ -181,7 +182,8 @@ def _levels(draft: RunFileDraft, log: LogDescription) -> Array | None:
         )
         f = f[np.isfinite(f).all(axis=1)][:: max(f.shape[0] // 2000, 1)]
         return np.unique(f.round(4), axis=0) if f.size else None
-    if stand.get("kind") == "dividing-head" and isinstance(stand.get("positions"), list):
-        x = np.array([to_si(value, "rad", what="[stand] positions") for value in stand["positions"]])
+    positions = stand.get("positions")
+    if stand.get("kind") == "dividing-head" and isinstance(positions, list | str | Mapping):
+        x = np.array(head_positions(list(positions.values()) if isinstance(positions, Mapping) else positions))
         return np.column_stack([np.cos(x), -np.sin(x), np.zeros(x.size)])
     return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -123,7 +124,7 @@ def _si(value: Quantity, unit: str, key: str) -> float:
     return to_si(value, unit, what=f"[stand] {key}")
 
 
-def _each(values: tuple[Quantity, ...], unit: str, key: str) -> tuple[float, ...]:
+def _each(values: Sequence[Quantity], unit: str, key: str) -> tuple[float, ...]:
     return tuple(_si(value, unit, f"{key}[{k}]") for k, value in enumerate(values))
 
 
@@ -141,7 +142,7 @@ class DividingHeadTable(SiteTable, frozen=True, tag_field="kind", tag="dividing-
         """The stand."""
         return DividingHead(
             self.site(),
-            _positions(self.positions),
+            head_positions(self.positions),
             _si(self.dwell, "s", "dwell"),
             _si(self.move, "s", "move"),
             _si(self.roll, "rad", "roll"),
@@ -150,8 +151,8 @@ class DividingHeadTable(SiteTable, frozen=True, tag_field="kind", tag="dividing-
         )
 
 
-def _positions(value: str | tuple[Quantity, ...]) -> tuple[float, ...]:
-    """``"start:stop:step unit"`` or a list of angles."""
+def head_positions(value: str | Sequence[Quantity]) -> tuple[float, ...]:
+    """Angles [rad] of a dividing head, from ``"start:stop:step unit"`` or a list of angles."""
     if not isinstance(value, str):
         return _each(value, "rad", "positions")
     numbers, _, unit = value.strip().partition(" ")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -18,8 +19,10 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
-KEYS = (".pem", ".crt", ".cer")
+PEM = (".pem", ".crt", ".cer")
 """Endings of keys and X.509 certificates."""
+LARGEST_PEM = 1 << 20
+"""Largest such file [bytes]."""
 TITLES = ("Preview of the certificate", "Certificate", "Verify the certificate")
 
 
@@ -42,6 +45,22 @@ def _named(folder: Folder, endings: tuple[str, ...], pattern: str = "*") -> list
     ]
 
 
+def keys_and_certificates(folder: Folder) -> tuple[list[str], list[str]]:
+    """Files of the folder that hold a private key, and those that hold an X.509 certificate. One may hold both."""
+    keys, certificates = [], []
+    for name in _named(folder, PEM):
+        path = folder.file(name)
+        text = b""
+        with suppress(OSError):  # others cannot read the key of a careful person
+            text = path.read_bytes() if path.stat().st_size <= LARGEST_PEM else b""
+        is_key = b"PRIVATE KEY-----" in text
+        if is_key:
+            keys.append(name)
+        if not is_key or b"BEGIN CERTIFICATE-----" in text:
+            certificates.append(name)
+    return keys, certificates
+
+
 def show(request: Request) -> Response:
     """The form of a certificate."""
     folder, query = bench_of(request).folder, request.query_params
@@ -60,10 +79,11 @@ def _page(
 ) -> Response:
     bench = bench_of(request)
     jobs = [(job, bench.jobs.status(job)) for job in bench.jobs.all() if job.title in TITLES]
+    keys, x509 = keys_and_certificates(bench.folder)
     return render(
         request, "certificate.html.jinja", code, form=form_of_text(text, "certificate", message), name=name,
         names=administrative_parts(bench.folder), calibration=calibration, calibrations=calibrations(bench.folder),
-        keys=_named(bench.folder, KEYS), signed=_named(bench.folder, (".xml",), "**/*.xml"), jobs=jobs[:20],
+        keys=keys, x509=x509, signed=_named(bench.folder, (".xml",), "**/*.xml"), jobs=jobs[:20],
     )  # fmt: skip
 
 
