@@ -20,6 +20,7 @@ from piga.cli.main import app
 from piga.data import copy_example
 from piga.errors import PigaError
 from piga.units import G0
+from tests.cli.runner import exit_code
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
 from tests.records.files import lines, write_log, write_run
 
@@ -54,15 +55,15 @@ def test_the_main_job(tmp_path: Path) -> None:
     assert compensated.column_names == ["t", "ax", "dv", "u_ax", "flags"]
 
 
-def test_check_prints_findings_and_json(tmp_path: Path) -> None:
+def test_check_prints_findings_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = lines()
     del rows[10:12]
     write_log(tmp_path, rows)
     path = write_run(tmp_path)
-    done = piga("check", path)
-    assert done.returncode == 0
-    assert "1 x gap" in done.stdout
-    document = json.loads(piga("check", path, "--json").stdout)
+    assert exit_code("check", path) == 0
+    assert "1 x gap" in capsys.readouterr().out
+    assert exit_code("check", path, "--json") == 0
+    document = json.loads(capsys.readouterr().out)
     assert document["quality"]["events"][0]["kind"] == "gap"
     assert document["phase_kept"] is True
 
@@ -90,13 +91,27 @@ def test_calibrate_json_and_files(tmp_path: Path) -> None:
         (["check", "run.csv"], "not valid TOML"),
     ],
 )
-def test_wrong_use_is_exit_2_with_one_message(tmp_path: Path, arguments: list[str], message: str) -> None:
+def test_wrong_use_is_exit_2_with_one_message(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+) -> None:
     small_run(tmp_path)
-    done = piga(*arguments, cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert message in done.stderr
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+    assert exit_code(*arguments) == 2
+    said = capsys.readouterr()
+    assert message in said.err
+    assert said.out == ""
+
+
+def test_a_process_ends_with_2_and_without_a_traceback(tmp_path: Path) -> None:
+    done = piga("calibrate", "none.toml", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("piga: none.toml: cannot be read")
     assert "Traceback" not in done.stderr
-    assert done.stdout == ""
 
 
 def test_nothing_is_written_half(tmp_path: Path) -> None:
