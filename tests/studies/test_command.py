@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from piga.cli.main import app
 from piga.studies import reproduction
 from piga.studies.case import Case, Chapter
+from tests.cli.runner import exit_code
 
 KEYS = {
     "id",
@@ -41,10 +42,9 @@ def piga(*arguments: object) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_json_is_one_document_of_the_interface():
-    done = piga("--only", "redundancy-angle", "--json")
-    assert done.returncode == 0, done.stderr
-    cases = json.loads(done.stdout)["cases"]
+def test_json_is_one_document_of_the_interface(capsys):
+    assert exit_code("reproduce", "--only", "redundancy-angle", "--json") == 0
+    cases = json.loads(capsys.readouterr().out)["cases"]
     assert len(cases) == 7
     for case in cases:
         assert set(case) == KEYS
@@ -53,20 +53,19 @@ def test_json_is_one_document_of_the_interface():
         assert abs(case["difference"]) <= case["tolerance"]
 
 
-def test_table_is_plain_text_off_a_terminal():
-    done = piga("--only", "mounting")
-    assert done.returncode == 0, done.stderr
-    assert "\x1b" not in done.stdout
-    assert done.stdout.splitlines()[0].split()[:4] == ["case", "published", "computed", "difference"]
-    assert done.stdout.count("  pass") == 2
-    assert "3 cases: 2 agree, 0 do not, 1 without" in done.stdout
+def test_table_is_plain_text_off_a_terminal(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    assert exit_code("reproduce", "--only", "mounting") == 0
+    table = capsys.readouterr().out
+    assert "\x1b" not in table
+    assert table.splitlines()[0].split()[:4] == ["case", "published", "computed", "difference"]
+    assert table.count("  pass") == 2
+    assert "3 cases: 2 agree, 0 do not, 1 without" in table
 
 
-def test_unknown_id_names_the_known_ones():
-    done = piga("--only", "nothing")
-    assert done.returncode == 2
-    assert "one of: constant-input, period" in done.stderr
-    assert "Traceback" not in done.stderr
+def test_unknown_id_names_the_known_ones(capsys):
+    assert exit_code("reproduce", "--only", "nothing") == 2
+    assert "one of: constant-input, period" in capsys.readouterr().err
 
 
 @pytest.mark.only_compiled
