@@ -88,7 +88,8 @@ def test_fifty_jobs_at_once(tmp_path: Path) -> None:
         running.client.page("/calibrate/tumble-a.toml")
         with ThreadPoolExecutor(50) as pool:
             sent = [
-                pool.submit(running.client.post, "/calibrate/tumble-a.toml", {"term": "k0"}) for _ in range(50)
+                pool.submit(running.client.post, "/calibrate/tumble-a.toml", {"term": [f"s{n}", f"c{n}"]})
+                for n in range(1, 51)
             ]
             while not all(answer.done() for answer in sent):
                 started = time.monotonic()

@@ -46,6 +46,32 @@ def test_a_job_is_the_command(jobs: Jobs, tmp_path: Path) -> None:
     assert [one.key for one in jobs.all()][-1] == job.key
 
 
+@pytest.mark.only_compiled
+def test_the_same_asked_twice_is_one_job_unless_the_record_changed(jobs: Jobs) -> None:
+    """A second tab or a double click, each with a place of its own for the results."""
+
+    def asked(place: str, changed: float, *options: str) -> Job:
+        command = ("calibrate", "tumble-a.toml", *options, "--out", place)
+        return jobs.start(command, "Calibrate", "tumble-a.toml", place, changed)
+
+    first = asked("a", 0.0)
+    try:
+        assert asked("b", first.started - 1.0) == first
+        others = [asked("c", first.started + 1.0), asked("d", 0.0, "--terms=k0")]
+        assert len({job.key for job in (first, *others)}) == 3
+    finally:
+        jobs.stop_all()
+
+
+def test_the_state_may_be_removed_meanwhile(tmp_path: Path) -> None:
+    jobs = Jobs(tmp_path / "jobs", tmp_path)
+    (tmp_path / "jobs").rmdir()
+    assert jobs.all() == []
+    jobs.stop_all()
+    assert jobs.start(("check", "none.toml"), "Check", "none.toml").key
+    jobs.stop_all()
+
+
 def test_a_stop_leaves_nothing(jobs: Jobs, tmp_path: Path) -> None:
     job = jobs.start(("calibrate", "tumble-a.toml", "--out", "out"), "Calibrate", "tumble-a.toml", "out")
     assert (

@@ -9,6 +9,7 @@ hold the state of the job, even if the server ends.
 from __future__ import annotations
 
 import json
+import math
 import os
 import secrets
 import shutil
@@ -99,10 +100,14 @@ class Jobs:
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._starting = threading.Lock()
 
-    def start(self, command: Sequence[str], title: str, subject: str, result: str = "") -> Job:
+    def start(
+        self, command: Sequence[str], title: str, subject: str, result: str = "", changed: float = math.inf
+    ) -> Job:
         """Start ``piga`` with these arguments in the opened folder.
 
-        If a job with the same results already runs, no new one is started, and the running one is returned.
+        If a job with the same results already runs, no new one is started, and the running one is returned. So is one
+        that has been doing the same for another place since ``changed``, the time of the last change of what it reads
+        [s since 1970].
 
         Raises
         ------
@@ -110,18 +115,20 @@ class Jobs:
             If too many jobs run.
         """
         with self._starting:  # many requests may ask at the same time
-            return self._start(command, title, subject, result)
+            return self._start(command, title, subject, result, changed)
 
-    def _start(self, command: Sequence[str], title: str, subject: str, result: str) -> Job:
+    def _start(self, command: Sequence[str], title: str, subject: str, result: str, changed: float) -> Job:
         running = [job for job in self.all() if self.status(job).state == "running"]
+        asked = [word for word in command if word != result]
         for job in running:
-            if result and job.result == result:
+            same = job.started > changed and [word for word in job.command if word != job.result] == asked
+            if result and (job.result == result or same):
                 return job
         if len(running) >= MOST_RUNNING:
             raise BusyError(f"{MOST_RUNNING} jobs are running", remedy="wait for one, or stop one")
         key = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
         place = self._folder / key
-        place.mkdir()
+        place.mkdir(parents=True)
         environment = os.environ | {"PYTHONUTF8": "1", "PYTHONSAFEPATH": "1", "NO_COLOR": "1"}
         with (place / "out").open("wb") as out, (place / "err").open("wb") as err:
             child = subprocess.Popen(  # noqa: S603  piga's own command line, as a list
@@ -138,7 +145,9 @@ class Jobs:
 
     def all(self) -> list[Job]:
         """All jobs, the newest first."""
-        jobs = []
+        jobs: list[Job] = []
+        if not self._folder.is_dir():  # a user may remove it
+            return jobs
         for place in sorted(self._folder.iterdir(), reverse=True):
             with suppress(OSError, ValueError, TypeError):
                 fields = json.loads((place / "job.json").read_text(encoding="utf-8"))
