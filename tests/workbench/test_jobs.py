@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from piga.errors import ArgumentError
-from piga.workbench.jobs import Job, Jobs, Status
+from piga.workbench.jobs import BusyError, Job, Jobs, Status
 from tests.workbench.conftest import Server, shipped_record
 
 
@@ -47,18 +47,25 @@ def test_a_job_is_the_command(jobs: Jobs, tmp_path: Path) -> None:
 
 
 @pytest.mark.only_compiled
-def test_the_same_asked_twice_is_one_job_unless_the_record_changed(jobs: Jobs) -> None:
+def test_the_same_asked_twice_is_one_job_unless_the_record_changed(jobs: Jobs, tmp_path: Path) -> None:
     """A second tab or a double click, each with a place of its own for the results."""
 
-    def asked(place: str, changed: float, *options: str) -> Job:
-        command = ("calibrate", "tumble-a.toml", *options, "--out", place)
-        return jobs.start(command, "Calibrate", "tumble-a.toml", place, changed)
+    record = tmp_path / "tumble-a.csv"
 
-    first = asked("a", 0.0)
+    def asked(place: str, *options: str) -> Job:
+        command = ("calibrate", "tumble-a.toml", *options, "--out", place)
+        return jobs.start(command, "Calibrate", "tumble-a.toml", place, [record])
+
+    first = asked("a")
     try:
-        assert asked("b", first.started - 1.0) == first
-        others = [asked("c", first.started + 1.0), asked("d", 0.0, "--terms=k0")]
-        assert len({job.key for job in (first, *others)}) == 3
+        assert asked("b") == asked("a") == first
+        with pytest.raises(BusyError, match="other options"):
+            asked("a", "--terms=k0")
+        other = asked("c", "--terms=k0")
+        record.touch()
+        assert len({job.key for job in (first, other, asked("d"))}) == 3
+        with pytest.raises(BusyError, match="another input"):
+            asked("a")
     finally:
         jobs.stop_all()
 

@@ -101,29 +101,43 @@ class Jobs:
         self._starting = threading.Lock()
 
     def start(
-        self, command: Sequence[str], title: str, subject: str, result: str = "", changed: float = math.inf
+        self,
+        command: Sequence[str],
+        title: str,
+        subject: str,
+        result: str = "",
+        reads: Sequence[Path] | None = None,
     ) -> Job:
         """Start ``piga`` with these arguments in the opened folder.
 
-        If a job with the same results already runs, no new one is started, and the running one is returned. So is one
-        that has been doing the same for another place since ``changed``, the time of the last change of what it reads
-        [s since 1970].
+        If a job already does the same, no new one is started, and the running one is returned. ``reads`` are the
+        files that the command reads: if they are given, a job that began before they changed does something else, and
+        one with another place for its results does the same.
 
         Raises
         ------
         BusyError
-            If too many jobs run.
+            If too many jobs run, or one makes the same results from something else.
         """
         with self._starting:  # many requests may ask at the same time
-            return self._start(command, title, subject, result, changed)
+            return self._start(command, title, subject, result, reads)
 
-    def _start(self, command: Sequence[str], title: str, subject: str, result: str, changed: float) -> Job:
+    def _start(
+        self, command: Sequence[str], title: str, subject: str, result: str, reads: Sequence[Path] | None
+    ) -> Job:
         running = [job for job in self.all() if self.status(job).state == "running"]
+        changed = -math.inf if reads is None else _last_change(reads)
         asked = [word for word in command if word != result]
-        for job in running:
-            same = job.started > changed and [word for word in job.command if word != job.result] == asked
-            if result and (job.result == result or same):
+        for job in running if result else ():
+            words = [word for word in job.command if word != job.result]
+            same = job.started > changed and (job.title, words) == (title, asked)
+            if same and (reads is not None or job.result == result):
                 return job
+            if job.result == result:
+                raise BusyError(
+                    f"{result} is just being made from another input or with other options",
+                    remedy="wait until that job has ended, or stop it on the page Jobs",
+                )
         if len(running) >= MOST_RUNNING:
             raise BusyError(f"{MOST_RUNNING} jobs are running", remedy="wait for one, or stop one")
         key = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
@@ -259,6 +273,12 @@ def _job(fields: dict[str, Any]) -> Job:
     if not all(isinstance(size, int | float) and abs(size) < LARGEST for size in sizes):
         raise ValueError("the record of the job is damaged")
     return job
+
+
+def _last_change(paths: Sequence[Path]) -> float:
+    """Time of the last change of files [s since 1970]; a copy that keeps its time counts from when it came."""
+    states = [path.stat() for path in paths if path.is_file()]
+    return max((max(state.st_mtime, state.st_ctime) for state in states), default=math.inf)
 
 
 def _document(path: Path) -> dict[str, Any] | None:

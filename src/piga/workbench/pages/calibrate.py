@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import re
 import shutil
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -120,14 +118,8 @@ def _start(bench: Workbench, name: str, options: list[str]) -> Job:
         "Calibrate",
         name,
         bench.folder.name(trial),
-        _last_change(files_named_in(bench.folder.toml(name))),
+        files_named_in(bench.folder.toml(name)),
     )
-
-
-def _last_change(paths: Sequence[Path]) -> float:
-    """Time of the last change of files [s since 1970]; a copy that keeps its time counts from when it came."""
-    states = [path.stat() for path in paths if path.is_file()]
-    return max((max(state.st_mtime, state.st_ctime) for state in states), default=math.inf)
 
 
 def _trial(bench: Workbench, job: Job) -> Path:

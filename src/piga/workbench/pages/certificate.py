@@ -121,7 +121,7 @@ def _issue(request: Request, fields: dict[str, list[str]]) -> Response:
         value = only(fields, option)
         command += [f"--{option}={bench.folder.name(bench.folder.file(value))}"] if value else []
     title = TITLES[0] if word == "preview" else TITLES[1]
-    job = bench.jobs.start(command, title, subject, out)
+    job = bench.jobs.start(command, title, subject, out, [bench.folder.path(name), calibration])
     return redirect(request, f"/jobs/{job.key}")
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from piga.errors import ArgumentError
 from piga.records.run_file import read_run_file
+from piga.records.text_files import files_named_in
 from piga.workbench.folder import Folder
 from piga.workbench.pages.common import bench_of, only, redirect, render, sent_form
 
@@ -76,7 +77,8 @@ async def start(request: Request) -> Response:
         value = only(fields, option).strip()
         command += [f"--{option}={value}"] if value else []
     command += ["--other-serial"] if only(fields, "other-serial") else []
-    job = await run_in_threadpool(bench.jobs.start, command, "Compensate", name, bench.folder.name(out))
+    reads = [*files_named_in(run), calibration]
+    job = await run_in_threadpool(bench.jobs.start, command, "Compensate", name, bench.folder.name(out), reads)
     return redirect(request, f"/jobs/{job.key}")
 
 

@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from piga.data import example_files
 from piga.errors import ArgumentError, PigaError
-from piga.records.text_files import toml_document
+from piga.records.text_files import files_named_in, toml_document
 from piga.workbench.folder import MOST_TOML, Folder
 from piga.workbench.forms import form_of_text, sent_text
 from piga.workbench.pages.common import bench_of, only, redirect, render, sent_form
@@ -119,7 +119,9 @@ def _runner(kind: Kind) -> Callable[[Request], Any]:
             raise ArgumentError(f"{word!r}: is not a command of this page", remedy="use its buttons")
         out = bench.folder.name(path.with_name(f"{path.stem}-{words[-1]}"))
         command = [*words, name, "--out", out, "--force"]
-        job = await run_in_threadpool(bench.jobs.start, command, " ".join(words).capitalize(), name, out)
+        job = await run_in_threadpool(
+            bench.jobs.start, command, " ".join(words).capitalize(), name, out, files_named_in(path)
+        )
         return redirect(request, f"/jobs/{job.key}")
 
     return run
