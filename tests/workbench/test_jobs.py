@@ -63,9 +63,18 @@ def test_the_same_asked_twice_is_one_job_unless_the_record_changed(jobs: Jobs, t
             asked("a", "--terms=k0")
         other = asked("c", "--terms=k0")
         record.touch()
-        assert len({job.key for job in (first, other, asked("d"))}) == 3
         with pytest.raises(BusyError, match="another input"):
             asked("a")
+        anew = asked("d")
+        assert len({job.key for job in (first, other, anew)}) == 3
+        assert asked("a") == anew
+        check = (
+            "calibrate",
+            "tumble-a.toml",
+            "--out",
+            "e",
+        )  # a preview and the thing itself have the same options
+        assert jobs.start(check, "Preview", "tumble-a.toml", "e", [record]).key != anew.key
     finally:
         jobs.stop_all()
 

@@ -128,16 +128,16 @@ class Jobs:
         running = [job for job in self.all() if self.status(job).state == "running"]
         changed = -math.inf if reads is None else _last_change(reads)
         asked = [word for word in command if word != result]
-        for job in running if result else ():
+        here = [job for job in running if result and job.result == result]
+        for job in here if reads is None else running:
             words = [word for word in job.command if word != job.result]
-            same = job.started > changed and (job.title, words) == (title, asked)
-            if same and (reads is not None or job.result == result):
+            if result and job.started > changed and (job.title, words) == (title, asked):
                 return job
-            if job.result == result:
-                raise BusyError(
-                    f"{result} is just being made from another input or with other options",
-                    remedy="wait until that job has ended, or stop it on the page Jobs",
-                )
+        if here:
+            raise BusyError(
+                f"{result} is just being made from another input or with other options",
+                remedy="wait until that job has ended, or stop it on the page Jobs",
+            )
         if len(running) >= MOST_RUNNING:
             raise BusyError(f"{MOST_RUNNING} jobs are running", remedy="wait for one, or stop one")
         key = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
