@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piga import Instrument
 from piga.instrument.twin.linear import loop_poles
 from piga.instrument.twin.parameters import TwinParameters
-from piga.workbench.pages.explore import SETTLED, _shown_step
+from piga.workbench.pages.explore import SETTLED, _numbers, _shown_step
 
 TWIN = TwinParameters()
 
@@ -22,3 +23,9 @@ def test_the_step_of_the_twin_fills_its_figure(changes: dict[str, float]) -> Non
     seen = t[np.abs(response - 1.0) > SETTLED]
     assert seen[-1] > 0.25 * t[-1]
     assert abs(response[-1] - 1.0) < SETTLED
+
+
+def test_a_zone_that_is_empty_has_no_limits() -> None:
+    inst = Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec")
+    assert dict(_numbers(inst, (9.8, 0.0, 0.0)))["locked zone of a_x"] == "none"
+    assert dict(_numbers(inst, (9.8, 9.80665, 0.0)))["locked zone of a_x"] == "-4.84817 to 4.84817 mg"

@@ -180,9 +180,10 @@ def _numbers(inst: Instrument, forces: tuple[float, float, float]) -> list[tuple
     """Results of the library for these inputs, as label-value pairs."""
     name = regime(inst, *forces)
     low, high = dead_zone(inst, forces[1], forces[2])
+    zone = f"{1e3 * float(low) / G0:.6g} to {1e3 * float(high) / G0:.6g} mg" if high > low else "none"
     rows = [
         ("regime", name),
-        ("locked zone of a_x", f"{1e3 * float(low) / G0:.6g} to {1e3 * float(high) / G0:.6g} mg"),
+        ("locked zone of a_x", zone),
         ("mean output rate", f"{DEG * float(mean_rate(inst, *forces)):.6g} deg/s"),
         ("rate without cross-coupling", f"{DEG * inst.scale_factor * forces[0]:.6g} deg/s"),
     ]
