@@ -254,7 +254,6 @@ def test_other_software_is_refused(tmp_path):
         run_shard(str(out), 0)
 
 
-@pytest.mark.only_compiled
 def test_disk_full(tmp_path):
     """A part that cannot be written ends the run with one message and exit code 2."""
     path, out = written(tmp_path), tmp_path / "out"
