@@ -45,7 +45,7 @@ def test_uneven_intervals_cost_the_higher_differences_only():
     assert left.max() < 1e-8 * G0
 
 
-@pytest.mark.compiled
+@pytest.mark.only_compiled
 def test_near_and_far_intervals_mixed_are_the_same_to_the_bit_whatever_the_chunks():
     """Some intervals turn beyond the formula, some are uneven, some begin stretches."""
     rng = np.random.default_rng(4)

@@ -186,6 +186,7 @@ def test_uploads_get_a_plain_free_name(client: Client, server: Server) -> None:
             path.unlink()
 
 
+@pytest.mark.only_compiled
 def test_a_module_in_the_folder_is_not_imported(tmp_path: Path) -> None:
     for name in ("json.py", "piga.py", "numpy.py"):
         (tmp_path / name).write_text("open('owned', 'w').close()\n", encoding="utf-8")
@@ -223,6 +224,7 @@ def test_forms_that_are_none(client: Client) -> None:
     assert client.ask("/calibrate/tumble-a.toml", "POST", b"a=" + b"x" * (3 << 20), origin)[0] == 422
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_the_server_and_its_jobs(tmp_path: Path, number: int) -> None:
     from tests.workbench.conftest import shipped_record

@@ -159,6 +159,7 @@ def test_windows_begin_with_segments_and_after_sixteen_turns():
     assert windows.segment[0] == windows.segment[1599]
 
 
+@pytest.mark.only_compiled
 def test_memory_is_bounded_and_extremes_are_kept():
     """Two million rows: the outline stays small, holds lone extremes and flags; the leading part is cut."""
     result, size, total = outline_of("rate", calibration_of({"scale_factor": K_G})), 100_000, 21
