@@ -134,7 +134,7 @@ def test(arguments: list[str]) -> None:
     """Lint, types, import contract; smoke tests of the compiled kernels; all tests with the JIT off."""
     programs = environment(".venv-test", "requirements-dev.txt")
     python = str(programs / "python")
-    everything = [python, "-m", "pytest", "-n", "2", "-m", "not slow", *arguments]
+    everything = [python, "-m", "pytest", "-n", "2", "--dist", "worksteal", "-m", "not slow", *arguments]
     if arguments:
         call(everything, NUMBA_DISABLE_JIT="1")
         return
@@ -146,7 +146,7 @@ def test(arguments: list[str]) -> None:
         checks = [[python, "-m", "ruff", "check"], [python, "-m", "ruff", "format", "--check"]]
         together([*checks, [str(programs / "lint-imports")]])
         call([python, "-m", "pytest", "-n", "2", "-m", "smoke", *map(str, smoke)])
-        print("all tests with the JIT off (about three and a half minutes on two cores)", flush=True)
+        print("all tests with the JIT off (somewhat over three minutes on two cores)", flush=True)
         call(everything, NUMBA_DISABLE_JIT="1")
     if types.returncode:
         print("the types are wrong: see above, or run .venv-test/bin/mypy", flush=True)
