@@ -13,8 +13,7 @@ import piga
 from piga.compensation import Mounted, PhaseFinder, SetCompensator
 from piga.units import G0
 from tests.compensation.twin_data import calibration_of
-
-from ..instrument.servo_truth import Design, motion
+from tests.instrument.servo_truth import Design, motion
 
 DESIGN = Design(beta=1e-3)
 SERVO = DESIGN.K * DESIGN.ml / (2.0 * DESIGN.k_i) * G0**2

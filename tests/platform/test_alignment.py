@@ -10,8 +10,7 @@ import pytest
 from piga.frames import matrix_to_rotation_vector
 from piga.platform import align, compensator, errors, identify, navigate, simulate, true_knowledge
 from piga.platform.model.scenario import Gyro, MotionPlan, Sensors
-
-from .conftest import ARCSEC, DEG, INTERPRETED, only_compiled, published
+from tests.platform.conftest import ARCSEC, DEG, INTERPRETED, only_compiled, published
 
 pytestmark = pytest.mark.compiled
 

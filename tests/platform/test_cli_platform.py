@@ -9,8 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from piga.cli.main import main
-
-from .conftest import INTERPRETED
+from tests.platform.conftest import INTERPRETED
 
 STEP = "8 s" if INTERPRETED else "2 s"
 SHORT = f"""

@@ -9,8 +9,7 @@ from piga.platform import error_budget, linear_errors, simulate, standard_source
 from piga.platform.model.scenario import Place
 from piga.platform.navigation.navigator import Perturbation
 from piga.platform.runs.budget import perturbed_errors
-
-from .conftest import DEG, INTERPRETED, published
+from tests.platform.conftest import DEG, INTERPRETED, published
 
 pytestmark = pytest.mark.compiled
 

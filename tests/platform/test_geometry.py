@@ -21,8 +21,7 @@ from piga.platform.model.geometry import (
     turns_to_gimbals,
 )
 from piga.platform.model.scenario import Gyro, Harmonic
-
-from .conftest import ARCMIN, DEG
+from tests.platform.conftest import ARCMIN, DEG
 
 CASES = json.loads((Path(__file__).parent / "data" / "geometry.json").read_text())["cases"]
 

@@ -11,8 +11,7 @@ from piga.platform.identification.estimate import UnknownGroup, solve
 from piga.platform.identification.observation import ForceFilter, ObservedRecord
 from piga.platform.model.geometry import apparent_gyro
 from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation, PigaSensors, Rotation, Sensors
-
-from .conftest import ARCMIN, ARCSEC, DEG, INTERPRETED, NOISE, calibration, only_compiled, truth
+from tests.platform.conftest import ARCMIN, ARCSEC, DEG, INTERPRETED, NOISE, calibration, only_compiled, truth
 
 pytestmark = pytest.mark.compiled
 

@@ -10,8 +10,7 @@ import pytest
 from piga.platform import identify, identify_recursively, simulate
 from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation, Sensors
 from piga.platform.model.simulate import base_motion
-
-from .conftest import ARCMIN, ARCSEC, INTERPRETED, NOISE, calibration, only_compiled, truth
+from tests.platform.conftest import ARCMIN, ARCSEC, INTERPRETED, NOISE, calibration, only_compiled, truth
 
 pytestmark = pytest.mark.compiled
 

@@ -24,8 +24,7 @@ from piga.platform.model.scenario import (
 from piga.platform.navigation.analysis import CHANNELS, daily_lines, fitted_lines
 from piga.platform.navigation.navigator import Errors
 from piga.platform.runs.budget import line_budget
-
-from .conftest import ARCMIN, DEG, only_compiled, published
+from tests.platform.conftest import ARCMIN, DEG, only_compiled, published
 
 DAY = 86400.0
 W1, W2 = 2.0 * np.pi / 480.0, 2.0 * np.pi / 560.0

@@ -21,8 +21,7 @@ from piga.platform.model.models import encoder_harmonics
 from piga.platform.model.scenario import Compensation, Gyro, Harmonic, MotionPlan, Rotation, Sensors
 from piga.platform.navigation.analysis import CHANNELS, daily_lines, day_slices
 from piga.platform.navigation.navigator import true_start
-
-from .conftest import ARCMIN, ARCSEC, DEG, only_compiled, published, wobbling
+from tests.platform.conftest import ARCMIN, ARCSEC, DEG, only_compiled, published, wobbling
 
 pytestmark = pytest.mark.compiled
 

@@ -25,8 +25,7 @@ from piga.platform.model.geometry import (
 from piga.platform.model.models import modelled_angles
 from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation
 from piga.platform.navigation.navigator import true_start
-
-from .conftest import INTERPRETED, only_compiled, published
+from tests.platform.conftest import INTERPRETED, only_compiled, published
 
 pytestmark = [pytest.mark.compiled, pytest.mark.smoke]
 

@@ -9,8 +9,7 @@ import pytest
 
 from piga.errors import PigaError
 from piga.platform import load_scenario
-
-from .conftest import ARCMIN, ARCSEC, DEG
+from tests.platform.conftest import ARCMIN, ARCSEC, DEG
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LEAST = '[site]\nlatitude = "40 deg"\n[run]\nduration = "1 h"\n'

@@ -26,8 +26,7 @@ from piga.platform.model.geometry import (
 )
 from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation, Rotation, Sensors
 from piga.platform.model.simulate import base_motion
-
-from .conftest import ARCSEC, DEG, published
+from tests.platform.conftest import ARCSEC, DEG, published
 
 pytestmark = pytest.mark.compiled
 SHORT = {"duration": 1200.0, "step": 2.0}

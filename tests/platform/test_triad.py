@@ -12,8 +12,7 @@ from piga.errors import ArgumentError
 from piga.platform.model.scenario import Compensation, Gyro, PigaSensors, Sensors
 from piga.platform.model.simulate import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments
 from piga.platform.runs.capstone import capstone
-
-from .conftest import DEG, only_compiled, published
+from tests.platform.conftest import DEG, only_compiled, published
 
 pytestmark = pytest.mark.compiled
 

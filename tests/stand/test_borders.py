@@ -31,8 +31,7 @@ from piga.stand.machines.logged import read_profile
 from piga.stand.run_reference import _followed
 from piga.stand.write_run import coefficients, predicted_angle_error, run_file_text, toml_table, truth_document
 from piga.units import G0
-
-from .simulated import COUNTS, INST, SCENARIO, written
+from tests.stand.simulated import COUNTS, INST, SCENARIO, written
 
 SITE = Site(math.radians(40.0), gravity=9.80166)
 HEAD = DividingHead(SITE, (0.0, 1.0), dwell=4.0, move=2.0)

@@ -17,8 +17,7 @@ from piga.stand import (
 from piga.stand.imperfections import NONE
 from piga.stand.machines.turning import position_range
 from piga.units import ARCSEC, G0
-
-from .stands import HEAD, SITE
+from tests.stand.stands import HEAD, SITE
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,7 @@ from piga.stand.imperfections import NONE
 from piga.stand.machines import logged
 from piga.stand.machines.logged import read_profile
 from piga.units import G0
-
-from .stands import HEAD, SITE, SPIN
+from tests.stand.stands import HEAD, SITE, SPIN
 
 
 def test_composite_is_its_parts_in_order():

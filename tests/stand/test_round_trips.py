@@ -26,8 +26,7 @@ from piga.stand import (
 )
 from piga.stand.simulate import straightened
 from piga.stand.write_run import predicted_angle_error
-
-from .simulated import INST, SCENARIO, SITE, saved, truth_of
+from tests.stand.simulated import INST, SCENARIO, SITE, saved, truth_of
 
 pytestmark = pytest.mark.compiled
 

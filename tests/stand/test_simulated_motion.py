@@ -19,8 +19,7 @@ from piga.stand import (
 )
 from piga.units import G0
 from tests.instrument.servo_truth import Design, motion
-
-from .simulated import COUNTS, HEAD, INST, SITE
+from tests.stand.simulated import COUNTS, HEAD, INST, SITE
 
 pytestmark = pytest.mark.compiled
 

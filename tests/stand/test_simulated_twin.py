@@ -15,8 +15,7 @@ from piga.stand import (
     Specimen,
     simulate_test,
 )
-
-from .simulated import COUNTS, HEAD, INST, SITE
+from tests.stand.simulated import COUNTS, HEAD, INST, SITE
 
 pytestmark = pytest.mark.compiled
 

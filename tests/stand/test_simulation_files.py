@@ -15,8 +15,7 @@ from piga.stand import (
     run_scenario,
 )
 from piga.stand.write_run import imperfection_values, log_table, run_file_text, truth_text, write_data
-
-from .simulated import SCENARIO, saved, truth_of, written
+from tests.stand.simulated import SCENARIO, saved, truth_of, written
 
 pytestmark = pytest.mark.compiled
 

@@ -20,8 +20,7 @@ from piga.stand import (
     simulate_test,
 )
 from piga.stand.write_run import coefficients
-
-from .simulated import COUNTS, INST, SITE, written
+from tests.stand.simulated import COUNTS, INST, SITE, written
 
 pytestmark = pytest.mark.compiled
 

@@ -17,8 +17,7 @@ from piga.stand import (
 from piga.stand.imperfections import NONE
 from piga.stand.machines.turning import rates_for_levels
 from piga.units import G0
-
-from .stands import SITE, SPIN, derivative
+from tests.stand.stands import SITE, SPIN, derivative
 
 
 def inertial(spindle, arm, t, h=2e-3):

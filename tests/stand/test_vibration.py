@@ -12,8 +12,7 @@ from piga.stand import (
     force_change,
 )
 from piga.stand.imperfections import NONE
-
-from .stands import SITE, derivative
+from tests.stand.stands import SITE, derivative
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,7 @@ import numpy as np
 from benchmarks import measured
 
 from piga.trend.history import find_trend
-
-from .history import history
+from tests.trend.history import history
 
 COLUMNS = ("drift", "coefficient", "further record")
 
