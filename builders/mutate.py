@@ -84,7 +84,6 @@ PLATFORM = [*GEOMETRY, *tests_of("platform", "scenario", "navigator")]
 ERRORS = tests_of("platform", "error_model", "navigator", "models")
 IDENTIFIED = tests_of("platform", "identify", "alignment", "intervals")
 TRIADS = tests_of("platform", "triad", "simulate")
-GROUND = ["tests/foundations"]
 CALIBRATION = {
     "calibration/remarks/advice": tests_of("calibration", "advice"),
     "calibration/allan": tests_of("calibration", "allan", "drift"),
@@ -172,13 +171,9 @@ TESTS = {
     for names, tests in table.items()
     for name in names.split()
 } | {
-    "frames.py": GROUND,
-    "earth.py": GROUND,
-    "units.py": [
-        "tests/foundations/test_unit_table.py",
-        "tests/foundations/test_units.py",
-        "tests/instrument/test_parameters.py",
-    ],
+    "frames.py": ["tests/test_frames.py"],
+    "earth.py": ["tests/test_earth.py"],
+    "units.py": ["tests/test_units.py", "tests/instrument/test_parameters.py"],
 }
 """Tests that have to notice a change of a file, the quickest first."""
 

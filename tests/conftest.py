@@ -1,13 +1,17 @@
-"""Which tests run with the JIT off, and which only compiled."""
+"""Which tests run with the JIT off, and which only compiled; a short record and its calibration, each computed once."""
 
 from __future__ import annotations
 
 import os
+import warnings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands have it; read when NumPy is loaded
 
 import numba
 import pytest
+
+import piga
+from tests.short_record import TERMS, a_run
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -18,3 +22,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "only_compiled" in item.keywords:
             item.add_marker(skip)
+
+
+@pytest.fixture(scope="session")
+def run() -> piga.Run:
+    return a_run()
+
+
+@pytest.fixture(scope="session")
+def cal(run: piga.Run) -> piga.Calibration:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return piga.calibrate(run, TERMS)

@@ -21,8 +21,8 @@ from piga.calibration.noise.likelihood import Contrasts, estimate
 from piga.calibration.noise.rules import RULES, table
 from piga.calibration.noise.settings import NOISE
 from tests.calibration.made.scenarios import Array, Scenario, tumble
-from tests.results.conftest import TERMS as SHORT_TERMS
-from tests.results.conftest import a_run
+from tests.short_record import TERMS as SHORT_TERMS
+from tests.short_record import a_run
 
 pytestmark = pytest.mark.compiled
 

@@ -18,7 +18,7 @@ from piga.compensation.sets import set_files
 from piga.compensation.sets.set_files import orthogonal_triad
 from tests.compensation.command.test_command import CAL, KERNEL, command, small_chunks, write
 from tests.compensation.twin_data import calibration_of
-from tests.output.kills import kills
+from tests.kills import kills
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import piga
 from piga.records.calibration import Coefficient
 from piga.records.terms import SI_UNITS, UNITS, si_factor
 from piga.units import G0, parse_unit
-from tests.results.conftest import pickled
+from tests.short_record import pickled
 
 
 def test_a_calibration_is_a_mapping_in_the_order_of_its_coefficients(cal):

@@ -16,7 +16,7 @@ from piga.reports import Axis, Figure, Panel, Series
 from piga.reports.calibration.page import calibration_text
 from piga.reports.render.axes import draw
 from piga.results import DOORS, above, in_words
-from tests.results.conftest import a_run, pickled
+from tests.short_record import a_run, pickled
 
 
 @pytest.mark.parametrize("name", list(DOORS))

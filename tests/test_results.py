@@ -15,7 +15,7 @@ import pytest
 
 import piga
 from piga.results import ByValue, key_of, same
-from tests.results.conftest import a_run, pickled
+from tests.short_record import a_run, pickled
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,9 @@ import piga
 from piga.progress import Steps, report
 from piga.records.run_file import UncertaintyTable
 from piga.units import G0
-from tests.results.conftest import SCALE, TERMS, a_run
+from tests.short_record import SCALE, TERMS, a_run
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def heard(call, **settings):

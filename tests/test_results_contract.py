@@ -21,9 +21,9 @@ from matplotlib.figure import Figure as Canvas
 import piga
 from piga.results import Result, Tabular
 from tests.planning.cases import request
-from tests.results.conftest import SCALE, a_run, pickled
+from tests.short_record import SCALE, a_run, pickled
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 
 
 def public_classes() -> dict[str, type]:

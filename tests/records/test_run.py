@@ -12,7 +12,7 @@ import pytest
 
 import piga
 from piga.units import G0
-from tests.results.conftest import SCALE, TERMS, a_run
+from tests.short_record import SCALE, TERMS, a_run
 
 COLUMNS = {"output": "output", "reference": ["fx", "fy", "fz"], "segment": "segment"}
 

@@ -126,7 +126,7 @@ def test_imports(tmp_path: Path) -> None:
     from piga.ledger.store.transfer import import_records
 
     draw = seeded(IMPORT_SEED)
-    source = Path(__file__).parents[1] / "ledger" / "store" / "corpus" / "0.1.0" / "export.zip"
+    source = Path(__file__).parent / "ledger" / "store" / "corpus" / "0.1.0" / "export.zip"
     with zipfile.ZipFile(source) as export:
         members = {name: export.read(name) for name in export.namelist() if not name.endswith("SUMS")}
     small = [name for name in members if len(members[name]) < 20_000]

@@ -1,12 +1,10 @@
-"""Small results of every kind, each computed once."""
+"""A short record; the fixtures ``run`` and ``cal`` are it and its calibration."""
 
 from __future__ import annotations
 
 import pickle
-import warnings
 
 import numpy as np
-import pytest
 
 import piga
 from piga.units import G0
@@ -28,15 +26,3 @@ def a_run(**settings) -> piga.Run:
 def pickled(value):
     """The value after a journey as bytes."""
     return pickle.loads(pickle.dumps(value))  # noqa: S301 - our own bytes
-
-
-@pytest.fixture(scope="session")
-def run() -> piga.Run:
-    return a_run()
-
-
-@pytest.fixture(scope="session")
-def cal(run: piga.Run) -> piga.Calibration:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return piga.calibrate(run, TERMS)

@@ -7,7 +7,7 @@ import pytest
 
 import piga
 from piga.units import G0
-from tests.results.conftest import SCALE
+from tests.short_record import SCALE
 
 
 def a_record_with_a_gap() -> piga.Run:

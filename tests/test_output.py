@@ -18,7 +18,7 @@ from piga.output import check_outputs, results, settle
 from piga.records.text_files import files_named_in
 from tests.compensation.command.test_command import command as compensate
 from tests.compensation.command.test_command import write
-from tests.output.kills import kills
+from tests.kills import kills
 from tests.reading.test_one_reader import command
 
 Capture = pytest.CaptureFixture[str]
@@ -292,7 +292,7 @@ def test_many_kills_in_a_folder(tmp_path: Path) -> None:
     killed_at_random(tmp_path, 50)
 
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[1] / "examples"
 SCENARIO = EXAMPLES / "dividing-head.toml"
 
 

@@ -15,7 +15,7 @@ import pytest
 
 import piga
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 PAGES = ("README.md", "docs/reference/api.md")
 WRONG = "run.segment(3)\ncal['k0'].si.nothing\npiga.calibrate(run, progres=None)\n"
 """Mistakes of a user that the types must show."""
