@@ -116,8 +116,8 @@ def compensated_servo() -> dict:
 
 def platform_days() -> dict:
     """Lines of a day that models A and B leave in the published case, and how far the theory of A is."""
-    from piga.platform.model.scenario import load_scenario
-    from piga.platform.runs.chain import compare
+    from piga.platform.chain import compare
+    from piga.platform.scenario import load_scenario
 
     document = compare(load_scenario(ROOT / "examples" / "platform-published.toml")).document()
     left, theory, better = document["models"]["A"], document["theory"]["A"], document["models"]["B"]

@@ -26,8 +26,8 @@ import numpy as np
 
 from piga import earth
 from piga.platform import Navigator, compare, compensator, simulate, true_knowledge
-from piga.platform.model.scenario import Gyro, Harmonic, Place, PlatformScenario, Rotation, Sensors
-from piga.platform.navigation.navigator import true_start
+from piga.platform.navigator import true_start
+from piga.platform.scenario import Gyro, Harmonic, Place, PlatformScenario, Rotation, Sensors
 
 DAY = 86400.0
 DEG = math.pi / 180.0

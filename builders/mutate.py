@@ -135,15 +135,15 @@ COMPENSATION = {
     "compensation/sets/set_compensator compensation/sets/set_records": SETS,
 }
 PLATFORM_ROOM = {
-    "platform/identification/alignment platform/identification/observation "
-    "platform/identification/estimate": IDENTIFIED,
-    "platform/identification/identify": [*IDENTIFIED, *ERRORS, *PLATFORM],
-    "platform/navigation/analysis platform/runs/budget platform/model/models platform/runs/capstone": ERRORS,
-    "platform/navigation/navigator": [*PLATFORM, *ERRORS],
-    "platform/model/geometry": [*PLATFORM, *IDENTIFIED],
-    "platform/model/scenario": PLATFORM,
-    "platform/model/simulate": [*PLATFORM, *TRIADS],
-    "platform/runs/chain platform/runs/output": TRIADS,
+    "platform/alignment platform/estimate platform/observation": IDENTIFIED,
+    "platform/identify": [*IDENTIFIED, *ERRORS, *PLATFORM],
+    "platform/analysis platform/budget": ERRORS,
+    "platform/navigator": [*PLATFORM, *ERRORS],
+    "platform/geometry": [*PLATFORM, *IDENTIFIED],
+    "platform/scenario": PLATFORM,
+    "platform/simulate": [*PLATFORM, *TRIADS],
+    "platform/chain": [*TRIADS, *ERRORS],
+    "platform/output": TRIADS,
 }
 KERNELS = {
     "_kernels/compensation/indication _kernels/compensation/layout _kernels/compensation/record "

@@ -22,7 +22,7 @@ from piga.cli.main import app as command_line
 from piga.compensation.sets.set_files import TriadFile
 from piga.describe.keys import KeyWords, words_of
 from piga.planning.plan_file import PlanTable
-from piga.platform.model.scenario import ScenarioFile
+from piga.platform.scenario import ScenarioFile
 from piga.records.run_file import METHOD_WORDS, RunFile
 from piga.records.terms import TERM_WORDS, UNITS
 from piga.stand.scenario import ScenarioTable

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from piga.platform import PlatformScenario, true_knowledge
-from piga.platform.identification.observation import Tip
-from piga.platform.model.scenario import Gyro, Harmonic, Place, Rotation, Sensors
+from piga.platform.observation import Tip
+from piga.platform.scenario import Gyro, Harmonic, Place, Rotation, Sensors
 
 DEG = np.pi / 180.0
 ARCMIN = DEG / 60.0

@@ -9,7 +9,7 @@ import pytest
 
 from piga.frames import matrix_to_rotation_vector
 from piga.platform import align, compensator, errors, identify, navigate, simulate, true_knowledge
-from piga.platform.model.scenario import Gyro, MotionPlan, Sensors
+from piga.platform.scenario import Gyro, MotionPlan, Sensors
 from tests.platform.conftest import ARCSEC, DEG, INTERPRETED, only_compiled, published
 
 pytestmark = pytest.mark.compiled

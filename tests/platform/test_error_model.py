@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from piga.platform import error_budget, linear_errors, simulate, standard_sources
-from piga.platform.model.scenario import Place
-from piga.platform.navigation.navigator import Perturbation
-from piga.platform.runs.budget import perturbed_errors
+from piga.platform.budget import perturbed_errors
+from piga.platform.navigator import Perturbation
+from piga.platform.scenario import Place
 from tests.platform.conftest import DEG, INTERPRETED, published
 
 pytestmark = pytest.mark.compiled

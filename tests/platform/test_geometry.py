@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from piga.frames import matrix_to_rotation_vector
-from piga.platform.identification.observation import Tip, gimbals_of
-from piga.platform.model.geometry import (
+from piga.platform.geometry import (
     gimbal_attitude,
     misalignment,
     nulled_attitude,
@@ -20,7 +19,8 @@ from piga.platform.model.geometry import (
     small_angles,
     turns_to_gimbals,
 )
-from piga.platform.model.scenario import Gyro, Harmonic
+from piga.platform.observation import Tip, gimbals_of
+from piga.platform.scenario import Gyro, Harmonic
 from tests.platform.conftest import ARCMIN, DEG
 
 CASES = json.loads((Path(__file__).parent / "data" / "geometry.json").read_text())["cases"]

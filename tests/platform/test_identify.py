@@ -7,10 +7,10 @@ import pytest
 
 from piga.errors import ArgumentError, IdentifiabilityError
 from piga.platform import identify, identify_recursively, observability, simulate
-from piga.platform.identification.estimate import UnknownGroup, solve
-from piga.platform.identification.observation import ForceFilter, ObservedRecord
-from piga.platform.model.geometry import apparent_gyro
-from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation, PigaSensors, Rotation, Sensors
+from piga.platform.estimate import UnknownGroup, solve
+from piga.platform.geometry import apparent_gyro
+from piga.platform.observation import ForceFilter, ObservedRecord
+from piga.platform.scenario import Gyro, MotionPlan, Oscillation, PigaSensors, Rotation, Sensors
 from tests.platform.conftest import ARCMIN, ARCSEC, DEG, INTERPRETED, NOISE, calibration, only_compiled, truth
 
 pytestmark = pytest.mark.compiled
@@ -92,7 +92,7 @@ def test_a_long_record_is_cut_into_stretches(monkeypatch):
     readouts = simulate(s).readouts
     assert len(ObservedRecord.checked(readouts, ("force",), 3).stretches) == 3
     cut = identify(readouts, s.place, sources=("force",))
-    monkeypatch.setattr("piga.platform.identification.observation.FORCE_FILTER", ForceFilter(turns=100))
+    monkeypatch.setattr("piga.platform.observation.FORCE_FILTER", ForceFilter(turns=100))
     assert len(ObservedRecord.checked(readouts, ("force",), 3).stretches) == 1
     whole = identify(readouts, s.place, sources=("force",))
     std = np.sqrt(np.diag(whole.covariance))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from piga.platform import identify, identify_recursively, simulate
-from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation, Sensors
-from piga.platform.model.simulate import base_motion
+from piga.platform.scenario import Gyro, MotionPlan, Oscillation, Sensors
+from piga.platform.simulate import base_motion
 from tests.platform.conftest import ARCMIN, ARCSEC, INTERPRETED, NOISE, calibration, only_compiled, truth
 
 pytestmark = pytest.mark.compiled

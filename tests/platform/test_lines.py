@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 
 from piga.platform import compare, compensator, theory_lines, true_knowledge
-from piga.platform.model.scenario import (
+from piga.platform.analysis import CHANNELS, daily_lines, fitted_lines
+from piga.platform.budget import line_budget
+from piga.platform.navigator import Errors
+from piga.platform.scenario import (
     Compensation,
     Gyro,
     Harmonic,
@@ -21,9 +24,6 @@ from piga.platform.model.scenario import (
     PlatformScenario,
     Rotation,
 )
-from piga.platform.navigation.analysis import CHANNELS, daily_lines, fitted_lines
-from piga.platform.navigation.navigator import Errors
-from piga.platform.runs.budget import line_budget
 from tests.platform.conftest import ARCMIN, DEG, only_compiled, published
 
 DAY = 86400.0

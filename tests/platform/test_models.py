@@ -17,10 +17,9 @@ from piga.platform import (
     spectrum,
     true_knowledge,
 )
-from piga.platform.model.models import encoder_harmonics
-from piga.platform.model.scenario import Compensation, Gyro, Harmonic, MotionPlan, Rotation, Sensors
-from piga.platform.navigation.analysis import CHANNELS, daily_lines, day_slices
-from piga.platform.navigation.navigator import true_start
+from piga.platform.analysis import CHANNELS, daily_lines, day_slices
+from piga.platform.navigator import encoder_harmonics, true_start
+from piga.platform.scenario import Compensation, Gyro, Harmonic, MotionPlan, Rotation, Sensors
 from tests.platform.conftest import ARCMIN, ARCSEC, DEG, only_compiled, published, wobbling
 
 pytestmark = pytest.mark.compiled

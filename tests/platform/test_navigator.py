@@ -13,7 +13,7 @@ from piga._kernels.platform.navigation import gravitation as kernel_gravitation
 from piga.errors import ArgumentError
 from piga.frames import axis_turn
 from piga.platform import Navigator, Start, compensator, errors, navigate, simulate, true_knowledge
-from piga.platform.model.geometry import (
+from piga.platform.geometry import (
     KERNEL_EARTH,
     earth_to_geodetic,
     geodetic_to_earth,
@@ -22,9 +22,8 @@ from piga.platform.model.geometry import (
     local_axes,
     small_angle_attitude,
 )
-from piga.platform.model.models import modelled_angles
-from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation
-from piga.platform.navigation.navigator import true_start
+from piga.platform.navigator import modelled_angles, true_start
+from piga.platform.scenario import Gyro, MotionPlan, Oscillation
 from tests.platform.conftest import INTERPRETED, only_compiled, published
 
 pytestmark = [pytest.mark.compiled, pytest.mark.smoke]

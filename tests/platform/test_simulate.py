@@ -12,7 +12,7 @@ from piga import earth
 from piga.errors import DataError
 from piga.frames import axis_turn, matrix_to_rotation_vector, rotation_vector_to_matrix
 from piga.platform import simulate
-from piga.platform.model.geometry import (
+from piga.platform.geometry import (
     averaged_drift,
     earth_to_geodetic,
     encoder_angle,
@@ -24,8 +24,8 @@ from piga.platform.model.geometry import (
     nulled_attitude,
     specific_force_at_rest,
 )
-from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation, Rotation, Sensors
-from piga.platform.model.simulate import base_motion
+from piga.platform.scenario import Gyro, MotionPlan, Oscillation, Rotation, Sensors
+from piga.platform.simulate import base_motion
 from tests.platform.conftest import ARCSEC, DEG, published
 
 pytestmark = pytest.mark.compiled

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from piga.platform import Alignment, load_scenario
-from piga.platform.runs.budget import standard_sources
-from piga.platform.runs.chain import _drift
+from piga.platform.budget import standard_sources
+from piga.platform.chain import _drift
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

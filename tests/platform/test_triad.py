@@ -9,9 +9,9 @@ import pytest
 
 from piga._kernels.platform.motion import solve_triad
 from piga.errors import ArgumentError
-from piga.platform.model.scenario import Compensation, Gyro, PigaSensors, Sensors
-from piga.platform.model.simulate import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments
-from piga.platform.runs.capstone import capstone
+from piga.platform.chain import capstone
+from piga.platform.scenario import Compensation, Gyro, PigaSensors, Sensors
+from piga.platform.simulate import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments
 from tests.platform.conftest import DEG, only_compiled, published
 
 pytestmark = pytest.mark.compiled

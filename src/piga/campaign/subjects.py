@@ -25,7 +25,7 @@ from piga.stand.scenario import Scenario, ScenarioTable, run_scenario, scenario_
 
 if TYPE_CHECKING:
     from piga.ledger.store import Store
-    from piga.platform.model.scenario import PlatformScenario
+    from piga.platform.scenario import PlatformScenario
     from piga.records import Calibration, Run
     from piga.stand.simulate import SimulatedTest
 
@@ -126,7 +126,7 @@ def _stand(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> 
 
 
 def _platform(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> PlatformScenario:
-    from piga.platform.model.scenario import scenario_of_document
+    from piga.platform.scenario import scenario_of_document
 
     return scenario_of_document(plan.path.parent / record.group.scenario, document)
 
@@ -312,7 +312,7 @@ def _bound(test: SimulatedTest, run: Run) -> Array | None:
 
 
 def _platform_run(plan: CampaignPlan, record: RecordName, scenario: PlatformScenario) -> Outcome:
-    from piga.platform.runs.chain import compare, last_east_lines
+    from piga.platform.chain import compare, last_east_lines
 
     models = compare(replace(scenario, seed=seed_of(plan, record))).models
     rows: list[tuple[str, str, float]] = []

@@ -15,7 +15,7 @@ FILES: dict[str, tuple[str, str, str]] = {
     "run": ("run file", "piga.records.run_file", "RunFile"),
     "scenario": ("scenario", "piga.stand.scenario", "ScenarioTable"),
     "plan": ("plan", "piga.planning.plan_file", "PlanTable"),
-    "platform": ("platform scenario", "piga.platform.model.scenario", "ScenarioFile"),
+    "platform": ("platform scenario", "piga.platform.scenario", "ScenarioFile"),
     "certificate": ("certificate file", "piga.certificate.certificate_file", "CertificateFile"),
     "triad": ("triad file", "piga.compensation.sets.set_files", "TriadFile"),
 }

@@ -4,25 +4,27 @@ One run is ``load_scenario`` - ``simulate`` - ``identify`` / ``align`` - ``compe
 ``compare`` does all of it for every compensation model. See docs/platform.md.
 """
 
-from piga.platform.identification.alignment import Alignment, align
-from piga.platform.identification.identify import Identification, identify, identify_recursively, observability
-from piga.platform.model.geometry import nulled_attitude, small_angle_attitude, small_angles
-from piga.platform.model.models import CaseCompensator, Knowledge, compensator, true_knowledge
-from piga.platform.model.scenario import PlatformScenario, load_scenario
-from piga.platform.model.simulate import PlatformRun, Readouts, simulate
-from piga.platform.navigation.analysis import daily_lines, line_amplitudes, spectrum, theory_lines
-from piga.platform.navigation.navigator import (
+from piga.platform.alignment import Alignment, align
+from piga.platform.analysis import daily_lines, line_amplitudes, spectrum, theory_lines
+from piga.platform.budget import error_budget, standard_sources
+from piga.platform.chain import Capstone, ModelComparisonRun, capstone, compare, prepare, run_model
+from piga.platform.geometry import nulled_attitude, small_angle_attitude, small_angles
+from piga.platform.identify import Identification, identify, identify_recursively, observability
+from piga.platform.navigator import (
+    CaseCompensator,
+    Knowledge,
     Navigation,
     Navigator,
     Perturbation,
     Start,
+    compensator,
     errors,
     linear_errors,
     navigate,
+    true_knowledge,
 )
-from piga.platform.runs.budget import error_budget, standard_sources
-from piga.platform.runs.capstone import Capstone, capstone
-from piga.platform.runs.chain import ModelComparisonRun, compare, prepare, run_model
+from piga.platform.scenario import PlatformScenario, load_scenario
+from piga.platform.simulate import PlatformRun, Readouts, simulate
 
 __all__ = [
     "Alignment",

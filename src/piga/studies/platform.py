@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
-from piga.platform.model.geometry import nulled_attitude, small_angles
-from piga.platform.model.scenario import Compensation, Gyro, Harmonic, Model, Place, PlatformScenario, Rotation
-from piga.platform.model.simulate import simulate
-from piga.platform.navigation.analysis import channels, line_amplitudes
-from piga.platform.runs.chain import ModelComparisonRun, compare
+from piga.platform.analysis import channels, line_amplitudes
+from piga.platform.chain import ModelComparisonRun, compare
+from piga.platform.geometry import nulled_attitude, small_angles
+from piga.platform.scenario import Compensation, Gyro, Harmonic, Model, Place, PlatformScenario, Rotation
+from piga.platform.simulate import simulate
 from piga.reports.platform.figures import lines_figure, published_figure
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.studies.case import Case, Chapter

@@ -14,7 +14,7 @@ import piga
 from piga.calibration.model.request import make_request
 from piga.errors import RunFileError
 from piga.planning.plan_file import read_plan
-from piga.platform.model.scenario import load_scenario
+from piga.platform.scenario import load_scenario
 from piga.records.run_file import EstimationTable, UncertaintyTable
 from piga.records.terms import term_names
 from piga.stand.scenario import read_scenario

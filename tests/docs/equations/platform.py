@@ -14,7 +14,8 @@ from piga._kernels.platform.navigation import Correction, Stepping, Triad, navig
 from piga.earth import EARTH_RATE
 from piga.frames import axis_turn
 from piga.platform import Perturbation, compensator, linear_errors, theory_lines, true_knowledge
-from piga.platform.model.geometry import (
+from piga.platform.chain import passage_velocity
+from piga.platform.geometry import (
     KERNEL_EARTH,
     apparent_gyro,
     geodetic_to_earth,
@@ -25,9 +26,8 @@ from piga.platform.model.geometry import (
     small_angles,
     specific_force_at_rest,
 )
-from piga.platform.model.scenario import Gyro, Harmonic, Place, PlatformScenario, Rotation
-from piga.platform.navigation.navigator import damping_gains
-from piga.platform.runs.capstone import passage_velocity
+from piga.platform.navigator import damping_gains
+from piga.platform.scenario import Gyro, Harmonic, Place, PlatformScenario, Rotation
 from tests.platform.conftest import published
 
 from .registry import Pair, equation

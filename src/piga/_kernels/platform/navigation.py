@@ -41,7 +41,7 @@ class ErrorDynamics(NamedTuple):
 
 @inline
 def error_rates(t: float, state: Array, model: ErrorDynamics, rate: Array) -> None:
-    """Time derivative of the error (6,) in inertial axes at ``t``; see :mod:`piga.platform.navigation.navigator`."""
+    """Time derivative of the error (6,) in inertial axes at ``t``; see :mod:`piga.platform.navigator`."""
     r0, f0, axes, earth_rate = model.r0, model.f0, model.axes, model.earth_rate
     attitude, drift, bias, gains = model.attitude, model.drift, model.bias, model.gains
     height, gm, j2a2 = model.height, model.gm, model.j2a2

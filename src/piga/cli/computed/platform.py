@@ -25,10 +25,10 @@ from piga.units import ARCSEC
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from piga.platform.model.scenario import Model, PlatformScenario
-    from piga.platform.model.simulate import PlatformRun
-    from piga.platform.navigation.analysis import Array
-    from piga.platform.runs.chain import ModelComparisonRun
+    from piga.platform.analysis import Array
+    from piga.platform.chain import ModelComparisonRun
+    from piga.platform.scenario import Model, PlatformScenario
+    from piga.platform.simulate import PlatformRun
 
 app = App(
     name="platform",
@@ -60,8 +60,8 @@ def simulate(
 
     Writes readouts.parquet, truth.parquet and a page.
     """
-    from piga.platform.model.scenario import load_scenario
-    from piga.platform.runs.output import READOUT_COLUMNS, TRUTH_COLUMNS, readouts_table, truth_table
+    from piga.platform.output import READOUT_COLUMNS, TRUTH_COLUMNS, readouts_table, truth_table
+    from piga.platform.scenario import load_scenario
     from piga.reports.platform.page import simulation_page
 
     read = load_scenario(scenario)
@@ -100,10 +100,10 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
     Writes alignment.json and a page.
     """
     from piga.errors import PigaError
-    from piga.platform.identification.alignment import align as align_platform
-    from piga.platform.model.scenario import load_scenario
-    from piga.platform.runs.chain import prepare
-    from piga.platform.runs.output import alignment_document
+    from piga.platform.alignment import align as align_platform
+    from piga.platform.chain import prepare
+    from piga.platform.output import alignment_document
+    from piga.platform.scenario import load_scenario
     from piga.reports.platform.page import alignment_page
 
     run = _simulated(load_scenario(scenario))
@@ -142,10 +142,10 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
 
     Writes identification.json and a page.
     """
-    from piga.platform.identification.identify import identify_recursively, observability
-    from piga.platform.model.scenario import load_scenario
-    from piga.platform.runs.chain import identified
-    from piga.platform.runs.output import identification_document
+    from piga.platform.chain import identified
+    from piga.platform.identify import identify_recursively, observability
+    from piga.platform.output import identification_document
+    from piga.platform.scenario import load_scenario
     from piga.reports.platform.page import identification_page
     from piga.reports.render.numbers import rounded
 
@@ -182,9 +182,9 @@ def navigate(
 
     Writes navigation-MODEL.parquet and a page.
     """
-    from piga.platform.model.scenario import load_scenario
-    from piga.platform.runs.chain import navigated_rows
-    from piga.platform.runs.output import NAVIGATION_COLUMNS, navigation_table
+    from piga.platform.chain import navigated_rows
+    from piga.platform.output import NAVIGATION_COLUMNS, navigation_table
+    from piga.platform.scenario import load_scenario
     from piga.reports.platform.page import navigation_page
 
     read = load_scenario(scenario)
@@ -226,9 +226,9 @@ def compare(
 
     Writes comparison.json and a page, day by day.
     """
-    from piga.platform.model.scenario import load_scenario
-    from piga.platform.runs.budget import error_budget, line_budget, standard_sources
-    from piga.platform.runs.output import budget_document, line_budget_document
+    from piga.platform.budget import error_budget, line_budget, standard_sources
+    from piga.platform.output import budget_document, line_budget_document
+    from piga.platform.scenario import load_scenario
 
     comparison = _compared(load_scenario(scenario))
     s = comparison.run.scenario
@@ -242,7 +242,7 @@ def compare(
     if lines:
         document["line_budget"] = line_budget_document(lines)
     if out is not None:
-        from piga.platform.runs.capstone import capstone
+        from piga.platform.chain import capstone
         from piga.reports.platform.page import capstone_page, comparison_page
 
         with (
@@ -257,14 +257,14 @@ def compare(
 
 
 def _simulated(scenario: PlatformScenario) -> PlatformRun:
-    from piga.platform.model.simulate import simulate as simulate_platform
+    from piga.platform.simulate import simulate as simulate_platform
 
     with progress("simulating"):
         return simulate_platform(scenario)
 
 
 def _compared(scenario: PlatformScenario) -> ModelComparisonRun:
-    from piga.platform.runs.chain import compare as compare_models
+    from piga.platform.chain import compare as compare_models
 
     with progress("simulating and navigating") as advance:
         return compare_models(scenario, progress=advance.show)

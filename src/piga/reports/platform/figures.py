@@ -8,13 +8,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.platform.identification.alignment import Alignment
-from piga.platform.identification.identify import Identification
-from piga.platform.model.scenario import Model
-from piga.platform.model.simulate import PlatformRun
-from piga.platform.navigation.analysis import case_rates, spectrum
-from piga.platform.runs.capstone import Capstone
-from piga.platform.runs.chain import ModelComparisonRun, ModelRun
+from piga.platform.alignment import Alignment
+from piga.platform.analysis import case_rates, spectrum
+from piga.platform.chain import Capstone, ModelComparisonRun, ModelRun
+from piga.platform.identify import Identification
+from piga.platform.scenario import Model
+from piga.platform.simulate import PlatformRun
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.units import ARCMIN, ARCSEC, DAY
 

@@ -6,21 +6,20 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from piga.platform.identification.alignment import Alignment
-from piga.platform.identification.identify import (
+from piga.platform.alignment import Alignment
+from piga.platform.analysis import case_rates
+from piga.platform.budget import BudgetRow, LineRow
+from piga.platform.chain import Capstone, ModelComparisonRun, Preparation, last_east_lines
+from piga.platform.geometry import apparent_gyro, averaged_drift, wrapped
+from piga.platform.identify import (
     UNKNOWN_PHASE,
     UNKNOWNS,
     Identification,
     Observability,
     Parameter,
 )
-from piga.platform.model.geometry import apparent_gyro, averaged_drift, wrapped
-from piga.platform.model.scenario import Gyro, PlatformScenario
-from piga.platform.model.simulate import PlatformRun
-from piga.platform.navigation.analysis import case_rates
-from piga.platform.runs.budget import BudgetRow, LineRow
-from piga.platform.runs.capstone import Capstone
-from piga.platform.runs.chain import ModelComparisonRun, Preparation, last_east_lines
+from piga.platform.scenario import Gyro, PlatformScenario
+from piga.platform.simulate import PlatformRun
 from piga.reports.platform.figures import (
     REFERENCE_MODEL,
     Case,

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
-from piga.platform.identification.estimate import UnknownGroup, solve_with_noise
-from piga.platform.identification.observation import (
+from piga.platform.estimate import UnknownGroup, solve_with_noise
+from piga.platform.geometry import geodetic_to_earth, local_axes, specific_force_at_rest, wrapped
+from piga.platform.navigator import Knowledge, Start, site_start
+from piga.platform.observation import (
     Tip,
     Unknowns,
     coarse_unknowns,
@@ -22,11 +24,8 @@ from piga.platform.identification.observation import (
     gimbal_rows,
     names,
 )
-from piga.platform.model.geometry import geodetic_to_earth, local_axes, specific_force_at_rest, wrapped
-from piga.platform.model.models import Knowledge
-from piga.platform.model.scenario import Place
-from piga.platform.model.simulate import Readouts
-from piga.platform.navigation.navigator import Start, site_start
+from piga.platform.scenario import Place
+from piga.platform.simulate import Readouts
 from piga.progress import Progress, report
 from piga.results import Result
 

@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 
 from piga import earth
 from piga._kernels.estimation.recursive import sequential_factor
-from piga.platform.identification.estimate import (
+from piga.platform.estimate import (
     LeastSquares,
     Reduced,
     in_words,
     noise_levels,
     solve_with_noise,
 )
-from piga.platform.identification.observation import (
+from piga.platform.geometry import geodetic_to_earth, specific_force_at_rest, wrapped
+from piga.platform.navigator import Knowledge
+from piga.platform.observation import (
     STATIC_SOURCES,
     ObservedRecord,
     Tip,
@@ -32,10 +34,8 @@ from piga.platform.identification.observation import (
     misalignment_regressors,
     names,
 )
-from piga.platform.model.geometry import geodetic_to_earth, specific_force_at_rest, wrapped
-from piga.platform.model.models import Knowledge
-from piga.platform.model.scenario import Gyro, Place
-from piga.platform.model.simulate import Readouts
+from piga.platform.scenario import Gyro, Place
+from piga.platform.simulate import Readouts
 from piga.progress import Progress, report
 from piga.results import Result, plotted
 from piga.threads import with_one_thread

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from piga import earth
 from piga._kernels.platform.motion import Misalignment, exact_geometry_series
 from piga.frames import axis_turn, skew
-from piga.platform.model.scenario import Gyro, Rotation
+from piga.platform.scenario import Gyro, Rotation
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from piga._kernels.platform.motion import Base, Gyros, TrueRows, simulate_platfo
 from piga.errors import ArgumentError, DataError
 from piga.frames import rotation_vector_to_matrix
 from piga.instrument import Instrument, propagate
-from piga.platform.model.geometry import (
+from piga.platform.geometry import (
     earth_to_geodetic,
     encoder_angle,
     geodetic_to_earth,
@@ -29,7 +29,7 @@ from piga.platform.model.geometry import (
     over_case_angle,
     specific_force_at_rest,
 )
-from piga.platform.model.scenario import MotionPlan, Oscillation, PigaSensors, Place, PlatformScenario, Sensors
+from piga.platform.scenario import MotionPlan, Oscillation, PigaSensors, Place, PlatformScenario, Sensors
 from piga.records.limits import read_whole
 from piga.results import Result, plotted
 

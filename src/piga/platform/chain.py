@@ -1,8 +1,8 @@
-"""Three gyro accelerometers on the space-stable platform: the effect of the locked zone, and its compensation.
+"""The whole chain: simulate, identify, align, navigate with every model, compare with the theory.
 
 On a platform fixed in inertial space, gravity describes a cone once a sidereal day. Twice a day it crosses the plane
-normal to an input axis and passes the locked zone ``|a_x| < a_t tan(beta)``. The same ten days are read in several
-ways and navigated each time.
+normal to an input axis of a gyro accelerometer and passes the locked zone ``|a_x| < a_t tan(beta)``. :func:`capstone`
+reads the same days in several ways and navigates each time.
 
 With the usual tan(beta) the zone is passed faster than the gimbal can lock (in ``1/(K a_t tan(beta))``). The error has
 another cause: near the zone the gimbal turns so slowly that the cross-coupling keeps its phase. By stationary phase,
@@ -15,15 +15,37 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
-from piga.platform.model.models import compensator
-from piga.platform.model.scenario import PigaSensors, PlatformScenario
-from piga.platform.model.simulate import (
+from piga.platform.alignment import Alignment, align
+from piga.platform.analysis import (
+    Lines,
+    case_rates,
+    daily_lines,
+    day_slices,
+    lines_note,
+    theory_lines,
+)
+from piga.platform.identify import Identification, identify
+from piga.platform.navigator import (
+    CaseCompensator,
+    Errors,
+    Knowledge,
+    Navigation,
+    Start,
+    compensator,
+    errors,
+    navigate,
+    true_knowledge,
+    true_start,
+)
+from piga.platform.observation import MOVING_SOURCES, STATIC_SOURCES
+from piga.platform.scenario import Model, PigaSensors, PlatformScenario
+from piga.platform.simulate import (
     TRIPOD,
     PlatformRun,
     base_motion,
@@ -33,17 +55,187 @@ from piga.platform.model.simulate import (
     read_increments,
     simulate,
 )
-from piga.platform.navigation.navigator import Errors, errors, navigate
-from piga.platform.runs.chain import Preparation, prepare
 from piga.progress import Progress, Steps
 from piga.results import Result, plotted
-from piga.units import DAY
+from piga.units import ARCMIN, DAY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """Knowledge before navigation: misalignments, start, and the results that gave them (None: from truth)."""
+
+    knowledge: Knowledge
+    start: Start
+    identification: Identification | None
+    alignment: Alignment | None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ModelRun:
+    """One compensation model over the run: navigation, errors, lines per day, and theory."""
+
+    compensator: CaseCompensator
+    navigation: Navigation
+    errors: Errors
+    lines: Lines
+    theory: Lines | None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ModelComparisonRun(Result):
+    """All models over one run."""
+
+    run: PlatformRun
+    preparation: Preparation
+    models: Mapping[Model, ModelRun]
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """Duration, and what each model leaves on the last day."""
+        rows = [("duration", f"{self.run.scenario.duration / 3600.0:.6g} h, step {self.run.scenario.step:g} s")]
+        for model, ran in self.models.items():
+            east = ran.lines.amplitude["east_velocity"][-1:]
+            line = "" if not east.size else f"east velocity line {east[0]:.3g} m/s, "
+            last = ran.lines.position[-1:]
+            said = f"{line}position within {last[0]:.4g} m" if last.size else "less than a day"
+            rows.append(("no model" if model == "none" else f"model {model}", f"last day: {said}"))
+        return [*rows, *(("note", note) for note in self.preparation.notes)]
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Lines of each model, day by day. See :class:`piga.results.Plots`."""
+        return plotted(self, ax)
+
+    def document(self) -> dict[str, Any]:
+        """The JSON document of ``piga platform compare``."""
+        theory = {m: _lines_document(r.theory) for m, r in self.models.items() if r.theory is not None}
+        return {
+            "models": {m: _lines_document(r.lines) for m, r in self.models.items()},
+            "theory": theory,
+            "notes": list(self.preparation.notes),
+        }
+
+
+def identified(run: PlatformRun, progress: Progress | None = None) -> Identification:
+    """Identification from the calibration stretch of a run, with the sources that its base allows."""
+    s = run.scenario
+    sources = STATIC_SOURCES if run.truth.motion.at_rest else MOVING_SOURCES
+    stretch = run.readouts.first(s.calibration_time)
+    return identify(stretch, s.place, sources=sources, orders=s.compensation.orders, progress=progress)
+
+
+def prepare(run: PlatformRun, progress: Progress | None = None) -> Preparation:
+    """Identify and align as the scenario asks, from readouts of its calibration stretch only."""
+    s, c = run.scenario, run.scenario.compensation
+    identification = None
+    notes: list[str] = []
+    if c.misalignment == "identified" and s.polar_rotation.rate > 0.0:
+        identification = identified(run, progress)
+        notes += identification.notes
+    elif c.misalignment == "identified":
+        notes.append("the cases are at rest: nothing can be identified; the true misalignments are used")
+    if indistinct := lines_note(s):
+        notes.append(indistinct)
+    known = true_knowledge(s) if identification is None else identification.knowledge
+    aligned = None
+    start = true_start(run.truth)
+    if "aligned" in (c.attitude, c.drift):
+        aligned = align(
+            run.readouts.first(s.calibration_time), s.place, known, orders=c.orders, progress=progress
+        )
+        if c.attitude == "aligned":
+            start = aligned.start(with_drift=False)
+    drift = _drift(s, aligned)
+    return Preparation(
+        known, Start(start.position, start.velocity, start.triad, drift), identification, aligned, tuple(notes)
+    )
+
+
+def _drift(s: PlatformScenario, aligned: Alignment | None) -> Array:
+    if s.compensation.drift == "aligned" and aligned is not None:
+        return aligned.drift
+    if s.compensation.drift == "true":
+        w1x, w1y = s.polar.drift
+        w2z = s.equatorial.drift[1]
+        return np.array([w1x, w1y, w2z / np.cos(s.redundancy) - w1x * np.tan(s.redundancy)])
+    return np.zeros(3)
+
+
+def run_model(run: PlatformRun, preparation: Preparation, model: Model, *, every: int = 1) -> ModelRun:
+    """Navigate the run with one model; lines per day, and theory where the base is at rest."""
+    s = run.scenario
+    made = compensator(model, preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
+    navigation = navigate(run.readouts, made, preparation.start, damping_time=s.damping_time, every=every)
+    error = errors(navigation, run.truth, run.readouts)
+    lines = daily_lines(error, case_rates(s), s.place.latitude)
+    theory = None
+    turning = max(s.polar_rotation.rate, s.equatorial_rotation.rate) > 0.0
+    if run.truth.motion.at_rest and turning and s.polar_rotation.turns == 0:
+        theory = theory_lines(s, made, preparation.knowledge, day_slices(error.times), error.times)
+    return ModelRun(made, navigation, error, lines, theory)
+
+
+def _every(scenario: PlatformScenario) -> int:
+    """Steps per row of the navigation: one row a second."""
+    return max(1, round(1.0 / scenario.step))
+
+
+def navigated_rows(scenario: PlatformScenario) -> int:
+    """Rows that the navigation of each model has."""
+    return scenario.steps // _every(scenario)
+
+
+def compare(scenario: PlatformScenario, *, progress: Progress | None = None) -> ModelComparisonRun:
+    """Simulate the scenario and navigate it with every model it names.
+
+    ``progress`` is called as ``progress(done, total, what)`` before each step; it returns False to stop
+    (:mod:`piga.progress`).
+
+    Raises
+    ------
+    PigaError
+        If the scenario cannot be simulated, or its misalignments cannot be identified.
+    """
+    named = scenario.compensation.models
+    steps = Steps(progress, 2 + len(named))
+    steps("simulating")
+    run = simulate(scenario)
+    steps("identifying and aligning")
+    preparation = prepare(run)
+    every = _every(scenario)
+    models = {}
+    for m in named:
+        steps(f"navigating, model {m}")
+        models[m] = run_model(run, preparation, m, every=every)
+    steps.finish()
+    return ModelComparisonRun(run, preparation, models)
+
+
+def last_east_lines(lines: Lines) -> list[float]:
+    """East velocity lines [m/s] of the last day: at the polar case's rate and, at another speed, the equatorial one's."""
+    each = (lines.amplitude, lines.equatorial)
+    return [float(amplitude["east_velocity"][-1]) for amplitude in each if amplitude]
+
+
+def _lines_document(lines: Lines) -> dict[str, Any]:
+    document: dict[str, Any] = {"day": [int(day) for day in lines.day]}
+    for amplitude, label in ((lines.amplitude, "line"), (lines.equatorial, "equatorial_line")):
+        for name, values in amplitude.items():
+            scale, unit = (1.0, "m_s") if name.endswith("velocity") else (ARCMIN, "arcmin")
+            document[f"{name}_{label}_{unit}"] = finite(values / scale)
+    document["position_error_m"] = finite(lines.position)
+    return document
+
+
+def finite(values: Array) -> list[float | None]:
+    """Numbers for JSON. NaN becomes None."""
+    return [None if np.isnan(v) else float(v) for v in values]
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.formats.parquet_writer import number_column
-from piga.platform.identification.alignment import UNKNOWNS, Alignment
-from piga.platform.identification.identify import UNKNOWNS as MISALIGNMENTS
-from piga.platform.identification.identify import Identification, Observability
-from piga.platform.model.simulate import PlatformRun, Readouts
-from piga.platform.runs.budget import BudgetRow, LineRow
-from piga.platform.runs.chain import ModelRun, finite
+from piga.platform.alignment import UNKNOWNS, Alignment
+from piga.platform.budget import BudgetRow, LineRow
+from piga.platform.chain import ModelRun, finite
+from piga.platform.identify import UNKNOWNS as MISALIGNMENTS
+from piga.platform.identify import Identification, Observability
+from piga.platform.simulate import PlatformRun, Readouts
 from piga.units import ARCMIN
 
 if TYPE_CHECKING:

@@ -11,22 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
-from piga.platform.identification.alignment import Alignment
-from piga.platform.identification.identify import Identification
-from piga.platform.model.geometry import local_axes
-from piga.platform.model.models import compensator, true_knowledge
-from piga.platform.model.scenario import Gyro, MotionPlan, PlatformScenario
-from piga.platform.model.simulate import PlatformRun, simulate
-from piga.platform.navigation.analysis import case_rates, daily_lines, day_slices, theory_lines
-from piga.platform.navigation.navigator import (
+from piga.platform.alignment import Alignment
+from piga.platform.analysis import case_rates, daily_lines, day_slices, theory_lines
+from piga.platform.geometry import local_axes
+from piga.platform.identify import Identification
+from piga.platform.navigator import (
     Errors,
     Perturbation,
     Start,
+    compensator,
     errors,
     linear_errors,
     navigate,
+    true_knowledge,
     true_start,
 )
+from piga.platform.scenario import Gyro, MotionPlan, PlatformScenario
+from piga.platform.simulate import PlatformRun, simulate
 from piga.progress import Progress, Steps
 from piga.results import Result
 from piga.units import ARCSEC

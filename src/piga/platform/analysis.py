@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
-from piga.platform.model.geometry import gravity, misalignment
-from piga.platform.model.models import CaseCompensator, Knowledge
-from piga.platform.model.scenario import Gyro, PlatformScenario
-from piga.platform.navigation.navigator import Errors
+from piga.platform.geometry import gravity, misalignment
+from piga.platform.navigator import CaseCompensator, Errors, Knowledge
+from piga.platform.scenario import Gyro, PlatformScenario
 from piga.results import Result
 from piga.units import DAY
 

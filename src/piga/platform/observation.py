@@ -28,10 +28,10 @@ from piga import earth
 from piga._kernels.platform.motion import Misalignment, exact_geometry_series
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
-from piga.platform.identification.estimate import UnknownGroup
-from piga.platform.model.geometry import gimbal_attitude, turns_to_gimbals, wrapped
-from piga.platform.model.scenario import Gyro, Harmonic
-from piga.platform.model.simulate import Readouts
+from piga.platform.estimate import UnknownGroup
+from piga.platform.geometry import gimbal_attitude, turns_to_gimbals, wrapped
+from piga.platform.scenario import Gyro, Harmonic
+from piga.platform.simulate import Readouts
 from piga.results import Result
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ class Tip:
     @classmethod
     def of(cls, gyro: Gyro, orders: int) -> Tip:
         """The unknowns that describe ``gyro``, with harmonics up to ``orders``."""
-        from piga.platform.model.models import encoder_harmonics
+        from piga.platform.navigator import encoder_harmonics
 
         m, phase = gyro.misalignment, gyro.phase
         return cls(m * float(np.cos(phase)), m * float(np.sin(phase)), *encoder_harmonics(gyro, orders))

@@ -1,1 +1,0 @@
-"""The platform and its motion: geometry, drift of the gyros, case rotation."""

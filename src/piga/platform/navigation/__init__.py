@@ -1,1 +1,0 @@
-"""The navigator on the platform, and the growth of its errors."""

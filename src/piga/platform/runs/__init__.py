@@ -1,1 +1,0 @@
-"""Whole runs: chain of models, budget, ten-day results and their files."""
