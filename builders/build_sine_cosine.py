@@ -1,4 +1,4 @@
-"""Polynomials and the split of pi/2 in ``piga/_kernels/arithmetic/trigonometry.py``: run to print them again.
+"""Polynomials and the split of pi/2 in ``piga/_kernels/arithmetic.py``: run to print them again.
 
 Chebyshev fits at 50 digits over ``r^2`` in [0, (pi/4)^2] of ``(sin r/r - 1)/r^2`` and
 ``(cos r - 1 + r^2/2)/r^4``; the leading parts of pi/2 have few bits, so that any quotient below 2^20

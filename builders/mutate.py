@@ -151,9 +151,10 @@ KERNELS = {
     "_kernels/compensation/set": SETS,
     "_kernels/estimation/noise": [*COUNTED, *SUMS],
     "_kernels/estimation/recursive": FIT,
-    "_kernels/arithmetic/double_double _kernels/estimation/regressors _kernels/estimation/square_root": SUMS,
+    "_kernels/arithmetic": [*SUMS, *PHASES, *tests_of("compensation", "file_to_file")],
+    "_kernels/estimation/regressors _kernels/estimation/square_root": SUMS,
     "_kernels/motion/function_motion": SAMPLES,
-    "_kernels/motion/step _kernels/arithmetic/trigonometry": SAMPLES,
+    "_kernels/motion/step": SAMPLES,
     "_kernels/motion/samples": [*SAMPLES, *tests_of("instrument", "fleet")],
     "_kernels/estimation/outliers": [
         *tests_of("kernels", "outlier_scan"),
@@ -161,7 +162,6 @@ KERNELS = {
     ],
     "_kernels/platform/navigation": [*PLATFORM, *ERRORS],
     "_kernels/platform/motion": [*GEOMETRY, *EQUATIONS, *TRIADS],
-    "_kernels/arithmetic/interpolation": [*PHASES, *tests_of("compensation", "file_to_file")],
     "_kernels/motion/servo": TWIN,
     "_kernels/estimation/trend": TREND,
 }

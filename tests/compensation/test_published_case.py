@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga._kernels.arithmetic.trigonometry import sine_cosine
+from piga._kernels.arithmetic import sine_cosine
 from piga.units import G0
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, mean_force, run_of
 

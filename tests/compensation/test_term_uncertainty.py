@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga._kernels.arithmetic.trigonometry import LIMIT
+from piga._kernels.arithmetic import LIMIT
 from piga._kernels.compensation.layout import TERMS
 from piga.units import G0
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of

@@ -9,8 +9,8 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from piga._kernels.arithmetic import double_double as dd
-from piga._kernels.arithmetic.trigonometry import double_arctangent
+from piga._kernels import arithmetic as dd
+from piga._kernels.arithmetic import double_arctangent
 from piga._kernels.motion import samples as increments
 from piga._kernels.motion import step as block
 from piga._kernels.motion.samples import unimodular_functions

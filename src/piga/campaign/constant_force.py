@@ -1,6 +1,6 @@
 """Simulated tests with constant force in each segment, and the Cramer-Rao bound of their coefficients.
 
-One step of the motion is a closed form (:mod:`piga._kernels.motion.constant_steps`). It shares no code with the
+One step of the motion is a closed form (:mod:`piga._kernels.motion.step`). It shares no code with the
 estimator. A random walk is part of the motion. White noise and counting belong to the reading. The gimbal starts at a
 random angle in every segment. A record takes milliseconds, so campaigns of many thousands are possible.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import piga
-from piga._kernels.motion.constant_steps import constant_steps
+from piga._kernels.motion.step import constant_steps
 from piga.errors import ArgumentError
 from piga.records.run_file import Quantity, TomlTable
 from piga.units import G0, to_si

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels.arithmetic import interpolation as kernels
+from piga._kernels import arithmetic as kernels
 from piga.compensation.model import FLAGS
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration

@@ -35,7 +35,7 @@ any intervals; for even intervals it is the formula of Adams and Moulton:
           \varrho = \frac{h_0 + 2 h_1}{2 (h_0 + h_1 + h_2)} ,
 
 ``D_0`` is the second derivative from the last three samples, ``D_1`` that from one sample earlier. They are limited so that
-nothing rings (:mod:`piga._kernels.arithmetic.interpolation`). The remaining error is estimated for ``u_ax``.
+nothing rings (:mod:`piga._kernels.arithmetic`). The remaining error is estimated for ``u_ax``.
 """
 
 from __future__ import annotations
@@ -45,8 +45,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.arithmetic.interpolation import bow_of, limited
-from piga._kernels.arithmetic.trigonometry import LIMIT, fast_sine_cosine
+from piga._kernels.arithmetic import LIMIT, bow_of, fast_sine_cosine, limited
 from piga._kernels.compensation import layout as at
 from piga._kernels.jit import exact, inline, kernel
 

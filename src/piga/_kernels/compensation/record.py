@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.arithmetic.trigonometry import sine_cosine
+from piga._kernels.arithmetic import sine_cosine
 from piga._kernels.compensation import indication as indicated
 from piga._kernels.compensation import layout as at
 from piga._kernels.compensation import terms

@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.arithmetic.trigonometry import fast_sine_cosine
+from piga._kernels.arithmetic import fast_sine_cosine
 from piga._kernels.jit import kernel, reducing_kernel
 
 Array = NDArray[np.float64]

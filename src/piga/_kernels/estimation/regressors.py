@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.arithmetic.interpolation import bow_of, curvature, limited
+from piga._kernels.arithmetic import bow_of, curvature, limited
 from piga._kernels.jit import exact, kernel
 
 Array = NDArray[np.float64]
@@ -229,7 +229,7 @@ def smooth_bows(x: Array, h: Array, out: Array) -> bool:
     """Mean of a smooth input over each interval less that of both ends; True where one is not 0.
 
     ``-h^2/12 x''`` with the second derivative by the samples on both sides (exact for a cubic), at the ends of a stretch by
-    those on one side (:mod:`piga._kernels.arithmetic.interpolation`).
+    those on one side (:mod:`piga._kernels.arithmetic`).
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.arithmetic import double_double as dd
+from piga._kernels import arithmetic as dd
 from piga._kernels.jit import exact, kernel, reducing_kernel
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.arithmetic.trigonometry import double_arctangent
+from piga._kernels.arithmetic import double_arctangent
 from piga._kernels.jit import inline, kernel
 from piga._kernels.motion.step import (
     BLOCK,

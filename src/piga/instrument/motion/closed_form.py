@@ -29,7 +29,7 @@ from typing import Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels.arithmetic import double_double as dd
+from piga._kernels import arithmetic as dd
 from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, constant_motion_at, split_turns
 from piga.errors import ArgumentError
 from piga.instrument.parameters import Instrument

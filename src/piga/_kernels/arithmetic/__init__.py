@@ -1,1 +1,0 @@
-"""Scalar and vector arithmetic that several kernels share."""
