@@ -91,17 +91,15 @@ CALIBRATION = {
     "calibration/fit/one_run calibration/noise/levels calibration/fit/residuals "
     "calibration/model/solution calibration/noise/weighting "
     "calibration/model/identifiability": FIT,
-    "calibration/budget/rows calibration/intervals/degrees_of_freedom "
-    "calibration/budget/monte_carlo calibration/budget/uncertainty": UNCERTAINTY,
+    "calibration/budget/uncertainty calibration/intervals/degrees_of_freedom "
+    "calibration/budget/monte_carlo": UNCERTAINTY,
     "calibration/remarks/missing_terms calibration/remarks/all_remarks": SIGNATURES,
-    "planning/candidates planning/criterion planning/mounting planning/plan "
-    "planning/prediction planning/plan_file": PLANS,
+    "planning/candidates planning/criterion planning/mounting planning/plan planning/plan_file": PLANS,
     "calibration/fit/cleaning calibration/fit/outliers": tests_of("calibration", "small_parts", "outliers"),
     "trend/history trend/trend_line": TREND,
     "calibration/noise/counted calibration/noise/stretches": COUNTED,
     "calibration/choice/cross_validation calibration/choice/model_choice": CHOICE,
-    "calibration/intervals/added_noise": tests_of("calibration", "small_parts", "added_noise"),
-    "calibration/intervals/faint_walk": tests_of("calibration", "small_parts", "faint_walk"),
+    "calibration/intervals/added_noise": tests_of("calibration", "small_parts", "added_noise", "faint_walk"),
     "calibration/fit/servo": tests_of("calibration", "servo"),
     "calibration/remarks/left_out": tests_of("calibration", "servo", "left_out_runs"),
     "calibration/noise/slow_bases calibration/intervals/slow_noise": tests_of(
@@ -126,13 +124,13 @@ INSTRUMENT = {
     "instrument/twin/run instrument/twin/linear instrument/twin/parameters": TWIN,
 }
 COMPENSATION = {
-    "compensation/compensate compensation/compensator compensation/model": COMPENSATED,
+    "compensation/compensator compensation/model": COMPENSATED,
     "compensation/phase compensation/result": [
         *PHASES,
         *COMPENSATED,
         *tests_of("compensation", "file_to_file"),
     ],
-    "compensation/sets/set_compensator compensation/sets/set_records": SETS,
+    "compensation/sets/set_compensator compensation/sets/set_files": SETS,
 }
 PLATFORM_ROOM = {
     "platform/alignment platform/estimate platform/observation": IDENTIFIED,

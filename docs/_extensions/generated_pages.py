@@ -20,7 +20,7 @@ from piga.campaign.campaign_file import CampaignFile
 from piga.certificate.certificate_file import CertificateFile
 from piga.cli.main import app as command_line
 from piga.compensation.sets.set_files import TriadFile
-from piga.describe.keys import KeyWords, words_of
+from piga.describe.draft import KeyWords, words_of
 from piga.planning.plan_file import PlanTable
 from piga.platform.scenario import ScenarioFile
 from piga.records.run_file import METHOD_WORDS, RunFile

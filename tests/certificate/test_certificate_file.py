@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from piga.calibration.budget.rows import with_given_servo
+from piga.calibration.budget.uncertainty import with_given_servo
 from piga.certificate.certificate_file import (
     CertificateFile,
     ConditionTable,

@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from piga.calibration.budget.rows import with_given_servo
+from piga.calibration.budget.uncertainty import with_given_servo
 from piga.certificate.certificate_file import ConformityTable
 from piga.certificate.dcc.dsi_units import DIGITS, dsi_unit, from_dsi, power_of_g, to_dsi
 from piga.errors import DataError, PigaError
 from piga.records.calibration import Coefficient, Diagnostics
-from piga.records.calibration.coverage import joint_factor
+from piga.records.calibration.coefficient import joint_factor
 from piga.records.calibration.document import to_document
 from piga.records.terms import UNITS, si_factor, unit_of
 from tests.certificate.certificate_data import SCHEMAS, budgeted, changed, complete

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from piga.certificate.dcc import writer as dcc
-from piga.compensation.writers import TableWriter
+from piga.compensation.result import TableWriter
 from piga.errors import DataError, StoreError
 from piga.formats.containers import container
 from piga.ledger.store.documents import write_new

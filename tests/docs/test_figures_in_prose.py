@@ -18,7 +18,7 @@ from piga.calibration.noise.settings import NOISE
 from piga.calibration.remarks.advice import ADVICE
 from piga.calibration.remarks.leverage import LEVERAGE
 from piga.calibration.remarks.missing_terms import CANDIDATES
-from piga.calibration.remarks.temperature import TEMPERATURE
+from piga.calibration.remarks.slow_changes import TEMPERATURE
 from piga.units import G0
 
 from .pages import DOCS

@@ -9,7 +9,7 @@ import pytest
 
 import piga
 from piga.formats.text.convention import is_units_row
-from piga.formats.text.encoding import find_encoding, looks_western
+from piga.formats.text.source import find_encoding, looks_western
 from tests.records.files import events, lines, write_run
 
 PREAMBLE = "Test 12;A. B.\nn;t\n1;2\n"

@@ -14,12 +14,18 @@ from typer.testing import CliRunner
 import piga
 from piga.cli.main import app
 from piga.errors import CalibrationError, IdentifiabilityError, PigaError, RunFileError
-from piga.planning.candidates import coefficient_names, find_candidates, information_tables
+from piga.planning.candidates import (
+    Visit,
+    coefficient_names,
+    find_candidates,
+    information_tables,
+    noiseless_run,
+    predict,
+)
 from piga.planning.criterion import Criterion, best_mixture
 from piga.planning.mounting import plan_mounting
 from piga.planning.plan import plan_document, plan_test, scenario_text
 from piga.planning.plan_file import read_plan
-from piga.planning.prediction import Visit, noiseless_run, predict
 from piga.reports.planning import plan_page, plan_text
 from piga.reports.render.page import page_html
 from piga.stand import read_scenario, run_scenario

@@ -20,7 +20,7 @@ import piga
 from piga.certificate.dcc.dsi_units import dsi_unit, from_dsi
 from piga.formats.columns import label_text
 from piga.formats.containers.container import READERS, read_container
-from piga.reading.output_signal import OutputScale, Reading
+from piga.reading.signal_checks import OutputScale, Reading
 from piga.records import Run, read_run_file
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.spool import Arrays

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from piga.errors import ArgumentError
-from piga.records.calibration.coverage import TYPE_A_ONLY
+from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.trend.history import YEAR, _to_two_digits_of, find_trend
 from piga.trend.trend_line import moving_average
 from tests.chance import assert_variance

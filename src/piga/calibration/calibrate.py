@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.calibration.budget.monte_carlo import put_to_the_test
-from piga.calibration.budget.rows import (
+from piga.calibration.budget.uncertainty import (
     Budget,
     budget_row,
     budget_rows,
     combined,
+    contributions,
     make_budget,
     share_of_type_a,
+    sources,
+    stated_scatter,
     with_given_servo,
 )
-from piga.calibration.budget.uncertainty import contributions, sources, stated_scatter
 from piga.calibration.choice.model_choice import compare_models
 from piga.calibration.classical.recursive import recursive_history, run_published
 from piga.calibration.classical.revolutions import (
@@ -40,8 +42,8 @@ from piga.calibration.fit.residuals import (
     segment_scatter,
     segment_table,
 )
+from piga.calibration.intervals.added_noise import include_noise
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
-from piga.calibration.intervals.included import include_noise
 from piga.calibration.joint.joint_fit import (
     check_items,
     fit_jointly,
@@ -66,7 +68,7 @@ from piga.calibration.noise.weighting import weighting_mode
 from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
-from piga.calibration.remarks.temperature import unseen_bias
+from piga.calibration.remarks.slow_changes import unseen_bias
 from piga.calibration.remarks.unseen_noise import unseen_noise
 from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.progress import Progress, Steps

@@ -15,7 +15,7 @@ from piga.certificate.certificate_file import (
     validity_ranges,
 )
 from piga.records.calibration import Calibration
-from piga.records.calibration.coverage import Coverage
+from piga.records.calibration.coefficient import Coverage
 
 _WORDS: dict[Status, str] = {
     "pass": "conforms",

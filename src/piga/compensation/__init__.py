@@ -1,12 +1,11 @@
 """Compensation: specific force and velocity from the output of calibrated instruments."""
 
-from piga.compensation.compensate import compensate
-from piga.compensation.compensator import Chunk, Compensator, Step, init_state, step
+from piga.compensation.compensator import Chunk, Compensator, Step, compensate, init_state, step
 from piga.compensation.model import FLAGS, Limits, Phase
 from piga.compensation.phase import PhaseFinder, identify_phase
 from piga.compensation.result import Compensated, CompensatedSet, Resampler
 from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
-from piga.compensation.sets.set_records import compensate_set
+from piga.compensation.sets.set_files import compensate_set
 
 __all__ = [
     "FLAGS",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from piga.describe.names import fact, kind_of_name, known_unit
+from piga.describe.columns import fact, kind_of_name, known_unit
 from piga.errors import DataError
 from piga.formats.columns import column_letter
 from piga.formats.text.convention import (
@@ -21,9 +21,8 @@ from piga.formats.text.convention import (
     unit_text,
     units_in_names,
 )
-from piga.formats.text.encoding import GUESSED
 from piga.formats.text.faults import split_cells
-from piga.formats.text.source import TextSource
+from piga.formats.text.source import GUESSED, TextSource
 from piga.formats.text.time_stamp import forms_of
 
 MOST_HEAD_LINES = 400

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.describe.columns import ColumnGuess, guess_columns, without_fills, without_spikes
+from piga.describe.columns import ColumnGuess, guess_columns, kind_of_name, without_fills, without_spikes
 from piga.describe.layout import Guess, TextLayout, text_layout
-from piga.describe.names import kind_of_name
 from piga.errors import DataError, PigaError
 from piga.formats.columns import RecordStream
 from piga.formats.text.convention import HeadRows, units_in_names

@@ -16,8 +16,7 @@ from piga.describe.columns import WORDS, ColumnGuess, Values
 from piga.describe.draft import RunFileDraft, number_in, quantity_text, toml_value
 from piga.describe.layout import Guess
 from piga.describe.log import LogDescription
-from piga.describe.output import put_instrument, put_output
-from piga.describe.reference import one_of_each_axis, put_reference, put_terms
+from piga.describe.signals import one_of_each_axis, put_instrument, put_output, put_reference, put_terms
 from piga.errors import DataError
 from piga.records.run import Run
 from piga.stand.run_reference import read_run

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from piga.describe.columns import kind_of_name
 from piga.describe.draft import toml_key, toml_text, toml_value
-from piga.describe.names import kind_of_name
 from piga.errors import PigaError
 from piga.records.run import Run
 from piga.records.text_files import toml_bytes, toml_document, written_key

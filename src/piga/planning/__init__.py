@@ -11,11 +11,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from piga.planning.candidates import Candidate
+    from piga.planning.candidates import Candidate, Prediction, Visit, predict
     from piga.planning.mounting import Mounting, plan_mounting
     from piga.planning.plan import Plan, plan_document, plan_test, scenario_text
     from piga.planning.plan_file import PlanRequest, PlanSettings, read_plan
-    from piga.planning.prediction import Prediction, Visit, predict
 
 _LAZY = {
     "Candidate": "candidates",
@@ -23,12 +22,12 @@ _LAZY = {
     "Plan": "plan",
     "PlanRequest": "plan_file",
     "PlanSettings": "plan_file",
-    "Prediction": "prediction",
-    "Visit": "prediction",
+    "Prediction": "candidates",
+    "Visit": "candidates",
     "plan_document": "plan",
     "plan_mounting": "mounting",
     "plan_test": "plan",
-    "predict": "prediction",
+    "predict": "candidates",
     "read_plan": "plan_file",
     "scenario_text": "plan",
 }

@@ -21,10 +21,14 @@ from piga._version import __version__
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.planning.candidates import (
     Candidate,
+    Prediction,
+    Visit,
     candidate_of,
     coefficient_names,
     find_candidates,
     information_tables,
+    predict,
+    stand_table,
 )
 from piga.planning.criterion import (
     SEARCH,
@@ -38,7 +42,6 @@ from piga.planning.criterion import (
 )
 from piga.planning.mounting import Mounting
 from piga.planning.plan_file import PlanRequest
-from piga.planning.prediction import Prediction, Visit, predict, stand_table
 from piga.progress import Progress, Steps
 from piga.records.terms import unit_of
 from piga.results import Reported, Result, plotted

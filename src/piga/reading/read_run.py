@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from piga.errors import DataError, RunFileError
 from piga.formats.columns import RecordStream
 from piga.output import settle
-from piga.reading.output_signal import OutputScale, Reading
 from piga.reading.raw_columns import RawColumns, collect, read_columns, split_lost
 from piga.reading.signal_checks import (
     Extremes,
+    OutputScale,
+    Reading,
     beyond_limits,
     largest_size,
     left_out_rows,

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
-from piga.planning.candidates import Candidate
+from piga.planning.candidates import Candidate, Prediction
 from piga.planning.mounting import Mounting
 from piga.planning.plan import Plan
-from piga.planning.prediction import Prediction
 from piga.records.terms import meaning_of, shown_unit, unit_of
 from piga.reports.render.decimate import envelope_rows
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series

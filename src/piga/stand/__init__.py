@@ -5,10 +5,9 @@ from piga.stand.machines.logged import LoggedProfile
 from piga.stand.machines.turning import Centrifuge, DividingHead, RateTable, SpinPlan
 from piga.stand.machines.vibration import Drive, VibrationTable
 from piga.stand.profile import Composite, Profile, Segment, Stand, force_change, sample_stand
-from piga.stand.run_reference import read_run, stand_changes
+from piga.stand.run_reference import example_run, read_run, stand_changes
 from piga.stand.scenario import Scenario, read_scenario, run_scenario
 from piga.stand.simulate import SimulatedTest, Specimen, simulate_test
-from piga.stand.table_run import example_run
 
 __all__ = [
     "Centrifuge",

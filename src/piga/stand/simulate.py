@@ -127,7 +127,7 @@ class SimulatedTest(Result, Reported):
 
         ``model`` is the run file's ``[model]``.
         """
-        from piga.stand.table_run import run_of_test
+        from piga.stand.run_reference import run_of_test
 
         return run_of_test(self, serial, model)
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration, CalibrationFigures, Coefficient
-from piga.records.calibration.coverage import TYPE_A_ONLY, Coverage, coverage_factor, is_of_reference
+from piga.records.calibration.coefficient import TYPE_A_ONLY, Coverage, coverage_factor, is_of_reference
 from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
 from piga.results import Reported, Result, plotted

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from piga._kernels.estimation.trend import Points, days_so_far, inner_excess, merge_days
 from piga.errors import ArgumentError
-from piga.records.calibration.coverage import coverage_factor, welch_satterthwaite
+from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
 from piga.results import Result
 
 Array = NDArray[np.float64]

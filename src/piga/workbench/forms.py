@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from piga.describe.draft import toml_value
-from piga.describe.keys import places_of
+from piga.describe.draft import places_of, toml_value
 from piga.errors import ArgumentError, PigaError
 from piga.records.text_files import toml_document
 
@@ -37,7 +36,7 @@ class Form:
     Attributes
     ----------
     file:
-        Kind of file, one of :data:`piga.describe.keys.FILES`.
+        Kind of file, one of :data:`piga.describe.draft.FILES`.
     text:
         The text.
     tables:

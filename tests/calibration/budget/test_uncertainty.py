@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.budget.rows import propagate
-from piga.calibration.budget.uncertainty import sources
+from piga.calibration.budget.uncertainty import propagate, sources
 from piga.calibration.intervals.degrees_of_freedom import level_information
 from piga.calibration.noise.levels import Noise
 from piga.errors import RunFileError
 from piga.records import spool
-from piga.records.calibration.coverage import coverage_factor, welch_satterthwaite
+from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run_file import UncertaintyTable
 from tests.calibration.made.scenarios import SCENARIOS

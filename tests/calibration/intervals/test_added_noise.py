@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.intervals import included, slow_noise
+from piga.calibration.intervals import added_noise, slow_noise
 from piga.calibration.intervals.added_noise import AddedNoise
 from piga.calibration.intervals.slow_noise import include_slow_noise
 from piga.calibration.joint.joint_fit import evident_together
@@ -33,7 +33,7 @@ assert isinstance(SCATTER, Scenario)
 def never_clear(monkeypatch: pytest.MonkeyPatch) -> None:
     """A slow noise that is seen is never weighted by."""
     monkeypatch.setattr(slow_noise, "NOISE", replace(NOISE, slow_in_weights=math.inf))
-    monkeypatch.setattr(included, "include_slow_noise", lambda fit, **_: include_slow_noise(fit, math.inf))
+    monkeypatch.setattr(added_noise, "include_slow_noise", lambda fit, **_: include_slow_noise(fit, math.inf))
 
 
 def lacking(calibration: piga.Calibration) -> set[str]:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from piga.calibration.fit.one_run import Fit, fit_run
-from piga.calibration.intervals import faint_walk
+from piga.calibration.intervals import added_noise
+from piga.calibration.intervals.added_noise import include_faint_walk, slowest
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
-from piga.calibration.intervals.faint_walk import include_faint_walk, slowest
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.levels import Noise
@@ -66,7 +66,7 @@ def test_covariance_is_that_of_the_dense_matrix_with_the_weights_of_white_noise(
     """
     fit = fitted(SMALL, 2)
     fit = replace(fit, noise=replace(fit.noise, walk=weighted * slowest(fit) * fit.noise.white))
-    monkeypatch.setattr(faint_walk, "_likely_share", lambda *_: share)
+    monkeypatch.setattr(added_noise, "_likely_share", lambda *_: share)
     result = include_faint_walk(fit)
     assert result.levels.walk / (slowest(fit) * fit.noise.white) == pytest.approx(share, rel=1e-12)
     assert result.weights == fit.noise
@@ -157,7 +157,7 @@ def test_information_is_that_of_the_dense_restricted_likelihood() -> None:
     P = inverse - inverse @ X @ np.linalg.solve(X.T @ inverse @ X, X.T @ inverse)
     moved = [P @ unit for unit in units]
     expected = [[0.5 * np.trace(a @ b) for b in moved] for a in moved]
-    result = faint_walk._walk_information(fit, share)
+    result = added_noise._walk_information(fit, share)
     assert result.ravel() == pytest.approx(np.ravel(expected), rel=0.03, abs=0.0)
 
 

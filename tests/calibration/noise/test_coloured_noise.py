@@ -16,9 +16,8 @@ from piga.calibration.fit.one_run import fit_run, without_slow
 from piga.calibration.intervals import coloured_noise
 from piga.calibration.intervals.coloured_noise import include_coloured_noise
 from piga.calibration.model.request import make_request
-from piga.calibration.noise.components import COMPONENTS, RATES, RateBins
+from piga.calibration.noise.components import COMPONENTS, RATES, RULES, RateBins, table
 from piga.calibration.noise.likelihood import Contrasts, estimate
-from piga.calibration.noise.rules import RULES, table
 from piga.calibration.noise.settings import NOISE
 from tests.calibration.made.scenarios import Array, Scenario, tumble
 from tests.short_record import TERMS as SHORT_TERMS
@@ -247,7 +246,7 @@ def test_the_record_keeps_it(tmp_path) -> None:
 def test_the_page_shows_the_rules_of_the_code() -> None:
     page = (Path(__file__).parents[3] / "docs" / "theory" / "noise.md").read_text(encoding="utf-8")
     shown = page.split("<!-- rules: noise -->\n")[1].split("<!-- end -->")[0]
-    assert shown == table(), "run python -m piga.calibration.noise.rules"
+    assert shown == table(), "run python -m piga.calibration.noise.components"
     assert [rule.component for rule in RULES] == list(COMPONENTS)
 
 

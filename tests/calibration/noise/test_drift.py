@@ -11,7 +11,7 @@ import pytest
 import piga
 from piga.calibration.allan import allan_deviation, drift_line
 from piga.calibration.fit.one_run import Fit, fit_run, refine_counted
-from piga.calibration.intervals import included
+from piga.calibration.intervals import added_noise
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.intervals.slow_noise import include_slow_noise, quick_look
 from piga.calibration.joint.summary import RunSummary
@@ -124,7 +124,7 @@ def test_a_drift_that_is_not_weighted_by_is_in_the_covariance() -> None:
 @pytest.fixture
 def no_colour(monkeypatch: pytest.MonkeyPatch) -> None:
     """Coloured noise is not looked for: a short record hardly tells it from a drift."""
-    monkeypatch.setattr(included, "include_coloured_noise", lambda fit: fit)
+    monkeypatch.setattr(added_noise, "include_coloured_noise", lambda fit: fit)
 
 
 @pytest.mark.usefixtures("no_colour")

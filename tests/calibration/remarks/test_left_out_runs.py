@@ -8,7 +8,7 @@ import pytest
 
 from piga.calibration import RunSummary
 from piga.calibration.calibrate import calibrate
-from piga.records.calibration.coverage import is_of_reference
+from piga.records.calibration.coefficient import is_of_reference
 from piga.records.run_file import EstimationTable
 from tests.calibration.made.servo_data import TERMS, TRUTH, head, levels, recorded
 

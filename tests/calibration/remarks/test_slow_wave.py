@@ -12,7 +12,7 @@ import piga
 from piga.calibration.fit.one_run import fit_run
 from piga.calibration.model.request import make_request
 from piga.calibration.remarks import all_remarks
-from piga.calibration.remarks.slow_wave import WAVE, SlowWave, slow_wave
+from piga.calibration.remarks.slow_changes import WAVE, SlowWave, slow_wave
 from tests.calibration.made.coloured_truth import HEAD, LOG, Coloured, spectral
 from tests.calibration.made.independent import K, head
 
@@ -38,7 +38,7 @@ def test_a_clear_wave_has_its_period_and_its_amplitude() -> None:
 @pytest.mark.only_compiled
 def test_white_noise_has_its_share_of_waves(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 100 sound records as many are below each probability as it says, or fewer (four binomial deviations)."""
-    monkeypatch.setattr("piga.calibration.remarks.slow_wave.WAVE", replace(WAVE, chance=2.0))
+    monkeypatch.setattr("piga.calibration.remarks.slow_changes.WAVE", replace(WAVE, chance=2.0))
     said = [waves(SMALL, seed) for seed in range(100)]
     chances = np.array([wave.probability for wave in said if wave is not None])
     assert chances.size == 100

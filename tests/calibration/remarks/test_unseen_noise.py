@@ -19,7 +19,7 @@ from piga.calibration.model.request import make_request
 from piga.calibration.noise.components import RATES, RateBins
 from piga.calibration.noise.likelihood import Contrasts, Profile, UpperLimit
 from piga.calibration.remarks import missing_terms, unseen_noise
-from piga.calibration.remarks.slow_wave import joined_factor
+from piga.calibration.remarks.slow_changes import joined_factor
 from piga.calibration.remarks.unseen_noise import NOT_EXCLUDED, UNSEEN
 from tests.calibration.made.coloured_truth import HEAD, LOG, Array, Coloured
 from tests.calibration.made.independent import K, head

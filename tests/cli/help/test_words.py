@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from piga.cli.help.words import explain
 from piga.cli.main import app
-from piga.describe.keys import FILES, key_table, places_of
+from piga.describe.draft import FILES, key_table, places_of
 from piga.records.run_file import METHOD_WORDS, METHODS
 from piga.records.terms import MEANING, TERM_WORDS, UNITS, term_words
 from piga.units import to_si
@@ -40,7 +40,7 @@ def test_examples_have_the_type_of_their_key() -> None:
     """Each example is accepted by the type of its field."""
     from importlib import import_module
 
-    from piga.describe.keys import structs_in, words_of
+    from piga.describe.draft import structs_in, words_of
 
     def walk(struct: type[msgspec.Struct], seen: set[type]) -> None:
         if struct in seen:

@@ -12,7 +12,7 @@ import pytest
 
 from piga.cli import main as entry
 from piga.ledger.store import Draft, DraftFile, open_store
-from piga.records.calibration.coverage import TYPE_A_ONLY
+from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.document import calibration_to_bytes
 from tests.ledger.store.drafts import add, filled
 from tests.ledger.test_keep_and_reproduce import small_run

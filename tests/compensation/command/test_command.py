@@ -30,7 +30,7 @@ output = {{ column = "psi", kind = "{kind}" {unit} }}
 reference = {{ columns = ["fx", "fy", "fz"], unit = "m/s^2" }}
 {segment}
 """
-KERNEL = import_module("piga.compensation.compensate")
+KERNEL = import_module("piga.compensation.compensator")
 CAL = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, "k0": 1e-3}
 
 

@@ -9,8 +9,8 @@ import pytest
 
 import piga
 from piga.compensation import identify_phase
-from piga.compensation.compensate import compensate_in_pieces
-from piga.compensation.writers import TableWriter
+from piga.compensation.compensator import compensate_in_pieces
+from piga.compensation.result import TableWriter
 from piga.formats.columns import nulls_of, numbers_of
 from tests.compensation.command.test_command import CAL, command, small_chunks, write
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
@@ -104,7 +104,7 @@ def test_numbers_of_every_kind_of_column():
 @pytest.mark.parametrize("sizes", [(250,), (99, 1, 150), (37,) * 6 + (28,), (100, 100, 50)])
 def test_row_groups_do_not_depend_on_the_pieces(tmp_path, monkeypatch, sizes):
     """250 rows in groups of 100: the same bytes however they come."""
-    monkeypatch.setattr("piga.compensation.writers.GROUP_ROWS", 100)
+    monkeypatch.setattr("piga.compensation.result.GROUP_ROWS", 100)
     whole = {"t": np.arange(250.0), "flags": np.arange(250, dtype=np.int32)}
     with TableWriter(tmp_path / "whole.parquet") as writer:
         writer.write(whole)

@@ -11,7 +11,7 @@ import pytest
 
 from piga.compensation import FLAGS, SetCompensator, compensate_set
 from piga.compensation.sets.set_files import SetReading
-from piga.records.calibration.coverage import TYPE_A_ONLY
+from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.reports.compensation import page as compensation_set
 from piga.reports.compensation.figures import (
     correction_spectrum,

@@ -21,7 +21,7 @@ from piga.calibration.noise.levels import find_noise
 from piga.calibration.noise.slow_bases import DriftBasis
 from piga.calibration.remarks.leverage import all_but_one, leverages
 from piga.calibration.remarks.missing_terms import tested
-from piga.calibration.remarks.temperature import moved_by_one
+from piga.calibration.remarks.slow_changes import moved_by_one
 from piga.instrument.parameters import ErrorModel
 from piga.units import G0
 from tests.compensation.twin_data import TAN_BETA, instrument

@@ -22,7 +22,7 @@ from piga.records.calibration import (
     RunRecord,
     document,
 )
-from piga.records.calibration.coverage import coverage_factor
+from piga.records.calibration.coefficient import coverage_factor
 from tests.reports.example import calibration
 
 

@@ -13,7 +13,7 @@ import pytest
 
 import piga
 from piga.records.calibration import BudgetEntry, Diagnostics
-from piga.records.calibration.coverage import TYPE_A_ONLY
+from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.document import calibration_to_bytes
 from piga.records.calibration.verdict import THRESHOLDS, verdict
 from piga.reports.calibration.page import calibration_page, calibration_text

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.budget.rows import Budget
+from piga.calibration.budget.uncertainty import Budget
 from piga.calibration.fit.one_run import Fit
 from piga.records.calibration import BudgetEntry, Coefficient, MonteCarlo, MonteCarloCheck
-from piga.records.calibration.coverage import coverage_factor
+from piga.records.calibration.coefficient import coverage_factor
 from piga.records.terms import si_factor
 
 Array = NDArray[np.float64]

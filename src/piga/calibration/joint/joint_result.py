@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
-from piga.calibration.budget.rows import combined
+from piga.calibration.budget.uncertainty import combined
 from piga.calibration.fit.residuals import (
     Products,
     counted_products,

@@ -21,9 +21,8 @@ from piga._version import __version__
 from piga.calibration.budget.uncertainty import Source, sources, stated_scatter
 from piga.calibration.fit.one_run import Fit, fit_run, refine_counted, without_slow
 from piga.calibration.fit.residuals import find_residuals, root_mean_square, segment_table
-from piga.calibration.intervals.added_noise import AddedNoise, added_noise
+from piga.calibration.intervals.added_noise import AddedNoise, added_noise, include_noise
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
-from piga.calibration.intervals.included import include_noise
 from piga.calibration.model.design import PHASELESS, Design, given_servo
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request

@@ -3,11 +3,15 @@
 The slow rates are the means of the rate over a few parts of every segment (:class:`RateBins`). A component is a
 covariance of these rates; :mod:`piga.calibration.noise.likelihood` estimates its level. Only this table knows how
 components differ. To add one, add a row with its covariance.
+
+The rules say when each component is looked for, and from which gain it enters covariance and weights.
+``python -m piga.calibration.noise.components`` prints the table of docs/theory/noise.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -100,7 +104,7 @@ class RateBins:
 class Component:
     """A component of the noise.
 
-    ``unit`` is that of its level. When it is looked for: :mod:`piga.calibration.noise.rules`.
+    ``unit`` is that of its level. When it is looked for: :mod:`piga.calibration.noise.components`.
     """
 
     name: str
@@ -182,3 +186,91 @@ def markov_times(bins: RateBins) -> Array:
     shortest, longest = float(np.median(bins.widths)) / 3.0, NOISE.colour_longest * bins.span
     count = max(int(math.log(longest / shortest) / math.log(NOISE.colour_spacing)) + 1, 1)
     return np.asarray(shortest * NOISE.colour_spacing ** np.arange(count))
+
+
+ALWAYS, NEVER = "always", "never"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What is done with a component. Gains are those of twice the log-likelihood.
+
+    ``looked_for``: the records in which it is looked for. ``covariance``, ``weights``: the gain from which it enters them.
+    ``evidence``: where the numbers come from.
+    """
+
+    component: str
+    looked_for: str
+    covariance: str
+    weights: str
+    evidence: str
+
+
+def _over(gain: float) -> str:
+    return f"gain above {gain:g}"
+
+
+RULES = (
+    Rule("white", "every record", ALWAYS, ALWAYS, "by definition"),
+    Rule(
+        "walk",
+        "angle logs",
+        f"always, of either sign; up to {NOISE.restricted_rows} increments",
+        _over(NOISE.walk_in_weights),
+        "scenarios `white`, `faint`: 93.7 % with a limit of zero, 95 % without",
+    ),
+    Rule(
+        "counting",
+        f"white noise below {NOISE.counting_white:g} and walk below {NOISE.counting_walk:g} squared counts",
+        ALWAYS,
+        ALWAYS,
+        "scenarios `coarse`, `mix`",
+    ),
+    Rule(
+        "flicker",
+        f"{NOISE.colour_least} increments a part, up to {NOISE.most_segments} segments",
+        f"{_over(NOISE.colour_in_covariance)}, {NOISE.colour_ahead:g} ahead of drift and scatter",
+        NEVER,
+        "scenarios `head-flicker`, `rate-flicker`; sound records: one in twenty",
+    ),
+    Rule("markov", "as flicker", "as flicker", NEVER, "scenarios `head-markov`, `rate-markov`"),
+    Rule(
+        "drift",
+        "angle logs; in rate logs as flicker",
+        _over(NOISE.slow_in_covariance),
+        f"{_over(NOISE.slow_in_weights)}; never beside counts",
+        "scenario `drift`; weights for a drift that is not there cost six times the variance",
+    ),
+    Rule(
+        "scatter",
+        f"{NOISE.fewest_segments} to {NOISE.most_segments} segments; in rate logs as flicker",
+        _over(NOISE.slow_in_covariance),
+        f"{_over(NOISE.slow_in_weights)}; never beside counts",
+        "scenario `scatter`",
+    ),
+)
+
+
+def table() -> str:
+    """The components and their rules as Markdown."""
+    lines = [
+        "| component | what it is | level | looked for in | in the covariance | in the weights | evidence |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for rule in RULES:
+        part = COMPONENTS[rule.component]
+        cells = (
+            part.name,
+            part.meaning,
+            part.unit,
+            rule.looked_for,
+            rule.covariance,
+            rule.weights,
+            rule.evidence,
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(table())

@@ -19,7 +19,7 @@ from piga.calibration.remarks.advice import advise, looks_wrong
 from piga.calibration.remarks.left_out import CUBIC_SOURCE, DAMPING_SOURCE, LeftOut
 from piga.calibration.remarks.leverage import find_leverage
 from piga.calibration.remarks.missing_terms import suggest_terms, suggestions_in_words
-from piga.calibration.remarks.slow_wave import SlowWave, slow_wave
+from piga.calibration.remarks.slow_changes import SlowWave, slow_wave
 from piga.records.calibration import Calibration, Coefficient, MissingTerm, SegmentLeverage
 from piga.records.calibration.verdict import THRESHOLDS
 

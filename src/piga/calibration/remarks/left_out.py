@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from piga.calibration.budget.rows import budget_row
+from piga.calibration.budget.uncertainty import budget_row
 from piga.calibration.fit.one_run import Fit, without_slow
 from piga.calibration.fit.servo import at_state, settled_design
 from piga.calibration.joint.joint_fit import (
@@ -72,7 +72,7 @@ LEFT_OUT = LeftOutSettings()
 
 CUBIC_SOURCE = "meaning of the cubic signature: servo or k3"
 DAMPING_SOURCE = "servo damping that the model lacks"
-"""Names in the budget. They begin as :data:`piga.records.calibration.coverage.OF_THE_MODEL` requires."""
+"""Names in the budget. They begin as :data:`piga.records.calibration.coefficient.OF_THE_MODEL` requires."""
 TURNED = ("phi", "tan_beta")
 """Coefficients that take up most of a missing ``servo_damping``."""
 

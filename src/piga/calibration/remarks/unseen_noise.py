@@ -24,7 +24,7 @@ from piga.calibration.model.solution import name_coefficients
 from piga.calibration.noise.components import RATES, RateBins, markov_times
 from piga.calibration.noise.likelihood import Profile
 from piga.calibration.noise.settings import NOISE
-from piga.calibration.remarks.slow_wave import joined_factor
+from piga.calibration.remarks.slow_changes import joined_factor
 from piga.records.calibration import Coefficient
 from piga.records.calibration.verdict import THRESHOLDS
 from piga.units import G0

@@ -27,7 +27,7 @@ from piga.certificate.dcc.dsi_units import dsi_unit, from_dsi, power_of_g, signi
 from piga.certificate.dcc.xml_signature import check_profile, read_xml
 from piga.errors import DataError, PigaWarning
 from piga.records.calibration import Calibration, Coefficient
-from piga.records.calibration.coverage import PROBABILITY, coverage_factor, joint_factor
+from piga.records.calibration.coefficient import PROBABILITY, coverage_factor, joint_factor
 from piga.records.calibration.document import calibration_from_bytes
 from piga.records.terms import check_name, unit_of
 

@@ -27,7 +27,7 @@ from piga.certificate.dcc.reader import DCC, JOINT, RECORD, SI, label_of
 from piga.certificate.statements import Statement, statements, verdicts
 from piga.errors import DataError
 from piga.records.calibration import Calibration, Coefficient
-from piga.records.calibration.coverage import PROBABILITY, joint_factor
+from piga.records.calibration.coefficient import PROBABILITY, joint_factor
 from piga.records.calibration.document import calibration_to_bytes
 from piga.units import parse_unit
 

@@ -15,7 +15,7 @@ from piga.errors import ArgumentError
 from piga.output import results
 
 if TYPE_CHECKING:
-    from piga.describe.keys import KeyPlace
+    from piga.describe.draft import KeyPlace
 
 
 def explain(key: str) -> list[KeyPlace]:
@@ -26,7 +26,7 @@ def explain(key: str) -> list[KeyPlace]:
     ArgumentError
         If no file has it. The message names similar keys.
     """
-    from piga.describe.keys import FILES, places_of
+    from piga.describe.draft import FILES, places_of
 
     wanted = ".".join(re.sub(r"[\[\]]", " ", key.replace(".", " ")).split())
     every = [place for file in FILES for place in places_of(file)]
@@ -46,7 +46,7 @@ def explain(key: str) -> list[KeyPlace]:
 
 def say_keys(hits: list[KeyPlace]) -> None:
     """Print what keys mean. Places with the same meaning are named together."""
-    from piga.describe.keys import FILES
+    from piga.describe.draft import FILES
 
     groups: dict[tuple[str, str, str, str], list[KeyPlace]] = {}
     for place in hits:
@@ -68,7 +68,7 @@ def say_keys(hits: list[KeyPlace]) -> None:
 
 def key_documents(hits: list[KeyPlace]) -> list[dict[str, str]]:
     """The same for ``--json``."""
-    from piga.describe.keys import FILES
+    from piga.describe.draft import FILES
 
     return [
         {

@@ -119,7 +119,7 @@ def difference_document(difference: Difference) -> dict[str, Any]:
 
 def _type_a_only(difference: Difference) -> list[str]:
     """Remark on records whose uncertainties are of Type A only."""
-    from piga.records.calibration.coverage import TYPE_A_ONLY
+    from piga.records.calibration.coefficient import TYPE_A_ONLY
 
     return [f"{name}: {TYPE_A_ONLY}" for name in difference.type_a_only]
 

@@ -254,7 +254,7 @@ def _single(
     the phase.
     """
     from piga.compensation import Resampler, identify_phase
-    from piga.compensation.compensate import compensate
+    from piga.compensation.compensator import compensate
     from piga.compensation.files.file_to_file import (
         HELD_ROWS,
         FileSummary,
@@ -264,7 +264,7 @@ def _single(
         key_of,
     )
     from piga.compensation.model import age_flag
-    from piga.compensation.writers import format_of, inputs_listed
+    from piga.compensation.result import format_of, inputs_listed
     from piga.records.spool import give_back
     from piga.stand import read_run
 
@@ -332,8 +332,8 @@ def _together(
     runs: list[Path], sources: list[tuple[str, str]], calibrations: list[Calibration], out: Path, options: _Options,
     page: Path | None,
 ) -> dict[str, Any]:  # fmt: skip
+    from piga.compensation.result import format_of
     from piga.compensation.sets.set_files import compensate_set_files, orthogonal_triad, read_triad
-    from piga.compensation.writers import format_of
 
     _spare_memory()
     kind = format_of(out)

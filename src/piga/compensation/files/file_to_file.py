@@ -19,11 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
-from piga.compensation.compensate import compensate_in_pieces
-from piga.compensation.compensator import Chunk, init_state
+from piga.compensation.compensator import Chunk, compensate_in_pieces, init_state
 from piga.compensation.model import FLAGS
-from piga.compensation.result import Compensated, Resampler, notes_on
-from piga.compensation.writers import Inputs, TableWriter
+from piga.compensation.result import Compensated, Inputs, Resampler, TableWriter, notes_on
 from piga.errors import ArgumentError
 from piga.output import hold, put_in_place, write_whole
 from piga.progress import Progress, report

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.compensation.compensator import Compensator
-from piga.compensation.result import Compensated
-from piga.compensation.writers import schema_of
+from piga.compensation.result import Compensated, schema_of
 from piga.errors import ArgumentError, DataError
 from piga.formats.columns import numbers_of
 from piga.formats.parquet_writer import number_column

@@ -12,14 +12,19 @@ from piga.records.calibration.calibration import (
 from piga.records.calibration.coefficient import LOOSE_PHASE, Coefficient, SIValue
 from piga.records.calibration.diagnostics import (
     ColouredNoise,
+    Count,
     Diagnostics,
+    Event,
     MissingTerm,
     MonteCarlo,
     MonteCarloCheck,
+    Outlier,
+    Quality,
+    Residuals,
     SegmentLeverage,
     SegmentScatter,
+    SegmentSummary,
 )
-from piga.records.calibration.residuals import Count, Event, Outlier, Quality, Residuals, SegmentSummary
 
 __all__ = [
     "LOOSE_PHASE",

@@ -16,10 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga.records.calibration.budget import BudgetTable, TypeB
-from piga.records.calibration.coefficient import Coefficient, rounded
-from piga.records.calibration.coverage import TYPE_A_ONLY, is_of_reference
-from piga.records.calibration.diagnostics import ColouredNoise, Diagnostics
-from piga.records.calibration.residuals import Outlier, Quality, Residuals, SegmentSummary
+from piga.records.calibration.coefficient import TYPE_A_ONLY, Coefficient, is_of_reference, rounded
+from piga.records.calibration.diagnostics import (
+    ColouredNoise,
+    Diagnostics,
+    Outlier,
+    Quality,
+    Residuals,
+    SegmentSummary,
+)
 from piga.records.calibration.verdict import Verdict, verdict
 from piga.results import (
     ByValue,

@@ -7,7 +7,7 @@ import textwrap
 from pathlib import Path
 
 from piga.records.calibration import Calibration
-from piga.records.calibration.coverage import TYPE_A_ONLY
+from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.verdict import COUNTED, THRESHOLDS, whitened_rms
 from piga.records.terms import meaning_of, shown_unit
 from piga.reports.calibration.figures import budget_figure, calibration_figures, elapsed_time

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from piga.records.calibration import BudgetEntry, Calibration, Coefficient
-from piga.records.calibration.coverage import TYPE_A_ONLY
+from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.terms import shown_unit, term_words
 from piga.reports.render.numbers import count, fixed, pretty_unit, printed, relative, rounded, short, signed
 from piga.reports.render.page import Cell, Judgement, Table, TableColumn

@@ -11,7 +11,7 @@ from pathlib import Path
 from piga._version import __version__
 from piga.compensation import Compensated, Mounted
 from piga.compensation.model import FLAGS, MEANING
-from piga.compensation.writers import Inputs
+from piga.compensation.result import Inputs
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.run import Run
 from piga.records.terms import shown_unit

@@ -8,8 +8,7 @@ from urllib.parse import quote
 
 from piga.describe import LogDescription, RunFileDraft, describe_log, draft_run_file, setting
 from piga.describe.columns import WORDS
-from piga.describe.draft import toml_value
-from piga.describe.keys import FILES
+from piga.describe.draft import FILES, toml_value
 from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
 from piga.records.text_files import toml_document
