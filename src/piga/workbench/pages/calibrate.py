@@ -1,12 +1,17 @@
-"""Calibrate: choose terms, run, look at the result, keep it or discard it."""
+"""Calibrate: choose terms, run, look at the result, keep it or discard it. Compensate: before and after."""
 
 from __future__ import annotations
 
 import re
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
 
 from piga.errors import ArgumentError, CalibrationError
 from piga.output import CALIBRATION_RESULTS, results
@@ -15,13 +20,9 @@ from piga.records.terms import UNITS, check_terms, meaning_of
 from piga.records.text_files import files_named_in
 from piga.workbench.folder import OutsideError
 from piga.workbench.jobs import Job
-from piga.workbench.pages.asked import TERMS, ask
-from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form
-from piga.workbench.pages.jobs import TRIAL, command_line, job_of, place_of
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
+from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form, start_job
+from piga.workbench.pages.jobs import TERMS, TRIAL, ask, command_line, job_of, place_of
+from piga.workbench.pages.records import calibrations
 
 SILENT = {
     "scale_factor": "not beside k1",
@@ -40,9 +41,8 @@ def show(request: Request) -> Response:
     known = _shown_terms()
     chosen = list(run_file.model.terms)
     tried = [
-        (job, bench.jobs.status(job), " ".join(_kept_options(job)))
-        for job in bench.jobs.all()
-        if job.subject == name and job.command[0] == "calibrate"
+        (job, status, " ".join(_kept_options(job)))
+        for job, status in bench.listed(lambda job: job.subject == name and job.command[0] == "calibrate")
     ]
     adopted = _adopted_folder(bench, name)
     return render(
@@ -76,8 +76,6 @@ def _shown_terms() -> list[str]:
 
 async def start(request: Request) -> Response:
     """Start a calibration as the form asks for it."""
-    from starlette.concurrency import run_in_threadpool
-
     bench, name = bench_of(request), request.path_params["name"]
     fields = await sent_form(request)
     run_file = read_run_file(bench.folder.toml(name))
@@ -196,15 +194,57 @@ def discard(request: Request) -> Response:
     return redirect(request, f"/calibrate/{quote(job.subject)}")
 
 
-def routes() -> list[Any]:
-    """Routes of this page."""
-    from starlette.routing import Route
+# --- compensation ---------------------------------------------------------------------------------
 
-    return [
-        Route("/calibrate/{name:path}", show, methods=["GET"]),
-        Route("/calibrate/{name:path}", start, methods=["POST"]),
-        Route("/term-prospects/{name:path}", prospects),
-        Route("/result/{key}", result),
-        Route("/result/{key}/adopt", adopt, methods=["POST"]),
-        Route("/result/{key}/discard", discard, methods=["POST"]),
+FORMATS = ("parquet", "csv")
+
+
+def show_compensation(request: Request) -> Response:
+    """The form of a record, and its compensations so far."""
+    bench, name = bench_of(request), request.path_params["name"]
+    run_file = read_run_file(bench.folder.toml(name))
+    serial = run_file.instrument.serial
+    items = sorted(calibrations(bench.folder), key=lambda item: item[1] != serial)
+    tried = bench.listed(lambda job: job.subject == name and job.command[0] == "compensate")
+    return render(
+        request, "compensate.html.jinja", name=name, serial=serial, calibrations=items, formats=FORMATS, tried=tried
+    )  # fmt: skip
+
+
+async def compensate(request: Request) -> Response:
+    """Start a compensation as the form asks for it."""
+    bench, name = bench_of(request), request.path_params["name"]
+    fields = await sent_form(request)
+    run = bench.folder.toml(name)
+    calibration = bench.folder.file(only(fields, "calibration"))
+    form = only(fields, "format", FORMATS[0])
+    if form not in FORMATS:
+        raise ArgumentError(f"format {form!r}: is not known", remedy=f"one of {', '.join(FORMATS)}")
+    out = run.with_name(f"{run.stem}-compensated.{form}")
+    command = [
+        "compensate",
+        name,
+        "--calibration",
+        bench.folder.name(calibration),
+        "--out",
+        bench.folder.name(out),
     ]
+    command += ["--report", bench.folder.name(out.with_suffix(".html")), "--force"]
+    for option in ("phase", "identify-phase", "rate"):
+        value = only(fields, option).strip()
+        command += [f"--{option}={value}"] if value else []
+    command += ["--other-serial"] if only(fields, "other-serial") else []
+    reads = [*files_named_in(run), calibration]
+    return await start_job(request, command, "Compensate", name, bench.folder.name(out), reads)
+
+
+ROUTES = [
+    Route("/calibrate/{name:path}", show, methods=["GET"]),
+    Route("/calibrate/{name:path}", start, methods=["POST"]),
+    Route("/term-prospects/{name:path}", prospects),
+    Route("/result/{key}", result),
+    Route("/result/{key}/adopt", adopt, methods=["POST"]),
+    Route("/result/{key}/discard", discard, methods=["POST"]),
+    Route("/compensate/{name:path}", show_compensation, methods=["GET"]),
+    Route("/compensate/{name:path}", compensate, methods=["POST"]),
+]

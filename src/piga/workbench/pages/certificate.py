@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import secrets
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
 
 from piga.data import example_files
 from piga.errors import ArgumentError, PigaError
 from piga.records.text_files import toml_document
 from piga.workbench.folder import Folder
 from piga.workbench.forms import form_of_text, sent_text
-from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form
-from piga.workbench.pages.compensate import calibrations
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
+from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form, start_job
+from piga.workbench.pages.records import calibrations, plain
 
 PEM = (".pem", ".crt", ".cer")
 """Endings of keys and X.509 certificates."""
@@ -78,7 +78,7 @@ def _page(
     request: Request, name: str, text: str, calibration: str, message: str = "", code: int = 200
 ) -> Response:
     bench = bench_of(request)
-    jobs = [(job, bench.jobs.status(job)) for job in bench.jobs.all() if job.title in TITLES]
+    jobs = bench.listed(lambda job: job.title in TITLES)
     keys, x509 = keys_and_certificates(bench.folder)
     return render(
         request, "certificate.html.jinja", code, form=form_of_text(text, "certificate", message), name=name,
@@ -89,8 +89,6 @@ def _page(
 
 async def issue(request: Request) -> Response:
     """Save the administrative part; show a preview or issue the certificate."""
-    from starlette.concurrency import run_in_threadpool
-
     fields = await sent_form(request)
     return await run_in_threadpool(_issue, request, fields)
 
@@ -127,28 +125,16 @@ def _issue(request: Request, fields: dict[str, list[str]]) -> Response:
 
 async def verify(request: Request) -> Response:
     """Verify a signed certificate of the folder."""
-    from starlette.concurrency import run_in_threadpool
-
     bench: Workbench = bench_of(request)
     fields = await sent_form(request)
     signed = bench.folder.name(bench.folder.file(only(fields, "signed")))
     by = bench.folder.name(bench.folder.file(only(fields, "certificate")))
     command = ("certificate", "verify", signed, f"--certificate={by}")
-    job = await run_in_threadpool(bench.jobs.start, command, TITLES[2], signed)
-    return redirect(request, f"/jobs/{job.key}")
+    return await start_job(request, command, TITLES[2], signed)
 
 
-def plain(name: str) -> str:
-    """The letters and digits of a name, for a folder."""
-    return "".join(letter if letter.isalnum() else "-" for letter in name).strip("-")[:60] or "instrument"
-
-
-def routes() -> list[Any]:
-    """Routes of this page."""
-    from starlette.routing import Route
-
-    return [
-        Route("/certificate", show, methods=["GET"]),
-        Route("/certificate", issue, methods=["POST"]),
-        Route("/certificate/verify", verify, methods=["POST"]),
-    ]
+ROUTES = [
+    Route("/certificate", show, methods=["GET"]),
+    Route("/certificate", issue, methods=["POST"]),
+    Route("/certificate/verify", verify, methods=["POST"]),
+]

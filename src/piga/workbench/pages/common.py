@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qsl
+
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route
 
 from piga._version import __version__
 from piga.errors import ArgumentError, PigaError
 from piga.workbench.folder import Folder, OutsideError
-from piga.workbench.jobs import BusyError, Job, Jobs
+from piga.workbench.jobs import BusyError, Job, Jobs, Status
 from piga.workbench.live import Live
 from piga.workbench.security import Door
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
 
 MOST_FORM = 2 << 20
 """Largest form [bytes]."""
@@ -64,6 +67,10 @@ class Workbench:
     live: Live | None
     door: Door
 
+    def listed(self, wanted: Callable[[Job], bool] = lambda _job: True) -> list[tuple[Job, Status]]:
+        """The wanted jobs, the newest first, and what became of them."""
+        return [(job, self.jobs.status(job)) for job in self.jobs.all() if wanted(job)]
+
 
 def bench_of(request: Request) -> Workbench:
     """The workbench that serves the request."""
@@ -89,8 +96,6 @@ def _environment() -> Any:
 
 def render(request: Request, template: str, code: int = 200, **values: Any) -> Response:
     """A page from its template. Every value is escaped."""
-    from starlette.responses import HTMLResponse
-
     bench = bench_of(request)
     text = (
         _environment()
@@ -141,8 +146,6 @@ def only(fields: Mapping[str, list[str]], name: str, default: str = "") -> str:
 
 def error_page(request: Request, error: Exception) -> Response:
     """The page of an error: what is wrong, and the remedy."""
-    from starlette.exceptions import HTTPException
-
     status = next((code for kind, code in STATUSES.items() if isinstance(error, kind)), 422)
     text, remedy = str(error), ""
     if isinstance(error, HTTPException):
@@ -160,8 +163,6 @@ def error_page(request: Request, error: Exception) -> Response:
 
 def gone_page(_request: Request, _error: Exception) -> Response:
     """The answer to a request that ended before it was whole; nobody reads it."""
-    from starlette.responses import Response
-
     return Response(status_code=400)
 
 
@@ -183,10 +184,21 @@ def moment(job: Job) -> str:
         return job.key
 
 
+async def start_job(
+    request: Request,
+    command: Sequence[str],
+    title: str,
+    subject: str,
+    result: str = "",
+    reads: Sequence[Path] | None = None,
+) -> Response:
+    """Start a job (:meth:`piga.workbench.jobs.Jobs.start`) and go to its page."""
+    job = await run_in_threadpool(bench_of(request).jobs.start, command, title, subject, result, reads)
+    return redirect(request, f"/jobs/{job.key}")
+
+
 def redirect(request: Request, to: str) -> Response:
     """Go to another page, with or without scripts in the browser."""
-    from starlette.responses import RedirectResponse, Response
-
     if request.headers.get("hx-request"):
         return Response(status_code=200, headers={"hx-redirect": to})
     return RedirectResponse(to, status_code=303)
@@ -194,9 +206,6 @@ def redirect(request: Request, to: str) -> Response:
 
 def asset(request: Request) -> Response:
     """A script or style sheet of the workbench."""
-    from starlette.exceptions import HTTPException
-    from starlette.responses import Response
-
     name = request.path_params["name"]
     if name not in ASSETS:
         raise HTTPException(404)
@@ -218,13 +227,7 @@ def _asset(name: str) -> str:
 
 def health(_request: Request) -> Response:
     """The server answers."""
-    from starlette.responses import PlainTextResponse
-
     return PlainTextResponse("ok\n")
 
 
-def routes() -> list[Any]:
-    """Routes that belong to no page."""
-    from starlette.routing import Route
-
-    return [Route("/healthz", health), Route("/assets/{name}", asset)]
+ROUTES = [Route("/healthz", health), Route("/assets/{name}", asset)]

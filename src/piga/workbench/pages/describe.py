@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
 
 from piga.describe import LogDescription, RunFileDraft, describe_log, draft_run_file, setting
 from piga.describe.columns import WORDS
@@ -14,12 +19,8 @@ from piga.records.run_file import read_run_file
 from piga.records.text_files import toml_document
 from piga.workbench.folder import Folder
 from piga.workbench.forms import digest, form_of_text, sent_text, text_with
-from piga.workbench.pages.asked import CHECK, ask
 from piga.workbench.pages.common import bench_of, only, redirect, render, sent_form
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
+from piga.workbench.pages.jobs import CHECK, ask
 
 ROWS = 8
 """Rows of the preview."""
@@ -126,8 +127,6 @@ async def sync(request: Request) -> Response:
 
 async def change(request: Request) -> Response:
     """Draft anew with the answers, or write the run file."""
-    from starlette.concurrency import run_in_threadpool
-
     name = request.path_params["name"]
     fields = await sent_form(request)
     word = only(fields, "do")
@@ -224,12 +223,8 @@ def _save(folder: Folder, name: str, text: str, *, new: bool) -> None:
     folder.write_toml(path, text, read_run_file, new=new)
 
 
-def routes() -> list[Any]:
-    """Routes of this page."""
-    from starlette.routing import Route
-
-    return [
-        Route("/form", sync, methods=["POST"]),
-        Route("/describe/{name:path}", show, methods=["GET"]),
-        Route("/describe/{name:path}", change, methods=["POST"]),
-    ]
+ROUTES = [
+    Route("/form", sync, methods=["POST"]),
+    Route("/describe/{name:path}", show, methods=["GET"]),
+    Route("/describe/{name:path}", change, methods=["POST"]),
+]

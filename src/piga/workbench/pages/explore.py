@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
 
 from piga.errors import ArgumentError
 from piga.instrument import (
@@ -25,11 +27,7 @@ from piga.instrument.twin.parameters import TwinParameters
 from piga.records.terms import si_factor
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.units import G0
-from piga.workbench.pages.common import bench_of, redirect, render
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
+from piga.workbench.pages.common import render, start_job
 
 POINTS = 601
 SETTLED = 0.02
@@ -257,20 +255,12 @@ def _motion(inst: Instrument, forces: tuple[float, float, float], time: float) -
 
 async def reproduce(request: Request) -> Response:
     """Compute every published case and compare."""
-    from starlette.concurrency import run_in_threadpool
-
-    bench = bench_of(request)
     command = ("reproduce", "--out", "reproduction", "--force")
-    job = await run_in_threadpool(bench.jobs.start, command, "Reproduce", "publications", "reproduction")
-    return redirect(request, f"/jobs/{job.key}")
+    return await start_job(request, command, "Reproduce", "publications", "reproduction")
 
 
-def routes() -> list[Any]:
-    """Routes of this page."""
-    from starlette.routing import Route
-
-    return [
-        Route("/explore", show),
-        Route("/explore/picture", picture),
-        Route("/explore/reproduce", reproduce, methods=["POST"]),
-    ]
+ROUTES = [
+    Route("/explore", show),
+    Route("/explore/picture", picture),
+    Route("/explore/reproduce", reproduce, methods=["POST"]),
+]

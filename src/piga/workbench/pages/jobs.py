@@ -1,20 +1,24 @@
-"""Jobs: what runs and what ran, how far it is, what it printed; stop one."""
+"""Jobs: what runs and what ran, how far it is, what it printed; stop one. Answers of commands on a record as it is now."""
 
 from __future__ import annotations
 
 import re
 import shlex
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import Route
+
+from piga.errors import ArgumentError
+from piga.records.text_files import files_named_in
 from piga.workbench.folder import STATE_FOLDER, OutsideError
-from piga.workbench.jobs import Job
+from piga.workbench.jobs import Job, Status
 from piga.workbench.pages.common import Workbench, bench_of, redirect, render
 from piga.workbench.security import REPORT_POLICY
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
+from piga.workbench.signals import cache_key
 
 MARKS = ("signals", "check", "terms")
 """Jobs whose result begins so write no files for the user."""
@@ -39,8 +43,7 @@ def command_line(job: Job) -> str:
 def show_all(request: Request) -> Response:
     """The list of jobs."""
     bench = bench_of(request)
-    jobs = [(job, bench.jobs.status(job)) for job in bench.jobs.all()]
-    return render(request, "jobs/jobs.html.jinja", jobs=jobs)
+    return render(request, "jobs/jobs.html.jinja", jobs=bench.listed())
 
 
 def show(request: Request) -> Response:
@@ -71,8 +74,6 @@ def stop(request: Request) -> Response:
 
 def file(request: Request) -> Response:
     """A result file of a job: a page in a frame without any rights, everything else to save."""
-    from starlette.responses import FileResponse
-
     bench, job = job_of(request)
     name = request.path_params["file"]
     path = next((item for item in result_files(bench, job) if item.name == name), None)
@@ -116,13 +117,79 @@ def result_files(bench: Workbench, job: Job) -> list[Path]:
     return [path for path in files if path.is_file() and not path.is_symlink()]
 
 
-def routes() -> list[Any]:
-    """Routes of this page."""
-    from starlette.routing import Route
+# --- answers --------------------------------------------------------------------------------------
 
-    return [
-        Route("/jobs", show_all),
-        Route("/jobs/{key}", show),
-        Route("/jobs/{key}/stop", stop, methods=["POST"]),
-        Route("/jobs/{key}/file/{file}", file),
-    ]
+LARGEST = 200_000_000
+"""Size of a record [bytes] up to which it is asked without being told to. Larger ones take long."""
+
+
+@dataclass(frozen=True)
+class LogQuestion:
+    """A command that prints JSON about a run file: the mark of its jobs, their title, the command and its options."""
+
+    mark: str
+    title: str
+    command: str
+    options: tuple[str, ...]
+
+
+CHECK = LogQuestion("check", "Check", "check", ("--json",))
+TERMS = LogQuestion("terms", "Ask for each term", "check", ("--terms", "--json"))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What became of a question: its job and state, the document if it is done, the message if it failed."""
+
+    job: Job
+    status: Status
+    document: dict[str, Any]
+    message: str
+
+
+def ask(bench: Workbench, name: str, question: LogQuestion, *, always: bool = False) -> Answer | None:
+    """The answer for a run file and its log as they are now; it is asked if it was not.
+
+    Parameters
+    ----------
+    bench, name:
+        The workbench, and the run file.
+    question:
+        What to ask.
+    always:
+        Ask also for a large record.
+
+    Returns
+    -------
+    Answer or None
+        None if nothing was asked: the record is large, or too many jobs run.
+    """
+    files = files_named_in(bench.folder.toml(name))
+    mark = f"{question.mark}/{cache_key(files)}"
+    job = next((job for job in bench.jobs.all() if job.result == mark and job.subject == name), None)
+    if job is None or bench.jobs.status(job).state == "lost":
+        size = sum(path.stat().st_size for path in files if path.is_file())
+        if size > LARGEST and not always:
+            return None
+        try:
+            command = (question.command, name, *question.options)
+            job = bench.jobs.start(command, question.title, name, mark)
+        except ArgumentError:
+            return None
+    status, document, message = bench.jobs.status(job), {}, ""
+    if status.state == "done":
+        try:
+            document = bench.jobs.document(job)
+        except (OSError, ValueError):
+            message = "its answer cannot be read; ask again"
+    elif status.state != "running":
+        message = bench.jobs.text(job, "err") or "It was stopped."
+    return Answer(job, status, document, message)
+
+
+ROUTES = [
+    Route("/jobs", show_all),
+    Route("/jobs/{key}", show),
+    Route("/jobs/{key}/stop", stop, methods=["POST"]),
+    Route("/jobs/{key}/file/{file}", file),
+]

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import math
-from typing import TYPE_CHECKING, Any
+
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+from starlette.routing import Route
 
 from piga.errors import ArgumentError
 from piga.workbench.pages.common import bench_of, only, render, sent_form
 from piga.workbench.remote import Login
 from piga.workbench.security import LOGIN, Door, cookie_value
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
 
 MOST_LOGIN = 8 << 10
 """Largest login form [bytes]."""
@@ -57,8 +57,6 @@ def left(request: Request) -> Response:
 
 def _door_and_login(request: Request) -> tuple[Door, Login]:
     """The door and its password. Without a password there are no such pages."""
-    from starlette.exceptions import HTTPException
-
     door = bench_of(request).door
     if door.login is None:
         raise HTTPException(404)
@@ -66,8 +64,6 @@ def _door_and_login(request: Request) -> tuple[Door, Login]:
 
 
 def _to(path: str, cookie: str) -> Response:
-    from starlette.responses import RedirectResponse
-
     return RedirectResponse(path, status_code=303, headers={"set-cookie": cookie})
 
 
@@ -78,12 +74,8 @@ def _page(request: Request, code: int, message: str = "", pause: float = 0.0) ->
     return page
 
 
-def routes() -> list[Any]:
-    """Routes of the login page."""
-    from starlette.routing import Route
-
-    return [
-        Route(LOGIN, shown),
-        Route(LOGIN, sent, methods=["POST"]),
-        Route("/logout", left, methods=["POST"]),
-    ]
+ROUTES = [
+    Route(LOGIN, shown),
+    Route(LOGIN, sent, methods=["POST"]),
+    Route("/logout", left, methods=["POST"]),
+]

@@ -1,16 +1,22 @@
-"""Records: run files and logs of the folder with their state. The user can drop a file and open one."""
+"""Records: run files and logs of the folder with their state. Instruments: their calibrations, trend and ledgers."""
 
 from __future__ import annotations
 
+import tempfile
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import msgspec
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from piga.errors import ArgumentError
 from piga.output import put_in_place
-from piga.workbench.pages.common import TooLargeError, bench_of, render
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
+from piga.workbench.folder import Folder
+from piga.workbench.pages.common import TooLargeError, Workbench, bench_of, only, render, sent_form, start_job
 
 MOST_UPLOAD = 4 << 30
 """Largest file [bytes] that may be dropped in. Larger ones are copied into the folder."""
@@ -31,11 +37,6 @@ def show(request: Request) -> Response:
 
 async def take(request: Request) -> Response:
     """A file that was dropped in. Its bytes are the body; its name is in the address."""
-    import tempfile
-
-    from starlette.concurrency import run_in_threadpool
-    from starlette.responses import JSONResponse
-
     folder = bench_of(request).folder
     target = folder.free_name(request.query_params.get("name", ""))
     with tempfile.NamedTemporaryFile(dir=folder.state_room(PARTS), delete=False) as stream:
@@ -64,8 +65,125 @@ def _too_large(target: Path) -> TooLargeError:
     )
 
 
-def routes() -> list[Any]:
-    """Routes of this page."""
-    from starlette.routing import Route
+# --- instruments ----------------------------------------------------------------------------------
 
-    return [Route("/", show), Route("/upload", take, methods=["POST"])]
+STORES = (".sqlite", ".db")
+"""Endings of ledgers."""
+LEDGER = {"list": "List the ledger", "verify": "Verify the ledger", "export": "Export the ledger"}
+"""Commands on a ledger, and their titles."""
+TITLES = ("Trend", "Keep", *LEDGER.values())
+
+
+def calibrations(folder: Folder) -> list[tuple[str, str]]:
+    """The kept calibrations of the folder: name and serial number."""
+    items = []
+    for path in sorted(folder.root.glob("**/calibration.json"))[:500]:
+        name = folder.name(path)
+        if name.startswith(".") or "/." in name or not path.resolve().is_relative_to(folder.root):
+            continue
+        try:
+            document = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+        except (OSError, msgspec.DecodeError):
+            continue
+        instrument = document.get("instrument")
+        serial = instrument.get("serial", "") if isinstance(instrument, dict) else ""
+        items.append((name, str(serial)))
+    return items
+
+
+def _by_serial(bench: Workbench) -> dict[str, list[str]]:
+    instruments: dict[str, list[str]] = {}
+    for path, serial in calibrations(bench.folder):
+        instruments.setdefault(serial, []).append(path)
+    return instruments
+
+
+def show_instruments(request: Request) -> Response:
+    """All instruments of the folder."""
+    bench = bench_of(request)
+    jobs = bench.listed(lambda job: job.title in TITLES)
+    return render(
+        request, "instrument.html.jinja", instruments=_by_serial(bench), jobs=jobs,
+        stores=_stores(bench), runs=_runs(bench),
+    )  # fmt: skip
+
+
+def plain(name: str) -> str:
+    """The letters and digits of a name, for a folder."""
+    return "".join(letter if letter.isalnum() else "-" for letter in name).strip("-")[:60] or "instrument"
+
+
+def _stores(bench: Workbench) -> list[str]:
+    """The ledgers of the folder."""
+    return [
+        path.name
+        for ending in STORES
+        for path in sorted(bench.folder.root.glob(f"*{ending}"))
+        if path.is_file() and not path.is_symlink() and not path.name.startswith(".")
+    ]
+
+
+def _runs(bench: Workbench) -> list[str]:
+    """Run files whose results are kept."""
+    return [entry.name for entry in bench.folder.entries() if entry.state == "calibrated"]
+
+
+async def trend(request: Request) -> Response:
+    """Show how the coefficients of one instrument drift."""
+    bench = bench_of(request)
+    fields = await sent_form(request)
+    serial = only(fields, "serial")
+    paths = _by_serial(bench).get(serial)
+    if not paths:
+        raise ArgumentError(f"there is no calibration of {serial!r}", remedy="calibrate a record first")
+    out = f"trend-{plain(serial)}"
+    command = ["records", "trend", *paths, "--out", out, "--force"]
+    at = only(fields, "at").strip()
+    command += [f"--at={at}"] if at else []
+    return await start_job(request, command, "Trend", serial, out)
+
+
+async def keep(request: Request) -> Response:
+    """Keep a run, its results and its report in a ledger; it is made if there is none."""
+    bench = bench_of(request)
+    fields = await sent_form(request)
+    run = bench.folder.name(bench.folder.toml(only(fields, "run")))
+    store = _store(bench, only(fields, "store"))
+    results = bench.folder.path(run.removesuffix(".toml") + "-calibration")
+    command = ["records", "add", run, "--store", store, "--results", bench.folder.name(results)]
+    for option in ("operator", "reason"):
+        value = " ".join(only(fields, option).split())
+        if not value:
+            raise ArgumentError(f"{option}: is missing", remedy="say who keeps the record, and why")
+        command.append(f"--{option}={value}")
+    return await start_job(request, command, "Keep", run)
+
+
+async def ledger(request: Request) -> Response:
+    """List or verify a ledger, or write its records into one file."""
+    bench = bench_of(request)
+    fields = await sent_form(request)
+    store, word = _store(bench, only(fields, "store"), there=True), only(fields, "do")
+    if word not in LEDGER:
+        raise ArgumentError(f"{word!r}: is not a command of this page", remedy="use its buttons")
+    out = f"{store.partition('.')[0]}-{time.strftime('%Y%m%d-%H%M%S')}.zip" if word == "export" else ""
+    command = ["records", word, *([out] if out else []), "--store", store]
+    return await start_job(request, command, LEDGER[word], store, out)
+
+
+def _store(bench: Workbench, name: str, *, there: bool = False) -> str:
+    """The name of a ledger in the folder, never an address."""
+    path = bench.folder.file(name) if there else bench.folder.path(name)
+    if path.parent != bench.folder.root or path.suffix not in STORES:
+        raise ArgumentError(f"{name!r}: cannot be the name of a ledger", remedy="e.g. lab.sqlite")
+    return path.name
+
+
+ROUTES = [
+    Route("/", show),
+    Route("/upload", take, methods=["POST"]),
+    Route("/instrument", show_instruments),
+    Route("/instrument/keep", keep, methods=["POST"]),
+    Route("/instrument/ledger", ledger, methods=["POST"]),
+    Route("/instrument/trend", trend, methods=["POST"]),
+]

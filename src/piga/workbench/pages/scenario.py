@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
+
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
 
 from piga.data import example_files
 from piga.errors import ArgumentError, PigaError
 from piga.records.text_files import files_named_in, toml_document
 from piga.workbench.folder import MOST_TOML, Folder
 from piga.workbench.forms import form_of_text, sent_text
-from piga.workbench.pages.common import bench_of, only, redirect, render, sent_form
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
+from piga.workbench.pages.common import bench_of, only, redirect, render, sent_form, start_job
 
 
 @dataclass(frozen=True)
@@ -91,11 +91,7 @@ def _page(kind: Kind) -> Callable[[Request], Response]:
         else:
             text = example_files()[kind.example].decode("utf-8")
         form = form_of_text(text, kind.file)
-        jobs = [
-            (job, bench.jobs.status(job)) for job in bench.jobs.all() if any(
-                job.command[: len(words)] == words for _, words in kind.commands
-            )
-        ]  # fmt: skip
+        jobs = bench.listed(lambda job: any(job.command[: len(words)] == words for _, words in kind.commands))
         return render(
             request, "scenario.html.jinja", kind=kind, names=names, name=name, form=form, jobs=jobs[:20]
         )
@@ -105,7 +101,6 @@ def _page(kind: Kind) -> Callable[[Request], Response]:
 
 def _runner(kind: Kind) -> Callable[[Request], Any]:
     async def run(request: Request) -> Response:
-        from starlette.concurrency import run_in_threadpool
 
         bench = bench_of(request)
         fields = await sent_form(request)
@@ -119,10 +114,7 @@ def _runner(kind: Kind) -> Callable[[Request], Any]:
             raise ArgumentError(f"{word!r}: is not a command of this page", remedy="use its buttons")
         out = bench.folder.name(path.with_name(f"{path.stem}-{words[-1]}"))
         command = [*words, name, "--out", out, "--force"]
-        job = await run_in_threadpool(
-            bench.jobs.start, command, " ".join(words).capitalize(), name, out, files_named_in(path)
-        )
-        return redirect(request, f"/jobs/{job.key}")
+        return await start_job(request, command, " ".join(words).capitalize(), name, out, files_named_in(path))
 
     return run
 
@@ -141,10 +133,7 @@ def _saved(folder: Folder, name: str, text: str) -> Path:
     return path
 
 
-def routes() -> list[Any]:
-    """Routes of these pages."""
-    from starlette.routing import Route
-
-    shown = [Route(f"/{kind.key}", _page(kind), methods=["GET"]) for kind in KINDS.values()]
-    run = [Route(f"/{kind.key}", _runner(kind), methods=["POST"]) for kind in KINDS.values()]
-    return [*shown, *run]
+ROUTES = [
+    *(Route(f"/{kind.key}", _page(kind), methods=["GET"]) for kind in KINDS.values()),
+    *(Route(f"/{kind.key}", _runner(kind), methods=["POST"]) for kind in KINDS.values()),
+]
