@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from piga.reports.render.figure import Axis
 from piga.reports.render.scales import Scale, Ticks, axis_label, axis_ticks, extent, fitting_ticks
-from tests.reports.test_scene import value_of
+from tests.reports.render.test_scene import value_of
 
 PLAIN, LOG, DATE = Axis("angle", "rad"), Axis("angle", "rad", log=True), Axis("date", "", dates=True)
 

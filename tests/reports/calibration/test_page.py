@@ -34,7 +34,7 @@ from piga.reports.calibration.tables import (
 from piga.reports.render.interactive import figure_spec
 from piga.reports.render.page import Notice, Table, page_html
 from tests.reports.example import calibration
-from tests.reports.test_page import Checker
+from tests.reports.render.test_page import Checker
 
 
 def tables(page):

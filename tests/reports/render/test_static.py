@@ -138,7 +138,7 @@ def test_only_pictures_need_matplotlib(monkeypatch, tmp_path):
 
 def test_a_page_and_an_svg_load_no_matplotlib(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from tests.reports.test_static_and_interactive import every_mark;"
+        "import sys; from pathlib import Path; from tests.reports.render.test_static import every_mark;"
         "from piga.reports import FigureBlock, Page, Section, page_html, write_figure;"
         "page_html(Page('Marks', sections=(Section('Marks', 'part', (FigureBlock(every_mark()),)),)));"
         f"write_figure(every_mark(), Path({str(tmp_path / 'a.svg')!r}));"
