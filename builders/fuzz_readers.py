@@ -2,7 +2,7 @@
 
 Needs ``pip install atheris``. Each input is read as the program would read it; a refusal must be a ``PigaError``
 with a remedy. Anything else is a finding: the run stops and the input is left in ``--findings``. What was found is
-kept in ``tests/records/findings`` and read again by the tests.
+kept in ``tests/formats/findings`` and read again by the tests.
 
 Containers are read in the fuzzing process, under the limit on memory that their own process has, so that a run of
 1e5 takes minutes. Where the library itself hangs or crashes, the input is read again as the program does, in a

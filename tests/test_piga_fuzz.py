@@ -23,7 +23,7 @@ from piga.records.calibration.document import calibration_from_bytes, calibratio
 from piga.records.run_file import read_run_file
 from tests.certificate.certificate_data import budgeted, complete
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
-from tests.formats.test_fuzz import SCALE, mutated, outcome, seeded
+from tests.formats.test_formats_fuzz import SCALE, mutated, outcome, seeded
 from tests.records.files import write_run
 from tests.reports.example import calibration
 

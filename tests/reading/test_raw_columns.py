@@ -25,7 +25,7 @@ from piga.reading.raw_columns import open_stream
 from piga.records import spool
 from piga.records.run_file import read_run_file
 from piga.records.spool import exact_median
-from tests.formats.test_fuzz import LOG, NAMES, mutated, seeded
+from tests.formats.test_formats_fuzz import LOG, NAMES, mutated, seeded
 from tests.records.files import lines, write_log, write_run
 
 QUICK = settings(deadline=None, database=None, suppress_health_check=list(HealthCheck))
