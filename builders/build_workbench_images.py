@@ -1,7 +1,7 @@
 """Screenshots of the workbench for README and docs: ``python -m builders.build_workbench_images [--chromium PATH]``.
 
 Needs the packages of the tests and a Chromium on this machine. It goes the path of the main job on the shipped record,
-as ``tests/workbench/test_browser.py`` does.
+as ``tests/workbench/test_workbench_browser.py`` does.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from piga.studies import CHAPTERS, Reproduction, reproduce
-from tests.studies.test_chapters import check
+from tests.studies.test_studies_chapters import check
 
 DOCS = Path(__file__).parents[2] / "docs"
 

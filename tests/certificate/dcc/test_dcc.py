@@ -88,7 +88,7 @@ def problems(raw):
 )
 def test_valid_by_schema_and_schematron(cal, per_segment, kind):
     pytest.importorskip("saxonche")
-    from tests.certificate.schematron import findings
+    from tests.certificate.dcc.schematron import findings
 
     data, used, before = complete(), cal, None
     if kind == "per-segment":
@@ -131,7 +131,7 @@ def test_valid_by_schema_and_schematron(cal, per_segment, kind):
 @needs_schemas
 def test_the_checks_can_fail():
     pytest.importorskip("saxonche")
-    from tests.certificate.schematron import findings
+    from tests.certificate.dcc.schematron import findings
 
     rules = SCHEMAS / "schematron" / "dcc.sch"
     assert problems((SCHEMAS / "example-valid.xml").read_bytes()) == []
