@@ -15,7 +15,7 @@ from piga.ledger.store import Draft, DraftFile, open_store
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.document import calibration_to_bytes
 from tests.ledger.store.drafts import add, filled
-from tests.ledger.test_keep_and_reproduce import small_run
+from tests.ledger.test_reproduce import small_run
 from tests.reports.example import calibration
 
 

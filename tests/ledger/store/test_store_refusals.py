@@ -26,7 +26,7 @@ from piga.ledger.store.transfer import backup, export_records, import_records
 from piga.ledger.store.verify import verify
 from piga.output import write_whole
 from tests.ledger.store.drafts import add, content, filled
-from tests.ledger.store.test_mutations import tamper
+from tests.ledger.store.test_verify import tamper
 
 LARGE = 200_000
 """Bytes of a file that is stored compressed."""
