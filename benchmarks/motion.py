@@ -289,7 +289,7 @@ def start_up() -> None:
         runs.append([float(x) * 1e3 for x in run.stdout.split()])
     imports, first, second = np.median(np.array(runs[1:]), axis=0)
     show("start-up: import of piga.instrument (Numba)", imports, "ms", "NumPy imported before")
-    show("start-up: first call, warm cache", first, "ms", "nothing is compiled (tests/kernels)")
+    show("start-up: first call, warm cache", first, "ms", "nothing is compiled (tests/_kernels)")
     show("start-up: second call", second, "ms")
 
 

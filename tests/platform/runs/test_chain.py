@@ -12,7 +12,7 @@ from piga.platform import Alignment, load_scenario
 from piga.platform.budget import standard_sources
 from piga.platform.chain import _drift
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
 def alignment(drift: tuple[float, ...] = (0.0, 0.0, 0.0), std: tuple[float, ...] = (1.0,) * 9) -> Alignment:

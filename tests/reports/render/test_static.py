@@ -144,7 +144,7 @@ def test_a_page_and_an_svg_load_no_matplotlib(tmp_path):
         f"write_figure(every_mark(), Path({str(tmp_path / 'a.svg')!r}));"
         "assert not {name for name in sys.modules if name.startswith('matplotlib')}"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=120, cwd=Path(__file__).parents[2])
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120, cwd=Path(__file__).parents[3])
 
 
 def test_other_file_types_are_refused(tmp_path):
