@@ -1,4 +1,4 @@
-"""The cache of compiled kernels after a power cut: damaged files are removed, and the kernels compiled again."""
+"""The cache of compiled kernels: warm, it compiles nothing; damaged files are removed after a power cut."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ sys.path.insert(0, sys.argv[1])
 import small
 print(small.twice(21.0))
 """
+
+
 KERNEL = """
 from piga._kernels.jit import kernel
 
@@ -23,6 +25,8 @@ from piga._kernels.jit import kernel
 def twice(x):
     return 2.0 * x
 """
+
+
 DAMAGE: dict[str, Callable[[bytes], bytes]] = {
     "empty": lambda data: b"",
     "cut": lambda data: data[: len(data) // 2],
@@ -124,3 +128,41 @@ def test_a_kept_kernel_is_loaded_without_the_compiler(tmp_path: Path) -> None:
     program = PROGRAM + "print('numba.np.linalg' in sys.modules)\n"
     for loaded in ("True", "False"):
         assert call(tmp_path, program) == (f"42.0\n{loaded}", "")
+
+
+SCRIPT = """
+import numpy as np, piga
+from piga.instrument import *
+inst = Instrument(0.09, 0.005, 0.3)
+t, f = np.arange(5.0), np.ones((5, 3))
+frozen = f.copy(); frozen.flags.writeable = False
+propagate(inst, t, f); propagate(inst, t, frozen); propagate(inst, t, np.asfortranarray(f))
+propagate_rate(inst, t, f)
+propagate(inst, t, f, f, with_rate=True, error_model=ErrorModel(k0=1e-3))
+propagate_increments(inst, t, f[1:])
+propagate_segments(inst, t, f); propagate_fleet([inst, inst], t, f)
+sensitivities(inst, t, f); closed_form(inst, t, 1, 2, 3)
+propagate_function(inst, t, lambda s: (1.0, 2.0, s))
+big = np.arange(40000.0) * 1e-3; propagate(inst, big, np.ones((40000, 3)))
+from numba.core.dispatcher import Dispatcher
+import piga._kernels as room, pkgutil, importlib
+compiled = hits = 0
+for module in pkgutil.walk_packages(room.__path__, room.__name__ + "."):
+    for thing in vars(importlib.import_module(module.name)).values():
+        if isinstance(thing, Dispatcher) and thing.py_func.__module__ == module.name:
+            compiled += sum(thing.stats.cache_misses.values()); hits += sum(thing.stats.cache_hits.values())
+print(compiled, hits)
+"""
+
+
+@pytest.mark.compiled
+@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="nothing is compiled")
+def test_a_warm_cache_compiles_nothing():
+    """In the cache of the other tests, so that little is compiled here. A cold one: test_first_run."""
+    for _ in range(2):
+        run = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
+        compiled, hits = map(int, run.stdout.split())
+        if not compiled:
+            break
+    assert compiled == 0
+    assert hits > 0

@@ -1,16 +1,11 @@
-"""Kernels of the motion against 50-digit arithmetic and their own definitions."""
+"""Steps of the motion against 50-digit arithmetic and their own definitions."""
 
 import math
-import os
-import subprocess
-import sys
 
 import mpmath as mp
 import numpy as np
 import pytest
 
-from piga._kernels import arithmetic as dd
-from piga._kernels.arithmetic import double_arctangent
 from piga._kernels.motion import samples as increments
 from piga._kernels.motion import step as block
 from piga._kernels.motion.samples import unimodular_functions
@@ -19,34 +14,10 @@ from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, advance, split_tu
 pytestmark = pytest.mark.compiled
 
 
-def exact(pair):
-    return mp.mpf(float(pair[0])) + mp.mpf(float(pair[1]))
-
-
 @pytest.fixture(autouse=True)
 def _fifty_digits():
     with mp.workdps(50):
         yield
-
-
-def test_double_double_keeps_thirty_digits():
-    rng = np.random.default_rng(3)
-    for a, b in rng.normal(0.0, 1e3, (50, 2)):
-        x, y = dd.two_product(float(a), float(b)), dd.two_sum(float(a), float(b) * 1e-9)
-        assert exact(x) == mp.mpf(float(a)) * mp.mpf(float(b))
-        assert exact(y) == mp.mpf(float(a)) + mp.mpf(float(b) * 1e-9)
-        assert abs(exact(dd.multiply(x, y)) / (exact(x) * exact(y)) - 1) < 1e-30
-        assert abs(exact(dd.add(x, (-x[0], y[1]))) - (exact(x) - x[0] + y[1])) < 1e-30
-        positive = dd.multiply(x, x)
-        assert abs(exact(dd.square_root(positive)) ** 2 / exact(positive) - 1) < 1e-29
-
-
-@pytest.mark.parametrize("phase", [0.3, 1e3, 1e9, 6.3e11])
-def test_reduction_by_pi_at_any_phase(phase):
-    n, rest = dd.remainder_pi((phase, 1e-17 * phase))
-    reference = mp.mpf(phase) + mp.mpf(1e-17 * phase)
-    assert n == mp.nint(reference / mp.pi)
-    assert rest == pytest.approx(float(reference - mp.pi * mp.nint(reference / mp.pi)), abs=2e-16)
 
 
 @pytest.mark.parametrize("turns", [0.0, 1.0, -7.0, 1e6, 6e7, 1e9, 1e12])
@@ -58,20 +29,6 @@ def test_turns_and_rest(turns):
     assert whole == turns
     assert abs(rest - (mp.mpf(alpha) - 2 * mp.pi * int(turns))) < 3e-16
     assert abs(mp.mpf(TWO_PI_HIGH) + mp.mpf(TWO_PI_LOW) - 2 * mp.pi) < 1e-24
-
-
-def test_double_arctangent_to_an_ulp():
-    angles = np.concatenate([np.linspace(-np.pi, np.pi, 801)[1:-1], 10.0 ** np.arange(-300, 0, 20)])
-    for half in angles:
-        p, q = math.sin(half), math.cos(half)
-        reference = 2 * mp.atan(mp.mpf(p) / mp.mpf(q))
-        assert abs(double_arctangent(p, q) - reference) <= max(
-            1.5 * np.spacing(abs(float(reference))), 2.3e-16 * (half**2 > 0.1)
-        )
-        assert double_arctangent(-p, -q) == double_arctangent(p, q)
-    assert double_arctangent(1.0, 0.0) == math.pi
-    assert double_arctangent(-1.0, 0.0) == -math.pi
-    assert double_arctangent(0.0, 1.0) == 0.0
 
 
 @pytest.mark.parametrize("x", [-90.0, -2.0, -0.4, -0.0624, -1e-9, 0.0, 1e-9, 0.0624, 0.0626, 0.4, 30.0, 1e4])
@@ -172,40 +129,3 @@ def test_slopes_of_a_parabola_are_exact_in_every_interval(m):
         (block.STEP_Z, h[:, 0] * z - cross * (a * sy - y * sa)),
     ):
         assert w[row : row + m] == pytest.approx(expected, abs=1e-13)
-
-
-SCRIPT = """
-import numpy as np, piga
-from piga.instrument import *
-inst = Instrument(0.09, 0.005, 0.3)
-t, f = np.arange(5.0), np.ones((5, 3))
-frozen = f.copy(); frozen.flags.writeable = False
-propagate(inst, t, f); propagate(inst, t, frozen); propagate(inst, t, np.asfortranarray(f))
-propagate_rate(inst, t, f)
-propagate(inst, t, f, f, with_rate=True, error_model=ErrorModel(k0=1e-3))
-propagate_increments(inst, t, f[1:])
-propagate_segments(inst, t, f); propagate_fleet([inst, inst], t, f)
-sensitivities(inst, t, f); closed_form(inst, t, 1, 2, 3)
-propagate_function(inst, t, lambda s: (1.0, 2.0, s))
-big = np.arange(40000.0) * 1e-3; propagate(inst, big, np.ones((40000, 3)))
-from numba.core.dispatcher import Dispatcher
-import piga._kernels as room, pkgutil, importlib
-compiled = hits = 0
-for module in pkgutil.walk_packages(room.__path__, room.__name__ + "."):
-    for thing in vars(importlib.import_module(module.name)).values():
-        if isinstance(thing, Dispatcher) and thing.py_func.__module__ == module.name:
-            compiled += sum(thing.stats.cache_misses.values()); hits += sum(thing.stats.cache_hits.values())
-print(compiled, hits)
-"""
-
-
-@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="nothing is compiled")
-def test_a_warm_cache_compiles_nothing():
-    """In the cache of the other tests, so that little is compiled here. A cold one: test_first_run."""
-    for _ in range(2):
-        run = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
-        compiled, hits = map(int, run.stdout.split())
-        if not compiled:
-            break
-    assert compiled == 0
-    assert hits > 0

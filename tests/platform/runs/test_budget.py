@@ -1,19 +1,21 @@
-"""Linear platform errors against the difference of two full navigation runs."""
+"""Linear platform errors against the difference of two full navigation runs, and the sources of the budget."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from piga.platform import error_budget, linear_errors, simulate, standard_sources
-from piga.platform.budget import perturbed_errors
+from piga.platform import Alignment, error_budget, linear_errors, load_scenario, simulate
+from piga.platform.budget import perturbed_errors, standard_sources
 from piga.platform.navigator import Perturbation
 from piga.platform.scenario import Place
 from tests.platform.conftest import DEG, INTERPRETED, published
 
-pytestmark = pytest.mark.compiled
-
 DURATION = 7200.0 if INTERPRETED else 86400.0
+
+
 SOURCES = list(standard_sources().items())
 
 
@@ -22,6 +24,7 @@ def quiet_run():
     return simulate(published(duration=DURATION, step=2.0).without_errors())
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(("name", "perturbation"), SOURCES, ids=[name for name, _ in SOURCES])
 def test_linear_errors_are_those_of_a_perturbed_run(quiet_run, name, perturbation):
     full, quiet = perturbed_errors(quiet_run, perturbation), perturbed_errors(quiet_run, Perturbation())
@@ -36,6 +39,7 @@ def test_linear_errors_are_those_of_a_perturbed_run(quiet_run, name, perturbatio
     assert np.abs(velocity[:, :2] - linear[:, 4:6]).max() < 0.02 * np.abs(velocity[:, :2]).max()
 
 
+@pytest.mark.compiled
 def test_a_tilt_swings_with_the_schuler_period():
     history = linear_errors(Place(0.7), Perturbation(velocity=(0.01, 0.0, 0.0)), 5400.0, step=5.0)
     north = history[:, 1]
@@ -44,6 +48,7 @@ def test_a_tilt_swings_with_the_schuler_period():
     assert north.max() == pytest.approx(0.01 / 1.2394e-3, rel=0.02)
 
 
+@pytest.mark.compiled
 def test_errors_add_up():
     place = Place(40 * DEG)
     one, two = (
@@ -56,6 +61,7 @@ def test_errors_add_up():
     )
 
 
+@pytest.mark.compiled
 def test_the_budget_lists_every_source_and_their_sum():
     sources = dict(SOURCES[:2])
     rows = error_budget(published(duration=3600.0, step=10.0), sources)
@@ -63,3 +69,27 @@ def test_the_budget_lists_every_source_and_their_sum():
     for row in rows:
         assert row.position_linear == pytest.approx(row.position_full, rel=0.01)
         assert row.difference < 0.01 * row.position_full
+
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+
+
+def alignment(drift: tuple[float, ...] = (0.0, 0.0, 0.0), std: tuple[float, ...] = (1.0,) * 9) -> Alignment:
+    """An alignment at the place of the published case, with this drift and these standard uncertainties."""
+    place = load_scenario(EXAMPLES / "platform-published.toml").place
+    return Alignment(place, np.eye(3), np.array(drift), np.eye(3), np.diag(np.square(std)), {}, {}, 1.0)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_sources_of_the_budget_act_on_one_axis_each(axis: int) -> None:
+    aligned = alignment(std=(1e-6, 2e-6, 3e-6, 4e-9, 5e-9, 6e-9, 7e-6, 8e-6, 9e-6))
+    sources = standard_sources(aligned)
+    label = "xyz"[axis]
+    tilt = sources[f"triad attitude {label}"].attitude
+    assert tilt == tuple(aligned.std[k] if k == axis else 0.0 for k in range(3))
+    for name, kind, size in (
+        (f"drift {label}, 1e-5 deg/h", "drift", np.radians(1e-5) / 3600.0),
+        (f"accelerometer bias {label}, 1 ug", "bias", 9.80665e-6),
+    ):
+        assert getattr(sources[name], kind) == pytest.approx([size if k == axis else 0.0 for k in range(3)])
+    assert standard_sources()[f"triad attitude {label}"].attitude[axis] == pytest.approx(np.pi / 648000.0)
