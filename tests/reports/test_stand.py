@@ -1,11 +1,26 @@
-"""The figure of the locked plateau shows what the motion does."""
+"""The page of a simulated test, and the figure of the locked plateau: it shows what the motion does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from piga.instrument import Instrument, closed_form
-from piga.reports.stand import locking_figure
+from piga.instrument.twin.parameters import PRESETS
+from piga.reports.render.figure import Figure
+from piga.reports.render.page import page_html
+from piga.reports.stand import locking_figure, simulation_figures, simulation_page, simulation_text
+from piga.stand import (
+    DividingHead,
+    Imperfections,
+    Specimen,
+    simulate_test,
+)
+from piga.stand.write_run import coefficients
 from piga.units import ARCSEC, G0
+from tests.stand.simulated import COUNTS, INST, SITE
 
 INST = Instrument("0.8884 rad/s/g", "1000 arcsec")
 
@@ -40,3 +55,34 @@ def test_the_axis_reaches_over_the_zone(reach):
     assert panel.series[1].arrays()[0][[0, -1]] == pytest.approx(
         [-reach * 5e3 * INST.tan_beta, reach * 5e3 * INST.tan_beta]
     )
+
+
+@pytest.mark.compiled
+@pytest.mark.only_compiled
+def test_page_shows_stand_output_servo_and_truth():
+    stand = DividingHead(SITE, (0.0, 1.0), dwell=1.0, move=1.0)
+    specimen = Specimen(INST, twin=replace(PRESETS["example"], torque_limit=0.01))
+    test = simulate_test(stand, specimen, COUNTS, model="twin", imperfections=Imperfections(gravity=1e-5))
+    keys = [figure.key for figure in simulation_figures(test)]
+    assert keys == [
+        "stand",
+        "imperfections",
+        "output",
+        "locking",
+        "servo",
+        "loop-bode",
+        "loop-step",
+        "loop-poles",
+    ]
+    for figure in simulation_figures(test):
+        assert isinstance(figure, Figure)
+        assert all(panel.x.quantity and panel.y.quantity for panel in figure.panels)
+    html = page_html(simulation_page(test, "S-1"))
+    for words in ("Simulated test of S-1", "pendulosity", "gravity", "tan_beta"):
+        assert words in html
+    text = simulation_text(test)
+    assert "servo twin" in text
+    shown = next(line.split() for line in text.splitlines() if line.startswith("  k0 "))
+    k0 = next(value.value for value in coefficients(test) if value.name == "k0")
+    assert float(shown[1]) == pytest.approx(1e6 * k0, rel=1e-6)
+    assert shown[2] == "ug", "the unit of a calibration"

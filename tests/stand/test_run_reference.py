@@ -10,8 +10,14 @@ import pytest
 import piga
 from piga.data import copy_example
 from piga.records.calibration import Amount
-from piga.stand import stand_changes
+from piga.stand import (
+    DividingHead,
+    LoggedProfile,
+    stand_changes,
+)
+from piga.stand.run_reference import _followed
 from piga.units import ARCSEC, G0
+from tests.stand.simulated import SITE
 
 STAND = """
 [stand]
@@ -20,6 +26,7 @@ latitude = "40 deg"
 gravity = "9.80166 m/s^2"
 positions = "0:360:15 deg"
 """
+
 
 VIBRATION = """[stand]
 kind = "vibration-table"
@@ -160,3 +167,16 @@ def test_a_record_without_reference_is_read_where_none_is_needed(tmp_path: Path,
     np.testing.assert_allclose(np.diff(run.output)[steps], np.diff(logged.output)[steps], atol=1e-9)
     with pytest.raises(piga.RunFileError, match="reference is missing"):
         piga.read_run(path)
+
+
+SHORT_HEAD = DividingHead(SITE, (0.0, 1.0), dwell=4.0, move=2.0)
+
+
+def test_segments_of_a_log_are_taken_in_order_when_their_names_say_nothing() -> None:
+    t = np.array([100.0, 101.0, 200.0, 203.0, 209.0])
+    at = _followed(SHORT_HEAD, None, lambda: ("first", "second")).times(
+        t, np.array([0, 0, 1, 1, 1], dtype=np.int32)
+    )
+    assert at == pytest.approx([0.0, 1.0, 6.0, 9.0, 10.0])  # no further than the end of the dwell
+    log = LoggedProfile(np.array([0.0, 1.0]), np.zeros((2, 3)), np.zeros((2, 3)))
+    assert _followed(log, None, tuple).times(t, np.zeros(5, dtype=np.int32)) is t

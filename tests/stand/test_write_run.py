@@ -1,5 +1,7 @@
 """Scenarios and the files of simulated tests: they belong together, and bad ones are refused by name."""
 
+from __future__ import annotations
+
 import json
 import math
 import tomllib
@@ -10,16 +12,32 @@ import pytest
 
 from piga.calibration.calibrate import calibrate
 from piga.errors import PigaError, RunFileError
+from piga.instrument.parameters import ErrorModel
+from piga.instrument.twin.parameters import PRESETS
 from piga.stand import (
+    DividingHead,
+    Specimen,
     read_scenario,
     run_scenario,
+    simulate_test,
 )
-from piga.stand.write_run import imperfection_values, log_table, run_file_text, truth_text, write_data
-from tests.stand.simulated import SCENARIO, saved, truth_of, written
-
-pytestmark = pytest.mark.compiled
+from piga.stand.write_run import (
+    coefficients,
+    imperfection_values,
+    log_table,
+    predicted_angle_error,
+    run_file_text,
+    toml_table,
+    truth_document,
+    truth_text,
+    write_data,
+)
+from piga.units import G0
+from tests.stand.simulated import COUNTS, INST, SCENARIO, SITE, saved, truth_of, written
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
 SCENARIOS = [
     path
     for path in sorted(EXAMPLES.glob("*.toml"))
@@ -27,6 +45,7 @@ SCENARIOS = [
 ]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda p: p.stem)
 def test_examples_are_valid(path):
     scenario = read_scenario(path)
@@ -34,6 +53,7 @@ def test_examples_are_valid(path):
     assert scenario.stand.segments()
 
 
+@pytest.mark.compiled
 def test_run_file_truth_and_data_belong_together(tmp_path):
     scenario = read_scenario(written(tmp_path))
     test = run_scenario(scenario)
@@ -52,6 +72,7 @@ def test_run_file_truth_and_data_belong_together(tmp_path):
     assert table["model"] == {"terms": ["scale_factor", "tan_beta", "k0"], "phases": "shared"}
 
 
+@pytest.mark.compiled
 def test_servo_terms_are_prescribed_to_the_quasi_steady_model_and_predicted_of_the_twin(tmp_path):
     own = 'servo = "13 ug/g^3"\nservo_damping = "5 ug/g^3"\nk0 = "3e-4 g"'
     path = written(tmp_path, terms=('k0 = "3e-4 g"', own))
@@ -71,9 +92,12 @@ SERVO = (
     "servo = { integral_gain = { value = 3000.0, standard = 0.0 }, "
     'damping = { value = "0.05 N m s/rad", standard = "0.005 N m s/rad" }, angular_momentum = 0.1 }\n'
 )
+
+
 INSTRUMENT = "[instrument]\n"
 
 
+@pytest.mark.compiled
 def test_given_servo_goes_into_the_run_file(tmp_path):
     own = 'servo = "13 ug/g^3"\nservo_damping = "13 ug/g^3"\nk0 = "3e-4 g"'
     path = written(tmp_path, terms=('k0 = "3e-4 g"', own), servo=(INSTRUMENT, INSTRUMENT + SERVO))
@@ -90,6 +114,7 @@ def test_given_servo_goes_into_the_run_file(tmp_path):
     }
 
 
+@pytest.mark.compiled
 def test_faults_of_a_given_servo_name_the_scenario_and_the_key(tmp_path):
     path = written(tmp_path, servo=(INSTRUMENT, INSTRUMENT + SERVO.replace("3000.0", "-1.0")))
     with pytest.raises(RunFileError, match=r"integral_gain: must be positive") as refused:
@@ -97,6 +122,7 @@ def test_faults_of_a_given_servo_name_the_scenario_and_the_key(tmp_path):
     assert str(path) in str(refused.value)
 
 
+@pytest.mark.compiled
 def test_an_unknown_key_of_a_stand_is_answered_with_the_keys_of_its_kind(tmp_path):
     text = (EXAMPLES / "rate-table.toml").read_text(encoding="utf-8")
     path = tmp_path / "s.toml"
@@ -107,6 +133,7 @@ def test_an_unknown_key_of_a_stand_is_answered_with_the_keys_of_its_kind(tmp_pat
     assert "ramp" in str(refused.value)
 
 
+@pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_wrapping_counter_loses_its_phase_between_positions(tmp_path):
     path = written(tmp_path, bits=('serial = "S-1"', 'serial = "S-1"\ncounter_bits = 16'))
@@ -122,6 +149,7 @@ def test_wrapping_counter_loses_its_phase_between_positions(tmp_path):
         assert abs(math.remainder(c.value - truth["phi", c.segment], 2 * math.pi)) < 5 * c.std
 
 
+@pytest.mark.compiled
 def test_csv_holds_the_same_as_parquet(tmp_path):
     from pyarrow import csv
 
@@ -132,6 +160,7 @@ def test_csv_holds_the_same_as_parquet(tmp_path):
         assert np.array_equal(table[name].to_numpy(), own[name].to_numpy())
 
 
+@pytest.mark.compiled
 def test_same_seed_same_bytes_other_seed_other_noise(tmp_path):
     noisy = written(tmp_path, noise=('zero = "0.5 rad"', 'angle_noise = "1e-4 rad"\nclock_jitter = "1 us"'))
     scenario = read_scenario(noisy)
@@ -142,6 +171,7 @@ def test_same_seed_same_bytes_other_seed_other_noise(tmp_path):
     assert a != c
 
 
+@pytest.mark.compiled
 def test_harmonics_are_true_in_the_zero_of_the_output(tmp_path):
     path = written(
         tmp_path, more=('k0 = "3e-4 g"', 'k0 = "3e-4 g"\ns2 = "1e-3 g"\nc2 = "-5e-4 g"\ns1 = "1e-4 g"')
@@ -156,6 +186,7 @@ def test_harmonics_are_true_in_the_zero_of_the_output(tmp_path):
     assert math.hypot(truth["s1", None], truth["c1", None]) == pytest.approx(1e-4)
 
 
+@pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_negative_beta_turns_the_phase(tmp_path):
     path = written(tmp_path, beta=('beta = "74 arcsec"', 'beta = "-74 arcsec"'))
@@ -168,6 +199,7 @@ def test_negative_beta_turns_the_phase(tmp_path):
     )
 
 
+@pytest.mark.compiled
 def test_drawn_imperfections_come_from_the_seed(tmp_path):
     extra = '\n[imperfections]\nreference_scale = "10 ppm"\n[run]\nimperfections = "drawn"\n'
     scenario = read_scenario(written(tmp_path, SCENARIO + extra))
@@ -175,6 +207,7 @@ def test_drawn_imperfections_come_from_the_seed(tmp_path):
     assert values[0] == values[1] != values[2]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -199,7 +232,48 @@ def test_scenario_errors_name_file_and_key(tmp_path, old, new, words):
     assert "scenario.toml" in str(caught.value)
 
 
+@pytest.mark.compiled
 def test_errors_while_running_name_the_file(tmp_path):
     path = written(tmp_path, rate=('sample_rate = "10 Hz"', 'sample_rate = "0.3 Hz"'))
     with pytest.raises(PigaError, match=r"scenario.toml: segment 'move to 1' lasts"):
         run_scenario(read_scenario(path))
+
+
+SHORT_HEAD = DividingHead(SITE, (0.0, 1.0), dwell=4.0, move=2.0)
+
+
+def test_first_harmonics_are_told_in_the_zero_of_the_output() -> None:
+    """``s1 sin(alpha) + c1 cos(alpha)`` over the angle as read, ``alpha = psi + phase``."""
+    model = ErrorModel(s1=2e-5 * G0, c1=-1e-5 * G0)
+    test = simulate_test(SHORT_HEAD, Specimen(INST, error_model=model), COUNTS)
+    told = {value.name: value.value for value in coefficients(test)}
+    psi, phase = 0.3, test.phases[0]
+    assert told["s1"] * math.sin(psi) + told["c1"] * math.cos(psi) == pytest.approx(
+        2e-5 * math.sin(psi + phase) - 1e-5 * math.cos(psi + phase), abs=1e-18
+    )
+
+
+@pytest.mark.only_compiled
+def test_predicted_error_of_twin_and_quasi_steady_model() -> None:
+    specimen = Specimen(INST, twin=PRESETS["example-stiff"])
+    assert not predicted_angle_error(simulate_test(SHORT_HEAD, specimen, COUNTS)).any()
+    test = simulate_test(SHORT_HEAD, specimen, COUNTS, model="twin")
+    predicted = predicted_angle_error(test)
+    assert predicted.shape == test.log.t.shape
+    assert 0.0 < np.abs(predicted).max() < 1e-2
+
+
+@pytest.mark.parametrize(("output", "unit"), [("angle", "rad"), ("rate", "rad/s")])
+def test_run_file_of_an_output_in_rad(tmp_path: Path, output: str, unit: str) -> None:
+    path = written(tmp_path, rate=('sample_rate = "10 Hz"', f'sample_rate = "10 Hz"\noutput = "{output}"'))
+    scenario = read_scenario(path)
+    test = run_scenario(scenario)
+    document = tomllib.loads(run_file_text(scenario, test, "run.parquet"))
+    assert document["data"]["output"] | {"column": ""} == {"column": "", "kind": output, "unit": unit}
+    assert "counts_per_revolution" not in document["instrument"]
+    assert "local_error" not in truth_document(scenario, test)["simulation"]
+
+
+def test_toml_values() -> None:
+    values = {"a": True, "b": "°", "c": [1, 2.5], "d": {"e": False}, "f": (1,)}
+    assert tomllib.loads(toml_table("x", values))["x"] == values | {"f": [1]}

@@ -1,15 +1,36 @@
-"""What a stand gives at a time does not depend on the other times it is asked for."""
+"""Stands of every kind: rows do not depend on each other, composites, logged profiles, what is assumed and felt."""
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import csv, parquet
+
+from piga.errors import ArgumentError, DataError
 from piga.frames import axis_turn
-from piga.stand import Centrifuge, Composite, DividingHead, RateTable
-from piga.stand.imperfections import Imperfections
+from piga.records.spool import arrays_like
+from piga.stand import (
+    Centrifuge,
+    Composite,
+    DividingHead,
+    Imperfections,
+    LoggedProfile,
+    RateTable,
+    SpinPlan,
+    force_change,
+    sample_stand,
+)
+from piga.stand.imperfections import NONE, Imperfections
+from piga.stand.machines import logged
+from piga.stand.machines.logged import read_profile
 from piga.stand.machines.turning import in_axes
-from tests.stand.stands import SITE, SPIN
+from piga.units import G0
+from tests.stand.simulated import SITE
+from tests.stand.stands import HEAD, SITE, SPIN
 
 STANDS = [
     DividingHead(SITE, (0.1, 0.9, 2.0), dwell=2.0, move=1.0, roll=0.3, azimuth=0.4),
@@ -36,3 +57,101 @@ def test_turned_rows_are_the_matrix_product_and_each_its_own() -> None:
     np.testing.assert_allclose(turned, vectors @ matrix.T, atol=1e-15)
     rows = [in_axes(matrix, vectors[k : k + 1]) for k in range(1000)]
     assert np.concatenate(rows).tobytes() == turned.tobytes()
+
+
+def test_composite_is_its_parts_in_order():
+    stand = Composite((replace(HEAD, positions=(0.0, 1.0)), Centrifuge(SITE, 1.0, SPIN)), pause=10.0)
+    labels = [s.label for s in stand.segments()]
+    assert labels[:4] == ["0.0", "0.move to 1", "0.1", "pause before 1"]
+    f, _ = stand.motion(np.array([120.0, 165.0, 161.0]), NONE)
+    first, _ = HEAD.motion(np.array([30.0]), NONE)
+    second, _ = Centrifuge(SITE, 1.0, SPIN).motion(np.array([1.0]), NONE)
+    assert f[2] == pytest.approx(second[0])
+    assert np.linalg.norm(first) == pytest.approx(9.80166)
+    start, _ = stand.motion(np.array([150.0, 155.0, 160.0]), NONE)
+    assert start[1] == pytest.approx(0.5 * (start[0] + start[2]))
+    assert {"arm_radius", "angle_error"} <= set(stand.accepted)
+    only_arm = force_change(stand, np.array([30.0, 161.0]), Imperfections(arm_radius=1e-3))
+    assert np.all(only_arm[0] == 0.0)
+    assert only_arm[1, 0] == pytest.approx(1e-3, rel=1e-2)
+
+
+def test_logged_profile_is_linear_between_samples(tmp_path):
+    path = tmp_path / "profile.csv"
+    path.write_text("t,fx,fy,fz,wx,wy,wz\n0,1,0,0,0,0,0\n1000,2,0,1,0.1,0,0\n3000,0,0,0,0,0,0\n")
+    stand = read_profile(path, ("t", "ms"), (("fx", "fy", "fz"), "g"), (("wx", "wy", "wz"), "rad/s"))
+    f, omega = stand.motion(np.array([0.5, 2.0]), NONE)
+    assert f / G0 == pytest.approx(np.array([[1.5, 0, 0.5], [1, 0, 0.5]]))
+    assert omega[:, 0] == pytest.approx([0.05, 0.05])
+    with pytest.raises(DataError, match="no column 'fq'"):
+        read_profile(path, ("t", "s"), (("fq", "fy", "fz"), "g"))
+    with pytest.raises(DataError, match="cannot be read"):
+        read_profile(tmp_path / "none.csv", ("t", "s"), (("fx", "fy", "fz"), "g"))
+    path.write_text("t,fx,fy,fz\n0,1,0,0\n1,,0,1\n")
+    with pytest.raises(DataError, match="row 2"):
+        read_profile(path, ("t", "s"), (("fx", "fy", "fz"), "g"))
+    with pytest.raises(ArgumentError, match="fewer than two, or do not increase"):
+        LoggedProfile(np.array([0.0, 0.0]), np.zeros((2, 3)), np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_long_profile_on_disk_is_the_same(tmp_path, monkeypatch, kind):
+    """Times before the first and behind the last sample, on samples and between them, in any order."""
+    t = np.cumsum(np.random.default_rng(1).uniform(0.5, 1.5, 3000))
+    table = pa.table({"t": t, "x": np.sin(t), "y": np.arange(3000), "z": 0.1 * t})
+    path = tmp_path / f"profile.{kind}"
+    (csv.write_csv if kind == "csv" else parquet.write_table)(table, path)
+    columns = ("t", "s"), (("x", "y", "z"), "g"), (("z", "z", "x"), "deg/s")
+    held = read_profile(path, *columns)
+    monkeypatch.setattr(logged, "MOST_PROFILE_ROWS", 1000)
+    mapped = read_profile(path, *columns)
+    assert arrays_like(held.t).folder is None
+    assert arrays_like(mapped.t).folder == arrays_like(mapped.force).folder == tmp_path
+    asked = np.concatenate([t[[2999, 0, 1, 1700]] - t[0], [-5.0, 1e9, 7.7, 800.1]])
+    for times in (asked, asked[:1], asked[4:5], asked[5:6], asked[7:], np.zeros(0)):
+        for one, two, column in zip(held.motion(times, NONE), mapped.motion(times, NONE), "fw", strict=True):
+            assert one.tobytes() == two.tobytes(), column
+        whole = np.interp(times + t[0], t, np.sin(t))
+        assert (held.motion(times, NONE)[0][:, 0] == np.interp(times + t[0], held.t, held.force[:, 0])).all()
+        assert held.motion(times, NONE)[0][:, 0] == pytest.approx(whole * G0, abs=1e-12)
+
+
+def test_table_says_what_the_lab_assumes_and_what_is_felt():
+    errors = Imperfections(reference_scale=1e-3, gravity=1e-3)
+    profile = sample_stand(HEAD, 1.0, errors=errors)
+    assert profile.reference[0] == pytest.approx([9.80166, 0, 0])
+    assert profile.force[0, 0] == pytest.approx((9.80166 + 1e-3) * 1.001)
+    fine = sample_stand(HEAD, 1.0, oversample=4, extra=3)
+    assert fine.t[4] == 1.0
+    assert fine.t.size == 4 * (profile.t.size - 1) + 1 + 3
+    with pytest.raises(ArgumentError, match="not a multiple"):
+        sample_stand(HEAD, 0.7)
+    with pytest.raises(ArgumentError, match="'arm_radius' does not exist on a dividing-head"):
+        sample_stand(HEAD, 1.0, errors=Imperfections(arm_radius=1e-3))
+
+
+SHORT_HEAD = DividingHead(SITE, (0.0, 1.0), dwell=4.0, move=2.0)
+
+
+def test_bad_parts() -> None:
+    with pytest.raises(ArgumentError, match="radius"):
+        Centrifuge(SITE, 0.0, SpinPlan((1.0,), 1.0, 1.0))
+    with pytest.raises(ArgumentError, match="no parts"):
+        Composite(())
+    with pytest.raises(ArgumentError, match="pause"):
+        Composite((SHORT_HEAD,), pause=0.0)
+    with pytest.raises(ArgumentError, match="2 rows of three finite numbers"):
+        LoggedProfile(np.array([0.0, 1.0]), np.zeros((2, 3)), np.full((2, 3), np.nan))
+
+
+def test_times_within_one_part_of_a_composite() -> None:
+    stand = Composite((SHORT_HEAD, replace(SHORT_HEAD, positions=(2.0,))), pause=5.0)
+    early, _ = stand.motion(np.array([1.0]), NONE)
+    assert early[0] == pytest.approx(SHORT_HEAD.motion(np.array([1.0]), NONE)[0][0])
+
+
+def test_text_in_a_profile(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t,x,y,z\n0,one,0,0\n5,two,0,0\n")
+    with pytest.raises(DataError, match="column 'x' does not hold numbers"):
+        read_profile(path, ("t", "s"), (("x", "y", "z"), "g"))
