@@ -44,16 +44,16 @@ def tests_of(room: str, *names: str) -> list[str]:
 
 EQUATIONS = ["tests/docs/test_equations.py"]
 MOTION = [
-    *tests_of("kernels", "motion_kernels"),
-    *tests_of("instrument", "closed_form", "borders"),
+    *tests_of("_kernels", "step", "arithmetic"),
+    *tests_of("instrument", "closed_form", "motion_input_forms"),
     *EQUATIONS,
 ]
 SAMPLES = [
     *MOTION,
-    *tests_of("instrument", "sensitivity", "step_sizes", "short_records", "input_forms", "sampled_motion"),
+    *tests_of("instrument", "sampled_motion_sensitivities", "motion_input_forms", "sampled_motion"),
 ]
-ANALYSIS = [*tests_of("instrument", "regimes", "closed_form", "borders"), *EQUATIONS]
-TWIN = tests_of("instrument", "twin_linear", "twin", "borders")
+ANALYSIS = [*tests_of("instrument", "regimes", "closed_form", "motion_input_forms"), *EQUATIONS]
+TWIN = tests_of("instrument", "linear", "twin")
 SUMS = [*tests_of("calibration", "kernels", "reduction"), *EQUATIONS, *tests_of("calibration", "interpreted")]
 FIT = tests_of("calibration", "interpreted", "small_parts", "calibrate", "small_requests", "model_choice")
 JOINT = tests_of("calibration", "small_joint", "joint")
@@ -61,7 +61,7 @@ UNCERTAINTY = tests_of("calibration", "small_parts", "uncertainty", "calibrate",
 COUNTED = tests_of("calibration", "stretches", "small_parts", "uncertainty", "shipped_record")
 PLANS = [
     *tests_of("calibration", "small_parts", "small_requests"),
-    *tests_of("planning", "small_plans", "plan"),
+    *tests_of("planning", "plan_closed_forms", "plan"),
 ]
 TREND = [*tests_of("calibration", "small_parts"), *tests_of("trend", "trend_line", "history")]
 CHOICE = tests_of("calibration", "small_parts", "model_choice")
@@ -81,9 +81,9 @@ SETS = tests_of("compensation", "triad", "set_compensator_corners", "published_c
 PHASES = tests_of("compensation", "phase_and_resample")
 GEOMETRY = tests_of("platform", "geometry", "simulate")
 PLATFORM = [*GEOMETRY, *tests_of("platform", "scenario", "navigator")]
-ERRORS = tests_of("platform", "error_model", "navigator", "models")
-IDENTIFIED = tests_of("platform", "identify", "alignment", "intervals")
-TRIADS = tests_of("platform", "triad", "simulate")
+ERRORS = tests_of("platform", "budget", "navigator", "models")
+IDENTIFIED = tests_of("platform", "identify", "alignment", "identify_intervals")
+TRIADS = tests_of("platform", "capstone", "simulate")
 CALIBRATION = {
     "calibration/remarks/advice": tests_of("calibration", "advice"),
     "calibration/allan": tests_of("calibration", "allan", "drift"),
@@ -116,11 +116,8 @@ CALIBRATION = {
 }
 INSTRUMENT = {
     "instrument/motion/closed_form instrument/regimes": [*MOTION, *ANALYSIS],
-    "instrument/twin/electronics": tests_of("instrument", "electronics", "borders"),
-    "instrument/motion/function_input instrument/motion/sampled_motion": [
-        *SAMPLES,
-        *tests_of("instrument", "fleet"),
-    ],
+    "instrument/twin/electronics": tests_of("instrument", "electronics"),
+    "instrument/motion/function_input instrument/motion/sampled_motion": SAMPLES,
     "instrument/twin/run instrument/twin/linear instrument/twin/parameters": TWIN,
 }
 COMPENSATION = {
@@ -153,9 +150,9 @@ KERNELS = {
     "_kernels/estimation/regressors _kernels/estimation/square_root": SUMS,
     "_kernels/motion/function_motion": SAMPLES,
     "_kernels/motion/step": SAMPLES,
-    "_kernels/motion/samples": [*SAMPLES, *tests_of("instrument", "fleet")],
+    "_kernels/motion/samples": SAMPLES,
     "_kernels/estimation/outliers": [
-        *tests_of("kernels", "outlier_scan"),
+        *tests_of("_kernels", "outliers"),
         *tests_of("calibration", "outliers"),
     ],
     "_kernels/platform/navigation": [*PLATFORM, *ERRORS],

@@ -1,8 +1,5 @@
 """An instrument, a stand and a scenario that the tests of simulated runs share."""
 
-import math
-
-from piga.earth import Site
 from piga.instrument import Instrument
 from piga.instrument.twin.electronics import Electronics
 from piga.stand import (
@@ -10,8 +7,8 @@ from piga.stand import (
     read_run,
 )
 from piga.stand.write_run import coefficients, run_file_text, write_data
+from tests.stand.stands import SITE
 
-SITE = Site(math.radians(40.0), gravity=9.80166)
 HEAD = DividingHead(SITE, (0.0, 1.0, 2.0, 4.0), dwell=20.0, move=5.0)
 INST = Instrument("0.8884 rad/s/g", "74 arcsec", 0.8)
 COUNTS = Electronics(sample_rate=10.0, zero=0.5)

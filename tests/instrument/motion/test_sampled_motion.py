@@ -1,7 +1,10 @@
-"""Motion under recorded input: order, exactness, agreement with independent integrators, bad input."""
+"""Motion under recorded input: order, exactness, independent integrators, short records, batches, bad input."""
+
+from __future__ import annotations
 
 import itertools
 import math
+import os
 import tracemalloc
 
 import numpy as np
@@ -12,11 +15,18 @@ from scipy.integrate import solve_ivp
 
 import piga
 from piga._kernels.motion.step import split_turns
-from piga.instrument import ErrorModel, Instrument, closed_form, propagate, propagate_rate
+from piga.instrument import (
+    ErrorModel,
+    Instrument,
+    closed_form,
+    propagate,
+    propagate_fleet,
+    propagate_increments,
+    propagate_rate,
+)
+from piga.instrument.motion.sampled_motion import available_cores
 from piga.units import G0
 from tests.instrument.references import EPS, constant_cases, linear_records
-
-pytestmark = pytest.mark.compiled
 
 INST = Instrument("0.8884 rad/s/g", "1 deg", 0.4)
 
@@ -45,6 +55,7 @@ def dop853(inst, t, f, *, error=lambda _t, _f, _alpha: 0.0, omega=None):
     return np.array(alpha)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("steps", [1, 16])
 def test_constant_input_is_exact_whatever_the_step(steps):
     for case in constant_cases():
@@ -57,6 +68,7 @@ def test_constant_input_is_exact_whatever_the_step(steps):
         assert abs(alpha - reference) < tolerance, case
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("record", range(4))
 def test_fourth_order_against_high_precision(record):
     inst, t, f, reference = linear_records()[record]
@@ -71,6 +83,7 @@ def test_fourth_order_against_high_precision(record):
     assert propagate(inst, fine, force)[::400] == pytest.approx(reference, abs=1e-12)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("seed", [1, 2])
 def test_agrees_with_dop853_with_base_rate(seed):
     rng = np.random.default_rng(seed)
@@ -85,12 +98,14 @@ def test_agrees_with_dop853_with_base_rate(seed):
     assert rate == pytest.approx(expected, abs=1e-14)
 
 
+@pytest.mark.compiled
 def test_constant_base_rate_may_be_given_once():
     t, f = np.linspace(0, 1, 5), np.ones((5, 3))
     once = propagate(INST, t, f, [1e-4, 2e-4, -3e-4])
     assert np.array_equal(once, propagate(INST, t, f, np.tile([1e-4, 2e-4, -3e-4], (5, 1))))
 
 
+@pytest.mark.compiled
 def test_error_model_against_dop853():
     model = ErrorModel(
         k0="2e-3 g", k1=1e-3, k2="2e-3 g/g^2", k3="1e-3 g/g^3", k2o="1e-3 g/g^2", m_Y=1e-3, m_Z=-2e-3,
@@ -121,6 +136,7 @@ def test_error_model_against_dop853():
     assert math.log2(errors[-3] / errors[-2]) == pytest.approx(4.0, abs=0.3)
 
 
+@pytest.mark.compiled
 def test_quadratic_terms_of_a_linear_input_are_averaged_exactly():
     """Without coupling alpha = K integral(e): one step over a whole ramp has the exact integral."""
     inst = Instrument("0.8884 rad/s/g")
@@ -130,6 +146,7 @@ def test_quadratic_terms_of_a_linear_input_are_averaged_exactly():
     assert alpha[-1] == pytest.approx(0.8884 * 2.0 * mean, abs=1e-14)
 
 
+@pytest.mark.compiled
 def test_turns_are_counted_through_steps_of_many_revolutions():
     inst = Instrument("0.8884 rad/s/g", "1000 arcsec", -100.0)
     t = np.arange(0.0, 5001.0, 100.0)
@@ -141,6 +158,7 @@ def test_turns_are_counted_through_steps_of_many_revolutions():
     assert abs(alpha[-1]) > 13000
 
 
+@pytest.mark.compiled
 def test_a_million_samples_do_not_lose_the_angle():
     if piga_jit_is_off():
         pytest.skip("a million samples in plain Python take minutes")
@@ -151,6 +169,7 @@ def test_a_million_samples_do_not_lose_the_angle():
     assert alpha[-1] == pytest.approx(reference, abs=2e-12)
 
 
+@pytest.mark.compiled
 def test_a_thousand_million_turns_before_leave_the_fraction_alone():
     start = 2.0**33  # rad; as a float64 the angle resolves 2e-6 rad here
     turns, rest = split_turns(start)
@@ -174,6 +193,7 @@ records = st.integers(2, 6).flatmap(
 )
 
 
+@pytest.mark.compiled
 @settings(max_examples=40, deadline=None)
 @given(records, st.floats(-4, 4))
 def test_time_reversal(force, alpha0):
@@ -185,6 +205,7 @@ def test_time_reversal(force, alpha0):
     assert back[::-1] == pytest.approx(alpha, abs=1e-12)
 
 
+@pytest.mark.compiled
 @settings(max_examples=40, deadline=None)
 @given(records, st.floats(-4, 4), st.floats(-4, 4))
 def test_mirror_and_rotation_of_the_transverse_frame(force, alpha0, turn):
@@ -198,6 +219,7 @@ def test_mirror_and_rotation_of_the_transverse_frame(force, alpha0, turn):
     assert turned - turn == pytest.approx(alpha, abs=1e-12)
 
 
+@pytest.mark.compiled
 @settings(max_examples=40, deadline=None)
 @given(records, st.floats(-4, 4), st.integers(1, 5))
 def test_composition(force, alpha0, cut):
@@ -209,11 +231,13 @@ def test_composition(force, alpha0, cut):
     assert rest == pytest.approx(whole[cut:], abs=1e-13)
 
 
+@pytest.mark.compiled
 def test_one_sample_and_zero_force():
     assert np.array_equal(propagate(INST, [3.0], [[1.0, 2.0, 3.0]]), [0.4])
     assert propagate(INST, [0.0, 1.0], np.zeros((2, 3))) == pytest.approx([0.4, 0.4], abs=1e-16)
 
 
+@pytest.mark.compiled
 @pytest.mark.only_compiled
 @pytest.mark.parametrize("with_rate", [False, True])
 def test_no_memory_is_taken_beside_the_output(with_rate):
@@ -227,6 +251,7 @@ def test_no_memory_is_taken_beside_the_output(with_rate):
     assert peak - np.asarray(result).nbytes < 100_000
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("t", "f", "kwargs", "message"),
     [
@@ -251,3 +276,129 @@ def test_no_memory_is_taken_beside_the_output(with_rate):
 def test_bad_input_is_named_with_its_index(t, f, kwargs, message):
     with pytest.raises(piga.ArgumentError, match=message):
         propagate(INST, t, f, **kwargs)
+
+
+SHORT = Instrument(0.0906, 0.3, 0.4)
+
+
+START, SLOPE = np.array([4.0, 20.0, -9.0]), np.array([3.0, -40.0, 70.0])
+
+
+def reference(t: np.ndarray) -> np.ndarray:
+    """Angle under the force ``START + SLOPE t`` by tight DOP853."""
+
+    def rate(time: float, alpha: np.ndarray) -> list[float]:
+        u = SHORT.scale_factor * (START + SLOPE * time)
+        return [u[0] + SHORT.tan_beta * (u[1] * np.sin(alpha[0]) - u[2] * np.cos(alpha[0]))]
+
+    return solve_ivp(rate, (t[0], t[-1]), [0.4], "DOP853", t, rtol=1e-13, atol=1e-14).y[0]
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("count", [2, 3, 4, 5])
+@pytest.mark.parametrize("even", [True, False])
+def test_increments_of_a_linear_force_lose_the_fifth_order_only(count: int, even: bool) -> None:
+    """Half the interval: a thirty-second of the error of a step, at the ends as inside."""
+    errors = []
+    for h in (0.08, 0.04, 0.02):
+        t = h * (np.arange(count + 1) + (0.0 if even else 0.2 * np.sin(np.arange(count + 1))))
+        dv = np.diff(START * t[:, None] + 0.5 * SLOPE * t[:, None] ** 2, axis=0)
+        errors.append(np.abs(propagate_increments(SHORT, t, dv) - reference(t)).max())
+    assert np.log2(errors[0] / errors[2]) / 2.0 > 4.5
+    assert errors[2] < 1e-8
+
+
+@pytest.mark.compiled
+def test_one_increment_is_a_constant_rate() -> None:
+    t, f = np.array([0.0, 0.05]), np.tile(START, (2, 1))
+    assert propagate_increments(SHORT, t, 0.05 * START[None, :]) == pytest.approx(
+        propagate(SHORT, t, f), abs=1e-15
+    )
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_samples_of_a_linear_force_lose_the_fifth_order_only(count: int) -> None:
+    errors = []
+    for h in (0.08, 0.04, 0.02):
+        t = h * np.arange(count + 1)
+        errors.append(np.abs(propagate(SHORT, t, START + SLOPE * t[:, None]) - reference(t)).max())
+    assert np.log2(errors[0] / errors[2]) / 2.0 > 4.5
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("h", [0.05, 0.7, 3.0, 20.0])
+def test_the_rate_is_that_of_the_angle_whatever_the_step(h: float) -> None:
+    """Steps of many turns are taken one by one: the rate at a sample must still be the one of its own angle."""
+    t = h * np.arange(12)
+    f = np.array([-30.0, 40.0, 3.0]) + np.sin(np.arange(12))[:, None]
+    alpha, rate = propagate(SHORT, t, f, with_rate=True)
+    u = SHORT.scale_factor * f
+    expected = u[:, 0] + SHORT.tan_beta * (u[:, 1] * np.sin(alpha) - u[:, 2] * np.cos(alpha))
+    assert rate == pytest.approx(expected, abs=1e-12 + 4.0 * np.spacing(np.abs(alpha).max()))
+
+
+RNG = np.random.default_rng(7)
+
+
+FLEET = [Instrument(0.09 + 0.001 * k, 0.01 * (k - 1), 0.5 * k) for k in range(3)]
+
+
+T = np.arange(400) * 0.02
+
+
+INPUTS = RNG.normal(0.0, 2 * G0, (3, T.size, 3))
+
+
+OMEGA = RNG.normal(0.0, 0.1, (3, T.size, 3))
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("workers", [None, 1, 3])
+def test_rows_are_single_runs_to_the_bit(workers):
+    shared = propagate_fleet(FLEET, T, INPUTS[0], workers=workers)
+    assert np.array_equal(shared, [propagate(inst, T, INPUTS[0]) for inst in FLEET])
+    inputs = propagate_fleet(FLEET[1], T, INPUTS, workers=workers)
+    assert np.array_equal(inputs, [propagate(FLEET[1], T, f) for f in INPUTS])
+    paired = propagate_fleet(FLEET, T, INPUTS, OMEGA, output="rate", workers=workers)
+    single = [propagate_rate(inst, T, f, w) for inst, f, w in zip(FLEET, INPUTS, OMEGA, strict=True)]
+    assert np.array_equal(paired, single)
+
+
+@pytest.mark.compiled
+def test_one_base_rate_for_all():
+    rows = propagate_fleet(FLEET, T, INPUTS[0], [1e-4, 0.0, 5e-5])
+    assert np.array_equal(rows[2], propagate(FLEET[2], T, INPUTS[0], [1e-4, 0.0, 5e-5]))
+    assert np.array_equal(propagate_fleet(FLEET[:1], T, INPUTS[0]), [propagate(FLEET[0], T, INPUTS[0])])
+
+
+@pytest.mark.compiled
+def test_faults_name_motion_and_index():
+    bad = INPUTS.copy()
+    bad[2, 5, 1] = math.nan
+    with pytest.raises(piga.ArgumentError, match=r"motion 2: f: nan at index \(5, 1\)"):
+        propagate_fleet(FLEET, T, bad)
+    with pytest.raises(piga.ArgumentError, match=r"do not match: .*'instruments': 2, 'f': 3"):
+        propagate_fleet(FLEET[:2], T, INPUTS)
+    with pytest.raises(piga.ArgumentError, match="do not match"):
+        propagate_fleet([], T, INPUTS[0])
+    with pytest.raises(piga.ArgumentError, match="output"):
+        propagate_fleet(FLEET, T, INPUTS[0], output="velocity")
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("scale", [0.01, 0.3])
+def test_rate_is_the_same_with_and_without_the_angle(scale):
+    """Small steps take the block path, large ones the step-by-step path."""
+    t = T * scale / 0.02
+    alpha, rate = propagate(FLEET[2], t, INPUTS[1], with_rate=True)
+    assert np.array_equal(rate, propagate_rate(FLEET[2], t, INPUTS[1]))
+    u = FLEET[2].scale_factor * INPUTS[1]
+    expected = u[:, 0] + FLEET[2].tan_beta * (u[:, 1] * np.sin(alpha) - u[:, 2] * np.cos(alpha))
+    assert rate == pytest.approx(expected, abs=1e-13)
+
+
+def test_cores_without_affinity(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: None)
+    assert available_cores() == 1

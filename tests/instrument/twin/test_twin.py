@@ -1,5 +1,7 @@
 """The servo twin against an independent rigid body, independent integrators, and what theory predicts."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import replace
 
@@ -24,9 +26,9 @@ from piga.instrument.twin.run import quasi_steady_state, run_twin, slow_manifold
 from piga.units import G0
 from tests.instrument.rigid_body import RICH, accelerations, solve
 
-pytestmark = pytest.mark.compiled
-
 SLOW_PYTHON = bool(numba.config.DISABLE_JIT)
+
+
 EXAMPLE = PRESETS["example"]
 
 
@@ -52,6 +54,7 @@ def revolutions(p, a_x, a_t, count, step=2e-3):
 # -- equations ------------------------------------------------------------------------------------
 
 
+@pytest.mark.compiled
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=40, deadline=None)
 def test_equations_are_those_of_a_rigid_body(seed):
@@ -67,6 +70,7 @@ def test_equations_are_those_of_a_rigid_body(seed):
     assert out[4] in (0.0, pytest.approx(state[1] - RICH.pick_off_null))
 
 
+@pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_steady_state_is_the_quasi_steady_equation_with_base_rate():
     """A stiff servo and a turning base: the mean motion obeys equation (2) of the theory."""
@@ -87,6 +91,7 @@ def test_steady_state_is_the_quasi_steady_equation_with_base_rate():
 # -- integration ----------------------------------------------------------------------------------
 
 
+@pytest.mark.compiled
 @pytest.mark.smoke
 def test_motion_agrees_with_the_independent_rigid_body():
     t = np.linspace(0.0, 0.05, 51)
@@ -104,6 +109,7 @@ def test_motion_agrees_with_the_independent_rigid_body():
     assert motion.beta[::10] == pytest.approx(truth[:, 1], abs=1e-12)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("method", ["DOP853", pytest.param("Radau", marks=pytest.mark.slow)])
 def test_ten_seconds_against_scipy(method):
     """1e-9 rad over 10 s, start-up transient and nutation included (0.3 s without compilation)."""
@@ -124,6 +130,7 @@ def test_ten_seconds_against_scipy(method):
     assert motion.local_error < 1e-9
 
 
+@pytest.mark.compiled
 @pytest.mark.slow
 def test_ten_seconds_against_the_independent_rigid_body():
     t = np.linspace(0.0, 10.0, 10001)
@@ -142,6 +149,7 @@ def test_ten_seconds_against_the_independent_rigid_body():
     assert np.max(np.abs(motion.alpha[::500] - truth[:, 0])) < 1e-9
 
 
+@pytest.mark.compiled
 def test_sampling_does_not_matter_for_linear_inputs():
     t = np.linspace(0.0, 0.2, 201)
     fine = run_twin(RICH, t, *ramp_inputs(t), start="transient")
@@ -149,6 +157,7 @@ def test_sampling_does_not_matter_for_linear_inputs():
     assert np.max(np.abs(fine.alpha[::50] - coarse.alpha)) < 1e-10
 
 
+@pytest.mark.compiled
 @pytest.mark.slow
 @pytest.mark.skipif(SLOW_PYTHON, reason="speed of compiled code")
 def test_ten_minutes_at_one_kilohertz_in_twenty_seconds():
@@ -164,6 +173,7 @@ def test_ten_minutes_at_one_kilohertz_in_twenty_seconds():
 # -- slow manifold ---------------------------------------------------------------------------------
 
 
+@pytest.mark.compiled
 def test_slow_manifold_has_no_transient():
     """Started on it, the tilt follows its slow ripple at once; started at null it rings first."""
     p = replace(EXAMPLE, alpha0=0.7)
@@ -174,6 +184,7 @@ def test_slow_manifold_has_no_transient():
     assert smooth.alpha[0] == 0.7
 
 
+@pytest.mark.compiled
 def test_transient_start_converges_to_the_manifold():
     p = replace(EXAMPLE.stiffened(2.0), alpha0=0.7)
     t, f, omega = constant((G0, 0.5 * G0, 0.0), 0.8, 1e-2)
@@ -183,6 +194,7 @@ def test_transient_start_converges_to_the_manifold():
     assert rough.rate[-1] == pytest.approx(state[2], abs=1e-7)
 
 
+@pytest.mark.compiled
 def test_first_guess_balances_torques():
     p = replace(EXAMPLE, outer_torque=1e-3)
     state = quasi_steady_state(p, 0.0, 0.5, (G0, 0.3 * G0, 0.0), (0.0, 0.0, 0.0))
@@ -196,6 +208,7 @@ def test_first_guess_balances_torques():
 # -- what theory predicts ----------------------------------------------------------------------------
 
 
+@pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_stiff_servo_goes_to_the_quasi_steady_model_with_first_order():
     """All gains times s: the difference to the quasi-steady angle falls as 1/s."""
@@ -211,6 +224,7 @@ def test_stiff_servo_goes_to_the_quasi_steady_model_with_first_order():
     assert order == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.compiled
 @pytest.mark.only_compiled
 @pytest.mark.parametrize("k_i", [600.0, 6000.0] if SLOW_PYTHON else np.geomspace(600.0, 6000.0, 5))
 def test_rectification_and_second_harmonic_over_a_decade_of_integral_gain(k_i):
@@ -229,6 +243,7 @@ def test_rectification_and_second_harmonic_over_a_decade_of_integral_gain(k_i):
     assert math.hypot(fit[3], fit[4]) == pytest.approx(predicted_second_harmonic(p, a_t, w), rel=0.03)
 
 
+@pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_proportional_stiffness_alone_gives_a_second_harmonic_and_no_shift():
     p = replace(EXAMPLE, integral_gain=0.0, proportional_gain=60.0)
@@ -242,6 +257,7 @@ def test_proportional_stiffness_alone_gives_a_second_harmonic_and_no_shift():
     assert abs(fit) == pytest.approx(amplitude, rel=0.05)
 
 
+@pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_coulomb_friction_shifts_beta_not_the_mean_rate():
     friction = 2e-3
@@ -258,6 +274,7 @@ def test_coulomb_friction_shifts_beta_not_the_mean_rate():
     assert np.mean(motion_2.beta[:500] - motion_3.beta[:500]) == pytest.approx(0.0, abs=1e-8)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     "design",
     [
@@ -281,6 +298,7 @@ def test_k2_comes_from_the_floats_inertia(design):
         )
 
 
+@pytest.mark.compiled
 def test_wheel_spins_up_and_hunts_by_definition():
     """``H (1 - (1 - s0) exp(-t/t_s)) (1 + h sin(2 pi f t + phi))`` and its derivative by a central difference."""
     p = replace(
@@ -296,6 +314,7 @@ def test_wheel_spins_up_and_hunts_by_definition():
         assert change == pytest.approx((defined(t + 1e-5) - defined(t - 1e-5)) / 2e-5, rel=1e-6)
 
 
+@pytest.mark.compiled
 def test_wheel_speed_changes_the_scale_factor():
     p = replace(EXAMPLE, spin_start=0.8, spin_time=0.1, hunting=1e-3, hunting_frequency=5.0)
     t, f, _ = constant((G0, 0.0, 0.0), 0.4, 1e-3)
@@ -305,6 +324,7 @@ def test_wheel_speed_changes_the_scale_factor():
     assert H[0] == pytest.approx(0.08)
 
 
+@pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_saturated_torque_motor_loses_lock_and_recovers():
     p = replace(EXAMPLE, torque_limit=0.03, pick_off_range=5e-3, stop_angle=0.02)
@@ -323,6 +343,7 @@ def test_saturated_torque_motor_loses_lock_and_recovers():
     assert abs(motion.beta[-1]) < 1e-5
 
 
+@pytest.mark.compiled
 def test_noise_is_held_and_disturbs():
     t, f, omega = constant((G0, 0.0, 0.0), 0.5)
     noise = np.zeros((t.size, 3))
@@ -334,18 +355,21 @@ def test_noise_is_held_and_disturbs():
 # -- parameters and errors ----------------------------------------------------------------------------
 
 
+@pytest.mark.compiled
 def test_every_parameter_says_what_it_is():
     for entry in parameter_table():
         assert {"symbol", "unit", "range", "meaning", "source"} <= set(entry.metadata)
     assert all("example" in name for name in PRESETS)
 
 
+@pytest.mark.compiled
 def test_parameters_from_text():
     p = twin_parameters({"preset": "example-stiff", "damping": "0.3 Nm s/rad", "hunting_frequency": "2 Hz"})
     assert (p.damping, p.hunting_frequency) == (0.3, 2.0)
     assert p.proportional_gain == PRESETS["example-stiff"].proportional_gain
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("values", "words"),
     [
@@ -361,6 +385,7 @@ def test_bad_parameters_are_named(values, words):
         twin_parameters(values)
 
 
+@pytest.mark.compiled
 def test_bad_inputs_are_named():
     t, f, omega = constant((G0, 0.0, 0.0), 0.01)
     with pytest.raises(ArgumentError, match="increasing"):
@@ -377,6 +402,7 @@ def test_bad_inputs_are_named():
         run_twin(EXAMPLE, t, f, start=[0.0, 1.0])
 
 
+@pytest.mark.compiled
 def test_unstable_design_has_no_manifold_but_can_be_forced():
     p = TwinParameters(proportional_gain=150.0)
     t, f, _ = constant((G0, G0, 0.0), 0.05)
@@ -385,9 +411,26 @@ def test_unstable_design_has_no_manifold_but_can_be_forced():
     assert np.all(np.isfinite(run_twin(p, t, f, start="transient").alpha))
 
 
+@pytest.mark.compiled
 @pytest.mark.skipif(SLOW_PYTHON, reason="a hundred thousand steps need compiled code")
 def test_motion_that_runs_away_ends_with_a_message():
     p = TwinParameters(proportional_gain=3e5, stop_stiffness=0.0)
     t, f, _ = constant((G0, G0, 0.0), 2.0, 1e-2)
     with pytest.raises(PigaError, match=r"cannot be followed beyond t = .* too fast"):
         run_twin(p, t, f, start="transient")
+
+
+def test_start_of_the_twin() -> None:
+    t, f = np.linspace(0.0, 0.01, 3), np.tile([G0, 0.0, 0.0], (3, 1))
+    with pytest.raises(ArgumentError, match="a state has 5 numbers"):
+        run_twin(PRESETS["example"], t, f, start=[0.0, 1.0])
+    given = run_twin(PRESETS["example"], t, f, start=[0.2, 0.0, 0.5, 0.0, 0.0])
+    assert (given.alpha[0], given.rate[0]) == (0.2, 0.5)
+
+
+def test_a_motion_too_fast_to_follow() -> None:
+    """A start of a million radians per second of tilt leaves the stops no chance."""
+    p = replace(PRESETS["example"], stop_angle=1e-3)
+    t, f = np.linspace(0.0, 10.0, 3), np.tile([G0, 0.0, 0.0], (3, 1))
+    with pytest.raises(PigaError, match="cannot be followed"):
+        run_twin(p, t, f, start=[0.0, 0.0, 1e12, 1e14, 0.0])

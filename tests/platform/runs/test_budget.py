@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from piga.platform import Alignment, error_budget, linear_errors, load_scenario, simulate
+<<<<<<< HEAD
 from piga.platform.budget import perturbed_errors, standard_sources
 from piga.platform.navigator import Perturbation
 from piga.platform.scenario import Place
+=======
+from piga.platform.model.scenario import Place
+from piga.platform.navigation.navigator import Perturbation
+from piga.platform.runs.budget import perturbed_errors, standard_sources
+>>>>>>> 8c9f0a9 (Tests of instrument and stand are with their modules)
 from tests.platform.conftest import DEG, INTERPRETED, published
 
 DURATION = 7200.0 if INTERPRETED else 86400.0

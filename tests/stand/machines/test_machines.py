@@ -24,12 +24,11 @@ from piga.stand import (
     force_change,
     sample_stand,
 )
-from piga.stand.imperfections import NONE, Imperfections
+from piga.stand.imperfections import NONE
 from piga.stand.machines import logged
 from piga.stand.machines.logged import read_profile
 from piga.stand.machines.turning import in_axes
 from piga.units import G0
-from tests.stand.simulated import SITE
 from tests.stand.stands import HEAD, SITE, SPIN
 
 STANDS = [

@@ -22,7 +22,6 @@ from piga.stand import (
 from piga.stand.imperfections import NONE
 from piga.stand.machines.turning import position_range, rates_for_levels
 from piga.units import ARCSEC, G0
-from tests.stand.simulated import SITE
 from tests.stand.stands import HEAD, SITE, SPIN, derivative
 
 

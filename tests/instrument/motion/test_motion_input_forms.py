@@ -1,12 +1,16 @@
 """Increments, constant segments and functions of time against exact and independent motion."""
 
+from __future__ import annotations
+
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import piga
+from piga.errors import ArgumentError
 from piga.instrument import (
     Instrument,
     closed_form,
@@ -19,9 +23,9 @@ from piga.units import G0
 from tests.instrument.motion.test_sampled_motion import dop853, refined
 from tests.instrument.references import constant_cases
 
-pytestmark = pytest.mark.compiled
-
 INST = Instrument("0.8884 rad/s/g", "1 deg", 0.4)
+
+
 W = 2 * math.pi * 0.7
 
 
@@ -55,6 +59,7 @@ def smooth():
     return t, run.y[0]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("uneven", [False, True])
 def test_increments_are_of_fourth_order(smooth, uneven):
     reference = smooth[1]
@@ -69,6 +74,7 @@ def test_increments_are_of_fourth_order(smooth, uneven):
     assert errors[-1] < 1e-8
 
 
+@pytest.mark.compiled
 def test_increments_of_a_long_record_join_at_block_limits(smooth):
     reference = smooth[1]
     grid = np.linspace(0.0, 4.0, 1001)
@@ -76,6 +82,7 @@ def test_increments_of_a_long_record_join_at_block_limits(smooth):
     assert alpha[::250] == pytest.approx(reference, abs=1e-11)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("n", [1, 2, 3, 300])
 def test_constant_increments_are_exact(n):
     t = np.cumsum(np.r_[0.0, np.random.default_rng(n).uniform(0.01, 0.3, n)])
@@ -85,6 +92,7 @@ def test_constant_increments_are_exact(n):
     assert propagate_increments(INST, t, dv, dtheta) == pytest.approx(reference, abs=1e-12)
 
 
+@pytest.mark.compiled
 def test_increments_count_turns_through_large_steps():
     t = np.arange(4.0) * 1000.0
     f = np.array([2 * G0, 5 * G0, G0])
@@ -92,6 +100,7 @@ def test_increments_count_turns_through_large_steps():
     assert alpha == pytest.approx(closed_form(INST, t, *f)[0], abs=1e-10)
 
 
+@pytest.mark.compiled
 def test_segments_are_exact_whatever_their_length():
     for case in constant_cases():
         if case.t < 0.0 or not case.same_tangent:
@@ -104,6 +113,7 @@ def test_segments_are_exact_whatever_their_length():
     assert cut == pytest.approx(whole, abs=2e-11)
 
 
+@pytest.mark.compiled
 def test_segments_agree_with_dop853_across_jumps():
     rng = np.random.default_rng(11)
     lengths, f = rng.uniform(0.5, 2.0, 6), rng.normal(0.0, 2 * G0, (6, 3))
@@ -124,6 +134,7 @@ def test_segments_agree_with_dop853_across_jumps():
         assert rate[k] == pytest.approx(expected, abs=1e-13)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-11])
 def test_function_reaches_its_tolerance(smooth, tolerance):
     t, reference = smooth
@@ -133,6 +144,7 @@ def test_function_reaches_its_tolerance(smooth, tolerance):
     assert one_by_one == pytest.approx(alpha, abs=1e-12)
 
 
+@pytest.mark.compiled
 def test_function_is_of_sixth_order(smooth):
     t, reference = smooth
     errors = [
@@ -142,6 +154,7 @@ def test_function_is_of_sixth_order(smooth):
     assert math.log2(errors[0] / errors[1]) == pytest.approx(6.0, abs=0.5)
 
 
+@pytest.mark.compiled
 def test_function_of_constant_force_is_exact_whatever_the_step():
     exact, _ = closed_form(INST, [0.0, 700.0], 0.3, 9.0, 2.0)
     alpha = propagate_function(INST, [0.0, 700.0], lambda _: (0.3, 9.0, 2.0), max_step=700.0)
@@ -149,6 +162,7 @@ def test_function_of_constant_force_is_exact_whatever_the_step():
     assert np.array_equal(propagate_function(INST, [3.0], lambda _: (0.3, 9.0, 2.0)), [INST.alpha0])
 
 
+@pytest.mark.compiled
 def test_function_with_base_rate_agrees_with_samples():
     t, f = np.array([0.0, 0.5, 1.0]), np.array([[1.0, 20.0, -3.0], [4.0, -10.0, 9.0], [7.0, -40.0, 21.0]])
     omega = 0.02 * f[:, ::-1]
@@ -165,6 +179,7 @@ def test_function_with_base_rate_agrees_with_samples():
         assert part[1] == pytest.approx(samples[k + 1], abs=1e-11)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -198,6 +213,7 @@ def test_bad_input_is_named(call, message):
         call()
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("jump", [0.1, 0.5, 0.500005, math.pi / 4, 0.99995])
 def test_function_passes_over_a_jump(jump):
     before, after = (0.0, 50.0, 0.0), (0.0, 0.0, 50.0)
@@ -206,12 +222,14 @@ def test_function_passes_over_a_jump(jump):
     assert alpha[1] == pytest.approx(exact[1], abs=1e-9)
 
 
+@pytest.mark.compiled
 def test_a_tolerance_that_noise_forbids_is_refused(monkeypatch):
     monkeypatch.setattr("piga.instrument.motion.function_input._MOST_EVALUATIONS", 30_000)
     with pytest.raises(piga.ArgumentError, match="cannot be reached at t = "):
         propagate_function(INST, [0.0, 1.0], lambda s: (0.0, 50.0 * math.sin(1e18 * s), 0.0), tolerance=1e-12)
 
 
+@pytest.mark.compiled
 def test_function_is_called_less_often_than_by_dop853(smooth):
     t, reference = smooth
     calls = 0
@@ -234,6 +252,7 @@ def test_function_is_called_less_often_than_by_dop853(smooth):
     assert ours < 0.5 * calls
 
 
+@pytest.mark.compiled
 def test_function_far_from_time_zero_is_not_halved_for_the_rounding_of_time():
     start = 1e6
     calls = 0
@@ -247,3 +266,27 @@ def test_function_far_from_time_zero_is_not_halved_for_the_rounding_of_time():
     near = propagate_function(INST, t - start, force, tolerance=1e-11, vectorized=True)
     assert propagate_function(INST, t, late, tolerance=1e-11, vectorized=True) == pytest.approx(near, abs=1e-9)
     assert calls <= 2 * 128 * 17
+
+
+CASE = Instrument("0.8884 rad/s/g", "74 arcsec", 0.3)
+
+
+def test_a_function_that_returns_no_numbers() -> None:
+    with pytest.raises(ArgumentError, match="f: does not return three numbers"):
+        propagate_function(CASE, [0.0, 1.0], lambda s: ["a", "b", "c"])
+    with pytest.raises(ArgumentError, match="which is not finite"):
+        propagate_function(CASE, [0.0, 1.0], lambda s: (math.nan, 0.0, 0.0))
+
+
+def test_segments_with_base_rate_are_closed_forms_one_after_the_other() -> None:
+    """All three components of the base rate, each as large as the coupling makes it count."""
+    force = G0 * np.array([[0.6, 2.0, -1.0], [0.3, -4.0, 2.0]])
+    turn = np.array([[0.02, -0.3, 0.5], [-0.01, 0.4, 0.2]])
+    alpha, rate = propagate_segments(CASE, [3.0, 5.0], force, turn)
+    middle, _ = closed_form(CASE, 3.0, *force[0], base_rate=turn[0])
+    last, speed = closed_form(replace(CASE, alpha0=float(middle)), 5.0, *force[1], base_rate=turn[1])
+    assert alpha == pytest.approx([float(middle), float(last)], abs=2e-15)
+    assert rate[1] == pytest.approx(float(speed), abs=1e-15)
+    u_x, u_Y, u_Z = CASE.scale_factor * force[1] - turn[1]
+    literal = u_x + CASE.tan_beta * (u_Y * math.sin(alpha[1]) - u_Z * math.cos(alpha[1]))
+    assert rate[1] == pytest.approx(literal, abs=1e-14)

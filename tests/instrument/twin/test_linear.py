@@ -1,14 +1,100 @@
-"""The servo's two terms against the rigid body that SciPy integrates, and their prediction from the servo's parameters."""
+"""Linear analysis of the servo loop, and the servo's two terms, against the kernel and the rigid body that SciPy integrates."""
+
+from __future__ import annotations
 
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from piga._kernels.motion import servo
 from piga.errors import ArgumentError
-from piga.instrument.twin.linear import ServoParameters, servo_terms
+from piga.instrument.twin.linear import (
+    ServoParameters,
+    UnstableDesignError,
+    analyse_loop,
+    loop_poles,
+    open_loop,
+    rate_response,
+    require_stable,
+    servo_terms,
+    step_response,
+    tilt_compliance,
+)
 from piga.instrument.twin.parameters import PRESETS
+from piga.instrument.twin.run import run_twin
+from piga.units import G0
 from tests.instrument.servo_truth import Design, G, mean_rate, waves
+
+
+def jacobian(p):
+    """Derivative of (beta', w', v', z') with respect to (beta, w, v, z), base at rest, no force."""
+    constants, matrix = p.constants(), np.zeros((4, 4))
+    for column in range(4):
+        for sign in (1.0, -1.0):
+            x, out = np.zeros(5), np.zeros(5)
+            x[1] = p.pick_off_null
+            x[column + 1] += sign * 1e-6
+            servo.derivative(constants, 0.0, x, servo.Inputs(*np.zeros(9), 0.0, 0.0, 0.0), out)
+            matrix[:, column] += sign * out[1:] / 2e-6
+    return matrix
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_poles_are_those_of_the_linearised_twin(name):
+    p = PRESETS[name]
+    own, kernel = np.sort_complex(loop_poles(p)), np.sort_complex(np.linalg.eigvals(jacobian(p)))
+    assert own == pytest.approx(kernel, rel=1e-5)
+
+
+def test_all_presets_are_stable_with_margin():
+    for p in PRESETS.values():
+        analysis = require_stable(p)
+        assert analysis.phase_margin > math.radians(35)
+        assert analysis.gain_margin > 2.0
+
+
+def test_nutation_of_the_theory_example():
+    p = PRESETS["example"]
+    assert p.nutation == pytest.approx(math.sqrt(2) * 1000.0)
+    analysis = analyse_loop(p)
+    assert analysis.nutation == pytest.approx(p.nutation, rel=0.1)
+    free = analyse_loop(replace(p, damping=1e-6, proportional_gain=1e-3, integral_gain=0.0))
+    assert free.nutation == pytest.approx(p.nutation, rel=1e-6)
+
+
+def test_margins_are_where_the_loop_becomes_unstable():
+    p = PRESETS["example"]
+    analysis = analyse_loop(p)
+    assert analyse_loop(p.stiffened(0.999 * analysis.gain_margin)).stable
+    assert not analyse_loop(p.stiffened(1.001 * analysis.gain_margin)).stable
+    assert abs(open_loop(p, [analysis.crossover])[0]) == pytest.approx(1.0, rel=1e-4)
+    assert abs(rate_response(p, [analysis.bandwidth])[0]) == pytest.approx(math.sqrt(0.5), rel=1e-3)
+
+
+def test_step_response_is_that_of_the_twin():
+    p = PRESETS["example"]
+    t = np.linspace(0.0, 0.05, 101)
+    small = 1e-4 * G0
+    motion = run_twin(p, t, np.tile([small, 0.0, 0.0], (t.size, 1)), start="transient")
+    assert motion.rate / (p.K * small) == pytest.approx(step_response(p, t), abs=1e-4)
+
+
+def test_compliance_goes_to_its_limits():
+    p = PRESETS["example-stiff"]
+    assert tilt_compliance(p, [1e-3])[0] == pytest.approx(1e-3j / p.integral_gain, rel=1e-3)
+    loose = replace(p, integral_gain=0.0)
+    assert tilt_compliance(loose, [1e-3])[0] == pytest.approx(1.0 / p.proportional_gain, rel=1e-3)
+
+
+def test_unstable_design_is_refused_with_reason():
+    with pytest.raises(
+        UnstableDesignError, match=r"unstable: closed-loop pole .*oscillating at .* Hz"
+    ) as caught:
+        require_stable(replace(PRESETS["example"], proportional_gain=300.0))
+    assert "lower the gains" in str(caught.value)
+
 
 CASE = Design(K=0.8884 / G)
 """The reference case of the theory page."""
@@ -103,3 +189,17 @@ def test_next_order_changes_the_coupling_with_the_cube_of_the_rate():
         sine = waves(CASE, (level * G, G, 0.0))[1] / (CASE.K * G)
         assert sine == pytest.approx((CASE.J_y * CASE.k_i - CASE.c * CASE.k_p) / CASE.k_i**2 * w**3, rel=5e-3)
         assert abs(sine) == pytest.approx(CASE.c * CASE.k_p / CASE.k_i**2 * abs(w) ** 3, rel=0.12)
+
+
+def test_a_loop_that_never_crosses_has_all_margins() -> None:
+    weak = replace(
+        PRESETS["example"],
+        proportional_gain=1e-9,
+        integral_gain=0.0,
+        rate_gain=0.0,
+        restoring=1.0,
+        viscous_friction=1e-3,
+    )
+    loop = analyse_loop(weak)
+    assert loop.phase_margin == math.inf
+    assert loop.crossover == 0.0
