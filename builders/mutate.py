@@ -81,9 +81,9 @@ SETS = tests_of("compensation", "triad", "set_compensator_corners", "published_c
 PHASES = tests_of("compensation", "phase_and_resample")
 GEOMETRY = tests_of("platform", "geometry", "simulate")
 PLATFORM = [*GEOMETRY, *tests_of("platform", "scenario", "navigator")]
-ERRORS = tests_of("platform", "budget", "navigator", "models")
+ERRORS = tests_of("platform", "budget", "navigator", "navigator_models")
 IDENTIFIED = tests_of("platform", "identify", "alignment", "identify_intervals")
-TRIADS = tests_of("platform", "capstone", "simulate")
+TRIADS = tests_of("platform", "chain", "simulate")
 CALIBRATION = {
     "calibration/remarks/advice": tests_of("calibration", "advice"),
     "calibration/allan": tests_of("calibration", "allan", "drift"),

@@ -11,7 +11,7 @@ from piga.errors import PigaError
 from piga.platform import load_scenario
 from tests.platform.conftest import ARCMIN, ARCSEC, DEG
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 LEAST = '[site]\nlatitude = "40 deg"\n[run]\nduration = "1 h"\n'
 
 

@@ -1,20 +1,20 @@
-"""Three gyro accelerometers on the platform: solved together, and the capstone."""
+"""Three gyro accelerometers on the platform, solved together; the capstone; the drift that the navigator is told."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from piga._kernels.platform.motion import solve_triad
 from piga.errors import ArgumentError
-from piga.platform.chain import capstone
+from piga.platform import Alignment, load_scenario
+from piga.platform.chain import _drift, capstone
 from piga.platform.scenario import Compensation, Gyro, PigaSensors, Sensors
 from piga.platform.simulate import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments
 from tests.platform.conftest import DEG, only_compiled, published
-
-pytestmark = pytest.mark.compiled
 
 PIGA = PigaSensors(0.8884 / 9.80665, 3.6e-4, mounting="skewed", cone=TRIPOD)
 
@@ -26,6 +26,7 @@ def _sweep(n=400, step=1.0):
     return t, force
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("mounting", [{"mounting": "orthogonal"}, {"cone": TRIPOD}, {"cone": 0.5}])
 @pytest.mark.parametrize("tan_beta", [3.6e-4, 5e-3])
 def test_the_solved_force_is_the_true_one(mounting, tan_beta):
@@ -39,6 +40,7 @@ def test_the_solved_force_is_the_true_one(mounting, tan_beta):
     assert np.abs(raw - mean).max() > 1.5 * tan_beta
 
 
+@pytest.mark.compiled
 def test_two_newton_steps_reach_the_end():
     """The averaged effective axes are the Jacobian to first order in tan(beta)."""
     t, force = _sweep(n=40)
@@ -52,6 +54,7 @@ def test_two_newton_steps_reach_the_end():
     assert np.abs(collected[0] - collected[1])[1:].max() < 2e-8
 
 
+@pytest.mark.compiled
 def test_mounting_axes_are_right_handed_triads():
     for sensors in (replace(PIGA, mounting="orthogonal"), PIGA, replace(PIGA, cone=0.4)):
         axes = mounting_axes(sensors)
@@ -65,6 +68,7 @@ def test_mounting_axes_are_right_handed_triads():
     )
 
 
+@pytest.mark.compiled
 def test_axes_within_the_latitude_of_the_pole_never_lock():
     angle = np.linspace(0.0, 2 * np.pi, 20001)
     gravity = 9.8 * np.stack(
@@ -85,6 +89,7 @@ def test_axes_within_the_latitude_of_the_pole_never_lock():
     assert share == pytest.approx(expected, rel=0.15)
 
 
+@pytest.mark.compiled
 def test_the_platforms_own_turn_is_read_and_known():
     t, force = _sweep()
     turn = np.tile([1e-6, -2e-6, 3e-6], (len(t) - 1, 1))
@@ -92,6 +97,7 @@ def test_the_platforms_own_turn_is_read_and_known():
     np.testing.assert_allclose(turned - still, -turn / PIGA.scale_factor, atol=3e-8)
 
 
+@pytest.mark.compiled
 def test_counting_loses_no_velocity():
     t, force = _sweep()
     counted = replace(PIGA, counts_per_revolution=72000.0)
@@ -102,6 +108,7 @@ def test_counting_loses_no_velocity():
     assert np.abs(np.cumsum(off, axis=0)).max() < 2.0 * 2 * np.pi / 72000 / PIGA.scale_factor
 
 
+@pytest.mark.compiled
 def test_a_step_too_long_is_refused():
     t, force = _sweep(n=20, step=3.0)
     with pytest.raises(ArgumentError, match="third of a turn"):
@@ -118,6 +125,7 @@ def _capstone_scenario(**changes):
     return published(**(values | changes))
 
 
+@pytest.mark.compiled
 @only_compiled
 def test_the_story_of_the_capstone():
     result = capstone(_capstone_scenario(duration=2 * 86400.0))
@@ -130,6 +138,7 @@ def test_the_story_of_the_capstone():
     assert result.outcomes["raw skewed"].locked_per_day.max() == 0.0
 
 
+@pytest.mark.compiled
 @only_compiled
 def test_a_passage_leaves_what_stationary_phase_says():
     """The starting angle is one for which the phase at the passage is near its worst."""
@@ -143,6 +152,36 @@ def test_a_passage_leaves_what_stationary_phase_says():
     assert p.lock_time > 20.0 * p.locked.sum() * step
 
 
+@pytest.mark.compiled
 def test_the_capstone_needs_gyro_accelerometers():
     with pytest.raises(ArgumentError, match="accelerometers = 'piga'"):
         capstone(published(duration=1200.0, step=4.0))
+
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def alignment(drift: tuple[float, ...] = (0.0, 0.0, 0.0), std: tuple[float, ...] = (1.0,) * 9) -> Alignment:
+    """An alignment at the place of the published case, with this drift and these standard uncertainties."""
+    place = load_scenario(EXAMPLES / "platform-published.toml").place
+    return Alignment(place, np.eye(3), np.array(drift), np.eye(3), np.diag(np.square(std)), {}, {}, 1.0)
+
+
+def test_the_drift_that_the_navigator_is_told() -> None:
+    """None, that of the alignment, or the true one of the triad: ``w1x, w1y, w2z/cos(eta) - w1x tan(eta)`` [He2014]."""
+    s = load_scenario(EXAMPLES / "platform-published.toml")
+    w1x, w1y, w2z, eta = 3e-8, -2e-8, 5e-8, 0.3
+    s = replace(
+        s,
+        polar=replace(s.polar, drift=(w1x, w1y)),
+        equatorial=replace(s.equatorial, drift=(7e-8, w2z)),
+        redundancy=eta,
+    )
+    aligned = alignment(drift=(1e-8, 2e-8, 3e-8))
+    told = {
+        kind: _drift(replace(s, compensation=replace(s.compensation, drift=kind)), aligned)
+        for kind in ("none", "aligned", "true")
+    }
+    assert told["none"].tolist() == [0.0, 0.0, 0.0]
+    assert told["aligned"].tolist() == [1e-8, 2e-8, 3e-8]
+    np.testing.assert_allclose(told["true"], [w1x, w1y, w2z / np.cos(eta) - w1x * np.tan(eta)], rtol=1e-14)

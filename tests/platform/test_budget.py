@@ -8,15 +8,9 @@ import numpy as np
 import pytest
 
 from piga.platform import Alignment, error_budget, linear_errors, load_scenario, simulate
-<<<<<<< HEAD
 from piga.platform.budget import perturbed_errors, standard_sources
 from piga.platform.navigator import Perturbation
 from piga.platform.scenario import Place
-=======
-from piga.platform.model.scenario import Place
-from piga.platform.navigation.navigator import Perturbation
-from piga.platform.runs.budget import perturbed_errors, standard_sources
->>>>>>> 8c9f0a9 (Tests of instrument and stand are with their modules)
 from tests.platform.conftest import DEG, INTERPRETED, published
 
 DURATION = 7200.0 if INTERPRETED else 86400.0
@@ -77,7 +71,7 @@ def test_the_budget_lists_every_source_and_their_sum():
         assert row.difference < 0.01 * row.position_full
 
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def alignment(drift: tuple[float, ...] = (0.0, 0.0, 0.0), std: tuple[float, ...] = (1.0,) * 9) -> Alignment:

@@ -23,7 +23,7 @@ from piga.platform.observation import Tip, gimbals_of
 from piga.platform.scenario import Gyro, Harmonic
 from tests.platform.conftest import ARCMIN, DEG
 
-CASES = json.loads((Path(__file__).parents[1] / "data" / "geometry.json").read_text())["cases"]
+CASES = json.loads((Path(__file__).parent / "data" / "geometry.json").read_text())["cases"]
 
 pytestmark = pytest.mark.compiled
 
