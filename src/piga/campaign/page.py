@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from piga.reports.render.page import (
     Section,
     Table,
     TableColumn,
+    TableOf,
     Text,
     Tile,
     Tone,
@@ -185,37 +187,34 @@ def _intervals(judged: list[GroupResult]) -> list[Block]:
 
 
 def _interval_table(result: GroupResult) -> Table:
-    columns = (
-        TableColumn("Coefficient", align="text"),
-        TableColumn("Unit", align="text"),
-        TableColumn("Tests"),
-        TableColumn("Coverage", "%"),
-        TableColumn("Spread of errors"),
-        TableColumn("Mean error"),
-        TableColumn("Bias / sigma"),
-        TableColumn("Variance / bound"),
-        TableColumn("NEES (expected)"),
-        TableColumn("Largest error", "u"),
-    )
-    rows = [
-        (
-            c.name,
-            _unit(c),
-            str(c.tests),
-            Cell(_with_error(c), _tone(c)),
-            _number(c, c.spread),
-            _number(c, c.bias),
-            "–" if c.bias_over_sigma is None else printed(signed(c.bias_over_sigma, 3)),
-            "–" if c.variance_over_bound is None else f"{c.variance_over_bound:.2f}",
-            "–" if c.nees is None else f"{c.nees:.2f} ({c.nees_expected:.2f})",
-            "–" if c.largest_z is None else f"{c.largest_z:.1f}",
-        )
-        for c in result.coefficients
-    ]
     note = f"{result.records} records, {sum(result.failed.values())} failed."
     if result.nees is not None:
         note += f" NEES of all coefficients together: {result.nees:.3f}; expected {result.nees_expected:.3f}."
-    return Table(columns, tuple(rows), result.group.label, (note,))
+    return (
+        _coefficients("Coefficient", "Tests", result)
+        .number("Coverage", lambda c: Cell(_with_error(c), _tone(c)), "%")
+        .number("Spread of errors", lambda c: _number(c, c.spread))
+        .number("Mean error", lambda c: _number(c, c.bias))
+        .number("Bias / sigma", lambda c: _or_dash(c.bias_over_sigma, lambda x: printed(signed(x, 3))))
+        .number("Variance / bound", lambda c: _or_dash(c.variance_over_bound, "{:.2f}".format))
+        .number("NEES (expected)", lambda c: _or_dash(c.nees, lambda x: f"{x:.2f} ({c.nees_expected:.2f})"))
+        .number("Largest error", lambda c: _or_dash(c.largest_z, "{:.1f}".format), "u")
+        .table(result.group.label, (note,))
+    )
+
+
+def _coefficients(what: str, count: str, result: GroupResult) -> TableOf[CampaignCoefficient]:
+    """The begin of a table of coefficients: name, unit, and how many tests there are."""
+    return (
+        TableOf(result.coefficients)
+        .text(what, lambda c: c.name)
+        .text("Unit", _unit)
+        .number(count, lambda c: str(c.tests))
+    )
+
+
+def _or_dash(value: float | None, words: Callable[[float], str]) -> str:
+    return "–" if value is None else words(value)
 
 
 def _seen_table(results: list[GroupResult]) -> Table:
@@ -327,69 +326,32 @@ def _compared(results: list[GroupResult]) -> list[Block]:
             )
         else:
             counted = sorted(result.verdicts.items(), key=lambda item: -item[1])
-            rows = tuple((name, str(count)) for name, count in counted)
-            heads = (
-                TableColumn("Compared with the stored calibration", align="text"),
-                TableColumn("Records"),
-            )
-            notes = (
-                f"{result.records - sum(result.verdicts.values()) - sum(result.failed.values())} records are not in the store.",
-            )
-            blocks.append(Table(heads, rows, notes=notes))
-        columns = (
-            TableColumn("Coefficient", align="text"),
-            TableColumn("Unit", align="text"),
-            TableColumn("Records"),
-            TableColumn("Mean"),
-            TableColumn("Std"),
-            TableColumn("Mean change"),
-            TableColumn("Largest change", "u"),
-        )
+            unknown = result.records - sum(result.verdicts.values()) - sum(result.failed.values())
+            table = TableOf(counted).text("Compared with the stored calibration", lambda item: item[0])
+            table.number("Records", lambda item: str(item[1]))
+            blocks.append(table.table(notes=(f"{unknown} records are not in the store.",)))
         blocks.append(
-            Table(
-                columns,
-                tuple(
-                    (
-                        c.name,
-                        _unit(c),
-                        str(c.tests),
-                        _number(c, c.mean),
-                        _number(c, c.std),
-                        _number(c, c.bias),
-                        "–" if c.largest_z is None else printed(short(c.largest_z, 2)),
-                    )
-                    for c in result.coefficients
-                ),
-                "Coefficients, new less stored",
-            )
+            _coefficients("Coefficient", "Records", result)
+            .number("Mean", lambda c: _number(c, c.mean))
+            .number("Std", lambda c: _number(c, c.std))
+            .number("Mean change", lambda c: _number(c, c.bias))
+            .number("Largest change", lambda c: _or_dash(c.largest_z, lambda x: printed(short(x, 2))), "u")
+            .table("Coefficients, new less stored")
         )
     return blocks
 
 
 def _plain_tables(results: list[GroupResult]) -> list[Block]:
     """Quantities without truth, group by group."""
-    columns = (
-        TableColumn("Quantity", align="text"),
-        TableColumn("Unit", align="text"),
-        TableColumn("Records"),
-        TableColumn("Mean"),
-        TableColumn("Std"),
-        TableColumn("Lowest"),
-        TableColumn("Highest"),
-    )
-    blocks: list[Block] = []
-    for result in results[: SHOWN.groups]:
-        rows = tuple(
-            (
-                c.name,
-                _unit(c),
-                str(c.tests),
-                *(_number(c, v) for v in (c.mean, c.std, c.lowest, c.highest)),
-            )
-            for c in result.coefficients
-        )
-        note = f"{result.records} records, {sum(result.failed.values())} failed."
-        blocks.append(Table(columns, rows, result.group.label, (note,)))
+    blocks: list[Block] = [
+        _coefficients("Quantity", "Records", result)
+        .number("Mean", lambda c: _number(c, c.mean))
+        .number("Std", lambda c: _number(c, c.std))
+        .number("Lowest", lambda c: _number(c, c.lowest))
+        .number("Highest", lambda c: _number(c, c.highest))
+        .table(result.group.label, (f"{result.records} records, {sum(result.failed.values())} failed.",))
+        for result in results[: SHOWN.groups]
+    ]
     if len(results) > SHOWN.groups:
         blocks.append(Text(f"{len(results) - SHOWN.groups} more groups are in coefficients.csv."))
     return blocks
@@ -453,25 +415,25 @@ def _grid_figure(results: list[GroupResult], key: str, name: str) -> Figure:
 
 
 def _worst_table(collected: Collected) -> Table:
-    columns = (
-        TableColumn("Group", align="text"),
-        TableColumn("Coefficient", align="text"),
-        TableColumn("Error", "u"),
-        TableColumn("Repeat it with", align="text"),
+    return (
+        TableOf(collected.worst)
+        .text("Group", lambda w: w.group)
+        .text("Coefficient", lambda w: w.coefficient)
+        .number("Error", lambda w: printed(signed(w.z, 1)), "u")
+        .text("Repeat it with", lambda w: w.command)
+        .table("The largest errors over their standard uncertainties")
     )
-    rows = tuple((w.group, w.coefficient, printed(signed(w.z, 1)), w.command) for w in collected.worst)
-    return Table(columns, rows, "The largest errors over their standard uncertainties")
 
 
 def _failure_table(collected: Collected) -> Table:
-    columns = (
-        TableColumn("Class", align="text"),
-        TableColumn("Records"),
-        TableColumn("First message", align="text"),
-        TableColumn("Repeat it with", align="text"),
+    return (
+        TableOf(collected.failures)
+        .text("Class", lambda f: f.error_class)
+        .number("Records", lambda f: str(f.records))
+        .text("First message", lambda f: f.message[:300])
+        .text("Repeat it with", lambda f: f.command)
+        .table("A record that fails is a row; the campaign goes on.")
     )
-    rows = tuple((f.error_class, str(f.records), f.message[:300], f.command) for f in collected.failures)
-    return Table(columns, rows, "A record that fails is a row; the campaign goes on.")
 
 
 # --- text --------------------------------------------------------------------------------------------

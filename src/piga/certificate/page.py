@@ -26,7 +26,7 @@ from piga.reports.calibration.tables import (
     sentence,
 )
 from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, significant
-from piga.reports.render.page import Table, TableColumn, resource, template
+from piga.reports.render.page import Table, TableColumn, TableOf, resource, template
 
 _ACROSS = 5
 """Most coefficients side by side in a table of the certificate."""
@@ -155,13 +155,13 @@ def _method(data: CertificateFile) -> _Part:
 
 
 def _conditions_table(data: CertificateFile) -> Table:
-    columns = (
-        TableColumn("Condition", align="text"),
-        TableColumn("Value"),
-        TableColumn("Expanded uncertainty (k = 2)"),
+    return (
+        TableOf(data.environment)
+        .text("Condition", lambda c: c.name)
+        .number("Value", lambda c: _quantity(c.value))
+        .number("Expanded uncertainty (k = 2)", lambda c: _quantity(c.uncertainty) or "–")
+        .table()
     )
-    rows = tuple((c.name, _quantity(c.value), _quantity(c.uncertainty) or "–") for c in data.environment)
-    return Table(columns, rows)
 
 
 def _quantity(text: str) -> str:
@@ -171,12 +171,14 @@ def _quantity(text: str) -> str:
 
 
 def _standards_table(data: CertificateFile) -> Table:
-    headings = ("Standard", "Realises", "Identification", "Certificate")
-    rows = tuple(
-        (s.name, s.realises or "–", s.identification or "–", s.certificate or "–")
-        for s in data.traceability.standard
+    return (
+        TableOf(data.traceability.standard)
+        .text("Standard", lambda s: s.name)
+        .text("Realises", lambda s: s.realises or "–")
+        .text("Identification", lambda s: s.identification or "–")
+        .text("Certificate", lambda s: s.certificate or "–")
+        .table()
     )
-    return Table(tuple(TableColumn(heading, align="text") for heading in headings), rows)
 
 
 def _results(calibration: Calibration, before: Calibration | None) -> _Part:
@@ -233,28 +235,11 @@ def _result_row(c: Coefficient) -> tuple[str, ...]:
     scale, unit = shown_unit(c.name, c.unit)
     value, wide = c.value * scale, c.expanded * scale
     number = rounded(value, wide)
+    head = (c.name, meaning_of(c.name), printed(number.value))
     if c.std == 0.0:
-        return (
-            c.name,
-            meaning_of(c.name),
-            printed(number.value),
-            "given",
-            pretty_unit(unit) or "1",
-            "–",
-            "–",
-            "–",
-        )
-    share = relative(value, wide)
-    return (
-        c.name,
-        meaning_of(c.name),
-        printed(number.value),
-        printed(number.uncertainty),
-        pretty_unit(unit) or "1",
-        share,
-        freedom(c),
-        factor(c),
-    )
+        return (*head, "given", pretty_unit(unit) or "1", "–", "–", "–")
+    shown = (printed(number.uncertainty), pretty_unit(unit) or "1", relative(value, wide))
+    return (*head, *shown, freedom(c), factor(c))
 
 
 def _conformity_table(conformity: tuple[Conformity, ...]) -> Table:

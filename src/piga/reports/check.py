@@ -21,10 +21,10 @@ from piga.reports.render.page import (
     Notice,
     Page,
     Section,
-    Table,
-    TableColumn,
+    TableOf,
     Text,
     Tile,
+    named_values,
     write_page,
 )
 from piga.units import G0
@@ -97,23 +97,16 @@ def check_page(run: Run) -> Page:
         Tile("Segments", f"{len(run.labels)}", "", calibration_words(run), ""),
         Tile("Recorded", f"{run.duration:.6g}", "s", f"{int(run.begins.sum())} stretches", ""),
     )
-    rows = tuple(
-        (event.kind, str(event.count), "" if event.first_row is None else str(event.first_row), event.detail)
-        for event in quality.events
+    table = (
+        TableOf(quality.events)
+        .text("finding", lambda event: event.kind)
+        .number("count", lambda event: str(event.count))
+        .number("first row", lambda event: "" if event.first_row is None else str(event.first_row))
+        .text("what is done", lambda event: event.detail)
+        .table("All findings")
     )
-    columns = (
-        TableColumn("finding", align="text"),
-        TableColumn("count"),
-        TableColumn("first row"),
-        TableColumn("what is done", align="text"),
-    )
-    findings = Table(columns, rows, "All findings") if rows else Notice("good", "Nothing was found.")
-    digests = Table(
-        (TableColumn("file", align="text"), TableColumn("SHA-256", align="text")),
-        tuple(run.input_sha256.items()),
-        "Files",
-        code=True,
-    )
+    findings = table if quality.events else Notice("good", "Nothing was found.")
+    digests = named_values("file", "SHA-256", run.input_sha256, "Files", code=True)
     return Page(
         f"Record of {run.serial}",
         Path(run.source).name,

@@ -6,13 +6,14 @@ Methods of results call these functions by name (:mod:`piga.results`). Each kind
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from piga.errors import ArgumentError, CalibrationError
 from piga.output import write_whole
 from piga.reports.render.figure import Figure
-from piga.reports.render.page import Card, Table, TableColumn, card_html, write_page
+from piga.reports.render.page import Card, Table, TableOf, card_html, named_values, write_page
 
 MOST_ROWS = 40
 """Rows of a table in a notebook."""
@@ -50,12 +51,21 @@ def figure_of(result: Any, name: str = "") -> Figure:
     return FIGURES[type(result).__name__](result, name)
 
 
+def _of(module: str, name: str, *more: Any) -> Callable[..., Any]:
+    """A function of a report, imported when it is called; ``more`` are its further arguments."""
+
+    def call(result: Any) -> Any:
+        return getattr(import_module(f"piga.reports.{module}"), name)(result, *more)
+
+    return call
+
+
 # -- cards ---------------------------------------------------------------------------------------------
 
 
 def facts_of(rows: list[tuple[str, str]]) -> Table:
     """Names and values as a table."""
-    return Table((TableColumn("", align="text"), TableColumn("", align="text")), tuple(rows[:MOST_ROWS]))
+    return named_values("", "", rows[:MOST_ROWS])
 
 
 def _plain_card(result: Any) -> Card:
@@ -93,15 +103,15 @@ def _coefficient(c: Any) -> Card:
 def _budget(budget: Any) -> Card:
     from piga.reports.calibration.tables import source_in_words
 
-    rows = tuple(
-        (source_in_words(entry.source), entry.type, entry.distribution, str(len(entry.contributions)))
-        for entry in budget
+    table = (
+        TableOf(list(budget)[:MOST_ROWS])
+        .text("Source", lambda entry: source_in_words(entry.source))
+        .text("Type", lambda entry: entry.type)
+        .text("Distribution", lambda entry: entry.distribution)
+        .number("Coefficients", lambda entry: str(len(entry.contributions)))
+        .table()
     )
-    heads = (
-        *(TableColumn(name, align="text") for name in ("Source", "Type", "Distribution")),
-        TableColumn("Coefficients"),
-    )
-    return Card("Uncertainty budget", tables=(Table(heads, rows[:MOST_ROWS]),))
+    return Card("Uncertainty budget", tables=(table,))
 
 
 def _run(run: Any) -> Card:
@@ -165,56 +175,14 @@ CARDS: dict[str, Callable[[Any], Card]] = {
 # -- summaries and pages -------------------------------------------------------------------------------
 
 
-def _text_of_calibration(cal: Any) -> str:
-    from piga.reports.calibration.page import calibration_text
-
-    return calibration_text(cal)
-
-
-def _text_of_run(run: Any) -> str:
-    from piga.reports.check import check_text
-
-    return check_text(run)
-
-
-def _text_of_plan(plan: Any) -> str:
-    from piga.reports.planning import plan_text
-
-    return plan_text(plan, None)
-
-
-def _text_of_trend(trend: Any) -> str:
-    from piga.reports.trend import trend_text
-
-    return trend_text(trend)
-
-
-def _text_of_simulation(test: Any) -> str:
-    from piga.reports.stand import simulation_text
-
-    return simulation_text(test)
-
-
 SUMMARIES: dict[str, Callable[[Any], str]] = {
-    "Calibration": _text_of_calibration,
-    "Run": _text_of_run,
-    "Plan": _text_of_plan,
-    "Trend": _text_of_trend,
-    "SimulatedTest": _text_of_simulation,
+    "Calibration": _of("calibration.page", "calibration_text"),
+    "Run": _of("check", "check_text"),
+    "Plan": _of("planning", "plan_text", None),
+    "Trend": _of("trend", "trend_text"),
+    "SimulatedTest": _of("stand", "simulation_text"),
     "Compensated": lambda result: "\n".join(f"{name}: {text}" for name, text in result.in_brief()),
 }
-
-
-def _page_of_calibration(cal: Any, path: Path) -> object:
-    from piga.reports.calibration.page import write_calibration_report
-
-    return write_calibration_report(cal, path)
-
-
-def _page_of_run(run: Any, path: Path) -> object:
-    from piga.reports.check import write_check
-
-    return write_check(run, path)
 
 
 def _page_of_compensation(result: Any, path: Path) -> object:
@@ -229,31 +197,18 @@ def _page_of_compensation(result: Any, path: Path) -> object:
     return write_compensation_report(_outline(result), facts, path, (run, result))
 
 
-def _page_of_plan(plan: Any, path: Path) -> object:
-    from piga.reports.planning import plan_page
-
-    return write_page(plan_page(plan, None), path)
-
-
-def _page_of_trend(trend: Any, path: Path) -> object:
-    from piga.reports.trend import write_trend_report
-
-    return write_trend_report(trend, path)
-
-
-def _page_of_simulation(test: Any, path: Path) -> object:
-    from piga.reports.stand import simulation_page
-
-    return write_page(simulation_page(test, "simulated"), path)
+def _page(page: Callable[..., Any]) -> Callable[[Any, Path], object]:
+    """Writes the page that ``page`` makes of a result."""
+    return lambda result, path: write_page(page(result), path)
 
 
 REPORTS: dict[str, Callable[[Any, Path], object]] = {
-    "Calibration": _page_of_calibration,
-    "Run": _page_of_run,
+    "Calibration": _page(_of("calibration.page", "calibration_page")),
+    "Run": _page(_of("check", "check_page")),
     "Compensated": _page_of_compensation,
-    "Plan": _page_of_plan,
-    "Trend": _page_of_trend,
-    "SimulatedTest": _page_of_simulation,
+    "Plan": _page(_of("planning", "plan_page", None)),
+    "Trend": _page(_of("trend", "trend_page")),
+    "SimulatedTest": _page(_of("stand", "simulation_page", "simulated")),
 }
 
 
@@ -320,12 +275,6 @@ def calibration_figure(cal: Any, name: str) -> Figure:
     return figure
 
 
-def _run_figure(run: Any, _: str) -> Figure:
-    from piga.reports.check import record_figure
-
-    return record_figure(run)
-
-
 def _residual_figure(residuals: Any, _: str) -> Figure:
     from piga.reports.calibration.figures import residual_figure
     from piga.reports.render.decimate import outline
@@ -337,12 +286,6 @@ def _compensated_figure(result: Any, _: str) -> Figure:
     from piga.reports.compensation.figures import force_figure, plain_force_figure
 
     return plain_force_figure(result) if result.made_from is None else force_figure(_outline(result))
-
-
-def _set_figure(result: Any, _: str) -> Figure:
-    from piga.reports.compensation.figures import plain_set_figure
-
-    return plain_set_figure(result)
 
 
 def _plan_figure(plan: Any, name: str) -> Figure:
@@ -359,26 +302,10 @@ def _trend_figure(trend: Any, name: str) -> Figure:
     return trend_figure(trend, trend[name or trend.coefficients[0].key], None)
 
 
-def _allan_figure(deviation: Any, _: str) -> Figure:
-    from piga.reports.calibration.figures import deviation_figure
-
-    return deviation_figure(deviation)
-
-
-def _simulation_figure(test: Any, _: str) -> Figure:
-    from piga.reports.stand import stand_figure
-
-    return stand_figure(test)
-
-
-def _platform_figure(function: str) -> Callable[[Any, str], Figure]:
-    def figure(result: Any, _: str) -> Figure:
-        from piga.reports.platform import figures as drawn
-
-        made: Figure = getattr(drawn, function)(result)
-        return made
-
-    return figure
+def _drawn_by(module: str, function: str) -> Callable[[Any, str], Figure]:
+    """The one figure of a result, by a function of a report."""
+    draw = _of(module, function)
+    return lambda result, _: draw(result)
 
 
 def _identification_figure(identification: Any, _: str) -> Figure:
@@ -393,16 +320,16 @@ def _identification_figure(identification: Any, _: str) -> Figure:
 
 FIGURES: dict[str, Callable[[Any, str], Figure]] = {
     "Calibration": calibration_figure,
-    "Run": _run_figure,
+    "Run": _drawn_by("check", "record_figure"),
     "Residuals": _residual_figure,
     "Compensated": _compensated_figure,
-    "CompensatedSet": _set_figure,
+    "CompensatedSet": _drawn_by("compensation.figures", "plain_set_figure"),
     "Plan": _plan_figure,
     "Trend": _trend_figure,
-    "AllanDeviation": _allan_figure,
-    "SimulatedTest": _simulation_figure,
-    "PlatformRun": _platform_figure("readouts_figure"),
+    "AllanDeviation": _drawn_by("calibration.figures", "deviation_figure"),
+    "SimulatedTest": _drawn_by("stand", "stand_figure"),
+    "PlatformRun": _drawn_by("platform.figures", "readouts_figure"),
     "Identification": _identification_figure,
-    "ModelComparisonRun": _platform_figure("lines_figure"),
-    "Capstone": _platform_figure("capstone_figure"),
+    "ModelComparisonRun": _drawn_by("platform.figures", "lines_figure"),
+    "Capstone": _drawn_by("platform.figures", "capstone_figure"),
 }

@@ -24,7 +24,7 @@ from piga.reports.render.page import (
     Page,
     Section,
     Table,
-    TableColumn,
+    TableOf,
     Text,
     Tile,
     write_page,
@@ -390,24 +390,16 @@ def _servo_section(test: SimulatedTest, figures: dict[str, Figure]) -> Section:
 
 
 def _design_section(p: TwinParameters) -> Section:
-    columns = (
-        TableColumn("parameter", align="text"),
-        TableColumn("symbol", align="text"),
-        TableColumn("value"),
-        TableColumn("unit", align="text"),
-        TableColumn("plausible range"),
-        TableColumn("source of the default", align="text"),
+    table = (
+        TableOf(parameter_table())
+        .text("parameter", lambda entry: entry.metadata["meaning"])
+        .text("symbol", lambda entry: entry.metadata["symbol"])
+        .number("value", lambda entry: _number(getattr(p, entry.name)))
+        .text("unit", lambda entry: pretty_unit(entry.metadata["unit"]))
+        .number("plausible range", lambda entry: " to ".join(_number(end) for end in entry.metadata["range"]))
+        .text("source of the default", lambda entry: entry.metadata["source"])
+        .table("Parameters of the twin. Example values describe no real instrument.")
     )
-    rows = []
-    for entry in parameter_table():
-        about = entry.metadata
-        low, high = about["range"]
-        span = f"{_number(low)} to {_number(high)}"
-        value = _number(getattr(p, entry.name))
-        rows.append(
-            (about["meaning"], about["symbol"], value, pretty_unit(about["unit"]), span, about["source"])
-        )
-    table = Table(columns, tuple(rows), "Parameters of the twin. Example values describe no real instrument.")
     return Section("The design", "the-design", (table,))
 
 
@@ -425,22 +417,15 @@ def _name(value: TrueValue) -> str:
 
 
 def _values_table(values: tuple[TrueValue, ...], caption: str) -> Table:
-    columns = (
-        TableColumn("name", align="text"),
-        TableColumn("value"),
-        TableColumn("unit", align="text"),
-        TableColumn("", align="text"),
+    shown = [(value, *shown_unit(value.name, value.unit)) for value in values]
+    return (
+        TableOf(shown)
+        .text("name", lambda row: _name(row[0]))
+        .number("value", lambda row: printed(significant(row[0].value * row[1], 8)))
+        .text("unit", lambda row: pretty_unit(row[2]))
+        .text("", lambda row: row[0].note)
+        .table(caption)
     )
-    rows = [
-        (
-            _name(value),
-            printed(significant(value.value * scale, 8)),
-            pretty_unit(unit),
-            value.note,
-        )
-        for value, (scale, unit) in ((value, shown_unit(value.name, value.unit)) for value in values)
-    ]
-    return Table(columns, tuple(rows), caption)
 
 
 def simulation_text(test: SimulatedTest) -> str:

@@ -17,10 +17,11 @@ from piga.reports.render.page import (
     Page,
     Section,
     Table,
-    TableColumn,
+    TableOf,
     Text,
     Tile,
     Tone,
+    named_values,
 )
 from piga.studies import constant, errata, five, platform, recursion, varying
 from piga.studies.case import Case, Chapter, Verdict
@@ -175,46 +176,33 @@ def _section(chapter: Chapter) -> Section:
 
 
 def _numbers(chapter: Chapter) -> Table:
-    columns = (
-        TableColumn("case", align="text"),
-        TableColumn("quantity", align="text"),
-        TableColumn("published"),
-        TableColumn("computed"),
-        TableColumn("difference"),
-        TableColumn("tolerance"),
-        TableColumn("unit", align="text"),
-        TableColumn("verdict", align="text"),
+    return (
+        TableOf(chapter.cases)
+        .text("case", short_id)
+        .text("quantity", lambda case: case.quantity)
+        .number("published", lambda case: printed(number(case.published)))
+        .number("computed", lambda case: printed(number(case.computed)))
+        .number("difference", lambda case: printed(difference(case)))
+        .number("tolerance", lambda case: printed(number(case.tolerance, 2)))
+        .text("unit", lambda case: pretty_unit(case.unit))
+        .text("verdict", lambda case: Cell(case.verdict, TONES[case.verdict]))
+        .table("Published, computed, judged.")
     )
-    rows = tuple(
-        (
-            short_id(case),
-            case.quantity,
-            printed(number(case.published)),
-            printed(number(case.computed)),
-            printed(difference(case)),
-            printed(number(case.tolerance, 2)),
-            pretty_unit(case.unit),
-            Cell(case.verdict, TONES[case.verdict]),
-        )
-        for case in chapter.cases
-    )
-    return Table(columns, rows, "Published, computed, judged.")
 
 
 def _notes(chapter: Chapter) -> Table:
-    columns = (
-        TableColumn("case", align="text"),
-        TableColumn("source", align="text"),
-        TableColumn("why this tolerance, or none", align="text"),
+    return (
+        TableOf(chapter.cases)
+        .text("case", short_id)
+        .text("source", lambda case: case.source)
+        .text("why this tolerance, or none", lambda case: case.note)
+        .table("Sources and tolerances.")
     )
-    rows = tuple((short_id(case), case.source, case.note) for case in chapter.cases)
-    return Table(columns, rows, "Sources and tolerances.")
 
 
 def _sources() -> Section:
-    rows = tuple((f"[{key}]", text) for key, text in SOURCES.items())
-    table = Table((TableColumn("key", align="text"), TableColumn("publication", align="text")), rows)
-    return Section("Sources", "sources", (table,))
+    rows = ((f"[{key}]", text) for key, text in SOURCES.items())
+    return Section("Sources", "sources", (named_values("key", "publication", rows),))
 
 
 def text_lines(reproduction: Reproduction) -> list[tuple[Verdict | None, str]]:

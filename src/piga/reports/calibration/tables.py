@@ -13,7 +13,7 @@ from piga.records.calibration import BudgetEntry, Calibration, Coefficient
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.terms import shown_unit, term_words
 from piga.reports.render.numbers import count, fixed, pretty_unit, printed, relative, rounded, short, signed
-from piga.reports.render.page import Cell, Judgement, Table, TableColumn
+from piga.reports.render.page import Cell, Judgement, Table, TableColumn, TableOf, named_values
 from piga.units import ARCSEC, G0
 
 
@@ -228,125 +228,84 @@ def segment_table(cal: Calibration) -> Table:
     unit = residual_quantity(cal)[1]
     phases = {c.owner: c for c in cal.coefficients if c.name == "phi" and c.segment is not None}
     typical = float(np.median([segment.rms for segment in shown])) if shown else 0.0
-    columns = [
-        TableColumn("Segment", align="text"),
-        TableColumn("Samples"),
-        TableColumn("Duration", "s"),
-        TableColumn("Mean a_x", "g"),
-        TableColumn("Turns", "rev"),
-        TableColumn("rms before", unit),
-        TableColumn("rms after", unit),
-        TableColumn("Largest after", unit),
-    ]
-    rows: list[tuple[str | Cell, ...]] = []
-    for segment in shown:
-        row: list[str | Cell] = [
-            segment.label,
-            count(segment.rows),
-            f"{segment.duration:.1f}",
-            printed(fixed(segment.mean_a_x / G0, 5)),
-            printed(fixed(segment.turns, 2)),
-            short(segment.rms_before / ARCSEC),
-            Cell(short(segment.rms / ARCSEC), "doubtful" if segment.rms > 3.0 * typical else ""),
-            short(segment.max_after / ARCSEC),
-        ]
-        if phases:
-            phase = phases.get(segment.label)
-            row.append(phase_shown(phase) if phase else "–")
-        rows.append(tuple(row))
+    table = (
+        TableOf(shown)
+        .text("Segment", lambda segment: segment.label)
+        .number("Samples", lambda segment: count(segment.rows))
+        .number("Duration", lambda segment: f"{segment.duration:.1f}", "s")
+        .number("Mean a_x", lambda segment: printed(fixed(segment.mean_a_x / G0, 5)), "g")
+        .number("Turns", lambda segment: printed(fixed(segment.turns, 2)), "rev")
+        .number("rms before", lambda segment: short(segment.rms_before / ARCSEC), unit)
+        .number("rms after", lambda segment: _rms_after(segment.rms, typical), unit)
+        .number("Largest after", lambda segment: short(segment.max_after / ARCSEC), unit)
+    )
     if phases:
-        columns.append(TableColumn("Phase φ", "rad"))
-    return Table(tuple(columns), tuple(rows), notes=notes, segments=tuple(chosen))
+        table.number("Phase φ", lambda segment: phase_shown(phases.get(segment.label)), "rad")
+    return table.table(notes=notes, segments=tuple(chosen))
 
 
-def phase_shown(phase: Coefficient) -> str:
-    """The phase of a segment with its standard uncertainty in brackets, or that it is not determined."""
+def _rms_after(rms: float, typical: float) -> Cell:
+    return Cell(short(rms / ARCSEC), "doubtful" if rms > 3.0 * typical else "")
+
+
+def phase_shown(phase: Coefficient | None) -> str:
+    """The phase of a segment with its standard uncertainty in brackets, or that it is not determined; a dash for none."""
+    if phase is None:
+        return "–"
     return printed(rounded(phase.value, phase.std).concise) if phase.determined else "not determined"
 
 
 def runs_table(cal: Calibration) -> Table:
     """One row per run of a joint calibration."""
     unit = residual_quantity(cal)[1]
-    columns = (
-        TableColumn("Run", align="text"),
-        TableColumn("Stand", align="text"),
-        TableColumn("Equations"),
-        TableColumn("White noise", "arcsec"),
-        TableColumn("Random walk", "arcsec/√s"),
-        TableColumn("rms before", unit),
-        TableColumn("rms after", unit),
-        TableColumn("Alone it cannot separate", align="text"),
+    return (
+        TableOf(cal.runs)
+        .text("Run", lambda run: run.name if run.raw else f"{run.name} (summary)")
+        .text("Stand", lambda run: run.stand or "–")
+        .number("Equations", lambda run: count(run.rows))
+        .number("White noise", lambda run: short(run.angle_rms / ARCSEC), "arcsec")
+        .number("Random walk", lambda run: short(run.angle_random_walk / ARCSEC), "arcsec/√s")
+        .number("rms before", lambda run: short(run.residual_rms_before / ARCSEC), unit)
+        .number("rms after", lambda run: short(run.residual_rms / ARCSEC), unit)
+        .text("Alone it cannot separate", lambda run: ", ".join(run.undetermined) or "–")
+        .table()
     )
-    rows = tuple(
-        (
-            run.name if run.raw else f"{run.name} (summary)",
-            run.stand or "–",
-            count(run.rows),
-            short(run.angle_rms / ARCSEC),
-            short(run.angle_random_walk / ARCSEC),
-            short(run.residual_rms_before / ARCSEC),
-            short(run.residual_rms / ARCSEC),
-            ", ".join(run.undetermined) or "–",
-        )
-        for run in cal.runs
-    )
-    return Table(columns, rows)
 
 
 def outlier_table(cal: Calibration) -> Table:
     """Samples that were left out, with their times: jumps and stuck readings, then spikes; of many the first."""
     listed = sorted(cal.outliers, key=lambda outlier: outlier.kind == "spike")
     unit = "arcsec/s" if cal.diagnostics.residual_kind == "rate" else "arcsec"
-    named = any(outlier.run for outlier in cal.outliers)
-    columns = [
-        TableColumn("Kind", align="text"),
-        TableColumn("Time", "s"),
-        TableColumn("Row"),
-        TableColumn("Samples left out"),
-        TableColumn("Miss", unit),
-    ]
-    rows = []
-    for outlier in listed[: TABLES.outliers]:
-        row: list[str | Cell] = [
-            outlier.kind,
-            f"{outlier.time:.3f}",
-            count(outlier.row),
-            count(outlier.samples),
-            printed(short(outlier.size / ARCSEC)),
-        ]
-        rows.append(tuple([outlier.run or "–", *row] if named else row))
-    if named:
-        columns.insert(0, TableColumn("Run", align="text"))
     more = len(cal.outliers) - TABLES.outliers
     notes = (f"The first {TABLES.outliers} of {count(len(cal.outliers))} findings.",) if more > 0 else ()
-    return Table(tuple(columns), tuple(rows), notes=notes)
+    table = TableOf(listed[: TABLES.outliers])
+    if any(outlier.run for outlier in cal.outliers):
+        table.text("Run", lambda outlier: outlier.run or "–")
+    return (
+        table.text("Kind", lambda outlier: outlier.kind)
+        .number("Time", lambda outlier: f"{outlier.time:.3f}", "s")
+        .number("Row", lambda outlier: count(outlier.row))
+        .number("Samples left out", lambda outlier: count(outlier.samples))
+        .number("Miss", lambda outlier: printed(short(outlier.size / ARCSEC)), unit)
+        .table(notes=notes)
+    )
 
 
 def quality_table(cal: Calibration) -> Table:
     """Faults detected and repaired in the data."""
-    columns = (
-        TableColumn("Finding", align="text"),
-        TableColumn("Count"),
-        TableColumn("First row"),
-        TableColumn("Detail", align="text"),
+    return (
+        TableOf(cal.quality.events)
+        .text("Finding", lambda event: event.kind)
+        .number("Count", lambda event: count(event.count))
+        .number("First row", lambda event: "–" if event.first_row is None else count(event.first_row))
+        .text("Detail", lambda event: event.detail)
+        .table()
     )
-    rows = tuple(
-        (
-            event.kind,
-            count(event.count),
-            "–" if event.first_row is None else count(event.first_row),
-            event.detail,
-        )
-        for event in cal.quality.events
-    )
-    return Table(columns, rows)
 
 
 def facts_table(rows: list[tuple[str, str]], *, code: bool = False) -> Table:
     """Table of two columns: name and value."""
-    return Table(
-        (TableColumn("Item", align="text"), TableColumn("Value", align="text")), tuple(rows), code=code
-    )
+    return named_values("Item", "Value", rows, code=code)
 
 
 LABELS = {

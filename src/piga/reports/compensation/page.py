@@ -42,6 +42,7 @@ from piga.reports.render.page import (
     Text,
     Tile,
     Tone,
+    named_values,
     write_page,
 )
 from piga.units import MICRO_G
@@ -232,9 +233,8 @@ def _provenance(facts: CompensationFacts, scale_factor: float) -> Section:
 
 
 def _provenance_section(options: dict[str, str], files: Inputs, *tables: Table) -> Section:
-    heads = (TableColumn("file", align="text"), TableColumn("SHA-256", align="text"))
-    how = Table((TableColumn("", align="text"),) * 2, tuple(options.items()), "How it was compensated.")
-    read = Table(heads, tuple(files), "Files as they were read.", code=True)
+    how = named_values("", "", options, "How it was compensated.")
+    read = named_values("file", "SHA-256", files, "Files as they were read.", code=True)
     return Section("Provenance", "provenance", (how, *tables, read))
 
 

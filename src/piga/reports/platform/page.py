@@ -47,6 +47,7 @@ from piga.reports.render.page import (
     Section,
     Table,
     TableColumn,
+    TableOf,
     Text,
     Tile,
 )
@@ -436,29 +437,17 @@ def _line_table(
 
 
 def _budget_table(budget: Sequence[BudgetRow]) -> Table:
-    columns = (
-        TableColumn("source", align="text"),
-        TableColumn("position, linear", "m"),
-        TableColumn("position, full run", "m"),
-        TableColumn("velocity, linear", "mm/s"),
-        TableColumn("velocity, full run", "mm/s"),
-        TableColumn("largest difference", "m"),
-    )
-    rows = tuple(
-        (
-            b.source,
-            short(b.position_linear),
-            short(b.position_full),
-            short(1e3 * b.velocity_linear),
-            short(1e3 * b.velocity_full),
-            short(b.difference),
+    return (
+        TableOf(budget)
+        .text("source", lambda b: b.source)
+        .number("position, linear", lambda b: short(b.position_linear), "m")
+        .number("position, full run", lambda b: short(b.position_full), "m")
+        .number("velocity, linear", lambda b: short(1e3 * b.velocity_linear), "mm/s")
+        .number("velocity, full run", lambda b: short(1e3 * b.velocity_full), "mm/s")
+        .number("largest difference", lambda b: short(b.difference), "m")
+        .table(
+            notes=("Largest horizontal error over the run: linear model against a run with the error put in.",)
         )
-        for b in budget
-    )
-    return Table(
-        columns,
-        rows,
-        notes=("Largest horizontal error over the run: linear model against a run with the error put in.",),
     )
 
 
@@ -532,27 +521,13 @@ def _passage_words(capstone: Capstone) -> str:
 
 
 def _capstone_table(capstone: Capstone) -> Table:
-    columns = (
-        TableColumn("reading", align="text"),
-        TableColumn("position error", "m"),
-        TableColumn("velocity error", "mm/s"),
-        TableColumn("locked", "s/day"),
-        TableColumn("noise gain"),
-        TableColumn("what it is", align="text"),
-    )
-    rows = tuple(
-        (
-            name,
-            short(o.position),
-            short(1e3 * o.velocity),
-            short(float(o.locked_per_day.max())),
-            short(o.noise_gain),
-            o.reading.sentence,
-        )
-        for name, o in capstone.outcomes.items()
-    )
-    return Table(
-        columns,
-        rows,
-        notes=("Locked: longest of the three. Noise gain: against three axes at right angles.",),
+    return (
+        TableOf(capstone.outcomes.values())
+        .text("reading", lambda o: o.reading.name)
+        .number("position error", lambda o: short(o.position), "m")
+        .number("velocity error", lambda o: short(1e3 * o.velocity), "mm/s")
+        .number("locked", lambda o: short(float(o.locked_per_day.max())), "s/day")
+        .number("noise gain", lambda o: short(o.noise_gain))
+        .text("what it is", lambda o: o.reading.sentence)
+        .table(notes=("Locked: longest of the three. Noise gain: against three axes at right angles.",))
     )

@@ -12,19 +12,20 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Generic, Literal, Self, TypeVar
 
 from piga.reports.render.figure import Figure
 
 Tone = Literal["", "good", "doubtful", "bad", "quiet"]
 Kind = Literal["info", "good", "warning", "problem"]
 Align = Literal["text", "number"]
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -128,6 +129,47 @@ class Table:
             replace(part, caption=self.caption * (part is split[0]), notes=self.notes * (part is split[-1]))
             for part in split
         )
+
+
+class TableOf(Generic[Item]):
+    """A table with a row for each item, made column by column: a heading, and the cell of an item.
+
+    Examples
+    --------
+    >>> table = TableOf([1.0, 2.0]).text("x", str).number("square", lambda x: f"{x * x:g}", "m").table("Squares")
+    >>> table.columns[1].unit, table.rows
+    ('m', (('1.0', '1'), ('2.0', '4')))
+    """
+
+    def __init__(self, items: Iterable[Item]) -> None:
+        self._columns: list[TableColumn] = []
+        self._cells: list[Callable[[Item], str | Cell]] = []
+        self._items = tuple(items)
+
+    def text(self, heading: str, cell: Callable[[Item], str | Cell]) -> Self:
+        """Add a column of text."""
+        self._columns.append(TableColumn(heading, align="text"))
+        self._cells.append(cell)
+        return self
+
+    def number(self, heading: str, cell: Callable[[Item], str | Cell], unit: str = "") -> Self:
+        """Add a column of numbers."""
+        self._columns.append(TableColumn(heading, unit))
+        self._cells.append(cell)
+        return self
+
+    def table(self, caption: str = "", notes: tuple[str, ...] = (), **more: Any) -> Table:
+        """The table; ``more`` as for :class:`Table`."""
+        rows = tuple(tuple(cell(item) for cell in self._cells) for item in self._items)
+        return Table(tuple(self._columns), rows, caption, notes, **more)
+
+
+def named_values(
+    name: str, value: str, rows: Mapping[str, str] | Iterable[tuple[str, str]], caption: str = "", **more: Any
+) -> Table:
+    """Table of two text columns with these headings; ``more`` as for :class:`Table`."""
+    pairs = rows.items() if isinstance(rows, Mapping) else rows
+    return TableOf(pairs).text(name, lambda row: row[0]).text(value, lambda row: row[1]).table(caption, **more)
 
 
 @dataclass(frozen=True)
