@@ -93,7 +93,7 @@ def servo_fit() -> dict:
 
 def compensated_servo() -> dict:
     """Errors of compensated records of the rigid body, with and without the terms."""
-    from tests.compensation.test_servo import BASIC, SERVO, WHOLE, error, record
+    from tests.compensation.test_compensator_servo import BASIC, SERVO, WHOLE, error, record
 
     rows: Rows = {}
     for force in ((1.0, 5.0, 0.0), (-1.0, 5.0, 1.0), (2.0, 3.0, -4.0)):
@@ -148,7 +148,7 @@ def platform_days() -> dict:
 
 def compensation_turning() -> dict:
     """Largest error of a row on the swaying base of the tests, with the chord alone and with the second derivative."""
-    from tests.compensation.test_turning_base import K, left, record, steady, swaying
+    from tests.compensation.test_compensator_turning_base import K, left, record, steady, swaying
 
     rows: Rows = {}
     turn = 2.0 * math.pi * 0.3
@@ -167,13 +167,13 @@ def compensation_turning() -> dict:
         "corner": "0.3 rad/s at 0.3 Hz, error of a row",
         "rows": rows,
         "units": dict.fromkeys(rows["50 Hz"], "micro-g"),
-        "conditions": "truth by SciPy, `tests/compensation/test_turning_base.py`, 20 s without the first two intervals",
+        "conditions": "truth by SciPy, `tests/compensation/test_compensator_turning_base.py`, 20 s without the first two intervals",
     }
 
 
 def compensation_starts() -> dict:
     """Errors and uncertainties of the first two intervals of stretches, where the specific force changes."""
-    from tests.compensation.test_turning_base import QUIET, calibration, record, still, surging
+    from tests.compensation.test_compensator_turning_base import QUIET, calibration, record, still, surging
 
     import piga
 
@@ -196,7 +196,7 @@ def compensation_starts() -> dict:
         "corner": "sampling",
         "rows": rows,
         "units": dict.fromkeys(rows["5 Hz"], "micro-g"),
-        "conditions": "truth by SciPy, `tests/compensation/test_turning_base.py`; a_x = 1 + 0.3 sin g at 0.75 Hz, 5 g across, "
+        "conditions": "truth by SciPy, `tests/compensation/test_compensator_turning_base.py`; a_x = 1 + 0.3 sin g at 0.75 Hz, 5 g across, "
         "stretches of two intervals",
     }
 

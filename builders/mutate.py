@@ -67,18 +67,13 @@ TREND = [*tests_of("calibration", "small_parts"), *tests_of("trend", "trend_line
 CHOICE = tests_of("calibration", "small_parts", "model_choice")
 REVOLUTIONS = [*tests_of("calibration", "revolutions"), *JOINT]
 SIGNATURES = tests_of("calibration", "missing_terms", "alarms")
-COMPENSATED = tests_of(
-    "compensation",
-    "compensate",
-    "record_facts",
-    "set_compensator_corners",
-    "term_uncertainty",
-    "indication",
-    "compensator",
-    "refusals",
-)
-SETS = tests_of("compensation", "triad", "set_compensator_corners", "published_case", "large_record")
-PHASES = tests_of("compensation", "phase_and_resample")
+COMPENSATED = [
+    *tests_of("compensation", "compensator", "set_compensator"),
+    *tests_of("_kernels", "indication"),
+    *tests_of("compensation", "compensator_stream", "compensation_refusals", "live"),
+]
+SETS = tests_of("compensation", "set_compensator", "compensator_published_case", "file_to_file_columns")
+PHASES = tests_of("compensation", "phase", "result")
 GEOMETRY = tests_of("platform", "geometry", "simulate")
 PLATFORM = [*GEOMETRY, *tests_of("platform", "scenario", "navigator")]
 ERRORS = tests_of("platform", "budget", "navigator", "navigator_models")

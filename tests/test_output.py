@@ -16,8 +16,8 @@ from piga import output
 from piga.errors import ArgumentError, PigaError
 from piga.output import check_outputs, results, settle
 from piga.records.text_files import files_named_in
-from tests.compensation.command.test_command import command as compensate
-from tests.compensation.command.test_command import write
+from tests.compensation.run_files import command as compensate
+from tests.compensation.run_files import write
 from tests.kills import kills
 from tests.reading.test_reading_one_reader import command
 

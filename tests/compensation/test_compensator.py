@@ -1,131 +1,187 @@
 from __future__ import annotations
 
-from itertools import pairwise
-
-import numba
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 import piga
-from piga.compensation import Chunk, init_state, step
-from piga.compensation.model import make_model
+from piga.compensation import FLAGS, Mounted, Phase, SetCompensator
+from piga.reports.compensation.figures import compensation_errors, error_figures
+from piga.reports.render.orders import order_spectrum
 from piga.units import G0
-from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, mean_force, run_of
 
-ERRORS = {"k0": 1.6e-3, "k2": 2e-5, "m_Y": 2e-4, "k_XY": 1e-4, "s2": 1e-5, "c2": 2e-5}
-STD = {"scale_factor": 1e-6, "tan_beta": 1e-7, "phi": 1e-4, "k0": 1e-6}
-CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, **ERRORS}, STD, angle_rms=1e-5)
-ROWS = 400 if numba.config.DISABLE_JIT else 5000
-
-
-def noisy_columns(kind: str) -> dict:
-    rng = np.random.default_rng(5)
-    t = np.arange(ROWS) * 0.01
-    f = constant_force(t, 1.0, 5.0, 1.0) + 0.3 * G0 * rng.standard_normal((ROWS, 3))
-    base = 1e-3 * rng.standard_normal((ROWS, 3))
-    output = run_of(t, f, phi=0.3, kind=kind, base_rate=base).output
-    output = output + 1e-5 * rng.standard_normal(ROWS)
-    t = np.where(t > 2.0, t + 0.5, t)
-    return {"t": t, "output": output, "f": f, "base_rate": base}
-
-
-def pieces(columns: dict, cuts: list[int]) -> list[dict]:
-    edges = [0, *sorted(cuts), ROWS]
-    return [{name: c[a:b] for name, c in columns.items()} for a, b in pairwise(edges)]
+PHI = np.pi / 4
+TOLERANCE_RAMPS = 1e-11
+TOLERANCE_ERRORS = 2e-7
+CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI})
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("kind", ["angle", "rate", "both"])
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(cuts=st.lists(st.integers(0, ROWS), max_size=12))
-def test_result_is_the_same_to_the_bit_whatever_the_chunks(kind, cuts):
-    columns = noisy_columns("angle" if kind == "angle" else "rate")
-    if kind == "both":
-        columns["angle"] = noisy_columns("angle")["output"]
-    whole = piga.Compensator(CAL, kind="angle" if kind == "angle" else "rate").push(columns)
-    stream = piga.Compensator(CAL, kind="angle" if kind == "angle" else "rate")
-    parts = [stream.push(piece) for piece in pieces(columns, cuts)]
-    for name in ("ax", "dv", "u_ax", "flags"):
-        joined = np.concatenate([getattr(part, name) for part in parts])
-        assert joined.tobytes() == getattr(whole, name).tobytes()
+@pytest.mark.parametrize("a_x", [1.0, -1.0, 0.01, 0.0, 5 * TAN_BETA, 0.03])
+def test_constant_force_comes_back_to_rounding_of_the_angle(a_x):
+    """All four regimes and the critical line; the angle's own rounding is 4 eps alpha / (K h)."""
+    t = np.arange(0.0, 5.0, 0.01)
+    f = constant_force(t, a_x, 4.0, 3.0)
+    run = run_of(t, f, phi=PHI)
+    compensated = piga.compensate(run, CAL)
+    rounding = 4 * np.finfo(float).eps * max(1.0, np.abs(run.output).max()) / (run.scale_factor * 0.01)
+    assert np.abs(compensated.ax[1:] - mean_force(f)).max() < max(rounding, 1e-14)
 
 
 @pytest.mark.compiled
-def test_one_sample_at_a_time_is_the_record():
-    columns = {name: column[:300] for name, column in noisy_columns("angle").items()}
-    del columns["base_rate"]
-    columns["t"] = np.arange(300) * 0.01
-    run = piga.Run.from_arrays(columns["t"], columns["output"], columns["f"], scale_factor=K_G / G0)
-    whole = piga.compensate(run, CAL)
-    stream = piga.Compensator(CAL)
-    parts = [stream.push({name: column[i] for name, column in columns.items()}) for i in range(300)]
-    assert np.concatenate([p.ax for p in parts]).tobytes() == whole.ax.tobytes()
-    assert np.concatenate([p.u_ax for p in parts]).tobytes() == whole.u_ax.tobytes()
+def test_rate_samples_come_back_to_1e12_g():
+    t = np.arange(0.0, 5.0, 0.01)
+    f = constant_force(t, 1.0, 5.0)
+    f *= (1.0 + 0.3 * np.sin(3.0 * t))[:, None]
+    compensated = piga.compensate(run_of(t, f, phi=PHI, kind="rate"), CAL)
+    assert np.abs(compensated.ax - f[:, 0]).max() < 1e-12 * G0
 
 
-def test_state_moves_to_another_compensator():
-    columns = noisy_columns("angle")
-    first, second = pieces(columns, [ROWS // 2])
-    stream = piga.Compensator(CAL)
-    stream.push(first)
-    moved = piga.Compensator(CAL, state=stream.state)
-    assert moved.push(second).ax.tobytes() == stream.push(second).ax.tobytes()
+ERRORS = {
+    "k0": 1.6e-3, "k1": -2.4e-3, "k2": 2e-3, "k3": 1e-4, "k2o": 3e-4, "m_Y": 2e-4, "m_Z": -1e-4, "k_XY": 1e-4,
+    "k_XZ": -2e-4, "k_YY": 3e-5, "k_ZZ": 2e-5, "k_YZ": -1e-5, "k0_T": 1e-5, "k1_T": 2e-5,
+    "s1": 1e-5, "c1": 3e-5,
+}  # fmt: skip
 
 
-def test_step_leaves_the_state_it_was_given():
-    columns = noisy_columns("angle")
-    chunk = Chunk(
-        columns["t"], columns["output"], columns["f"][:, 1].copy(), columns["f"][:, 2].copy(),
-        np.zeros(0, np.bool_), np.zeros((0, 3)), np.zeros(0), np.zeros(0),
-    )  # fmt: skip
-    model, state = make_model(CAL), init_state()
-    first, second = step(model, state, chunk)[1], step(model, state, chunk)[1]
-    assert not state.any()
-    assert first.ax.tobytes() == second.ax.tobytes()
-
-
-def test_gap_begins_a_new_stretch():
-    columns = noisy_columns("angle")
-    rows = piga.Compensator(CAL).push(columns)
-    assert np.flatnonzero(rows.flagged("no_increment")).tolist() == [0, int(np.argmax(columns["t"] > 2.4))]
-
-
+@pytest.mark.compiled
 @pytest.mark.parametrize("kind", ["angle", "rate"])
-def test_a_record_with_a_gap_is_the_same_whole_and_streamed(kind):
-    """The gap of 0.51 s begins a stretch in both, is counted, and is no interval of the record."""
-    columns = {name: column[150:250] for name, column in noisy_columns(kind).items()}
-    t, output, f = columns["t"], columns["output"], columns["f"]
-    run = piga.Run.from_arrays(t, output, f, scale_factor=K_G / G0, kind=kind, base_rate=columns["base_rate"])
-    behind = int(np.argmax(t > 2.4))
-    assert np.flatnonzero(run.begins).tolist() == [0, behind]
-    assert [(event.kind, event.count, event.first_row) for event in run.quality.events] == [
-        ("gap", 1, behind + 1)
-    ]
-    assert run.duration == pytest.approx(0.98)
-    whole = piga.compensate(run, CAL)
-    assert np.flatnonzero(whole.flagged("no_increment")).tolist() == [0, behind]
-    for chunk in (columns, run):
-        streamed = piga.Compensator(CAL, kind=kind, step=run.median_step).push(chunk)
-        for name in ("ax", "dv", "u_ax", "flags"):
-            assert getattr(streamed, name).tobytes() == getattr(whole, name).tobytes(), name
+def test_full_error_model_is_inverted_to_rounding(kind):
+    t = np.arange(0.0, 3.0, 0.01)
+    f = constant_force(t, -1.3, 2.0, -0.7)
+    temperature = np.full(t.size, 301.0)
+    run = run_of(t, f, phi=PHI, kind=kind, errors=ERRORS, temperature=temperature)
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI, **ERRORS})
+    compensated = piga.compensate(run, cal)
+    assert np.abs(compensated.ax[1:] - f[1:, 0]).max() < 1e-12 * G0
 
 
-def test_stretches_of_a_record_are_kept_in_a_stream():
-    """A lost sample number leaves no gap in time: the record knows of it, and a stream of two records."""
-    t = np.arange(20) * 0.01
-    run = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3)
-    run.begins[12] = True
-    stream = piga.Compensator(CAL)
-    assert np.flatnonzero(stream.push(run).flagged("no_increment")).tolist() == [0, 12]
-    later = run_of(t + 0.2, constant_force(t, 1.0, 1.0), phi=0.3)
-    assert not stream.push(later).flagged("no_increment").any()
-    assert stream.push(run_of(t + 0.5, constant_force(t, 1.0, 1.0), phi=0.3)).flagged("no_increment")[0]
+def test_base_rate_is_taken_out():
+    t = np.arange(0.0, 3.0, 0.01)
+    f = constant_force(t, 0.8, 1.0, 0.5)
+    base = np.tile([7e-5, -3e-3, 2e-3], (t.size, 1))
+    compensated = piga.compensate(run_of(t, f, phi=PHI, base_rate=base), CAL)
+    assert np.abs(compensated.ax[1:] - f[1:, 0]).max() < 1e-12 * G0
 
 
-def test_missing_column_and_bad_number_are_named():
-    with pytest.raises(piga.ArgumentError, match="lacks 'f'"):
-        piga.Compensator(CAL).push({"t": [0.0], "output": [0.0]})
-    with pytest.raises(piga.ArgumentError, match=r"chunk\['output'\]\[1\] is not finite"):
-        piga.Compensator(CAL).push({"t": [0.0, 1.0], "output": [0.0, np.nan], "f": np.zeros((2, 3))})
+def test_sum_of_increments_is_the_change_of_the_indicated_velocity():
+    t = np.arange(0.0, 5.0, 0.01)
+    f = constant_force(t, 1.0, 5.0) * (1.0 + 0.2 * np.sin(2.0 * t))[:, None]
+    run = run_of(t, f, phi=PHI)
+    plain = calibration_of({"scale_factor": K_G, "tan_beta": 0.0, "phi": 0.0})
+    total = run.output[-1] / run.scale_factor
+    assert abs(np.sum(piga.compensate(run, plain).dv) / total - 1.0) < 4e-16 * np.sqrt(t.size)
+
+
+def test_missing_phase_names_the_segment():
+    t = np.arange(0.0, 1.0, 0.1)
+    run = run_of(t, constant_force(t, 1.0, 1.0))
+    cal = calibration_of({"tan_beta": 1e-3, "phi[3]": 0.1})
+    with pytest.raises(piga.CalibrationError, match=r"segment '0'.*per-segment phases: 3"):
+        piga.compensate(run, cal)
+    assert piga.compensate(run, cal, phase=Phase(0.1)).size == t.size
+
+
+def test_other_serial_is_refused_unless_forced():
+    t = np.arange(0.0, 1.0, 0.1)
+    run = run_of(t, constant_force(t, 1.0, 1.0), serial="A")
+    cal = calibration_of({"k0": 0.0}, serial="B")
+    with pytest.raises(piga.CalibrationError, match="instrument 'A', the calibration of 'B'"):
+        piga.compensate(run, cal)
+    assert piga.compensate(run, cal, force=True).serial == "A"
+
+
+def test_flags_tell_locked_near_critical_and_starts():
+    t = np.arange(0.0, 1.0, 0.1)
+    for a_x, name in ((0.5, "locked"), (1.1, "near_critical")):
+        run = run_of(t, constant_force(t, a_x * 5.0 * TAN_BETA, 5.0), phi=PHI)
+        compensated = piga.compensate(run, CAL)
+        assert compensated.flagged(name)[1:].all()
+        assert compensated.flags[0] == FLAGS["no_increment"]
+        assert np.isnan(compensated.ax[0])
+        assert compensated.dv[0] == 0.0
+
+
+def test_uncertainty_grows_in_the_dead_zone():
+    t = np.arange(0.0, 1.0, 0.1)
+    cal = calibration_of(
+        {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI}, {"phi": 1e-4, "tan_beta": 1e-6}
+    )
+    locked = piga.compensate(run_of(t, constant_force(t, 0.01, 5.0), phi=PHI), cal)
+    running = piga.compensate(run_of(t, constant_force(t, 1.0, 5.0), phi=PHI), cal)
+    assert locked.u_ax[5] > 5.0 * TAN_BETA * G0 / np.sqrt(3.0)
+    assert running.u_ax[5] < 1e-4 * G0
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("step", [0.3, 1.0, 6.0])
+@pytest.mark.parametrize("a_x", [1.0, -1.0, 0.02])
+def test_constant_force_comes_back_whatever_the_output_turns_in_an_interval(step, a_x):
+    """The inverse is that of the exact motion: up to several radians and, flagged as coarse, beyond a turn."""
+    t = step * np.arange(30)
+    compensated = piga.compensate(run_of(t, constant_force(t, a_x, 4.0, 3.0), phi=PHI), CAL)
+    assert np.abs(compensated.ax[1:] - a_x * G0).max() < 1e-13 * G0
+    turned = np.abs(np.diff(run_of(t, constant_force(t, a_x, 4.0, 3.0), phi=PHI).output)) > 1.0
+    assert (compensated.flagged("coarse")[1:] == turned).all()
+
+
+def ramps(t):
+    """Three forces with slopes of their own [m/s^2]."""
+    return G0 * np.stack([1.0 + 0.1 * t, 2.0 - 0.3 * t, -1.0 + 0.25 * t], axis=1)
+
+
+@pytest.mark.compiled
+def test_independent_ramps_come_back_to_the_fourth_order():
+    """From the second interval on the slope is known: 1e-12 g at 20 Hz; a wrong Magnus term leaves 1e-6 g."""
+    t = np.arange(0.0, 5.0, 0.05)
+    compensated = piga.compensate(run_of(t, ramps(t), phi=PHI), CAL)
+    assert np.abs(compensated.ax[2:] - mean_force(ramps(t))[1:]).max() < TOLERANCE_RAMPS * G0
+
+
+@pytest.mark.compiled
+def test_error_model_is_integrated_over_the_slope():
+    """What is left comes from the curvature that exaggerated coefficients give the input: 7e-8 g."""
+    t = np.arange(0.0, 5.0, 0.05)
+    errors = {"k2": 5e-2, "k3": 1e-2, "k_XY": 2e-2, "k_XZ": 3e-2, "k_YY": 1e-2, "k_YZ": 2e-2}
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI, **errors})
+    compensated = piga.compensate(run_of(t, ramps(t), phi=PHI, errors=errors), cal)
+    assert np.abs(compensated.ax[2:] - mean_force(ramps(t))[1:]).max() < TOLERANCE_ERRORS * G0
+
+
+@pytest.mark.compiled
+def test_harmonics_at_samples_of_angle_and_rate():
+    """Rates written down from the model, with orders 1 to 3."""
+    t = np.arange(50) * 0.01
+    alpha = PHI + 0.9 * t + 0.2 * np.sin(5.0 * t)
+    values = {"s1": 1e-4, "c1": -2e-4, "s2": 3e-4, "c2": 1e-4, "s3": -1e-4, "c3": 2e-4}
+    ripple = sum(v * (np.sin if k[0] == "s" else np.cos)(int(k[1]) * alpha) for k, v in values.items())
+    f = ramps(t)
+    coupled = f[:, 0] + TAN_BETA * (f[:, 1] * np.sin(alpha) - f[:, 2] * np.cos(alpha)) + ripple * G0
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI, **values})
+    rate, psi = K_G / G0 * coupled, alpha - PHI
+    single = piga.Compensator(cal, kind="rate").push({"t": t, "output": rate, "f": f, "angle": psi})
+    assert np.abs(single.ax - f[:, 0]).max() < 1e-13 * G0
+    axes = [np.roll(np.eye(3), -i, axis=0) for i in range(3)]
+    rates = []
+    for matrix in axes:
+        x, y, z = (f @ matrix.T).T
+        rates.append(K_G / G0 * (x + TAN_BETA * (y * np.sin(alpha) - z * np.cos(alpha)) + ripple * G0))
+    stream = SetCompensator([Mounted(cal, matrix) for matrix in axes], sampled=True)
+    assert np.abs(stream.push(t, np.tile(psi, (3, 1)), rate=rates).f - f).max() < 1e-12 * G0
+
+
+def test_no_line_is_left_at_the_revolution_orders():
+    """Before: 1000 arcsec times 1 g at order 1; after: below three times white noise everywhere."""
+    t = np.arange(0.0, 120.0, 0.05)
+    record = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3)
+    record.output[:] += 1e-5 * np.random.default_rng(2).standard_normal(t.size)
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3}, angle_rms=1e-5)
+    result = piga.compensate(record, cal)
+    spectrum = order_spectrum(compensation_errors(record, result, K_G / G0), K_G / G0, noise=(1e-5, 0.0))
+    first = int(np.argmin(np.abs(spectrum.order - 1.0)))
+    assert abs(spectrum.before[first] / (TAN_BETA * G0) - 1.0) < 0.02
+    shown = np.isfinite(spectrum.after)
+    assert (spectrum.after[shown] < 3.5 * spectrum.noise[shown]).all()
+    figures = error_figures(record, result, K_G / G0, (1e-5, 0.0))
+    assert [figure.key for figure in figures] == ["compensation-error", "compensation-spectrum"]
+    assert all(axis.unit for figure in figures for panel in figure.panels for axis in (panel.x, panel.y))

@@ -12,7 +12,7 @@ import pytest
 from piga.certificate.certificate_file import read_certificate_file
 from piga.records.calibration.document import to_document
 from tests.certificate.certificate_data import EXAMPLE, budgeted, complete, key_pair
-from tests.cli.test_commands import piga
+from tests.cli.test_cli_commands import piga
 from tests.reports.example import calibration
 
 pytest.importorskip("signxml")

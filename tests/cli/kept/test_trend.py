@@ -14,7 +14,7 @@ import pytest
 from piga.cli.kept.trend import stored_history, trend
 from piga.errors import PigaError
 from piga.records.calibration.document import calibration_to_bytes
-from tests.cli.test_commands import piga
+from tests.cli.test_cli_commands import piga
 from tests.trend.history import history
 
 

@@ -16,7 +16,7 @@ from piga.compensation.phase import RateAngle, integrated_rate
 from piga.compensation.result import Resampler
 from piga.compensation.sets import set_files
 from piga.compensation.sets.set_files import orthogonal_triad
-from tests.compensation.command.test_command import CAL, KERNEL, command, small_chunks, write
+from tests.compensation.run_files import CAL, KERNEL, command, small_chunks, write
 from tests.compensation.twin_data import calibration_of
 from tests.kills import kills
 

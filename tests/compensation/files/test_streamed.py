@@ -8,7 +8,7 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from tests.compensation.command.test_command import small_chunks, to_file
+from tests.compensation.run_files import small_chunks, to_file
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 RUN = """

@@ -10,7 +10,7 @@ import pytest
 from piga.compensation import Mounted, SetCompensator
 from piga.compensation.sets.set_compensator import PublishedSet
 from piga.units import G0
-from tests.compensation.sets.test_triad import PHASES, SKEWED, made, orthogonal, rotation
+from tests.compensation.sets.triads import PHASES, SKEWED, made, orthogonal, rotation
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
 
 TERMS = 16

@@ -11,7 +11,7 @@ import piga
 from piga._kernels.compensation.layout import TILE
 from piga.compensation import Mounted, SetCompensator, compensate_set, identify_phase
 from piga.units import G0
-from tests.compensation.sets.test_triad import SKEWED, made, orthogonal, rotation
+from tests.compensation.sets.triads import SKEWED, made, orthogonal, rotation
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
 
 pytestmark = pytest.mark.compiled

@@ -21,7 +21,7 @@ from piga.reports.compensation import page as compensation
 from piga.reports.compensation.figures import correction_spectrum, flag_figure, force_figure, in_windows
 from piga.reports.compensation.outline import outline_of
 from piga.units import G0
-from tests.compensation.command.test_command import KERNEL, command, small_chunks, write
+from tests.compensation.run_files import KERNEL, command, small_chunks, write
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 

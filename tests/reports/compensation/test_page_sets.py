@@ -23,8 +23,8 @@ from piga.reports.compensation.outline import SetOutline
 from piga.reports.compensation.page import SetFacts, set_page
 from piga.reports.render.page import page_html
 from piga.units import G0
-from tests.compensation.command.test_command import command, small_chunks, write
-from tests.compensation.sets.test_triad import PHASES, SKEWED, made, orthogonal, rotation
+from tests.compensation.run_files import command, small_chunks, write
+from tests.compensation.sets.triads import PHASES, SKEWED, made, orthogonal, rotation
 from tests.compensation.twin_data import K_G, TAN_BETA
 
 NAMES = ("a", "b", "c", "d")

@@ -13,7 +13,7 @@ import piga
 from piga.compensation.sets import set_files
 from piga.compensation.sets.set_files import orthogonal_triad
 from piga.units import G0
-from tests.compensation.command.test_command import CAL, small_chunks, to_file
+from tests.compensation.run_files import CAL, small_chunks, to_file
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
 
 ROWS, STEP = 400, 0.01

@@ -12,7 +12,7 @@ from piga.compensation import identify_phase
 from piga.compensation.compensator import compensate_in_pieces
 from piga.compensation.result import TableWriter
 from piga.formats.columns import nulls_of, numbers_of
-from tests.compensation.command.test_command import CAL, command, small_chunks, write
+from tests.compensation.run_files import CAL, command, small_chunks, write
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 

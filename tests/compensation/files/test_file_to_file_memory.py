@@ -14,8 +14,8 @@ from scipy.io import savemat
 
 from piga.compensation.sets.set_files import is_triad_file
 from piga.units import G0
-from tests.compensation.command.test_command import CAL
-from tests.compensation.files.test_stand_streamed import WORK
+from tests.compensation.files.test_file_to_file_stand import WORK
+from tests.compensation.run_files import CAL
 from tests.compensation.twin_data import calibration_of
 
 LIMIT = 350_000_000

@@ -17,7 +17,7 @@ import piga
 from piga.compensation.files.file_to_file import FileSummary
 from piga.compensation.sets import set_files
 from piga.compensation.sets.set_files import orthogonal_triad
-from tests.compensation.command.test_command import CAL, small_chunks, to_file
+from tests.compensation.run_files import CAL, small_chunks, to_file
 from tests.compensation.twin_data import calibration_of
 
 ROWS, STEP = 600, 0.01

@@ -20,7 +20,7 @@ from piga.compensation.model import MEANING, age_in_days, describe
 from piga.compensation.sets.set_compensator import PublishedSet
 from piga.compensation.sets.set_files import read_triad
 from piga.units import G0
-from tests.compensation.command.test_command import CAL, command, write
+from tests.compensation.run_files import CAL, command, write
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 T = 0.01 * np.arange(60)

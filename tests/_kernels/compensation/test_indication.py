@@ -13,7 +13,7 @@ from piga._kernels.compensation import layout as at
 from piga.compensation import Compensator, Mounted, PublishedSet, compensate_set
 from piga.compensation.model import make_model
 from piga.units import G0
-from tests.compensation.sets.test_triad import made, orthogonal
+from tests.compensation.sets.triads import made, orthogonal
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, mean_force, run_of
 
 CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4})

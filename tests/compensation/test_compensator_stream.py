@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import piga
+from piga.compensation import Chunk, init_state, step
+from piga.compensation.model import make_model
+from piga.units import G0
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+
+ERRORS = {"k0": 1.6e-3, "k2": 2e-5, "m_Y": 2e-4, "k_XY": 1e-4, "s2": 1e-5, "c2": 2e-5}
+STD = {"scale_factor": 1e-6, "tan_beta": 1e-7, "phi": 1e-4, "k0": 1e-6}
+CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, **ERRORS}, STD, angle_rms=1e-5)
+ROWS = 400 if numba.config.DISABLE_JIT else 5000
+
+
+def noisy_columns(kind: str) -> dict:
+    rng = np.random.default_rng(5)
+    t = np.arange(ROWS) * 0.01
+    f = constant_force(t, 1.0, 5.0, 1.0) + 0.3 * G0 * rng.standard_normal((ROWS, 3))
+    base = 1e-3 * rng.standard_normal((ROWS, 3))
+    output = run_of(t, f, phi=0.3, kind=kind, base_rate=base).output
+    output = output + 1e-5 * rng.standard_normal(ROWS)
+    t = np.where(t > 2.0, t + 0.5, t)
+    return {"t": t, "output": output, "f": f, "base_rate": base}
+
+
+def pieces(columns: dict, cuts: list[int]) -> list[dict]:
+    edges = [0, *sorted(cuts), ROWS]
+    return [{name: c[a:b] for name, c in columns.items()} for a, b in pairwise(edges)]
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("kind", ["angle", "rate", "both"])
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(cuts=st.lists(st.integers(0, ROWS), max_size=12))
+def test_result_is_the_same_to_the_bit_whatever_the_chunks(kind, cuts):
+    columns = noisy_columns("angle" if kind == "angle" else "rate")
+    if kind == "both":
+        columns["angle"] = noisy_columns("angle")["output"]
+    whole = piga.Compensator(CAL, kind="angle" if kind == "angle" else "rate").push(columns)
+    stream = piga.Compensator(CAL, kind="angle" if kind == "angle" else "rate")
+    parts = [stream.push(piece) for piece in pieces(columns, cuts)]
+    for name in ("ax", "dv", "u_ax", "flags"):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        assert joined.tobytes() == getattr(whole, name).tobytes()
+
+
+@pytest.mark.compiled
+def test_one_sample_at_a_time_is_the_record():
+    columns = {name: column[:300] for name, column in noisy_columns("angle").items()}
+    del columns["base_rate"]
+    columns["t"] = np.arange(300) * 0.01
+    run = piga.Run.from_arrays(columns["t"], columns["output"], columns["f"], scale_factor=K_G / G0)
+    whole = piga.compensate(run, CAL)
+    stream = piga.Compensator(CAL)
+    parts = [stream.push({name: column[i] for name, column in columns.items()}) for i in range(300)]
+    assert np.concatenate([p.ax for p in parts]).tobytes() == whole.ax.tobytes()
+    assert np.concatenate([p.u_ax for p in parts]).tobytes() == whole.u_ax.tobytes()
+
+
+def test_state_moves_to_another_compensator():
+    columns = noisy_columns("angle")
+    first, second = pieces(columns, [ROWS // 2])
+    stream = piga.Compensator(CAL)
+    stream.push(first)
+    moved = piga.Compensator(CAL, state=stream.state)
+    assert moved.push(second).ax.tobytes() == stream.push(second).ax.tobytes()
+
+
+def test_step_leaves_the_state_it_was_given():
+    columns = noisy_columns("angle")
+    chunk = Chunk(
+        columns["t"], columns["output"], columns["f"][:, 1].copy(), columns["f"][:, 2].copy(),
+        np.zeros(0, np.bool_), np.zeros((0, 3)), np.zeros(0), np.zeros(0),
+    )  # fmt: skip
+    model, state = make_model(CAL), init_state()
+    first, second = step(model, state, chunk)[1], step(model, state, chunk)[1]
+    assert not state.any()
+    assert first.ax.tobytes() == second.ax.tobytes()
+
+
+def test_gap_begins_a_new_stretch():
+    columns = noisy_columns("angle")
+    rows = piga.Compensator(CAL).push(columns)
+    assert np.flatnonzero(rows.flagged("no_increment")).tolist() == [0, int(np.argmax(columns["t"] > 2.4))]
+
+
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+def test_a_record_with_a_gap_is_the_same_whole_and_streamed(kind):
+    """The gap of 0.51 s begins a stretch in both, is counted, and is no interval of the record."""
+    columns = {name: column[150:250] for name, column in noisy_columns(kind).items()}
+    t, output, f = columns["t"], columns["output"], columns["f"]
+    run = piga.Run.from_arrays(t, output, f, scale_factor=K_G / G0, kind=kind, base_rate=columns["base_rate"])
+    behind = int(np.argmax(t > 2.4))
+    assert np.flatnonzero(run.begins).tolist() == [0, behind]
+    assert [(event.kind, event.count, event.first_row) for event in run.quality.events] == [
+        ("gap", 1, behind + 1)
+    ]
+    assert run.duration == pytest.approx(0.98)
+    whole = piga.compensate(run, CAL)
+    assert np.flatnonzero(whole.flagged("no_increment")).tolist() == [0, behind]
+    for chunk in (columns, run):
+        streamed = piga.Compensator(CAL, kind=kind, step=run.median_step).push(chunk)
+        for name in ("ax", "dv", "u_ax", "flags"):
+            assert getattr(streamed, name).tobytes() == getattr(whole, name).tobytes(), name
+
+
+def test_stretches_of_a_record_are_kept_in_a_stream():
+    """A lost sample number leaves no gap in time: the record knows of it, and a stream of two records."""
+    t = np.arange(20) * 0.01
+    run = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3)
+    run.begins[12] = True
+    stream = piga.Compensator(CAL)
+    assert np.flatnonzero(stream.push(run).flagged("no_increment")).tolist() == [0, 12]
+    later = run_of(t + 0.2, constant_force(t, 1.0, 1.0), phi=0.3)
+    assert not stream.push(later).flagged("no_increment").any()
+    assert stream.push(run_of(t + 0.5, constant_force(t, 1.0, 1.0), phi=0.3)).flagged("no_increment")[0]
+
+
+def test_missing_column_and_bad_number_are_named():
+    with pytest.raises(piga.ArgumentError, match="lacks 'f'"):
+        piga.Compensator(CAL).push({"t": [0.0], "output": [0.0]})
+    with pytest.raises(piga.ArgumentError, match=r"chunk\['output'\]\[1\] is not finite"):
+        piga.Compensator(CAL).push({"t": [0.0, 1.0], "output": [0.0, np.nan], "f": np.zeros((2, 3))})
