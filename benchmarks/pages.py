@@ -196,8 +196,8 @@ def compensation_starts() -> dict:
         "corner": "sampling",
         "rows": rows,
         "units": dict.fromkeys(rows["5 Hz"], "micro-g"),
-        "conditions": "truth by SciPy, `tests/compensation/test_compensator_turning_base.py`; a_x = 1 + 0.3 sin g at 0.75 Hz, 5 g across, "
-        "stretches of two intervals",
+        "conditions": "truth by SciPy, `tests/compensation/test_compensator_turning_base.py`; a_x = 1 + 0.3 sin g at 0.75 Hz, "
+        "5 g across, stretches of two intervals",
     }
 
 

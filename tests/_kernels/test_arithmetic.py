@@ -1,4 +1,4 @@
-"""Double-double arithmetic and angles against 50-digit arithmetic."""
+"""Double-double arithmetic, angles, sines and cosines against 50-digit arithmetic."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from piga._kernels import arithmetic as dd
-from piga._kernels.arithmetic import double_arctangent
-
-pytestmark = pytest.mark.compiled
+from piga._kernels.arithmetic import double_arctangent, sine_cosine
 
 
 def exact(pair):
@@ -24,6 +22,7 @@ def _fifty_digits():
         yield
 
 
+@pytest.mark.compiled
 def test_double_double_keeps_thirty_digits():
     rng = np.random.default_rng(3)
     for a, b in rng.normal(0.0, 1e3, (50, 2)):
@@ -36,6 +35,7 @@ def test_double_double_keeps_thirty_digits():
         assert abs(exact(dd.square_root(positive)) ** 2 / exact(positive) - 1) < 1e-29
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("phase", [0.3, 1e3, 1e9, 6.3e11])
 def test_reduction_by_pi_at_any_phase(phase):
     n, rest = dd.remainder_pi((phase, 1e-17 * phase))
@@ -44,6 +44,7 @@ def test_reduction_by_pi_at_any_phase(phase):
     assert rest == pytest.approx(float(reference - mp.pi * mp.nint(reference / mp.pi)), abs=2e-16)
 
 
+@pytest.mark.compiled
 def test_double_arctangent_to_an_ulp():
     angles = np.concatenate([np.linspace(-np.pi, np.pi, 801)[1:-1], 10.0 ** np.arange(-300, 0, 20)])
     for half in angles:
@@ -56,3 +57,19 @@ def test_double_arctangent_to_an_ulp():
     assert double_arctangent(1.0, 0.0) == math.pi
     assert double_arctangent(-1.0, 0.0) == -math.pi
     assert double_arctangent(0.0, 1.0) == 0.0
+
+
+@pytest.mark.compiled
+def test_sine_and_cosine_are_good_to_4e16_for_any_angle():
+    """Against 50 digits at random angles to 1e9 rad, near quarter turns too."""
+    import mpmath
+
+    rng = np.random.default_rng(0)
+    angles = np.concatenate(
+        [10.0 ** rng.uniform(-8, 9, 600) * rng.choice([-1, 1], 600), np.arange(1, 400) * np.pi / 2]
+    )
+    with mpmath.workdps(50):
+        for x in angles:
+            s, c = sine_cosine(float(x))
+            assert abs(s - mpmath.sin(mpmath.mpf(float(x)))) < 4e-16
+            assert abs(c - mpmath.cos(mpmath.mpf(float(x)))) < 4e-16

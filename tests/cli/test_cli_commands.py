@@ -15,7 +15,6 @@ import pytest
 from typer.main import get_command
 
 import piga as piga_package
-from piga.cli import common
 from piga.cli.main import app
 from piga.data import copy_example
 from piga.errors import PigaError
@@ -112,32 +111,6 @@ def test_a_process_ends_with_2_and_without_a_traceback(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert done.stderr.startswith("piga: none.toml: cannot be read")
     assert "Traceback" not in done.stderr
-
-
-def test_nothing_is_written_half(tmp_path: Path) -> None:
-    path = tmp_path / "result.txt"
-    path.write_text("old")
-
-    def fails(temporary: Path) -> None:
-        temporary.write_text("half")
-        raise OSError(28, "No space left on device")
-
-    with pytest.raises(PigaError, match="No space left"):
-        common.write_by_rename(path, fails)
-    assert path.read_text() == "old"
-    assert [p.name for p in tmp_path.iterdir()] == ["result.txt"]
-    common.write_by_rename(path, lambda temporary: temporary.write_text("new"))
-    assert path.read_text() == "new"
-    with pytest.raises(PigaError, match="cannot be written"):
-        common.write_by_rename(tmp_path / "none" / "x", lambda temporary: None)
-
-
-def test_control_sequences_do_not_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    common.say("a\x1b[31mb")
-    common.note("c\x07d")
-    captured = capsys.readouterr()
-    assert captured.out == "a?[31mb\n"
-    assert captured.err == "c?d\n"
 
 
 def test_the_example_is_copied_whole(tmp_path: Path) -> None:

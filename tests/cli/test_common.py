@@ -1,4 +1,4 @@
-"""Terminals that lack characters, and a standard output that is full, closed or read by nobody."""
+"""Output of commands: terminals that lack characters, closed and full ends, results by rename, words of options."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from piga.cli import common
+from piga.cli.common import without_types
+from piga.errors import PigaError
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
 from tests.records.files import lines, write_log, write_run
 
@@ -93,3 +95,41 @@ def test_a_live_stream_with_a_closed_end(tmp_path: Path, shell: str, closed: str
     assert done.returncode == 2
     assert f"standard {closed} is closed".encode() in done.stderr
     assert b"Traceback" not in done.stderr
+
+
+def test_nothing_is_written_half(tmp_path: Path) -> None:
+    path = tmp_path / "result.txt"
+    path.write_text("old")
+
+    def fails(temporary: Path) -> None:
+        temporary.write_text("half")
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(PigaError, match="No space left"):
+        common.write_by_rename(path, fails)
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["result.txt"]
+    common.write_by_rename(path, lambda temporary: temporary.write_text("new"))
+    assert path.read_text() == "new"
+    with pytest.raises(PigaError, match="cannot be written"):
+        common.write_by_rename(tmp_path / "none" / "x", lambda temporary: None)
+
+
+def test_control_sequences_do_not_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    common.say("a\x1b[31mb")
+    common.note("c\x07d")
+    captured = capsys.readouterr()
+    assert captured.out == "a?[31mb\n"
+    assert captured.err == "c?d\n"
+
+
+@pytest.mark.parametrize(("words", "named", "wanted"), [
+    ("--out DIR <path>", True, "--out DIR"),
+    ("--seed <int range>", False, "--seed N"),
+    ("--seed INTEGER RANGE", False, "--seed N"),
+    ("--model <quasi-steady|twin>", False, "--model quasi-steady|twin"),
+    ("--reason TEXT", True, "--reason"),
+    ("-h, --help", False, "-h, --help"),
+])  # fmt: skip
+def test_words_of_an_option(words: str, named: bool, wanted: str) -> None:
+    assert without_types(words, named) == wanted

@@ -1,9 +1,15 @@
+"""Known force comes back from whole records, with its uncertainty and flags."""
+
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import piga
+from piga._kernels.arithmetic import LIMIT
+from piga._kernels.compensation.layout import TERMS
 from piga.compensation import FLAGS, Mounted, Phase, SetCompensator
 from piga.reports.compensation.figures import compensation_errors, error_figures
 from piga.reports.render.orders import order_spectrum
@@ -11,8 +17,14 @@ from piga.units import G0
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, mean_force, run_of
 
 PHI = np.pi / 4
+
+
 TOLERANCE_RAMPS = 1e-11
+
+
 TOLERANCE_ERRORS = 2e-7
+
+
 CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI})
 
 
@@ -185,3 +197,90 @@ def test_no_line_is_left_at_the_revolution_orders():
     figures = error_figures(record, result, K_G / G0, (1e-5, 0.0))
     assert [figure.key for figure in figures] == ["compensation-error", "compensation-spectrum"]
     assert all(axis.unit for figure in figures for panel in figure.panels for axis in (panel.x, panel.y))
+
+
+PLAIN = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4}
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+@pytest.mark.parametrize(
+    "name", [*TERMS, "s1", "c1", "s2", "c2", "s7", "c7", "scale_factor", "tan_beta", "phi"]
+)
+def test_of_one_coefficient(name: str, kind: str) -> None:
+    t = 0.01 * np.arange(120)
+    f = G0 * np.column_stack((1.0 + 0.5 * np.sin(3.0 * t), 2.0 + np.cos(2.0 * t), -1.0 + 0.3 * t))
+    warm = 293.15 + 4.0 * np.cos(t)
+    run = run_of(t, f, phi=0.4, kind=kind, temperature=warm)
+    std = 1e-5 * abs(PLAIN.get(name, 1.0))
+    order = name[1:] if name[0] in "sc" and name[1:].isdigit() else ""
+    values = {**PLAIN, **({f"s{order}": 0.0, f"c{order}": 0.0} if order else {}), name: PLAIN.get(name, 0.0)}
+    uncertainty = piga.compensate(run, calibration_of(values, {name: std})).u_ax[1:]
+    up, down = (
+        piga.compensate(run, calibration_of({**values, name: values[name] + d})).ax[1:] for d in (std, -std)
+    )
+    change = np.abs(up - down) / 2.0
+    assert change.max() > 0.0
+    settled = slice(16, None)  # before that u_ax holds the reference's bow at the beginning of the stretch
+    np.testing.assert_allclose(uncertainty[settled], change[settled], rtol=2e-2, atol=2e-2 * change.max())
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("whole", [254_647, 300_000])
+def test_far_angles_are_those_near_zero(whole: int) -> None:
+    """An output angle that passes the border of the fast reduction, and one beyond it, less whole turns: the same force."""
+    t = 0.01 * np.arange(700)
+    f = G0 * np.column_stack((1.0 + 0.2 * np.sin(3.0 * t), 2.0 + np.cos(2.0 * t), -1.0 + 0.3 * t))
+    near = run_of(t, f, phi=0.4)
+    turns = 2.0 * np.pi * whole
+    assert (turns < LIMIT) == (whole == 254_647)
+    assert turns + np.ptp(near.output) > LIMIT
+    far = piga.Run.from_arrays(t, near.output + turns, f, scale_factor=K_G / G0)
+    cal = calibration_of(PLAIN, {"phi": 1e-4})
+    a, b = piga.compensate(near, cal), piga.compensate(far, cal)
+    assert np.abs(a.ax[1:] - b.ax[1:]).max() < 4.0 * np.spacing(turns) / (
+        K_G / G0 * 0.01
+    )  # rounding of the angle
+    np.testing.assert_allclose(b.u_ax[1:], a.u_ax[1:], rtol=1e-4)
+
+
+def drifting(seconds: float = 40.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """An instrument whose bias drifts by 1e-5 g/s; the input is the same before and after."""
+    t = 100.0 + np.arange(0.0, seconds, 0.01)
+    f = G0 * np.column_stack([1.0 + 0.3 * np.sin(0.5 * t), 0.5 * np.cos(0.3 * t), 0.0 * t])
+    drift = np.zeros_like(f)
+    drift[:, 0] = 1e-5 * G0 * (t - 100.0)
+    inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="200 arcsec")
+    every = slice(None, None, 10)  # a smooth force between the samples of the record
+    return t[every], f[every], piga.propagate(inst, t, f + drift)[every]
+
+
+@pytest.mark.compiled
+def test_a_part_of_the_record_is_compensated_at_its_own_time(tmp_path: Path) -> None:
+    t, f, alpha = drifting()
+    whole = piga.Run.from_arrays(t, alpha, f, scale_factor="0.8884 rad/s/g")
+    path = tmp_path / "c.json"
+    piga.calibrate(whole, ["scale_factor", "tan_beta", "k0", "k0_t"]).to_json(path)
+    calibration = piga.Calibration.from_json(path)
+    assert calibration["k0_t"].value == pytest.approx(1e-5, rel=1e-3)
+    late = slice(300, None)
+    part = piga.Run.from_arrays(t[late], alpha[late], f[late], scale_factor="0.8884 rad/s/g")
+    compensated = piga.compensate(part, calibration)
+    velocity = G0 * (t - 0.6 * np.cos(0.5 * t))
+    middle = np.diff(velocity[late]) / 0.1
+    np.testing.assert_allclose(compensated.ax[2:], middle[1:], atol=2e-6 * G0)
+
+
+@pytest.mark.compiled
+def test_rows_outside_the_calibrated_range_are_flagged() -> None:
+    t, f, alpha = drifting(20.0)
+    calibration = piga.calibrate(
+        piga.Run.from_arrays(t, alpha, f, scale_factor="0.8884 rad/s/g"), ["scale_factor", "tan_beta", "k0"]
+    )
+    low, high = calibration.diagnostics.range["a_x"]
+    assert (low, high) == (f[:, 0].min(), f[:, 0].max())
+    strong = f * [2.0, 1.0, 1.0]
+    inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="200 arcsec")
+    run = piga.Run.from_arrays(t, piga.propagate(inst, t, strong), strong, scale_factor="0.8884 rad/s/g")
+    flagged = piga.compensate(run, calibration).flagged("out_of_range")
+    assert flagged[1:].mean() > 0.5

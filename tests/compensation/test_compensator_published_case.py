@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 import piga
-from piga._kernels.arithmetic import sine_cosine
 from piga.units import G0
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, mean_force, run_of
 
@@ -64,19 +63,3 @@ def test_error_falls_with_the_sampling_interval(kind, sign):
         worst.append(abs(result - truth))
     assert worst[0] / worst[1] > 3.5
     assert worst[1] / worst[2] > 3.5
-
-
-@pytest.mark.compiled
-def test_sine_and_cosine_are_good_to_4e16_for_any_angle():
-    """Against 50 digits at random angles to 1e9 rad, near quarter turns too."""
-    import mpmath
-
-    rng = np.random.default_rng(0)
-    angles = np.concatenate(
-        [10.0 ** rng.uniform(-8, 9, 600) * rng.choice([-1, 1], 600), np.arange(1, 400) * np.pi / 2]
-    )
-    with mpmath.workdps(50):
-        for x in angles:
-            s, c = sine_cosine(float(x))
-            assert abs(s - mpmath.sin(mpmath.mpf(float(x)))) < 4e-16
-            assert abs(c - mpmath.cos(mpmath.mpf(float(x)))) < 4e-16

@@ -1,3 +1,5 @@
+"""The phase of a record at rest: found, with its uncertainty, or refused."""
+
 from __future__ import annotations
 
 import math
@@ -7,8 +9,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.compensation import PhaseFinder, Resampler, identify_phase
-from piga.units import G0
+from piga.compensation import PhaseFinder, identify_phase
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 
@@ -52,40 +53,3 @@ def test_too_short_a_rest_is_refused():
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA}, angle_rms=1e-4)
     with pytest.raises(piga.CalibrationError, match="does not turn once"):
         identify_phase(rest_record(0.4, 0.0, 1), cal, 2.0)
-
-
-@pytest.mark.parametrize("period", [0.05, 0.013, 0.003])
-def test_resampling_loses_no_velocity(period):
-    rng = np.random.default_rng(3)
-    t = 0.01 * np.arange(500)
-    dv = rng.standard_normal(500)
-    stream = Resampler(period)
-    parts = [stream.push(t[i : i + 7], dv[i : i + 7]) for i in range(0, 500, 7)]
-    total = math.fsum(np.concatenate([p[1] for p in parts])) + stream.waiting[0]
-    assert abs(total - math.fsum(dv)) < 500 * np.finfo(float).eps
-    assert np.allclose(np.diff(np.concatenate([p[0] for p in parts])), period)
-
-
-def test_resampled_constant_force_is_constant():
-    t = 0.01 * np.arange(1001)
-    times, dv = Resampler(0.025).push(t, np.full(1001, 0.01 * G0))
-    assert np.abs(dv[1:] / 0.025 - G0).max() < 1e-9
-    assert times.size == 400
-
-
-def test_sum_of_resampled_increments_is_the_running_velocity_to_the_bit():
-    """Every tenth of 0.125 s rows (times without rounding): both running sums are the same numbers."""
-    t = 0.125 * np.arange(2001)
-    dv = G0 * 0.125 * (1.0 + 0.1 * np.random.default_rng(2).standard_normal(2001))
-    dv[0] = 0.0
-    stream = Resampler(1.25)
-    parts = [stream.push(t[i : i + 333], dv[i : i + 333])[1] for i in range(0, 2001, 333)]
-    assert np.cumsum(np.concatenate(parts)).tobytes() == np.cumsum(dv)[10::10].tobytes()
-    assert stream.waiting[0] == 0.0
-    whole = Resampler(1.25).push(t, dv)[1]
-    assert whole.tobytes() == np.concatenate(parts).tobytes()
-
-
-def test_time_that_jumps_back_is_refused():
-    with pytest.raises(piga.ArgumentError, match=r"t\[2\]: 0.5 s is not after"):
-        Resampler(0.1).push([0.0, 1.0, 0.5], [0.0, 1.0, 1.0])

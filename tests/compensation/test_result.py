@@ -1,17 +1,24 @@
-"""A record in pieces, and files of it: what comes out does not depend on the pieces."""
+"""Tables of results in pieces, their files, and another rate: nothing depends on the pieces, no velocity is lost."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation import identify_phase
+from piga.compensation import (
+    Resampler,
+    identify_phase,
+)
 from piga.compensation.compensator import compensate_in_pieces
 from piga.compensation.result import TableWriter
 from piga.formats.columns import nulls_of, numbers_of
+from piga.units import G0
 from tests.compensation.run_files import CAL, command, small_chunks, write
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
@@ -117,3 +124,54 @@ def test_row_groups_do_not_depend_on_the_pieces(tmp_path, monkeypatch, sizes):
     metadata = pa.parquet.ParquetFile(tmp_path / "pieces.parquet").metadata
     assert [metadata.row_group(i).num_rows for i in range(metadata.num_row_groups)] == [100, 100, 50]
     assert (tmp_path / "pieces.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
+
+
+@pytest.mark.parametrize("period", [0.05, 0.013, 0.003])
+def test_resampling_loses_no_velocity(period):
+    rng = np.random.default_rng(3)
+    t = 0.01 * np.arange(500)
+    dv = rng.standard_normal(500)
+    stream = Resampler(period)
+    parts = [stream.push(t[i : i + 7], dv[i : i + 7]) for i in range(0, 500, 7)]
+    total = math.fsum(np.concatenate([p[1] for p in parts])) + stream.waiting[0]
+    assert abs(total - math.fsum(dv)) < 500 * np.finfo(float).eps
+    assert np.allclose(np.diff(np.concatenate([p[0] for p in parts])), period)
+
+
+def test_resampled_constant_force_is_constant():
+    t = 0.01 * np.arange(1001)
+    times, dv = Resampler(0.025).push(t, np.full(1001, 0.01 * G0))
+    assert np.abs(dv[1:] / 0.025 - G0).max() < 1e-9
+    assert times.size == 400
+
+
+def test_sum_of_resampled_increments_is_the_running_velocity_to_the_bit():
+    """Every tenth of 0.125 s rows (times without rounding): both running sums are the same numbers."""
+    t = 0.125 * np.arange(2001)
+    dv = G0 * 0.125 * (1.0 + 0.1 * np.random.default_rng(2).standard_normal(2001))
+    dv[0] = 0.0
+    stream = Resampler(1.25)
+    parts = [stream.push(t[i : i + 333], dv[i : i + 333])[1] for i in range(0, 2001, 333)]
+    assert np.cumsum(np.concatenate(parts)).tobytes() == np.cumsum(dv)[10::10].tobytes()
+    assert stream.waiting[0] == 0.0
+    whole = Resampler(1.25).push(t, dv)[1]
+    assert whole.tobytes() == np.concatenate(parts).tobytes()
+
+
+def test_time_that_jumps_back_is_refused():
+    with pytest.raises(piga.ArgumentError, match=r"t\[2\]: 0.5 s is not after"):
+        Resampler(0.1).push([0.0, 1.0, 0.5], [0.0, 1.0, 1.0])
+
+
+T = 0.01 * np.arange(60)
+
+
+def test_periods_that_are_none() -> None:
+    for period in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(piga.ArgumentError, match=r"period: .* is not positive"):
+            Resampler(period)
+    new = Resampler(0.03)
+    assert new.waiting.size == 0
+    _, given = new.push(T[:8], np.ones(8))
+    np.testing.assert_allclose(given, [4.0, 3.0])  # the first sample's goes out with the three behind it
+    np.testing.assert_allclose(new.waiting, [1.0])

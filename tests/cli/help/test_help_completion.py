@@ -13,7 +13,6 @@ from typer.core import TyperGroup
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from piga.cli.common import without_types
 from piga.cli.main import app
 from tests.cli.help.test_help import commands
 
@@ -78,15 +77,3 @@ def test_help_names_no_python_type() -> None:
         text = CliRunner().invoke(app, [*words, "--help"]).stdout
         wrong = re.findall(r"<(?:path|str|int|float|list)[^>]*>|\b(?:TEXT|PATH|INTEGER|FLOAT)\b", text)
         assert not wrong, (words, wrong)
-
-
-@pytest.mark.parametrize(("words", "named", "wanted"), [
-    ("--out DIR <path>", True, "--out DIR"),
-    ("--seed <int range>", False, "--seed N"),
-    ("--seed INTEGER RANGE", False, "--seed N"),
-    ("--model <quasi-steady|twin>", False, "--model quasi-steady|twin"),
-    ("--reason TEXT", True, "--reason"),
-    ("-h, --help", False, "-h, --help"),
-])  # fmt: skip
-def test_words_of_an_option(words: str, named: bool, wanted: str) -> None:
-    assert without_types(words, named) == wanted

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import io
 import json
 
 import numpy as np
@@ -10,10 +9,9 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation.files.live import compensate_arrow, compensate_lines
 from piga.units import G0
 from tests.compensation.run_files import CAL, KERNEL, command, small_chunks, to_file, write
-from tests.compensation.twin_data import TAN_BETA, calibration_of, constant_force, run_of
+from tests.compensation.twin_data import TAN_BETA, calibration_of
 
 
 @pytest.mark.parametrize("kind", ["parquet", "csv"])
@@ -118,39 +116,3 @@ def test_triad_file(tmp_path, monkeypatch, capsys):
     ]  # fmt: skip
     for name, value in (("fx", 1.0), ("fy", 3.0), ("fz", 1.0)):
         assert np.abs(table.column(name).to_numpy()[1:] - value * G0).max() < 1e-9 * G0
-
-
-def live_table(rows=50):
-    t = np.arange(rows) * 0.01
-    f = constant_force(t, 1.0, 3.0)
-    run = run_of(t, f, phi=0.3)
-    return pa.table({"t": t, "output": run.output, "fx": f[:, 0], "fy": f[:, 1], "fz": f[:, 2]}), run
-
-
-def test_lines_and_batches_through_a_pipe_are_the_record():
-    table, run = live_table()
-    cal = calibration_of({**CAL}, {"phi": 1e-4})
-    whole = piga.compensate(run, cal)
-    text = io.StringIO(
-        "t,output,fx,fy,fz\n" + "\n".join(",".join(map(repr, r.values())) for r in table.to_pylist()) + "\n"
-    )
-    answer = io.StringIO()
-    assert compensate_lines(text, answer, piga.Compensator(cal)) == 50
-    answered = np.array([line.split(",")[1] for line in answer.getvalue().splitlines()[1:]], dtype=float)
-    assert answered.tobytes() == whole.ax.tobytes()
-    sent, got = io.BytesIO(), io.BytesIO()
-    with pa.ipc.new_stream(sent, table.schema) as writer:
-        writer.write_table(table, 7)
-    sent.seek(0)
-    compensate_arrow(sent, got, piga.Compensator(cal))
-    got.seek(0)
-    assert pa.ipc.open_stream(got).read_all().column("u_ax").to_numpy().tobytes() == whole.u_ax.tobytes()
-
-
-def test_a_wrong_line_is_named():
-    with pytest.raises(piga.DataError, match="line 3"):
-        compensate_lines(
-            io.StringIO("t,output,fx,fy,fz\n0,0,1,1,1\n0.1,x,1,1,1\n"),
-            io.StringIO(),
-            piga.Compensator(calibration_of(CAL)),
-        )
