@@ -209,7 +209,7 @@ scale_factor = "0.8884 rad/s/g"
 file = "{file}"
 time = {{ column = "t", unit = "s" }}
 output = {{ column = "psi", kind = "angle", unit = "rad" }}
-reference = {{ numbered_columns = ["fx", "fy", "fz"], unit = "m/s^2" }}
+reference = {{ columns = ["fx", "fy", "fz"], unit = "m/s^2" }}
 {more}
 """
 
