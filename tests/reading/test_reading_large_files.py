@@ -20,7 +20,7 @@ import json, sys, threading, time
 import numpy as np
 import piga
 from piga.reading import raw_columns
-from piga.cli.recorded.calibrate import write_results
+from piga.cli.calibrate import write_results
 from pathlib import Path
 
 def private():

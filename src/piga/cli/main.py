@@ -14,18 +14,15 @@ from typing import Any
 import typer
 
 from piga._version import __version__
+from piga.cli import campaign, certificate, platform, records, trend
+from piga.cli.calibrate import calibrate, demo
+from piga.cli.check import check, convert
 from piga.cli.common import DOING, App, CommandGroup, note, prepare_output
-from piga.cli.computed import campaign, platform
-from piga.cli.computed.plan import plan
-from piga.cli.computed.reproduce import reproduce
-from piga.cli.computed.simulate import simulate
-from piga.cli.help.words import completion, examples, methods, terms
-from piga.cli.kept import certificate, records, trend
-from piga.cli.recorded.calibrate import calibrate, demo
-from piga.cli.recorded.check import check, convert
-from piga.cli.recorded.compensate import compensate
-from piga.cli.recorded.init import init
+from piga.cli.compensate import compensate
+from piga.cli.init import init
+from piga.cli.simulate import plan, reproduce, simulate
 from piga.cli.ui import ui
+from piga.cli.words import completion, examples, methods, terms
 from piga.errors import EXTRAS, CalibrationWarning, PigaError, PigaWarning, missing_package
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -239,7 +239,7 @@ def test_without_a_report_no_report_is_loaded(tmp_path):
     """Plain compensation loads neither the page nor what draws it."""
     run = write(tmp_path)
     code = (
-        "import sys; from piga.cli.recorded.compensate import compensate; from pathlib import Path;"
+        "import sys; from piga.cli.compensate import compensate; from pathlib import Path;"
         f"compensate([Path({str(run)!r})], [Path({str(tmp_path / 'run.json')!r})], Path({str(tmp_path / 'o.csv')!r}));"
         "assert not {name for name in sys.modules if name.startswith(('piga.reports', 'matplotlib', 'jinja2'))}"
     )

@@ -178,7 +178,7 @@ def _typed(path: Path) -> str:
 
 
 def _say_outcome(target: Path, tried: Run | PigaError) -> None:
-    from piga.cli.recorded.check import print_suggestions
+    from piga.cli.check import print_suggestions
 
     if isinstance(tried, PigaError):
         say(f"The log cannot be read with it yet: {tried.message}")

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from piga.cli.main import app
 
-LOGS = Path(__file__).resolve().parents[2] / "data" / "logs"
+LOGS = Path(__file__).resolve().parents[1] / "data" / "logs"
 SCALE = "instrument.scale_factor=0.8884 rad/s/g"
 
 
@@ -147,7 +147,7 @@ def test_in_a_terminal_it_asks(tmp_path: Path) -> None:
 
     log = Path(shutil.copy(LOGS / "labview.lvm", tmp_path))
     master, slave = pty.openpty()
-    source = str(Path(__file__).resolve().parents[3] / "src")
+    source = str(Path(__file__).resolve().parents[2] / "src")
     process = subprocess.Popen(
         [sys.executable, "-m", "piga", "init", str(log)],
         stdin=slave, stdout=slave, stderr=slave, close_fds=True,

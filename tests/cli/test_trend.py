@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga.cli.kept.trend import stored_history, trend
+from piga.cli.trend import stored_history, trend
 from piga.errors import PigaError
 from piga.records.calibration.document import calibration_to_bytes
 from tests.cli.test_cli_commands import piga
@@ -51,7 +51,7 @@ def test_directories_and_files(folder, tmp_path):
 def test_a_trend_loads_no_estimator(folder):
     """An instrument of thousands of records has its trend in seconds; the estimator alone takes a tenth of them."""
     script = (
-        "import sys; from piga.cli.kept.trend import trend\n"
+        "import sys; from piga.cli.trend import trend\n"
         "from pathlib import Path; trend([Path(sys.argv[1])])\n"
         "loaded = sorted(name for name in sys.modules if name.startswith(('piga.calibration', 'piga.stand', 'piga.trend')))\n"
         "print(loaded, file=sys.stderr)"

@@ -9,8 +9,8 @@ import msgspec
 import pytest
 from typer.testing import CliRunner
 
-from piga.cli.help.words import explain
 from piga.cli.main import app
+from piga.cli.words import explain
 from piga.describe.draft import FILES, key_table, places_of
 from piga.records.run_file import METHOD_WORDS, METHODS
 from piga.records.terms import MEANING, TERM_WORDS, UNITS, term_words

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
-from piga.cli.computed import platform
+from piga.cli import platform
 from piga.cli.main import app, main
 from tests.platform.conftest import INTERPRETED
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from piga.cli.main import app
 from piga.data import example_files
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_every_example_is_written(tmp_path: Path) -> None:

@@ -92,7 +92,7 @@ def check(
 
 
 def _explain(key: str, as_json: bool) -> None:
-    from piga.cli.help.words import explain, key_documents, say_keys
+    from piga.cli.words import explain, key_documents, say_keys
 
     hits = explain(key)
     if as_json:

@@ -1,1 +1,0 @@
-"""Commands that say what there is: terms, methods, keys of files, examples, completion."""
