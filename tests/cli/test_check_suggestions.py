@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import piga
 from piga.cli.main import app
 from piga.describe import suggestions
-from piga.describe.draft import toml_text
+from piga.records.text_files import toml_text
 from tests.records.containers import columns, write_xlsx
 from tests.records.files import events, lines, psi_steps, write_log, write_run
 

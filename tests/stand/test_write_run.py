@@ -21,13 +21,13 @@ from piga.stand import (
     run_scenario,
     simulate_test,
 )
+from piga.records.text_files import toml_text
 from piga.stand.write_run import (
     coefficients,
     imperfection_values,
     log_table,
     predicted_angle_error,
     run_file_text,
-    toml_table,
     truth_document,
     truth_text,
     write_data,
@@ -276,4 +276,4 @@ def test_run_file_of_an_output_in_rad(tmp_path: Path, output: str, unit: str) ->
 
 def test_toml_values() -> None:
     values = {"a": True, "b": "°", "c": [1, 2.5], "d": {"e": False}, "f": (1,)}
-    assert tomllib.loads(toml_table("x", values))["x"] == values | {"f": [1]}
+    assert tomllib.loads(toml_text({"x": values}))["x"] == values | {"f": [1]}

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import piga
-from piga.describe.draft import toml_value
-from piga.records.text_files import toml_document
+from piga.records.text_files import toml_document, toml_value
 from piga.workbench.forms import digest, form_fields, form_of_text, sent_text, text_with
 from tests.workbench.conftest import Client, Server
 

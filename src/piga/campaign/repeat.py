@@ -12,8 +12,8 @@ import numpy as np
 from piga.campaign.campaign_file import CampaignPlan, RecordName
 from piga.campaign.constant_force import ConstantForce, Joint
 from piga.campaign.subjects import Outcome, built, seed_of, write_lab_files
+from piga.records.text_files import toml_text
 from piga.stand.scenario import Scenario, run_scenario
-from piga.stand.write_run import toml_table
 from piga.units import from_si
 
 if TYPE_CHECKING:
@@ -41,9 +41,7 @@ def write_record(plan: CampaignPlan, record: RecordName, folder: Path) -> list[s
         run = made.record(np.random.default_rng(plan.sequence(record)))
         return _write_run(made, run, folder, "run")
     seeded = _plain(document | {"run": document.get("run", {}) | {"seed": seed_of(plan, record)}})
-    text = "".join(f"{key} = {_value(value)}\n" for key, value in seeded.items() if not isinstance(value, dict))
-    text += "\n".join(toml_table(key, value) for key, value in seeded.items() if isinstance(value, dict))
-    (folder / "scenario.toml").write_text(text, encoding="utf-8", newline="\n")
+    (folder / "scenario.toml").write_text(toml_text(seeded), encoding="utf-8", newline="\n")
     if isinstance(made, Scenario):
         write_lab_files(made, run_scenario(made, seed=seed_of(plan, record)), folder)
     return sorted(path.name for path in folder.iterdir())
@@ -56,10 +54,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list):
         return [_plain(part) for part in value]
     return value.isoformat() if isinstance(value, dt.date | dt.time) else value
-
-
-def _value(value: Any) -> str:
-    return toml_table("x", {"x": value}).partition("= ")[2].strip()
 
 
 def _write_run(test: ConstantForce, run: Run, folder: Path, name: str) -> list[str]:
@@ -84,8 +78,7 @@ def _write_run(test: ConstantForce, run: Run, folder: Path, name: str) -> list[s
         data["base_rate"] = {"columns": ["wx", "wy", "wz"], "unit": "rad/s"}
     instrument = {"serial": run.serial, "scale_factor": f"{from_si(run.scale_factor, 'rad/s/g')!r} rad/s/g"}
     tables = {"instrument": instrument, "data": data, "model": {"terms": list(test.terms)}}
-    text = "\n".join(toml_table(key, table) for key, table in tables.items())
-    (folder / f"{name}.toml").write_text(text, encoding="utf-8", newline="\n")
+    (folder / f"{name}.toml").write_text(toml_text(tables), encoding="utf-8", newline="\n")
     return [f"{name}.toml", f"{name}.parquet"]
 
 

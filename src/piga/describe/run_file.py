@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.describe.columns import WORDS, ColumnGuess, Values
-from piga.describe.draft import RunFileDraft, number_in, quantity_text, toml_value
+from piga.describe.draft import RunFileDraft, number_in, quantity_text
 from piga.describe.layout import Guess
 from piga.describe.log import LogDescription
 from piga.describe.signals import one_of_each_axis, put_instrument, put_output, put_reference, put_terms
 from piga.errors import DataError
 from piga.records.run import Run
+from piga.records.text_files import toml_value
 from piga.stand.run_reference import read_run
 from piga.units import parse_unit
 

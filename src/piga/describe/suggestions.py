@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from piga.describe.columns import kind_of_name
-from piga.describe.draft import toml_key, toml_text, toml_value
 from piga.errors import PigaError
 from piga.records.run import Run
-from piga.records.text_files import toml_bytes, toml_document, written_key
+from piga.records.text_files import toml_bytes, toml_document, toml_key, toml_text, toml_value, written_key
 from piga.stand.run_reference import read_run
 
 _FAULT_LINE = re.compile(

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from piga.errors import ArgumentError
 from piga.instrument.parameters import Instrument
 
+Array = NDArray[np.float64]
 Regime = Literal["zero", "critical", "locked", "running"]
 
 _ROUNDING = 2.0 * float(np.finfo(np.float64).eps)
@@ -43,18 +44,23 @@ def effective_rates(
     ArgumentError
         If a value is not finite or the base rate does not have three components.
     """
-    omega = np.zeros(3) if base_rate is None else np.asarray(base_rate, dtype=float)
-    if omega.shape != (3,):
-        raise ArgumentError(
-            f"base_rate: shape {omega.shape} instead of (3,)",
-            remedy="give three rates [rad/s] along X0, Y0 and Z0",
-        )
+    omega = _base_rate(base_rate)
     for name, value in (("a_x", a_x), ("a_Y", a_Y), ("a_Z", a_Z), ("base_rate", omega.sum())):
         if not math.isfinite(value):
             raise ArgumentError(f"{name}: {value!r} is not a finite number", remedy="give a finite number")
     K = inst.scale_factor
     u_x, u_Y, u_Z = K * a_x - omega[0], K * a_Y - omega[1], K * a_Z - omega[2]
     return float(u_x), float(inst.tan_beta * u_Y), float(inst.tan_beta * u_Z)
+
+
+def _base_rate(given: ArrayLike | None) -> Array:
+    omega = np.zeros(3) if given is None else np.asarray(given, dtype=float)
+    if omega.shape != (3,):
+        raise ArgumentError(
+            f"base_rate: shape {omega.shape} instead of (3,)",
+            remedy="give three rates [rad/s] along X0, Y0 and Z0",
+        )
+    return omega
 
 
 def regime(
@@ -99,9 +105,6 @@ def regime(
     return "running" if gap > 0.0 else "locked"
 
 
-Array = NDArray[np.float64]
-
-
 def _adler(
     inst: Instrument, a_x: ArrayLike, a_Y: ArrayLike, a_Z: ArrayLike, base_rate: ArrayLike | None
 ) -> tuple[Array, Array, Array]:
@@ -112,12 +115,7 @@ def _adler(
         raise ArgumentError(
             "a_x, a_Y, a_Z: shapes do not fit together", remedy="give numbers, or arrays of one shape [m/s^2]"
         ) from None
-    omega = np.zeros(3) if base_rate is None else np.asarray(base_rate, dtype=float)
-    if omega.shape != (3,):
-        raise ArgumentError(
-            f"base_rate: shape {omega.shape} instead of (3,)",
-            remedy="give three rates [rad/s] along X0, Y0 and Z0",
-        )
+    omega = _base_rate(base_rate)
     for name, value in (("a_x", forces[0]), ("a_Y", forces[1]), ("a_Z", forces[2]), ("base_rate", omega)):
         if not np.isfinite(value).all():
             raise ArgumentError(f"{name}: holds a value that is not a finite number", remedy="leave it out")

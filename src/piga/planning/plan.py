@@ -44,9 +44,10 @@ from piga.planning.mounting import Mounting
 from piga.planning.plan_file import PlanRequest
 from piga.progress import Progress, Steps
 from piga.records.terms import unit_of
+from piga.records.text_files import toml_text
 from piga.results import Reported, Result, plotted
 from piga.stand.scenario import DividingHeadTable
-from piga.stand.write_run import given_values, toml_table
+from piga.stand.write_run import given_values
 from piga.threads import with_one_thread
 
 if TYPE_CHECKING:
@@ -454,7 +455,7 @@ def scenario_text(plan: Plan) -> str:
     comment = (
         f"# Test planned by piga {__version__} from {plan.request.path.name}: {len(plan.best.visits)} visits.\n"
     )
-    return comment + "\n".join(toml_table(name, table) for name, table in tables.items())
+    return comment + toml_text(tables)
 
 
 CSV_COLUMNS = ("step", "begin_s", "hold_s", "stand", "position", "a_x_g", "a_Y_g", "a_Z_g", "revolutions")

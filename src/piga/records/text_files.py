@@ -1,4 +1,4 @@
-"""Read TOML and JSON files from outside into typed tables. Messages name file, table and key."""
+"""Read TOML and JSON files from outside into typed tables, and write TOML. Messages name file, table and key."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import math
 import re
 import tomllib
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -36,6 +37,7 @@ MAX_NAME = 256
 """Longest text that may be a file name [characters]."""
 MOST_KEY_PARTS = 16
 """Most parts of a dotted key. Keys of the run file have three."""
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_KEY_PARTS},}}")
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
@@ -312,3 +314,48 @@ def _refuse_twice(pairs: list[tuple[str, Any]]) -> None:
         if name in names:
             raise JsonError(f"the key '{name[:60]}' occurs twice in one object")
         names.add(name)
+
+
+def toml_key(name: str) -> str:
+    """A key, in quotes where it needs them."""
+    return name if _BARE.fullmatch(name) else toml_value(name)
+
+
+def toml_value(value: Any) -> str:
+    """A value on one line."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
+        return repr(value)
+    if isinstance(value, Mapping):
+        inside = ", ".join(f"{toml_key(str(name))} = {toml_value(part)}" for name, part in value.items())
+        return f"{{ {inside} }}" if inside else "{}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(toml_value, value))}]"
+    return str(value)  # dates and times write themselves in ISO 8601
+
+
+def toml_text(document: Mapping[str, Any], comments: Mapping[str, list[str]] | None = None) -> str:
+    """A document of tables as text. ``comments``: lines to stand before ``table`` or ``table.key``."""
+    comments = comments or {}
+    lines = [f"# {line}" for line in comments.get("", [])]
+    lines += [
+        f"{toml_key(name)} = {toml_value(part)}"
+        for name, part in document.items()
+        if not isinstance(part, Mapping)
+    ]
+    for table, part in document.items():
+        if not isinstance(part, Mapping):
+            continue
+        lines += ["", *(f"# {line}" for line in comments.get(table, [])), f"[{toml_key(table)}]"]
+        for key, value in part.items():
+            lines += [f"# {line}" for line in comments.get(f"{table}.{key}", [])]
+            lines.append(f"{toml_key(key)} = {toml_value(value)}")
+        lines += [f"# {line}" for line in comments.get(f"{table}.", [])]
+    return "\n".join(lines).lstrip("\n") + "\n"

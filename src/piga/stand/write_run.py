@@ -26,6 +26,7 @@ from piga.instrument.twin.linear import (
 )
 from piga.instrument.twin.parameters import TwinParameters
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
+from piga.records.text_files import toml_text
 from piga.stand.imperfections import Imperfections
 from piga.stand.scenario import Scenario
 from piga.stand.simulate import SimulatedTest
@@ -224,7 +225,7 @@ def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> st
     comment = (
         f"# Simulated by piga {__version__} from {scenario.path.name}, model {test.model}, seed {test.seed}.\n"
     )
-    return comment + "\n".join(toml_table(name, table) for name, table in tables.items() if table)
+    return comment + toml_text({name: table for name, table in tables.items() if table})
 
 
 def _model(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
@@ -264,24 +265,6 @@ def _uncertainty(scenario: Scenario) -> dict[str, Any]:
     """``[uncertainty]`` as written and, if imperfections were drawn, their standard uncertainties."""
     drawn = scenario.table.imperfections if scenario.table.run.imperfections == "drawn" else {}
     return drawn | scenario.table.uncertainty
-
-
-def toml_table(name: str, table: dict[str, Any]) -> str:
-    """A table of a TOML file with its header. Inner tables are written inline."""
-    return f"[{name}]\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in table.items())
-
-
-def _toml(value: Any) -> str:
-    """A value as TOML: text, numbers, booleans, lists and inline tables."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + " }"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
-    return repr(value)
 
 
 def truth_document(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:

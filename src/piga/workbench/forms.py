@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from piga.describe.draft import places_of, toml_value
+from piga.describe.draft import places_of
 from piga.errors import ArgumentError, PigaError
-from piga.records.text_files import toml_document
+from piga.records.text_files import toml_document, toml_value
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from piga._kernels import arithmetic as dd
 from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, constant_motion_at, split_turns
 from piga.errors import ArgumentError
+from piga.instrument.checks import require_finite
 from piga.instrument.parameters import Instrument
 from piga.instrument.regimes import effective_rates
 
@@ -151,11 +152,7 @@ def closed_form_turns(
     times = np.asarray(t, dtype=float)
     if times.size == 0:
         raise ArgumentError("t: empty", remedy="give at least one time")
-    if not np.isfinite(times).all():
-        index = int(np.flatnonzero(~np.isfinite(times))[0])
-        raise ArgumentError(
-            f"t: {times.ravel()[index]} at index {index} is not a finite number", remedy="give finite times"
-        )
+    require_finite("t", times.ravel())
     result = np.empty((3, times.size))
     turns, rest = split_turns(inst.alpha0)
     constant_motion_at(exact_rates(inst, a_x, a_Y, a_Z, base_rate), times.ravel(), turns, rest, result)

@@ -84,21 +84,21 @@ def loop_poles(p: TwinParameters) -> Complex:
 
 def open_loop(p: TwinParameters, frequency: ArrayLike) -> Complex:
     """Open-loop response ``C P`` at ``frequency`` [rad/s]."""
+    (plant_n, plant_d), (servo_n, servo_d) = _plant(p), _controller(p)
+    return _response(poly.polymul(plant_n, servo_n)[::-1], poly.polymul(plant_d, servo_d)[::-1], frequency)
+
+
+def _response(numerator: Polynomial, denominator: Polynomial, frequency: ArrayLike) -> Complex:
+    """Response of polynomials in descending powers of s."""
     from scipy import signal
 
-    (plant_n, plant_d), (servo_n, servo_d) = _plant(p), _controller(p)
-    numerator, denominator = poly.polymul(plant_n, servo_n), poly.polymul(plant_d, servo_d)
-    _, response = signal.freqs(numerator[::-1], denominator[::-1], np.asarray(frequency, dtype=float))
+    _, response = signal.freqs(numerator, denominator, np.asarray(frequency, dtype=float))
     return np.asarray(response)
 
 
 def tilt_compliance(p: TwinParameters, frequency: ArrayLike) -> Complex:
     """Closed-loop tilt per outer-axis torque [rad/(N m)] at ``frequency`` [rad/s]."""
-    from scipy import signal
-
-    numerator = poly.polymul(_plant(p)[0], _controller(p)[1])
-    _, response = signal.freqs(numerator[::-1], _closed(p)[::-1], np.asarray(frequency, dtype=float))
-    return np.asarray(response)
+    return _response(*tilt_transfer(p)[0], frequency)
 
 
 def tilt_transfer(p: TwinParameters) -> tuple[tuple[Polynomial, Polynomial], tuple[Polynomial, Polynomial]]:
@@ -121,10 +121,7 @@ def _rate_response(p: TwinParameters) -> tuple[Polynomial, Polynomial]:
 
 def rate_response(p: TwinParameters, frequency: ArrayLike) -> Complex:
     """Response of the output rate to specific force, over ``K`` [1], at ``frequency`` [rad/s]."""
-    from scipy import signal
-
-    _, response = signal.freqs(*_rate_response(p), np.asarray(frequency, dtype=float))
-    return np.asarray(response)
+    return _response(*_rate_response(p), frequency)
 
 
 def step_response(p: TwinParameters, t: ArrayLike) -> Array:

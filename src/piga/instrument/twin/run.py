@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.motion import servo
 from piga.errors import ArgumentError, PigaError
+from piga.instrument.checks import float_array, require_finite, require_increasing, time_array
 from piga.instrument.twin.parameters import TwinParameters
 from piga.results import Result
 
@@ -57,23 +58,12 @@ def _tableau() -> servo.Method:
 
 
 def _inputs(t: ArrayLike, f: ArrayLike, base_rate: ArrayLike | None) -> tuple[Array, Array, Array]:
-    times = np.ascontiguousarray(t, dtype=float)
-    force = np.ascontiguousarray(f, dtype=float)
-    rate = np.zeros_like(force) if base_rate is None else np.ascontiguousarray(base_rate, dtype=float)
-    if times.ndim != 1 or times.size < 2 or not np.all(np.diff(times) > 0):
-        raise ArgumentError(
-            "t: needs at least two strictly increasing times", remedy="give two or more times, sorted"
-        )
+    times = time_array("t", t, least=2)
+    require_increasing("t", times)
+    force = float_array("f", f, (times.size, 3))
+    rate = np.zeros(force.shape) if base_rate is None else float_array("base_rate", base_rate, force.shape)
     for name, array in (("f", force), ("base_rate", rate)):
-        if array.shape != (times.size, 3):
-            raise ArgumentError(
-                f"{name}: shape {array.shape} instead of ({times.size}, 3)", remedy="give one row per time"
-            )
-        if not np.all(np.isfinite(array)):
-            raise ArgumentError(
-                f"{name}: row {int(np.argwhere(~np.isfinite(array))[0, 0])} is not finite",
-                remedy="repair or leave out this sample",
-            )
+        require_finite(name, array)
     return times, force, rate
 
 
@@ -194,11 +184,7 @@ def run_twin(
     Nutation is resolved if it is excited, and otherwise only kept stable.
     """
     times, force, rate = _inputs(t, f, base_rate)
-    held = np.zeros_like(force) if noise is None else np.ascontiguousarray(noise, dtype=float)
-    if held.shape != force.shape:
-        raise ArgumentError(
-            f"noise: shape {held.shape} instead of {force.shape}", remedy="give one row per interval"
-        )
+    held = np.zeros(force.shape) if noise is None else float_array("noise", noise, force.shape)
     first = _start(p, start, times[0], force[0], rate[0], accuracy)
     states, error, steps = _run(p, times, force, rate, held, first, accuracy)
     return _motion(p, times, states, held[:, 2], error, steps)

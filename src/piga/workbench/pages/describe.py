@@ -13,10 +13,10 @@ from starlette.routing import Route
 
 from piga.describe import LogDescription, RunFileDraft, describe_log, draft_run_file, setting
 from piga.describe.columns import WORDS
-from piga.describe.draft import FILES, toml_value
+from piga.describe.draft import FILES
 from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
-from piga.records.text_files import toml_document
+from piga.records.text_files import toml_document, toml_value
 from piga.workbench.folder import Folder
 from piga.workbench.forms import digest, form_of_text, sent_text, text_with
 from piga.workbench.pages.common import bench_of, only, redirect, render, sent_form
