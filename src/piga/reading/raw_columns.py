@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError
 from piga.formats.columns import CHUNK_ROWS, FileChunk, RecordStream
-from piga.records.calibration import Event
+from piga.records.calibration import Event, Tally
 from piga.records.limits import LARGEST_SAMPLE, MAX_SEGMENTS, open_regular, read_whole
 from piga.records.run_file import DataTable
 from piga.records.spool import Arrays, arrays_like, spans
@@ -355,8 +355,7 @@ def split_lost(
     order = arrays.empty(segment.size, np.int32)
     names, groups = [labels[int(segment[0])]], [0]
     parts = {int(segment[0]): 1}
-    total = inside = last = 0
-    first = None
+    inside, last, new_phase = 0, 0, Tally()
     for part in spans(segment.size):
         gone = lost[part]
         new = gone.copy()
@@ -376,12 +375,10 @@ def split_lost(
             names.append(labels[old] + ("" if parts[old] == 1 else f"/{parts[old]}"))
             groups.append(groups[-1] + int(gone[at]))
             if gone[at]:
-                total, first = total + 1, row if first is None else first
+                new_phase.see(np.array([row]))
                 inside += int(old == segment[row - 1])
-    events = []
-    if first is not None:
-        detail = "the counter may have rolled over unseen; the zero of the output angle is new there"
-        events.append(Event("phase-lost", total, int(rows[first]), detail))
+    detail = "the counter may have rolled over unseen; the zero of the output angle is new there"
+    events = new_phase.events("phase-lost", rows, detail)
     if inside:
         events.append(Event("segment-split", inside, None, "a gap inside a segment, phase lost"))
     return order, tuple(names), tuple(groups), events

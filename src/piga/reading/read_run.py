@@ -34,7 +34,7 @@ from piga.reading.signal_checks import (
     stopped_output,
     stuck_extremes,
 )
-from piga.records.calibration import Event, Quality
+from piga.records.calibration import Event, Quality, Tally
 from piga.records.run import Run, TimeBase, drop_repeats, examine_time
 from piga.records.run_file import RunFile, read_run_file
 from piga.records.spool import gathered, spans
@@ -288,15 +288,11 @@ class Assembly:
 
         Between segments the case may also have been turned once about the input axis.
         """
-        output, bits, segment = (
-            self.run_file.data.output,
-            self.run_file.instrument.counter_bits,
-            self.raw.segment,
-        )
-        if output.kind != "counts" or bits is not None or np.count_nonzero(base.begins) < 2:
+        segment, bits = self.raw.segment, self.run_file.instrument.counter_bits
+        if self.run_file.data.output.kind != "counts" or bits is not None or np.count_nonzero(base.begins) < 2:
             return
         force = np.sqrt(max(float(np.einsum("ij,ij->i", f[part], f[part]).max()) for part in spans(t.size)))
-        count, first = 0, 0
+        reset = Tally()
         for part in spans(t.size):
             at = part.start + np.flatnonzero(base.begins[part])
             at = at[at > 0]
@@ -304,12 +300,9 @@ class Assembly:
             slack = np.where(segment[at] == segment[at - 1], 0.2, 7.0)
             allowed = (1.5 * self._scale_factor * force + 1e-3) * interval + slack
             gone = at[(interval > 0.0) & (np.abs(psi[at] - psi[at - 1]) > allowed)]
-            if gone.size:
-                first = first or int(self.raw.rows[gone[0]])
-                count += int(gone.size)
-                lost[gone] = True
-        if count:
-            self.events.append(Event("counter-reset", count, first, "between two stretches; the phase is new"))
+            reset.see(gone)
+            lost[gone] = True
+        self.events += reset.events("counter-reset", self.raw.rows, "between two stretches; the phase is new")
 
     def _check_plausible(self, t: Array, output: Array, f: Array, base: TimeBase, resolution: float) -> None:
         """Report units that are probably wrong and an output that does not turn. Nothing is changed."""

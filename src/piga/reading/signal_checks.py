@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.records.calibration import Event
+from piga.records.calibration import Event, Tally
 from piga.records.run_file import LeftOutTable
 from piga.records.spool import Arrays, spans, steps
 from piga.units import G0
@@ -92,18 +92,15 @@ def beyond_limits(
     rows: NDArray[np.int64],
 ) -> list[Event]:
     """Clear ``usable`` for saturated rows: a value is at or beyond its declared limits. They are counted by column."""
-    events = []
+    events: list[Event] = []
     for name, (low, high) in limits.items():
-        count, first = 0, 0
+        saturated = Tally()
         for part in spans(rows.size):
             out = (numbers[name][part] <= low) | (numbers[name][part] >= high)
-            if out.any():
-                first = first or int(rows[part.start + int(np.argmax(out))])
-                count += int(out.sum())
-                usable[part] &= ~out
-        if count:
-            detail = f"column '{name}' at or beyond {low:g} to {high:g}: the row is not used"
-            events.append(Event("saturated", count, first, detail))
+            saturated.see(part.start + np.flatnonzero(out))
+            usable[part] &= ~out
+        detail = f"column '{name}' at or beyond {low:g} to {high:g}: the row is not used"
+        events += saturated.events("saturated", rows, detail)
     return events
 
 
@@ -273,7 +270,7 @@ def sequence_breaks(
     number: Array, wraps_at: int | None, begins: NDArray[np.bool_], rows: NDArray[np.int64]
 ) -> list[Event]:
     """Begin a stretch where a sequence number does not follow the one before. Lost and disordered numbers are counted."""
-    counts, first_rows, missing = [0, 0], [0, 0], 0
+    gaps, backs, missing = Tally(), Tally(), 0
     for part in spans(number.size):
         step = steps(number, part)
         if part.start == 0:
@@ -284,18 +281,12 @@ def sequence_breaks(
         if not wrong.any():
             continue
         begins[part] |= wrong
-        for kind, broken in enumerate((step > 1.0, step <= 0.0)):
-            if broken.any() and not counts[kind]:
-                first_rows[kind] = int(rows[part.start + int(np.argmax(broken))])
-            counts[kind] += int(broken.sum())
+        gaps.see(part.start + np.flatnonzero(step > 1.0))
+        backs.see(part.start + np.flatnonzero(step <= 0.0))
         missing += int(min(step[step > 1.0].sum() - np.count_nonzero(step > 1.0), 1e18))
-    events = []
-    if counts[0]:
-        detail = f"{missing} samples missing; no increment is formed across it"
-        events.append(Event("sequence-gap", counts[0], first_rows[0], detail))
-    if counts[1]:
-        events.append(Event("sequence-back", counts[1], first_rows[1], "no increment is formed across it"))
-    return events
+    none = "no increment is formed across it"
+    lost = gaps.events("sequence-gap", rows, f"{missing} samples missing; {none}")
+    return lost + backs.events("sequence-back", rows, none)
 
 
 def sampled(count: int) -> NDArray[np.int64]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga.errors import ArgumentError
-from piga.records.calibration import Event, Quality
+from piga.records.calibration import Event, Quality, Tally
 from piga.records.distribution import GivenParameter
 from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
 from piga.records.spool import Arrays, exact_median, spans, steps
@@ -556,7 +556,7 @@ def drop_repeats(
     rows:
         File row of each sample, for the messages.
     """
-    counts, first_rows = [0, 0], [0, 0]
+    copies, conflicts = Tally(), Tally()
     last = np.zeros(0, dtype=np.int64)
     for part in spans(t.size):
         index = np.concatenate((last, part.start + np.flatnonzero(usable[part])))
@@ -571,26 +571,17 @@ def drop_repeats(
             identical &= column[first] == column[second]
         usable[second] = False
         usable[first[~identical]] = False
-        for kind, repeats in enumerate((second[identical], second[~identical])):
-            if repeats.size and not counts[kind]:
-                first_rows[kind] = int(rows[repeats[0]])
-            counts[kind] += int(repeats.size)
-    events = []
-    if counts[0]:
-        events.append(Event("repeated-row", counts[0], first_rows[0], "the copy is not used"))
-    if counts[1]:
-        detail = "same time, other values: neither is used"
-        events.append(Event("conflicting-row", counts[1], first_rows[1], detail))
-    return events
+        copies.see(second[identical])
+        conflicts.see(second[~identical])
+    events = copies.events("repeated-row", rows, "the copy is not used")
+    return events + conflicts.events("conflicting-row", rows, "same time, other values: neither is used")
 
 
 def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64], arrays: Arrays) -> TimeBase:
     """Find backward jumps and gaps between the used samples. The nominal step is the median of all forward steps."""
     nominal = exact_median(lambda: _forward(t, segment))
     begins = arrays.empty(t.size, np.bool_)
-    gaps = backs = missing = 0
-    first_gap = first_back = None
-    longest = 0.0
+    gaps, backs, missing, longest = Tally(), Tally(), 0, 0.0
     for part in spans(t.size):
         step, same = steps(t, part), steps(segment, part) == 0
         gap = step > LONG_INTERVAL * nominal
@@ -601,22 +592,13 @@ def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64], 
         if not (same & (gap | back)).any():
             continue
         gap &= same
-        back &= same
-        if back.any():
-            backs += int(back.sum())
-            first_back = part.start + int(np.argmax(back)) if first_back is None else first_back
-        if gap.any():
-            gaps += int(gap.sum())
-            first_gap = part.start + int(np.argmax(gap)) if first_gap is None else first_gap
-            longest = max(longest, float(step[gap].max()))
-            missing += int(np.round(step[gap] / nominal - 1.0).sum()) if nominal > 0.0 else 0
-    events = []
-    if first_back is not None:
-        row = int(rows[first_back])
-        events.append(Event("time-jump-back", backs, row, "no increment is formed across it"))
-    if first_gap is not None:
-        detail = f"longest {longest:.6g} s, about {missing} samples missing; no increment is formed across it"
-        events.append(Event("gap", gaps, int(rows[first_gap]), detail))
+        backs.see(part.start + np.flatnonzero(same & back))
+        gaps.see(part.start + np.flatnonzero(gap))
+        longest = max(longest, float(step.max(where=gap, initial=0.0)))
+        missing += int(np.round(step[gap] / nominal - 1.0).sum()) if nominal > 0.0 else 0
+    none = "no increment is formed across it"
+    events = backs.events("time-jump-back", rows, none)
+    events += gaps.events("gap", rows, f"longest {longest:.6g} s, about {missing} samples missing; {none}")
     return TimeBase(begins, nominal, tuple(events))
 
 

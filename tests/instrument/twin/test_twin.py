@@ -388,7 +388,7 @@ def test_bad_parameters_are_named(values, words):
 @pytest.mark.compiled
 def test_bad_inputs_are_named():
     t, f, omega = constant((G0, 0.0, 0.0), 0.01)
-    with pytest.raises(ArgumentError, match="t: 0.009.* at index 1 is not after 0.01 s"):
+    with pytest.raises(ArgumentError, match=r"t: 0.009.* at index 1 is not after 0.01 s"):
         run_twin(EXAMPLE, t[::-1], f)
     with pytest.raises(ArgumentError, match="f: shape"):
         run_twin(EXAMPLE, t, f[:-1])

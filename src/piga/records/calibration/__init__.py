@@ -24,6 +24,7 @@ from piga.records.calibration.diagnostics import (
     SegmentLeverage,
     SegmentScatter,
     SegmentSummary,
+    Tally,
 )
 
 __all__ = [
@@ -54,5 +55,6 @@ __all__ = [
     "SegmentLeverage",
     "SegmentScatter",
     "SegmentSummary",
+    "Tally",
     "TypeB",
 ]

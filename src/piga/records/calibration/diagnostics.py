@@ -38,6 +38,23 @@ class Event:
     detail: str = ""
 
 
+class Tally:
+    """Counts one kind of event over the blocks of a record, and remembers where it was first."""
+
+    def __init__(self) -> None:
+        self.count, self.first = 0, 0
+
+    def see(self, places: NDArray[np.int64]) -> None:
+        """Count the places of a block, in rising order."""
+        if places.size and not self.count:
+            self.first = int(places[0])
+        self.count += int(places.size)
+
+    def events(self, kind: str, rows: NDArray[np.int64], detail: str) -> list[Event]:
+        """The event, with the data row of its first place; none if nothing was counted."""
+        return [Event(kind, self.count, int(rows[self.first]), detail)] if self.count else []
+
+
 @dataclass(frozen=True)
 class Quality:
     """Numbers of rows read, used and masked, and every event that was detected or repaired while reading."""
