@@ -194,6 +194,14 @@ def plotted(result: object, ax: Axes | Sequence[Axes] | None, name: str = "") ->
     return Plots(result)._draw(name, ax)
 
 
+class Plotted:
+    """Base of results with one figure. Their class says what it shows."""
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """The figure of the report for this result, drawn with Matplotlib. See :class:`piga.results.Plots` for ``ax``."""
+        return plotted(self, ax)
+
+
 def html_of(result: object) -> str | None:
     """What a notebook shows. None without the packages of the report: the notebook then shows ``repr``."""
     try:

@@ -7,19 +7,13 @@ The pooling of the stretches is our own derivation.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
-from piga.results import Result, plotted
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from piga.results import Plotted, Result
 
 Array = NDArray[np.float64]
 
@@ -55,8 +49,10 @@ ONE_SIGMA = 0.682689492137
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AllanDeviation(Result):
+class AllanDeviation(Result, Plotted):
     """Overlapping Allan deviation of a rate: one entry per averaging time.
+
+    ``plot()`` shows the deviation with its 68 % band.
 
     Attributes
     ----------
@@ -76,10 +72,6 @@ class AllanDeviation(Result):
     upper: Array
     degrees_of_freedom: Array
     stretches: NDArray[np.int64]
-
-    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """The deviation with its 68 % band. See :class:`piga.results.Plots`."""
-        return plotted(self, ax)
 
 
 def allan_deviation(

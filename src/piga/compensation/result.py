@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,11 +21,7 @@ from piga.formats.parquet_writer import number_column
 from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.run import Run
-from piga.results import Column, Reported, Result, Tabular, plotted
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from piga.results import Column, Plotted, Reported, Result, Tabular
 
 WRITTEN_UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
 """Unit of each column that is neither a force nor an increment."""
@@ -191,8 +187,10 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Compensated(Result, Reported, Tabular):
+class Compensated(Result, Plotted, Reported, Tabular):
     """Specific force and velocity increments of one instrument; arrays share their length.
+
+    ``plot()`` shows specific force, correction and uncertainty against time.
 
     Attributes
     ----------
@@ -259,10 +257,6 @@ class Compensated(Result, Reported, Tabular):
         """Running sum of ``dv`` [m/s]; it does not include the time between stretches."""
         return np.cumsum(self.dv)
 
-    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Specific force, correction and uncertainty against time. See :class:`piga.results.Plots`."""
-        return plotted(self, ax)
-
     def columns(self) -> dict[str, NDArray]:
         """The columns of the written file, in order."""
         columns = {"t": self.t, "ax": self.ax, "dv": self.dv}
@@ -296,8 +290,10 @@ def notes_on(*calibrations: Calibration) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CompensatedSet(Result, Tabular):
+class CompensatedSet(Result, Plotted, Tabular):
     """Specific force and velocity increments in the common frame; arrays share their length n.
+
+    ``plot()`` shows specific force in the common frame, and its uncertainty.
 
     ``t`` [s]; ``f`` (n, 3) [m/s^2], ``dv`` (n, 3) [m/s], ``u_f`` (n, 3) [m/s^2] (or (0, 3)). ``residual``
     [m/s^2] is the root of the summed squared misfits of the instruments (0 for three). ``flags`` are those of one
@@ -312,10 +308,6 @@ class CompensatedSet(Result, Tabular):
     flags: NDArray[np.int32]
     misfit: Array = field(default_factory=lambda: np.zeros((0, 0)))
     each: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
-
-    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Specific force in the common frame, and its uncertainty. See :class:`piga.results.Plots`."""
-        return plotted(self, ax)
 
     @property
     def size(self) -> int:

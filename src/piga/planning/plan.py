@@ -9,9 +9,8 @@ noiseless record of the exported test. The export is a scenario for ``piga simul
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -45,14 +44,10 @@ from piga.planning.plan_file import PlanRequest
 from piga.progress import Progress, Steps
 from piga.records.terms import unit_of
 from piga.records.text_files import toml_text
-from piga.results import Reported, Result, plotted
+from piga.results import Plotted, Reported, Result
 from piga.stand.scenario import DividingHeadTable
 from piga.stand.write_run import given_values
 from piga.threads import with_one_thread
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 from piga.units import G0
 
 Array = NDArray[np.float64]
@@ -102,8 +97,10 @@ class Cheapest:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Plan(Result, Reported):
+class Plan(Result, Plotted, Reported):
     """A planned test and its comparison plans.
+
+    ``plot()`` shows chosen positions and the time in each: two panels.
 
     ``shares`` are the time shares of the usable candidates in the best mixture. ``largest_derivative`` is its
     certificate (the number of coefficients for D, else 1). ``efficiency`` is the ratio of variances between the bound
@@ -128,10 +125,6 @@ class Plan(Result, Reported):
     def reference(self) -> Prediction:
         """The standard plan with the most positions."""
         return self.standard[-1]
-
-    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Chosen positions and the time in each: two panels. See :class:`piga.results.Plots`."""
-        return plotted(self, ax)
 
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the plan."""

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -23,18 +23,16 @@ from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
 from piga.records.spool import Arrays, exact_median, spans, steps
 from piga.records.terms import check_terms
 from piga.records.text_files import RENAMED
-from piga.results import Column, Reported, Result, Tabular, above, plotted
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from piga.results import Column, Plotted, Reported, Result, Tabular, above
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Run(Result, Reported, Tabular):
+class Run(Result, Plotted, Reported, Tabular):
     """One recorded test. Arrays share their length n; everything is SI.
+
+    ``plot()`` shows interval, output and reference against time: three panels.
 
     Attributes
     ----------
@@ -147,10 +145,6 @@ class Run(Result, Reported, Tabular):
             ("findings", ", ".join(f"{event.count} {event.kind}" for event in quality.events) or "none"),
             ("terms", " ".join(self.model.terms)),
         ]
-
-    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Interval, output and reference against time: three panels. See :class:`piga.results.Plots`."""
-        return plotted(self, ax)
 
     def segment_edges(self) -> NDArray[np.int64]:
         """First sample of each segment, then the number of samples."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -27,16 +27,13 @@ from piga.instrument.twin.linear import analyse_loop, require_stable, servo_forc
 from piga.instrument.twin.parameters import TwinParameters
 from piga.instrument.twin.run import Start, TwinMotion, run_twin
 from piga.progress import Progress, Steps
-from piga.results import Reported, Result, plotted
+from piga.results import Plotted, Reported, Result
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.profile import Profile, Segment, Stand, sample_stand
 from piga.stand.tide import EarthTide
 from piga.units import G0
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from piga.records.run import Run
     from piga.records.run_file import ModelTable
 
@@ -102,8 +99,10 @@ class Log(Result):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SimulatedTest(Result, Reported):
+class SimulatedTest(Result, Plotted, Reported):
     """A simulated test: the log, and the truth on the fine grid of the simulation.
+
+    ``plot()`` shows specific force and base rate of the reference: two panels.
 
     ``alpha`` [rad] and ``rate`` [rad/s] are at ``profile.t``. ``motion`` is that of the twin, else None. ``phases``
     [rad] are the phases of the output zero, one per segment of the log.
@@ -130,10 +129,6 @@ class SimulatedTest(Result, Reported):
         from piga.stand.run_reference import run_of_test
 
         return run_of_test(self, serial, model)
-
-    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Specific force and base rate of the reference: two panels. See :class:`piga.results.Plots`."""
-        return plotted(self, ax)
 
 
 def simulate_test(

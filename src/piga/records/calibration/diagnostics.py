@@ -6,20 +6,15 @@ and Monte Carlo.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
 from piga.records.calibration.budget import Number
-from piga.results import Column, Result, Tabular, plotted
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from piga.results import Column, Plotted, Result, Tabular
 
 Array = NDArray[np.float64]
 
@@ -96,8 +91,10 @@ class SegmentSummary:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Residuals(Result, Tabular):
+class Residuals(Result, Plotted, Tabular):
     """Residual angle per used sample (not stored in the JSON; ``residuals.parquet`` holds it).
+
+    ``plot()`` shows residuals against time, before and after: two panels.
 
     ``row`` is the 1-based file row, ``t`` [s], ``psi`` [rad] the output angle (for a rate log: its integral),
     ``a_x`` [m/s^2] the reference. ``before`` [rad] is the angle minus that of the nominal instrument without coupling.
@@ -131,10 +128,6 @@ class Residuals(Result, Tabular):
             "innovation": Column(self.innovation),
         }
         return columns if self.run is None else columns | {"run": Column(self.run)}
-
-    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Residuals against time, before and after: two panels. See :class:`piga.results.Plots`."""
-        return plotted(self, ax)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
