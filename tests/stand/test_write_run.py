@@ -14,6 +14,7 @@ from piga.calibration.calibrate import calibrate
 from piga.errors import PigaError, RunFileError
 from piga.instrument.parameters import ErrorModel
 from piga.instrument.twin.parameters import PRESETS
+from piga.records.text_files import toml_text
 from piga.stand import (
     DividingHead,
     Specimen,
@@ -21,7 +22,6 @@ from piga.stand import (
     run_scenario,
     simulate_test,
 )
-from piga.records.text_files import toml_text
 from piga.stand.write_run import (
     coefficients,
     imperfection_values,
