@@ -167,7 +167,7 @@ def test_off_the_local_machine_tls_is_required(tmp_path):
     "address", ["127.0.0.1:8786", "dask://127.0.0.1", "dask://:1", "ray://a:1", "dask://a b:1"]
 )
 def test_addresses(address):
-    from piga.campaign.dask_engine import DaskEngine
+    from piga.campaign.run import DaskEngine
 
     with pytest.raises(PigaError, match="is not dask://HOST:PORT"):
         DaskEngine(address)
@@ -185,7 +185,7 @@ def test_addresses(address):
     ],
 )
 def test_what_is_local(host, local):
-    from piga.campaign.dask_engine import is_local
+    from piga.campaign.run import is_local
 
     assert is_local(host) is local
 

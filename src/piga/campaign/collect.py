@@ -333,7 +333,7 @@ def _batches(campaign: Campaign, done: list[int]) -> Iterator[pa.RecordBatch]:
                 yield batch
     except (pa.ArrowException, OSError) as error:
         raise DataError(
-            f"{campaign.folder / 'parts'}: a part cannot be read ({_first_line(error)})",
+            f"{campaign.folder / 'parts'}: a part cannot be read ({first_line(error)})",
             remedy="delete it, then run the campaign again: it is computed anew",
         ) from None
 
@@ -354,7 +354,7 @@ def check_part(campaign: Campaign, shard: int) -> None:
     try:
         metadata = parquet.read_metadata(path)
     except (pa.ArrowException, OSError) as error:
-        raise DataError(f"{path}: is damaged ({_first_line(error)})", remedy=remedy) from None
+        raise DataError(f"{path}: is damaged ({first_line(error)})", remedy=remedy) from None
     if (metadata.metadata or {}).get(KEY) != campaign.key.encode():
         raise DataError(f"{path}: belongs to another campaign", remedy=remedy)
     if metadata.num_rows != len(campaign.records_of(shard)):
@@ -363,8 +363,9 @@ def check_part(campaign: Campaign, shard: int) -> None:
         )
 
 
-def _first_line(error: BaseException) -> str:
-    return str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+def first_line(error: BaseException) -> str:
+    """The first line of an error's message, or its class."""
+    return str(error).splitlines()[0][:200] if str(error) else type(error).__name__
 
 
 # --- adding ------------------------------------------------------------------------------------------

@@ -177,8 +177,7 @@ def repeat(
     Writes the run file, the data and the truth of a simulated test, and the scenario that makes them.
     """
     from piga.campaign.campaign_file import read_campaign
-    from piga.campaign.repeat import FILES, outcome_document, outcome_lines, write_record
-    from piga.campaign.subjects import compute
+    from piga.campaign.subjects import FILES, compute, outcome_document, outcome_lines, write_record
     from piga.cli.common import files_named_in
 
     planned = read_campaign(campaign)

@@ -25,7 +25,7 @@ from piga.errors import PigaError
 
 if TYPE_CHECKING:
     from piga.ledger import Reproduced
-    from piga.ledger.compare import Difference
+    from piga.ledger.reproduce import Difference
     from piga.ledger.store import Record, Store
     from piga.ledger.store.verify import Verification
 
@@ -395,7 +395,7 @@ def diff(
 
     Shows the differences of the coefficients with their uncertainties, of inputs and of software.
     """
-    from piga.ledger.compare import difference
+    from piga.ledger.reproduce import difference
 
     with opened(store) as kept:
         changes, head = difference(kept, first, second), kept.head()

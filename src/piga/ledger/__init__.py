@@ -1,8 +1,7 @@
 """Calibrations kept as evidence: calibrate and store a run, recompute a stored record."""
 
-from piga.ledger.compare import Comparison, compare_calibrations
 from piga.ledger.keep import Prepared, prepare_results, prepare_run
-from piga.ledger.reproduce import Reproduced, reproduce
+from piga.ledger.reproduce import Comparison, Reproduced, compare_calibrations, reproduce
 
 __all__ = [
     "Comparison",

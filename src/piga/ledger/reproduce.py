@@ -1,23 +1,275 @@
-"""Recompute a record from its stored inputs and compare the numbers."""
+"""Recompute a record from its stored inputs and compare the numbers: identical to the bit, or equal within rounding.
+
+In least squares, a relative rounding error eps changes the coefficient *vector* by about ``kappa eps`` of its length
+(kappa: condition number). So each coefficient is compared on the scale of the whole vector theta. The units are those
+of ``calibration.json``, where every entry is a share of the output rate at 1 g. The tolerance of value and standard
+uncertainty is ``1e-12 kappa |theta|``; for the phase of ``tan_beta`` it is divided by ``tan_beta``. Angles are compared
+on the scale of the angle turned. Own derivation, after the normwise bounds in any text on numerical linear algebra.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import platform
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+
+import numpy as np
 
 from piga._version import __version__
 from piga.errors import StoreError
-from piga.ledger.compare import Comparison, compare_calibrations
 from piga.ledger.store import Record, Store
 from piga.records import Calibration
 from piga.results import Result
+
+
+@dataclass(frozen=True)
+class CompareSettings:
+    """Differences of two calculations that count as none (own choices).
+
+    Attributes
+    ----------
+    relative:
+        Relative difference allowed on another platform, per unit of the condition number.
+    noise:
+        Relative difference allowed for noise levels. They come from a search for an optimum, which is flat.
+    """
+
+    relative: float = 1e-12
+    noise: float = 1e-8
+
+
+ALLOWED = CompareSettings()
+
+UNCOMPARED = ("created", "software", "source")
+"""Provenance entries that are not compared: time, software and folder."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One number: stored value, recomputed value and allowed difference."""
+
+    name: str
+    stored: float
+    recomputed: float
+    allowed: float
+
+    @property
+    def agrees(self) -> bool:
+        """True if the difference is allowed."""
+        return self.stored == self.recomputed or abs(self.recomputed - self.stored) <= self.allowed
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """``identical``: every number has the same bits. ``worst``: largest ratio of difference to allowed difference."""
+
+    identical: bool
+    compared: tuple[Compared, ...]
+    differences: tuple[str, ...]
+
+    @property
+    def agrees(self) -> bool:
+        """True if everything is equal or within its tolerance."""
+        return not self.differences
+
+    @property
+    def worst(self) -> float:
+        """Largest ratio of difference to allowed difference; 0 if all are equal."""
+        shares = [abs(c.recomputed - c.stored) / c.allowed for c in self.compared if c.stored != c.recomputed]
+        return max(shares, default=0.0)
+
+
+def compare_calibrations(stored: Calibration, recomputed: Calibration) -> Comparison:
+    """Compare two calibrations of the same inputs."""
+    recomputed = _of_the_same_inputs(stored, recomputed)
+    identical = _numbers(stored) == _numbers(recomputed)
+    facts = [
+        f"{name}: {a!r}, recomputed {b!r}" for name, (a, b) in _facts(stored, recomputed).items() if a != b
+    ]
+    if facts:
+        return Comparison(identical, (), tuple(facts))
+    compared = (*_coefficients(stored, recomputed), *_angles(stored, recomputed), *_noise(stored, recomputed))
+    differences = [
+        f"{c.name}: {c.stored!r}, recomputed {c.recomputed!r}, allowed {c.allowed:.2g}"
+        for c in compared
+        if not c.agrees
+    ]
+    return Comparison(identical, compared, tuple(differences))
+
+
+def _of_the_same_inputs(stored: Calibration, recomputed: Calibration) -> Calibration:
+    """The recomputed calibration with only the digests that the stored one has. piga 0.1 stored those of run and data file only."""
+    known = stored.provenance.input_sha256
+    inputs = {name: digest for name, digest in recomputed.provenance.input_sha256.items() if name in known}
+    return replace(recomputed, provenance=replace(recomputed.provenance, input_sha256=inputs))
+
+
+def _numbers(calibration: Calibration) -> dict[str, Any]:
+    """The content of ``calibration.json`` without :data:`UNCOMPARED`."""
+    from piga.records.calibration.document import to_document
+
+    document = to_document(calibration)
+    provenance = {key: value for key, value in document["provenance"].items() if key not in UNCOMPARED}
+    options = {key: value for key, value in provenance["options"].items() if key not in UNCOMPARED}
+    return _listed({**document, "provenance": {**provenance, "options": options}})
+
+
+def _listed(value: Any) -> Any:
+    """Nested values with lists for tuples, as JSON has them."""
+    if isinstance(value, dict):
+        return {key: _listed(item) for key, item in value.items()}
+    return [_listed(item) for item in value] if isinstance(value, (list, tuple)) else value
+
+
+def _facts(a: Calibration, b: Calibration) -> dict[str, tuple[Any, Any]]:
+    """The entries that rounding cannot change."""
+    names = ("serial", "terms", "phases", "phase_source", "method", "surplus_observations", "quality")
+    facts: dict[str, tuple[Any, Any]] = {name: (getattr(a, name), getattr(b, name)) for name in names}
+    facts["coefficients"] = ([c.key for c in a.coefficients], [c.key for c in b.coefficients])
+    facts["inputs"] = (a.provenance.input_sha256, b.provenance.input_sha256)
+    return facts
+
+
+def _coefficients(a: Calibration, b: Calibration) -> list[Compared]:
+    kappa = a.condition if math.isfinite(a.condition) else 1.0
+    plain = [c.value for c in a.coefficients if c.name != "phi"]
+    length = math.hypot(a.scale_factor_nominal * 9.80665, *plain)
+    tangent = next((abs(c.value) for c in a.coefficients if c.name == "tan_beta"), 1.0)
+    allowed = [
+        ALLOWED.relative * kappa * length / (max(tangent, ALLOWED.relative) if c.name == "phi" else 1.0)
+        for c in a.coefficients
+    ]
+    pairs = [
+        Compared(c.key, c.value, _nearest_turn(d.value, c.value) if c.name == "phi" else d.value, limit)
+        for c, d, limit in zip(a.coefficients, b.coefficients, allowed, strict=True)
+    ]
+    pairs += [
+        Compared(f"u({c.key})", c.std, d.std, limit)
+        for c, d, limit in zip(a.coefficients, b.coefficients, allowed, strict=True)
+    ]
+    std = np.array([c.std for c in a.coefficients])
+    limits = np.add.outer(np.zeros(std.size), np.array(allowed)) * std[:, None]
+    limits = limits + limits.T
+    worst = np.abs(a.covariance - b.covariance) - limits
+    if worst.size:
+        i, j = np.unravel_index(int(np.argmax(worst)), worst.shape)
+        name = f"covariance ({a.coefficients[i].key}, {a.coefficients[j].key})"
+        pairs.append(Compared(name, float(a.covariance[i, j]), float(b.covariance[i, j]), float(limits[i, j])))
+    return pairs
+
+
+def _nearest_turn(value: float, near: float) -> float:
+    """The same angle within half a turn of ``near``; unchanged when it is so already."""
+    turns = round((near - value) / (2.0 * math.pi))
+    return value if turns == 0 else value + 2.0 * math.pi * turns
+
+
+def _angles(a: Calibration, b: Calibration) -> list[Compared]:
+    kappa = a.condition if math.isfinite(a.condition) else 1.0
+    turned = 2.0 * math.pi * max((abs(segment.turns) for segment in a.segments), default=0.0)
+    allowed = ALLOWED.relative * kappa * max(turned, a.residual_max_before, 1.0)
+    names = ("residual_rms", "residual_rms_before", "residual_max_before", "residual_max_after")
+    return [Compared(name, getattr(a, name), getattr(b, name), allowed) for name in names]
+
+
+def _noise(a: Calibration, b: Calibration) -> list[Compared]:
+    """Noise levels. The scale of each is the level at which it matters beside the other over the whole record."""
+    duration = math.fsum(segment.duration for segment in a.segments) or 1.0
+    white = max(a.angle_rms, a.angle_random_walk * math.sqrt(duration / max(a.quality.used, 1)))
+    walk = max(a.angle_random_walk, a.angle_rms / math.sqrt(duration))
+    return [
+        Compared("angle_rms", a.angle_rms, b.angle_rms, ALLOWED.noise * white),
+        Compared("angle_random_walk", a.angle_random_walk, b.angle_random_walk, ALLOWED.noise * walk),
+    ]
+
+
+@dataclass(frozen=True)
+class Change:
+    """A coefficient in two records, both in ``unit``. The uncertainty of the difference assumes that they are independent."""
+
+    key: str
+    unit: str
+    first: float | None
+    second: float | None
+    difference: float | None
+    std: float | None
+
+    @property
+    def ratio(self) -> float | None:
+        """Difference divided by its standard uncertainty."""
+        return self.difference / self.std if self.difference is not None and self.std else None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Difference(Result):
+    """Comparison of two records: coefficients, and other differences as ``name: (first, second)``.
+
+    ``type_a_only`` names the records whose uncertainties are of Type A only.
+    """
+
+    first: Record
+    second: Record
+    coefficients: tuple[Change, ...]
+    facts: dict[str, tuple[Any, Any]]
+    type_a_only: tuple[str, ...] = ()
+
+
+def difference(store: Store, first: str | int, second: str | int) -> Difference:
+    """Compare two records.
+
+    Raises
+    ------
+    StoreError
+        If a record does not exist or holds no calibration.
+    """
+    a, b = store.record(first), store.record(second)
+    calibrations = {record.id: store.calibration(record.id) for record in (a, b)}
+    old, new = ({c.key: c for c in calibrations[record.id].coefficients} for record in (a, b))
+    changes = []
+    for key in dict.fromkeys((*old, *new)):
+        x, y = old.get(key), new.get(key)
+        both = x is not None and y is not None
+        delta = y.value - x.value if both and x and y else None
+        if delta is not None and key.split("[", maxsplit=1)[0] == "phi":
+            delta = math.remainder(delta, 2.0 * math.pi)
+        std = math.hypot(x.std, y.std) if both and x and y else None
+        unit = x.unit if x is not None else y.unit if y is not None else ""
+        changes.append(Change(key, unit, x.value if x else None, y.value if y else None, delta, std))
+    alone = tuple(name for name, calibration in calibrations.items() if calibration.type_a_only)
+    return Difference(a, b, tuple(changes), _differing(a, b), alone)
+
+
+def _differing(a: Record, b: Record) -> dict[str, tuple[Any, Any]]:
+    first, second = _plain(a), _plain(b)
+    return {
+        name: (first.get(name), second.get(name))
+        for name in dict.fromkeys((*first, *second))
+        if first.get(name) != second.get(name)
+    }
+
+
+def _plain(record: Record) -> dict[str, Any]:
+    document = record.document
+    plain: dict[str, Any] = {
+        "instrument": document.serial,
+        "operator": document.operator,
+        "measured": document.measured,
+    }
+    plain |= {
+        f"file {file.role}": file.sha256
+        for file in document.files
+        if file.role not in ("report", "calibration")
+    }
+    plain |= {f"request {name}": value for name, value in document.request.items()}
+    return plain | {f"software {name}": value for name, value in document.software.items()}
+
 
 Verdict = Literal["identical", "within tolerance", "different"]
 
@@ -53,7 +305,7 @@ def reproduce(store: Store, name: str | int) -> Reproduced:
     """Compute a record again from its own inputs.
 
     With the same software and platform the numbers must be identical to the bit. Otherwise a relative difference of
-    1e-12 times the condition number is allowed (:mod:`piga.ledger.compare`).
+    1e-12 times the condition number is allowed (:mod:`piga.ledger.reproduce`).
 
     Raises
     ------

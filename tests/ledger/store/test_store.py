@@ -14,7 +14,7 @@ import pytest
 
 import piga
 from piga.errors import PigaError, PigaWarning, StoreError
-from piga.ledger.compare import difference
+from piga.ledger.reproduce import difference
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store import store as store_module
 from piga.ledger.store.documents import PART, encode, safe_name, sha256

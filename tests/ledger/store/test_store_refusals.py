@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 from piga.errors import StoreError
-from piga.ledger.compare import difference
+from piga.ledger.reproduce import difference
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store.export import SEAL
 from piga.ledger.store.transfer import backup, export_records, import_records
