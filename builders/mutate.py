@@ -54,19 +54,23 @@ SAMPLES = [
 ]
 ANALYSIS = [*tests_of("instrument", "regimes", "closed_form", "motion_input_forms"), *EQUATIONS]
 TWIN = tests_of("instrument", "linear", "twin")
-SUMS = [*tests_of("calibration", "kernels", "reduction"), *EQUATIONS, *tests_of("calibration", "interpreted")]
-FIT = tests_of("calibration", "interpreted", "small_parts", "calibrate", "small_requests", "model_choice")
-JOINT = tests_of("calibration", "small_joint", "joint")
-UNCERTAINTY = tests_of("calibration", "small_parts", "uncertainty", "calibrate", "small_joint")
-COUNTED = tests_of("calibration", "stretches", "small_parts", "uncertainty", "shipped_record")
-PLANS = [
-    *tests_of("calibration", "small_parts", "small_requests"),
-    *tests_of("planning", "plan_closed_forms", "plan"),
+SUMS = [
+    *tests_of("_kernels", "regressors", "noise"),
+    *tests_of("calibration", "reduction", "levels", "residuals"),
+    *EQUATIONS,
+    *tests_of("calibration", "calibrate"),
 ]
-TREND = [*tests_of("calibration", "small_parts"), *tests_of("trend", "trend_line", "history")]
-CHOICE = tests_of("calibration", "small_parts", "model_choice")
+FIT = tests_of(
+    "calibration", "solution", "identifiability", "request", "recursive", "residuals", "levels", "calibrate", "model_choice"
+)
+JOINT = tests_of("calibration", "joint_small_records", "joint")
+UNCERTAINTY = tests_of("calibration", "monte_carlo", "uncertainty", "calibrate", "joint_small_records")
+COUNTED = tests_of("calibration", "stretches", "uncertainty", "calibrate_shipped_record")
+PLANS = tests_of("planning", "planning", "plan_closed_forms", "plan")
+TREND = tests_of("trend", "trend_line", "history")
+CHOICE = tests_of("calibration", "model_choice")
 REVOLUTIONS = [*tests_of("calibration", "revolutions"), *JOINT]
-SIGNATURES = tests_of("calibration", "missing_terms", "alarms")
+SIGNATURES = tests_of("calibration", "missing_terms", "all_remarks")
 COMPENSATED = [
     *tests_of("compensation", "compensator", "set_compensator"),
     *tests_of("_kernels", "indication"),
@@ -81,7 +85,7 @@ IDENTIFIED = tests_of("platform", "identify", "alignment", "identify_intervals")
 TRIADS = tests_of("platform", "chain", "simulate")
 CALIBRATION = {
     "calibration/remarks/advice": tests_of("calibration", "advice"),
-    "calibration/allan": tests_of("calibration", "allan", "drift"),
+    "calibration/allan": tests_of("calibration", "allan", "slow_bases_drift"),
     "calibration/calibrate calibration/model/design "
     "calibration/fit/one_run calibration/noise/levels calibration/fit/residuals "
     "calibration/model/solution calibration/noise/weighting "
@@ -90,7 +94,7 @@ CALIBRATION = {
     "calibration/budget/monte_carlo": UNCERTAINTY,
     "calibration/remarks/missing_terms calibration/remarks/all_remarks": SIGNATURES,
     "planning/candidates planning/criterion planning/mounting planning/plan planning/plan_file": PLANS,
-    "calibration/fit/cleaning calibration/fit/outliers": tests_of("calibration", "small_parts", "outliers"),
+    "calibration/fit/cleaning calibration/fit/outliers": tests_of("calibration", "cleaning", "outliers"),
     "trend/history trend/trend_line": TREND,
     "calibration/noise/counted calibration/noise/stretches": COUNTED,
     "calibration/choice/cross_validation calibration/choice/model_choice": CHOICE,
@@ -98,7 +102,7 @@ CALIBRATION = {
     "calibration/fit/servo": tests_of("calibration", "servo"),
     "calibration/remarks/left_out": tests_of("calibration", "servo", "left_out_runs"),
     "calibration/noise/slow_bases calibration/intervals/slow_noise": tests_of(
-        "calibration", "small_parts", "drift", "segment_scatter"
+        "calibration", "slow_noise", "slow_bases_drift", "slow_bases_scatter"
     ),
     "calibration/joint/joint_fit calibration/joint/joint_result calibration/joint/summary": JOINT,
     "calibration/remarks/leverage": [
