@@ -61,7 +61,15 @@ SUMS = [
     *tests_of("calibration", "calibrate"),
 ]
 FIT = tests_of(
-    "calibration", "solution", "identifiability", "request", "recursive", "residuals", "levels", "calibrate", "model_choice"
+    "calibration",
+    "solution",
+    "identifiability",
+    "request",
+    "recursive",
+    "residuals",
+    "levels",
+    "calibrate",
+    "model_choice",
 )
 JOINT = tests_of("calibration", "joint_small_records", "joint")
 UNCERTAINTY = tests_of("calibration", "monte_carlo", "uncertainty", "calibrate", "joint_small_records")

@@ -1,4 +1,4 @@
-"""What whole counts leave in the whitened residuals: told from what a model misses."""
+"""What is left: lagged products, and what whole counts leave in the whitened residuals, told from what a model misses."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.fit.residuals import WHITENESS, counting_probability
+from piga.calibration.fit.residuals import LAG_PART, WHITENESS, add_lagged_products, counting_probability
 from piga.records.calibration.verdict import COUNTED
 from tests.calibration.made.synthetic import TERMS, record
 
 COUNT = 2.0 * np.pi / 72000
+
+
 compiled = pytest.mark.only_compiled
 
 
@@ -70,3 +72,11 @@ def test_the_probability_is_even_where_counting_is_all() -> None:
     assert np.mean(result < 0.5) == pytest.approx(0.5, abs=0.08)
     assert counting_probability((lambda: products(0.02),)) < 1e-6
     assert np.isnan(counting_probability((lambda: products(0.0), lambda: None)))
+
+
+@pytest.mark.compiled
+def test_lagged_products() -> None:
+    x = np.random.default_rng(9).standard_normal(2 * LAG_PART + 2)
+    out = np.zeros(4)
+    add_lagged_products(x, out)
+    np.testing.assert_allclose(out, [x[k:] @ x[: x.size - k] for k in range(4)], rtol=1e-12, atol=1e-10)

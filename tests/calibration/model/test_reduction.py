@@ -12,13 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from piga._kernels.estimation.square_root import absorb
+from piga._kernels.estimation.square_root import absorb, absorb_rows
 from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.errors import ArgumentError
 
 pytestmark = pytest.mark.compiled
 
 NIST = json.loads((Path(__file__).parents[2] / "data" / "nist-linear.json").read_text())
+
+
 DIGITS = {"Filip": 7.5, "Wampler4": 7.5, "Longley": 10.0}
 
 
@@ -156,3 +158,15 @@ def test_rounding_of_rounding_is_nothing() -> None:
     absorb(R, np.array([[1e-160, -1e-160, 2e-160], [1.0, 2.0, -2.0]]))
     assert np.abs(R[1, 1]) == pytest.approx(3.0)
     assert np.isfinite(R).all()
+
+
+def test_householder_and_rotations_give_one_factor() -> None:
+    rng = np.random.default_rng(8)
+    columns = rng.standard_normal((4, 300))
+    block, rows = np.zeros((4, 4)), np.zeros((4, 4))
+    absorb(block, columns.copy())
+    snapshots = np.empty((2, 4, 4))
+    absorb_rows(rows, columns, np.array([150, 300]), snapshots)
+    np.testing.assert_allclose(np.abs(block), np.abs(rows), atol=1e-12)
+    np.testing.assert_array_equal(snapshots[1], rows)
+    np.testing.assert_allclose(snapshots[0].T @ snapshots[0], columns[:, :150] @ columns[:, :150].T, atol=1e-11)
