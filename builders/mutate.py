@@ -106,7 +106,7 @@ CALIBRATION = {
     "trend/history trend/trend_line": TREND,
     "calibration/noise/counted calibration/noise/stretches": COUNTED,
     "calibration/choice/cross_validation calibration/choice/model_choice": CHOICE,
-    "calibration/intervals/added_noise": tests_of("calibration", "small_parts", "added_noise", "faint_walk"),
+    "calibration/intervals/added_noise": tests_of("calibration", "added_noise", "added_noise_faint_walk"),
     "calibration/fit/servo": tests_of("calibration", "servo"),
     "calibration/remarks/left_out": tests_of("calibration", "servo", "left_out_runs"),
     "calibration/noise/slow_bases calibration/intervals/slow_noise": tests_of(

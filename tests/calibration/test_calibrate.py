@@ -16,8 +16,6 @@ from piga.units import G0, parse_unit
 from tests.calibration.made.independent import Bench, head
 from tests.calibration.made.synthetic import BETA, PHI, SCALE, TERMS, TRUTH, errors, record
 
-pytestmark = pytest.mark.only_compiled
-
 NOISES = {
     "white": {"white": 2.5e-5},
     "walk": {"white": 1e-9, "walk": 3e-5},
@@ -26,6 +24,7 @@ NOISES = {
 }
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("noise", list(NOISES))
 @pytest.mark.parametrize("method", ["information", "rate", "recursive"])
 def test_truth_is_recovered_within_its_uncertainty(noise: str, method: str) -> None:
@@ -36,6 +35,7 @@ def test_truth_is_recovered_within_its_uncertainty(noise: str, method: str) -> N
     assert calibration.surplus_observations == run.size - len(run.labels) - 6
 
 
+@pytest.mark.only_compiled
 def test_recursive_is_batch_and_has_a_history() -> None:
     run = record(np.random.default_rng(12), **NOISES["mixed"])
     batch = piga.calibrate(run, TERMS)
@@ -49,12 +49,14 @@ def test_recursive_is_batch_and_has_a_history() -> None:
     assert recursive.history["u(tan_beta)"][0] > 3.0 * recursive.history["u(tan_beta)"][-1]
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("noise", ["white", "walk", "mixed"])
 def test_segments_of_a_right_model_scatter_as_the_noise_says(noise: str) -> None:
     calibration = piga.calibrate(record(np.random.default_rng(22), **NOISES[noise]), TERMS)
     assert calibration.diagnostics.segment_scatter_ratio == pytest.approx(1.0, abs=0.4)
 
 
+@pytest.mark.only_compiled
 def test_per_segment_phases_share_tan_beta() -> None:
     run = record(np.random.default_rng(13), per_segment=True)
     calibration = piga.calibrate(run, TERMS, phases="per-segment")
@@ -66,6 +68,7 @@ def test_per_segment_phases_share_tan_beta() -> None:
         calibration["k9"]
 
 
+@pytest.mark.only_compiled
 def test_whitened_beats_angle_blind_methods() -> None:
     """With angle noise the rate method is far from efficient; the whitened one never loses to it."""
     run = record(np.random.default_rng(14), white=5e-5)
@@ -73,6 +76,7 @@ def test_whitened_beats_angle_blind_methods() -> None:
     assert whitened["scale_factor"].std < 0.6 * rate["scale_factor"].std
 
 
+@pytest.mark.only_compiled
 def test_rate_log() -> None:
     rng = np.random.default_rng(15)
     t = np.arange(20_001) * 0.01
@@ -87,6 +91,7 @@ def test_rate_log() -> None:
     assert calibration.angle_random_walk == pytest.approx(1e-5 * 0.1, rel=0.03)
 
 
+@pytest.mark.only_compiled
 def test_base_rate_is_part_of_the_model() -> None:
     """Earth rate is 82 micro-g here: left out it must show in k0, given it must not."""
     fine = np.arange(80_001) * 0.0025
@@ -106,6 +111,7 @@ def test_base_rate_is_part_of_the_model() -> None:
     )
 
 
+@pytest.mark.only_compiled
 def test_every_term_of_the_error_model() -> None:
     """A made-up record holding every term at once, noiseless, is solved to the interpolation error."""
     t = np.arange(400 * 50 * 8 + 1) * 0.0025
@@ -156,6 +162,7 @@ def _integrate_with_harmonics(step, f, force, truth):
     return np.array(alpha)
 
 
+@pytest.mark.only_compiled
 def test_trapezoid_of_the_coupling_would_be_biased() -> None:
     """The product integration holds tan_beta where the plain trapezoid makes it too large by (d psi)^2/12."""
     t = np.arange(0.0, 100.0, 0.1)
@@ -183,6 +190,7 @@ def ramp(kind: str) -> piga.Run:
     return piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate")
 
 
+@pytest.mark.only_compiled
 def test_published_recursion_on_the_published_ramp() -> None:
     calibration = piga.calibrate(ramp("ramp"), ["tan_beta"], "published")
     assert calibration["tan_beta"].value == pytest.approx(4.84683e-3, abs=5e-9)
@@ -192,6 +200,7 @@ def test_published_recursion_on_the_published_ramp() -> None:
     assert calibration.residual_max_before / K / G0 == pytest.approx(0.05, abs=0.001)
 
 
+@pytest.mark.only_compiled
 def test_published_recursion_converges_to_a_wrong_solution_from_constant_input() -> None:
     calibration = piga.calibrate(ramp("constant"), ["tan_beta"], "published")
     assert calibration.history is not None
@@ -202,12 +211,14 @@ def test_published_recursion_converges_to_a_wrong_solution_from_constant_input()
     assert ours["phi"].value == pytest.approx(np.pi / 4, abs=1e-7)
 
 
+@pytest.mark.only_compiled
 def test_phase_from_input_leaves_the_published_residual() -> None:
     calibration = piga.calibrate(ramp("ramp"), ["tan_beta"], phase_source="input")
     assert calibration.residual_max_after / 0.8884 == pytest.approx(1.67e-3, rel=0.01)
     assert piga.calibrate(ramp("ramp"), ["tan_beta"]).residual_max_after / 0.8884 < 1e-8
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize(
     ("terms", "options", "message"),
     [
@@ -237,6 +248,7 @@ def still(f: tuple[float, float, float], seconds: float = 60.0) -> piga.Run:
     return piga.Run.from_arrays(t, alpha, force, scale_factor=SCALE)
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize(
     ("run", "terms", "named", "remedy"),
     [
@@ -251,6 +263,7 @@ def test_what_cannot_be_identified_is_refused_by_name(run, terms, named, remedy)
     assert all(name in caught.value.message for name in named)
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize(
     ("levels", "terms", "least"),
     [
@@ -271,6 +284,7 @@ def test_too_few_levels_are_called_that(levels, terms, least) -> None:
     assert "never changes" not in caught.value.remedy
 
 
+@pytest.mark.only_compiled
 def test_one_plane_tumble_cannot_separate_k0_k2_and_k_YY() -> None:
     run = record(np.random.default_rng(3), levels=(1.0,))
     flat = replace(run, f=run.f * [1.0, 1.0, 0.0])
@@ -279,6 +293,7 @@ def test_one_plane_tumble_cannot_separate_k0_k2_and_k_YY() -> None:
     assert "k0, k2, k_YY" in caught.value.message
 
 
+@pytest.mark.only_compiled
 def test_a_useless_estimate_is_refused() -> None:
     """A hair of a_x is not information on k2 beside k0."""
     run = still((1.0, 0.3, 0.0))
@@ -288,6 +303,7 @@ def test_a_useless_estimate_is_refused() -> None:
         piga.calibrate(replace(run, f=f), ["tan_beta", "k0", "k2"])
 
 
+@pytest.mark.only_compiled
 def test_tan_beta_in_the_noise_is_said() -> None:
     t = np.arange(0.0, 60.0, 0.05)
     f = np.tile(G0 * np.array([1.0, 0.4, 0.0]), (t.size, 1))
@@ -297,6 +313,7 @@ def test_tan_beta_in_the_noise_is_said() -> None:
     assert "phi is hardly determined" in notes
 
 
+@pytest.mark.only_compiled
 def test_type_b_first_order() -> None:
     run = record(np.random.default_rng(17), white=1e-6)
     table = UncertaintyTable(reference_scale="10 ppm", reference_misalignment="2 arcsec", timing="1 ppm")
@@ -325,6 +342,7 @@ def test_type_b_first_order() -> None:
     assert full["scale_factor"].value == plain["scale_factor"].value
 
 
+@pytest.mark.only_compiled
 def test_given_noise_levels_are_used() -> None:
     from piga.records.run_file import EstimationTable
 
@@ -336,6 +354,7 @@ def test_given_noise_levels_are_used() -> None:
     assert estimated.angle_rms == pytest.approx(2.5e-5, rel=0.03)
 
 
+@pytest.mark.only_compiled
 def test_sampling_too_slow_for_the_motion_is_refused() -> None:
     t = np.arange(0.0, 60.0, 0.5)
     f = G0 * np.column_stack([30.0 * np.sin(2.0 * t), 1.0 + 0.0 * t, 0.0 * t])
@@ -344,6 +363,7 @@ def test_sampling_too_slow_for_the_motion_is_refused() -> None:
         piga.calibrate(run, ["tan_beta"])
 
 
+@pytest.mark.only_compiled
 def test_too_short_a_record() -> None:
     t = np.arange(5) * 0.1
     run = piga.Run.from_arrays(t, t, np.ones((5, 3)), scale_factor=SCALE)
@@ -351,6 +371,7 @@ def test_too_short_a_record() -> None:
         piga.calibrate(run, ["scale_factor", "tan_beta", "k0", "k2", "k3"])
 
 
+@pytest.mark.only_compiled
 def test_blocks_cover_every_increment_once() -> None:
     run = record(np.random.default_rng(19), seconds=10.0)
     design = Design(run, make_request(run, TERMS, None, None, None), run.scale_factor)
@@ -358,6 +379,7 @@ def test_blocks_cover_every_increment_once() -> None:
     np.testing.assert_array_equal(rows, np.flatnonzero(~run.begins))
 
 
+@pytest.mark.only_compiled
 def test_relations_that_must_hold() -> None:
     """Scale of time, turn of the transverse frame, doubled K: the estimates follow exactly.
 
@@ -379,6 +401,7 @@ def test_relations_that_must_hold() -> None:
     assert shifted["phi"].value == pytest.approx(base["phi"].value - 0.7, abs=1e-9)
 
 
+@pytest.mark.only_compiled
 def test_truth_table_is_what_the_record_holds() -> None:
     """Guards the synthetic records: with noise 1e-9 rad every coefficient is found to 1e-7."""
     calibration = piga.calibrate(record(np.random.default_rng(21), white=1e-9), TERMS)
@@ -386,6 +409,7 @@ def test_truth_table_is_what_the_record_holds() -> None:
         assert calibration[name].value == pytest.approx(TRUTH[name], abs=1e-7)
 
 
+@pytest.mark.only_compiled
 def test_the_former_name_of_phases_still_works():
     """Scripts and run files of 0.1.0 say ``phase``."""
     run = record(np.random.default_rng(2), seconds=12.0, rate=4.0, count=5)
@@ -396,3 +420,27 @@ def test_the_former_name_of_phases_still_works():
     assert by_phase.phase == by_phase.phases == "per-segment"
     with pytest.raises(piga.PigaError, match="give phases alone"):
         piga.calibrate(run, phase="shared", phases="shared")
+
+
+def small(**options: object) -> piga.Run:
+    return record(np.random.default_rng(31), seconds=12.0, rate=4.0, count=5, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(
+    "method", ["information", "rate", pytest.param("recursive", marks=pytest.mark.only_compiled)]
+)
+@pytest.mark.parametrize("phase", ["shared", pytest.param("per-segment", marks=pytest.mark.only_compiled)])
+def test_small_record(method: str, phase: str) -> None:
+    run = small(per_segment=phase == "per-segment")
+    calibration = piga.calibrate(run, TERMS, method, phases=phase)
+    assert all(abs(z) < 4.5 for z in errors(calibration).values()), errors(calibration)
+
+
+@pytest.mark.compiled
+@pytest.mark.only_compiled
+def test_harmonics_turn_with_the_phase() -> None:
+    run = small()
+    calibration = piga.calibrate(run, [*TERMS, "s2", "c2"])
+    assert abs(calibration["s2"].value) < 4.5 * calibration["s2"].std
+    assert abs(calibration["c2"].value) < 4.5 * calibration["c2"].std

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from piga.errors import ArgumentError, RunFileError
+from piga.platform.scenario import load_scenario
 from piga.stand import (
     read_scenario,
     run_scenario,
@@ -87,3 +88,14 @@ def test_levels_of_coloured_noise_that_cannot_be(tmp_path: Path, noise: str, wor
     """The message names the key of the scenario file in its own unit."""
     with pytest.raises((ArgumentError, RunFileError), match=words):
         read_scenario(written(tmp_path, f"{SCENARIO}\n[noise]\n{noise}\n"))
+
+
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
+
+
+@pytest.mark.compiled
+def test_scenario_paths_as_text() -> None:
+    assert read_scenario(str(EXAMPLES / "dividing-head.toml")).path == EXAMPLES / "dividing-head.toml"
+    assert load_scenario(str(EXAMPLES / "platform-moving.toml")) == load_scenario(
+        EXAMPLES / "platform-moving.toml"
+    )

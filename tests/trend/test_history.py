@@ -11,7 +11,7 @@ from scipy import stats
 
 from piga.errors import ArgumentError
 from piga.records.calibration.coefficient import TYPE_A_ONLY
-from piga.trend.history import YEAR, _to_two_digits_of, find_trend
+from piga.trend.history import YEAR, Forecast, _to_two_digits_of, find_trend
 from piga.trend.trend_line import moving_average
 from tests.chance import assert_variance
 from tests.trend.campaign import SCENARIOS, covered, simulate
@@ -218,3 +218,13 @@ def test_false_alarms():
         shifted += int(trend.chart.shifted.sum())
     assert 0.0003 < outside / scored < 0.0035
     assert shifted / scored < 0.008
+
+
+def test_the_score_of_a_value_is_the_normal_number_of_its_probability() -> None:
+    forecast = Forecast(0.0, 10.0, 2.0, math.inf)
+    assert forecast.score(14.0) == 2.0
+    few = Forecast(0.0, 10.0, 2.0, 4.0)
+    # Student, 4 degrees: 2.776 at 97.5 %; normal: 1.960
+    assert few.score(10.0 + 2.0 * 2.776445) == pytest.approx(1.959964, abs=1e-5)
+    assert few.score(10.0 - 2.0 * 2.776445) == pytest.approx(-1.959964, abs=1e-5)
+    assert few.half_width() == pytest.approx(2.0 * 2.776445, rel=1e-6)

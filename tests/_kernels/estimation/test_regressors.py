@@ -1,4 +1,4 @@
-"""Kernels of the calibration against quadrature and dense linear algebra."""
+"""Columns of the calibration and their moments against quadrature."""
 
 from __future__ import annotations
 

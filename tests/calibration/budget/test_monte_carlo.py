@@ -1,7 +1,8 @@
-"""tan_beta near its noise: the limits of a size that cannot be negative hold the truth, zero included."""
+"""Draws of every distribution; limits of a size that cannot be negative hold the truth, zero included."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +10,37 @@ import pytest
 
 import piga
 from piga.calibration.budget import monte_carlo
-from piga.calibration.budget.monte_carlo import size_limits
+from piga.calibration.budget.monte_carlo import size_limits, standard_draws
 from tests.calibration.made.independent import Bench
 
+
+@pytest.mark.parametrize(
+    ("distribution", "fourth", "largest"),
+    [
+        ("normal", 3.0, math.inf),
+        ("rectangular", 1.8, math.sqrt(3.0)),
+        ("triangular", 2.4, math.sqrt(6.0)),
+        ("arcsine", 1.5, math.sqrt(2.0)),
+    ],
+)
+def test_draws_have_unit_variance_and_the_kurtosis_of_their_distribution(
+    distribution: str, fourth: float, largest: float
+) -> None:
+    x = standard_draws(distribution, math.inf, 40_000, np.random.default_rng(3))
+    assert abs(x.mean()) < 0.025
+    assert np.mean(x**2) == pytest.approx(1.0, abs=0.035)
+    assert np.mean(x**4) == pytest.approx(fourth, rel=0.08)
+    assert np.abs(x).max() <= largest
+
+
+def test_draws_of_students_t_have_its_wider_spread() -> None:
+    x = standard_draws("t", 10.0, 40_000, np.random.default_rng(4))
+    assert np.mean(x**2) == pytest.approx(10.0 / 8.0, rel=0.04)
+
+
 TERMS = ("scale_factor", "tan_beta", "k0")
+
+
 U = 4.9e-7
 """Standard uncertainty of tan_beta in the records below."""
 

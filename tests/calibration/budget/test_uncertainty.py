@@ -11,14 +11,18 @@ import pytest
 
 import piga
 from piga.calibration.budget.uncertainty import propagate, sources
+from piga.calibration.intervals import degrees_of_freedom
 from piga.calibration.intervals.degrees_of_freedom import level_information
 from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.settings import NOISE
 from piga.errors import RunFileError
 from piga.records import spool
 from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run_file import UncertaintyTable
+from piga.units import G0
 from tests.calibration.made.scenarios import SCENARIOS
+from tests.calibration.made.synthetic import TERMS, record
 
 
 def test_gum_annex_h1_end_gauge() -> None:
@@ -240,3 +244,68 @@ def test_near_the_separatrix_the_first_order_is_enough() -> None:
 
     bent = [0.5 * (up + down) - base for up, down in zip(moved(1.0), moved(-1.0), strict=True)]
     assert (np.sqrt(np.sum(np.square(bent), axis=0)) < 0.015 * std).all()
+
+
+def test_long_records_have_the_fewest_degrees_of_freedom_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = record(np.random.default_rng(8), walk=2e-5, seconds=10.0, rate=2.0, count=4)
+    exact = [c.degrees_of_freedom for c in piga.calibrate(run, TERMS).coefficients]
+    monkeypatch.setattr(degrees_of_freedom, "NOISE", replace(NOISE, degrees_large=100))
+    least = {c.degrees_of_freedom for c in piga.calibrate(run, TERMS).coefficients}
+    assert len(least) == 1
+    assert 0.3 * min(exact) < min(least) <= 1.01 * min(exact)
+
+
+def contributions(table: UncertaintyTable) -> tuple[dict[str, dict[str, float]], piga.Calibration]:
+    """Contributions [file units] by source, and the calibration; a tumble at 1 g with a temperature of each position."""
+    run = record(np.random.default_rng(21), seconds=6.0, rate=3.0, count=8, levels=(1.0,))
+    run = replace(
+        run,
+        uncertainty=table,
+        temperature=293.15 + np.array([0.0, 3.0, 1.0, 4.0, 1.0, 5.0, 2.0, 6.0])[run.segment_index],
+    )
+    calibration = piga.calibrate(run, ["scale_factor", "k0", "m_Y", "k0_T"])
+    return {row.source: row.contributions for row in calibration.budget if row.type == "B"}, calibration
+
+
+@pytest.mark.compiled
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("source", ["reference_scale", "timing"])
+def test_a_scale_goes_into_k(source: str) -> None:
+    result = contributions(UncertaintyTable(**{source: "20 ppm"}))[0][source]
+    assert abs(result["scale_factor"]) == pytest.approx(20e-6 * 0.8884, rel=1e-2)
+    assert abs(result["k0"]) < 20e-6 * 4e-3  # of the bias itself, 1.6e-3 g
+
+
+@pytest.mark.compiled
+@pytest.mark.only_compiled
+def test_gravity_goes_into_k() -> None:
+    result = contributions(UncertaintyTable(gravity="20 mGal"))[0]["gravity"]
+    assert abs(result["scale_factor"]) == pytest.approx(20e-5 / G0 * 0.8884, rel=1e-2)
+
+
+@pytest.mark.compiled
+@pytest.mark.only_compiled
+def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> None:
+    outcome, result = contributions(UncertaintyTable(reference_bias="5 ug"))
+    assert abs(outcome["reference_bias X0"]["k0"]) == pytest.approx(5e-6, rel=1e-2)
+    assert abs(outcome["reference_bias Y0"]["k0"]) == pytest.approx(5e-6 * result["m_Y"].value, rel=1e-3)
+    assert set(outcome) == {f"reference_bias {axis}" for axis in ("X0", "Y0", "Z0")}
+
+
+@pytest.mark.compiled
+@pytest.mark.only_compiled
+def test_a_turn_of_the_reference_about_z_goes_into_the_misalignment() -> None:
+    result, _ = contributions(UncertaintyTable(reference_misalignment="2 arcsec"))
+    assert abs(result["reference_misalignment Z0"]["m_Y"]) == pytest.approx(np.radians(2.0 / 3600.0), rel=1e-2)
+    assert abs(result["reference_misalignment Z0"]["scale_factor"]) < 1e-8
+
+
+@pytest.mark.compiled
+@pytest.mark.only_compiled
+def test_a_thermometer_goes_into_the_bias_by_its_slope() -> None:
+    outcome, result = contributions(UncertaintyTable(temperature="0.5 K"))
+    assert abs(outcome["temperature"]["k0"]) == pytest.approx(0.5 * abs(result["k0_T"].value), rel=1e-6)
+    assert abs(outcome["temperature"]["scale_factor"]) < 1e-12
+    cold = record(np.random.default_rng(22), seconds=6.0, rate=3.0, count=4, levels=(1.0,))
+    cold = replace(cold, uncertainty=UncertaintyTable(temperature="0.5 K"))
+    assert [row.type for row in piga.calibrate(cold, ["scale_factor", "k0"]).budget] == ["A"]

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.choice.cross_validation import fold_of
+from piga.calibration.choice.cross_validation import fold_of, predict
 from piga.calibration.model.design import Design
+from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import make_request
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import weighted_blocks
@@ -19,8 +20,14 @@ from piga.units import G0
 from tests.calibration.made.synthetic import TERMS, record
 
 TRUE = tuple(TERMS)
+
+
 SMALLER = ("scale_factor", "tan_beta", "k0", "m_Y")
+
+
 LARGER = (*TRUE, "k3")
+
+
 SETS = [("scale_factor", "tan_beta"), SMALLER, TRUE, LARGER, (*TRUE, "s2", "c2")]
 
 
@@ -206,3 +213,28 @@ def test_truth_is_found_again():
     print(f"true set: least BIC {first}, prediction {second} of 200")  # noqa: T201
     assert first >= 195
     assert second >= 178
+
+
+def part_of(rows: np.ndarray) -> Reduction:
+    part = Reduction.empty(("a", "b"))
+    part.absorb(np.ascontiguousarray(rows.T))
+    return part
+
+
+def test_what_cannot_be_predicted_from_the_rest_is_not() -> None:
+    rng = np.random.default_rng(5)
+    rows = [np.column_stack([x := rng.standard_normal((6, 2)), x @ [2.0, 3.0] + 0.1]) for _ in range(3)]
+    parts, probe = [part_of(r) for r in rows], (0, 1.0)
+    assert predict(parts[:1], [0, 1], probe, None) is None
+    whole = predict(parts, [0, 1], probe, None)
+    assert whole is not None
+    expected = 0.0
+    for k in range(3):
+        rest = np.vstack([r for i, r in enumerate(rows) if i != k])
+        x = np.linalg.lstsq(rest[:, :2], rest[:, 2], rcond=None)[0]
+        expected += float(np.sum((rows[k][:, 2] - rows[k][:, :2] @ x) ** 2))
+    assert whole.chi_square == pytest.approx(expected, rel=1e-9)
+    only_here = [part_of(r * [1.0, float(k == 0), 1.0]) for k, r in enumerate(rows)]
+    assert predict(only_here, [0, 1], probe, None) is None  # b is seen in the first part alone
+    twice = [part_of(np.column_stack([r[:, 0], 2.0 * r[:, 0], r[:, 2]])) for r in rows]
+    assert predict(twice, [0, 1], probe, None) is None

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
 import piga
+from piga.records.run_file import UncertaintyTable
 from piga.units import G0
 from tests.calibration.made.synthetic import SCALE, TERMS, errors, record
 
-pytestmark = pytest.mark.only_compiled
 
-
+@pytest.mark.only_compiled
 def test_same_truth_with_larger_uncertainty() -> None:
     squares = []
     for seed in range(12):
@@ -27,6 +30,7 @@ def test_same_truth_with_larger_uncertainty() -> None:
     assert np.mean(squares) < 1.3
 
 
+@pytest.mark.only_compiled
 def test_positions_that_do_not_turn_once_are_named() -> None:
     run = record(np.random.default_rng(52), seconds=20.0)
     calibration = piga.calibrate(run, ["scale_factor", "k0", "m_Y"], "revolutions")
@@ -55,6 +59,7 @@ def pulled(beta: float, seed: int) -> piga.Run:
     return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment)
 
 
+@pytest.mark.only_compiled
 def test_pulling_gives_tan_beta_without_its_phase() -> None:
     """tan_beta 0.03: the mean rate misses up to 1.5 %; found from it alone, K and k0 unharmed."""
     run = pulled(0.03, 54)
@@ -113,6 +118,7 @@ def missed(result: piga.Calibration) -> dict[str, tuple[float, bool]]:
     }
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize(("walk", "white"), [(1e-4, 0.0), (5e-5, 1e-4), (0.0, 1e-4)])
 def test_near_lock_the_truth_is_in_reach(walk: float, white: float) -> None:
     run = near_lock(np.random.default_rng([3, 61]), 1, walk, white)[0]
@@ -121,6 +127,7 @@ def test_near_lock_the_truth_is_in_reach(walk: float, white: float) -> None:
     assert len(calibration.segments) == 14
 
 
+@pytest.mark.only_compiled
 @pytest.mark.slow
 @pytest.mark.parametrize(("walk", "white"), [(1e-4, 0.0), (5e-5, 1e-4)])
 def test_intervals_near_lock_hold(walk: float, white: float) -> None:
@@ -138,6 +145,7 @@ def test_intervals_near_lock_hold(walk: float, white: float) -> None:
         assert walk < 1e-4 or np.std([z for z, _ in results]) > 0.8, name
 
 
+@pytest.mark.only_compiled
 def test_a_position_at_the_edge_of_lock_is_left_out() -> None:
     """a/b = 1.03: one turn in ten minutes, nearly all of it at one angle."""
     t = np.tile(np.arange(0.0, 900.0, 0.25), 4)
@@ -156,12 +164,97 @@ def test_a_position_at_the_edge_of_lock_is_left_out() -> None:
     assert len(calibration.segments) == 3
 
 
+@pytest.mark.only_compiled
 def test_pulling_that_does_not_show_is_said() -> None:
     calibration = piga.calibrate(pulled(1e-5, 55), ["scale_factor", "tan_beta", "k0"], "revolutions")
     assert "tan_beta" not in {c.name for c in calibration.coefficients}
     assert any("do not show tan_beta" in note for note in calibration.notes)
 
 
+@pytest.mark.only_compiled
 def test_harmonics_are_refused() -> None:
     with pytest.raises(piga.CalibrationError, match="cannot estimate harmonics"):
         piga.calibrate(record(np.random.default_rng(56)), ["scale_factor", "k0", "s2", "c2"], "revolutions")
+
+
+# --- whole revolutions
+
+
+MEAN = ["scale_factor", "k0", "k2", "m_Y"]
+
+
+def turning(seed: int, **options: Any) -> piga.Run:
+    return record(
+        np.random.default_rng(seed), **({"seconds": 45.0, "rate": 1.5, "count": 6, "levels": (1.0,)} | options)
+    )
+
+
+@pytest.mark.compiled
+@pytest.mark.only_compiled
+def test_whole_turns_of_a_small_record() -> None:
+    run = replace(turning(31), uncertainty=UncertaintyTable(reference_scale="20 ppm"))
+    calibration = piga.calibrate(run, MEAN, "revolutions")
+    (scale,) = [row.contributions["scale_factor"] for row in calibration.budget if row.type == "B"]
+    assert abs(scale) == pytest.approx(20e-6 * 0.8884, rel=1e-3)
+    assert calibration["scale_factor"].std > abs(scale)
+    apart = piga.calibrate(turning(31), MEAN, "revolutions")
+    assert all(abs(z) < 4.5 for z in errors(apart).values()), errors(apart)
+    assert calibration["scale_factor"].std == pytest.approx(
+        np.hypot(apart["scale_factor"].std, scale), rel=1e-6
+    )
+
+
+@pytest.mark.compiled
+def test_positions_without_a_whole_turn() -> None:
+    calibration = piga.calibrate(turning(32, seconds=16.0, count=14), ["scale_factor", "k0"], "revolutions")
+    (event,) = [event for event in calibration.quality.events if event.kind == "no-whole-revolution"]
+    assert 0 < event.count == 14 - len(calibration.segments)
+    with pytest.raises(piga.CalibrationError, match="whole turns"):
+        piga.calibrate(turning(33, seconds=5.0), ["scale_factor", "k0"], "revolutions")
+    with pytest.raises(piga.CalibrationError, match="cannot estimate harmonics"):
+        piga.calibrate(turning(34), ["scale_factor", "k0", "s2", "c2"], "revolutions")
+
+
+@pytest.mark.compiled
+@pytest.mark.only_compiled
+def test_pulling_that_does_not_show_on_a_small_record() -> None:
+    calibration = piga.calibrate(turning(35), [*MEAN, "tan_beta"], "revolutions")
+    assert "tan_beta" not in {c.name for c in calibration.coefficients}
+    assert any("do not show tan_beta" in note for note in calibration.notes)
+
+
+@pytest.mark.compiled
+@pytest.mark.only_compiled
+def test_pulling_of_a_strongly_coupled_instrument() -> None:
+    """3 g across, positions near the horizontal: the mean rate misses up to 1.5 %, and tells tan_beta."""
+    angles = np.radians([10, 15, 25, 60, 120, 165, 195, 220, 300, 345])
+    n = 301
+    t = np.concatenate([k * 80.0 + np.arange(n) / 4.0 for k in range(angles.size)])
+    f = np.repeat(np.column_stack([np.sin(angles), np.cos(angles), 0.0 * angles]) * 3.0 * G0, n, axis=0)
+    segment = np.repeat(np.arange(angles.size, dtype=np.int32), n)
+    output = np.empty(t.size)
+    rng = np.random.default_rng(36)
+    for k in range(angles.size):
+        part = segment == k
+        start = piga.Instrument(scale_factor=SCALE, beta=0.03, alpha0=float(rng.uniform(-3.0, 3.0)))
+        output[part] = piga.propagate(start, t[part], f[part])
+    output += 1e-5 * rng.standard_normal(t.size)
+    run = piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment)
+    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], "revolutions", phases="per-segment")
+    assert calibration["tan_beta"].value == pytest.approx(np.tan(0.03), abs=4.5 * calibration["tan_beta"].std)
+    assert calibration["scale_factor"].value == pytest.approx(0.8884, abs=4.5 * calibration["scale_factor"].std)
+
+
+@pytest.mark.compiled
+@pytest.mark.only_compiled
+def test_whole_turns_need_steady_positions_and_a_term() -> None:
+    run = record(np.random.default_rng(53), seconds=45.0, rate=1.0, count=6, levels=(1.0,))
+    with pytest.raises(piga.CalibrationError, match="needs a term besides tan_beta"):
+        piga.calibrate(run, ["tan_beta"], "revolutions")
+    f = run.f.copy()
+    f[run.segment_index == 2] *= (1.0 + 0.2 * np.sin(run.t[run.segment_index == 2]))[:, None]
+    calibration = piga.calibrate(replace(run, f=f), ["scale_factor", "k0"], "revolutions")
+    assert "2" not in {segment.label for segment in calibration.segments}
+    assert "2" in {
+        segment.label for segment in piga.calibrate(run, ["scale_factor", "k0"], "revolutions").segments
+    }

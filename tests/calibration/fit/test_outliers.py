@@ -16,8 +16,6 @@ from piga.records import spool
 from piga.units import G0
 from tests.calibration.made.synthetic import BETA, SCALE, TERMS, TRUTH, errors, positions, record
 
-pytestmark = pytest.mark.only_compiled
-
 NOISE = {"white": 2.5e-5, "walk": 1e-5, "seconds": 20.0}
 
 
@@ -29,6 +27,7 @@ def spiked(run: piga.Run, seed: int, share: float, size: float) -> tuple[piga.Ru
     return replace(run, output=output), bad
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("share", [0.001, 0.05, 0.2])
 def test_spikes_are_left_out(share: float, size: float) -> None:
@@ -45,6 +44,7 @@ def test_spikes_are_left_out(share: float, size: float) -> None:
         assert calibration[name].value == pytest.approx(clean[name].value, abs=clean[name].std)
 
 
+@pytest.mark.only_compiled
 def test_intervals_hold_under_contamination() -> None:
     """40 records with 20 % bad samples: mean square of error over uncertainty within the 99.9 % band."""
     squares = []
@@ -55,6 +55,7 @@ def test_intervals_hold_under_contamination() -> None:
     assert 0.7 < np.mean(squares) < 1.35
 
 
+@pytest.mark.only_compiled
 def test_jumps_and_stuck_readings_have_their_times() -> None:
     run = record(np.random.default_rng(32), **NOISE)
     output = run.output.copy()
@@ -72,6 +73,7 @@ def test_jumps_and_stuck_readings_have_their_times() -> None:
     assert sum(e.count for e in calibration.quality.events if e.kind == "outlier-jump") == 2
 
 
+@pytest.mark.only_compiled
 def test_increment_across_a_bad_sample_is_exact() -> None:
     """Noiseless vibration with every fifth sample bad: merged columns integrate the inner samples too."""
     fine = np.arange(12_000 * 16) * (0.005 / 16)
@@ -90,12 +92,14 @@ def test_increment_across_a_bad_sample_is_exact() -> None:
         assert without[name].value == pytest.approx(with_all[name].value, abs=3.0 * without[name].std)
 
 
+@pytest.mark.only_compiled
 def test_too_much_is_refused() -> None:
     run = record(np.random.default_rng(34), **NOISE)
     with pytest.raises(piga.DataError, match=r"% of the samples contradict the reference"):
         piga.calibrate(spiked(run, 34, 0.5, 1.0)[0], TERMS)
 
 
+@pytest.mark.only_compiled
 def test_rate_log() -> None:
     rng = np.random.default_rng(35)
     t = np.arange(20_001) * 0.01
@@ -111,6 +115,7 @@ def test_rate_log() -> None:
     assert calibration.angle_random_walk == pytest.approx(1e-6, rel=0.03)
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("size", [30.0, 300.0, -5e4])
 @pytest.mark.parametrize("bad", [1, 30])
 def test_spikes_of_a_rate_log_do_not_turn_its_phase(size: float, bad: int) -> None:
@@ -127,6 +132,7 @@ def test_spikes_of_a_rate_log_do_not_turn_its_phase(size: float, bad: int) -> No
     assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), rel=2e-3)
 
 
+@pytest.mark.only_compiled
 def test_clean_records_stay_whole() -> None:
     """20 records, 96 000 good samples: fewer than 5 are left out (1 expected)."""
     lost = 0
@@ -139,6 +145,7 @@ def test_clean_records_stay_whole() -> None:
     assert limit(1_000_000, 5) == pytest.approx(5.45, abs=0.01)
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("count", [2.0 * np.pi / 3600, 2.0 * np.pi / 360])
 def test_coarse_counts_are_no_outliers(count: float) -> None:
     run = record(np.random.default_rng(37), white=1e-7, count_angle=count)
@@ -146,11 +153,13 @@ def test_coarse_counts_are_no_outliers(count: float) -> None:
     assert piga.calibrate(replace(run, resolution=0.0), TERMS).outliers == ()
 
 
+@pytest.mark.only_compiled
 def test_missing_terms_are_no_outliers() -> None:
     run = record(np.random.default_rng(38), white=1e-7)
     assert piga.calibrate(run, ["scale_factor"]).outliers == ()
 
 
+@pytest.mark.only_compiled
 def test_outliers_in_the_file(tmp_path) -> None:
     run = record(np.random.default_rng(39), **NOISE)
     calibration = piga.calibrate(spiked(run, 39, 0.01, 1.0)[0], TERMS)
@@ -167,6 +176,7 @@ def drawn(seed: int, size: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return np.where(begins, 0.0, rng.standard_normal(size)), begins, flags
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("seed", range(20))
 def test_corrections_by_the_definition(seed: int) -> None:
     """Stretch by stretch with NumPy's interpolation, jumps carried through the record."""
@@ -192,6 +202,7 @@ def test_corrections_by_the_definition(seed: int) -> None:
     np.testing.assert_allclose(result, expected, atol=1e-12)
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("seed", range(6))
 def test_what_is_left_out_does_not_depend_on_the_blocks(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     d, begins, flags = drawn(seed)
@@ -215,6 +226,7 @@ def test_what_is_left_out_does_not_depend_on_the_blocks(seed: int, monkeypatch: 
         assert whole.begins[later] or not (flags[start:] != 1).any()
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("rate", [0.004, 0.05, 0.6])
 def test_readings_that_stand_still_are_no_outliers(rate: float) -> None:
     """A path of so many counts a sample: most readings repeat the one before."""
@@ -224,6 +236,7 @@ def test_readings_that_stand_still_are_no_outliers(rate: float) -> None:
     assert abs(calibration["scale_factor"].value - G0) < 5.0 * calibration["scale_factor"].std
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("rate", [0.004, 0.05, 0.6])
 def test_spikes_are_found_among_readings_that_stand_still(rate: float) -> None:
     run = slow_counter(rate)
@@ -244,6 +257,7 @@ def slow_counter(rate: float) -> piga.Run:
     return piga.Run.from_arrays(t, count * np.round(alpha / count), f, scale_factor=1.0, resolution=count)
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("zero", [0, 2**24 - 3000])
 def test_counts_that_fit_to_the_last_bit_are_no_outliers(zero: int) -> None:
     """More than a quarter of the increments lie on the path without any miss: the core has no width."""
@@ -269,6 +283,7 @@ def few_readings(rng: np.random.Generator, count: int, readings: int) -> piga.Ru
     return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment)
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize(("count", "readings", "size"), [(8, 4, 1e-3), (4, 8, 0.05)])
 def test_one_wrong_reading_of_thirty_two(count: int, readings: int, size: float) -> None:
     """30 records: none is refused, sound ones keep all readings, of others the wrong one alone is left out."""
@@ -284,3 +299,27 @@ def test_one_wrong_reading_of_thirty_two(count: int, readings: int, size: float)
         alone += sum(outlier.samples for outlier in result.outliers) == 1
     assert kept >= 28
     assert alone >= 24
+
+
+def test_spikes_of_a_log_of_rates() -> None:
+    """Each sample of a rate stands for itself: exactly the spoilt ones go, and the rest decides."""
+    t = 0.1 * np.arange(600)
+    f = G0 * np.column_stack([1.0 + np.sin(0.3 * t), 3.0 * np.cos(0.2 * t), 0.5 + 0.0 * t])
+    _, rate = piga.propagate(piga.Instrument(scale_factor=SCALE, beta=BETA), t, f, with_rate=True)
+    rate += 1e-5 * np.random.default_rng(21).standard_normal(t.size)
+    terms = ["scale_factor", "tan_beta", "k0"]
+
+    def result(output: np.ndarray) -> piga.Calibration:
+        return piga.calibrate(piga.Run.from_arrays(t, output, f, scale_factor=SCALE, kind="rate"), terms)
+
+    spoilt = rate.copy()
+    spoilt[[17, 18, 101, 333]] += [0.5, -0.4, 0.9, -0.7]
+    with_spikes, without = result(spoilt), result(rate)
+    assert not without.outliers
+    assert [outlier.samples for outlier in with_spikes.outliers] == [2, 1, 1]
+    assert [outlier.time for outlier in with_spikes.outliers] == pytest.approx([1.7, 10.1, 33.3])
+    assert [outlier.size for outlier in with_spikes.outliers] == pytest.approx([0.5, 0.9, 0.7], rel=1e-3)
+    assert with_spikes.quality.used == 596
+    for name in terms:
+        assert with_spikes[name].value == pytest.approx(without[name].value, abs=0.5 * without[name].std)
+        assert with_spikes[name].std == pytest.approx(without[name].std, rel=0.05)

@@ -1,4 +1,4 @@
-"""Joint calibrations, summaries, Type B sources and whole turns on records small enough to be interpreted."""
+"""Joint calibrations and summaries on records small enough to be interpreted."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ import piga
 from piga.calibration.joint.summary import RunSummary
 from piga.records.calibration.document import to_document
 from piga.records.run_file import UncertaintyTable
-from piga.units import G0
 from tests.calibration.made.scenarios_joint import TERMS, TRUE_SCALE, joint_test, scores
-from tests.calibration.made.synthetic import SCALE, errors, record
+from tests.calibration.made.synthetic import record
 
 pytestmark = pytest.mark.compiled
 FEW = ["scale_factor", "k0", "k2"]
@@ -190,119 +189,7 @@ def test_files_that_are_no_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         RunSummary.from_json(tmp_path / "s.json")
 
 
-def contributions(table: UncertaintyTable) -> tuple[dict[str, dict[str, float]], piga.Calibration]:
-    """Contributions [file units] by source, and the calibration; a tumble at 1 g with a temperature of each position."""
-    run = record(np.random.default_rng(21), seconds=6.0, rate=3.0, count=8, levels=(1.0,))
-    run = replace(
-        run,
-        uncertainty=table,
-        temperature=293.15 + np.array([0.0, 3.0, 1.0, 4.0, 1.0, 5.0, 2.0, 6.0])[run.segment_index],
-    )
-    calibration = piga.calibrate(run, ["scale_factor", "k0", "m_Y", "k0_T"])
-    return {row.source: row.contributions for row in calibration.budget if row.type == "B"}, calibration
-
-
-@pytest.mark.only_compiled
-@pytest.mark.parametrize("source", ["reference_scale", "timing"])
-def test_a_scale_goes_into_k(source: str) -> None:
-    result = contributions(UncertaintyTable(**{source: "20 ppm"}))[0][source]
-    assert abs(result["scale_factor"]) == pytest.approx(20e-6 * 0.8884, rel=1e-2)
-    assert abs(result["k0"]) < 20e-6 * 4e-3  # of the bias itself, 1.6e-3 g
-
-
-@pytest.mark.only_compiled
-def test_gravity_goes_into_k() -> None:
-    result = contributions(UncertaintyTable(gravity="20 mGal"))[0]["gravity"]
-    assert abs(result["scale_factor"]) == pytest.approx(20e-5 / G0 * 0.8884, rel=1e-2)
-
-
-@pytest.mark.only_compiled
-def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> None:
-    outcome, result = contributions(UncertaintyTable(reference_bias="5 ug"))
-    assert abs(outcome["reference_bias X0"]["k0"]) == pytest.approx(5e-6, rel=1e-2)
-    assert abs(outcome["reference_bias Y0"]["k0"]) == pytest.approx(5e-6 * result["m_Y"].value, rel=1e-3)
-    assert set(outcome) == {f"reference_bias {axis}" for axis in ("X0", "Y0", "Z0")}
-
-
-@pytest.mark.only_compiled
-def test_a_turn_of_the_reference_about_z_goes_into_the_misalignment() -> None:
-    result, _ = contributions(UncertaintyTable(reference_misalignment="2 arcsec"))
-    assert abs(result["reference_misalignment Z0"]["m_Y"]) == pytest.approx(np.radians(2.0 / 3600.0), rel=1e-2)
-    assert abs(result["reference_misalignment Z0"]["scale_factor"]) < 1e-8
-
-
-@pytest.mark.only_compiled
-def test_a_thermometer_goes_into_the_bias_by_its_slope() -> None:
-    outcome, result = contributions(UncertaintyTable(temperature="0.5 K"))
-    assert abs(outcome["temperature"]["k0"]) == pytest.approx(0.5 * abs(result["k0_T"].value), rel=1e-6)
-    assert abs(outcome["temperature"]["scale_factor"]) < 1e-12
-    cold = record(np.random.default_rng(22), seconds=6.0, rate=3.0, count=4, levels=(1.0,))
-    cold = replace(cold, uncertainty=UncertaintyTable(temperature="0.5 K"))
-    assert [row.type for row in piga.calibrate(cold, ["scale_factor", "k0"]).budget] == ["A"]
-
-
 # --- whole revolutions
-
-
-MEAN = ["scale_factor", "k0", "k2", "m_Y"]
-
-
-def turning(seed: int, **options: Any) -> piga.Run:
-    return record(
-        np.random.default_rng(seed), **({"seconds": 45.0, "rate": 1.5, "count": 6, "levels": (1.0,)} | options)
-    )
-
-
-@pytest.mark.only_compiled
-def test_whole_turns_of_a_small_record() -> None:
-    run = replace(turning(31), uncertainty=UncertaintyTable(reference_scale="20 ppm"))
-    calibration = piga.calibrate(run, MEAN, "revolutions")
-    (scale,) = [row.contributions["scale_factor"] for row in calibration.budget if row.type == "B"]
-    assert abs(scale) == pytest.approx(20e-6 * 0.8884, rel=1e-3)
-    assert calibration["scale_factor"].std > abs(scale)
-    apart = piga.calibrate(turning(31), MEAN, "revolutions")
-    assert all(abs(z) < 4.5 for z in errors(apart).values()), errors(apart)
-    assert calibration["scale_factor"].std == pytest.approx(
-        np.hypot(apart["scale_factor"].std, scale), rel=1e-6
-    )
-
-
-def test_positions_without_a_whole_turn() -> None:
-    calibration = piga.calibrate(turning(32, seconds=16.0, count=14), ["scale_factor", "k0"], "revolutions")
-    (event,) = [event for event in calibration.quality.events if event.kind == "no-whole-revolution"]
-    assert 0 < event.count == 14 - len(calibration.segments)
-    with pytest.raises(piga.CalibrationError, match="whole turns"):
-        piga.calibrate(turning(33, seconds=5.0), ["scale_factor", "k0"], "revolutions")
-    with pytest.raises(piga.CalibrationError, match="cannot estimate harmonics"):
-        piga.calibrate(turning(34), ["scale_factor", "k0", "s2", "c2"], "revolutions")
-
-
-@pytest.mark.only_compiled
-def test_pulling_that_does_not_show_on_a_small_record() -> None:
-    calibration = piga.calibrate(turning(35), [*MEAN, "tan_beta"], "revolutions")
-    assert "tan_beta" not in {c.name for c in calibration.coefficients}
-    assert any("do not show tan_beta" in note for note in calibration.notes)
-
-
-@pytest.mark.only_compiled
-def test_pulling_of_a_strongly_coupled_instrument() -> None:
-    """3 g across, positions near the horizontal: the mean rate misses up to 1.5 %, and tells tan_beta."""
-    angles = np.radians([10, 15, 25, 60, 120, 165, 195, 220, 300, 345])
-    n = 301
-    t = np.concatenate([k * 80.0 + np.arange(n) / 4.0 for k in range(angles.size)])
-    f = np.repeat(np.column_stack([np.sin(angles), np.cos(angles), 0.0 * angles]) * 3.0 * G0, n, axis=0)
-    segment = np.repeat(np.arange(angles.size, dtype=np.int32), n)
-    output = np.empty(t.size)
-    rng = np.random.default_rng(36)
-    for k in range(angles.size):
-        part = segment == k
-        start = piga.Instrument(scale_factor=SCALE, beta=0.03, alpha0=float(rng.uniform(-3.0, 3.0)))
-        output[part] = piga.propagate(start, t[part], f[part])
-    output += 1e-5 * rng.standard_normal(t.size)
-    run = piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment)
-    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], "revolutions", phases="per-segment")
-    assert calibration["tan_beta"].value == pytest.approx(np.tan(0.03), abs=4.5 * calibration["tan_beta"].std)
-    assert calibration["scale_factor"].value == pytest.approx(0.8884, abs=4.5 * calibration["scale_factor"].std)
 
 
 # --- requests that do not fit the record

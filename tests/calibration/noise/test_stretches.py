@@ -1,4 +1,4 @@
-"""Projection of coarsely counted stretches: against the sums written out, whatever the blocks."""
+"""Counts of a log, and the projection of coarsely counted stretches: against the sums written out, whatever the blocks."""
 
 from __future__ import annotations
 
@@ -8,14 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import piga
 from piga._kernels.estimation.noise import WAVES, add_waves
 from piga.calibration.fit.one_run import fit_run, refine_counted
 from piga.calibration.model import design as design_module
 from piga.calibration.model.design import DESIGN, Design
 from piga.calibration.model.request import Request
+from piga.calibration.noise.counted import count_of
 from piga.calibration.noise.stretches import SawTooth, empty_stretches, find_stretches, follow, looks_white
 from piga.records.run import Run
+from piga.units import G0
 from tests.calibration.made.scenarios import SCENARIOS
+from tests.calibration.made.synthetic import SCALE
 
 
 def test_waves_are_powers_of_the_first() -> None:
@@ -127,3 +131,24 @@ def test_one_line_is_not_white() -> None:
     tooth.cosines[0] += math.sqrt(20.0 * power) * stretch.contrasts[20] * np.diff(stretch.edges)
     assert tooth.over_white()[20] > 12.0
     assert not looks_white([tooth])
+
+
+ARCSECOND = math.pi / 648000.0
+
+
+def log_of_angles(output: np.ndarray, resolution: float = 0.0) -> piga.Run:
+    t = 0.1 * np.arange(output.size)
+    f = np.tile([G0, 0.0, 0.0], (output.size, 1))
+    return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, resolution=resolution, serial="angles")
+
+
+def test_the_count_of_a_log_that_does_not_state_it() -> None:
+    count = 20.0 * ARCSECOND
+    t = 0.1 * np.arange(900)
+    turn = 0.003 * t + 1e-4 * np.sin(0.4 * t)
+    assert count_of(log_of_angles(np.round(turn / count) * count)) == pytest.approx(count, rel=1e-6)
+    assert count_of(log_of_angles(turn)) == 0.0  # no two steps alike
+    assert count_of(log_of_angles(0.003 * t)) == 0.0  # one step only: a steady turn says nothing
+    steps = np.random.default_rng(2).choice([1.0, 1.7, 2.0], t.size) * count
+    assert count_of(log_of_angles(np.cumsum(steps))) == 0.0  # few steps, but no multiples of one
+    assert count_of(log_of_angles(turn, resolution=5e-5)) == 5e-5  # what is stated counts

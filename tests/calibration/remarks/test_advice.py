@@ -1,5 +1,7 @@
 """Swapped axes, wrong signs and wrong units are named; good records are not judged."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numba
@@ -9,11 +11,14 @@ import pytest
 import piga
 from piga.calibration.model.request import make_request
 from piga.calibration.remarks import advice
-from piga.errors import PigaError
+from piga.calibration.remarks.advice import with_advice
+from piga.errors import CalibrationError, PigaError
 from tests.calibration.made.scenarios import SCENARIOS, Scenario
 from tests.calibration.made.synthetic_terms import TERMS, around
 
 SMALL = bool(numba.config.DISABLE_JIT)
+
+
 STRONG = Scenario(
     "strong", around(6 if SMALL else 18), seconds=6.0 if SMALL else 20.0, white=2.5e-5, walk=2e-6, tan_beta=4e-3,
     terms=TERMS,
@@ -189,3 +194,12 @@ def test_a_good_record_gets_no_advice_when_it_is_tried(name):
 def test_a_missing_term_is_no_wrong_axis(good):
     assert advised(good, ("scale_factor", "tan_beta")) == ""
     assert advised(good, ("scale_factor", "k0")) == ""
+
+
+def test_advice_goes_behind_the_remedy_of_an_error() -> None:
+    error = with_advice(
+        CalibrationError("no result", remedy="change this"), ("swap Y0 and Z0", "halve the unit")
+    )
+    assert error.message == "no result"
+    assert error.remedy == "change this; or swap Y0 and Z0; or halve the unit"
+    assert with_advice(CalibrationError("no result", remedy="change this"), ()).remedy == "change this"

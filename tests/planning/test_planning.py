@@ -1,0 +1,91 @@
+"""Plans that are none are refused with what to do; mountings; what a phase of its own costs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+import piga
+from piga.calibration.model.design import Design
+from piga.errors import ArgumentError, CalibrationError, RunFileError
+from piga.planning.candidates import _without_phase, coefficient_names, model_request, run_of
+from piga.planning.mounting import plan_mounting
+from piga.planning.plan_file import read_plan
+from piga.units import G0
+from tests.calibration.made.synthetic import SCALE
+from tests.planning.cases import request
+from tests.planning.test_plan import mounting_request
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('phases = "shared"', 'phases = "sideways"', r"\[model\]: .*sideways|\[model\]: invalid enum value"),
+        ('beta = "200 arcsec"\n', "", r"\[truth\] lacks beta(?s:.*)add the expected size"),
+        ('output = "angle"', 'output = "angle"\nbias_random_walk = "1e-9 g/sqrt(s)"', "bias_random_walk"),
+        ("[plan]", '[noise]\nflicker = "1 ug"\n[plan]', r"\[noise\] is not part"),
+        ("[plan]", '[plan]\nwanted = { k0 = "-1 ug" }', r"wanted\.k0: must be positive"),
+        ("[plan]", '[plan]\nmove = "0 s"', "move: 0 s is not positive"),
+        ("[plan]", '[plan]\nmove = "3 g"', "move"),
+    ],
+)  # fmt: skip
+def test_plans_that_are_none(tmp_path: Path, old: str, new: str, words: str) -> None:
+    path = request(tmp_path).path
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(RunFileError, match=words) as caught:
+        read_plan(path)
+    assert "plan.toml" in str(caught.value)
+    assert caught.value.remedy
+
+
+@pytest.mark.compiled
+def test_a_plan_on_a_stand_without_positions(tmp_path: Path) -> None:
+    path = request(tmp_path).path
+    first, rest = path.read_text(encoding="utf-8").split("[stand]")
+    stand = '[stand]\nkind = "profile"\nlatitude = "40 deg"\n[[stand.maneuvers]]\nduration = "60 s"\n'
+    path.write_text(first + stand + rest[rest.index("[model]") :], encoding="utf-8")
+    with pytest.raises(RunFileError, match=r"has no positions or levels to choose from|\[stand\]"):
+        read_plan(path)
+
+
+def test_a_mounting_that_cannot_be_planned(tmp_path: Path) -> None:
+    wish = mounting_request(tmp_path, '"0 deg", "80 deg"')
+    table = wish.table.mounting
+    assert table is not None
+
+    def planned(**changes: object) -> None:
+        changed = msgspec.structs.replace(table, **changes)
+        plan_mounting(replace(wish, table=msgspec.structs.replace(wish.table, mounting=changed)))
+
+    with pytest.raises(ArgumentError, match=r"\[mounting\] step: must be positive"):
+        planned(step="0 s")
+    with pytest.raises(ArgumentError, match=r"\[mounting\] skew: '0:90 deg' is not a range(?s:.*)0:91:1 deg"):
+        planned(skew="0:90 deg")
+    scenario = wish.scenario
+    straight = replace(scenario.specimen, instrument=piga.Instrument(scale_factor=SCALE, beta=0.0))
+    with pytest.raises(CalibrationError, match=r"without it there is no lock zone"):
+        plan_mounting(replace(wish, scenario=replace(scenario, specimen=straight)))
+
+
+@pytest.mark.parametrize("phase", ["shared", "per-segment"])
+def test_a_phase_of_its_own_costs_information(tmp_path: Path, phase: str) -> None:
+    """What is known of the others is the inverse of their part of the covariance, a phase that is shared among them."""
+    wish = request(tmp_path, phases=phase)
+    names = coefficient_names(wish)
+    size = len([name for name in names if name != "phi"]) + 1
+    spread = np.random.default_rng(6).standard_normal((3, size, size + 3))
+    information = spread @ spread.swapaxes(1, 2)
+    t, f = np.arange(3.0), np.full((3, 3), G0)
+    run = run_of(wish, t, t, f, np.zeros((3, 3)), np.zeros(3, np.int32))
+    result = _without_phase(information, wish, Design(run, model_request(wish), run.scale_factor))
+    covariance = np.linalg.inv(information)
+    order = [name for name in names if name != "phi"] + ["phi"]
+    kept = [order.index(name) for name in names]
+    np.testing.assert_allclose(result, np.linalg.inv(covariance[:, kept][:, :, kept]), rtol=1e-9, atol=1e-9)
