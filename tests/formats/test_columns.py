@@ -1,5 +1,7 @@
 """Arrow columns as float64: every kind of number, nulls, slices; without Arrow's compute functions."""
 
+from __future__ import annotations
+
 import subprocess
 import sys
 
@@ -7,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from piga.formats.columns import numbers_of
+from piga.formats.columns import label_text, numbers_of
 
 KINDS = [
     pa.int8(), pa.uint8(), pa.int16(), pa.uint16(), pa.int32(), pa.uint32(), pa.int64(), pa.uint64(),
@@ -48,3 +50,8 @@ def test_whole_counts_need_no_compute_functions():
         "assert numbers_of(counts).tolist() == [0.0, 0.0, 0.0]\nsys.exit(3 if 'pyarrow.compute' in sys.modules else 0)\n"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_labels_as_text() -> None:
+    given = (None, b" up ", 3.0, 2.5, float("nan"), np.float64(4.0), 7)
+    assert [label_text(value) for value in given] == ["", "up", "3", "2.5", "", "4", "7"]

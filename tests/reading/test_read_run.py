@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 import piga
+from piga.reading.signal_checks import OutputScale, Reading
+from piga.records.spool import Arrays
 from piga.units import G0
 from tests.records.files import events, lines, psi_steps, read, write_log, write_run
 
@@ -399,3 +402,111 @@ def test_rows_that_cannot_be_left_out(tmp_path: Path, rows: str) -> None:
         read(tmp_path, lines(), data=f'leave_out = [{{ rows = {rows}, reason = "why" }}]')
     with pytest.raises(piga.RunFileError, match="reason"):
         read(tmp_path, lines(), data=f"leave_out = [{{ rows = {rows} }}]")
+
+
+NAMES = ("t", "n", "fx", "fy", "fz")
+
+
+def test_an_unwrapped_reading_takes_the_nearest_turn() -> None:
+    values = np.array([250.0, 4.0, 10.0, 200.0, 190.0])
+    begins = np.array([True, False, False, True, False])
+    scale = OutputScale(0.5, 256.0, keeps_phase=False, counts=True)
+    reading = Reading(Path("run.csv"), "n", values, np.arange(5), begins, 40.0, 1.0, scale)
+    output, lost, events = reading.output(Arrays(None))
+    np.testing.assert_array_equal(output, [125.0, 130.0, 133.0, 100.0, 95.0])
+    assert [(event.kind, event.count) for event in events] == [("counter-roll-over", 1)]
+    np.testing.assert_array_equal(lost, [False, False, False, True, False])
+
+
+def test_parquet_without_rows_or_with_two_columns_of_one_name(tmp_path: Path) -> None:
+    empty = pa.table({name: pa.array([], pa.float64()) for name in NAMES})
+    twice = pa.Table.from_arrays([pa.array([0.0, 1.0])] * 6, names=[*NAMES, "fz"])
+    for table, message in ((empty, "no data row"), (twice, "duplicate column name 'fz'")):
+        parquet.write_table(table, tmp_path / "run.parquet")
+        with pytest.raises(piga.DataError, match=message):
+            piga.read_run(write_run(tmp_path, "run.parquet"))
+    with pytest.raises(piga.DataError, match=r"cannot be read|no such file"):
+        piga.read_run(write_run(tmp_path, "none.parquet"))
+
+
+def test_the_digest_beside_a_log_counts(tmp_path: Path) -> None:
+    write_log(tmp_path, lines())
+    run = piga.read_run(write_run(tmp_path))
+    (digest,) = {value for name, value in run.input_sha256.items() if name.endswith(".csv")}
+    beside = tmp_path / "run.csv.sha256"
+    beside.write_text(f"{digest}  run.csv\n")
+    assert piga.read_run(tmp_path / "run.toml").size == run.size
+    for words in ("", "0" * 64):
+        beside.write_text(words)
+        with pytest.raises(piga.DataError, match="SHA-256 is not the one in"):
+            piga.read_run(tmp_path / "run.toml")
+
+
+def test_a_log_that_changes_or_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from piga.reading import raw_columns
+
+    path = write_log(tmp_path, lines())
+    states = iter([(1, 0, 0, 0), (2, 0, 0, 0)])
+    with monkeypatch.context() as patch:
+        patch.setattr(raw_columns.SteadyFile, "_state", lambda _file: next(states))
+        with pytest.raises(piga.DataError, match="changed while it was read"):
+            piga.read_run(write_run(tmp_path))
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(piga.DataError, match="not a regular file"):
+        piga.read_run(tmp_path / "run.toml")
+
+
+def test_a_sheet_is_asked_of_a_text_file(tmp_path: Path) -> None:
+    write_log(tmp_path, lines())
+    with pytest.raises(piga.DataError, match=r"sheet is for \.xlsx files"):
+        piga.read_run(write_run(tmp_path, data='sheet = "log"'))
+
+
+def test_a_missing_log_is_named(tmp_path: Path) -> None:
+    for name in ("none.csv", "none.csv.gz"):
+        with pytest.raises(piga.DataError, match=rf"{name}: (no such file|cannot be read)"):
+            piga.read_run(write_run(tmp_path, name))
+
+
+@pytest.mark.parametrize(
+    ("cell", "options", "hint"),
+    [
+        ("１２", {}, "full-width"),
+        ("1'000", {}, "thousands separators"),
+        ("1.5", {"data": "decimal = ','\ndelimiter = ';'"}, "is not a number"),
+    ],
+)
+def test_cells_with_a_hint(tmp_path: Path, cell: str, options: dict[str, str], hint: str) -> None:
+    mark = ";" if options else ","
+    rows = [row.replace(",", mark).replace(".", "," if options else ".") for row in lines()]
+    cells = rows[5].split(mark)
+    cells[1] = cell
+    rows[5] = mark.join(cells)
+    with pytest.raises(piga.DataError, match=hint):
+        read(tmp_path, rows, header=mark.join(NAMES), **options)
+
+
+def test_a_reference_in_another_unit_is_suspected(tmp_path: Path) -> None:
+    rows = [f"{i / 20:.4f},{round(10179.0 * i / 20)},{G0},0.0,0.0" for i in range(60)]
+    run = read(tmp_path, rows)
+    (event,) = [event for event in run.quality.events if "|f|" in event.detail]
+    assert event.kind == "implausible-unit"
+    assert "too large by" in event.detail
+
+
+def test_an_output_that_stands_still_is_noticed(tmp_path: Path) -> None:
+    rows = [f"{i / 20:.4f},{min(round(10179.0 * i / 20), 300_000)},1.0,0.1,0.0" for i in range(1500)]
+    result = events(read(tmp_path, rows))
+    assert "stopped-output" in result or "stuck-value" in result
+
+
+def test_lost_and_disordered_sequence_numbers_are_counted(tmp_path: Path) -> None:
+    numbers = [*range(10), *range(13, 30), *range(25, 38)]
+    rows = [f"{row},{k}" for row, k in zip(lines(len(numbers)), numbers, strict=True)]
+    run = read(tmp_path, rows, header="t,n,fx,fy,fz,k", data='sequence = { column = "k" }')
+    result = {event.kind: event for event in run.quality.events}
+    assert result["sequence-gap"].count == 1
+    assert result["sequence-gap"].detail.startswith("3 samples missing")
+    assert result["sequence-back"].count == 1
+    assert np.flatnonzero(run.begins).tolist() == [0, 10, 27]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import pyarrow as pa
 import pytest
 
 import piga
+from piga.records import Run
 from piga.units import G0
 from tests.short_record import SCALE, TERMS, a_run
 
@@ -25,6 +27,8 @@ def a_table(run: piga.Run) -> dict[str, np.ndarray]:
 
 
 UNITS = {"ms": "ms", "psi": "deg", "fx": "g", "fy": "g", "fz": "g"}
+
+
 LAB = {"time": "ms", "units": UNITS, "segment": "position", "scale_factor": SCALE, "serial": "T-1"}
 
 
@@ -303,3 +307,32 @@ def test_units_that_a_frame_states_are_used(run):
     made = piga.Run.from_dataframe(frame, **(LAB | {"units": {"psi": "deg"}}))
     assert np.allclose(made.output, run.output, rtol=0, atol=1e-12)
     assert np.allclose(made.t, run.t)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"kind": "counts"}, "neither 'angle' nor 'rate'"),
+        ({"t": [0.0], "output": [0.0], "f": [[1.0, 0, 0]]}, "at least two samples"),
+        ({"output": [0.0, 1.0]}, r"output: shape \(2,\), but t has 3 samples(?s:.*)give shape \(3,\)"),
+        ({"base_rate": [[0.0] * 3] * 2}, r"base_rate: shape \(2, 3\)"),
+        ({"temperature": [290.0]}, r"temperature: shape \(1,\)"),
+        ({"output": [0.0, math.nan, 1.0]}, r"output\[1\] is not finite"),
+        ({"t": [0.0, 1.0, 1.0]}, r"t\[2\] = .*is not after t\[1\]"),
+    ],
+)
+def test_arrays_that_do_not_fit(change: dict[str, object], message: str) -> None:
+    given = {"t": [0.0, 1.0, 2.0], "output": [0.0, 1.0, 2.0], "f": [[1.0, 0.0, 0.0]] * 3}
+    arrays = {
+        name: value if isinstance(value, str) else np.array(value) for name, value in (given | change).items()
+    }
+    with pytest.raises(piga.ArgumentError, match=message):
+        Run.from_arrays(scale_factor="0.8884 rad/s/g", **arrays)
+
+
+def test_time_may_begin_anew_with_a_segment() -> None:
+    run = Run.from_arrays(
+        t=np.array([5.0, 6.0, 0.0, 1.0]), output=np.arange(4.0), f=np.ones((4, 3)), segment=np.array([0, 0, 1, 1]),
+        scale_factor="0.8884 rad/s/g",
+    )  # fmt: skip
+    assert run.size == 4

@@ -121,3 +121,33 @@ def test_any_text_is_read_or_refused(tmp_path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8", errors="replace")
     with pytest.raises(piga.PigaError):
         read_run_file(path)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"data": "range = { speed = [0.0, 1.0] }"}, "range: 'speed' is not a column in use"),
+        ({"data": "range = { fx = [1.0, 0.0] }"}, "range: 'fx': 1 is not below 0"),
+        ({"data": 'segment = "fx"'}, "'fx' is a number column that is in use already"),
+        ({"data": 'sequence = { column = "k", wraps_at = 1 }'}, "wraps_at must be 2 or more"),
+        ({"data": 'missing = ["-999"]'}, "'-999' is a number"),
+        (
+            {"model": '[estimation]\nangle_rms = "-1 urad"\nangle_random_walk = "0 rad/sqrt(s)"'},
+            "angle_rms: '-1 urad' is negative",
+        ),
+    ],
+)
+def test_run_files_that_contradict_themselves(tmp_path: Path, options: dict[str, str], message: str) -> None:
+    with pytest.raises(piga.RunFileError, match=message) as caught:
+        read_run_file(write_run(tmp_path, **options))
+    assert caught.value.remedy
+
+
+def test_words_for_nothing_may_mark_missing_values(tmp_path: Path) -> None:
+    assert read_run_file(write_run(tmp_path, data='missing = ["nan", "void"]')).data.missing == ("nan", "void")
+
+
+def test_an_unknown_key_deep_in_a_list_is_refused_without_a_guess(tmp_path: Path) -> None:
+    path = write_run(tmp_path, data="time_zone = { a = 1 }")
+    with pytest.raises(piga.RunFileError, match="unknown key 'time_zone'"):
+        read_run_file(path)

@@ -5,15 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import piga
 from piga._kernels.compensation.layout import TERMS as COMPENSATED
 from piga._kernels.estimation.regressors import CODES
 from piga.calibration.joint.summary import STATIC_TERMS
 from piga.calibration.remarks.missing_terms import SINGLE, term_values
 from piga.instrument import ErrorModel
 from piga.instrument.parameters import _ERROR_UNITS
-from piga.records.terms import MEANING, SERVO_TERMS, UNITS, term_words
+from piga.records.terms import MEANING, SERVO_TERMS, UNITS, check_terms, meaning_of, term_words
 
 MOTION = ("scale_factor", "tan_beta", "phi")
+
+
 TERMS = [name for name in UNITS if name not in MOTION]
 
 
@@ -58,3 +61,27 @@ def test_the_sizes_of_the_servo_are_those_of_its_formulas() -> None:
     known = 1e6 * 9.80665**2
     assert f"{known * scale * pendulosity / (2.0 * gain):.0f} ug/g^3" in term_words("servo").known
     assert f"{known * damping * scale**2 / gain:.0f} ug/g^3" in term_words("servo_damping").known
+
+
+@pytest.mark.parametrize(
+    ("terms", "message"),
+    [
+        ((), "no term is asked for"),
+        (("k0", "phi"), "'phi' comes with tan_beta"),
+        (("k0", "k0"), "'k0' is named twice"),
+        (("k0", "s2"), "'s2' without 'c2'"),
+        (("c3", "k0"), "'c3' without 's3'"),
+        (("k1", "scale_factor"), "the same coefficient"),
+        (("s100", "c100"), "unknown term 's100'"),
+    ],
+)
+def test_terms_that_do_not_go_together(terms: tuple[str, ...], message: str) -> None:
+    with pytest.raises(piga.RunFileError, match=message) as caught:
+        check_terms(terms)
+    assert caught.value.remedy
+
+
+def test_coefficients_in_words() -> None:
+    assert meaning_of("s2") == "sine of 2 x output angle"
+    assert meaning_of("c12[3]") == "cosine of 12 x output angle"
+    assert meaning_of("k0[up]") == "bias"

@@ -456,3 +456,11 @@ def test_a_certificate_has_one_form(stated, old, new, words):
 
 def test_the_full_certificate_reads(stated):
     assert calibration_of(etree.fromstring(stated), Path("x.xml"))["k0"].limits == (1.5001e-3, 1.70035e-3)
+
+
+def test_numbers_of_a_certificate() -> None:
+    with pytest.raises(DataError, match="not made of SI base units"):
+        dsi_unit("V")
+    for text, message in (("one", "is not a number"), ("1e999", "not a finite"), ("NaN", "not a finite")):
+        with pytest.raises(DataError, match=message):
+            from_dsi(text, 0)

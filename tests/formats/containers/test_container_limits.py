@@ -5,18 +5,21 @@ from __future__ import annotations
 import struct
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import h5py
 import numpy as np
+import openpyxl
 import pyarrow as pa
 import pytest
 from nptdms import ChannelObject, TdmsWriter
 from pyarrow import parquet
+from scipy.io import savemat
 
 import piga
-from piga.formats.containers.container import READERS
-from tests.records.containers import columns, write_h5
+from piga.formats.containers.container import READERS, read_container
+from tests.records.containers import columns, write_h5, write_tdms, write_xlsx
 from tests.records.files import write_run
 
 SCARCE = """
@@ -140,3 +143,122 @@ def test_a_reader_that_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         (room / "container.py").write_text(f"import os, signal\nos.kill(os.getpid(), signal.{name})\n")
         with pytest.raises(piga.DataError, match=r"took more than \d+ s of computing time"):
             piga.read_run(write_run(tmp_path, "run.h5"))
+
+
+NAMES = ("t", "n", "fx", "fy", "fz")
+
+
+@pytest.mark.parametrize("name", ["run.h5", "run.tdms", "run.xlsx"])
+def test_containers_without_a_row(tmp_path: Path, name: str) -> None:
+    writer = {"run.h5": write_h5, "run.tdms": write_tdms, "run.xlsx": write_xlsx}[name]
+    writer(tmp_path / name, columns(0))
+    with pytest.raises(piga.DataError, match="no data"):
+        READERS[Path(name).suffix](tmp_path / name, NAMES, None)
+
+
+def test_a_container_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(piga.DataError, match=r"run\.h5: no such file"):
+        read_container(tmp_path / "run.h5", ".h5", NAMES, None)
+
+
+def test_a_counter_beyond_64_signed_bits(tmp_path: Path) -> None:
+    data = columns()
+    data["n"] = data["n"].astype(np.uint64) + np.uint64(2**63)
+    write_h5(tmp_path / "run.h5", data)
+    with pytest.raises(piga.DataError, match="more than a signed 64-bit integer can hold"):
+        READERS[".h5"](tmp_path / "run.h5", NAMES, None)
+
+
+def test_hdf5_structs_and_units(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as out:
+        table = np.zeros(4, dtype=[("t", "f8"), ("n", "i8")])
+        table["n"] = [0, 3, 5, 9]
+        out["log"] = table
+        out["deep/fx"] = np.ones(4)
+        out["deep/fx"].attrs["units"] = "g"
+        out["deep/soft"] = h5py.SoftLink("/deep/fx")
+    result = READERS[".h5"](path, ("log/n", "deep/fx"), None)
+    np.testing.assert_array_equal(result.numbers["log/n"], [0, 3, 5, 9])
+    assert result.units == {"deep/fx": "g"}
+    for wrong in ("log/speed", "log/n/more", "log", "deep"):
+        with pytest.raises(piga.DataError, match=r"no column .*log/t, log/n") as caught:
+            READERS[".h5"](path, (wrong,), None)
+        assert "soft" not in str(caught.value).split("the columns are")[1]
+
+
+def test_matlab_fields_and_labels(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    cells = np.empty(3, dtype=object)
+    cells[:] = ["up", "down", 7.0]
+    savemat(path, {"log": {"t": np.arange(3.0)}, "place": cells, "word": np.array(["aa", "bb", "cc"])})
+    with pytest.raises(piga.DataError, match=r"no column 'log.speed'"):
+        READERS[".mat"](path, ("log.speed",), None)
+    with pytest.raises(piga.DataError, match=r"no column 'place.t.t'|no column 'log.t.t'"):
+        READERS[".mat"](path, ("log.t.t",), None)
+    codes, names = READERS[".mat"](path, ("log.t",), "place").labels["place"]
+    assert [names[code] for code in codes] == ["up", "down", "7"]
+    codes, names = READERS[".mat"](path, ("log.t",), "word").labels["word"]
+    assert [names[code] for code in codes] == ["aa", "bb", "cc"]
+
+
+def test_tdms_labels_and_channels_of_one_name(tmp_path: Path) -> None:
+    path = tmp_path / "run.tdms"
+    with TdmsWriter(path) as out:
+        out.write_segment(
+            [
+                ChannelObject("a", "t", np.arange(3.0)),
+                ChannelObject("b", "t", np.arange(3.0) + 1.0),
+                ChannelObject("a", "place", ["up", "up", "down"]),
+            ]
+        )
+    with pytest.raises(piga.DataError, match=r"(?s)several groups have a channel 't'.*'a/t', 'b/t'"):
+        READERS[".tdms"](path, ("t",), None)
+    result = READERS[".tdms"](path, ("b/t",), "place")
+    np.testing.assert_array_equal(result.numbers["b/t"], [1.0, 2.0, 3.0])
+    codes, names = result.labels["place"]
+    assert [names[code] for code in codes] == ["up", "up", "down"]
+
+
+def test_sheets_without_names_or_rows(tmp_path: Path) -> None:
+    path = tmp_path / "run.xlsx"
+    for row, message in (((), "the sheet is empty"), ((0.0, 1, 1.0), "the first row holds numbers")):
+        book = openpyxl.Workbook()
+        book.active.append(row)
+        book.save(path)
+        with pytest.raises(piga.DataError, match=message):
+            READERS[".xlsx"](path, NAMES, None, sheet=None)
+
+
+def test_a_sheet_with_gaps_and_many_wrong_cells(tmp_path: Path) -> None:
+    path = tmp_path / "run.xlsx"
+    book = openpyxl.Workbook()
+    book.active.append(["t", "n", "place"])
+    for k in range(130):
+        book.active.append([0.1 * k, "NaN" if k == 3 else k])
+    book.save(path)
+    result = READERS[".xlsx"](path, ("t", "n"), "place", sheet=None)
+    assert np.flatnonzero(np.isnan(result.numbers["n"])).tolist() == [3]
+    codes, names = result.labels["place"]
+    assert (set(codes.tolist()), names) == ({-1}, ())
+    for row in range(2, 132):
+        book.active.cell(row=row, column=2, value="seven")
+    book.save(path)
+    with pytest.raises(piga.DataError, match=r"(?s)seven.*more"):
+        READERS[".xlsx"](path, ("t", "n"), None, sheet=None)
+
+
+def test_workbooks_of_too_many_or_encrypted_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.xlsx"
+    write_xlsx(path, columns(3))
+    content = bytearray(path.read_bytes())
+    at = content.find(b"PK\x01\x02")  # flags of the first entry in the directory of the archive
+    content[at + 8] |= 1
+    (tmp_path / "locked.xlsx").write_bytes(content)
+    with pytest.raises(piga.DataError, match="the file is encrypted"):
+        READERS[".xlsx"](tmp_path / "locked.xlsx", NAMES, None, sheet=None)
+    with zipfile.ZipFile(path) as source:
+        count = len(source.infolist())
+    monkeypatch.setattr("piga.formats.containers.xlsx_reader.MAX_MEMBERS", count - 1)
+    with pytest.raises(piga.DataError, match=f"{count} parts, at most {count - 1} are read"):
+        READERS[".xlsx"](path, NAMES, None, sheet=None)
