@@ -90,7 +90,7 @@ def test_levels_of_coloured_noise_that_cannot_be(tmp_path: Path, noise: str, wor
         read_scenario(written(tmp_path, f"{SCENARIO}\n[noise]\n{noise}\n"))
 
 
-EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 @pytest.mark.compiled
