@@ -14,7 +14,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from piga.cli.main import app
-from tests.cli.test_help import commands
+from tests.cli.test_cli_help import commands
 
 
 def asked(**environment: str) -> str:
