@@ -241,6 +241,11 @@ def in_words(value: Any) -> str:
     return type(value).__name__
 
 
+def finite(value: Any) -> Any:
+    """A value for JSON: a number that is not finite becomes None."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 class Correlated(Protocol):
     """A number that knows its uncertainty and what it is correlated with, of ``uncertainties`` or GTC."""
 

@@ -15,13 +15,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.campaign.campaign_file import CampaignGroup, Subject
+from piga.campaign.campaign_file import CampaignGroup, RecordName, Subject
 from piga.campaign.manifest import Campaign
 from piga.campaign.shard import KEY
 from piga.errors import DataError, PigaError
+from piga.results import finite
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -284,34 +286,22 @@ def collect(campaign: Campaign) -> Collected:
         set_aside=named,
         groups=tuple(_result(plan.groups[index], sums) for index, sums in sorted(groups.items())),
         worst=tuple(
-            WorstCase(
-                number,
-                plan.record(number).case,
-                plan.record(number).repeat,
-                plan.record(number).group.label,
-                name,
-                z,
-                repeat_command(campaign, number),
-            )
-            for z, number, name in _ordered(worst)
+            WorstCase(one.number, one.case, one.repeat, one.group.label, name, z, repeat_command(campaign, one))
+            for z, one, name in ((z, plan.record(number), name) for z, number, name in _ordered(worst))
         ),
         failures=tuple(
-            Failure(
-                name, count, failures[name][0], failures[name][1], repeat_command(campaign, failures[name][0])
-            )
+            Failure(name, count, *failures[name], repeat_command(campaign, plan.record(failures[name][0])))
             for name, count in sorted(failed.items(), key=lambda item: (-item[1], item[0]))
         ),
     )
 
 
-def repeat_command(campaign: Campaign, number: int) -> str:
+def repeat_command(campaign: Campaign, record: RecordName) -> str:
     """The command that repeats one record."""
-    record, path = campaign.plan.record(number), campaign.plan.path
     if record.group.subject == "archive" and campaign.archive is not None:
-        return f"piga calibrate {shlex.quote(campaign.archive.files[number][0])}"
-    return (
-        f"piga campaign repeat {shlex.quote(path.name)} --case {record.case} --repeat {record.repeat} --out DIR"
-    )
+        return f"piga calibrate {shlex.quote(campaign.archive.files[record.number][0])}"
+    name = shlex.quote(campaign.plan.path.name)
+    return f"piga campaign repeat {name} --case {record.case} --repeat {record.repeat} --out DIR"
 
 
 # --- reading -----------------------------------------------------------------------------------------
@@ -531,21 +521,9 @@ def document(collected: Collected) -> dict[str, Any]:
         "complete": collected.complete,
         "set_aside": [{"shard": shard, "reason": text} for shard, text in sorted(collected.set_aside.items())],
         "groups": [_group_document(result) for result in collected.groups],
-        "worst": [
-            {
-                "record": w.record, "case": w.case, "repeat": w.repeat, "group": w.group,
-                "coefficient": w.coefficient, "z": w.z, "command": w.command,
-            }
-            for w in collected.worst
-        ],
-        "failures": [
-            {
-                "error_class": f.error_class, "records": f.records, "first": f.first,
-                "message": f.message, "command": f.command,
-            }
-            for f in collected.failures
-        ],
-    }  # fmt: skip
+        "worst": msgspec.to_builtins(collected.worst),
+        "failures": msgspec.to_builtins(collected.failures),
+    }
 
 
 def _group_document(result: GroupResult) -> dict[str, Any]:
@@ -557,8 +535,8 @@ def _group_document(result: GroupResult) -> dict[str, Any]:
         "planned": group.records,
         "records": result.records,
         "failed": result.failed,
-        "nees": _finite(result.nees),
-        "nees_expected": _finite(result.nees_expected),
+        "nees": finite(result.nees),
+        "nees_expected": finite(result.nees_expected),
         "coefficients": [coefficient_document(c) for c in result.coefficients],
         "seen": result.seen,
         "missed": result.missed,
@@ -572,11 +550,7 @@ def _group_document(result: GroupResult) -> dict[str, Any]:
 def coefficient_document(c: CampaignCoefficient) -> dict[str, Any]:
     """Figures of a coefficient as plain data; what is not known is None."""
     names = [name for name in CampaignCoefficient.__dataclass_fields__ if name != "histogram"]
-    return {name: _finite(getattr(c, name)) for name in names}
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return {name: finite(getattr(c, name)) for name in names}
 
 
 def table_rows(collected: Collected) -> list[dict[str, Any]]:

@@ -22,6 +22,7 @@ from piga.campaign.constant_force import ConstantForce, ConstantForceTable, Join
 from piga.errors import ArgumentError, DataError, PigaError, PigaWarning, RunFileError, UnitError
 from piga.records.run_file import EstimationTable, ModelTable, TomlTable, UncertaintyTable
 from piga.records.text_files import convert_toml, toml_text
+from piga.results import finite
 from piga.stand.scenario import Scenario, ScenarioTable, run_scenario, scenario_of
 from piga.units import from_si
 
@@ -469,19 +470,15 @@ def outcome_document(record: RecordName, outcome: Outcome) -> dict[str, Any]:
         "case": record.case,
         "repeat": record.repeat,
         "group": record.group.label,
-        "nees": _finite(outcome.nees),
+        "nees": finite(outcome.nees),
         "coefficients": [
             {"name": name, "unit": unit}
-            | {key: _finite(float(getattr(outcome, key)[k])) for key in names}
-            | {"z": _finite(float(outcome.error[k] / outcome.u[k]))}
+            | {key: finite(float(getattr(outcome, key)[k])) for key in names}
+            | {"z": finite(float(outcome.error[k] / outcome.u[k]))}
             for k, (name, unit) in enumerate(zip(outcome.names, outcome.units, strict=True))
         ],
         "notes": list(outcome.notes),
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def outcome_lines(record: RecordName, outcome: Outcome) -> list[str]:

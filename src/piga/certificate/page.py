@@ -25,7 +25,7 @@ from piga.reports.calibration.tables import (
     monte_carlo_interval,
     sentence,
 )
-from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, significant
+from piga.reports.render.numbers import Rounded, count, pretty_unit, printed, relative, rounded, significant
 from piga.reports.render.page import Table, TableColumn, TableOf, resource, template
 
 _ACROSS = 5
@@ -243,32 +243,23 @@ def _result_row(c: Coefficient) -> tuple[str, ...]:
 
 
 def _conformity_table(conformity: tuple[Conformity, ...]) -> Table:
-    columns = (
-        TableColumn("Coefficient", align="text"),
-        TableColumn("Lower limit"),
-        TableColumn("Value"),
-        TableColumn("U (95 %)"),
-        TableColumn("Upper limit"),
-        TableColumn("Unit", align="text"),
-        TableColumn("Verdict", align="text"),
+    def scale(one: Conformity) -> float:
+        return shown_unit(one.key, one.unit)[0]
+
+    def number(one: Conformity) -> Rounded:
+        return rounded(one.value * scale(one), one.coverage.half_width * scale(one))
+
+    return (
+        TableOf(conformity)
+        .text("Coefficient", lambda one: one.key)
+        .number("Lower limit", lambda one: printed(significant(one.low * scale(one))))
+        .number("Value", lambda one: printed(number(one).value))
+        .number("U (95 %)", lambda one: printed(number(one).uncertainty))
+        .number("Upper limit", lambda one: printed(significant(one.high * scale(one))))
+        .text("Unit", lambda one: pretty_unit(shown_unit(one.key, one.unit)[1]) or "1")
+        .text("Verdict", lambda one: one.words)
+        .table()
     )
-    rows = []
-    for verdict in conformity:
-        scale, unit = shown_unit(verdict.key, verdict.unit)
-        number = rounded(verdict.value * scale, verdict.coverage.half_width * scale)
-        ends = [printed(significant(end * scale)) for end in (verdict.low, verdict.high)]
-        rows.append(
-            (
-                verdict.key,
-                ends[0],
-                printed(number.value),
-                printed(number.uncertainty),
-                ends[1],
-                pretty_unit(unit) or "1",
-                verdict.words,
-            )
-        )
-    return Table(columns, tuple(rows))
 
 
 def _record(calibration: Calibration, record_sha256: str) -> list[tuple[str, Any]]:

@@ -13,9 +13,9 @@ docs/platform.md section 10).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,13 +56,8 @@ from piga.platform.simulate import (
     simulate,
 )
 from piga.progress import Progress, Steps
-from piga.results import Result, plotted
+from piga.results import Plotted, Result, finite
 from piga.units import ARCMIN, DAY
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 Array = NDArray[np.float64]
 
@@ -90,8 +85,8 @@ class ModelRun:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ModelComparisonRun(Result):
-    """All models over one run."""
+class ModelComparisonRun(Result, Plotted):
+    """All models over one run. The plot shows the lines of each model, day by day."""
 
     run: PlatformRun
     preparation: Preparation
@@ -107,10 +102,6 @@ class ModelComparisonRun(Result):
             said = f"{line}position within {last[0]:.4g} m" if last.size else "less than a day"
             rows.append(("no model" if model == "none" else f"model {model}", f"last day: {said}"))
         return [*rows, *(("note", note) for note in self.preparation.notes)]
-
-    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Lines of each model, day by day. See :class:`piga.results.Plots`."""
-        return plotted(self, ax)
 
     def document(self) -> dict[str, Any]:
         """The JSON document of ``piga platform compare``."""
@@ -228,14 +219,9 @@ def _lines_document(lines: Lines) -> dict[str, Any]:
     for amplitude, label in ((lines.amplitude, "line"), (lines.equatorial, "equatorial_line")):
         for name, values in amplitude.items():
             scale, unit = (1.0, "m_s") if name.endswith("velocity") else (ARCMIN, "arcmin")
-            document[f"{name}_{label}_{unit}"] = finite(values / scale)
-    document["position_error_m"] = finite(lines.position)
+            document[f"{name}_{label}_{unit}"] = [finite(value) for value in (values / scale).tolist()]
+    document["position_error_m"] = [finite(value) for value in lines.position.tolist()]
     return document
-
-
-def finite(values: Array) -> list[float | None]:
-    """Numbers for JSON. NaN becomes None."""
-    return [None if np.isnan(v) else float(v) for v in values]
 
 
 @dataclass(frozen=True)
@@ -280,8 +266,11 @@ class Passage(Result):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Capstone(Result):
-    """Outcomes by name, one passage in detail, and the day of input-axis forces (times [s], (n, 3) [m/s^2])."""
+class Capstone(Result, Plotted):
+    """Outcomes by name, one passage in detail, and the day of input-axis forces (times [s], (n, 3) [m/s^2]).
+
+    The plot shows the position errors of each reading.
+    """
 
     scenario: PlatformScenario
     outcomes: Mapping[str, CapstoneOutcome]
@@ -294,10 +283,6 @@ class Capstone(Result):
             (name, f"position within {one.position:.4g} m, velocity within {one.velocity:.3g} m/s")
             for name, one in self.outcomes.items()
         ]
-
-    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Position errors of each reading. See :class:`piga.results.Plots`."""
-        return plotted(self, ax)
 
 
 def readings(sensors: PigaSensors) -> tuple[TriadReading, ...]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,13 +36,9 @@ from piga.platform.observation import (
 from piga.platform.scenario import Gyro, Place
 from piga.platform.simulate import Readouts
 from piga.progress import Progress, report
-from piga.results import Result, plotted
+from piga.results import Plotted, Result
 from piga.threads import with_one_thread
 from piga.units import ARCSEC
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -62,12 +57,14 @@ class Parameter:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identification(Result):
+class Identification(Result, Plotted):
     """Result: the gyros as identified, redundancy angle, covariance of the unknowns, noise, doubts.
 
     ``names, values, covariance`` are the Cartesian unknowns (misalignments, eta0, eta_rate);
     ``parameters`` the same as amplitudes and phases with first-order uncertainty. ``history`` of the
     recursive form: ``rows`` (k,) [s] and ``values``, ``stds`` (k, p).
+
+    The plot shows recursive estimates against time; :func:`identify_recursively` gives them.
     """
 
     sources: tuple[str, ...]
@@ -90,10 +87,6 @@ class Identification(Result):
         """The parameters with their standard uncertainties, and the doubts."""
         rows = [(p.name, f"{p.value:.6g} +- {p.std:.2g} {p.unit}") for p in self.parameters]
         return [("sources", ", ".join(self.sources)), *rows, *(("note", note) for note in self.notes)]
-
-    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Recursive estimates against time; :func:`identify_recursively` gives them. See :class:`piga.results.Plots`."""
-        return plotted(self, ax)
 
     @property
     def knowledge(self) -> Knowledge:

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from piga.formats.parquet_writer import number_column
 from piga.platform.alignment import UNKNOWNS, Alignment
 from piga.platform.budget import BudgetRow, LineRow
-from piga.platform.chain import ModelRun, finite
+from piga.platform.chain import ModelRun
 from piga.platform.identify import UNKNOWNS as MISALIGNMENTS
 from piga.platform.identify import Identification, Observability
 from piga.platform.simulate import PlatformRun, Readouts
+from piga.results import finite
 from piga.units import ARCMIN
 
 if TYPE_CHECKING:
@@ -157,7 +158,7 @@ def line_budget_document(rows: Sequence[LineRow]) -> list[dict[str, Any]]:
         entry: dict[str, Any] = {"source": row.source, "period_s": row.period}
         for name, theory in row.theory.items():
             scale, unit = (1.0, "m_s") if name.endswith("velocity") else (ARCMIN, "arcmin")
-            linear, full = finite(np.array([theory, row.full[name]]) / scale)
+            linear, full = finite(theory / scale), finite(row.full[name] / scale)
             entry |= {f"{name}_line_linear_{unit}": linear, f"{name}_line_full_{unit}": full}
         document.append(entry)
     return document

@@ -6,11 +6,9 @@ The base is at rest, turns, sways or follows a track. The platform may carry thr
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +29,7 @@ from piga.platform.geometry import (
 )
 from piga.platform.scenario import MotionPlan, Oscillation, PigaSensors, Place, PlatformScenario, Sensors
 from piga.records.limits import read_whole
-from piga.results import Result, plotted
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from piga.results import Plotted, Result
 
 Array = NDArray[np.float64]
 
@@ -367,8 +361,11 @@ class Truth(Result):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlatformRun(Result):
-    """A simulated run: scenario, readouts and truth."""
+class PlatformRun(Result, Plotted):
+    """A simulated run: scenario, readouts and truth.
+
+    The plot shows the readouts against time.
+    """
 
     scenario: PlatformScenario
     readouts: Readouts
@@ -387,10 +384,6 @@ class PlatformRun(Result):
             ("accelerometers", "ideal" if s.sensors.piga is None else "piga"),
             ("seed", str(s.seed)),
         ]
-
-    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Readouts against time. See :class:`piga.results.Plots`."""
-        return plotted(self, ax)
 
 
 def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) -> PlatformRun:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +25,11 @@ from piga.reports.render.page import (
     Page,
     Section,
     Table,
-    TableColumn,
+    TableOf,
     Text,
     Tile,
     Tone,
+    named_values,
     write_page,
 )
 from piga.units import G0
@@ -282,50 +284,42 @@ def _tiles(plan: Plan) -> tuple[Tile, ...]:
 
 def visit_table(plan: Plan) -> Table:
     """Visits of the plan in the order of the test."""
-    columns = (
-        TableColumn("position or level", align="text"),
-        TableColumn("dwell", "s"),
-        TableColumn("revolutions"),
-        TableColumn("force along X0", "g"),
+    return (
+        TableOf(plan.best.visits)
+        .text("position or level", lambda visit: visit.candidate.label)
+        .number("dwell", lambda visit: f"{visit.dwell:.2f}", "s")
+        .number("revolutions", lambda visit: f"{visit.dwell / visit.candidate.revolution:.2f}")
+        .number("force along X0", lambda visit: f"{visit.candidate.force[0] / G0:+.4f}", "g")
+        .table("Visits in the order of the test.")
     )
-    rows = tuple(
-        (
-            visit.candidate.label,
-            f"{visit.dwell:.2f}",
-            f"{visit.dwell / visit.candidate.revolution:.2f}",
-            f"{visit.candidate.force[0] / 9.80665:+.4f}",
-        )
-        for visit in plan.best.visits
-    )
-    return Table(columns, rows, "Visits in the order of the test.")
 
 
 def uncertainty_table(plan: Plan) -> Table:
     """Predicted uncertainties, and those of the standard plans as multiples."""
-    columns = [
-        TableColumn("coefficient", align="text"),
-        TableColumn("unit", align="text"),
-        TableColumn("u, Type A"),
-        TableColumn("u with the stand"),
-    ]
-    columns += [TableColumn(p.name, "u / planned") for p in plan.standard]
-    rows = []
-    for name in plan.names:
-        scale, unit = shown_unit(name, unit_of(name))
-        cells: list[str | Cell] = [
-            f"{name}: {meaning_of(name)}",
-            pretty_unit(unit) or "1",
-            printed(significant(plan.best.std(name) * scale, 3)),
-            printed(significant(plan.best.combined(name) * scale, 3)),
-        ]
-        for prediction in plan.standard:
-            ratio = prediction.std(name) / plan.best.std(name)
-            tone: Tone = "quiet" if math.isinf(ratio) else "good" if ratio > 1.0 else "doubtful"
-            cells.append(Cell(short(ratio), tone))
-        rows.append(tuple(cells))
+    shown = [(name, *shown_unit(name, unit_of(name))) for name in plan.names]
+    table = (
+        TableOf(shown)
+        .text("coefficient", lambda row: f"{row[0]}: {meaning_of(row[0])}")
+        .text("unit", lambda row: pretty_unit(row[2]) or "1")
+        .number("u, Type A", lambda row: printed(significant(plan.best.std(row[0]) * row[1], 3)))
+        .number("u with the stand", lambda row: printed(significant(plan.best.combined(row[0]) * row[1], 3)))
+    )
+    for one in plan.standard:
+        table.number(one.name, _over_planned(plan, one), "u / planned")
     refusals = tuple(f"{p.name}: {p.refusal}." for p in plan.standard if p.refusal) + _locked_notes(plan)
     caption = "Predicted standard uncertainties; standard plans in the same total time, as multiples of the plan's Type A."
-    return Table(tuple(columns), tuple(rows), caption, refusals)
+    return table.table(caption, refusals)
+
+
+def _over_planned(plan: Plan, prediction: Prediction) -> Callable[[tuple[str, float, str]], Cell]:
+    """Cells of a standard plan: its uncertainties as multiples of the plan's."""
+
+    def cell(row: tuple[str, float, str]) -> Cell:
+        ratio = prediction.std(row[0]) / plan.best.std(row[0])
+        tone: Tone = "quiet" if math.isinf(ratio) else "good" if ratio > 1.0 else "doubtful"
+        return Cell(short(ratio), tone)
+
+    return cell
 
 
 def _locked_notes(plan: Plan) -> tuple[str, ...]:
@@ -361,14 +355,8 @@ def _cheapest_blocks(plan: Plan) -> tuple[Block, ...]:
 def _excluded_blocks(plan: Plan) -> tuple[Block, ...]:
     if not plan.excluded:
         return (Notice("info", "No candidate is in or near the lock zone."),)
-    rows = tuple((item.candidate.label, item.reason) for item in plan.excluded)
-    return (
-        Table(
-            (TableColumn("candidate", align="text"), TableColumn("reason", align="text")),
-            rows,
-            "Candidates left out.",
-        ),
-    )
+    rows = ((item.candidate.label, item.reason) for item in plan.excluded)
+    return (named_values("candidate", "reason", rows, "Candidates left out."),)
 
 
 def _mounting_notice(mounting: Mounting) -> Notice:

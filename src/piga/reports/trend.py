@@ -23,12 +23,13 @@ from piga.reports.render.page import (
     Page,
     Section,
     Table,
-    TableColumn,
+    TableOf,
     Text,
     Tile,
     write_page,
 )
-from piga.trend.history import YEAR, CoefficientTrend, Trend
+from piga.results import finite
+from piga.trend.history import YEAR, CoefficientTrend, Point, Trend
 from piga.trend.trend_line import TREND, Forecast
 from piga.units import DAY
 
@@ -222,44 +223,41 @@ def _tiles(drifts: Trend, span: float) -> tuple[Tile, ...]:
 
 def summary_table(drifts: Trend, at: dt.datetime | None = None) -> Table:
     """One row per coefficient: value on the last day, stability, drift, forecast."""
-    columns = [
-        TableColumn("Coefficient", align="text"),
-        TableColumn("Unit", align="text"),
-        TableColumn("On the last day"),
-        TableColumn("Turn-on", "std"),
-        TableColumn("Day to day", "std"),
-        TableColumn("Drift per year"),
-    ]
+    table = (
+        TableOf(drifts.coefficients)
+        .text("Coefficient", lambda trend: trend.key)
+        .text("Unit", lambda trend: pretty_unit(shown_unit(trend.key, trend.unit)[1]) or "1")
+        .number("On the last day", _last_day)
+        .number("Turn-on", lambda trend: _spread(trend.turn_on * _scale(trend)), "std")
+        .number("Day to day", lambda trend: _spread(trend.day_to_day * _scale(trend)), "std")
+        .number("Drift per year", _drift)
+    )
     if at is not None:
-        columns.append(TableColumn(f"Forecast for {at:%Y-%m-%d}"))
-    rows = [_summary_row(drifts, trend, at) for trend in drifts.coefficients]
-    return Table(tuple(columns), tuple(rows))
+        years = drifts.years(at)
+        table.number(f"Forecast for {at:%Y-%m-%d}", lambda trend: _at(trend, years) or "–")
+    return table.table()
 
 
-def _summary_row(drifts: Trend, trend: CoefficientTrend, at: dt.datetime | None) -> tuple[str | Cell, ...]:
-    scale, unit = shown_unit(trend.key, trend.unit)
-    last = trend.points[-1].time
-    row: list[str | Cell] = [
-        trend.key,
-        pretty_unit(unit) or "1",
-        _interval(trend.model.coefficient_at(last), scale) if trend.model.line else _plain(trend, scale),
-        _spread(trend.turn_on * scale),
-        _spread(trend.day_to_day * scale),
-    ]
+def _scale(trend: CoefficientTrend) -> float:
+    return shown_unit(trend.key, trend.unit)[0]
+
+
+def _at(trend: CoefficientTrend, years: float) -> str:
+    """Value on the line with its interval; empty without a line."""
+    return _interval(trend.model.coefficient_at(years), _scale(trend)) if trend.model.line else ""
+
+
+def _last_day(trend: CoefficientTrend) -> str:
+    point, scale = trend.points[-1], _scale(trend)
+    return _at(trend, point.time) or _with_interval(point.value * scale, point.coverage.half_width * scale)
+
+
+def _drift(trend: CoefficientTrend) -> str | Cell:
     drift = trend.drift
     if drift is None:
-        row.append("–")
-    else:
-        clear = abs(drift.value) > drift.half_width()
-        row.append(Cell(_interval(drift, scale), "doubtful" if clear else ""))
-    if at is not None:
-        row.append(_interval(trend.model.coefficient_at(drifts.years(at)), scale) if trend.model.line else "–")
-    return tuple(row)
-
-
-def _plain(trend: CoefficientTrend, scale: float) -> str:
-    point = trend.points[-1]
-    return _with_interval(point.value * scale, point.coverage.half_width * scale)
+        return "–"
+    clear = abs(drift.value) > drift.half_width()
+    return Cell(_interval(drift, _scale(trend)), "doubtful" if clear else "")
 
 
 def _interval(forecast: Forecast, scale: float) -> str:
@@ -291,38 +289,29 @@ def record_table(drifts: Trend, trend: CoefficientTrend) -> Table:
     """Table of the records, each with its forecast from earlier records."""
     scale, unit = shown_unit(trend.key, trend.unit)
     shown = pretty_unit(unit)
-    columns = (
-        TableColumn("Record", align="text"),
-        TableColumn("Date"),
-        TableColumn("Value", shown),
-        TableColumn("u without the shared part", shown),
-        TableColumn("u", shown),
-        TableColumn("U (95 %)", shown),
-        TableColumn("Forecast ± 95 %", shown),
-        TableColumn("Score"),
+    caption = "Records, each with the forecast from earlier records. A forecast needs three earlier days."
+    dated = list(zip(trend.points, drifts.times, strict=True))
+    return (
+        TableOf(dated)
+        .text("Record", lambda row: row[0].record)
+        .number("Date", lambda row: f"{row[1]:%Y-%m-%d\u00a0%H:%M}")
+        .number("Value", lambda row: printed(rounded(row[0].value * scale, row[0].std * scale).value), shown)
+        .number("u without the shared part", lambda row: printed(short(row[0].own * scale, 2)), shown)
+        .number("u", lambda row: printed(short(row[0].std * scale, 2)), shown)
+        .number("U (95 %)", lambda row: printed(short(row[0].coverage.half_width * scale, 2)), shown)
+        .number("Forecast ± 95 %", lambda row: _expected(row[0].forecast, scale), shown)
+        .number("Score", lambda row: _score(row[0]))
+        .table(caption)
     )
-    rows: list[tuple[str | Cell, ...]] = []
-    for point, time in zip(trend.points, drifts.times, strict=True):
-        number = rounded(point.value * scale, point.std * scale)
-        expected = "–" if point.forecast is None else _interval(point.forecast, scale)
-        score = "–" if point.forecast is None else printed(signed(point.score, 1))
-        rows.append(
-            (
-                point.record,
-                f"{time:%Y-%m-%d\u00a0%H:%M}",
-                printed(number.value),
-                printed(short(point.own * scale, 2)),
-                printed(short(point.std * scale, 2)),
-                printed(short(point.coverage.half_width * scale, 2)),
-                expected,
-                Cell(score, "bad" if point.outside else ""),
-            )
-        )
-    return Table(
-        columns,
-        tuple(rows),
-        "Records, each with the forecast from earlier records. A forecast needs three earlier days.",
-    )
+
+
+def _expected(forecast: Forecast | None, scale: float) -> str:
+    return "–" if forecast is None else _interval(forecast, scale)
+
+
+def _score(point: Point) -> Cell:
+    score = "–" if point.forecast is None else printed(signed(point.score, 1))
+    return Cell(score, "bad" if point.outside else "")
 
 
 def trend_text(drifts: Trend, *, at: dt.datetime | None = None) -> str:
@@ -371,8 +360,8 @@ def _coefficient_document(drifts: Trend, trend: CoefficientTrend, at: dt.datetim
     return {
         "name": trend.key,
         "unit": trend.unit,
-        "turn_on_std": _number(trend.turn_on),
-        "day_to_day_std": _number(trend.day_to_day),
+        "turn_on_std": finite(trend.turn_on),
+        "day_to_day_std": finite(trend.day_to_day),
         "drift_per_year": _forecast_document(trend.drift),
         "forecast": None
         if at is None or line is None
@@ -388,7 +377,7 @@ def _coefficient_document(drifts: Trend, trend: CoefficientTrend, at: dt.datetim
                 "own_std": point.own,
                 "own_half_width_95": point.own_half_width,
                 "expected": _forecast_document(point.forecast),
-                "score": _number(point.score),
+                "score": finite(point.score),
                 "out_of_control": point.outside,
             }
             for point, time in zip(trend.points, drifts.times, strict=True)
@@ -406,10 +395,6 @@ def _forecast_document(forecast: Forecast | None) -> dict[str, Any] | None:
     return {
         "value": forecast.value,
         "std": forecast.std,
-        "degrees_of_freedom": _number(forecast.degrees_of_freedom),
+        "degrees_of_freedom": finite(forecast.degrees_of_freedom),
         "half_width_95": forecast.half_width(),
     }
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -15,6 +15,7 @@ from piga.compensation import compensate
 from piga.instrument import Instrument, propagate
 from piga.records import Calibration, Run
 from piga.reports.render.figure import Figure
+from piga.results import finite
 from piga.units import G0
 
 Verdict = Literal["pass", "fail", "info"]
@@ -76,16 +77,12 @@ class Case:
             "quantity": self.quantity,
             "unit": self.unit,
             "published": self.published,
-            "computed": _finite(self.computed),
-            "difference": _finite(self.difference),
+            "computed": finite(self.computed),
+            "difference": finite(self.difference),
             "tolerance": self.tolerance,
             "verdict": self.verdict,
             "note": self.note,
         }
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -233,30 +234,24 @@ def _case_rotation_text(s: PlatformScenario) -> Text:
 
 
 def _observability_table(sources: Sequence[Observability]) -> Table:
-    columns = (
-        TableColumn("source", align="text"),
-        TableColumn("condition"),
-        *(TableColumn(n, "arcsec") for n in UNKNOWNS),
-        TableColumn("verdict", align="text"),
+    table = (
+        TableOf(sources).text("source", lambda o: o.source).number("condition", lambda o: short(o.condition))
     )
-    rows: tuple[tuple[str | Cell, ...], ...] = tuple(
-        (
-            o.source,
-            short(o.condition),
-            *(short(float(v / ARCSEC)) if v < 1.0 else "–" for v in o.std),
-            Cell(o.sentence, "good" if o.separable else "doubtful"),
-        )
-        for o in sources
-    )
-    return Table(
-        columns,
-        rows,
+    for k, name in enumerate(UNKNOWNS):
+        table.number(name, partial(_seen, k), "arcsec")
+    table.text("verdict", lambda o: Cell(o.sentence, "good" if o.separable else "doubtful"))
+    return table.table(
         notes=(
             "u and v are m cos(phase) and m sin(phase).",
             "Uncertainties for white noise of one arc-second on every reading, at the redundancy angle found.",
             "On the specific force that is 48 µm/s², one arc-second of its direction.",
         ),
     )
+
+
+def _seen(unknown: int, o: Observability) -> str:
+    """Uncertainty of an unknown from a source; a dash where the source cannot tell it."""
+    return short(float(o.std[unknown] / ARCSEC)) if o.std[unknown] < 1.0 else "–"
 
 
 def _alignment_table(run: PlatformRun, aligned: Alignment) -> Table:
