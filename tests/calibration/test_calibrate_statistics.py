@@ -15,9 +15,8 @@ import pytest
 from scipy.stats import binom, chi2
 
 from piga.campaign import collect, document, plan_campaign, run_campaign
-from piga.campaign.shard import run_shard
 from tests.calibration.made.scenarios import SCENARIOS
-from tests.campaign.small import one_case, written
+from tests.campaign.small import computed, one_case, written
 
 FEW = 10 if numba.config.DISABLE_JIT else 200
 REPEATS = 1000
@@ -27,12 +26,12 @@ EXACT = ("static", "centrifuge", "near-critical", "walk")
 
 def figures(name: str, tests: int, folder: Path, workers: int = 0) -> dict[str, Any]:
     """What a campaign of one scenario says; without workers it is computed in this process."""
-    campaign = plan_campaign(written(folder, one_case(name, tests, bounds=200)), folder / "out")
+    path = written(folder, one_case(name, tests, bounds=200))
     if workers:
+        campaign = plan_campaign(path, folder / "out")
         run_campaign(campaign, workers=workers)
     else:
-        for shard in range(campaign.shards):
-            run_shard(str(folder / "out"), shard)
+        campaign = computed(path, folder / "out")
     content = document(collect(campaign))
     assert (content["computed"], content["failed"]) == (tests, 0)
     group: dict[str, Any] = content["groups"][0]

@@ -6,10 +6,14 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import psutil
+
+if TYPE_CHECKING:
+    from piga.campaign import Campaign
 
 ROOT = Path(__file__).parents[2]
 COVERAGE = ROOT / "examples" / "campaigns" / "coverage.toml"
@@ -101,6 +105,17 @@ def workers(process: subprocess.Popen[str]) -> list[psutil.Process]:
         except psutil.Error:
             continue
     return result
+
+
+def computed(path: Path, out: Path, shards: Iterable[int] | None = None) -> Campaign:
+    """A campaign, all of it or some shards, computed in this process."""
+    from piga.campaign import plan_campaign
+    from piga.campaign.shard import run_shard
+
+    campaign = plan_campaign(path, out)
+    for shard in range(campaign.shards) if shards is None else shards:
+        run_shard(str(out), shard)
+    return campaign
 
 
 def collected(folder: Path) -> dict[str, bytes]:

@@ -12,23 +12,21 @@ from piga.campaign.collect import _share_error
 from piga.campaign.shard import run_shard
 from piga.cli.main import app
 from piga.errors import DataError, PigaError
-from tests.campaign.small import SMALL, collected, rows, written
+from tests.campaign.small import SMALL, collected, computed, rows, written
 
 ENDS = ("low", "truth", "high")
 
 
-def computed(folder, text=SMALL, name="out", shards=None):
-    """A campaign computed in this process."""
-    campaign = plan_campaign(written(folder, text), folder / name)
-    for shard in range(campaign.shards) if shards is None else shards:
-        run_shard(str(folder / name), shard)
+def computed_folder(folder, text=SMALL, name="out", shards=None):
+    """The folder of a campaign computed in this process."""
+    computed(written(folder, text), folder / name, shards)
     return folder / name
 
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
     """The small campaign, computed once; tests only read it."""
-    return computed(tmp_path_factory.mktemp("small"))
+    return computed_folder(tmp_path_factory.mktemp("small"))
 
 
 @pytest.mark.only_compiled
@@ -112,7 +110,7 @@ def test_worst_case_is_repeated_by_its_command(small, tmp_path, capsys):
 
 @pytest.mark.only_compiled
 def test_collect_does_not_depend_on_the_cut(small, tmp_path):
-    other = computed(tmp_path, SMALL.replace("records_per_shard = 4", "records_per_shard = 7"))
+    other = computed_folder(tmp_path, SMALL.replace("records_per_shard = 4", "records_per_shard = 7"))
     first, second = collected(small), collected(other)
     assert first["json"] == second["json"]
     assert first["csv"] == second["csv"]
@@ -122,7 +120,7 @@ def test_collect_does_not_depend_on_the_cut(small, tmp_path):
 def test_a_record_that_fails_is_a_row(tmp_path):
     same = "forces = [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]"
     text = SMALL.replace("tumble = { positions = 6 }", same, 1)
-    folder = computed(tmp_path, text)
+    folder = computed_folder(tmp_path, text)
     collection = collect(open_campaign(folder))
     assert collection.failed == 10
     assert collection.groups[0].failed == {"IdentifiabilityError": 10}
@@ -137,7 +135,7 @@ def test_a_record_that_fails_is_a_row(tmp_path):
 
 @pytest.mark.only_compiled
 def test_incomplete(tmp_path):
-    folder = computed(tmp_path, shards=(0, 2))
+    folder = computed_folder(tmp_path, shards=(0, 2))
     collection = collect(open_campaign(folder))
     assert collection.missing == (1, 3, 4)
     assert collection.computed == 8
@@ -148,7 +146,7 @@ def test_incomplete(tmp_path):
 
 @pytest.mark.only_compiled
 def test_damaged_parts_are_named(tmp_path):
-    folder = computed(tmp_path, shards=(0, 1))
+    folder = computed_folder(tmp_path, shards=(0, 1))
     part = folder / "parts" / "part-00001.parquet"
     whole = part.read_bytes()
     table = parquet.read_table(part)

@@ -5,12 +5,11 @@ import json
 import pytest
 from benchmarks import intervals, measured
 
-from piga.campaign import collect, document, open_campaign, plan_campaign, read_campaign
+from piga.campaign import collect, document, open_campaign, read_campaign
 from piga.campaign.page import campaign_page, collected_text
-from piga.campaign.shard import run_shard
 from piga.campaign.subjects import NOISE_DOUBTED, NOISE_LEFT
 from piga.reports.render.page import FigureBlock, Notice, Table, page_html
-from tests.campaign.small import COVERAGE, SMALL, one_case, written
+from tests.campaign.small import COVERAGE, SMALL, computed, one_case, written
 
 GRID = (
     SMALL.replace("repeats = 10", "repeats = 6").replace("repeats = 7", "repeats = 6")
@@ -25,9 +24,7 @@ GRID = (
 def grid(tmp_path_factory):
     """A campaign over a grid."""
     folder = tmp_path_factory.mktemp("grid")
-    campaign = plan_campaign(written(folder, GRID), folder / "out")
-    for shard in range(campaign.shards):
-        run_shard(str(folder / "out"), shard)
+    computed(written(folder, GRID), folder / "out")
     return collect(open_campaign(folder / "out"))
 
 
@@ -79,9 +76,7 @@ def test_rows_of_the_accuracy_page_are_never_replaced_by_fewer_tests(tmp_path):
     folder.mkdir()
     kept = (measured.FOLDER / "intervals.json").read_text(encoding="utf-8")
     (folder / "intervals.json").write_text(kept, encoding="utf-8")
-    campaign = plan_campaign(written(tmp_path, one_case("near-critical", 3)), tmp_path / "out")
-    for shard in range(campaign.shards):
-        run_shard(str(tmp_path / "out"), shard)
+    campaign = computed(written(tmp_path, one_case("near-critical", 3)), tmp_path / "out")
     figures = document(collect(campaign))
     rows = json.loads(kept)["figures"]
     shown = next(f["value"] for f in rows if (f["scenario"], f["column"]) == ("near-critical", "tests"))

@@ -18,7 +18,7 @@ from piga.campaign import open_campaign, plan_campaign
 from piga.campaign.run import LocalEngine, RunReport, _Loop, run_campaign
 from piga.campaign.shard import ShardReport, run_shard
 from piga.errors import PigaError
-from tests.campaign.small import SMALL, call, children, collected, rows, start, workers, written
+from tests.campaign.small import SMALL, call, children, collected, computed, rows, start, workers, written
 
 LONG = SMALL.replace("repeats = 10", "repeats = 40").replace("repeats = 7", "repeats = 20")
 LONG = LONG.replace("records_per_shard = 4", "records_per_shard = 5")
@@ -27,9 +27,7 @@ LONG = LONG.replace("records_per_shard = 4", "records_per_shard = 5")
 def whole(folder, text):
     """What ``collect`` makes of a campaign that is computed without interruption, in this process."""
     folder.mkdir(exist_ok=True)
-    campaign = plan_campaign(written(folder, text), folder / "out")
-    for shard in range(campaign.shards):
-        run_shard(str(folder / "out"), shard)
+    computed(written(folder, text), folder / "out")
     return collected(folder / "out")
 
 

@@ -16,7 +16,7 @@ from piga.campaign.subjects import NOISE_DOUBTED, NOISE_LEFT, compute, of_calibr
 from piga.cli.main import app
 from tests.calibration.made.coloured_truth import LOG
 from tests.calibration.made.independent import head
-from tests.campaign.small import ROOT, collected, rows, written
+from tests.campaign.small import ROOT, collected, computed, rows, written
 
 EXAMPLES = ROOT / "examples" / "campaigns"
 STAND = """
@@ -54,14 +54,6 @@ records_per_shard = 2
 [grid]
 "truth.k0" = ["1e-4 g", "3e-4 g"]
 """
-
-
-def computed(path, out):
-    """A campaign computed in this process."""
-    campaign = plan_campaign(path, out)
-    for shard in range(campaign.shards):
-        run_shard(str(out), shard)
-    return campaign
 
 
 @pytest.mark.parametrize(

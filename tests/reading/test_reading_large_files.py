@@ -22,10 +22,10 @@ import piga
 from piga.reading import raw_columns
 from piga.cli.calibrate import write_results
 from pathlib import Path
+from tests.memory import kilobytes
 
 def private():
-    with open("/proc/self/status") as status:
-        return next(int(line.split()[1]) for line in status if line.startswith("RssAnon")) / 1024
+    return kilobytes("RssAnon") / 1024
 
 def warm():
     t = np.arange(300000) / 1000.0

@@ -122,6 +122,13 @@ class Server:
         return self.process.returncode, errors
 
 
+def entered(folder: Path) -> Server:
+    """A server on a folder, whose client has its session."""
+    server = Server(folder)
+    server.client.enter()
+    return server
+
+
 @pytest.fixture(autouse=True)
 def _no_server_is_left() -> Iterator[None]:
     """A test that fails leaves none of its servers behind. Those of its module go on."""
@@ -152,8 +159,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def server(lab: Path) -> Iterator[Server]:
-    running = Server(lab)
-    running.client.enter()
+    running = entered(lab)
     yield running
     if running.process.poll() is None:
         running.end()
@@ -238,8 +244,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def running(place: Path) -> Iterator[Server]:
-    server = Server(place)
-    server.client.enter()
+    server = entered(place)
     yield server
     code, errors = server.end()
     assert code == 0

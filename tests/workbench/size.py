@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks import measured
 from numpy.typing import NDArray
 
+from tests.memory import kilobytes
 from tests.workbench.conftest import Client, Server
 
 SIZES = {"csv": 10_000_000, "parquet": 100_000_000}
@@ -77,12 +78,7 @@ def write(folder: Path, kind: str, rows: int) -> None:
 
 def memory(pid: int) -> float:
     """Memory of a process without mapped files [MB]; 0 if it has ended."""
-    try:
-        text = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
-    except OSError:
-        return 0.0
-    found = re.search(r"RssAnon:\s+(\d+) kB", text)
-    return int(found[1]) / 1000.0 if found else 0.0
+    return kilobytes("RssAnon", pid) / 1000.0
 
 
 class Watch:

@@ -13,7 +13,7 @@ import pytest
 
 from piga.errors import ArgumentError
 from piga.workbench.jobs import BusyError, Job, Jobs, Status
-from tests.workbench.conftest import Server, shipped_record
+from tests.workbench.conftest import Server, entered, shipped_record
 
 
 def ended(jobs: Jobs, job: Job, seconds: float = 120.0) -> Status:
@@ -113,16 +113,14 @@ def test_a_job_that_is_killed_is_lost_and_another_process_is_not_taken_for_it(jo
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_the_server_is_killed_and_its_job_goes_on(tmp_path: Path) -> None:
     shipped_record(tmp_path)
-    first = Server(tmp_path)
-    first.client.enter()
+    first = entered(tmp_path)
     status, headers, _ = first.client.post(
         "/calibrate/tumble-a.toml", {"term": ["scale_factor", "tan_beta", "k0"]}
     )
     assert status == 303
     first.process.kill()
     first.process.communicate()
-    second = Server(tmp_path)
-    second.client.enter()
+    second = entered(tmp_path)
     page = headers["location"].replace("/result/", "/jobs/")
     assert "lost" not in second.client.page(page)
     second.client.until(page, lambda text: '"state running"' not in text)
@@ -197,8 +195,7 @@ def test_a_job_that_is_killed_while_it_writes_leaves_the_older_results_whole(
 def test_a_server_that_is_killed_in_an_upload_leaves_no_half_file(tmp_path: Path) -> None:
     import socket
 
-    first = Server(tmp_path)
-    first.client.enter()
+    first = entered(tmp_path)
     home = f"127.0.0.1:{first.client.port}"
     with socket.create_connection(("127.0.0.1", first.client.port), timeout=20) as raw:
         head = f"POST /upload?name=half.csv HTTP/1.1\r\nHost: {home}\r\nOrigin: http://{home}\r\n"
@@ -214,8 +211,7 @@ def test_a_server_that_is_killed_in_an_upload_leaves_no_half_file(tmp_path: Path
         first.process.communicate()
     assert list(parts.iterdir())
     assert [path.name for path in tmp_path.iterdir()] == [".piga-ui"]
-    second = Server(tmp_path)
-    second.client.enter()
+    second = entered(tmp_path)
     assert not list(parts.iterdir())
     assert "no record in this folder" in second.client.page("/")
     assert second.end() == (0, "")
@@ -273,8 +269,7 @@ def test_a_server_that_is_killed_while_a_result_is_kept(tmp_path: Path, left: in
         first.client.post(f"/result/{place.name}/adopt")
     first.process.communicate(timeout=20)
     assert first.process.returncode == -signal.SIGKILL
-    second = Server(tmp_path)
-    second.client.enter()
+    second = entered(tmp_path)
     after = shown()
     assert after == (before if left == 0 else {path.name: path.read_text() for path in trial.iterdir()})
     assert second.client.post(f"/result/{place.name}/adopt")[0] == 303

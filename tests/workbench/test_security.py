@@ -13,7 +13,7 @@ import pytest
 from piga.errors import ArgumentError
 from piga.workbench.folder import Folder, OutsideError
 from piga.workbench.security import SESSION_AGE, Door
-from tests.workbench.conftest import Client, Server
+from tests.workbench.conftest import Client, Server, entered
 
 
 def test_a_foreign_host_name_is_refused(client: Client) -> None:
@@ -191,8 +191,7 @@ def test_a_module_in_the_folder_is_not_imported(tmp_path: Path) -> None:
     for name in ("json.py", "piga.py", "numpy.py"):
         (tmp_path / name).write_text("open('owned', 'w').close()\n", encoding="utf-8")
     (tmp_path / "run.toml").write_text("[data]\n", encoding="utf-8")
-    running = Server(tmp_path)
-    running.client.enter()
+    running = entered(tmp_path)
     running.client.post("/calibrate/run.toml", {"term": "k0"})
     assert running.end()[0] == 0
     from piga.workbench.jobs import Jobs
@@ -230,8 +229,7 @@ def test_signals_end_the_server_and_its_jobs(tmp_path: Path, number: int) -> Non
     from tests.workbench.conftest import shipped_record
 
     shipped_record(tmp_path)
-    running = Server(tmp_path)
-    running.client.enter()
+    running = entered(tmp_path)
     running.client.post("/calibrate/tumble-a.toml", {"term": ["scale_factor", "tan_beta", "k0"]})
     code, errors = running.end(number)
     assert (code, errors) == (0, "")

@@ -17,7 +17,7 @@ from piga.errors import ArgumentError
 from piga.workbench.app import MOST_CONNECTIONS
 from piga.workbench.folder import Folder, OutsideError
 from piga.workbench.jobs import MOST_RUNNING, Jobs
-from tests.workbench.conftest import Client, Server, shipped_record
+from tests.workbench.conftest import Client, Server, entered, shipped_record
 from tests.workbench.size import memory
 
 EVIL = "\"'><img src=x onerror=alert(1)></textarea><script>alert(1)</script>{{7*7}}"
@@ -82,8 +82,7 @@ def test_half_requests_keep_nobody_out(client: Client, server: Server) -> None:
 def test_fifty_jobs_at_once(tmp_path: Path) -> None:
     """So many run as may run. The others are told so, and the server goes on answering."""
     shipped_record(tmp_path)
-    running = Server(tmp_path)
-    running.client.enter()
+    running = entered(tmp_path)
     try:
         running.client.page("/calibrate/tumble-a.toml")
         with ThreadPoolExecutor(50) as pool:
@@ -260,8 +259,7 @@ def test_every_page_escapes_what_files_say(tmp_path: Path) -> None:
         (place / "end.json").write_text(
             json.dumps({"code": 0, "seconds": EVIL if number == 0 else 1.0}), encoding="utf-8"
         )
-    running = Server(tmp_path)
-    running.client.enter()
+    running = entered(tmp_path)
     try:
         pages = ["/", "/jobs", "/instrument", "/plan", "/twin", "/platform", "/live", "/describe/tumble-a.toml"]
         pages += [
@@ -346,8 +344,7 @@ def test_a_strangers_folder_cannot_remove_or_signal_anything(tmp_path: Path) -> 
         ),
         encoding="utf-8",
     )
-    running = Server(lab)
-    running.client.enter()
+    running = entered(lab)
     asked = []
     old = signal.signal(signal.SIGINT, lambda *_: asked.append("SIGINT"))
     try:

@@ -35,10 +35,10 @@ READ = """
 import sys
 from pathlib import Path
 from piga.formats.containers.container import READERS
+from tests.memory import kilobytes
 path = Path(sys.argv[1])
 assert READERS[path.suffix](path, ("t", "psi", "fx", "fy", "fz"), None).rows == int(sys.argv[2])
-with open("/proc/self/status") as status:
-    print(next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) * 1024)
+print(kilobytes("VmHWM") * 1024)
 """
 
 pytestmark = [

@@ -188,9 +188,8 @@ try:
 except SystemExit as stop:
     assert not stop.code, stop.code
 import resource
-with open("/proc/self/status") as status:
-    own = next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) * 1024
-print(max(own, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024))
+from tests.memory import kilobytes
+print(max(kilobytes("VmHWM"), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss) * 1024)
 """
 
 
