@@ -84,7 +84,7 @@ COMPENSATED = [
     *tests_of("_kernels", "indication"),
     *tests_of("compensation", "compensator_stream", "compensation_refusals", "live"),
 ]
-SETS = tests_of("compensation", "set_compensator", "compensator_published_case", "file_to_file_columns")
+SETS = tests_of("compensation", "set_compensator", "file_to_file_columns")
 PHASES = tests_of("compensation", "phase", "result")
 GEOMETRY = tests_of("platform", "geometry", "simulate")
 PLATFORM = [*GEOMETRY, *tests_of("platform", "scenario", "navigator")]

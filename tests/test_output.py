@@ -19,7 +19,7 @@ from piga.records.text_files import files_named_in
 from tests.compensation.run_files import command as compensate
 from tests.compensation.run_files import write
 from tests.kills import kills
-from tests.reading.test_reading_one_reader import command
+from tests.reading.test_reading_damaged import command
 
 Capture = pytest.CaptureFixture[str]
 NAMES = ("a.txt", "b.txt", "figures/*")

@@ -1,15 +1,22 @@
-"""What an installation brings: pinned with hashes, under a licence that is named and no GPL."""
+"""What an installation brings: pinned packages under named licences; what works with NumPy and Numba alone."""
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
+
+
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
 EXTRAS: dict[str, list[str]] = {"core": PROJECT["dependencies"]} | PROJECT["optional-dependencies"]
 
 
@@ -51,3 +58,55 @@ def test_every_pin_has_hashes_and_none_is_of_the_gpl() -> None:
             assert "--hash=sha256:" in block, (file, name)
             assert name != "pysolid"
     assert not re.search(r"(?<!L)GPL-[23]", (ROOT / "NOTICE").read_text())
+
+
+HIDE = """
+import sys
+class Hidden:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {"scipy", "pyarrow", "jinja2", "matplotlib"}:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Hidden())
+import importlib.util
+real = importlib.util.find_spec
+importlib.util.find_spec = lambda name, package=None: None if name in {"scipy", "pyarrow"} else real(name, package)
+"""
+
+
+CORE = """
+import numpy as np, piga
+inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec", alpha0=0.7)
+t = np.arange(0.0, 2.0, 0.01)
+f = 9.80665 * np.column_stack([1 + 0.1 * np.sin(t), 3 * np.cos(t), 0 * t])
+alpha = piga.propagate(inst, t, f)
+run = piga.Run.from_arrays(t, alpha, f, scale_factor="0.8884 rad/s/g")
+print(piga.regime(inst, 9.8, 0.0, 0.0), piga.closed_form(inst, 1.0, 9.8, 0.0, 0.0)[0], alpha[-1])
+"""
+
+
+def without_lab(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", HIDE + code], capture_output=True, text=True, check=False, env=os.environ
+    )
+
+
+def test_motion_and_records_in_memory_need_the_core_alone():
+    done = without_lab(CORE)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("running")
+
+
+@pytest.mark.parametrize(("name", "package"), [("read_run", "pyarrow"), ("calibrate", "scipy")])
+def test_a_name_that_needs_more_says_which_extra(name, package):
+    done = without_lab(f"import piga; piga.{name}")
+    assert done.returncode == 1
+    assert f"needs the package {package}" in done.stderr
+    assert "pip install 'piga[lab]'" in done.stderr
+
+
+def test_a_command_that_needs_more_says_which_extra(tmp_path: Path):
+    code = f"import sys; sys.argv = ['piga', 'demo', '--out', {str(tmp_path)!r}]\n"
+    done = without_lab(code + "from piga.cli.main import main; main()")
+    assert done.returncode == 2
+    assert "pip install 'piga[lab]'" in done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,20 +1,30 @@
-"""Every key of every file, every term and every method has its words, and no word is of a key that is gone."""
+"""Every key, term and method has its words; every example is written and runs; completion with Tab in three shells."""
 
 from __future__ import annotations
 
 import json
+import os
+import re
+import shutil
+import subprocess
+import sys
 import tomllib
+from pathlib import Path
 
 import msgspec
 import pytest
+from typer.core import TyperGroup
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from piga.cli.main import app
 from piga.cli.words import explain
+from piga.data import example_files
 from piga.describe.draft import FILES, key_table, places_of
 from piga.records.run_file import METHOD_WORDS, METHODS
 from piga.records.terms import MEANING, TERM_WORDS, UNITS, term_words
 from piga.units import to_si
+from tests.cli.test_cli_help import commands
 
 
 @pytest.mark.parametrize("file", FILES)
@@ -132,3 +142,102 @@ def test_every_example_is_toml_and_in_its_unit() -> None:
             for text in texts:
                 if isinstance(text, str) and ":" not in text:
                     to_si(text, unit, what=f"{table}.{key}")
+
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_every_example_is_written(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["examples", "--out", str(tmp_path / "examples")])
+    assert done.exit_code == 0
+    for path in (ROOT / "examples").rglob("*.*"):
+        if path.suffix in (".toml", ".py"):
+            assert (
+                tmp_path / "examples" / path.relative_to(ROOT / "examples")
+            ).read_bytes() == path.read_bytes()
+    assert "wrote" in done.stdout
+
+
+def test_what_the_docs_name_is_there() -> None:
+    names = set(example_files())
+    for page in [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]:
+        for name in re.findall(r"\bexamples/([\w/-]+\.(?:toml|py))", page.read_text(encoding="utf-8")):
+            assert name in names, (page.name, name)
+
+
+def test_an_example_runs(tmp_path: Path) -> None:
+    CliRunner().invoke(app, ["examples", "--out", str(tmp_path / "examples")])
+    done = CliRunner().invoke(
+        app, ["simulate", str(tmp_path / "examples/dividing-head.toml"), "--out", str(tmp_path / "head")]
+    )
+    assert done.exit_code == 0, done.exception
+    assert (tmp_path / "head" / "run.toml").exists()
+
+
+def test_the_wheel_holds_them() -> None:
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"][
+        "targets"
+    ]
+    assert build["wheel"]["force-include"] == {"examples": "piga/data/examples"}
+
+
+def asked(**environment: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "piga"],
+        capture_output=True,
+        text=True,
+        env=os.environ | environment,
+        check=False,
+    )
+    return done.stdout + done.stderr
+
+
+def test_each_shell_gets_commands_and_options() -> None:
+    assert asked(_PIGA_COMPLETE="complete_bash", COMP_WORDS="piga cal", COMP_CWORD="1").split() == ["calibrate"]
+    assert '"add"' in asked(_PIGA_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS="piga records ")
+    fish = asked(
+        _PIGA_COMPLETE="complete_fish",
+        _TYPER_COMPLETE_FISH_ACTION="get-args",
+        _TYPER_COMPLETE_ARGS="piga calibrate --ph",
+    )
+    assert "--phases" in fish
+    assert "--phase-source" in fish
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_is_one_of_the_shell(shell: str) -> None:
+    done = CliRunner().invoke(app, ["completion", shell])
+    assert done.exit_code == 0
+    assert "_PIGA_COMPLETE=complete_" + shell in done.stdout
+    if shell == "zsh":
+        assert done.stdout.startswith("#compdef piga\n")
+    program = shutil.which(shell)
+    if program is not None:
+        subprocess.run([program, "-n"], input=done.stdout, text=True, check=True)
+
+
+def test_bash_completes_with_the_script() -> None:
+    bash = shutil.which("bash")
+    if bash is None:
+        pytest.skip("no bash here")
+    script = (
+        CliRunner()
+        .invoke(app, ["completion", "bash"])
+        .stdout.replace("complete_bash $1", f"complete_bash {sys.executable} -m piga")
+    )
+    code = script + '\nCOMP_WORDS=(piga rec); COMP_CWORD=1; _piga_completion piga; echo "${COMPREPLY[@]}"\n'
+    done = subprocess.run([bash, "--norc"], input=code, text=True, capture_output=True, check=True)
+    assert done.stdout.split() == ["records"]
+
+
+def test_another_shell_is_refused() -> None:
+    assert CliRunner().invoke(app, ["completion", "tcsh"]).exit_code == 2
+
+
+def test_help_names_no_python_type() -> None:
+    group = get_command(app)
+    assert isinstance(group, TyperGroup)
+    for words in commands(group):
+        text = CliRunner().invoke(app, [*words, "--help"]).stdout
+        wrong = re.findall(r"<(?:path|str|int|float|list)[^>]*>|\b(?:TEXT|PATH|INTEGER|FLOAT)\b", text)
+        assert not wrong, (words, wrong)

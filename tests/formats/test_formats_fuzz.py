@@ -1,12 +1,11 @@
-"""Mutated files of every kind: read, or refused with a remedy; nothing else may happen.
-
-The default run is 3 000 cases, that of CI 22 000, most of them on the stages in memory; ``PIGA_FUZZ`` multiplies it.
-"""
+"""Mutated files of every kind, and inputs that fuzzing found once: read, or refused with a remedy; nothing else may happen."""
 
 from __future__ import annotations
 
+import json
 import os
 import random
+import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -16,16 +15,25 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import piga
-from piga.formats.containers.container import READERS
+from piga.formats.containers.container import READERS, read_container
+from piga.formats.containers.parquet_reader import ParquetStream
 from piga.formats.text.reader import TextStream
 from piga.records.run_file import read_run_file
 from tests.records.containers import WRITERS, columns
 from tests.records.files import lines, write_run
 
 SCALE = int(os.environ.get("PIGA_FUZZ", "1"))
+
+
 NAMES = ("t", "n", "fx", "fy", "fz")
+
+
 LOG = ("t,n,fx,fy,fz\n" + "\n".join(lines(8)) + "\n").encode()
+
+
 QUICK = settings(deadline=None, database=None, suppress_health_check=list(HealthCheck))
+
+
 PIECES = [b",", b";", b"\n", b"\r", b"\0", b'"', b"\t", b"nan", b"inf", b"1e999", b"-", b"\xef\xbb\xbf", b"\xff\xfe",
           "１".encode(), "时间".encode("gb18030"), b"#", b" ", b"1,5", b"[s]", b"9" * 30, b"\x1a", b"|"]  # fmt: skip
 
@@ -121,3 +129,50 @@ def _folder(factory: pytest.TempPathFactory) -> Path:
     folder = factory.getbasetemp() / "fuzz"
     folder.mkdir(exist_ok=True)
     return folder
+
+
+FOLDER = Path(__file__).parent / "findings"
+
+
+COLUMNS = ("t", "n", "fx", "fy", "fz")
+
+
+def read(path: Path) -> object:
+    if path.suffix == ".json":
+        return piga.Calibration.from_json(path)
+    if path.suffix == ".toml":
+        return read_run_file(path)
+    if path.suffix == ".csv":
+        return list(TextStream(path, COLUMNS, None).chunks())
+    if path.suffix == ".parquet":
+        return list(ParquetStream(path, COLUMNS, None).chunks())
+    return read_container(path, path.suffix, COLUMNS, None)
+
+
+def paths(*, endless: bool) -> list[Path]:
+    return sorted(path for path in FOLDER.iterdir() if path.name.startswith("endless") == endless)
+
+
+@pytest.mark.parametrize("path", paths(endless=False), ids=lambda path: path.name)
+def test_refused_with_a_remedy(path: Path) -> None:
+    with pytest.raises(piga.PigaError) as caught:
+        read(path)
+    assert caught.value.remedy
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", paths(endless=True), ids=lambda path: path.name)
+def test_endless_loops_of_a_library_are_ended(path: Path) -> None:
+    begun = time.monotonic()
+    with pytest.raises(piga.DataError, match="of computing time"):
+        read(path)
+    assert time.monotonic() - begun < 25.0
+
+
+def test_ragged_covariance(tmp_path: Path) -> None:
+    document = json.loads((FOLDER / "unit.json").read_text(encoding="utf-8"))
+    document["covariance"]["matrix"] = [[1.0], [1.0, 2.0]]
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(piga.CalibrationError, match="square matrix"):
+        read(path)

@@ -1,4 +1,4 @@
-"""Envelopes against the samples themselves, for random records, zooms and gaps."""
+"""Envelopes against the samples themselves, for random records, zooms and gaps; large files: the first picture, zooms, memory."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from piga.errors import ArgumentError
 from piga.records import Run
 from piga.workbench.signals import SignalOutline, picture, read_outline, write_envelopes
+from tests.workbench.size import SIZES, measure
 
 
 def record(size: int, gaps: list[int], seed: int = 1) -> Run:
@@ -164,3 +165,15 @@ def test_temperature_is_shown_in_the_unit_of_the_record(tmp_path: Path) -> None:
     assert list(shown) == ["°C", "K"]
     assert shown["°C"] == pytest.approx(20.0 + t)
     assert shown["K"] == pytest.approx(kelvin)
+
+
+@pytest.mark.slow
+@pytest.mark.only_compiled
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
+@pytest.mark.parametrize("kind", SIZES)
+def test_a_large_file_is_drawn_at_once(tmp_path: Path, kind: str) -> None:
+    seen = measure(tmp_path, kind, SIZES[kind])
+    assert seen["first"] < 2.0
+    assert seen["zoom"] < 0.1
+    assert seen["server"] < 100.0
+    assert seen["job"] < 600.0
