@@ -93,7 +93,7 @@ IDENTIFIED = tests_of("platform", "identify", "alignment", "identify_intervals")
 TRIADS = tests_of("platform", "chain", "simulate")
 CALIBRATION = {
     "calibration/remarks/advice": tests_of("calibration", "advice"),
-    "calibration/allan": tests_of("calibration", "allan", "slow_bases_drift"),
+    "calibration/allan": tests_of("calibration", "allan", "weighting_drift"),
     "calibration/calibrate calibration/model/design "
     "calibration/fit/one_run calibration/noise/levels calibration/fit/residuals "
     "calibration/model/solution calibration/noise/weighting "
@@ -109,8 +109,8 @@ CALIBRATION = {
     "calibration/intervals/added_noise": tests_of("calibration", "added_noise", "added_noise_faint_walk"),
     "calibration/fit/servo": tests_of("calibration", "servo"),
     "calibration/remarks/left_out": tests_of("calibration", "servo", "left_out_runs"),
-    "calibration/noise/slow_bases calibration/intervals/slow_noise": tests_of(
-        "calibration", "slow_noise", "slow_bases_drift", "slow_bases_scatter"
+    "calibration/intervals/slow_noise": tests_of(
+        "calibration", "slow_noise", "weighting_drift", "weighting_scatter"
     ),
     "calibration/joint/joint_fit calibration/joint/joint_result calibration/joint/summary": JOINT,
     "calibration/remarks/leverage": [

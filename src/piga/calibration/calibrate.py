@@ -269,7 +269,7 @@ def _assemble(
     history: dict[str, Array] | None,
 ) -> Calibration:
     request = fit.design.request
-    rows, figures = fit.design.rows, residual_figures(residuals)
+    rows = fit.design.rows
     plain = Diagnostics(residual_kind="rate" if run.kind == "rate" else "angle", range=validity_ranges(run))
     return Calibration(
         serial=run.serial,
@@ -283,10 +283,7 @@ def _assemble(
         surplus_observations=float(rows - len(coefficients)),
         angle_rms=fit.noise.angle_rms,
         angle_random_walk=fit.noise.angle_random_walk,
-        residual_rms=figures["residual_rms"],
-        residual_rms_before=figures["residual_rms_before"],
-        residual_max_before=figures["residual_max_before"],
-        residual_max_after=figures["residual_max_after"],
+        **residual_figures(residuals),
         quality=fit.design.run.quality,
         outliers=fit.outliers,
         bias_drift=fit.noise.bias_drift,

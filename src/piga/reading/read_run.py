@@ -37,7 +37,7 @@ from piga.reading.signal_checks import (
 from piga.records.calibration import Event, Quality, Tally
 from piga.records.run import Run, TimeBase, drop_repeats, examine_time
 from piga.records.run_file import RunFile, read_run_file
-from piga.records.spool import gathered, spans
+from piga.records.spool import gathered, scaled, spans
 from piga.records.text_files import toml_bytes
 from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
 
@@ -193,12 +193,7 @@ class Assembly:
     def _scaled(self, name: str, factor: float, offset: float = 0.0) -> Array:
         """A column times a factor, plus an offset."""
         values = self.raw.numbers[name]
-        if factor == 1.0 and offset == 0.0:
-            return values
-        result: Array = self.raw.arrays.empty(values.size)
-        for part in spans(values.size):
-            result[part] = values[part] * factor + offset
-        return result
+        return values if (factor, offset) == (1.0, 0.0) else scaled(values, factor, offset, self.raw.arrays)
 
     def _check_enough(self, base: TimeBase, path: Path) -> None:
         time = self.run_file.data.time

@@ -134,6 +134,14 @@ class Arrays:
         return Growing(self.folder, np.dtype(dtype), most)
 
 
+def scaled(values: NDArray, factor: float, offset: float = 0.0, arrays: Arrays | None = None) -> NDArray[Any]:
+    """``factor`` times the values plus ``offset``, as a new array; without ``arrays`` on disk if the values are."""
+    made = (arrays or arrays_like(values)).empty(values.size)
+    for part in spans(values.size):
+        made[part] = values[part] * factor + offset
+    return made
+
+
 def mapped(path: Path) -> NDArray[Any]:
     """The array of an ``.npy`` file. It is mapped on systems that can delete open files, and its pages are trimmed."""
     array = np.load(path, allow_pickle=False, mmap_mode="r")

@@ -12,7 +12,7 @@ from piga.calibration.intervals.slow_noise import _whitened_means, quick_look
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import KNOTS
 from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.slow_bases import DriftBasis
+from piga.calibration.noise.weighting import DriftBasis
 from piga.units import G0
 from tests.calibration.made.synthetic import BETA, SCALE
 

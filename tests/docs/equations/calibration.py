@@ -18,7 +18,7 @@ from piga.calibration.model.design import ServoState
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import KNOTS
 from piga.calibration.noise.levels import find_noise
-from piga.calibration.noise.slow_bases import DriftBasis
+from piga.calibration.noise.weighting import DriftBasis
 from piga.calibration.remarks.leverage import all_but_one, leverages
 from piga.calibration.remarks.missing_terms import tested
 from piga.calibration.remarks.slow_changes import moved_by_one

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.intervals.added_noise import positive_root
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.progress import SILENT, Steps
@@ -24,7 +25,7 @@ from piga.records.calibration.coefficient import welch_satterthwaite
 from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import UNCERTAINTY_UNITS, Draw, drawn_for
-from piga.records.spool import arrays_like, spans
+from piga.records.spool import arrays_like, scaled, spans
 from piga.records.terms import si_factor, unit_of
 from piga.results import Result
 from piga.stand import stand_changes
@@ -91,11 +92,11 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
             relative = value / G0 if name == "gravity" else value
             yield Source(name, shown, unit, _felt(run, partial(_scaled, run.f, 1.0 + relative)), *shape)
         elif name == "timing":
-            moved = replace(run, t=_column(run.t, 1.0 + value, 0.0))
+            moved = replace(run, t=scaled(run.t, 1.0 + value))
             yield Source(name, shown, unit, moved, *shape)
         elif name == "temperature":
             if run.temperature is not None:
-                moved = replace(run, temperature=_column(run.temperature, 1.0, value))
+                moved = replace(run, temperature=scaled(run.temperature, 1.0, value))
                 yield Source(name, shown, unit, moved, *shape)
         else:
             move = _bias if name == "reference_bias" else _turn
@@ -123,14 +124,6 @@ def _felt(run: Run, moved: Callable[[slice], Array]) -> Run:
     for part in spans(run.size):
         f[part] = moved(part)
     return replace(run, f=f)
-
-
-def _column(values: Array, factor: float, offset: float) -> Array:
-    """``factor`` times the values plus ``offset``; on disk when they are."""
-    moved: Array = arrays_like(values).empty(values.size)
-    for part in spans(values.size):
-        moved[part] = values[part] * factor + offset
-    return moved
 
 
 def _scaled(f: Array, factor: float, part: slice) -> Array:
@@ -237,10 +230,7 @@ class Budget:
 
 def positive_part(covariance: Array) -> Array:
     """The matrix without negative eigenvalues of its correlations, which rounding can cause."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    scale[scale == 0.0] = 1.0
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    root = positive_root(covariance)
     positive: Array = root @ root.T
     return positive
 

@@ -29,8 +29,8 @@ from piga.calibration.model.solution import Solution, solve
 from piga.calibration.noise.counted import Counted, fit_counted
 from piga.calibration.noise.levels import Information, Noise, find_noise, natural_spline, starting_noise
 from piga.calibration.noise.settings import NOISE
-from piga.calibration.noise.slow_bases import NoiseColumns
 from piga.calibration.noise.weighting import (
+    NoiseColumns,
     reduce_segments,
     residual_increments,
     weighted_blocks,

@@ -35,8 +35,14 @@ from piga.calibration.noise.components import RATES, RateBins
 from piga.calibration.noise.levels import Noise, deviance_sums, least_on_grid
 from piga.calibration.noise.likelihood import restricted
 from piga.calibration.noise.settings import NOISE
-from piga.calibration.noise.slow_bases import BesideStated, DriftBasis, NoiseColumns, SegmentBasis
-from piga.calibration.noise.weighting import Whitener, reduce_segments
+from piga.calibration.noise.weighting import (
+    BesideStated,
+    DriftBasis,
+    NoiseColumns,
+    SegmentBasis,
+    Whitener,
+    reduce_segments,
+)
 
 Array = NDArray[np.float64]
 
@@ -113,12 +119,12 @@ def _faint(fit: Fit, design: Design) -> list[AddedNoise]:
 def _coloured(fit: Fit, colour: Colour, design: Design) -> list[AddedNoise]:
     """The likeliest coloured noise, and what it changes in the random walk."""
     bins = RateBins.of(design.run)
-    root = _root(RATES[colour.name](bins, colour.time))
+    root = positive_root(RATES[colour.name](bins, colour.time))
     weight = 1.0 / fit.sample_variance if fit.mode == "samples" else 1.0
     scores = tuple(weight * part for part in _grouped(_slow_scores(fit, design, bins, root), design.groups))
     noises = [AddedNoise(colour.name, colour.variance, colour.deviation, True, scores, gain=colour.gain)]
     if not bins.point:
-        walk = _grouped(_slow_scores(fit, design, bins, _root(RATES["walk"](bins, 0.0))), design.groups)
+        walk = _grouped(_slow_scores(fit, design, bins, positive_root(RATES["walk"](bins, 0.0))), design.groups)
         deviation, shared = colour.walk_deviation, colour.walk_shared
         noises.append(AddedNoise("walk", colour.walk, deviation, True, walk, shared, colour.gain))
     return noises
@@ -162,11 +168,11 @@ def _walk_scores(design: Design, mode: str, noise: Noise, probe: float) -> tuple
             reduce_segments(design, mode, replace(noise, walk=noise.walk + moved)) for moved in (probe, -probe)
         )
     ]
-    return tuple(_root((below - above) / (2.0 * probe)) for above, below in zip(*near, strict=True))
+    return tuple(positive_root((below - above) / (2.0 * probe)) for above, below in zip(*near, strict=True))
 
 
-def _root(matrix: Array) -> Array:
-    """S with ``S S'`` equal to a positive semidefinite matrix; the diagonal is scaled to one for the computation."""
+def positive_root(matrix: Array) -> Array:
+    """S with ``S S'`` equal to a matrix without its negative eigenvalues; the diagonal is scaled to one for the computation."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale[scale == 0.0] = 1.0
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))

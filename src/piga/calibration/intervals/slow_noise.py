@@ -2,7 +2,7 @@
 
 A bias drift is a walk of the rate over the whole record; positions are then not independent. A scatter is a rate of its
 own in every segment, for example when stand and servo are set anew at each position. The likelier one is taken. Its
-columns (:mod:`~piga.calibration.noise.slow_bases`) are whitened and reduced with those of the model. After the model is
+columns (:mod:`~piga.calibration.noise.weighting`) are whitened and reduced with those of the model. After the model is
 projected out, only independent numbers and unit white noise remain. The likelihood of their variance is then a sum
 over eigenvalues (own derivation, docs/theory). Long records are first tested with the means of the residual angle
 over a few bins of every stretch. A record without slow noise needs nothing else.
@@ -25,15 +25,16 @@ from piga.calibration.model.solution import KNOTS, solve
 from piga.calibration.noise.levels import Noise, deviance_sums, least_on_grid
 from piga.calibration.noise.likelihood import information, restricted
 from piga.calibration.noise.settings import NOISE
-from piga.calibration.noise.slow_bases import (
+from piga.calibration.noise.weighting import (
     BesideStated,
     DriftBasis,
     NoiseColumns,
     SegmentBasis,
     SlowBasis,
+    reduce_segments,
+    residual_increments,
     slow_bases,
 )
-from piga.calibration.noise.weighting import reduce_segments, residual_increments
 
 Array = NDArray[np.float64]
 

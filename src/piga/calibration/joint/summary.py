@@ -364,7 +364,7 @@ def _described(fit: Fit) -> dict[str, Any]:
     }
 
 
-def residual_figures(residuals: Residuals) -> dict[str, float]:
+def residual_figures(residuals: Residuals) -> dict[str, Any]:
     """Root mean square and largest residual before and after (the units of the residuals)."""
     return {
         "residual_rms": root_mean_square(residuals.after),

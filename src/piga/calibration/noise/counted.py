@@ -29,7 +29,6 @@ from piga.calibration.model.solution import Solution, solve
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.likelihood import restricted
 from piga.calibration.noise.settings import NOISE
-from piga.calibration.noise.slow_bases import NoiseColumns
 from piga.calibration.noise.stretches import (
     SawTooth,
     Stretch,
@@ -43,6 +42,7 @@ from piga.calibration.noise.stretches import (
     walk_covariance,
     white_covariance,
 )
+from piga.calibration.noise.weighting import NoiseColumns
 from piga.records.run import Run
 
 Array = NDArray[np.float64]

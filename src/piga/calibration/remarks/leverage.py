@@ -23,7 +23,7 @@ from piga.calibration.model.solution import (
     parameter_rows,
     solve_parts,
 )
-from piga.calibration.noise.slow_bases import SegmentBasis
+from piga.calibration.noise.weighting import SegmentBasis
 from piga.records.calibration import Coefficient, SegmentLeverage
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.settings import NOISE
-from piga.calibration.noise.slow_bases import SegmentBasis, slow_bases
+from piga.calibration.noise.weighting import SegmentBasis, slow_bases
 from tests.calibration.made.scenarios import SCENARIOS, Scenario, tumble
 from tests.chance import assert_variance
 

@@ -19,8 +19,7 @@ from piga.calibration.model.design import Design
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.slow_bases import DriftBasis
-from piga.calibration.noise.weighting import reduce_segments
+from piga.calibration.noise.weighting import DriftBasis, reduce_segments
 from piga.units import G0, to_si
 from tests.calibration.made.scenarios import SCALE, SCENARIOS, Scenario
 from tests.chance import assert_variance
