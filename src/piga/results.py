@@ -66,6 +66,18 @@ def above(name: str) -> Callable[..., Any]:
     return loaded
 
 
+def lazy(room: str, modules: dict[str, str]) -> Callable[[str], Any]:
+    """``__getattr__`` of a room whose public names are imported on first use. ``modules``: the names of each module."""
+    places = {name: f"{room}.{module}" for module, names in modules.items() for name in names.split()}
+
+    def named(name: str) -> Any:
+        if name in places:
+            return getattr(import_module(places[name]), name)
+        raise AttributeError(f"module '{room}' has no attribute '{name}'")
+
+    return named
+
+
 # -- values --------------------------------------------------------------------------------------------
 
 

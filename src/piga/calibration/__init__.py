@@ -3,8 +3,9 @@
 A module is imported only when one of its names is used.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from piga.results import lazy
 
 if TYPE_CHECKING:
     from piga.calibration.allan import AllanDeviation, allan_deviation
@@ -13,17 +14,6 @@ if TYPE_CHECKING:
     from piga.calibration.joint.summary import RunSummary
     from piga.calibration.model.reduction import Reduction
 
-_LAZY = {
-    "AllanDeviation": "allan",
-    "allan_deviation": "allan",
-    "ModelComparison": "choice.model_choice",
-    "Reduction": "model.reduction",
-    "RunSummary": "joint.summary",
-    "TermProspect": "choice.prospects",
-    "TermSet": "choice.model_choice",
-    "compare_models": "choice.model_choice",
-    "term_prospects": "choice.prospects",
-}
 
 __all__ = [
     "AllanDeviation",
@@ -37,8 +27,13 @@ __all__ = [
     "term_prospects",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _LAZY:
-        return getattr(import_module(f"piga.calibration.{_LAZY[name]}"), name)
-    raise AttributeError(f"module 'piga.calibration' has no attribute '{name}'")
+__getattr__ = lazy(
+    "piga.calibration",
+    {
+        "allan": "AllanDeviation allan_deviation",
+        "choice.model_choice": "ModelComparison TermSet compare_models",
+        "choice.prospects": "TermProspect term_prospects",
+        "joint.summary": "RunSummary",
+        "model.reduction": "Reduction",
+    },
+)

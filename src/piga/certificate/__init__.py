@@ -5,21 +5,14 @@
 'missing_items'
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from piga.results import lazy
 
 if TYPE_CHECKING:
     from piga.certificate.certificate_file import CertificateFile, missing_items, read_certificate_file
     from piga.certificate.page import certificate_html, require_complete, write_certificate
 
-_LAZY = {
-    "CertificateFile": "certificate_file",
-    "certificate_html": "page",
-    "missing_items": "certificate_file",
-    "read_certificate_file": "certificate_file",
-    "require_complete": "page",
-    "write_certificate": "page",
-}
 
 __all__ = [
     "CertificateFile",
@@ -30,8 +23,10 @@ __all__ = [
     "write_certificate",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _LAZY:
-        return getattr(import_module(f"piga.certificate.{_LAZY[name]}"), name)
-    raise AttributeError(f"module 'piga.certificate' has no attribute '{name}'")
+__getattr__ = lazy(
+    "piga.certificate",
+    {
+        "certificate_file": "CertificateFile missing_items read_certificate_file",
+        "page": "certificate_html require_complete write_certificate",
+    },
+)

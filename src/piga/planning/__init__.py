@@ -7,8 +7,9 @@
 A module is imported only when one of its names is used.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from piga.results import lazy
 
 if TYPE_CHECKING:
     from piga.planning.candidates import Candidate, Prediction, Visit, predict
@@ -16,21 +17,6 @@ if TYPE_CHECKING:
     from piga.planning.plan import Plan, plan_document, plan_test, scenario_text
     from piga.planning.plan_file import PlanRequest, PlanSettings, read_plan
 
-_LAZY = {
-    "Candidate": "candidates",
-    "Mounting": "mounting",
-    "Plan": "plan",
-    "PlanRequest": "plan_file",
-    "PlanSettings": "plan_file",
-    "Prediction": "candidates",
-    "Visit": "candidates",
-    "plan_document": "plan",
-    "plan_mounting": "mounting",
-    "plan_test": "plan",
-    "predict": "candidates",
-    "read_plan": "plan_file",
-    "scenario_text": "plan",
-}
 
 __all__ = [
     "Candidate",
@@ -48,8 +34,12 @@ __all__ = [
     "scenario_text",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _LAZY:
-        return getattr(import_module(f"piga.planning.{_LAZY[name]}"), name)
-    raise AttributeError(f"module 'piga.planning' has no attribute '{name}'")
+__getattr__ = lazy(
+    "piga.planning",
+    {
+        "candidates": "Candidate Prediction Visit predict",
+        "mounting": "Mounting plan_mounting",
+        "plan": "Plan plan_document plan_test scenario_text",
+        "plan_file": "PlanRequest PlanSettings read_plan",
+    },
+)

@@ -12,8 +12,7 @@ quantity and unit on every axis. Second, a :class:`Page` of sections and blocks.
 True
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.page import (
@@ -30,6 +29,7 @@ from piga.reports.render.page import (
     write_page,
 )
 from piga.reports.render.static import figure_svg, write_figure
+from piga.results import lazy
 
 if TYPE_CHECKING:
     from piga.reports.calibration.page import calibration_page, write_calibration_report
@@ -38,15 +38,6 @@ if TYPE_CHECKING:
     from piga.reports.render.axes import draw
     from piga.reports.trend import write_trend_report
 
-_LAZY = {
-    "calibration_page": "calibration.page",
-    "draw": "render.axes",
-    "write_calibration_report": "calibration.page",
-    "write_check": "check",
-    "write_plan_report": "planning",
-    "write_trend_report": "trend",
-}
-"""Pages of the subjects, and Matplotlib, are imported when they are used."""
 
 __all__ = [
     "Axis",
@@ -74,8 +65,14 @@ __all__ = [
     "write_trend_report",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _LAZY:
-        return getattr(import_module(f"piga.reports.{_LAZY[name]}"), name)
-    raise AttributeError(f"module 'piga.reports' has no attribute '{name}'")
+__getattr__ = lazy(
+    "piga.reports",
+    {
+        "calibration.page": "calibration_page write_calibration_report",
+        "check": "write_check",
+        "planning": "write_plan_report",
+        "render.axes": "draw",
+        "trend": "write_trend_report",
+    },
+)
+"""Pages of the subjects, and Matplotlib, are imported when they are used."""
