@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Array = NDArray[np.float64]
+"""An array of numbers."""
 SAMPLED = 64
 """Elements at each end of an array that its hash looks at."""
 

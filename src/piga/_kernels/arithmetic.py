@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.jit import exact, inline, kernel
+from piga._kernels.jit import Array, exact, inline, kernel
 
 PI_HIGH = math.pi
 PI_LOW = 1.2246467991473532e-16
@@ -104,8 +104,6 @@ def divide(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float
 def _negative(a: tuple[float, float]) -> tuple[float, float]:
     return -a[0], -a[1]
 
-
-Array = NDArray[np.float64]
 
 MOST_GROWTH = 2.0
 """The second derivative in an interval is at most this multiple of the smaller one of its neighbours."""

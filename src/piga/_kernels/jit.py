@@ -17,16 +17,19 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 
 import numba
+import numpy as np
 from numba import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime.nrt import rtsys
+from numpy.typing import NDArray
 
 try:
     import fcntl
 except ImportError:  # Windows: every process compiles for itself
     fcntl = None  # type: ignore[assignment]
 
+Array = NDArray[np.float64]
 F = TypeVar("F", bound=Callable[..., Any])
 
 LOCK = "compiling.lock"

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
-from piga.results import Plotted, Result
-
-Array = NDArray[np.float64]
+from piga.results import Array, Plotted, Result
 
 
 @dataclass(frozen=True)

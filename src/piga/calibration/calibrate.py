@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.calibration.budget.monte_carlo import put_to_the_test
@@ -87,10 +86,8 @@ from piga.records.calibration import (
 from piga.records.run import Run
 from piga.records.spool import extent
 from piga.records.terms import si_factor, term_names, unit_of
+from piga.results import Array
 from piga.threads import one_thread
-
-Array = NDArray[np.float64]
-
 
 STEPS = 5
 """Steps of a calibration that ``progress`` hears of."""

@@ -33,9 +33,7 @@ from piga.records.calibration import Calibration
 from piga.records.limits import LARGEST_SAMPLE
 from piga.records.run import Run, begins_stretch
 from piga.records.spool import spans
-from piga.results import Result
-
-Array = NDArray[np.float64]
+from piga.results import Array, Result
 
 NONE = np.zeros(0)
 NO_RATES = np.zeros((0, 3))

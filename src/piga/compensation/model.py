@@ -15,8 +15,7 @@ from piga._kernels.compensation.record import InstrumentArrays
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.terms import harmonic, si_factor
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 RANGE_MARGIN = 0.05
 """Margin beyond the calibrated range before a value is flagged, as a share of the range."""

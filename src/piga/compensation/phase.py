@@ -17,8 +17,7 @@ from piga.errors import CalibrationError
 from piga.records.calibration import Calibration
 from piga.records.run import Run
 from piga.records.spool import spans
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 
 def integrated_rate(t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:

@@ -21,7 +21,7 @@ from piga.formats.parquet_writer import number_column
 from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.run import Run
-from piga.results import Column, Plotted, Reported, Result, Tabular
+from piga.results import Array, Column, Plotted, Reported, Result, Tabular
 
 WRITTEN_UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
 """Unit of each column that is neither a force nor an increment."""
@@ -181,9 +181,6 @@ def write_table(path: Path, columns: Mapping[str, NDArray], kind: str, notes: tu
             writer.write(
                 {name: np.asarray(column)[start : start + GROUP_ROWS] for name, column in columns.items()}
             )
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

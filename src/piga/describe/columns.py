@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from piga.errors import UnitError
 from piga.formats.text.time_stamp import forms_of
+from piga.results import Array
 from piga.units import G0, parse_unit
 
 Kind = Literal[
@@ -207,8 +208,6 @@ def fact(line: str) -> tuple[str, str] | None:
             return key, f"{value} {unit.group(1)}" if unit and key != "instrument.serial" else value
     return None
 
-
-Array = NDArray[np.float64]
 
 LIKE: dict[str, str] = {
     "time": "s",

@@ -20,8 +20,7 @@ from piga.formats.text.reader import TextStream
 from piga.formats.text.time_stamp import forms_of
 from piga.reading.raw_columns import TEXT_SUFFIXES, columns_stream, file_kind, open_stream
 from piga.records.run_file import DataTable, OutputColumn
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 MOST_LOG_ROWS = 2_000_000
 """Rows of a log whose values are examined."""

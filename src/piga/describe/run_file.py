@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.describe.columns import WORDS, ColumnGuess, Values
 from piga.describe.draft import RunFileDraft, number_in, quantity_text
@@ -20,10 +19,9 @@ from piga.describe.signals import one_of_each_axis, put_instrument, put_output, 
 from piga.errors import DataError
 from piga.records.run import Run
 from piga.records.text_files import toml_value
+from piga.results import Array
 from piga.stand.run_reference import read_run
 from piga.units import parse_unit
-
-Array = NDArray[np.float64]
 
 MOST_DAMAGED = 0.01
 """Largest share of damaged rows that a draft leaves out by itself."""

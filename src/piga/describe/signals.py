@@ -17,10 +17,9 @@ from piga.describe.columns import WORDS, ColumnGuess, Values
 from piga.describe.draft import RunFileDraft, number_in, quantity_text
 from piga.describe.log import LogDescription
 from piga.errors import ArgumentError, UnitError
+from piga.results import Array
 from piga.stand.scenario import head_positions
 from piga.units import G0, parse_unit, to_si
-
-Array = NDArray[np.float64]
 
 WIDTHS = (8, 12, 16, 20, 24, 32)
 """Usual widths of counters [bits]."""

@@ -9,11 +9,10 @@ from __future__ import annotations
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from piga.errors import ArgumentError
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 
 def float_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:

@@ -14,12 +14,12 @@ import math
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from piga.errors import ArgumentError
 from piga.instrument.parameters import Instrument
+from piga.results import Array
 
-Array = NDArray[np.float64]
 Regime = Literal["zero", "critical", "locked", "running"]
 
 _ROUNDING = 2.0 * float(np.finfo(np.float64).eps)

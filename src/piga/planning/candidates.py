@@ -32,7 +32,7 @@ from piga.planning.plan_file import PlanRequest
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, harmonic, si_factor
-from piga.results import Result
+from piga.results import Array, Result
 from piga.stand import Composite, simulate_test
 from piga.stand.imperfections import NONE
 from piga.stand.profile import Stand
@@ -42,8 +42,6 @@ from piga.stand.scenario import (
     SimpleStand,
 )
 from piga.stand.write_run import given_values
-
-Array = NDArray[np.float64]
 
 STARTS = 4
 """Number of evenly spaced starting angles of the gimbal for the average of the information."""

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import CalibrationError
+from piga.results import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 

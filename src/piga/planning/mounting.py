@@ -12,17 +12,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, CalibrationError
 from piga.planning.plan_file import PlanRequest
-from piga.results import Result
+from piga.results import Array, Result
 from piga.stand.imperfections import NONE
 from piga.stand.machines.turning import position_range
 from piga.threads import with_one_thread
 from piga.units import to_si
-
-Array = NDArray[np.float64]
 
 ROWS_AT_ONCE = 20000
 """Profile rows compared at a time."""

@@ -14,7 +14,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.errors import CalibrationError, IdentifiabilityError
@@ -44,13 +43,11 @@ from piga.planning.plan_file import PlanRequest
 from piga.progress import Progress, Steps
 from piga.records.terms import unit_of
 from piga.records.text_files import toml_text
-from piga.results import Plotted, Reported, Result
+from piga.results import Array, Plotted, Reported, Result
 from piga.stand.scenario import DividingHeadTable
 from piga.stand.write_run import given_values
 from piga.threads import with_one_thread
 from piga.units import G0
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

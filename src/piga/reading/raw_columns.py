@@ -24,8 +24,7 @@ from piga.records.calibration import Event, Tally
 from piga.records.limits import LARGEST_SAMPLE, MAX_SEGMENTS, open_regular, read_whole
 from piga.records.run_file import DataTable
 from piga.records.spool import Arrays, arrays_like, spans
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn")
 """Endings of separated text. ``.lvm`` is written by LabVIEW."""

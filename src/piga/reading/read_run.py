@@ -39,9 +39,8 @@ from piga.records.run import Run, TimeBase, drop_repeats, examine_time
 from piga.records.run_file import RunFile, read_run_file
 from piga.records.spool import gathered, scaled, spans
 from piga.records.text_files import toml_bytes
+from piga.results import Array
 from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
-
-Array = NDArray[np.float64]
 
 StandReference = Callable[
     [dict[str, Any], Path, Array, NDArray[np.int32], tuple[str, ...]], tuple[Array, Array]

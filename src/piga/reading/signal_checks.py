@@ -17,9 +17,8 @@ from piga.errors import DataError
 from piga.records.calibration import Event, Tally
 from piga.records.run_file import LeftOutTable
 from piga.records.spool import Arrays, spans, steps
+from piga.results import Array
 from piga.units import G0
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,7 @@ from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
 from piga.records.spool import Arrays, exact_median, spans, steps
 from piga.records.terms import check_terms
 from piga.records.text_files import RENAMED
-from piga.results import Column, Plotted, Reported, Result, Tabular, above
-
-Array = NDArray[np.float64]
+from piga.results import Array, Column, Plotted, Reported, Result, Tabular, above
 
 
 @dataclass(frozen=True, eq=False, repr=False)

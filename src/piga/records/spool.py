@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from piga.errors import DataError
+from piga.results import Array
 
 BLOCK = 1 << 16
 """Rows per block. A few columns of a block fit into the second-level cache."""
@@ -292,8 +293,6 @@ class _Watch:
 
 _watch = _Watch()
 
-
-Array = NDArray[np.float64]
 
 WHOLE = 1 << 21
 """Largest number of distinct values that are kept."""

@@ -11,13 +11,12 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.frames import rotation_vector_to_matrix
+from piga.results import Array
 from piga.units import to_si
 
-Array = NDArray[np.float64]
 Vector = tuple[float, ...]
 Harmonic = tuple[int, float, float]
 

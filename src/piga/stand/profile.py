@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
-from piga.results import Result
+from piga.results import Array, Result
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.tide import EarthTide
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

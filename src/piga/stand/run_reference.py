@@ -31,14 +31,12 @@ from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import REPEATED, Draw, ModelTable, RunFile, check_run_file, drawn_for
 from piga.records.spool import arrays_like, spans
-from piga.results import Result
+from piga.results import Array, Result
 from piga.stand.imperfections import GENERAL, Imperfections, imperfections
 from piga.stand.profile import Segment, Stand, force_change
 from piga.stand.scenario import CompositeTable, SimpleStand
 from piga.stand.simulate import SimulatedTest
 from piga.units import from_si
-
-Array = NDArray[np.float64]
 
 TIMED = ("vibration-table", "profile", "composite")
 """Stands that are matched to a record by time."""

@@ -27,7 +27,7 @@ from piga.instrument.twin.linear import analyse_loop, require_stable, servo_forc
 from piga.instrument.twin.parameters import TwinParameters
 from piga.instrument.twin.run import Start, TwinMotion, run_twin
 from piga.progress import Progress, Steps
-from piga.results import Plotted, Reported, Result
+from piga.results import Array, Plotted, Reported, Result
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.profile import Profile, Segment, Stand, sample_stand
 from piga.stand.tide import EarthTide
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from piga.records.run import Run
     from piga.records.run_file import ModelTable
 
-Array = NDArray[np.float64]
 Model = Literal["quasi-steady", "twin"]
 Harmonics = Mapping[int, tuple[float, float]]
 _WAVE_STEP = 0.05

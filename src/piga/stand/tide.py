@@ -18,13 +18,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.earth import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS, Site
-from piga.results import Result
+from piga.results import Array, Result
 from piga.units import ARCSEC, DAY
-
-Array = NDArray[np.float64]
 
 GRAVIMETRIC_FACTORS = (1.157, 1.154, 1.162)
 """Gravimetric factors of degree 2: long-period, diurnal (that of O1) and semidiurnal part [Dehant1999]."""

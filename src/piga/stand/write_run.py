@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.formats.parquet_writer import label_column, number_column
@@ -27,6 +26,7 @@ from piga.instrument.twin.linear import (
 from piga.instrument.twin.parameters import TwinParameters
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 from piga.records.text_files import toml_text
+from piga.results import Array
 from piga.stand.imperfections import Imperfections
 from piga.stand.scenario import Scenario
 from piga.stand.simulate import SimulatedTest
@@ -34,8 +34,6 @@ from piga.units import G0, parse_unit
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from piga.records.calibration import Calibration, CalibrationFigures, Coefficien
 from piga.records.calibration.coefficient import TYPE_A_ONLY, Coverage, coverage_factor, is_of_reference
 from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
-from piga.results import Reported, Result, plotted
+from piga.results import Array, Reported, Result, plotted
 from piga.threads import with_one_thread
 from piga.trend.trend_line import (
     TREND,
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 YEAR = 31557600.0
 """One year [s], as the unit ``year``."""

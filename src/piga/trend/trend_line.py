@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from piga._kernels.estimation.trend import Points, days_so_far, inner_excess, merge_days
 from piga.errors import ArgumentError
 from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
-from piga.results import Result
+from piga.results import Array, Result
 
-Array = NDArray[np.float64]
 Values = Any
 """A float for one line, or an array (k,) for k lines."""
 

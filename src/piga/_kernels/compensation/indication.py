@@ -42,14 +42,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from piga._kernels.arithmetic import LIMIT, bow_of, fast_sine_cosine, limited
 from piga._kernels.compensation import layout as at
-from piga._kernels.jit import exact, inline, kernel
-
-Array = NDArray[np.float64]
+from piga._kernels.jit import Array, exact, inline, kernel
 
 FAR_TURN = 0.25
 """Largest half turn in an interval [rad] for the series."""

@@ -17,10 +17,8 @@ from piga._kernels.compensation import indication as indicated
 from piga._kernels.compensation import layout as at
 from piga._kernels.compensation import terms
 from piga._kernels.compensation.indication import padded
-from piga._kernels.jit import exact
+from piga._kernels.jit import Array, exact
 from piga._kernels.motion.step import advance, magnus_increments, unwrapped
-
-Array = NDArray[np.float64]
 
 
 class Samples(NamedTuple):

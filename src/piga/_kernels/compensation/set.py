@@ -30,9 +30,7 @@ from piga._kernels.compensation.record import (
     save_last,
     take_rates,
 )
-from piga._kernels.jit import exact, kernel
-
-Array = NDArray[np.float64]
+from piga._kernels.jit import Array, exact, kernel
 
 
 class SetSamples(NamedTuple):

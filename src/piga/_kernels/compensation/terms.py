@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 
 from piga._kernels.compensation import layout as at
 from piga._kernels.estimation.regressors import half_angle_moments
-from piga._kernels.jit import exact, inline
-
-Array = NDArray[np.float64]
+from piga._kernels.jit import Array, exact, inline
 
 NEAR = 1.25
 """Near-critical: ``|a_x|`` below this multiple of ``a_t tan(beta)``."""

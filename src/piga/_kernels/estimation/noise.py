@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.arithmetic import fast_sine_cosine
-from piga._kernels.jit import kernel, reducing_kernel
-
-Array = NDArray[np.float64]
+from piga._kernels.jit import Array, kernel, reducing_kernel
 
 LARGE, SMALL = 2.0**300, 2.0**-300
 """Size above which the recurrence of the variances is scaled down, and the scale factor."""

@@ -7,9 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.jit import kernel
-
-Array = NDArray[np.float64]
+from piga._kernels.jit import Array, kernel
 
 CONFIRM = 8
 """Samples that must agree on another level before it counts as a jump."""

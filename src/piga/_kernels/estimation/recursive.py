@@ -7,9 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.jit import kernel
-
-Array = NDArray[np.float64]
+from piga._kernels.jit import Array, kernel
 
 
 @kernel

@@ -16,9 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels import arithmetic as dd
-from piga._kernels.jit import exact, kernel, reducing_kernel
-
-Array = NDArray[np.float64]
+from piga._kernels.jit import Array, exact, kernel, reducing_kernel
 
 NOTHING = 1e-29
 """Share of an element below which a remainder is double-double rounding."""

@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.jit import kernel
+from piga._kernels.jit import Array, kernel
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 STEPS = 100

@@ -12,10 +12,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.jit import kernel
+from piga._kernels.jit import Array, kernel
 from piga._kernels.motion.step import step_functions
 
-Array = NDArray[np.float64]
 Three = tuple[float, float, float]
 
 NODE = math.sqrt(0.6)

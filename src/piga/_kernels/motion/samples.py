@@ -6,10 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga._kernels.arithmetic import double_arctangent
-from piga._kernels.jit import inline, kernel
+from piga._kernels.jit import Array, inline, kernel
 from piga._kernels.motion.step import (
     BLOCK,
     GOOD,
@@ -27,8 +26,6 @@ from piga._kernels.motion.step import (
     run_block,
     unwrapped,
 )
-
-Array = NDArray[np.float64]
 
 LENGTH = PAIR_P
 """Row of interval lengths [s] during :func:`steps_from_means`; it holds the pairs later."""

@@ -14,11 +14,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from piga._kernels.jit import kernel
-
-Array = NDArray[np.float64]
+from piga._kernels.jit import Array, kernel
 
 STATES = 5
 STAGES = 12

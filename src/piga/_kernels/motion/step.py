@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 
 from piga._kernels import arithmetic as dd
 from piga._kernels.arithmetic import double_arctangent
-from piga._kernels.jit import exact, inline, kernel, prefetch
-
-Array = NDArray[np.float64]
+from piga._kernels.jit import Array, exact, inline, kernel, prefetch
 
 BLOCK = 256
 HALF = BLOCK // 2

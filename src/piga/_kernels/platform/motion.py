@@ -6,12 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from piga._kernels.jit import inline, kernel
+from piga._kernels.jit import Array, inline, kernel
 from piga._kernels.motion.step import step_functions
-
-Array = NDArray[np.float64]
 
 
 class Misalignment(NamedTuple):

@@ -11,11 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from piga._kernels.jit import inline, kernel
-
-Array = NDArray[np.float64]
+from piga._kernels.jit import Array, inline, kernel
 
 
 class ErrorDynamics(NamedTuple):

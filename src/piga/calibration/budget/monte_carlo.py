@@ -20,8 +20,7 @@ from piga.calibration.fit.one_run import Fit
 from piga.records.calibration import BudgetEntry, Coefficient, MonteCarlo, MonteCarloCheck
 from piga.records.calibration.coefficient import coverage_factor
 from piga.records.terms import si_factor
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.intervals.added_noise import positive_root
 from piga.calibration.model.reduction import Reduction
@@ -27,14 +26,12 @@ from piga.records.run import Run
 from piga.records.run_file import UNCERTAINTY_UNITS, Draw, drawn_for
 from piga.records.spool import arrays_like, scaled, spans
 from piga.records.terms import si_factor, unit_of
-from piga.results import Result
+from piga.results import Array, Result
 from piga.stand import stand_changes
 from piga.units import G0, from_si
 
 if TYPE_CHECKING:
     from piga.calibration.fit.one_run import Fit
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

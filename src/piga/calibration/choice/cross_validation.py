@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.records.run import Run
-from piga.results import Result
-
-Array = NDArray[np.float64]
+from piga.results import Array, Result
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,6 @@ from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_terms, term_names
 from piga.threads import with_one_thread
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class TermSet:

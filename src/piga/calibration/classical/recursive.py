@@ -21,9 +21,8 @@ from piga.calibration.model.request import Request
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import weighted_blocks
 from piga.records.run import Run
+from piga.results import Array
 from piga.units import G0
-
-Array = NDArray[np.float64]
 
 HISTORY = 400
 """Points of the stored history; a tenth of it when every segment has its own phase."""

@@ -36,8 +36,7 @@ from piga.records.calibration import (
     SegmentSummary,
 )
 from piga.records.run import Run
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 FULL_TURN = 2.0 * np.pi
 

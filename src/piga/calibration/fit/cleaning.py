@@ -25,8 +25,7 @@ from piga.reading.signal_checks import largest_size
 from piga.records.calibration import Event, Outlier
 from piga.records.run import Run
 from piga.records.spool import arrays_like, spans, steps
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 
 @dataclass(frozen=True)

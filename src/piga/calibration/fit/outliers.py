@@ -22,8 +22,8 @@ from piga.calibration.noise.weighting import Whitener, residual_increments
 from piga.errors import DataError
 from piga.records.run import Run
 from piga.records.spool import arrays_like, gathered, spans, steps
+from piga.results import Array
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.int8]
 
 

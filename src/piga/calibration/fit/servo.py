@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.model.design import PHASELESS, STIFFNESS_COLUMNS, Design, Names, ServoState
 from piga.calibration.model.identifiability import examine_parts, refuse_if_confounded
@@ -23,8 +22,7 @@ from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import reduce_segments
 from piga.errors import IdentifiabilityError
 from piga.records.terms import SERVO_TERMS
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,6 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga._kernels.estimation.noise import CANDIDATES
 from piga.calibration.fit.one_run import Colour, FaintWalk, Fit, log_determinant, whitened_rows, without_slow
@@ -43,8 +42,7 @@ from piga.calibration.noise.weighting import (
     Whitener,
     reduce_segments,
 )
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 
 @dataclass(frozen=True)

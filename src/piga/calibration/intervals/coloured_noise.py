@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.fit.one_run import Colour, Fit
 from piga.calibration.intervals.slow_noise import means_of_bins, moved_by, slow_factor, triangle
@@ -21,8 +20,7 @@ from piga.calibration.model.solution import name_coefficients
 from piga.calibration.noise.components import RATES, RateBins, markov_times
 from piga.calibration.noise.likelihood import Contrasts, Levels, estimate
 from piga.calibration.noise.settings import NOISE
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 JUMPING = ("drift", "scatter")
 """Components that angle logs may be weighted by (:mod:`~piga.calibration.intervals.slow_noise`)."""

@@ -21,11 +21,10 @@ from piga.calibration.noise.likelihood import information
 from piga.calibration.noise.settings import NOISE
 from piga.calibration.noise.weighting import reduce_segments
 from piga.records.spool import spans
+from piga.results import Array
 
 if TYPE_CHECKING:
     from piga.calibration.fit.one_run import Fit
-
-Array = NDArray[np.float64]
 
 
 def level_information(lengths: ArrayLike, step: float, noise: Noise, fitted: int) -> Array:

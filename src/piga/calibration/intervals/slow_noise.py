@@ -16,7 +16,6 @@ from itertools import pairwise
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga._kernels.estimation.noise import CANDIDATES
 from piga.calibration.fit.one_run import Fit, whitened_rows
@@ -35,8 +34,7 @@ from piga.calibration.noise.weighting import (
     residual_increments,
     slow_bases,
 )
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 
 @dataclass(frozen=True)

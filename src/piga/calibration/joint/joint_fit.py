@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.budget.uncertainty import SharedSource
 from piga.calibration.fit.servo import at_state, find_state, mixture, refuse_if_servo_confounded
@@ -29,8 +28,7 @@ from piga.progress import Steps
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_terms, harmonic
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,8 @@ from piga.records.calibration import (
     SegmentScatter,
     SegmentSummary,
 )
+from piga.results import Array
 
-Array = NDArray[np.float64]
 _LivePart = tuple[Residuals, tuple[SegmentSummary, ...], SegmentScatter, Products]
 """Residuals of a run under the joint estimate, its segments, their scatter, and its lagged products."""
 

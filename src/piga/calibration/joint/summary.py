@@ -15,7 +15,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.calibration.budget.uncertainty import Source, sources, stated_scatter
@@ -38,10 +37,8 @@ from piga.records.run_file import Draw
 from piga.records.spool import spans
 from piga.records.terms import SERVO_TERMS, check_name, harmonic
 from piga.records.text_files import JsonError, decode_json, schema_of
-from piga.results import Result
+from piga.results import Array, Result
 from piga.threads import with_one_thread
-
-Array = NDArray[np.float64]
 
 STATIC_TERMS = (
     "scale_factor", "tan_beta", "k0", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t",

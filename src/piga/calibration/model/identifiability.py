@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
@@ -13,9 +12,8 @@ from piga.calibration.model.solution import Layout, layout_of, merged_groups
 from piga.errors import IdentifiabilityError
 from piga.records.calibration import Coefficient, SegmentScatter
 from piga.records.terms import harmonic
+from piga.results import Array
 from piga.units import G0
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,11 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from piga._kernels.estimation.square_root import absorb, back_substitute, gather
 from piga.errors import ArgumentError
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 BLOCK = 1024
 """Rows reduced at a time; a block of ten columns fits in the second-level cache."""

@@ -10,16 +10,14 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, CalibrationError
 from piga.records.run import Run
 from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES
 from piga.records.spool import arrays_like, exact_median, means, spans, steps
 from piga.records.terms import SERVO_TERMS, check_terms, harmonic, term_names
+from piga.results import Array
 from piga.units import to_si
-
-Array = NDArray[np.float64]
 
 PUBLISHED_TERMS = (("tan_beta",), ("tan_beta", "k0", "k1", "k2"))
 

@@ -17,8 +17,7 @@ from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.errors import CalibrationError
 from piga.records.calibration import Coefficient
 from piga.records.terms import si_factor, unit_of
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 KNOTS = 32
 """Number of steps of a bias drift over a record; the rate is linear in time between them."""

@@ -17,12 +17,10 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.noise.settings import NOISE
 from piga.records.run import Run
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 
 @dataclass(frozen=True)

@@ -44,8 +44,7 @@ from piga.calibration.noise.stretches import (
 )
 from piga.calibration.noise.weighting import NoiseColumns
 from piga.records.run import Run
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 
 @dataclass(frozen=True)

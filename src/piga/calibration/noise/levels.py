@@ -7,15 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga._kernels.estimation.noise import CANDIDATES, likelihoods
 from piga.calibration.model.reduction import workers
 from piga.calibration.noise.likelihood import restricted
 from piga.calibration.noise.settings import NOISE
 from piga.records.spool import exact_median, spans
+from piga.results import Array
 
-Array = NDArray[np.float64]
 Information = Callable[[Array], Array]
 """``log|X' V^-1 X|`` (up to a constant) as a function of ``log10(q h/r)``."""
 

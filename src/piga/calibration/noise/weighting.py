@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from piga._kernels.estimation.noise import innovation_weights, whiten
 from piga.calibration.model.design import Block, Design
@@ -23,6 +23,7 @@ from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.settings import NOISE
 from piga.records.run import Run
 from piga.records.spool import arrays_like
+from piga.results import Array
 
 
 class NoiseColumns(Protocol):
@@ -185,8 +186,6 @@ def slow_bases(run: Run) -> tuple[SlowBasis, ...]:
     few = not NOISE.fewest_segments <= len(run.labels) <= NOISE.most_segments
     return (drift,) if few else (drift, SegmentBasis.of(run))
 
-
-Array = NDArray[np.float64]
 
 RATE = "rate of the segment"
 """Name of the scatter column before it is integrated out."""

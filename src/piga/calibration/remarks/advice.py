@@ -28,10 +28,8 @@ from piga.records.calibration.verdict import COUNTED
 from piga.records.run import Run
 from piga.records.spool import gathered
 from piga.records.terms import SERVO_TERMS
-from piga.results import Result
+from piga.results import Array, Result
 from piga.units import G0
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

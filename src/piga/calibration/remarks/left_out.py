@@ -17,7 +17,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from piga.calibration.budget.uncertainty import budget_row
@@ -46,8 +45,8 @@ from piga.calibration.remarks.missing_terms import (
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.records.calibration import BudgetEntry, Coefficient
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
+from piga.results import Array
 
-Array = NDArray[np.float64]
 Names = tuple[str, ...]
 
 

@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.fit.one_run import Fit, whitened_rows
 from piga.calibration.model.identifiability import SEPARATION, term_of
@@ -25,8 +24,6 @@ from piga.calibration.model.solution import (
 )
 from piga.calibration.noise.weighting import SegmentBasis
 from piga.records.calibration import Coefficient, SegmentLeverage
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -46,9 +46,8 @@ from piga.calibration.remarks.missing_terms import Tested, after_change, joined_
 from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.spool import extent, spans
 from piga.records.terms import si_factor
+from piga.results import Array
 from piga.units import G0
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,7 @@ from piga.compensation.model import Limits, Model, Phase, age_flag, make_model
 from piga.compensation.result import CompensatedSet
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
-from piga.results import Result
-
-Array = NDArray[np.float64]
+from piga.results import Array, Result
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from piga.records.run import Run
 from piga.records.run_file import Quantity
 from piga.records.spool import give_back, spans, trim
 from piga.records.text_files import toml_bytes, toml_document
+from piga.results import Array
 from piga.stand.run_reference import read_run
 from piga.units import to_si
 
@@ -275,8 +276,6 @@ def orthogonal_triad(calibrations: list[Calibration]) -> list[Mounted]:
     """
     return [Mounted(c, np.roll(np.eye(3), -i, axis=0)) for i, c in enumerate(calibrations)]
 
-
-Array = NDArray[np.float64]
 
 READINGS = 1 << 15
 """Number of instruments times rows processed at once."""

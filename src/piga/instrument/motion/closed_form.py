@@ -27,7 +27,7 @@ import math
 from typing import Literal, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from piga._kernels import arithmetic as dd
 from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, constant_motion_at, split_turns
@@ -35,9 +35,9 @@ from piga.errors import ArgumentError
 from piga.instrument.checks import require_finite
 from piga.instrument.parameters import Instrument
 from piga.instrument.regimes import effective_rates
+from piga.results import Array
 
 Case = Literal[1, 2, 3, 4]
-Array = NDArray[np.float64]
 
 
 def _case_2(p0: float, phase: Array, sign: float) -> Array:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from piga._kernels.motion.function_motion import lay_steps, steps_of_panels
 from piga._kernels.motion.step import propagate_steps
@@ -18,8 +18,8 @@ from piga.errors import ArgumentError
 from piga.instrument.checks import require_finite, require_increasing, time_array
 from piga.instrument.motion.sampled_motion import initial_state
 from piga.instrument.parameters import Instrument
+from piga.results import Array
 
-Array = NDArray[np.float64]
 Force = Callable[..., ArrayLike]
 
 DEGREE = 16

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Literal, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from piga._kernels.motion.samples import PARAMETERS, MotionSamples, propagate_samples, propagate_sensitivities
 from piga._kernels.motion.samples import propagate_increments as run_increments
@@ -24,9 +24,8 @@ from piga._kernels.motion.step import GOOD, TWO_PI_HIGH, TWO_PI_LOW, segment_mot
 from piga.errors import ArgumentError
 from piga.instrument.checks import explain, float_array, require_finite, time_array
 from piga.instrument.parameters import ErrorModel, Instrument
-from piga.results import Result
+from piga.results import Array, Result
 
-Array = NDArray[np.float64]
 _EMPTY = float_array("empty", np.empty(0))
 _EMPTY_VECTORS = float_array("empty", np.empty((0, 3)))
 _NO_OUTPUT = np.empty(0)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
+from piga.results import Array
 
-Array = NDArray[np.float64]
 Kind = Literal["counts", "angle", "rate"]
 
 

@@ -24,9 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga.errors import ArgumentError, PigaError
 from piga.instrument.twin.parameters import TwinParameters
-from piga.results import Result
+from piga.results import Array, Result
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Polynomial = NDArray[np.floating]
 

@@ -13,9 +13,8 @@ from piga._kernels.motion import servo
 from piga.errors import ArgumentError, PigaError
 from piga.instrument.checks import float_array, require_finite, require_increasing, time_array
 from piga.instrument.twin.parameters import TwinParameters
-from piga.results import Result
+from piga.results import Array, Result
 
-Array = NDArray[np.float64]
 Start = Literal["slow-manifold", "transient"]
 
 ACCURACY = 1e-12

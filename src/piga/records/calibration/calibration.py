@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from piga.records.calibration.budget import BudgetTable, TypeB
 from piga.records.calibration.coefficient import TYPE_A_ONLY, Coefficient, is_of_reference, rounded
@@ -27,6 +27,7 @@ from piga.records.calibration.diagnostics import (
 )
 from piga.records.calibration.verdict import Verdict, verdict
 from piga.results import (
+    Array,
     ByValue,
     Column,
     Correlated,
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
 
     from piga.instrument.parameters import ErrorModel, Instrument
 
-Array = NDArray[np.float64]
 
 _SHOWN, _DOUBTS = 5, 3
 """Lines of ``repr`` for coefficients and for doubts. With heading and verdict it has ten lines at most."""

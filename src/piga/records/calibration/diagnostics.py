@@ -14,10 +14,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from piga.records.calibration.budget import Number
-from piga.results import Column, Plotted, Result, Tabular
-
-Array = NDArray[np.float64]
-
+from piga.results import Array, Column, Plotted, Result, Tabular
 
 Count = Annotated[int, Meta(ge=0)]
 """A number of rows or events. This limit and the next two are checked when a record is read."""

@@ -14,7 +14,6 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.errors import CalibrationError, PigaError, UnitError
 from piga.output import settle
@@ -40,9 +39,9 @@ from piga.records.limits import check_label, read_whole
 from piga.records.run_file import Method, Phases, PhaseSource
 from piga.records.terms import check_name, unit_of
 from piga.records.text_files import JsonError, decode_json, schema_of
+from piga.results import Array
 from piga.units import conversion_factor, from_si
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 SCHEMA = "piga.calibration/1"

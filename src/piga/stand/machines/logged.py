@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, DataError
 from piga.formats.columns import numbers_of
 from piga.records.limits import open_regular
 from piga.records.spool import Arrays, arrays_like, spans, steps, trim
-from piga.results import Result
+from piga.results import Array, Result
 from piga.stand.imperfections import Imperfections
 from piga.stand.profile import Segment, plan
 from piga.units import conversion_factor
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 
 MOST_PROFILE_ROWS = 1 << 16
 """Profiles with more rows lie on disk, as long records do."""
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -6,16 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.earth import EARTH_RATE, Site
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
-from piga.results import Result
+from piga.results import Array, Result
 from piga.stand.imperfections import Imperfections
 from piga.stand.profile import Segment, plan_holds
-
-Array = NDArray[np.float64]
 
 
 def turned(vector: Array, angle: Array) -> Array:

@@ -8,15 +8,14 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.earth import Site
 from piga.errors import ArgumentError
+from piga.results import Array
 from piga.stand.imperfections import Imperfections
 from piga.stand.machines.turning import horizontal_axis_frame, mount, small_turn
 from piga.stand.profile import Segment, plan
 
-Array = NDArray[np.float64]
 _UP_FIRST = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 _LINES = 256
 
