@@ -12,7 +12,8 @@ import pytest
 import piga
 from piga.calibration.model.design import Design
 from piga.errors import ArgumentError, CalibrationError, RunFileError
-from piga.planning.candidates import _without_phase, coefficient_names, model_request, run_of
+from piga.planning.candidates import _without_phase, coefficient_names, run_of
+from piga.planning.plan_file import request_of
 from piga.planning.mounting import plan_mounting
 from piga.planning.plan_file import read_plan
 from piga.units import G0
@@ -84,7 +85,7 @@ def test_a_phase_of_its_own_costs_information(tmp_path: Path, phase: str) -> Non
     information = spread @ spread.swapaxes(1, 2)
     t, f = np.arange(3.0), np.full((3, 3), G0)
     run = run_of(wish, t, t, f, np.zeros((3, 3)), np.zeros(3, np.int32))
-    result = _without_phase(information, wish, Design(run, model_request(wish), run.scale_factor))
+    result = _without_phase(information, wish, Design(run, request_of(wish.model), run.scale_factor))
     covariance = np.linalg.inv(information)
     order = [name for name in names if name != "phi"] + ["phi"]
     kept = [order.index(name) for name in names]

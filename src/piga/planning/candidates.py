@@ -22,13 +22,12 @@ from piga.calibration.budget.uncertainty import contributions
 from piga.calibration.fit.servo import settled_design, with_mean_servo
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.identifiability import examine, refuse_if_confounded
-from piga.calibration.model.request import Request
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import reduce_segments, weighted_blocks, weighting_mode
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.instrument import Instrument, propagate
-from piga.planning.plan_file import PlanRequest
+from piga.planning.plan_file import PlanRequest, request_of
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, harmonic, si_factor
@@ -127,12 +126,6 @@ def noise_of(request: PlanRequest) -> Noise:
     return noise
 
 
-def model_request(request: PlanRequest) -> Request:
-    """The request that the calibration of the test will make."""
-    model = request.model
-    return Request(tuple(model.terms), model.phases, model.phase_source, "information", None, None, 293.15)
-
-
 def run_of(
     request: PlanRequest, t: Array, output: Array, f: Array, rate: Array, segment: NDArray[np.int32]
 ) -> Run:
@@ -207,7 +200,7 @@ def _segments(request: PlanRequest, candidate: Candidate) -> Design:
     segment = np.repeat(np.arange(STARTS, dtype=np.int32), t.size)
     many = (STARTS, 1)
     run = run_of(request, times, np.concatenate(outputs), np.tile(force, many), np.tile(rate, many), segment)
-    design = Design(run, model_request(request), run.scale_factor)
+    design = Design(run, request_of(request.model), run.scale_factor)
     if "tan_beta" not in design.request.terms:
         return with_mean_servo(design)
     return design.with_servo(_servo_state(request, design)) if design.turning_servo else design
@@ -337,7 +330,7 @@ def predict(
     """
     run = noiseless_run(request, visits)
     duration = duration_of(visits, request.move)
-    noise, wish = noise_of(request), model_request(request)
+    noise, wish = noise_of(request), request_of(request.model)
     design = Design(run, wish, run.scale_factor)
     mode = weighting_mode(design, "information")
     try:

@@ -17,7 +17,7 @@ from piga.errors import ArgumentError, CalibrationError
 from piga.planning.plan_file import PlanRequest
 from piga.results import Array, Result
 from piga.stand.imperfections import NONE
-from piga.stand.machines.turning import position_range
+from piga.stand.machines.turning import angles_of_range
 from piga.threads import with_one_thread
 from piga.units import to_si
 
@@ -111,12 +111,7 @@ def plan_mounting(request: PlanRequest) -> Mounting | None:
 
 
 def _angles(text: str, what: str) -> Array:
-    numbers, _, unit = text.strip().partition(" ")
-    parts = numbers.split(":")
-    if len(parts) != 3:
-        raise ArgumentError(f"[mounting] {what}: '{text}' is not a range", remedy="write e.g. '0:91:1 deg'")
-    first, last, step = (to_si(f"{part} {unit}", "rad", what=f"[mounting] {what}") for part in parts)
-    return np.array(position_range(first, last, step))
+    return np.array(angles_of_range(text, f"[mounting] {what}", "0:91:1 deg"))
 
 
 def _axes(skew: float, clocks: Array) -> Array:

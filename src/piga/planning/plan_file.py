@@ -140,6 +140,11 @@ def _converted(table: dict[str, Any], kind: type[T], name: str) -> T:
         ) from None
 
 
+def request_of(model: ModelTable) -> Request:
+    """The request that the calibration of the test will make."""
+    return Request(tuple(model.terms), model.phases, model.phase_source, "information", None, None, 293.15)
+
+
 def _check(table: PlanTable, model: ModelTable) -> None:
     """Refuse requests that the information of single positions cannot answer."""
     for name in model.terms:
@@ -153,9 +158,7 @@ def _check(table: PlanTable, model: ModelTable) -> None:
             "[truth] lacks beta: the uncertainty of its phase depends on the size of tan_beta",
             remedy='add the expected size, e.g. beta = "20 arcsec"',
         )
-    check_servo(
-        Request(tuple(model.terms), model.phases, model.phase_source, "information", None, None, 293.15)
-    )
+    check_servo(request_of(model))
     if table.electronics.bias_random_walk != 0.0:
         raise RunFileError(
             "[electronics] bias_random_walk is not part of the noise model of the estimator",

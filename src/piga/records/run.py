@@ -303,11 +303,12 @@ class Run(Result, Plotted, Reported, Tabular):
         >>> run.size, round(float(run.f[0, 0]), 5)
         (4, 9.80665)
         """
-        instrument: dict[str, object] = {"serial": serial, "scale_factor": scale_factor}
-        if counts_per_revolution is not None:
-            instrument["counts_per_revolution"] = counts_per_revolution
-        if counter_bits is not None:
-            instrument["counter_bits"] = counter_bits
+        instrument = {
+            "serial": serial,
+            "scale_factor": scale_factor,
+            "counts_per_revolution": counts_per_revolution,
+            "counter_bits": counter_bits,
+        }
         columns = {
             "time": None if sample_rate is not None else time,
             "sample_rate": sample_rate,
@@ -324,9 +325,8 @@ class Run(Result, Plotted, Reported, Tabular):
             "model": msgspec.to_builtins(_table("model", model, ModelTable)),
             "estimation": msgspec.to_builtins(_table("estimation", estimation, EstimationTable)),
             "uncertainty": msgspec.to_builtins(_table("uncertainty", uncertainty, UncertaintyTable)),
+            "stand": stand,
         }
-        if stand is not None:
-            tables["stand"] = stand
         made: Run = above("run_from_table")(table, columns, tables, dict(units or {}))
         return made
 
@@ -581,8 +581,6 @@ def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64], 
         if part.start == 0:
             same[0] = False
         begins[part] = ~same | begins_stretch(step, nominal)
-        if not (same & (gap | back)).any():
-            continue
         gap &= same
         backs.see(part.start + np.flatnonzero(same & back))
         gaps.see(part.start + np.flatnonzero(gap))

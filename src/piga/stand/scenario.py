@@ -28,7 +28,7 @@ from piga.stand.machines.turning import (
     DividingHead,
     RateTable,
     SpinPlan,
-    position_range,
+    angles_of_range,
     rates_for_levels,
 )
 from piga.stand.machines.vibration import Drive, VibrationTable
@@ -155,12 +155,7 @@ def head_positions(value: str | Sequence[Quantity]) -> tuple[float, ...]:
     """Angles [rad] of a dividing head, from ``"start:stop:step unit"`` or a list of angles."""
     if not isinstance(value, str):
         return _each(value, "rad", "positions")
-    numbers, _, unit = value.strip().partition(" ")
-    parts = numbers.split(":")
-    if len(parts) != 3:
-        raise ArgumentError(f"[stand] positions: '{value}' is not a range", remedy="write e.g. '0:360:15 deg'")
-    first, last, step = (_si(f"{part} {unit}", "rad", "positions") for part in parts)
-    return position_range(first, last, step)
+    return angles_of_range(value, "[stand] positions", "0:360:15 deg")
 
 
 class CentrifugeTable(SiteTable, frozen=True, tag_field="kind", tag="centrifuge"):

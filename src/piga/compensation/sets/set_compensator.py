@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -104,6 +106,10 @@ def check_spread(axes: Array) -> None:
         )
 
 
+def _age_flags(instruments: Sequence[Mounted], max_age_days: float | None) -> int:
+    return reduce(or_, (age_flag(item.calibration, max_age_days) for item in instruments), 0)
+
+
 class PublishedSet:
     """Compensate a set by the published formula [Wei2024], for comparison.
 
@@ -142,9 +148,7 @@ class PublishedSet:
             for item in instruments
         ]
         self._sampled = sampled
-        self._flag = 0
-        for item in instruments:
-            self._flag |= age_flag(item.calibration, max_age_days)
+        self._flag = _age_flags(instruments, max_age_days)
         self._clock = init_state()
         self._last: tuple[Array, Array, Array, Array] | None = None
 
@@ -259,18 +263,11 @@ class SetCompensator:
         self._sampled, self._uncertainty, self._flags = sampled, uncertainty, flags
         self._details = details and flags
         models = [
-            make_model(
-                item.calibration,
-                segment=item.segment,
-                phase=item.phase,
-                limits=limits,
-            )
+            make_model(item.calibration, segment=item.segment, phase=item.phase, limits=limits)
             for item in instruments
         ]
         self._models = models
-        self._flag = 0
-        for item in instruments:
-            self._flag |= age_flag(item.calibration, max_age_days)
+        self._flag = _age_flags(instruments, max_age_days)
         self._count = len(models)
         self._arrays = stacked(models, self._axes)
         self._threshold = fault_threshold(self._count - 3)

@@ -13,6 +13,7 @@ from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.results import Array, Result
 from piga.stand.imperfections import Imperfections
 from piga.stand.profile import Segment, plan_holds
+from piga.units import to_si
 
 
 def turned(vector: Array, angle: Array) -> Array:
@@ -178,6 +179,16 @@ def position_range(first: float, last: float, step: float) -> tuple[float, ...]:
     return tuple(first + step * k for k in range(count))
 
 
+def angles_of_range(text: str, what: str, example: str) -> tuple[float, ...]:
+    """Angles [rad] of a text ``"start:stop:step unit"``; ``what`` and ``example`` are for messages."""
+    numbers, _, unit = text.strip().partition(" ")
+    parts = numbers.split(":")
+    if len(parts) != 3:
+        raise ArgumentError(f"{what}: '{text}' is not a range", remedy=f"write e.g. '{example}'")
+    first, last, step = (to_si(f"{part} {unit}", "rad", what=what) for part in parts)
+    return position_range(first, last, step)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Spin(Result):
     """Angle [rad], rate [rad/s] and angular acceleration [rad/s^2] at some times, (n,) each."""
@@ -236,8 +247,23 @@ class SpinPlan:
         return Spin(angle + ripple * np.sin(angle), rate * swing, acceleration)
 
 
+class Spinning:
+    """Base of stands that turn by a :class:`SpinPlan`."""
+
+    spin: SpinPlan
+
+    @property
+    def fastest(self) -> float:
+        """Step [s] that resolves a ramp and, if the force turns in the base, a revolution."""
+        return self.spin.resolution
+
+    def segments(self) -> tuple[Segment, ...]:
+        """Constant rates or levels (recorded) and ramps (not recorded)."""
+        return self.spin.segments()
+
+
 @dataclass(frozen=True)
-class Centrifuge:
+class Centrifuge(Spinning):
     """A vertical spindle with an arm; the input axis points to the spindle (or away from it).
 
     On the arm (``counter_rotating`` false): ``X0`` inward, ``Z0`` up, ``Y0`` against the motion for
@@ -277,15 +303,6 @@ class Centrifuge:
     def __post_init__(self) -> None:
         if self.radius <= 0.0:
             raise ArgumentError(f"centrifuge radius: {self.radius:g} m is not positive", remedy="e.g. '2.5 m'")
-
-    @property
-    def fastest(self) -> float:
-        """Step [s] that resolves a ramp and, if the force turns in the base, a revolution."""
-        return self.spin.resolution
-
-    def segments(self) -> tuple[Segment, ...]:
-        """Levels (recorded) and ramps (not recorded)."""
-        return self.spin.segments()
 
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
@@ -327,7 +344,7 @@ def rates_for_levels(levels: tuple[float, ...], radius: float, stretch: float = 
 
 
 @dataclass(frozen=True)
-class RateTable:
+class RateTable(Spinning):
     """A table turning about one axis.
 
     With a vertical axis, gravity is constant in the base and the rate adds to it: the term ``-Omega_x`` of the
@@ -361,15 +378,6 @@ class RateTable:
 
     def __post_init__(self) -> None:
         mount(self.along, "rate-table along")
-
-    @property
-    def fastest(self) -> float:
-        """Step [s] that resolves a ramp and, with a horizontal axis, a revolution."""
-        return self.spin.resolution
-
-    def segments(self) -> tuple[Segment, ...]:
-        """Constant rates (recorded) and ramps (not recorded)."""
-        return self.spin.segments()
 
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
