@@ -13,9 +13,8 @@ import piga
 from piga.calibration.model.design import Design
 from piga.errors import ArgumentError, CalibrationError, RunFileError
 from piga.planning.candidates import _without_phase, coefficient_names, run_of
-from piga.planning.plan_file import request_of
 from piga.planning.mounting import plan_mounting
-from piga.planning.plan_file import read_plan
+from piga.planning.plan_file import read_plan, request_of
 from piga.units import G0
 from tests.calibration.made.synthetic import SCALE
 from tests.planning.cases import request
