@@ -15,9 +15,8 @@ from piga.certificate.statements import Conformity, decision_rule, statements, v
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.terms import meaning_of, shown_unit
+from piga.reports.calibration.budget import DESCRIBED, budget_table
 from piga.reports.calibration.tables import (
-    DESCRIBED,
-    budget_table,
     common_coefficients,
     correlation_table,
     factor,

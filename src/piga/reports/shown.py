@@ -101,7 +101,7 @@ def _coefficient(c: Any) -> Card:
 
 
 def _budget(budget: Any) -> Card:
-    from piga.reports.calibration.tables import source_in_words
+    from piga.reports.calibration.budget import source_in_words
 
     table = (
         TableOf(list(budget)[:MOST_ROWS])

@@ -16,7 +16,7 @@ from scipy import stats
 
 from piga.calibration.budget.uncertainty import with_given_servo
 from piga.certificate.certificate_file import ConformityTable
-from piga.certificate.dcc.dsi_units import DIGITS, dsi_unit, from_dsi, power_of_g, to_dsi
+from piga.certificate.dcc.layout import DIGITS, dsi_unit, from_dsi, power_of_g, to_dsi
 from piga.errors import DataError, PigaError
 from piga.records.calibration import Coefficient, Diagnostics
 from piga.records.calibration.coefficient import joint_factor
@@ -27,7 +27,8 @@ from tests.reports.example import calibration
 
 etree = pytest.importorskip("lxml.etree")
 
-from piga.certificate.dcc.reader import calibration_of, label_of, read_dcc  # noqa: E402
+from piga.certificate.dcc.layout import label_of  # noqa: E402
+from piga.certificate.dcc.reader import calibration_of, read_dcc  # noqa: E402
 from piga.certificate.dcc.writer import dcc_document  # noqa: E402
 from piga.certificate.dcc.xml_signature import written  # noqa: E402
 

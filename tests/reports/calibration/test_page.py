@@ -8,6 +8,7 @@ import pytest
 from piga.records.calibration import Amount, Outlier, Residuals, RunRecord, SegmentLeverage
 from piga.records.run_file import UncertaintyTable
 from piga.records.terms import shown_unit
+from piga.reports.calibration.budget import SOURCES, budget_tables, source_in_words
 from piga.reports.calibration.figures import (
     convergence_figure,
     elapsed_time,
@@ -22,14 +23,11 @@ from piga.reports.calibration.page import (
     write_calibration_report,
 )
 from piga.reports.calibration.tables import (
-    SOURCES,
-    budget_tables,
     coefficient_table,
     freedom,
     leverage_tables,
     residual_quantity,
     scalars,
-    source_in_words,
 )
 from piga.reports.render.interactive import figure_spec
 from piga.reports.render.page import Notice, Table, page_html

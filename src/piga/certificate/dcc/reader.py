@@ -11,20 +11,37 @@ import base64
 import binascii
 import datetime as dt
 import itertools
-import re
 import warnings
-from collections import Counter
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import quote, unquote
+from urllib.parse import unquote
 
 import numpy as np
 
 from piga.certificate.certificate_file import WORST, overall, range_sentence, title_of, validity_ranges
-from piga.certificate.dcc.dsi_units import dsi_unit, from_dsi, power_of_g, significant_digit, to_dsi
-from piga.certificate.dcc.xml_signature import check_profile, read_xml
+from piga.certificate.dcc.layout import (
+    AGAIN,
+    BEFORE,
+    DCC,
+    JOINT,
+    MEASURED,
+    NAMES,
+    RECORD,
+    check_layout,
+    content,
+    contradiction,
+    dsi_unit,
+    from_dsi,
+    number,
+    only_element,
+    power_of_g,
+    quantities,
+    significant_digit,
+    to_dsi,
+)
+from piga.certificate.dcc.xml_signature import read_xml
 from piga.errors import DataError, PigaWarning
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration.coefficient import PROBABILITY, coverage_factor, joint_factor
@@ -34,103 +51,10 @@ from piga.records.terms import check_name, unit_of
 if TYPE_CHECKING:
     from lxml import etree
 
-DCC = "https://ptb.de/dcc"
-SI = "https://ptb.de/si"
-JOINT = "piga_jointResult"
-"""``refType`` of the quantity that holds all coefficients with their covariance."""
-RECORD = "piga_calibrationRecord"
-"""``refType`` of the attached calibration.json."""
-AGAIN = "do not use the file; get it again from the issuer"
 MOST_COEFFICIENTS = 4096
-_NAMES = {"dcc": DCC, "si": SI}
-BEFORE = "basic_beforeAdjustment"
-MEASURED = "basic_measuredValue"
-"""``refType`` of the coefficients before adjustment, and of the certified ones."""
-_RESULTS = "dcc:measurementResults/dcc:measurementResult/dcc:results"
-_MANY = ("dcc:result", "dcc:quantity", "dcc:statement", "dcc:usedMethod", "dcc:norm", "dcc:measuringEquipment",
-         "dcc:influenceCondition", "dcc:identification", "dcc:respPerson", "si:columnXMLList")  # fmt: skip
-"""Elements that may be repeated in one place."""
-_ATTRIBUTES = {"refType", "lang", "schemaVersion", "{http://www.w3.org/2001/XMLSchema-instance}schemaLocation"}
-_COEFFICIENT = f"{_RESULTS}/dcc:result/dcc:data/dcc:list/dcc:quantity"
-_JOINT = f"{_RESULTS}/dcc:result/dcc:data/dcc:quantity"
-_SHAPES = (
-    (".", r"dcc:administrativeData dcc:measurementResults (Signature )?"),
-    ("dcc:measurementResults", r"dcc:measurementResult "),
-    (
-        "dcc:measurementResults/dcc:measurementResult",
-        r"dcc:name dcc:usedMethods dcc:usedSoftware dcc:measuringEquipments dcc:influenceConditions dcc:results ",
-    ),
-    (_RESULTS, r"(dcc:result ){3,4}"),
-    (f"{_RESULTS}/dcc:result", r"dcc:name dcc:data "),
-    (f"{_RESULTS}/dcc:result/dcc:data", r"dcc:list |dcc:quantity |dcc:byteData "),
-    (f"{_RESULTS}/dcc:result/dcc:data/dcc:byteData", r"dcc:name dcc:fileName dcc:mimeType dcc:dataBase64 "),
-    (f"{_RESULTS}/dcc:result/dcc:data/dcc:list", r"(dcc:quantity )+"),
-    (_COEFFICIENT, r"dcc:name si:real (dcc:measurementMetaData )?"),
-    (
-        f"{_COEFFICIENT}/si:real",
-        r"si:label si:value si:unit si:significantDigit si:measurementUncertaintyUnivariate ",
-    ),
-    (f"{_COEFFICIENT}/si:real/si:measurementUncertaintyUnivariate", r"si:expandedMU |si:coverageIntervalMU "),
-    (
-        f"{_COEFFICIENT}/si:real/si:measurementUncertaintyUnivariate/si:expandedMU",
-        r"si:valueExpandedMU si:coverageFactor si:coverageProbability si:distribution ",
-    ),
-    (
-        f"{_COEFFICIENT}/si:real/si:measurementUncertaintyUnivariate/si:coverageIntervalMU",
-        r"si:valueStandardMU si:intervalMin si:intervalMax si:coverageProbability ",
-    ),
-    (_JOINT, r"dcc:name si:realListXMLList "),
-    (
-        f"{_JOINT}/si:realListXMLList",
-        r"si:labelXMLList si:valueXMLList si:unitXMLList (si:measurementUncertainty(Uni|Multi)variateXMLList ){2}",
-    ),
-    (
-        f"{_JOINT}/si:realListXMLList/si:measurementUncertaintyUnivariateXMLList",
-        r"si:standardMUXMLList ",
-    ),
-    (
-        f"{_JOINT}/si:realListXMLList/si:measurementUncertaintyMultivariateXMLList",
-        r"si:ellipsoidalRegionMUXMLList ",
-    ),
-    (
-        f"{_JOINT}/si:realListXMLList/si:measurementUncertaintyMultivariateXMLList/si:ellipsoidalRegionMUXMLList",
-        r"si:covarianceMatrixXMLList si:coverageFactorXMLList si:coverageProbabilityXMLList ",
-    ),
-    (".//si:standardMUXMLList", r"si:valueStandardMUXMLList "),
-    (".//si:covarianceMatrixXMLList", r"(si:columnXMLList )+"),
-    (".//si:columnXMLList", r"si:covarianceXMLList "),
-    (".//si:covarianceXMLList", r"si:valueXMLList si:unitXMLList "),
-    (".//dcc:data/dcc:quantity/si:real", r"si:value si:unit (si:measurementUncertaintyUnivariate )?"),
-    (
-        "dcc:administrativeData",
-        r"dcc:dccSoftware dcc:coreData dcc:items dcc:calibrationLaboratory dcc:respPersons dcc:customer dcc:statements ",
-    ),
-    ("dcc:administrativeData/dcc:items", r"dcc:item "),
-    (
-        "dcc:administrativeData/dcc:items/dcc:item",
-        r"dcc:name (dcc:description )?dcc:manufacturer (dcc:model )?dcc:identifications dcc:itemQuantities ",
-    ),
-    (".//dcc:identification", r"dcc:issuer (dcc:value )?(dcc:name )?"),
-    (
-        ".//dcc:statement",
-        r"dcc:name (dcc:traceable )?dcc:norm (dcc:reference )?(dcc:declaration )?((dcc:date|dcc:conformity|dcc:data) )*",
-    ),
-    (".//dcc:measurementMetaData", r"dcc:metaData "),
-    (".//dcc:metaData", r"dcc:declaration dcc:conformity "),
-    (".//dcc:influenceCondition", r"dcc:name dcc:data "),
-    (".//dcc:itemQuantity", r"dcc:name si:real "),
-    (".//dcc:itemQuantity/si:real", r"si:value si:unit "),
-)
-"""Allowed children of elements, in order, by path."""
-_SAFE = "[]_.,:;+-=()/*"
 _DIGITS = Decimal("1e-6")
 _SLACK = 1e-6
 """Tolerance relative to U. Coverage factors are stated with six decimals, and libraries differ in the last digits."""
-
-
-def label_of(key: str) -> str:
-    """A coefficient's key without spaces (segment labels may contain spaces)."""
-    return quote(key, safe=_SAFE)
 
 
 def read_dcc(path: str | Path) -> Calibration:
@@ -155,7 +79,7 @@ def calibration_of(root: etree._Element, path: Path) -> Calibration:
     record = _attached(root, path)
     coefficients, covariance = _joint(root, path)
     _compare(path, record, coefficients, covariance)
-    _check_layout(path, root)
+    check_layout(path, root)
     _compare_results(path, root, record)
     _compare_administration(path, root, record)
     return record
@@ -173,26 +97,16 @@ def date_of_issue(root: etree._Element, path: Path) -> dt.date:
 
 
 def _date(root: etree._Element, name: str, path: Path) -> dt.date:
-    element = _one(root, f"dcc:administrativeData/dcc:coreData/dcc:{name}", path, name)
+    element = only_element(root, f"dcc:administrativeData/dcc:coreData/dcc:{name}", path, name)
     try:
         return dt.date.fromisoformat(element.text or "")
     except ValueError:
         raise DataError(f"{path}: {name} '{(element.text or '')[:40]}' is not a date", remedy=AGAIN) from None
 
 
-def _one(root: etree._Element, query: str, path: Path, what: str) -> etree._Element:
-    elements = root.findall(query, _NAMES)
-    if len(elements) != 1:
-        raise DataError(
-            f"{path}: holds {len(elements) or 'no'} {what}: was it made by piga?",
-            remedy="only certificates made by piga can be read back",
-        )
-    return elements[0]
-
-
 def _attached(root: etree._Element, path: Path) -> Calibration:
-    data = _one(root, f".//dcc:byteData[@refType='{RECORD}']", path, "calibration record")
-    text = data.findtext("dcc:dataBase64", "", _NAMES)
+    data = only_element(root, f".//dcc:byteData[@refType='{RECORD}']", path, "calibration record")
+    text = data.findtext("dcc:dataBase64", "", NAMES)
     try:
         raw = base64.b64decode("".join(text.split()), validate=True)
     except (binascii.Error, ValueError):
@@ -202,8 +116,8 @@ def _attached(root: etree._Element, path: Path) -> Calibration:
 
 def _joint(root: etree._Element, path: Path) -> tuple[tuple[Coefficient, ...], np.ndarray]:
     """Coefficients and covariance in file units, from the quantity in SI."""
-    base = _one(root, f".//dcc:quantity[@refType='{JOINT}']/si:realListXMLList", path, "joint result")
-    keys = [unquote(label) for label in base.findtext("si:labelXMLList", "", _NAMES).split()]
+    base = only_element(root, f".//dcc:quantity[@refType='{JOINT}']/si:realListXMLList", path, "joint result")
+    keys = [unquote(label) for label in base.findtext("si:labelXMLList", "", NAMES).split()]
     if not 0 < len(keys) <= MOST_COEFFICIENTS or len(set(keys)) != len(keys):
         raise DataError(
             f"{path}: {len(keys)} coefficients: some may be there twice", remedy="get the file again"
@@ -215,10 +129,10 @@ def _joint(root: etree._Element, path: Path) -> tuple[tuple[Coefficient, ...], n
     units = [unit_of(name) for name, *_ in parts]
     values = _numbers(base, "si:valueXMLList", "si:unitXMLList", [(unit,) for unit in units], path)
     spread = base.findtext(
-        "si:measurementUncertaintyUnivariateXMLList/si:standardMUXMLList/si:valueStandardMUXMLList", "", _NAMES
+        "si:measurementUncertaintyUnivariateXMLList/si:standardMUXMLList/si:valueStandardMUXMLList", "", NAMES
     )
     stds = _converted(spread.split(), [(unit,) for unit in units], path)
-    columns = base.findall(".//si:columnXMLList", _NAMES)
+    columns = base.findall(".//si:columnXMLList", NAMES)
     if len(columns) != len(keys):
         raise DataError(
             f"{path}: {len(columns)} columns of covariance for {len(keys)} coefficients", remedy=AGAIN
@@ -244,13 +158,13 @@ def _numbers(
     element: etree._Element, values: str, units: str, expected: list[tuple[str, ...]], path: Path
 ) -> list[float]:
     """Numbers of a list. Its units must be the expected products."""
-    given = element.findtext(units, "", _NAMES).split()
+    given = element.findtext(units, "", NAMES).split()
     wanted = [dsi_unit(*product) for product in expected]
     if given != wanted:
         raise DataError(
             f"{path}: units {' '.join(given)[:80]} where {' '.join(wanted)[:80]} are needed", remedy=AGAIN
         )
-    return _converted(element.findtext(values, "", _NAMES).split(), expected, path)
+    return _converted(element.findtext(values, "", NAMES).split(), expected, path)
 
 
 def _converted(texts: list[str], units: list[tuple[str, ...]], path: Path) -> list[float]:
@@ -286,85 +200,25 @@ def _compare(
         )
 
 
-def _contradiction(path: Path, what: str) -> DataError:
-    return DataError(f"{path}: contradicts itself: {what}", remedy="do not use the file; ask the issuer")
-
-
-def _check_layout(path: Path, root: etree._Element) -> None:
-    """Check the layout: no element in an unexpected place, where a reader may overlook it, and no repeated element."""
-    check_profile(root, path)
-    for node in (*root.itersiblings(preceding=True), *root.itersiblings(), *root.iter()):
-        if not isinstance(node.tag, str):
-            raise DataError(f"{path}: holds comments or instructions, which piga does not write", remedy=AGAIN)
-    for node in root.iter(f"{{{DCC}}}*", f"{{{SI}}}*"):
-        twice = [tag for tag, count in Counter(child.tag for child in node).items() if count > 1]
-        if any(_short(tag) not in _MANY for tag in twice):
-            raise _contradiction(path, f"'{_short(node.tag)}' holds '{_short(twice[0])}' more than once")
-    for node in root.iter(f"{{{DCC}}}*", f"{{{SI}}}*"):
-        if (len(node) and (node.text or "").strip()) or (node is not root and (node.tail or "").strip()):
-            raise DataError(f"{path}: text stands beside the parts of '{_short(node.tag)}'", remedy=AGAIN)
-        if not set(map(str, node.attrib)) <= _ATTRIBUTES:
-            raise DataError(
-                f"{path}: '{_short(node.tag)}' has attributes that piga does not write", remedy=AGAIN
-            )
-    for query, pattern in _SHAPES:
-        for node in root.iterfind(query, _NAMES):
-            held = "".join(f"{_short(child.tag)} " for child in node)
-            if not re.fullmatch(pattern, held):
-                raise DataError(
-                    f"{path}: '{_short(node.tag)}' holds '{held[:80].strip()}': was it made by piga?",
-                    remedy=AGAIN,
-                )
-    kinds = [node.get("refType") for node in root.iterfind(f"{_RESULTS}/dcc:result", _NAMES)]
-    if kinds[-3:] != [MEASURED, None, None] or kinds[:-3] not in ([], [BEFORE]):
-        raise DataError(
-            f"{path}: holds results of other kinds or in another order than piga writes", remedy=AGAIN
-        )
-
-
-def _short(tag: object) -> str:
-    """Name of an element with the usual prefix."""
-    return str(tag).replace(f"{{{DCC}}}", "dcc:").replace(f"{{{SI}}}", "si:").rpartition("}")[2][:60]
-
-
-def _content(node: etree._Element | None, query: str) -> str:
-    """Text below an element, with single spaces."""
-    return "" if node is None else " ".join(node.findtext(f"{query}/dcc:content", "", _NAMES).split())
-
-
-def _number(text: str, power: int, path: Path, what: str) -> float:
-    try:
-        return from_dsi(text, power)
-    except DataError as error:
-        raise DataError(f"{path}: {what}: {error.message}", remedy=AGAIN) from None
-
-
-def _quantities(root: etree._Element, kind: str) -> list[etree._Element]:
-    query = f"{_RESULTS}/dcc:result[@refType='{kind}']/dcc:data/dcc:list/dcc:quantity"
-    return list(root.iterfind(query, _NAMES))
-
-
 def _compare_results(path: Path, root: etree._Element, record: Calibration) -> None:
     """Check that the single coefficients and the joint region agree with the record.
 
     Certificates of piga 0.1 used one coverage factor for all coefficients, from the number of rows. They are
     read with a warning.
     """
-    measured = _quantities(root, MEASURED)
-    labels = [quantity.findtext("si:real/si:label", "", _NAMES) for quantity in measured]
+    measured = quantities(root, MEASURED)
+    labels = [quantity.findtext("si:real/si:label", "", NAMES) for quantity in measured]
     keys = [c.key for c in record.coefficients]
     if labels != keys:
         odd = next((a for a, b in itertools.zip_longest(labels, keys) if a != b), None)
-        raise _contradiction(
-            path, f"the coefficients stated one by one are not the record's: '{str(odd)[:60]}'"
-        )
+        raise contradiction(path, f"the coefficients stated one by one are not the record's: '{str(odd)[:60]}'")
     by_rows = coverage_factor(record.surplus_observations)
     outdated = []
     for quantity, c in zip(measured, record.coefficients, strict=True):
-        real = _one(quantity, "si:real", path, "values")
-        value = _number(real.findtext("si:value", "", _NAMES), power_of_g(c.unit), path, c.key)
+        real = only_element(quantity, "si:real", path, "values")
+        value = number(real.findtext("si:value", "", NAMES), power_of_g(c.unit), path, c.key)
         if value != c.value:
-            raise _contradiction(
+            raise contradiction(
                 path, f"{c.key} is stated as {value!r} {c.unit}, the attached record has {c.value!r}"
             )
         _check_form(path, quantity, c)
@@ -372,10 +226,10 @@ def _compare_results(path: Path, root: etree._Element, record: Calibration) -> N
             half = by_rows * c.std
             if c.coverage.monte_carlo or not _agrees(path, real, c, by_rows, (c.value - half, c.value + half)):
                 low, high = _limits(real, c, path)
-                raise _contradiction(
+                raise contradiction(
                     path,
                     f"{c.key} is stated with 95 % limits {low:.9g} and {high:.9g}, k "
-                    f"{real.findtext('.//si:coverageFactor', 'none', _NAMES)[:20]}; the attached record has "
+                    f"{real.findtext('.//si:coverageFactor', 'none', NAMES)[:20]}; the attached record has "
                     f"{c.limits[0]:.9g} and {c.limits[1]:.9g}, k {c.coverage.factor:.6f}",
                 )
             outdated.append(f"{c.key} {half:.2g} for {c.expanded:.2g} {c.unit}")
@@ -393,31 +247,29 @@ def _compare_results(path: Path, root: etree._Element, record: Calibration) -> N
 
 def _check_form(path: Path, quantity: etree._Element, c: Coefficient) -> None:
     """Check name, unit, probability, distribution and significant digit of a single coefficient."""
-    name, unit = _content(quantity, "dcc:name"), quantity.findtext("si:real/si:unit", "", _NAMES)
+    name, unit = content(quantity, "dcc:name"), quantity.findtext("si:real/si:unit", "", NAMES)
     if name != " ".join(title_of(c).split()):
-        raise _contradiction(path, f"{c.key} is called '{name[:60]}', but is '{title_of(c)}'")
+        raise contradiction(path, f"{c.key} is called '{name[:60]}', but is '{title_of(c)}'")
     if unit != dsi_unit(c.unit):
-        raise _contradiction(path, f"{c.key} is stated in {unit[:60]}, but has the unit {dsi_unit(c.unit)}")
-    probability = quantity.findtext(".//si:coverageProbability", "", _NAMES)
-    if _number(probability, 0, path, c.key) != PROBABILITY:
-        raise _contradiction(
+        raise contradiction(path, f"{c.key} is stated in {unit[:60]}, but has the unit {dsi_unit(c.unit)}")
+    probability = quantity.findtext(".//si:coverageProbability", "", NAMES)
+    if number(probability, 0, path, c.key) != PROBABILITY:
+        raise contradiction(
             path, f"{c.key} is stated for a probability of {probability[:20]}, not {PROBABILITY}"
         )
-    distribution = quantity.findtext(".//si:distribution", "t", _NAMES)
+    distribution = quantity.findtext(".//si:distribution", "t", NAMES)
     if distribution != "t":
-        raise _contradiction(path, f"{c.key} is stated with a distribution '{distribution[:20]}', not 't'")
+        raise contradiction(path, f"{c.key} is stated with a distribution '{distribution[:20]}', not 't'")
     low, high = (to_dsi(part, power_of_g(c.unit)) for part in _limits(quantity, c, path))
     half = (
-        Decimal(quantity.findtext(".//si:valueExpandedMU", "", _NAMES) or 0)
+        Decimal(quantity.findtext(".//si:valueExpandedMU", "", NAMES) or 0)
         or (Decimal(high) - Decimal(low)) / 2
     )
-    digit = quantity.findtext("si:real/si:significantDigit", "", _NAMES)
+    digit = quantity.findtext("si:real/si:significantDigit", "", NAMES)
     value = Decimal(to_dsi(c.value, power_of_g(c.unit)))
     near = {str(significant_digit(half * part, value)) for part in (1 - _DIGITS, 1, 1 + _DIGITS)}
     if digit not in near:
-        raise _contradiction(
-            path, f"{c.key} has the significant digit {digit[:20]}, its uncertainty {half:.3g}"
-        )
+        raise contradiction(path, f"{c.key} has the significant digit {digit[:20]}, its uncertainty {half:.3g}")
 
 
 def _agrees(
@@ -427,57 +279,59 @@ def _agrees(
     slack = _SLACK * 0.5 * (limits[1] - limits[0])
     if any(abs(a - b) > slack for a, b in zip(_limits(real, c, path), limits, strict=True)):
         return False
-    stated = real.findtext(".//si:coverageFactor", None, _NAMES)
-    spread = real.findtext(".//si:valueStandardMU", None, _NAMES)
+    stated = real.findtext(".//si:coverageFactor", None, NAMES)
+    spread = real.findtext(".//si:valueStandardMU", None, NAMES)
     if (stated is None) != c.coverage.monte_carlo:
         return False
-    if spread is not None and _number(spread, power_of_g(c.unit), path, c.key) != c.std:
+    if spread is not None and number(spread, power_of_g(c.unit), path, c.key) != c.std:
         return False
-    return stated is None or abs(_number(stated, 0, path, c.key) - factor) <= _SLACK * max(1.0, factor)
+    return stated is None or abs(number(stated, 0, path, c.key) - factor) <= _SLACK * max(1.0, factor)
 
 
 def _check_joint(path: Path, root: etree._Element, record: Calibration, *, outdated: bool) -> None:
     """Check factor and probability of the joint region."""
-    region = _one(root, f".//dcc:quantity[@refType='{JOINT}']//si:ellipsoidalRegionMUXMLList", path, "regions")
-    stated = _number(region.findtext("si:coverageFactorXMLList", "", _NAMES), 0, path, "joint result")
+    region = only_element(
+        root, f".//dcc:quantity[@refType='{JOINT}']//si:ellipsoidalRegionMUXMLList", path, "regions"
+    )
+    stated = number(region.findtext("si:coverageFactorXMLList", "", NAMES), 0, path, "joint result")
     used = record.coefficients
     if outdated:
         used = tuple(replace(c, degrees_of_freedom=record.surplus_observations) for c in used)
     if not abs(stated - joint_factor(used)) <= _SLACK * max(1.0, stated):
-        raise _contradiction(
+        raise contradiction(
             path, f"the joint result has k {stated:.6f}, by the attached record {joint_factor(used):.6f}"
         )
-    probability = region.findtext("si:coverageProbabilityXMLList", "", _NAMES)
-    if _number(probability, 0, path, "joint result") != PROBABILITY:
-        raise _contradiction(path, f"the joint result is for {probability[:20]}, not {PROBABILITY}")
+    probability = region.findtext("si:coverageProbabilityXMLList", "", NAMES)
+    if number(probability, 0, path, "joint result") != PROBABILITY:
+        raise contradiction(path, f"the joint result is for {probability[:20]}, not {PROBABILITY}")
 
 
 def _check_before(path: Path, root: etree._Element) -> None:
     """Check that each coefficient before adjustment is consistent. No record of these is attached."""
     labels = set()
-    for quantity in _quantities(root, BEFORE):
-        label = quantity.findtext("si:real/si:label", "", _NAMES)
+    for quantity in quantities(root, BEFORE):
+        label = quantity.findtext("si:real/si:label", "", NAMES)
         name, _, owner = label.removesuffix("]").partition("[")
         if not check_name(name) or label in labels:
-            raise _contradiction(path, f"before adjustment '{label[:60]}' is unknown or stated twice")
+            raise contradiction(path, f"before adjustment '{label[:60]}' is unknown or stated twice")
         labels.add(label)
         power = power_of_g(unit_of(name))
-        value = _number(quantity.findtext("si:real/si:value", "", _NAMES), power, path, label)
+        value = number(quantity.findtext("si:real/si:value", "", NAMES), power, path, label)
         c = Coefficient(name, value, 0.0, unit_of(name), owner or None)
-        if c.segment is not None and _content(quantity, "dcc:name") != " ".join(title_of(c).split()):
+        if c.segment is not None and content(quantity, "dcc:name") != " ".join(title_of(c).split()):
             c = replace(c, segment=owner.partition(":")[2] or None, run=owner.partition(":")[0])
         _check_form(path, quantity, c)
         low, high = _limits(quantity, c, path)
-        if not low < value < high and quantity.find(".//si:valueExpandedMU", _NAMES) is not None:
-            raise _contradiction(path, f"before adjustment {label} has no positive uncertainty")
+        if not low < value < high and quantity.find(".//si:valueExpandedMU", NAMES) is not None:
+            raise contradiction(path, f"before adjustment {label} has no positive uncertainty")
 
 
 def _limits(real: etree._Element, c: Coefficient, path: Path) -> tuple[float, float]:
     """Stated 95 % limits of a coefficient, in its file unit."""
     power = power_of_g(c.unit)
     names = ("si:intervalMin", "si:intervalMax", "si:valueExpandedMU")
-    texts = [real.findtext(f".//{name}", None, _NAMES) for name in names]
-    low, high, half = (None if text is None else _number(text, power, path, c.key) for text in texts)
+    texts = [real.findtext(f".//{name}", None, NAMES) for name in names]
+    low, high, half = (None if text is None else number(text, power, path, c.key) for text in texts)
     if low is not None and high is not None:
         return low, high
     if half is None:
@@ -488,36 +342,36 @@ def _limits(real: etree._Element, c: Coefficient, path: Path) -> tuple[float, fl
 def _compare_administration(path: Path, root: etree._Element, record: Calibration) -> None:
     """Compare serial, nominal scale factor, dates, ranges and declarations with the record and each other."""
     serial = " ".join(record.serial.split())
-    item = _one(root, "dcc:administrativeData/dcc:items/dcc:item", path, "items")
+    item = only_element(root, "dcc:administrativeData/dcc:items/dcc:item", path, "items")
     stated = [
-        " ".join(node.findtext("dcc:value", "", _NAMES).split())
-        for node in item.iterfind("dcc:identifications/dcc:identification", _NAMES)
-        if _content(node, "dcc:name") == "Serial number"
+        " ".join(node.findtext("dcc:value", "", NAMES).split())
+        for node in item.iterfind("dcc:identifications/dcc:identification", NAMES)
+        if content(node, "dcc:name") == "Serial number"
     ]
-    title = _content(root.find("dcc:measurementResults/dcc:measurementResult", _NAMES), "dcc:name")
+    title = content(root.find("dcc:measurementResults/dcc:measurementResult", NAMES), "dcc:name")
     for place, words in (
         ("item's serial", stated),
         ("heading of the results", [title.removeprefix("Calibration of ")]),
     ):
         if words != [serial]:
-            raise _contradiction(
+            raise contradiction(
                 path, f"the {place} is '{', '.join(words)[:60]}', the attached record is of '{serial[:60]}'"
             )
-    nominal = _one(item, "dcc:itemQuantities/dcc:itemQuantity/si:real", path, "nominal scale factors")
-    value = _number(nominal.findtext("si:value", "", _NAMES), 0, path, "nominal scale factor")
-    unit = nominal.findtext("si:unit", "", _NAMES)
+    nominal = only_element(item, "dcc:itemQuantities/dcc:itemQuantity/si:real", path, "nominal scale factors")
+    value = number(nominal.findtext("si:value", "", NAMES), 0, path, "nominal scale factor")
+    unit = nominal.findtext("si:unit", "", NAMES)
     if abs(value - record.scale_factor_nominal) > 1e-12 * abs(value) or unit != dsi_unit("rad/s/g"):
-        raise _contradiction(
+        raise contradiction(
             path,
             f"the nominal scale factor is {value!r} {unit[:60]}, the attached record has {record.scale_factor_nominal!r}",
         )
-    releases = {node.findtext("dcc:release", "", _NAMES) for node in root.iter(f"{{{DCC}}}software")}
+    releases = {node.findtext("dcc:release", "", NAMES) for node in root.iter(f"{{{DCC}}}software")}
     if len(releases) > 1:
-        raise _contradiction(path, f"made by releases {' and '.join(sorted(releases))[:60]} of piga")
+        raise contradiction(path, f"made by releases {' and '.join(sorted(releases))[:60]} of piga")
     for condition in root.iter(f"{{{DCC}}}influenceCondition"):
-        names = [_content(condition, "dcc:name"), _content(condition, "dcc:data/dcc:quantity/dcc:name")]
+        names = [content(condition, "dcc:name"), content(condition, "dcc:data/dcc:quantity/dcc:name")]
         if names[0] != names[1]:
-            raise _contradiction(path, f"the condition '{names[0][:60]}' holds '{names[1][:60]}'")
+            raise contradiction(path, f"the condition '{names[0][:60]}' holds '{names[1][:60]}'")
     _compare_dates(path, root, record)
     _compare_declarations(path, root, record)
 
@@ -528,13 +382,13 @@ def _compare_dates(path: Path, root: etree._Element, record: Calibration) -> Non
     dates = [_date(root, name, path) for name in names]
     for (first, earlier), (second, later) in itertools.pairwise(zip(names, dates, strict=True)):
         if later < earlier:
-            raise _contradiction(path, f"{second} {later} is before {first} {earlier}")
+            raise contradiction(path, f"{second} {later} is before {first} {earlier}")
     try:
         evaluated = dt.datetime.fromisoformat(record.provenance.created) - dt.timedelta(hours=12)
     except (ValueError, OverflowError):
         raise DataError(f"{path}: the attached record has no date of its evaluation", remedy=AGAIN) from None
     if dates[-1] < evaluated.date():
-        raise _contradiction(
+        raise contradiction(
             path,
             f"issued {dates[-1]}, before the attached record was evaluated, {record.provenance.created[:10]}",
         )
@@ -543,25 +397,25 @@ def _compare_dates(path: Path, root: etree._Element, record: Calibration) -> Non
 def _compare_declarations(path: Path, root: etree._Element, record: Calibration) -> None:
     """Compare the declarations with the record, the results and the other parts of the file."""
     declared: dict[str, etree._Element] = {}
-    for node in root.iterfind("dcc:administrativeData/dcc:statements/dcc:statement", _NAMES):
-        if declared.setdefault(_content(node, "dcc:name"), node) is not node:
-            raise _contradiction(path, f"the statement '{_content(node, 'dcc:name')[:60]}' is there twice")
+    for node in root.iterfind("dcc:administrativeData/dcc:statements/dcc:statement", NAMES):
+        if declared.setdefault(content(node, "dcc:name"), node) is not node:
+            raise contradiction(path, f"the statement '{content(node, 'dcc:name')[:60]}' is there twice")
     _compare_ranges(path, declared.get("Range"), record)
-    _compare_conformity(path, declared.get("Conformity"), _quantities(root, MEASURED))
-    adjusted = _content(declared.get("Adjustment"), "dcc:declaration").startswith("The item was adjusted")
-    if adjusted != bool(_quantities(root, BEFORE)):
-        raise _contradiction(path, "the statement on adjustment does not fit the results before adjustment")
+    _compare_conformity(path, declared.get("Conformity"), quantities(root, MEASURED))
+    adjusted = content(declared.get("Adjustment"), "dcc:declaration").startswith("The item was adjusted")
+    if adjusted != bool(quantities(root, BEFORE)):
+        raise contradiction(path, "the statement on adjustment does not fit the results before adjustment")
     words = "Additions, deviations and exclusions"
-    deviations = _content(declared.get("Method"), "dcc:declaration").removeprefix(f"{words} from the method: ")
+    deviations = content(declared.get("Method"), "dcc:declaration").removeprefix(f"{words} from the method: ")
     method = next(iter(root.iter(f"{{{DCC}}}usedMethod")), None)
-    if not _content(method, "dcc:description").endswith(f"{words}: {deviations}"):
-        raise _contradiction(path, "the deviations from the method are stated in two ways")
-    replaced = root.findtext(".//dcc:replacedUniqueIdentifier", "", _NAMES)
-    amendment = _content(declared.get("Amendment"), "dcc:declaration")
+    if not content(method, "dcc:description").endswith(f"{words}: {deviations}"):
+        raise contradiction(path, "the deviations from the method are stated in two ways")
+    replaced = root.findtext(".//dcc:replacedUniqueIdentifier", "", NAMES)
+    amendment = content(declared.get("Amendment"), "dcc:declaration")
     if not amendment.startswith(f"This certificate replaces certificate {replaced}." if replaced else "") or (
         amendment and not replaced
     ):
-        raise _contradiction(path, f"it replaces '{replaced[:60]}', and states '{amendment[:80]}'")
+        raise contradiction(path, f"it replaces '{replaced[:60]}', and states '{amendment[:80]}'")
 
 
 def _compare_ranges(path: Path, node: etree._Element | None, record: Calibration) -> None:
@@ -570,11 +424,9 @@ def _compare_ranges(path: Path, node: etree._Element | None, record: Calibration
         ranges = validity_ranges(record)
     except (AttributeError, TypeError, ValueError, IndexError, KeyError):
         raise DataError(f"{path}: the range in the attached record is damaged", remedy=AGAIN) from None
-    if (_content(node, "dcc:declaration") or "") != (
-        " ".join(range_sentence(ranges).split()) if ranges else ""
-    ):
-        raise _contradiction(path, "the range in which the results hold is not the attached record's")
-    stated = [] if node is None else list(node.iterfind("dcc:data/dcc:quantity", _NAMES))
+    if (content(node, "dcc:declaration") or "") != (" ".join(range_sentence(ranges).split()) if ranges else ""):
+        raise contradiction(path, "the range in which the results hold is not the attached record's")
+    stated = [] if node is None else list(node.iterfind("dcc:data/dcc:quantity", NAMES))
     ends = [
         (f"{name}, {end}", value, unit)
         for name, low, high, unit in ranges
@@ -582,28 +434,28 @@ def _compare_ranges(path: Path, node: etree._Element | None, record: Calibration
     ]
     given = [
         (
-            _content(quantity, "dcc:name"),
-            _number(quantity.findtext("si:real/si:value", "", _NAMES), 0, path, "range"),
-            quantity.findtext("si:real/si:unit", "", _NAMES),
+            content(quantity, "dcc:name"),
+            number(quantity.findtext("si:real/si:value", "", NAMES), 0, path, "range"),
+            quantity.findtext("si:real/si:unit", "", NAMES),
         )
         for quantity in stated
     ]
     if given != [(name, value, dsi_unit(unit)) for name, value, unit in ends]:
-        raise _contradiction(path, "the range in which the results hold is not the attached record's")
+        raise contradiction(path, "the range in which the results hold is not the attached record's")
 
 
 def _compare_conformity(path: Path, node: etree._Element | None, quantities: list[etree._Element]) -> None:
     """Check that the verdict on the item is the worst verdict on its coefficients and names them."""
     marks: dict[str, str] = {}
     for quantity in quantities:
-        mark = quantity.findtext("dcc:measurementMetaData/dcc:metaData/dcc:conformity", None, _NAMES)
+        mark = quantity.findtext("dcc:measurementMetaData/dcc:metaData/dcc:conformity", None, NAMES)
         if mark is not None:
-            marks[quantity.findtext("si:real/si:label", "", _NAMES)] = mark
+            marks[quantity.findtext("si:real/si:label", "", NAMES)] = mark
     if node is None and not marks:
         return
-    stated = "" if node is None else node.findtext("dcc:conformity", "", _NAMES)
+    stated = "" if node is None else node.findtext("dcc:conformity", "", NAMES)
     known = [status for status in WORST if status in marks.values()]
-    words = _content(node, "dcc:declaration")
+    words = content(node, "dcc:declaration")
     listed = words.rpartition("Applies to: ")[2].rpartition(". Overall: ")[0]
     names = sorted(" ".join(key.split()) for key in marks)
     if (
@@ -614,7 +466,7 @@ def _compare_conformity(path: Path, node: etree._Element | None, quantities: lis
         or len(listed) != len(", ".join(names))
         or any(name not in listed for name in names)
     ):
-        raise _contradiction(
+        raise contradiction(
             path,
             f"the item's conformity '{stated[:40]}' is not what its coefficients have: {sorted(marks.values())}",
         )

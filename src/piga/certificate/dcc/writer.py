@@ -22,8 +22,17 @@ from piga.certificate.certificate_file import (
     quantity_text,
     title_of,
 )
-from piga.certificate.dcc.dsi_units import dsi_unit, power_of_g, significant_digit, to_dsi
-from piga.certificate.dcc.reader import DCC, JOINT, RECORD, SI, label_of
+from piga.certificate.dcc.layout import (
+    DCC,
+    JOINT,
+    RECORD,
+    SI,
+    dsi_unit,
+    label_of,
+    power_of_g,
+    significant_digit,
+    to_dsi,
+)
 from piga.certificate.statements import Statement, statements, verdicts
 from piga.errors import DataError
 from piga.records.calibration import Calibration, Coefficient

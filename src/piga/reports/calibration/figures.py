@@ -15,7 +15,8 @@ from piga.calibration.allan import AllanDeviation, allan_deviation, drift_line, 
 from piga.calibration.fit.residuals import add_lagged_products
 from piga.records.calibration import Calibration, Residuals
 from piga.records.terms import shown_unit
-from piga.reports.calibration.tables import budget_shares, residual_quantity, shown_segments, source_in_words
+from piga.reports.calibration.budget import budget_shares, source_in_words
+from piga.reports.calibration.tables import residual_quantity, shown_segments
 from piga.reports.render.decimate import POINTS, envelope_rows, leading_part, outline
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.render.numbers import pretty_unit

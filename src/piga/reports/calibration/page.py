@@ -10,14 +10,13 @@ from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.verdict import COUNTED, THRESHOLDS, whitened_rms
 from piga.records.terms import meaning_of, shown_unit
+from piga.reports.calibration.budget import budget_tables, budget_text, sensitivity_tables
 from piga.reports.calibration.figures import budget_figure, calibration_figures, elapsed_time
 from piga.reports.calibration.model_choice import comparison_sections
 from piga.reports.calibration.tables import (
     LEVERAGE_LEAD,
     OWN_TABLES,
     PROPAGATION_LEAD,
-    budget_tables,
-    budget_text,
     coefficient_table,
     common_coefficients,
     correlation_table,
@@ -34,7 +33,6 @@ from piga.reports.calibration.tables import (
     scalars,
     segment_table,
     selectable_segments,
-    sensitivity_tables,
     sentence,
 )
 from piga.reports.render.decimate import outline
