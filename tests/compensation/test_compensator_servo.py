@@ -111,9 +111,10 @@ def test_result_is_the_same_to_the_bit_whatever_the_chunks(chunks):
         assert np.concatenate([getattr(p, name) for p in parts]).tobytes() == getattr(whole, name).tobytes()
 
 
-def test_phase_at_power_up():
-    """The damping alone turns the phase by ``d v^2/tan_beta``, 13 mrad here."""
-    columns = record(1.0, 1.0, 0.0)
+@pytest.mark.parametrize("force", [(1.0, 1.0, 0.0), (-1.0, 5.0, 1.0), (2.0, 3.0, -4.0)])
+def test_phase_at_power_up(force: tuple[float, float, float]) -> None:
+    """Without the servo terms the phase is wrong by 10 to 50 mrad: the damping turns it by ``d v^2/tan_beta``."""
+    columns = record(*force)
     phase = {}
     for name, values in (("without", BASIC), ("with", WHOLE)):
         finder = PhaseFinder(calibration_of(values, angle_rms=1e-6))

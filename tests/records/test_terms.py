@@ -52,7 +52,7 @@ def test_a_suggested_term_has_the_column_of_the_simulated_one(name: str) -> None
     t, warm, a = rng.normal(size=5), rng.normal(size=5), rng.normal(size=(3, 5))
     model = ErrorModel(**{name: 1.0, "T_ref": 0.0})
     simulated = model.specific_force(t, a.T, warm)
-    assert term_values(name, a, t, warm, a, t) == pytest.approx(simulated, rel=1e-14)
+    assert term_values([name], a, t, warm, a, t)[0] == pytest.approx(simulated, rel=1e-14)
 
 
 def test_the_sizes_of_the_servo_are_those_of_its_formulas() -> None:

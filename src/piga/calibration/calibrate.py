@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -67,6 +67,7 @@ from piga.calibration.noise.weighting import weighting_mode
 from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
+from piga.calibration.remarks.missing_terms import Candidates
 from piga.calibration.remarks.slow_changes import unseen_bias
 from piga.calibration.remarks.unseen_noise import unseen_noise
 from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
@@ -82,6 +83,7 @@ from piga.records.calibration import (
     Provenance,
     Residuals,
     SegmentScatter,
+    SegmentSummary,
 )
 from piga.records.run import Run
 from piga.records.spool import extent
@@ -187,28 +189,28 @@ def _calibration(
         refuse_useless(coefficients, largest_size(run.f), _range(run.t), spread)
     except (IdentifiabilityError, DataError) as error:
         raise with_advice(error, advise(run, request)) from None
-    steps("adding up the budget")
-    budget = make_budget(fit, coefficients, covariance, steps)
-    doubts = left_out_terms(without_slow(fit), coefficients)
-    for doubt in doubts:
-        budget = budget.with_row(doubt.row(coefficients))
-    type_a, whole = budget.covariances(covariance)
-    degrees = type_a_degrees(fit) * share_of_type_a(type_a, covariance)
-    covariance = whole
-    coefficients = combined(coefficients, covariance, budget.rows, degrees)
-    steps("checking the intervals")
-    coefficients, monte_carlo = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
-    steps("looking for missing terms")
     with beside(run.size) as other:
-        remarks = other.submit(find_remarks, fit, coefficients)
-        residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
+        residuals = other.submit(_examined, fit)
+        steps("adding up the budget")
+        budget = make_budget(fit, coefficients, covariance, steps)
+        candidates = Candidates(without_slow(fit))
+        doubts = left_out_terms(candidates, coefficients)
+        for doubt in doubts:
+            budget = budget.with_row(doubt.row(coefficients))
+        type_a, whole = budget.covariances(covariance)
+        degrees = type_a_degrees(fit) * share_of_type_a(type_a, covariance)
+        covariance = whole
+        coefficients = combined(coefficients, covariance, budget.rows, degrees)
+        steps("checking the intervals")
+        coefficients, monte_carlo = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
+        steps("looking for missing terms")
+        unexcluded = other.submit(unseen_noise, fit, candidates.fit, coefficients)
+        said = find_remarks(fit, candidates, coefficients)
         history = _history(fit) if request.method == "recursive" else None
-        scatter = segment_scatter(fit.design, residuals, fit.noise, fit.coloured_rms)
-        notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, scatter)
-        result = _assemble(run, fit, coefficients, covariance, budget.rows, residuals, notes, history)
-    said = remarks.result()
-    unseen = unseen_bias(without_slow(fit), coefficients, said.missing)
-    noise = unseen_noise(fit, coefficients)
+    examined, noise = residuals.result(), unexcluded.result()
+    notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, examined.scatter)
+    result = _assemble(run, fit, coefficients, covariance, budget.rows, examined, notes, history)
+    unseen = unseen_bias(candidates.fit, coefficients, said.missing)
     unexcluded = tuple(one.words for one in (unseen, noise) if one)
     result = replace(result, remarks=(*unexcluded, *remarks_in_words(coefficients, request.phases)))
     result = with_remarks(result, fit, said, doubts)
@@ -255,19 +257,38 @@ def _history(fit: Fit) -> dict[str, Array]:
     return result
 
 
+@dataclass(frozen=True)
+class _Examined:
+    """The residuals of a fit, their tests, the scatter of the mean rates, and one row per segment."""
+
+    residuals: Residuals
+    diagnostics: Diagnostics
+    scatter: SegmentScatter
+    segments: tuple[SegmentSummary, ...]
+
+
+def _examined(fit: Fit) -> _Examined:
+    """The residuals of a fit and what they say."""
+    design, run = fit.design, fit.design.run
+    residuals = find_residuals(design, fit.solution.values, fit.noise, fit.mode)
+    plain = Diagnostics(residual_kind="rate" if run.kind == "rate" else "angle", range=validity_ranges(run))
+    tests = diagnose(residuals, plain, (partial(counted_products, design, fit.noise, fit.mode, residuals),))
+    scatter = segment_scatter(design, residuals, fit.noise, fit.coloured_rms)
+    return _Examined(residuals, tests.with_scatter(scatter), scatter, segment_table(design, residuals))
+
+
 def _assemble(
     run: Run,
     fit: Fit,
     coefficients: tuple[Coefficient, ...],
     covariance: Array,
     budget: tuple[BudgetEntry, ...],
-    residuals: Residuals,
+    examined: _Examined,
     notes: tuple[str, ...],
     history: dict[str, Array] | None,
 ) -> Calibration:
     request = fit.design.request
     rows = fit.design.rows
-    plain = Diagnostics(residual_kind="rate" if run.kind == "rate" else "angle", range=validity_ranges(run))
     return Calibration(
         serial=run.serial,
         scale_factor_nominal=run.scale_factor,
@@ -280,7 +301,7 @@ def _assemble(
         surplus_observations=float(rows - len(coefficients)),
         angle_rms=fit.noise.angle_rms,
         angle_random_walk=fit.noise.angle_random_walk,
-        **residual_figures(residuals),
+        **residual_figures(examined.residuals),
         quality=fit.design.run.quality,
         outliers=fit.outliers,
         bias_drift=fit.noise.bias_drift,
@@ -291,14 +312,12 @@ def _assemble(
         condition=fit.examination.condition,
         notes=notes,
         budget=BudgetTable(budget),
-        diagnostics=diagnose(
-            residuals, plain, (partial(counted_products, fit.design, fit.noise, fit.mode, residuals),)
-        ).with_scatter(segment_scatter(fit.design, residuals, fit.noise, fit.coloured_rms)),
-        segments=segment_table(fit.design, residuals),
+        diagnostics=examined.diagnostics,
+        segments=examined.segments,
         provenance=_provenance(run, request),
         temperature_reference=request.temperature_reference,
         time_reference=fit.design.time_reference,
-        residuals=residuals,
+        residuals=examined.residuals,
         history=history,
     )
 
@@ -395,7 +414,6 @@ def _published_calibration(run: Run, request: Request, steps: Steps) -> Calibrat
     steps("computing residuals")
     mode = weighting_mode(design, "rate")
     noise = noise_of(design, _fixed_solution(design, linear), mode)
-    residuals = find_residuals(design, np.tile(linear, (len(run.labels), 1)), noise, mode)
     fit = Fit(
         design=design,
         mode=mode,
@@ -411,7 +429,7 @@ def _published_calibration(run: Run, request: Request, steps: Steps) -> Calibrat
     history |= {name: published.history[:, i] for i, name in enumerate(published.names)}
     notes = ("the published recursion depends on its first guess and predicts the phase from the input",)
     std_budget = (budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, std),)
-    return _assemble(run, fit, coefficients, covariance, std_budget, residuals, notes, history)
+    return _assemble(run, fit, coefficients, covariance, std_budget, _examined(fit), notes, history)
 
 
 def _linear_values(design: Design, named: dict[str, float]) -> Array:

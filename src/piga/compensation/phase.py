@@ -157,28 +157,12 @@ class PhaseFinder:
         straight, spent = np.zeros(h.size), float(h.sum())
         v = float(turn.sum()) / (p[at.P_K] * spent) if spent > 0.0 else 0.0
         damping, stiffness = p[at.P_K] * p[SERVO_DAMPING] * v * v, p[at.P_K] * p[SERVO] * v
-        rows = np.empty((6, h.size))
+        rows, bows = np.empty((6, h.size)), np.zeros((2, h.size))
         rows[0], rows[5] = h, turn
-        coupling_columns(
-            psi,
-            coupling * y + p[at.P_OFFSET_Y] - damping * z,
-            coupling * z + p[at.P_OFFSET_Z] + damping * y,
-            h,
-            straight,
-            1.0,
-            rows[2],
-            rows[1],
-        )
-        coupling_columns(
-            psi,
-            stiffness * (y * y - z * z),
-            stiffness * 2.0 * y * z,
-            h,
-            straight,
-            2.0,
-            rows[3],
-            rows[4],
-        )
+        across = coupling * y + p[at.P_OFFSET_Y] - damping * z, coupling * z + p[at.P_OFFSET_Z] + damping * y
+        coupling_columns(psi, *across, bows, h, straight, 1.0, rows[1:3])
+        twice = stiffness * (y * y - z * z), stiffness * 2.0 * y * z
+        coupling_columns(psi, *twice, bows, h, straight, 2.0, rows[3:5])
         carry, scale, white = np.empty(h.size), np.empty(h.size), np.empty_like(rows)
         self._variance = innovation_weights(h, self._white, self._walk, self._variance, carry, scale)
         whiten(rows, carry, scale, self._whitener, white)
@@ -197,7 +181,7 @@ class PhaseFinder:
         p, q = 1.0, 0.0
         for _ in range(POWER_UP.servo_rounds):  # cos and sin of twice the phase times what turns twice as fast
             twice = 2.0 * math.atan2(q, p)
-            right = self._normal[:3] @ np.array([0, 0, 0, -math.cos(twice), math.sin(twice), 1.0])
+            right = self._normal[:3] @ np.array([0, 0, 0, math.sin(twice), -math.cos(twice), 1.0])
             _, p, q = covariance @ right
         slope = np.array([0.0, -q, p]) / math.hypot(p, q)
         return Phase(math.atan2(q, p), float(np.sqrt(slope @ covariance @ slope)))

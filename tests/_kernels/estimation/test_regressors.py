@@ -61,9 +61,10 @@ def test_columns_of_several_intervals_are_those_of_each(name: str) -> None:
 @pytest.mark.parametrize("order", [1.0, 2.0])
 def test_product_integration_of_the_coupling(turn: float, order: float) -> None:
     psi, y, z = np.array([0.3, 0.3 + turn]), np.array([4.0, 5.5]), np.array([-2.0, 1.0])
-    h, bend = np.array([0.05]), np.array([2e-5])
-    cosine, sine = np.empty(1), np.empty(1)
-    coupling_columns(psi, y, z, h, bend, order, cosine, sine)
+    h, bend, bows = np.array([0.05]), np.array([2e-5]), np.zeros((2, 1))
+    columns = np.empty((2, 1))
+    sine, cosine = columns
+    coupling_columns(psi, y, z, bows, h, bend, order, columns)
 
     def at(s: float) -> tuple[float, float, float]:
         angle = order * (psi[0] + s * turn + 4.0 * s * (1.0 - s) * bend[0])
@@ -81,7 +82,7 @@ def test_product_integration_of_the_coupling(turn: float, order: float) -> None:
     # left out is the sag times the slope of y and z; the sag itself makes up to 1.2e-4 h here
     assert sine[0] == pytest.approx(wanted(0), abs=2e-5 * h[0])
     assert cosine[0] == pytest.approx(wanted(1), abs=2e-5 * h[0])
-    coupling_columns(psi, y, z, h, 0.0 * bend, order, cosine, sine)
+    coupling_columns(psi, y, z, bows, h, 0.0 * bend, order, columns)
     bend[0] = 0.0
     assert sine[0] == pytest.approx(wanted(0), rel=1e-12, abs=1e-14)
     assert cosine[0] == pytest.approx(wanted(1), rel=1e-12, abs=1e-14)

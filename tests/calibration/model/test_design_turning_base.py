@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import piga
-from piga._kernels.estimation.regressors import CODES, add_coupling_bows, add_product_bows, smooth_bows
+from piga._kernels.estimation.regressors import CODES, add_product_bows, coupling_columns, smooth_bows
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import Request
 from piga.units import G0
@@ -133,8 +133,9 @@ def test_coupling_with_bows(order: float) -> None:
     psi, h, y, z = np.array([0.4, 1.9]), np.array([0.3]), np.array([0.02]), np.array([-0.05])
     v, weight = np.polynomial.legendre.leggauss(30)
     angle, parabola = order * (1.15 + 0.75 * v), 1.5 * (1.0 - v * v)
-    sine, cosine = np.zeros(1), np.zeros(1)
-    add_coupling_bows(psi, y, z, h, order, cosine, sine)
+    columns = np.empty((2, 1))
+    sine, cosine = columns
+    coupling_columns(psi, np.zeros(2), np.zeros(2), np.stack([y, z]), h, np.zeros(1), order, columns)
     assert sine[0] == pytest.approx(0.15 * weight @ (parabola * (y[0] * np.sin(angle) - z[0] * np.cos(angle))))
     assert cosine[0] == pytest.approx(
         0.15 * weight @ (parabola * (y[0] * np.cos(angle) + z[0] * np.sin(angle)))

@@ -15,10 +15,11 @@ import piga
 from piga.calibration.fit.one_run import Fit, fit_run
 from piga.calibration.intervals.coloured_noise import contrasts_of
 from piga.calibration.intervals.slow_noise import moved_by, slow_factor
+from piga.calibration.model.design import Design
 from piga.calibration.model.request import make_request
 from piga.calibration.noise.components import RATES, RateBins
 from piga.calibration.noise.likelihood import Contrasts, Profile, UpperLimit
-from piga.calibration.remarks import missing_terms, unseen_noise
+from piga.calibration.remarks import unseen_noise
 from piga.calibration.remarks.slow_changes import joined_factor
 from piga.calibration.remarks.unseen_noise import NOT_EXCLUDED, UNSEEN
 from tests.calibration.made.coloured_truth import HEAD, LOG, Array, Coloured
@@ -135,11 +136,13 @@ def test_joined_rows_have_the_slow_values_of_all_rows(test: Coloured, monkeypatc
         ).level
 
     share, level = seen(whole, fit.design.rows)
-    monkeypatch.setattr(missing_terms, "_joined", lambda _: 1)
+    fit.design.forget()
+    monkeypatch.setattr(Design, "join", 1)
     same_share, same_level = seen(*joined_factor(fit, bins))
     assert same_share == pytest.approx(share, rel=1e-6)
     assert same_level == pytest.approx(level, rel=1e-6)
-    monkeypatch.setattr(missing_terms, "_joined", lambda _: 3)
+    fit.design.forget()
+    monkeypatch.setattr(Design, "join", 3)
     factor, rows = joined_factor(fit, bins)
     assert rows < 0.36 * fit.design.rows
     near_share, near_level = seen(factor, rows)
@@ -220,15 +223,15 @@ def test_where_it_is_not_needed() -> None:
     assert remarks_of(piga.calibrate(run, SMALL.terms, "rate" if run.kind == "angle" else "recursive")) == []
     fit = fitted(SMALL, 2)
     coefficients = piga.calibrate(run, SMALL.terms).coefficients
-    alone = unseen_noise.unseen_noise(fit, coefficients)
+    alone = unseen_noise.unseen_noise(fit, fit, coefficients)
     assert alone is not None
-    twice = unseen_noise.unseen_noise(fit, tuple(replace(c, std=2.0 * c.std) for c in coefficients))
+    twice = unseen_noise.unseen_noise(fit, fit, tuple(replace(c, std=2.0 * c.std) for c in coefficients))
     assert twice is not None
     assert twice.growth == pytest.approx(math.sqrt(3.0 + alone.growth**2) / 2.0, rel=1e-3), (
         "as much again of Type B"
     )
     vague = tuple(replace(c, std=20.0 * c.std) for c in coefficients)
-    assert unseen_noise.unseen_noise(fit, vague) is None
+    assert unseen_noise.unseen_noise(fit, fit, vague) is None
 
 
 @pytest.mark.only_compiled
@@ -250,7 +253,7 @@ def test_what_the_noise_takes_the_place_of_is_subtracted(monkeypatch: pytest.Mon
         limit = UpperLimit(1e-10, share)
         monkeypatch.setattr(Profile, "limit", lambda *_, limit=limit: limit)
         monkeypatch.setattr(Profile, "excludes", lambda *_: False)
-        found = unseen_noise.unseen_noise(fit, coefficients)
+        found = unseen_noise.unseen_noise(fit, fit, coefficients)
         assert found is not None
         grown.append(found.growth)
     assert grown[0] ** 2 - grown[1] ** 2 == pytest.approx(0.9, rel=0.1)

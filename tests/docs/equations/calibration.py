@@ -33,9 +33,10 @@ from .registry import PHI, K, Pair, equation
 def _linear() -> Iterator[Pair]:
     psi, (a_Y, a_Z) = 1.234, (3.0, -2.0)
     p, q = TAN_BETA * np.cos(PHI), TAN_BETA * np.sin(PHI)
-    sine, cosine = np.empty(1), np.empty(1)
+    columns = np.empty((2, 1))
     still = np.full(2, psi), np.full(2, a_Y), np.full(2, a_Z)
-    coupling_columns(*still, np.ones(1), np.zeros(1), 1.0, cosine, sine)
+    coupling_columns(*still, np.zeros((2, 1)), np.ones(1), np.zeros(1), 1.0, columns)
+    sine, cosine = columns
     literal = np.hypot(a_Y, a_Z) * TAN_BETA * np.sin(psi + PHI - np.arctan2(a_Z, a_Y))
     yield literal, p * sine[0] + q * cosine[0], 1e-16
 
@@ -202,6 +203,7 @@ def _likelihood() -> Iterator[Pair]:
     levels = find_noise(
         residual,
         np.full(n, h),
+        h,
         m,
         0.0,
         information=lambda grid: np.array([information(float(g)) for g in grid]),

@@ -47,7 +47,7 @@ def _growth() -> Iterator[Pair]:
     run = test.record(2)
     coefficients = piga.calibrate(run, test.terms).coefficients
     fit = fit_run(run, make_request(run, test.terms, None, None, None, None))
-    found = unseen_noise(fit, coefficients)
+    found = unseen_noise(fit, fit, coefficients)
     assert found is not None
     assert found.kind == "drift"
     bins = RateBins.of(run, coarse=True)

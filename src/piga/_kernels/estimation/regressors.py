@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.arithmetic import bow_of, curvature, limited
+from piga._kernels.arithmetic import bow_of, curvature, limited, sine_cosine
 from piga._kernels.jit import exact, kernel
 
 Array = NDArray[np.float64]
@@ -49,42 +49,56 @@ def half_angle_moments(x: float) -> tuple[float, float, float]:
     """
     x2 = x * x
     if x2 < 0.25:
-        j0 = 1.0 - x2 / 110.0 * (1.0 - x2 / 156.0)
-        j0 = 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0 * (1.0 - x2 / 42.0 * (1.0 - x2 / 72.0 * j0)))
-        ratio = 1.0 - x2 / 130.0 * (1.0 - x2 / 180.0)
-        ratio = (1.0 - x2 / 10.0 * (1.0 - x2 / 28.0 * (1.0 - x2 / 54.0 * (1.0 - x2 / 88.0 * ratio)))) / 3.0
+        j0 = 1.0 + x2 * (_J0[0] + x2 * (_J0[1] + x2 * (_J0[2] + x2 * (_J0[3] + x2 * (_J0[4] + x2 * _J0[5])))))
+        ratio = _J1[0] + x2 * (
+            _J1[1] + x2 * (_J1[2] + x2 * (_J1[3] + x2 * (_J1[4] + x2 * (_J1[5] + x2 * _J1[6]))))
+        )
         return j0, x * ratio, 2.0 * ratio
     sine, cosine = math.sin(x), math.cos(x)
     j1 = (sine - x * cosine) / x2
     return sine / x, j1, 2.0 * j1 / x
 
 
+_J0 = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(1, 7))
+_J1 = tuple((-1.0) ** k * (2 * k + 2) / math.factorial(2 * k + 3) for k in range(7))
+"""Coefficients of the series in x^2 of ``sin x / x`` (from the second on) and of ``(sin x - x cos x)/x^3``."""
+
+
 @kernel
 def coupling_columns(
-    psi: Array, y: Array, z: Array, h: Array, bend: Array, order: float, cosine: Array, sine: Array
+    psi: Array, y: Array, z: Array, bows: Array, h: Array, bend: Array, order: float, columns: Array
 ) -> None:
     """Product integrals of ``y(t)``, ``z(t)`` with ``exp(i order psi(t))`` (Filon's rule).
 
-    ``psi, y, z`` hold n + 1 samples, ``h`` and ``bend`` n intervals. ``bend`` [rad] is the sag of psi
-    against its chord at mid-interval (from the reference), to first order. Writes
-    ``sine = int (y sin - z cos)`` and ``cosine = int (y cos + z sin)``.
+    Writes ``int (y sin - z cos)`` and ``int (y cos + z sin)``.
+
+    Parameters
+    ----------
+    psi, y, z:
+        (n + 1,) samples, psi in rad.
+    bows:
+        (2, n) bows of y and z: parabolas in the interval, which weigh by the moment of ``1 - v^2``.
+    h, bend:
+        (n,) intervals [s]; sags [rad] of psi against its chord at mid-interval (from the reference), to first order.
+    order:
+        Multiple of the angle.
+    columns:
+        (2, n) results.
     """
     for i in range(h.size):
         if h[i] == 0.0:
-            sine[i] = 0.0
-            cosine[i] = 0.0
+            columns[0, i] = columns[1, i] = 0.0
             continue
-        middle = 0.5 * order * (psi[i] + psi[i + 1])
         j0, j1, sag = half_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
-        s, c = math.sin(middle), math.cos(middle)
+        s, c = sine_cosine(0.5 * order * (psi[i] + psi[i + 1]))
         ym, yd = 0.5 * (y[i] + y[i + 1]), 0.5 * (y[i + 1] - y[i])
         zm, zd = 0.5 * (z[i] + z[i + 1]), 0.5 * (z[i + 1] - z[i])
         bent = order * bend[i] * sag
-        # int (y + i-free) with exp(i psi) = (s, c) turned; even part j0, odd part j1, sag turns by +90 deg
-        ys, yc = ym * j0 * s + yd * j1 * c + ym * bent * c, ym * j0 * c - yd * j1 * s - ym * bent * s
-        zs, zc = zm * j0 * s + zd * j1 * c + zm * bent * c, zm * j0 * c - zd * j1 * s - zm * bent * s
-        sine[i] = h[i] * (ys - zc)
-        cosine[i] = h[i] * (yc + zs)
+        # even part j0, odd part j1 and sag of psi turn by +90 deg; the bow of the input does not
+        ye, ze = ym * j0 + 1.5 * sag * bows[0, i], zm * j0 + 1.5 * sag * bows[1, i]
+        yo, zo = yd * j1 + ym * bent, zd * j1 + zm * bent
+        columns[0, i] = h[i] * (s * (ye + zo) + c * (yo - ze))
+        columns[1, i] = h[i] * (c * (ye + zo) - s * (yo - ze))
 
 
 _ROWS = {"a_x": 0, "m_Y": 1, "m_Z": 2, "k0_T": 3, "k0_t": 4}
@@ -238,25 +252,30 @@ def smooth_bows(x: Array, h: Array, out: Array) -> bool:
     """
     n = h.size
     bent = False
+    second = 0.0
     for i in range(n):
         out[i] = 0.0
         if h[i] == 0.0:
             continue
         left = i > 0 and h[i - 1] != 0.0
         right = i < n - 1 and h[i + 1] != 0.0
+        first = second  # at the beginning of the interval, where there is a left one
+        if right:
+            second = curvature(x, h, i + 1)
         if left and right:
-            first, second = curvature(x, h, i), curvature(x, h, i + 1)
             share = (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i - 1] + h[i] + h[i + 1]))
-            value = first + share * (second - first)
+            value = limited(first + share * (second - first), first, second)
         elif left and i > 1 and h[i - 2] != 0.0:
-            first, second = curvature(x, h, i), curvature(x, h, i - 1)
-            value = first + (first - second) * (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i] + h[i - 1] + h[i - 2]))
+            before = curvature(x, h, i - 1)
+            value = first + (first - before) * (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i] + h[i - 1] + h[i - 2]))
+            value = limited(value, first, before)
         elif right and i < n - 2 and h[i + 2] != 0.0:
-            first, second = curvature(x, h, i + 1), curvature(x, h, i + 2)
-            value = first + (first - second) * (h[i] + 2.0 * h[i + 1]) / (2.0 * (h[i] + h[i + 1] + h[i + 2]))
+            after = curvature(x, h, i + 2)
+            value = second + (second - after) * (h[i] + 2.0 * h[i + 1]) / (2.0 * (h[i] + h[i + 1] + h[i + 2]))
+            value = limited(value, second, after)
         else:
             continue
-        out[i] = bow_of(h[i], limited(value, first, second))
+        out[i] = bow_of(h[i], value)
         bent |= out[i] != 0.0
     return bent
 
@@ -274,19 +293,3 @@ def add_product_bows(code: int, f: Array, bows: Array, temperature: Array, h: Ar
     elif code in (CODES["k3"], CODES["k2o"]):
         x = 0.5 * (f[0, :-1] + f[0, 1:])
         out += h * bows[0] * (3.0 * x * x if code == CODES["k3"] else 2.0 * np.abs(x))
-
-
-@kernel
-def add_coupling_bows(
-    psi: Array, y: Array, z: Array, h: Array, order: float, cosine: Array, sine: Array
-) -> None:
-    """Add the effect of the transverse bows ``y, z`` (n,) to the columns of :func:`coupling_columns`.
-
-    A bow is a parabola in the interval: it weighs with the angle by the moment of ``1 - v^2``.
-    """
-    for i in range(h.size):
-        _, _, sag = half_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
-        middle = 0.5 * order * (psi[i] + psi[i + 1])
-        s, c = math.sin(middle), math.cos(middle)
-        sine[i] += h[i] * 1.5 * sag * (y[i] * s - z[i] * c)
-        cosine[i] += h[i] * 1.5 * sag * (y[i] * c + z[i] * s)

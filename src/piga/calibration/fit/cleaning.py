@@ -19,9 +19,8 @@ from piga._kernels.estimation.outliers import correct_samples
 from piga.calibration.fit.outliers import OUTLIERS, Flags, Misses, count_flags
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.noise.levels import Noise, find_noise
+from piga.calibration.noise.levels import Noise, find_noise, rounding
 from piga.calibration.noise.weighting import reduce_segments, residual_increments, weighted_blocks
-from piga.reading.signal_checks import largest_size
 from piga.records.calibration import Event, Outlier
 from piga.records.run import Run
 from piga.records.spool import arrays_like, spans, steps
@@ -238,9 +237,7 @@ def _without_phases(design: Design, noise: Noise) -> Noise:
         own = best[: len(factors) * local].reshape(len(factors), local)
         values = np.hstack([own, np.tile(best[len(factors) * local :], (len(factors), 1))])
         d, h = residual_increments(design, values)
-        noise = find_noise(
-            d, h, best.size, 4.0 * np.finfo(float).eps * max(largest_size(design.run.output), 1e-3)
-        )
+        noise = find_noise(d, h, design.run.median_step, best.size, rounding(design.run))
     return noise
 
 

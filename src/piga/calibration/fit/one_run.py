@@ -27,17 +27,25 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request
 from piga.calibration.model.solution import Solution, solve
 from piga.calibration.noise.counted import Counted, fit_counted
-from piga.calibration.noise.levels import Information, Noise, find_noise, natural_spline, starting_noise
+from piga.calibration.noise.levels import (
+    Information,
+    Noise,
+    find_noise,
+    is_long,
+    natural_spline,
+    rounding,
+    starting_noise,
+)
 from piga.calibration.noise.settings import NOISE
 from piga.calibration.noise.weighting import (
     NoiseColumns,
+    Whitener,
     reduce_segments,
     residual_increments,
     weighted_blocks,
     weighting_mode,
 )
 from piga.errors import CalibrationError
-from piga.reading.signal_checks import largest_size
 from piga.records.calibration import Outlier
 from piga.records.run import Run
 from piga.records.spool import square_sum
@@ -55,10 +63,13 @@ class FitSettings:
         Most fits; the noise levels are usually stable after two or three.
     rounds:
         Most rounds of leaving samples out and fitting again; two or three are usual.
+    joined_fits:
+        Fits of joined rows for the first weights of a long record.
     """
 
     refits: int = 4
     rounds: int = 5
+    joined_fits: int = 3
 
 
 FIT = FitSettings()
@@ -207,6 +218,8 @@ def _fit(
     given = _given_noise(request)
     step = run.median_step
     noise = given or starting_noise(run.resolution, step)
+    if given is None and mode == "increments" and is_long(design.rows):
+        noise = _noise_of_joined(design, mode, noise)
     information = None
     for refit in range(FIT.refits):
         design = settled_design(design, mode, noise)
@@ -221,7 +234,7 @@ def _fit(
         levels = given or _levels(
             design, d, h, _parameters(solution), mode, noise if refit else None, information
         )
-        settled = refined is design and (mode != "increments" or levels.close_to(noise, step))
+        settled = refined is design and (mode != "increments" or levels.close_to(noise, step, design.rows))
         if settled:
             noise = noise if mode == "increments" else levels
             break
@@ -238,6 +251,23 @@ def _fit(
         d=d,
         h=h,
     )
+
+
+def _noise_of_joined(design: Design, mode: str, noise: Noise) -> Noise:
+    """Noise levels of a long record from joined rows. Joined increments have the same noise over longer intervals."""
+    for _ in range(FIT.joined_fits):
+        whitener = Whitener(mode, noise, len(design.names) + 1)
+        summaries = [Reduction.empty(design.names) for _ in design.run.labels]
+        for joined in design.joined():
+            summaries[joined.segment].absorb(whitener.apply_columns(joined.columns, joined.h))
+        if examine(design, summaries).null_terms:
+            return noise
+        solution = solve(design, summaries)
+        d = [one.columns[-1] - solution.values[one.segment] @ one.columns[:-1] for one in design.joined()]
+        h = np.concatenate([one.h for one in design.joined()])
+        step = float(np.median(h[h > 0.0]))
+        noise = find_noise(np.concatenate(d), h, step, _parameters(solution), rounding(design.run))
+    return noise
 
 
 def _given_noise(request: Request) -> Noise | None:
@@ -293,8 +323,7 @@ def _levels(
     if mode == "samples":
         variance = square_sum(d) / max(design.rows - parameters, 1)
         return Noise(0.0, variance * design.run.median_step)
-    scale = largest_size(design.run.output)
-    return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3), near, information)
+    return find_noise(d, h, design.run.median_step, parameters, rounding(design.run), near, information)
 
 
 def _covariance(design: Design, mode: str, noise: Noise, solution: Solution) -> Array:

@@ -172,8 +172,8 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run, parameters
         part, interval = np.asarray(d[rows]), np.asarray(h[rows])
         formed = interval > 0.0
         white = part if mode == "samples" else whitener.apply_columns(part[None, :], interval)[0]
-        for values, kept in ((np.abs(part[formed]), misses), (np.abs(white[formed]), whitened)):
-            kept.append(values[::every].copy())
+        for values, kept in ((part, misses), (white, whitened)):
+            kept.append(np.abs(values[formed][::every]))
         biggest = max(biggest, float(np.abs(part).max()))
         largest = max(largest, float(np.abs(white).max()))
     size, shown = np.concatenate(misses), np.concatenate(whitened)

@@ -38,8 +38,8 @@ def level_information(lengths: ArrayLike, step: float, noise: Noise, fitted: int
     information, slow = np.zeros((2, 2)), np.zeros(0)
     for size, count in zip(sizes.tolist(), counts.tolist(), strict=True):
         for part in spans(size - 1):
-            k = np.arange(part.start + 1, part.stop + 1)
-            gain = step / (4.0 * np.sin(0.5 * np.pi * k / size) ** 2)
+            half = np.sin(np.arange(part.start + 1.0, part.stop + 1.0) * (0.5 * np.pi / size))
+            gain = 0.25 * step / (half * half)
             information += count * _information(gain, noise)
             slow = np.concatenate(
                 [slow, np.repeat(gain[: fitted if part.start == 0 else 0], min(count, fitted))]
@@ -50,7 +50,10 @@ def level_information(lengths: ArrayLike, step: float, noise: Noise, fitted: int
 def _information(gain: Array, noise: Noise) -> Array:
     """Fisher information of values with variance ``white + walk gain``."""
     variance = noise.white + noise.walk * gain
-    rows = np.stack([np.ones(gain.size), gain]) / np.where(variance > 0.0, variance, np.inf)
+    rows = np.empty((2, gain.size))
+    np.divide(1.0, variance, out=rows[0], where=variance > 0.0)
+    rows[0, ~(variance > 0.0)] = 0.0
+    np.multiply(rows[0], gain, out=rows[1])
     return information(rows)
 
 

@@ -274,12 +274,12 @@ def _whitened_means(fit: Fit, basis: NoiseColumns, left: int, right: int, bins: 
     sizes = np.diff(edges)
     t = np.asarray(fit.design.run.t[left:right])
     angle = np.cumsum(fit.d[left:right])
-    means = np.add.reduceat(np.stack([t - t[0], angle]), edges[:-1], axis=1) / sizes
+    middles, angles = (np.add.reduceat(part, edges[:-1]) / sizes for part in (t - t[0], angle))
     widths = sizes * (t[-1] - t[0]) / t.size
-    covariance = fit.noise.walk * (np.minimum.outer(means[0], means[0]) - np.diag(widths) / 6.0)
+    covariance = fit.noise.walk * (np.minimum.outer(middles, middles) - np.diag(widths) / 6.0)
     covariance += np.diag(fit.noise.white / sizes)
     difference = np.diff(np.eye(bins), axis=0)
-    rows = np.diff(np.vstack([basis.angle(means[0] + t[0]), means[1]]), axis=1).T
+    rows = np.diff(np.vstack([basis.angle(middles + t[0]), angles]), axis=1).T
     return np.linalg.solve(np.linalg.cholesky(difference @ covariance @ difference.T), rows)
 
 

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from piga._kernels.estimation.outliers import merge_rows
 from piga._kernels.estimation.regressors import (
     CODES,
-    add_coupling_bows,
     add_product_bows,
     coupling_columns,
     product_column,
@@ -34,7 +33,7 @@ from piga.calibration.model.request import Request, phase_angle
 from piga.errors import DataError
 from piga.instrument.twin.linear import ServoParameters, servo_terms
 from piga.records.run import Run
-from piga.records.spool import spans, square_sum, steps, trim
+from piga.records.spool import gathered, spans, square_sum, steps, trim
 from piga.records.terms import SERVO_TERMS
 
 Array = NDArray[np.float64]
@@ -125,6 +124,10 @@ class DesignSettings:
         Largest relative change of K inside the regressors. Above it the model does not fit the record.
     threads:
         Threads that fill blocks.
+    joined_rows:
+        Most joined intervals, about (:meth:`Design.joined`).
+    joined_turn:
+        Largest turn of the output in a joined interval [rad]; a larger turn would average its harmonics out.
     """
 
     chunk: int = 1 << 16
@@ -132,6 +135,8 @@ class DesignSettings:
     most_bend: float = 0.3
     most_change: float = 0.5
     threads: int = 2
+    joined_rows: int = 4096
+    joined_turn: float = 0.3
 
 
 DESIGN = DesignSettings()
@@ -162,6 +167,27 @@ class Block:
         return starts, np.where((h == 0.0) & (self.h[starts] != 0.0), -1.0, h)
 
 
+@dataclass(frozen=True)
+class Joined:
+    """Rows ``start`` .. ``stop`` of the record with neighbouring intervals joined.
+
+    ``starts`` are the first rows of the joined intervals, counted from ``start``; ``h`` and ``columns`` (m + 1, n) as in a
+    :class:`Block`.
+    """
+
+    start: int
+    stop: int
+    segment: int
+    starts: NDArray[np.int64]
+    h: Array
+    columns: Array
+
+    @property
+    def last(self) -> NDArray[np.int64]:
+        """Last rows of the joined intervals, counted from ``start``."""
+        return np.append(self.starts[1:], self.stop - self.start) - 1
+
+
 @dataclass
 class Design:
     """Regressor blocks of a run for one request.
@@ -177,6 +203,7 @@ class Design:
     scale_factor: float
     servo: ServoState | None = None
     _cache: dict[int, Block] = field(default_factory=dict, repr=False)
+    _joined: list[Joined] = field(default_factory=list, repr=False)
 
     def __post_init__(self) -> None:
         run = self.run
@@ -268,9 +295,31 @@ class Design:
             for item in pending:
                 yield self._take(item, keep)
 
+    def joined(self) -> list[Joined]:
+        """All blocks with neighbouring intervals joined, so that there are some ``joined_rows``; kept, because they are few."""
+        if not self._joined:
+            count, blocks = self.join, []
+            for block in self.blocks():
+                starts, h = block.joins(count)
+                columns = np.add.reduceat(block.columns, starts, axis=1)
+                blocks.append(Joined(block.start, block.stop, block.segment, starts, h, columns))
+            self._joined = blocks
+        return self._joined
+
+    @property
+    def join(self) -> int:
+        """Number of intervals joined to one."""
+        size = self.run.size
+        every = max(1, size // DESIGN.joined_rows)
+        turn = np.abs(np.diff(gathered(self.phase_angle, np.arange(0, size, every))))
+        step = float(np.quantile(turn, 0.9)) / every
+        most = DESIGN.joined_turn / step if step > 0.0 else math.inf
+        return max(1, min(math.ceil(self.rows / DESIGN.joined_rows), int(min(most, 1e6))))
+
     def forget(self) -> None:
         """Free the memory of kept blocks; they are built again on demand."""
         self._cache.clear()
+        self._joined = []
 
     def _take(self, item: object, keep: bool) -> Block:
         if isinstance(item, Block):
@@ -289,11 +338,11 @@ class Design:
             window = np.arange(start, stop).repeat(2)
         h, observation = self._observation(start, stop, first)
         bows = self._bows(first, stop)
-        if bows is not None:
-            observation += np.where(h > 0.0, h, 0.0) * (bows[3] - self._known_scale_factor * bows[0])
+        if bows is not None and (self.run.base_rate is not None or not self.estimates_scale_factor):
+            observation += np.maximum(h, 0.0) * (bows[3] - self._known_scale_factor * bows[0])
         columns = np.empty((len(self.names) + 1, h.size))
         columns[-1] = observation
-        force = np.ascontiguousarray(self._force[:, window])
+        force = self._force[:, window]
         inner_h = np.tile((1.0, 0.0), stop - start)[:-1] if self.point else h
         self._fill_local(columns, window, force, inner_h, bows)
         self._fill_shared(columns, window, force, inner_h, bows)
@@ -321,10 +370,11 @@ class Design:
         h[run.begins[low + 1 : high]] = 0.0
         inputs = [*self._force[:, low:high]]
         inputs += [] if run.base_rate is None else [*run.base_rate[low:high].T]
-        bows, bent = np.zeros((6, h.size)), False
+        bows, bent = np.empty((6, h.size)), False
+        bows[len(inputs) :] = 0.0
         for bow, samples in zip(bows, inputs, strict=False):
             bent |= bool(smooth_bows(np.ascontiguousarray(samples), h, bow))
-        return np.ascontiguousarray(bows[:, first - low : stop - 1 - low]) if bent else None
+        return bows[:, first - low : stop - 1 - low] if bent else None
 
     def _leave_out(self, columns: Array, h: Array, left_out: NDArray[np.bool_]) -> None:
         if self.point:
@@ -361,34 +411,32 @@ class Design:
         psi = np.ascontiguousarray(self.phase_angle[window])
         x, y, z = self._turning(window, force)
         bend = -self.scale_factor / 8.0 * h * np.diff(x)
-        cosine, sine = np.empty(h.size), np.empty(h.size)
-        row = 0
+        count = len(self.local_names)
+        turned = np.empty((count, h.size)) if self.point else columns[:count]
+        straight, row = np.zeros((2, h.size)), 0
         if "p" in self.local_names:
-            coupling_columns(psi, y, z, h, bend, 1.0, cosine, sine)
-            if bows is not None:
-                across = bows[1:3] - bows[4:6] / self.scale_factor
-                add_coupling_bows(psi, across[0], across[1], h, 1.0, cosine, sine)
-            columns[0], columns[1] = self._every(sine), self._every(cosine)
+            across = straight if bows is None else bows[1:3] - bows[4:6] / self.scale_factor
+            coupling_columns(psi, y, z, across, h, bend, 1.0, turned[:2])
             row = 2
-        ones, zeros = np.ones_like(psi), np.zeros_like(psi)
         for order in self.request.harmonics:
-            coupling_columns(psi, ones, zeros, h, bend, float(order), cosine, sine)
-            columns[row], columns[row + 1] = self._every(sine), self._every(cosine)
+            one = np.ones(psi.size), np.zeros(psi.size)
+            coupling_columns(psi, *one, straight, h, bend, float(order), turned[row : row + 2])
             row += 2
+        if self.point:
+            columns[:count] = self._every(turned)
 
-    def _turning(self, window: slice | NDArray[np.int64], force: Array) -> tuple[Array, Array, Array]:
-        """``u/K``: specific force less base rate over K [m/s^2]."""
+    def _turning(self, window: slice | NDArray[np.int64], force: Array) -> Array:
+        """``u/K`` (3, n): specific force less base rate over K [m/s^2]."""
         if self.run.base_rate is None:
-            return force[0], force[1], force[2]
-        rate = self.run.base_rate[window] / self.scale_factor
-        return force[0] - rate[:, 0], force[1] - rate[:, 1], force[2] - rate[:, 2]
+            return force
+        return np.ascontiguousarray(force - self.run.base_rate[window].T / self.scale_factor)
 
     def _fill_servo(
         self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array, segment: int
     ) -> None:
         """Servo columns; at a state, their addition to the coupling columns, and the known part."""
         psi = np.ascontiguousarray(self.phase_angle[window])
-        x, y, z = (np.ascontiguousarray(part) for part in self._turning(window, force))
+        x, y, z = self._turning(window, force)
         bend = -self.scale_factor / 8.0 * h * np.diff(x)
         raw = np.empty((len(PHASELESS), h.size))
         servo_columns(psi, x, y, z, h, bend, raw)
@@ -415,19 +463,21 @@ class Design:
         t = self.run.t[window] - self.time_reference
         warm = self.run.temperature
         temperature = t if warm is None else warm[window] - self.request.temperature_reference
-        out = np.empty(h.size)
+        held = np.empty(h.size)
         for row, name in enumerate(self.shared_names, start=len(self.local_names)):
             if name in SERVO_TERMS or name in PHASELESS:
                 continue
             code = CODES["a_x" if name in ("scale_factor", "k1") else name]
+            out = held if self.point else columns[row]
             product_column(code, t, force, temperature, h, out)
             if bows is not None:
                 add_product_bows(code, force, bows, temperature, h, out)
-            columns[row] = self._every(out)
+            if self.point:
+                columns[row] = self._every(out)
 
     def _every(self, column: Array) -> Array:
         """For a rate log, every second interval: these are the samples, and the others join two samples."""
-        return column[::2] if self.point else column
+        return column[..., ::2] if self.point else column
 
     def _check_bend(self) -> None:
         if not self.local_names or self.point:

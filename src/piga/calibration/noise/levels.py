@@ -12,7 +12,9 @@ from piga._kernels.estimation.noise import CANDIDATES, likelihoods
 from piga.calibration.model.reduction import workers
 from piga.calibration.noise.likelihood import restricted
 from piga.calibration.noise.settings import NOISE
-from piga.records.spool import exact_median, spans
+from piga.reading.signal_checks import largest_size
+from piga.records.run import Run
+from piga.records.spool import spans
 from piga.results import Array
 
 Information = Callable[[Array], Array]
@@ -72,12 +74,26 @@ class Noise:
         """White noise, random walk and the stated scatter."""
         return replace(self, drift=0.0, scatter=0.0)
 
-    def close_to(self, other: Noise, step: float, tolerance: float = 0.02) -> bool:
-        """True if both give nearly the same weights: equal variances of an increment and of a long span."""
+    def close_to(self, other: Noise, step: float, rows: int, tolerance: float = 0.02) -> bool:
+        """True if both give nearly the same weights: equal variances of an increment and of a long span.
+
+        The span of a long record is the whole record of ``rows`` increments; white noise then adds ``12/rows^2``.
+        """
         short = (2.0 * self.white + self.walk * step) / (2.0 * other.white + other.walk * step)
-        total = self.walk * step + 1e-4 * self.white
-        other_total = other.walk * step + 1e-4 * other.white
+        share = 12.0 / rows**2 if is_long(rows) else NOISE.settled_share
+        total = self.walk * step + share * self.white
+        other_total = other.walk * step + share * other.white
         return abs(math.log(short)) < tolerance and abs(math.log(total / other_total)) < 2.0 * tolerance
+
+
+def is_long(rows: int) -> bool:
+    """True for a record whose first rows alone give its noise levels roughly."""
+    return rows > 4 * NOISE.first_rows
+
+
+def rounding(run: Run) -> float:
+    """Least angle noise that is estimated [rad]: the rounding of the output."""
+    return 4.0 * float(np.finfo(float).eps) * max(largest_size(run.output), 1e-3)
 
 
 def starting_noise(resolution: float, step: float) -> Noise:
@@ -89,45 +105,41 @@ def starting_noise(resolution: float, step: float) -> Noise:
 def find_noise(
     d: Array,
     h: Array,
+    step: float,
     parameters: int,
     floor: float,
     near: Noise | None = None,
     information: Information | None = None,
 ) -> Noise:
-    """Noise levels of residual increments ``d`` (n,) over intervals ``h`` (n,; 0 begins a stretch).
+    """Noise levels of residual increments ``d`` (n,) over intervals ``h`` (n,; 0 begins a stretch), of about ``step`` [s].
 
     It maximises the restricted likelihood of the first-order moving average (docs/theory/calibration), concentrated
-    over its scale, on a grid of the ratio kappa = q/r that is refined ``refinements`` times:
+    over its scale, on a grid of the ratio kappa = q/r that is refined until it is fine enough:
     ``(n - m) log S + sum log v + log|X' V^-1 X|``, with m ``parameters`` fitted. The last term is the slow noise that the
     fit took up; it is ``information`` as a function of ``log10(kappa h)``. Without ``information`` it is left
-    out. ``floor`` [rad] is the smallest angle noise returned. ``near`` narrows the search to a decade
-    around earlier levels.
+    out. ``floor`` [rad] is the smallest angle noise returned. ``near`` narrows the search to
+    earlier levels. In a long record the first rows narrow it.
     """
     count = sum(int(np.count_nonzero(h[rows] > 0.0)) for rows in spans(h.size))
     freedom = max(count - parameters, 1)
-    step = exact_median(lambda: (part[part > 0.0] for part in (h[rows] for rows in spans(h.size))))
-    low, high, passes = NOISE.lowest_ratio, NOISE.highest_ratio, NOISE.refinements
+    low, high, long = NOISE.lowest_ratio, NOISE.highest_ratio, is_long(d.size)
+
+    def deviance(grid: Array, rows: slice) -> tuple[Array, Array]:
+        """The objective and the residual square of the record, judged by some of its rows."""
+        log, square = deviance_sums(d[rows], h[rows], 10.0**grid / step)
+        share = d.size / d[rows].size
+        objective = restricted(log * share, square * share / count, freedom)
+        return objective if information is None else objective + information(grid), square * share
+
+    centre, width = None, NOISE.ratio_known
     if near is not None and near.white > 0.0 and near.walk > 0.0:
         centre = math.log10(near.walk * step / near.white)
-        low, high, passes = max(low, centre - 1.0), min(high, centre + 1.0), passes - 2
-    best, size = low, 1.0
-    for index in range(passes):
-        coarse = near is None and index < passes - 2 and d.size > 4 * NOISE.first_rows
-        grid = np.linspace(low, high, CANDIDATES)
-        log, square = (
-            deviance_sums(d[: NOISE.first_rows], h[: NOISE.first_rows], 10.0**grid / step)
-            if coarse
-            else deviance_sums(d, h, 10.0**grid / step)
-        )
-        if coarse:
-            log, square = log * (d.size / NOISE.first_rows), square * (d.size / NOISE.first_rows)
-        objective = restricted(log, square / count, freedom)
-        if information is not None:
-            objective = objective + information(grid)
-        best = least_on_grid(grid, objective)
-        size = float(np.exp(np.interp(best, grid, np.log(np.maximum(square, 1e-300)))))
-        spacing = (high - low) / (CANDIDATES - 1)
-        low, high = max(best - spacing, NOISE.lowest_ratio), min(best + spacing, NOISE.highest_ratio)
+        width = NOISE.ratio_known_long if long else width
+    elif long:
+        centre, _ = _likeliest(lambda grid: deviance(grid, slice(NOISE.first_rows)), low, high)
+    if centre is not None:
+        low, high = max(low, centre - width), min(high, centre + width)
+    best, size = _likeliest(lambda grid: deviance(grid, slice(None)), low, high)
     if information is not None:
         grid = np.append(NOISE.lowest_ratio, np.full(CANDIDATES - 1, best))
         log, square = deviance_sums(d, h, 10.0**grid / step)
@@ -138,6 +150,26 @@ def find_noise(
     white = size / freedom
     white = max(white, floor**2 / (1.0 + ratio * step))
     return Noise(white, ratio * white)
+
+
+def _likeliest(
+    deviance: Callable[[Array], tuple[Array, Array]], low: float, high: float
+) -> tuple[float, float]:
+    """``log10(q h/r)`` of the least deviance and the residual square there, on a grid from ``low`` to ``high``.
+
+    The grid is refined around its best point, and moved where the best point is its first or last.
+    """
+    for _ in range(NOISE.ratio_passes):
+        grid = np.linspace(low, high, CANDIDATES)
+        objective, square = deviance(grid)
+        best = least_on_grid(grid, objective)
+        spacing = (high - low) / (CANDIDATES - 1)
+        outside = NOISE.lowest_ratio < best == low or NOISE.highest_ratio > best == high
+        if spacing <= NOISE.ratio_spacing and not outside:
+            break
+        reach = high - low if outside else spacing
+        low, high = max(best - reach, NOISE.lowest_ratio), min(best + reach, NOISE.highest_ratio)
+    return best, float(np.exp(np.interp(best, grid, np.log(np.maximum(square, 1e-300)))))
 
 
 def least_on_grid(grid: Array, objective: Array) -> float:

@@ -19,8 +19,16 @@ class NoiseSettings:
         Largest ``log10(q h/r)`` searched: pure random walk.
     first_rows:
         Increments used by the first, coarse passes over a long record.
-    refinements:
-        Passes over the residuals; two less if the ratio is known to a decade.
+    ratio_spacing:
+        Spacing of ``log10(q h/r)`` at which the grid is no longer refined; a parabola finds the optimum between its points.
+    ratio_passes:
+        Most passes over the residuals; one to four are usual.
+    ratio_known:
+        Range of ``log10(q h/r)`` to both sides of an earlier estimate.
+    ratio_known_long:
+        The same in a long record: the fit before gives it closely.
+    settled_share:
+        Share of the white noise in the variance of a long span, in records that are not long.
     walk_in_weights:
         Gain above which a random walk enters the weights. A fainter one enters only the covariance.
     negligible:
@@ -192,7 +200,11 @@ class NoiseSettings:
     lowest_ratio: float = -10.0
     highest_ratio: float = 4.0
     first_rows: int = 1 << 17
-    refinements: int = 4
+    ratio_spacing: float = 0.1
+    ratio_passes: int = 12
+    ratio_known: float = 1.0
+    ratio_known_long: float = 0.14
+    settled_share: float = 1e-4
     walk_in_weights: float = 1.5
     negligible: float = 1e-3
     restricted_rows: int = 200_000

@@ -323,8 +323,21 @@ def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
     """Observed minus modelled increments and their intervals, for ``values`` (segments, m)."""
     arrays = arrays_like(design.run.t)
     d, h = arrays.zeros(design.run.size), arrays.zeros(design.run.size)
-    for block in design.blocks():
+
+    def fill(block: Block) -> None:
         rows = slice(block.start, block.stop)
         d[rows] = block.columns[-1] - values[block.segment] @ block.columns[:-1]
         h[rows] = block.h
+
+    with workers(design.run.size, 1) as pool:
+        jobs = []
+        for index, block in enumerate(design.blocks()):
+            if index % 2:
+                fill(block)
+            else:
+                jobs.append(pool.submit(fill, block))
+            if len(jobs) > 4:
+                jobs.pop(0).result()
+        for job in jobs:
+            job.result()
     return d, h

@@ -329,8 +329,8 @@ def _whitened(run: Run, sample: Sample, reading: AdviceReading, names: list[str]
     a = (sample.f[:, list(reading.axes)] * np.array(reading.signs, dtype=float)).T
     turning = a - sample.base.T / run.scale_factor
     alpha = sample.phase / reading.output
-    values = [term_values(name, a, sample.t, sample.warm, turning, alpha) for name in names]
-    columns = sample.increments(np.stack([*values, sample.base[:, 0]]))
+    values = term_values(names, a, sample.t, sample.warm, turning, alpha)
+    columns = sample.increments(np.vstack([values, sample.base[:, 0]]))
     columns[-1] += sample.observed / reading.output
     if sample.point:
         return columns

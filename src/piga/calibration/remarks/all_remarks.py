@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piga.calibration.fit.one_run import Fit, without_slow
+from piga.calibration.fit.one_run import Fit
 from piga.calibration.model.solution import name_coefficients
 from piga.calibration.remarks.advice import advise, looks_wrong
 from piga.calibration.remarks.left_out import CUBIC_SOURCE, DAMPING_SOURCE, LeftOut
 from piga.calibration.remarks.leverage import find_leverage
-from piga.calibration.remarks.missing_terms import suggest_terms, suggestions_in_words
+from piga.calibration.remarks.missing_terms import Candidates, suggest_terms, suggestions_in_words
 from piga.calibration.remarks.slow_changes import SlowWave, slow_wave
 from piga.records.calibration import Calibration, Coefficient, MissingTerm, SegmentLeverage
 from piga.records.calibration.verdict import THRESHOLDS
@@ -35,22 +35,22 @@ class Remarks:
     wave: SlowWave | None = None
 
 
-def find_remarks(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Remarks:
+def find_remarks(fit: Fit, candidates: Candidates, coefficients: tuple[Coefficient, ...]) -> Remarks:
     """Remarks from the fit alone, without its residuals.
 
     Parameters
     ----------
-    fit:
-        The finished fit.
+    fit, candidates:
+        The finished fit, and the candidates of the fit without slow noise.
     coefficients:
         Those of the result, with combined standard uncertainties.
     """
     slow = fit.noise.slow > 0.0 or fit.colour is not None
-    plain = without_slow(fit)
+    plain = candidates.fit
     known = _known_without_slow(fit, plain, coefficients) if slow else coefficients
     leverage, alone, moved = find_leverage(plain, known, slow)
     _in_reported_uncertainties(leverage, known, coefficients)
-    return Remarks(leverage, alone, moved, suggest_terms(plain, coefficients), slow_wave(plain))
+    return Remarks(leverage, alone, moved, suggest_terms(candidates, coefficients), slow_wave(plain))
 
 
 def _in_reported_uncertainties(

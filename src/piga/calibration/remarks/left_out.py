@@ -35,10 +35,10 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.remarks.missing_terms import (
     CUBIC,
+    Candidates,
     Tested,
     after_change,
     constant_squares,
-    pieces_of,
     tested,
     with_term,
 )
@@ -98,16 +98,17 @@ class LeftOut:
         return budget_row(self.source, "B", "rectangular", None, "", coefficients, self.change / math.sqrt(3.0))
 
 
-def left_out_terms(plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[LeftOut, ...]:
+def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]) -> tuple[LeftOut, ...]:
     """Servo signatures in a record; empty if none is clear, or terms take them up, or the stand can decide.
 
     Parameters
     ----------
-    plain:
-        The fit without slow noise. Slow noise would take up the signature of a missing term.
+    candidates:
+        Those of the fit without slow noise.
     coefficients:
         Those of the result.
     """
+    plain = candidates.fit
     design = plain.design
     held = (*design.request.terms, *design.turning_servo)
     if "tan_beta" not in held or design.request.phase_source != "output":
@@ -115,12 +116,10 @@ def left_out_terms(plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[L
     square = constant_squares(design.run)[0]
     asked = () if square is None or design.turning_servo else asked_cube(coefficients, square)
     cube = square is not None and "scale_factor" in held and not set(CUBIC) & set(held)
-    order = [name for name, open_ in (("k3", cube), ("servo_damping", "servo_damping" not in held)) if open_]
-    if design.has_phases and "servo_damping" in order:
-        order.remove("servo_damping")
-    if not order:
+    damping = "servo_damping" not in held and not design.has_phases
+    if not cube and not damping:
         return asked
-    pieces, rows = pieces_of(plain, order)
+    order, (pieces, rows) = candidates.order, candidates.pieces
     before = after_change(plain, np.zeros(1))
     doubts: list[LeftOut] = []
     if square is not None and cube:
@@ -130,8 +129,8 @@ def left_out_terms(plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[L
             k3 = float(test.columns[0]) / design.scale_factor
             doubts.append(_both_meanings(coefficients, before, after, k3, square))
             pieces = [with_term(piece, order, ("k3",)) for piece in pieces]
-            order.remove("k3")
-    test = tested(pieces, order, ("servo_damping",), rows) if "servo_damping" in order else None
+            order = [name for name in order if name != "k3"]
+    test = tested(pieces, order, ("servo_damping",), rows) if damping else None
     if test is not None and (doubts or asked or test.probability <= LEFT_OUT.clear):
         beside = ("k3", "servo_damping") if doubts else ("servo_damping",)
         whole = _with_terms(plain, beside)

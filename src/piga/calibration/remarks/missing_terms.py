@@ -10,14 +10,15 @@ the record is smooth over a few samples, the columns of candidates are integrate
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.fit.one_run import Fit
-from piga.calibration.model.design import Block, Design
+from piga.calibration.model.design import Design, Joined
 from piga.calibration.model.reduction import solve_upper
 from piga.calibration.model.solution import layout_of, name_coefficients, parameter_rows
 from piga.calibration.noise.weighting import Whitener, rate_share
@@ -40,10 +41,6 @@ class CandidateSettings:
         Probability that a record of a right model gets any suggestion, Bonferroni over the candidates.
     thermal_alarms:
         The same for a bias that follows a recorded temperature: one candidate, expected in advance.
-    rows:
-        Most rows for the test; in longer records neighbouring increments are joined.
-    widest_turn:
-        Largest turn of the output inside a joined increment [rad]; a larger turn would average its harmonics out.
     sample_turn:
         Turn of the output between the samples of a candidate [rad]: the error of the trapezoid is 1e-3.
     confounded:
@@ -76,8 +73,6 @@ class CandidateSettings:
 
     false_alarms: float = 0.002
     thermal_alarms: float = 0.005
-    rows: int = 4096
-    widest_turn: float = 0.3
     sample_turn: float = 0.1
     confounded: float = 1e-3
     notable: float = 0.01
@@ -173,22 +168,19 @@ def constant_squares(run: Run) -> tuple[float | None, float | None]:
     return squares[0], squares[1]
 
 
-def candidate_sums(
-    fit: Fit, block: Block, names: list[str], starts: NDArray[np.int64], step: int
-) -> list[Array]:
-    """Integrals of the candidates over joined intervals of a block (sums of their values, for a log of rates).
+def candidate_sums(fit: Fit, joined: Joined, names: list[str], step: int) -> Array:
+    """Integrals of the candidates over joined intervals (sums of their values, for a log of rates), (names, n).
 
     Parameters
     ----------
-    fit, block, names:
+    fit, joined, names:
         The fit, a block of its design and the columns wanted.
-    starts:
-        Rows of the block at which the joined intervals begin, the first 0.
     step:
         Samples between evaluations, where the record is smooth. A log of rates is evaluated at all samples.
     """
     design, run = fit.design, fit.design.run
-    size, first = block.h.size, block.start if design.point else block.start - 1
+    size, starts = joined.stop - joined.start, joined.starts
+    first = joined.start if design.point else joined.start - 1
     at = np.arange(size)
     if not design.point:
         looked = np.zeros(size + 1, dtype=bool)
@@ -196,27 +188,35 @@ def candidate_sums(
         at = np.flatnonzero(looked)
     rows = first + at
     phase = fit.solution.phases
-    group = block.segment if phase.size > 1 else 0
+    group = joined.segment if phase.size > 1 else 0
     alpha = design.phase_angle[rows] + (phase[group] if phase.size else 0.0)
     a = np.ascontiguousarray(run.f[rows].T)
     t = run.t[rows] - design.time_reference
     warm = t if run.temperature is None else run.temperature[rows] - design.request.temperature_reference
     turning = a if run.base_rate is None else a - run.base_rate[rows].T / design.scale_factor
-    values = (term_values(name, a, t, warm, turning, alpha) for name in names)
+    values = term_values(names, a, t, warm, turning, alpha)
     if design.point:
-        return [np.add.reduceat(value, starts) for value in values]
+        return np.asarray(np.add.reduceat(values, starts, axis=1))
     half = 0.5 * np.where(run.begins[first + 1 + at[:-1]], 0.0, np.diff(t))
-    edges = np.searchsorted(at, starts)
-    return [np.add.reduceat(half * (value[1:] + value[:-1]), edges) for value in values]
+    return np.asarray(
+        np.add.reduceat(half * (values[:, 1:] + values[:, :-1]), np.searchsorted(at, starts), axis=1)
+    )
 
 
-def term_values(name: str, a: Array, t: Array, warm: Array, turning: Array, alpha: Array) -> Array:
-    """Integrand of a term's column at the samples.
+PRODUCTS = {
+    "k0": "", "k1": "x", "k2": "xx", "k3": "xxx", "m_Y": "y", "m_Z": "z",
+    "k_XY": "xy", "k_XZ": "xz", "k_YY": "yy", "k_ZZ": "zz", "k_YZ": "yz",
+}  # fmt: skip
+"""Terms that are products of the axes of the force."""
+
+
+def term_values(names: Sequence[str], a: Array, t: Array, warm: Array, turning: Array, alpha: Array) -> Array:
+    """Integrands (names, n) of the columns of terms at the samples.
 
     Parameters
     ----------
-    name:
-        Term, or ``p``, ``q`` of the coupling.
+    names:
+        Terms, or ``p``, ``q`` of the coupling.
     a:
         (3, n) specific force [m/s^2].
     t, warm:
@@ -226,27 +226,30 @@ def term_values(name: str, a: Array, t: Array, warm: Array, turning: Array, alph
     alpha:
         (n,) angle that the column turns with [rad].
     """
-    order = harmonic(name)
-    if order:
-        return np.sin(order[1] * alpha) if order[0] == "s" else np.cos(order[1] * alpha)
-    x, y, z = a
-    if name in ("p", "q", *SERVO_TERMS):
-        sine, cosine = np.sin(alpha), np.cos(alpha)
-        if name in ("p", "servo"):
-            across = turning[1] * sine - turning[2] * cosine
-            return across if name == "p" else -2.0 * turning[0] * across**2
-        along = turning[1] * cosine + turning[2] * sine
-        return along if name == "q" else -(turning[0] ** 2) * along
-    if name in ("k0_t", "k0_T", "k1_T"):
-        return {"k0_t": t, "k0_T": warm, "k1_T": x * warm}[name]
-    factors = {
-        "k0": (), "k1": (x,), "k2": (x, x), "k3": (x, x, x), "k2o": (x, np.abs(x)), "m_Y": (y,), "m_Z": (z,),
-        "k_XY": (x, y), "k_XZ": (x, z), "k_YY": (y, y), "k_ZZ": (z, z), "k_YZ": (y, z),
-    }[name]  # fmt: skip
-    result = np.ones_like(x)
-    for factor in factors:
-        result = result * factor
-    return result
+    turns = any(name in ("p", "q", "s1", "c1", *SERVO_TERMS) for name in names)
+    sine, cosine = (np.sin(alpha), np.cos(alpha)) if turns else (t, t)
+    along, across = turning[1] * cosine + turning[2] * sine, turning[1] * sine - turning[2] * cosine
+    values = np.empty((len(names), t.size))
+    for name, value in zip(names, values, strict=True):
+        order = harmonic(name)
+        if order:
+            same = sine if order[0] == "s" else cosine
+            turned = np.sin if order[0] == "s" else np.cos
+            value[:] = same if order[1] == 1 else turned(order[1] * alpha)
+        elif name in PRODUCTS:
+            value[:] = np.prod(a[["xyz".index(axis) for axis in PRODUCTS[name]]], axis=0)
+        else:
+            value[:] = {
+                "p": lambda: across,
+                "q": lambda: along,
+                "servo": lambda: -2.0 * turning[0] * across**2,
+                "servo_damping": lambda: -(turning[0] ** 2) * along,
+                "k2o": lambda: a[0] * np.abs(a[0]),
+                "k0_t": lambda: t,
+                "k0_T": lambda: warm,
+                "k1_T": lambda: a[0] * warm,
+            }[name]()
+    return values
 
 
 @dataclass(frozen=True)
@@ -269,22 +272,44 @@ class Tested:
     change: Array
 
 
-def suggest_terms(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[MissingTerm, ...]:
+@dataclass(frozen=True)
+class Candidates:
+    """A fit without slow noise, and the columns of all terms that it may lack.
+
+    Slow noise would take up the signature of a missing term. The columns are made when they are first asked for.
+    """
+
+    fit: Fit
+
+    @cached_property
+    def order(self) -> list[str]:
+        """Names of the columns: candidates for a suggestion, and signatures of the servo."""
+        names = [name for names in candidate_terms(self.fit.design) for name in names]
+        return names + [name for name in ("k3", "servo_damping") if name not in names]
+
+    @cached_property
+    def pieces(self) -> tuple[list[Array], int]:
+        """Factors of the parts of the record, and the number of rows."""
+        return pieces_of(self.fit, self.order)
+
+
+def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]) -> tuple[MissingTerm, ...]:
     """The few missing terms whose signature is in the residuals, best first; none is added to the model.
 
     Parameters
     ----------
-    fit:
-        The finished fit.
+    candidates:
+        Those of the finished fit.
     coefficients:
         The result, with combined standard uncertainties.
     """
+    fit = candidates.fit
     left = candidate_terms(fit.design)
     if fit.design.request.phase_source != "output" or not left:
         return ()
-    pieces, rows = pieces_of(fit, [name for names in left for name in names])
+    order = candidates.order
+    pieces, rows = candidates.pieces
     suggestions: list[MissingTerm] = []
-    order = [name for names in left for name in names]
     limit = CANDIDATES.false_alarms / len(left)
     square = constant_squares(fit.design.run)[0]
     for _ in range(CANDIDATES.suggestions):
@@ -364,10 +389,9 @@ def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
     collected: list[list[Array]] = [[] for _ in range(segments)]
     total, step = 0, smooth_step(design.run, CANDIDATES.sample_turn)
 
-    def sums(block: Block, starts: NDArray[np.int64], _h: Array) -> Array:
-        return np.stack(candidate_sums(fit, block, extra, starts, step))
-
-    for segment, weighted, formed in joined_rows(fit, sums, len(extra)):
+    for segment, weighted, formed in joined_rows(
+        fit, lambda one: candidate_sums(fit, one, extra, step), len(extra)
+    ):
         total += formed
         collected[segment].append(weighted)
     pieces = []
@@ -386,40 +410,26 @@ def _stated(fit: Fit) -> bool:
     return bool(fit.noise.stated) and fit.counted is None and fit.mode == "increments"
 
 
-def joined_rows(
-    fit: Fit, others: Callable[[Block, NDArray[np.int64], Array], Array], size: int
-) -> Iterator[tuple[int, Array, int]]:
+def joined_rows(fit: Fit, others: Callable[[Joined], Array], size: int) -> Iterator[tuple[int, Array, int]]:
     """Segment, weighted rows ``[columns | others | residual]`` and number of formed rows, block by block.
 
-    Neighbouring increments are joined, so that there are some ``rows`` of them. ``others`` are ``size`` further columns (size, n)
-    of the joined intervals of a block, from their first rows and lengths. With a stated scatter of the segments, the intervals
-    are the first column.
+    Neighbouring increments are joined, because few rows are enough. ``others`` are ``size`` further columns
+    (size, n) of the joined intervals. With a stated scatter of the segments, the intervals are the first column.
     """
     design, mode = fit.design, "samples" if fit.mode == "samples" else "increments"
-    count, stated = _joined(fit), _stated(fit)
+    stated = _stated(fit)
     whitener = Whitener(mode, fit.noise, len(design.names) + size + 1 + stated)
-    for block in design.blocks():
-        values = fit.solution.values[block.segment]
-        starts, h = block.joins(count)
-        model = np.add.reduceat(block.columns, starts, axis=1)
-        columns = np.vstack([model[:-1], others(block, starts, h), model[-1] - values @ model[:-1]])
+    for joined in design.joined():
+        model, h = joined.columns, joined.h
+        values = fit.solution.values[joined.segment]
+        columns = np.vstack([model[:-1], others(joined), model[-1] - values @ model[:-1]])
         if mode == "samples":
             columns = columns / np.sqrt(np.maximum(h, 1.0))
         if stated:
             columns = np.vstack([h, columns])
         weighted = whitener.apply_columns(np.ascontiguousarray(columns), h)
         kept = h > 0.0
-        yield block.segment, np.ascontiguousarray(weighted[:, kept].T), int(np.count_nonzero(kept))
-
-
-def _joined(fit: Fit) -> int:
-    """Number of increments joined to one."""
-    run = fit.design.run
-    every = max(1, run.size // CANDIDATES.rows)
-    turn = np.abs(np.diff(gathered(fit.design.phase_angle, np.arange(0, run.size, every))))
-    step = float(np.quantile(turn, 0.9)) / every
-    most = CANDIDATES.widest_turn / step if step > 0.0 else math.inf
-    return max(1, min(math.ceil(fit.design.rows / CANDIDATES.rows), int(min(most, 1e6))))
+        yield joined.segment, np.ascontiguousarray(weighted[:, kept].T), int(np.count_nonzero(kept))
 
 
 def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Tested | None:

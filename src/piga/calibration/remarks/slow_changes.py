@@ -31,13 +31,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 from piga.calibration.fit.one_run import Fit
 from piga.calibration.intervals.coloured_noise import contrasts_of
 from piga.calibration.intervals.slow_noise import triangle
-from piga.calibration.model.design import Block
+from piga.calibration.model.design import Joined
 from piga.calibration.model.reduction import solve_upper
 from piga.calibration.model.solution import name_coefficients
 from piga.calibration.noise.components import RateBins
@@ -145,13 +144,12 @@ def joined_factor(fit: Fit, bins: RateBins) -> tuple[Array, int]:
     """Triangular factor of ``[slow rates | parameters | residual]``, and the number of joined rows."""
     design, m, size = fit.design, len(fit.design.names), bins.size
 
-    def columns(block: Block, starts: NDArray[np.int64], h: Array) -> Array:
-        ends = np.append(starts[1:], block.h.size) - 1
-        t = design.run.t[block.start : block.stop]
+    def columns(joined: Joined) -> Array:
+        t = np.asarray(design.run.t[joined.start : joined.stop])
         if not bins.point:
-            return bins.increments(np.asarray(t[ends]), h)
-        middles: Array = np.maximum(h, 0.0) * bins.increments(0.5 * (t[starts] + t[ends]), h)
-        return middles
+            return bins.increments(t[joined.last], joined.h)
+        middles = 0.5 * (t[joined.starts] + t[joined.last])
+        return np.asarray(np.maximum(joined.h, 0.0) * bins.increments(middles, joined.h))
 
     parts, total = [], 0
     for segment, rows, formed in joined_rows(fit, columns, size):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from piga.calibration.fit.one_run import Fit, without_slow
+from piga.calibration.fit.one_run import Fit
 from piga.calibration.intervals.coloured_noise import contrasts_of
 from piga.calibration.intervals.slow_noise import moved_by
 from piga.calibration.model.solution import name_coefficients
@@ -115,7 +115,7 @@ class UnseenNoise:
         )
 
 
-def unseen_noise(fit: Fit, coefficients: tuple[Coefficient, ...]) -> UnseenNoise | None:
+def unseen_noise(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) -> UnseenNoise | None:
     """The coloured noise that a record does not exclude; None if it is small or would not widen an interval much.
 
     Not for records with a doubt about coloured noise, or with a drift or scatter in the uncertainties; not with given noise
@@ -123,8 +123,8 @@ def unseen_noise(fit: Fit, coefficients: tuple[Coefficient, ...]) -> UnseenNoise
 
     Parameters
     ----------
-    fit:
-        The finished fit.
+    fit, plain:
+        The finished fit, and the fit without slow noise.
     coefficients:
         Those of the result, with combined uncertainties.
     """
@@ -138,7 +138,6 @@ def unseen_noise(fit: Fit, coefficients: tuple[Coefficient, ...]) -> UnseenNoise
     bins = RateBins.of(run, coarse=True)
     if fit.design.rows < NOISE.colour_least * bins.count or bins.widths.min() <= 0.0:
         return None
-    plain = without_slow(fit)
     factor, rows = joined_factor(plain, bins)
     contrasts = contrasts_of(plain, factor, rows, bins)
     moved = moved_by(factor, bins, len(plain.solution.amplitudes) + len(plain.solution.phases))
