@@ -61,7 +61,8 @@ def test_the_first_rows_of_a_long_record_do_not_decide(
     monkeypatch.setattr(levels, "is_long", lambda _: False)
     whole = find_noise(d, h, step, 0, 1e-15)
     for one in (short, near):
-        assert one.angle_rms == pytest.approx(whole.angle_rms, rel=0.02)
+        if white > 1e-8:  # else the walk hides it
+            assert one.angle_rms == pytest.approx(whole.angle_rms, rel=1e-4)
         assert one.angle_random_walk == pytest.approx(whole.angle_random_walk, rel=0.01, abs=0.01 * 3e-8)
 
 

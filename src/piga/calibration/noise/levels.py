@@ -138,6 +138,7 @@ def find_noise(
     elif long:
         centre, _ = _likeliest(lambda grid: deviance(grid, slice(NOISE.first_rows)), low, high)
     if centre is not None:
+        centre = min(max(centre, low), high)
         low, high = max(low, centre - width), min(high, centre + width)
     best, size = _likeliest(lambda grid: deviance(grid, slice(None)), low, high)
     if information is not None:
