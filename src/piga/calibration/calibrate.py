@@ -204,10 +204,10 @@ def _calibration(
         steps("checking the intervals")
         coefficients, monte_carlo = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
         steps("looking for missing terms")
-        unexcluded = other.submit(unseen_noise, fit, candidates.fit, coefficients)
+        not_excluded = other.submit(unseen_noise, fit, candidates.fit, coefficients)
         said = find_remarks(fit, candidates, coefficients)
         history = _history(fit) if request.method == "recursive" else None
-    examined, noise = residuals.result(), unexcluded.result()
+    examined, noise = residuals.result(), not_excluded.result()
     notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, examined.scatter)
     result = _assemble(run, fit, coefficients, covariance, budget.rows, examined, notes, history)
     unseen = unseen_bias(candidates.fit, coefficients, said.missing)

@@ -230,6 +230,16 @@ def term_values(names: Sequence[str], a: Array, t: Array, warm: Array, turning: 
     sine, cosine = (np.sin(alpha), np.cos(alpha)) if turns else (t, t)
     along, across = turning[1] * cosine + turning[2] * sine, turning[1] * sine - turning[2] * cosine
     values = np.empty((len(names), t.size))
+    others: dict[str, Callable[[], Array]] = {
+        "p": lambda: across,
+        "q": lambda: along,
+        "servo": lambda: -2.0 * turning[0] * across**2,
+        "servo_damping": lambda: -(turning[0] ** 2) * along,
+        "k2o": lambda: a[0] * np.abs(a[0]),
+        "k0_t": lambda: t,
+        "k0_T": lambda: warm,
+        "k1_T": lambda: a[0] * warm,
+    }
     for name, value in zip(names, values, strict=True):
         order = harmonic(name)
         if order:
@@ -239,16 +249,7 @@ def term_values(names: Sequence[str], a: Array, t: Array, warm: Array, turning: 
         elif name in PRODUCTS:
             value[:] = np.prod(a[["xyz".index(axis) for axis in PRODUCTS[name]]], axis=0)
         else:
-            value[:] = {
-                "p": lambda: across,
-                "q": lambda: along,
-                "servo": lambda: -2.0 * turning[0] * across**2,
-                "servo_damping": lambda: -(turning[0] ** 2) * along,
-                "k2o": lambda: a[0] * np.abs(a[0]),
-                "k0_t": lambda: t,
-                "k0_T": lambda: warm,
-                "k1_T": lambda: a[0] * warm,
-            }[name]()
+            value[:] = others[name]()
     return values
 
 
