@@ -19,8 +19,7 @@ import measured
 import numpy as np
 
 import piga
-from piga._kernels.estimation.recursive import published_recursion
-from piga._kernels.estimation.square_root import absorb_rows
+from piga._kernels.estimation.sequential import absorb_rows, published_recursion
 from piga.units import G0
 
 ROWS = 1_000_000

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
-from piga._kernels.estimation.recursive import sequential_factor
+from piga._kernels.estimation.sequential import sequential_factor
 from piga.platform.estimate import (
     LeastSquares,
     Reduced,

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from piga._kernels.estimation.square_root import absorb, absorb_rows
+from piga._kernels.estimation.sequential import absorb, absorb_rows
 from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.errors import ArgumentError
 

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation.recursive import published_recursion
-from piga._kernels.estimation.square_root import absorb_rows
+from piga._kernels.estimation.sequential import absorb_rows, published_recursion
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request

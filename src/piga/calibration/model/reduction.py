@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga._kernels.estimation.square_root import absorb, back_substitute, gather
+from piga._kernels.estimation.sequential import absorb, back_substitute, gather
 from piga.errors import ArgumentError
 from piga.results import Array
 

@@ -1,6 +1,5 @@
 """The calibration record as plain data: coefficients, budget, residuals, diagnostics, verdict, and its JSON document."""
 
-from piga.records.calibration.budget import Amount, BudgetEntry, BudgetTable, Level, Number, TypeB
 from piga.records.calibration.calibration import (
     Calibration,
     CalibrationFigures,
@@ -9,7 +8,17 @@ from piga.records.calibration.calibration import (
     Provenance,
     RunRecord,
 )
-from piga.records.calibration.coefficient import LOOSE_PHASE, Coefficient, SIValue
+from piga.records.calibration.coefficient import (
+    LOOSE_PHASE,
+    Amount,
+    BudgetEntry,
+    BudgetTable,
+    Coefficient,
+    Level,
+    Number,
+    SIValue,
+    TypeB,
+)
 from piga.records.calibration.diagnostics import (
     ColouredNoise,
     Count,

@@ -15,8 +15,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga.records.calibration.budget import BudgetTable, TypeB
-from piga.records.calibration.coefficient import TYPE_A_ONLY, Coefficient, is_of_reference, rounded
+from piga.records.calibration.coefficient import (
+    TYPE_A_ONLY,
+    BudgetTable,
+    Coefficient,
+    TypeB,
+    is_of_reference,
+    rounded,
+)
 from piga.records.calibration.diagnostics import (
     ColouredNoise,
     Diagnostics,

@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from piga.records.calibration.budget import Number
+from piga.records.calibration.coefficient import Number
 from piga.results import Array, Column, Plotted, Result, Tabular
 
 Count = Annotated[int, Meta(ge=0)]
