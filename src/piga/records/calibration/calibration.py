@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from piga.records.calibration.coefficient import (
     TYPE_A_ONLY,
+    BudgetEntry,
     BudgetTable,
     Coefficient,
     TypeB,
@@ -102,6 +103,21 @@ class CalibrationFigures(Result):
     coefficients: tuple[Coefficient, ...]
     type_b: tuple[TypeB, ...]
     has_budget: bool
+
+    @staticmethod
+    def of(
+        serial: str,
+        terms: tuple[str, ...],
+        coefficients: tuple[Coefficient, ...],
+        budget: tuple[BudgetEntry, ...],
+    ) -> CalibrationFigures:
+        """The figures, with the sources of Type B of the budget."""
+        type_b = tuple(
+            TypeB(row.source, row.degrees_of_freedom or math.inf, row.contributions)
+            for row in budget
+            if row.type == "B"
+        )
+        return CalibrationFigures(serial, terms, coefficients, type_b, bool(budget))
 
 
 class CalibrationPlots(Plots):
@@ -390,12 +406,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     def figures(self) -> CalibrationFigures:
         """The part that a history of the instrument needs."""
-        type_b = tuple(
-            TypeB(row.source, row.degrees_of_freedom or math.inf, row.contributions)
-            for row in self.budget
-            if row.type == "B"
-        )
-        return CalibrationFigures(self.serial, self.terms, self.coefficients, type_b, bool(self.budget))
+        return CalibrationFigures.of(self.serial, self.terms, self.coefficients, self.budget.entries)
 
     def for_run(self, name: str) -> Calibration:
         """One run of a joint calibration as a calibration: the common coefficients and those of the run, under plain names.

@@ -33,7 +33,6 @@ from piga.records.calibration import (
     Quality,
     RunRecord,
     SegmentSummary,
-    TypeB,
 )
 from piga.records.limits import check_label, read_whole
 from piga.records.run_file import Method, Phases, PhaseSource
@@ -381,17 +380,8 @@ def figures_from_bytes(raw: bytes, path: Path) -> CalibrationFigures:
     wrong = next((fault for c in coefficients for fault in _faults(c)), None)
     if wrong is not None:
         raise CalibrationError(f"{path}: {wrong}", remedy="calibrate again")
-    type_b = tuple(
-        TypeB(row.source, row.degrees_of_freedom or math.inf, row.contributions)
-        for row in document.uncertainty_budget
-        if row.type == "B"
-    )
-    return CalibrationFigures(
-        document.instrument.serial,
-        document.model.terms,
-        coefficients,
-        type_b,
-        bool(document.uncertainty_budget),
+    return CalibrationFigures.of(
+        document.instrument.serial, document.model.terms, coefficients, document.uncertainty_budget
     )
 
 
