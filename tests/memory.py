@@ -6,12 +6,12 @@ from pathlib import Path
 
 
 def kilobytes(field: str, process: int | str = "self") -> int:
-    """A field of ``/proc/<process>/status`` [kB]; 0 if the process has ended.
+    """A field of ``/proc/<process>/status`` [kB]: ``RssAnon``, memory without mapped files, or ``VmHWM``, the largest with them.
 
-    ``RssAnon`` is the memory without mapped files, ``VmHWM`` the largest so far with them.
+    Raises
+    ------
+    OSError, KeyError
+        If the process has ended.
     """
-    try:
-        lines = Path(f"/proc/{process}/status").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return 0
-    return next((int(line.split()[1]) for line in lines if line.startswith(f"{field}:")), 0)
+    lines = Path(f"/proc/{process}/status").read_text(encoding="utf-8").splitlines()
+    return int(dict(line.split(":", 1) for line in lines)[field].split()[0])

@@ -78,7 +78,10 @@ def write(folder: Path, kind: str, rows: int) -> None:
 
 def memory(pid: int) -> float:
     """Memory of a process without mapped files [MB]; 0 if it has ended."""
-    return kilobytes("RssAnon", pid) / 1000.0
+    try:
+        return kilobytes("RssAnon", pid) / 1000.0
+    except (OSError, KeyError):
+        return 0.0
 
 
 class Watch:
