@@ -223,7 +223,7 @@ print(compiled, hits)
 @pytest.mark.compiled
 @pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="nothing is compiled")
 def test_a_warm_cache_compiles_nothing():
-    """In the cache of the other tests, so that little is compiled here. A cold one: test_first_run."""
+    """In the cache of the other tests, so that little is compiled here. A cold one is tested above."""
     for _ in range(2):
         run = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
         compiled, hits = map(int, run.stdout.split())

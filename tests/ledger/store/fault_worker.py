@@ -1,6 +1,6 @@
 """Runs under the fault shim: each operation with its first, second, third ... call failing, until none fails.
 
-Started by ``test_faults.py`` as ``python -m tests.ledger.store.fault_worker FOLDER STEP``; prints one JSON document.
+Started by ``test_store_interrupted.py`` as ``python -m tests.ledger.store.fault_worker FOLDER STEP``; prints one JSON document.
 Step 1 tries every kind of failure, a larger step one kind for each operation.
 """
 
