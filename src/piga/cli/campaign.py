@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import App, CommandGroup, ForceOption, JsonOption, note, print_json, say, write_text
+from piga.cli.common import App, ForceOption, JsonOption, note, print_json, say, write_text
 from piga.output import results
 
 if TYPE_CHECKING:
@@ -19,12 +19,8 @@ if TYPE_CHECKING:
     from piga.campaign.run import Progress, RunReport
 
 app = App(
-    name="campaign",
-    cls=CommandGroup,
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    help="Run thousands of tests, on one machine or many.",
+    "campaign",
+    "Run thousands of tests, on one machine or many.",
 )
 
 File = Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="Campaign file.", show_default=False)]

@@ -42,13 +42,10 @@ class _IssueByDefault(CommandGroup):
 
 
 app = App(
-    name="certificate",
-    cls=_IssueByDefault,
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    help="Issue, verify and read back calibration certificates.\n\nBy ISO/IEC 17025, and as DCC. "
+    "certificate",
+    "Issue, verify and read back calibration certificates.\n\nBy ISO/IEC 17025, and as DCC. "
     "'piga certificate CALIBRATION.json ...' issues.",
+    cls=_IssueByDefault,
 )
 
 PemOption = Annotated[

@@ -266,14 +266,6 @@ class PlainCommand(TyperCommand):
                     formatter.write_dl(sections[name])
 
 
-class App(typer.Typer):
-    """A Typer application whose commands are :class:`PlainCommand`."""
-
-    def command(self, name: str | None = None, **options: Any) -> Callable[[Command], Command]:
-        """Decorator that adds a command."""
-        return super().command(name, **({"cls": PlainCommand} | options))
-
-
 class CommandGroup(TyperGroup):
     """A group whose ``--help`` option does not load pydantic.
 
@@ -287,3 +279,22 @@ class CommandGroup(TyperGroup):
         if option is not None:
             option.default = False
         return option
+
+
+class App(typer.Typer):
+    """A Typer application: its groups are :class:`CommandGroup`, its commands :class:`PlainCommand`."""
+
+    def __init__(self, name: str, words: str, cls: type[CommandGroup] = CommandGroup, **more: Any) -> None:
+        super().__init__(
+            name=name,
+            help=words,
+            cls=cls,
+            no_args_is_help=True,
+            add_completion=False,
+            rich_markup_mode=None,
+            **more,
+        )
+
+    def command(self, name: str | None = None, **options: Any) -> Callable[[Command], Command]:
+        """Decorator that adds a command."""
+        return super().command(name, **({"cls": PlainCommand} | options))

@@ -17,7 +17,7 @@ from piga._version import __version__
 from piga.cli import campaign, certificate, platform, records, trend
 from piga.cli.calibrate import calibrate, demo
 from piga.cli.check import check, convert
-from piga.cli.common import DOING, App, CommandGroup, note, prepare_output
+from piga.cli.common import DOING, App, note, prepare_output
 from piga.cli.compensate import compensate
 from piga.cli.init import init
 from piga.cli.simulate import plan, reproduce, simulate
@@ -45,14 +45,10 @@ _DISK = {
 """Disk errors that can occur wherever a command writes, and their remedies."""
 
 app = App(
-    name="piga",
-    cls=CommandGroup,
-    no_args_is_help=True,
-    add_completion=False,
+    "piga",
+    "Calibrate and compensate precession-type accelerometers, and analyse the platform that carries them.",
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Calibrate and compensate precession-type accelerometers, and analyse the platform that carries them.",
 )
 
 

@@ -10,7 +10,6 @@ import typer
 
 from piga.cli.common import (
     App,
-    CommandGroup,
     ForceOption,
     files_named_in,
     note,
@@ -31,12 +30,8 @@ if TYPE_CHECKING:
     from piga.platform.simulate import PlatformRun
 
 app = App(
-    name="platform",
-    cls=CommandGroup,
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    help="Analyse a space-stable platform with case rotation.",
+    "platform",
+    "Analyse a space-stable platform with case rotation.",
 )
 
 Scenario = Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="Scenario file.", show_default=False)]

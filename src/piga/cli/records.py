@@ -11,7 +11,6 @@ import typer
 
 from piga.cli.common import (
     App,
-    CommandGroup,
     JsonOption,
     RunFileArgument,
     note,
@@ -222,11 +221,8 @@ def _changes(reproduced: Reproduced) -> str:
 
 
 app = App(
-    name="records",
-    cls=CommandGroup,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    help="Keep calibrations as evidence.\n\nNothing in the store can be changed unnoticed, and every record can be recomputed.",
+    "records",
+    "Keep calibrations as evidence.\n\nNothing in the store can be changed unnoticed, and every record can be recomputed.",
 )
 
 StoreOption = Annotated[

@@ -328,6 +328,15 @@ def scenario_of_document(path: Path, document: dict[str, Any]) -> PlatformScenar
     return _Reader(path).scenario(convert_toml(path, document, ScenarioFile))
 
 
+_SENSOR_UNITS = {
+    **dict.fromkeys(("gimbal_noise", "gimbal_quantisation", "pickoff_noise", "pickoff_quantisation"), "rad"),
+    "velocity_random_walk": "m/s/sqrt(s)",
+    "increment_quantisation": "m/s",
+    "altitude_noise": "m",
+}
+"""SI units of the readout errors."""
+
+
 class _Reader:
     """Turns the parsed file into SI values, naming file and key in every message."""
 
@@ -336,6 +345,14 @@ class _Reader:
 
     def si(self, value: Quantity, unit: str, key: str) -> float:
         return to_si(value, unit, what=f"{self.path}: {key}")
+
+    def each(self, table: Struct, section: str, units: dict[str, str]) -> dict[str, float]:
+        """SI values of a table by key; ``units`` has the unit of each."""
+        return {name: self.si(getattr(table, name), unit, f"{section} {name}") for name, unit in units.items()}
+
+    def pair(self, values: Pair, unit: str, key: str) -> tuple[float, float]:
+        first, second = (self.si(value, unit, key) for value in values)
+        return first, second
 
     def positive(self, value: Quantity, unit: str, key: str) -> float:
         number = self.si(value, unit, key)
@@ -348,7 +365,7 @@ class _Reader:
     def scenario(self, f: ScenarioFile) -> PlatformScenario:
         polar, equatorial = self.rotations(f)
         scenario = PlatformScenario(
-            place=self.place(f),
+            place=Place(**self.each(f.site, "[site]", {"latitude": "rad", "longitude": "rad", "height": "m"})),
             duration=self.positive(f.run.duration, "s", "[run] duration"),
             step=self.positive(f.run.step, "s", "[run] step"),
             seed=f.run.seed,
@@ -391,11 +408,6 @@ class _Reader:
                 remedy="shorten the step or lengthen [case_rotation] period",
             )
 
-    def place(self, f: ScenarioFile) -> Place:
-        latitude = self.si(f.site.latitude, "rad", "[site] latitude")
-        longitude = self.si(f.site.longitude, "rad", "[site] longitude")
-        return Place(latitude, longitude, self.si(f.site.height, "m", "[site] height"))
-
     def triad(self, f: ScenarioFile) -> tuple[float, float, float]:
         x, y, z = (self.si(angle, "rad", "[triad] attitude") for angle in f.triad.attitude)
         return x, y, z
@@ -434,11 +446,8 @@ class _Reader:
             misalignment=self.si(g.misalignment, "rad", f"{key} misalignment"),
             phase=self.si(g.phase, "rad", f"{key} phase"),
             harmonics=tuple(harmonics),
-            drift=(self.si(g.drift[0], "rad/s", f"{key} drift"), self.si(g.drift[1], "rad/s", f"{key} drift")),
-            case_drift=(
-                self.si(g.case_drift[0], "rad/s", f"{key} case_drift"),
-                self.si(g.case_drift[1], "rad/s", f"{key} case_drift"),
-            ),
+            drift=self.pair(g.drift, "rad/s", f"{key} drift"),
+            case_drift=self.pair(g.case_drift, "rad/s", f"{key} case_drift"),
         )
 
     def motion(self, f: ScenarioFile) -> MotionPlan:
@@ -455,10 +464,7 @@ class _Reader:
             )
         return MotionPlan(
             kind=m.kind,
-            roll=self.si(m.roll, "rad", "[motion] roll"),
-            pitch=self.si(m.pitch, "rad", "[motion] pitch"),
-            heading=self.si(m.heading, "rad", "[motion] heading"),
-            turn_rate=self.si(m.turn_rate, "rad/s", "[motion] turn_rate"),
+            **self.each(m, "[motion]", {"roll": "rad", "pitch": "rad", "heading": "rad", "turn_rate": "rad/s"}),
             sway=tuple(sway),
             file=self.path.parent / m.file if m.file else None,
         )
@@ -467,14 +473,8 @@ class _Reader:
         s, key = f.sensors, "[sensors]"
         bias = [self.si(b, "m/s^2", f"{key} accelerometer_bias") for b in s.accelerometer_bias]
         return Sensors(
-            gimbal_noise=self.si(s.gimbal_noise, "rad", f"{key} gimbal_noise"),
-            gimbal_quantisation=self.si(s.gimbal_quantisation, "rad", f"{key} gimbal_quantisation"),
-            pickoff_noise=self.si(s.pickoff_noise, "rad", f"{key} pickoff_noise"),
-            pickoff_quantisation=self.si(s.pickoff_quantisation, "rad", f"{key} pickoff_quantisation"),
-            velocity_random_walk=self.si(s.velocity_random_walk, "m/s/sqrt(s)", f"{key} velocity_random_walk"),
+            **self.each(s, key, _SENSOR_UNITS),
             accelerometer_bias=(bias[0], bias[1], bias[2]),
-            increment_quantisation=self.si(s.increment_quantisation, "m/s", f"{key} increment_quantisation"),
-            altitude_noise=self.si(s.altitude_noise, "m", f"{key} altitude_noise"),
             piga=self.piga(f) if s.accelerometers == "piga" else None,
         )
 

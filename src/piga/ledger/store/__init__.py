@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from piga.errors import StoreError
+from piga.results import lazy
 
 if TYPE_CHECKING:
     from piga.ledger.store.documents import Draft, DraftFile, Head, Record
@@ -42,9 +43,4 @@ def open_store(where: str | Path, *, create: bool = False) -> Store:
     return Store(open_database(where, create=create))
 
 
-def __getattr__(name: str) -> object:
-    if name in __all__:
-        from piga.ledger.store import documents, store
-
-        return getattr(store if name == "Store" else documents, name)
-    raise AttributeError(f"module 'piga.ledger.store' has no attribute '{name}'")
+__getattr__ = lazy("piga.ledger.store", {"documents": "Draft DraftFile Head Record", "store": "Store"})
