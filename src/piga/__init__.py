@@ -156,39 +156,22 @@ if TYPE_CHECKING:
     from piga.trend import find_trend
 
 _LAZY = {
-    "RunSummary": "piga.calibration",
-    "allan_deviation": "piga.calibration",
-    "compare_models": "piga.calibration",
-    "calibrate": "piga.calibration.calibrate",
-    "Compensated": "piga.compensation",
-    "CompensatedSet": "piga.compensation",
-    "Compensator": "piga.compensation",
-    "Limits": "piga.compensation",
-    "Mounted": "piga.compensation",
-    "Phase": "piga.compensation",
-    "compensate": "piga.compensation",
-    "compensate_set": "piga.compensation",
-    "identify_phase": "piga.compensation",
-    "ErrorModel": "piga.instrument",
-    "Instrument": "piga.instrument",
-    "closed_form": "piga.instrument",
-    "mean_rate": "piga.instrument",
-    "propagate": "piga.instrument",
-    "regime": "piga.instrument",
-    "open_store": "piga.ledger.store",
-    "plan_test": "piga.planning",
-    "read_plan": "piga.planning",
-    "Calibration": "piga.records",
-    "Coefficient": "piga.records",
-    "Residuals": "piga.records",
-    "Run": "piga.records",
-    "example_run": "piga.stand",
-    "read_run": "piga.stand",
-    "read_scenario": "piga.stand",
-    "run_scenario": "piga.stand",
-    "simulate_test": "piga.stand",
-    "find_trend": "piga.trend",
+    name: f"piga.{room}"
+    for room, names in {
+        "calibration": "RunSummary allan_deviation compare_models",
+        "calibration.calibrate": "calibrate",
+        "compensation": "Compensated CompensatedSet Compensator Limits Mounted Phase compensate "
+        "compensate_set identify_phase",
+        "instrument": "ErrorModel Instrument closed_form mean_rate propagate regime",
+        "ledger.store": "open_store",
+        "planning": "plan_test read_plan",
+        "records": "Calibration Coefficient Residuals Run",
+        "stand": "example_run read_run read_scenario run_scenario simulate_test",
+        "trend": "find_trend",
+    }.items()
+    for name in names.split()
 }
+"""The room of each public name."""
 
 ROOMS = (
     "calibration",
