@@ -226,11 +226,15 @@ def term_values(names: Sequence[str], a: Array, t: Array, warm: Array, turning: 
     alpha:
         (n,) angle that the column turns with [rad].
     """
-    turns = any(name in ("p", "q", "s1", "c1", *SERVO_TERMS) for name in names)
+    turns = any(name in ("p", "q", "s1", "c1", "s2", "c2", *SERVO_TERMS) for name in names)
     sine, cosine = (np.sin(alpha), np.cos(alpha)) if turns else (t, t)
     along, across = turning[1] * cosine + turning[2] * sine, turning[1] * sine - turning[2] * cosine
     values = np.empty((len(names), t.size))
     others: dict[str, Callable[[], Array]] = {
+        "s1": lambda: sine,
+        "c1": lambda: cosine,
+        "s2": lambda: 2.0 * sine * cosine,
+        "c2": lambda: cosine * cosine - sine * sine,
         "p": lambda: across,
         "q": lambda: along,
         "servo": lambda: -2.0 * turning[0] * across**2,
@@ -242,14 +246,14 @@ def term_values(names: Sequence[str], a: Array, t: Array, warm: Array, turning: 
     }
     for name, value in zip(names, values, strict=True):
         order = harmonic(name)
-        if order:
-            same = sine if order[0] == "s" else cosine
-            turned = np.sin if order[0] == "s" else np.cos
-            value[:] = same if order[1] == 1 else turned(order[1] * alpha)
-        elif name in PRODUCTS:
-            value[:] = np.prod(a[["xyz".index(axis) for axis in PRODUCTS[name]]], axis=0)
-        else:
+        if name in others:
             value[:] = others[name]()
+        elif order:
+            value[:] = np.sin(order[1] * alpha) if order[0] == "s" else np.cos(order[1] * alpha)
+        else:
+            value[:] = 1.0
+            for axis in PRODUCTS[name]:
+                np.multiply(value, a["xyz".index(axis)], out=value)
     return values
 
 
