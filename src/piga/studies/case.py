@@ -118,11 +118,11 @@ def in_g(a_x: float, a_Y: float, a_Z: float) -> tuple[float, float, float]:
     return a_x * G0, a_Y * G0, a_Z * G0
 
 
-Profile = Literal["ramp", "constant"]
+ForceHistory = Literal["ramp", "constant"]
 
 
 @cache
-def record(profile: Profile, duration: float = 100.0, rate: float = 100.0) -> Run:
+def record(profile: ForceHistory, duration: float = 100.0, rate: float = 100.0) -> Run:
     """The time-varying run as a record of output rates over ``duration`` [s] at ``rate`` [Hz], a_Y = 5 a_x [Wei2024].
 
     ``ramp``: a_x from 0 to 2.06 g. The publication does not print its profile; a straight line replaces
@@ -136,13 +136,13 @@ def record(profile: Profile, duration: float = 100.0, rate: float = 100.0) -> Ru
 
 
 @cache
-def published_calibration(profile: Profile, duration: float = 100.0) -> Calibration:
+def published_calibration(profile: ForceHistory, duration: float = 100.0) -> Calibration:
     """[tan_beta, phi] of a record by the published recursion, x0 = [4.5e-3, 0.4], P0 = 1e10 I."""
     return calibrate(record(profile, duration), terms=["tan_beta"], method="published")
 
 
 @cache
-def own_calibration(profile: Profile) -> Calibration:
+def own_calibration(profile: ForceHistory) -> Calibration:
     """The calibration by piga's linear estimator, with its history. It needs no first guess."""
     return calibrate(record(profile), terms=["tan_beta"], method="recursive")
 

@@ -17,7 +17,7 @@ from piga.studies.case import (
     TRANSVERSE,
     Case,
     Chapter,
-    Profile,
+    ForceHistory,
     closed_form_phase,
     compensated_error,
     model_phase,
@@ -158,7 +158,7 @@ def _constant_cases() -> list[Case]:
     ]
 
 
-def _history_panels(profile: Profile) -> tuple[Panel, ...]:
+def _history_panels(profile: ForceHistory) -> tuple[Panel, ...]:
     """Panels: whole run on the left, from 20 s on the right; tan(beta) above, phi below."""
     t = record(profile).t
     estimate: tuple[tuple[Calibration, str, Role], ...] = (

@@ -242,15 +242,15 @@ def listening(entrance: Entrance, port: int) -> list[socket.socket]:
             remedy="give a name of this machine, or its address",
         ) from None
     inside = _is_loopback(host)
-    found = {str(where[0]): family for family, _, _, _, where in every}
+    addresses = {str(where[0]): family for family, _, _, _, where in every}
     usable = {
         address: family
-        for address, family in found.items()
+        for address, family in addresses.items()
         if _is_loopback(address) == inside and not _is_every_address(address)
     }
     if not usable:
         raise ArgumentError(
-            f"--host {host}: means {', '.join(found)} on this machine, which is not an address "
+            f"--host {host}: means {', '.join(addresses)} on this machine, which is not an address "
             f"{'of this machine alone' if inside else 'in the network'}",
             remedy=f"correct {host} in the hosts file, or give the address of this machine in the network",
         )

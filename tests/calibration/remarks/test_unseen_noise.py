@@ -18,7 +18,7 @@ from piga.calibration.intervals.slow_noise import moved_by, slow_factor
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import make_request
 from piga.calibration.noise.components import RATES, RateBins
-from piga.calibration.noise.likelihood import Contrasts, Profile, UpperLimit
+from piga.calibration.noise.likelihood import Contrasts, ProfileLikelihood, UpperLimit
 from piga.calibration.remarks import unseen_noise
 from piga.calibration.remarks.slow_changes import joined_factor
 from piga.calibration.remarks.unseen_noise import NOT_EXCLUDED, UNSEEN
@@ -75,7 +75,7 @@ def test_the_likelihood_falls_by_as_much_as_the_quantile_says(walk: float) -> No
     """At the limit it is 2.706 above its least (95 %, one-sided), over white noise, level and what is left of the walk."""
     for seed in range(4):
         found = drawn(np.random.default_rng(seed), 0.3 * seed, 0.4 * walk)
-        profile = Profile.of(found, walk * WALK if walk else None)
+        profile = ProfileLikelihood.of(found, walk * WALK if walk else None)
         limit = profile.limit(FLICKER, 0.95)
         shares = (0.0, 0.5 * walk, 0.9 * walk) if walk else (0.0,)
 
@@ -104,14 +104,16 @@ def test_the_limit_is_above_the_true_level_in_95_per_cent() -> None:
     """300 draws of a level that is seen: 95 % within four binomial deviations. Of one near zero: at least as many."""
     for level, most in ((0.05, 1.0), (3.0, 0.99)):
         rng = np.random.default_rng(7)
-        limits = [Profile.of(drawn(rng, level), None).limit(FLICKER, 0.95).level for _ in range(300)]
+        limits = [ProfileLikelihood.of(drawn(rng, level), None).limit(FLICKER, 0.95).level for _ in range(300)]
         assert 0.90 <= np.mean(np.array(limits) > level) <= most
 
 
 def test_no_level_is_excluded_where_nothing_is_left() -> None:
     """Slow values that the component does not reach."""
     contrasts = Contrasts(np.ones(2), np.eye(2)[None], 1000.0, 1000, np.eye(2))
-    assert math.isinf(Profile.of(contrasts, None).limit(np.diag([1e-30, 1.0]) * 1e-12, 1.0 - 1e-9).level)
+    assert math.isinf(
+        ProfileLikelihood.of(contrasts, None).limit(np.diag([1e-30, 1.0]) * 1e-12, 1.0 - 1e-9).level
+    )
 
 
 @pytest.mark.parametrize(
@@ -131,7 +133,7 @@ def test_joined_rows_have_the_slow_values_of_all_rows(test: Coloured, monkeypatc
         moved, contrasts = moved_by(factor, bins, parameters), contrasts_of(fit, factor, rows, bins)
         assert moved is not None
         assert contrasts is not None
-        return np.diag(moved @ rates @ moved.T), Profile.of(contrasts, None).limit(
+        return np.diag(moved @ rates @ moved.T), ProfileLikelihood.of(contrasts, None).limit(
             contrasts.turned(rates), 0.95
         ).level
 
@@ -207,7 +209,7 @@ def test_the_quick_exclusion_only_saves_time(monkeypatch: pytest.MonkeyPatch) ->
     angles = replace(HEAD, forces=head(12), seconds=20.0, rate=10.0, walk=1e-6)
     runs = [(angles.record(1), angles.terms), (SMALL.record(1), SMALL.terms), (SMALL.record(3), SMALL.terms)]
     before = [remarks_of(piga.calibrate(*one)) for one in runs]
-    monkeypatch.setattr(Profile, "excludes", lambda *_: False)
+    monkeypatch.setattr(ProfileLikelihood, "excludes", lambda *_: False)
     assert [remarks_of(piga.calibrate(*one)) for one in runs] == before
     assert [len(remarks) for remarks in before] == [0, 1, 1]
 
@@ -251,8 +253,8 @@ def test_what_the_noise_takes_the_place_of_is_subtracted(monkeypatch: pytest.Mon
     grown = []
     for share in (0.0, 0.9):
         limit = UpperLimit(1e-10, share)
-        monkeypatch.setattr(Profile, "limit", lambda *_, limit=limit: limit)
-        monkeypatch.setattr(Profile, "excludes", lambda *_: False)
+        monkeypatch.setattr(ProfileLikelihood, "limit", lambda *_, limit=limit: limit)
+        monkeypatch.setattr(ProfileLikelihood, "excludes", lambda *_: False)
         found = unseen_noise.unseen_noise(fit, fit, coefficients)
         assert found is not None
         grown.append(found.growth)

@@ -13,7 +13,7 @@ from piga.calibration.fit.one_run import fit_run
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients
 from piga.calibration.noise.components import RATES, RateBins
-from piga.calibration.noise.likelihood import Contrasts, Profile
+from piga.calibration.noise.likelihood import Contrasts, ProfileLikelihood
 from piga.calibration.remarks.unseen_noise import unseen_noise
 from piga.units import G0
 from tests.calibration.made.coloured_truth import LOG
@@ -33,7 +33,9 @@ def _limit() -> Iterator[Pair]:
         return float(np.linalg.slogdet(V)[1] + fast * np.log(r) + y @ np.linalg.solve(V, y) + fast / r)
 
     v95 = (
-        Profile.of(Contrasts(y, np.eye(n)[None], float(fast), fast, np.eye(n)), None).limit(flicker, 0.95).level
+        ProfileLikelihood.of(Contrasts(y, np.eye(n)[None], float(fast), fast, np.eye(n)), None)
+        .limit(flicker, 0.95)
+        .level
     )
     least = minimize(lambda x: D(*np.exp(x)), [0.0, -3.0], method="Nelder-Mead").fun
     there = minimize(lambda x: D(float(np.exp(x[0])), v95), [0.0], method="Nelder-Mead").fun

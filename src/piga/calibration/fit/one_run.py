@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.fit.cleaning import leave_out
 from piga.calibration.fit.outliers import (
@@ -49,8 +48,7 @@ from piga.errors import CalibrationError
 from piga.records.calibration import Outlier
 from piga.records.run import Run
 from piga.records.spool import square_sum
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 
 @dataclass(frozen=True)

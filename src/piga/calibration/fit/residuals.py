@@ -18,9 +18,9 @@ from piga.reading.signal_checks import largest_size
 from piga.records.calibration import Diagnostics, Residuals, SegmentScatter, SegmentSummary
 from piga.records.calibration.verdict import COUNTED
 from piga.records.spool import arrays_like, extent, mean, means, spans, square_sum, steps
+from piga.results import Array
 from piga.units import G0
 
-Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 LAG_PART = 8192

@@ -35,8 +35,8 @@ from piga.instrument.twin.linear import ServoParameters, servo_terms
 from piga.records.run import Run
 from piga.records.spool import gathered, spans, square_sum, steps, trim
 from piga.records.terms import SERVO_TERMS
+from piga.results import Array
 
-Array = NDArray[np.float64]
 Names = tuple[str, ...]
 
 STIFFNESS_COLUMNS = ("servo_mean", "servo_cosine", "servo_sine")

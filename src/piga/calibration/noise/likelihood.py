@@ -12,12 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from piga.calibration.noise.settings import NOISE
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 
 def restricted(logarithm: ArrayLike, square: ArrayLike, freedom: int | None = None) -> Array:
@@ -130,7 +129,7 @@ class UpperLimit:
 
 
 @dataclass(frozen=True)
-class Profile:
+class ProfileLikelihood:
     """Restricted likelihood of the level of one component, at the best white noise and walk (theory/noise, noise-limit).
 
     ``y`` (shares, n) are the slow values whitened by white noise and the rest of the walk, if the component takes the place of a
@@ -144,7 +143,7 @@ class Profile:
     freedom: int
 
     @classmethod
-    def of(cls, contrasts: Contrasts, walk: Array | None) -> Profile:
+    def of(cls, contrasts: Contrasts, walk: Array | None) -> ProfileLikelihood:
         """From slow values with white noise alone, and their covariance (n, n) by the walk of the weights; None without one."""
         size = contrasts.y.size
         shares = (0.0,) if walk is None else NOISE.limit_shares

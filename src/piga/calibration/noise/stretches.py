@@ -21,8 +21,7 @@ from piga.calibration.model.solution import Solution
 from piga.calibration.noise.settings import NOISE
 from piga.records.run import Run
 from piga.records.spool import extent
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.fit.one_run import Fit
 from piga.calibration.model.design import Design, Joined
@@ -26,8 +25,8 @@ from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.run import Run
 from piga.records.spool import extent, gathered
 from piga.records.terms import SERVO_TERMS, harmonic, si_factor, unit_of
+from piga.results import Array
 
-Array = NDArray[np.float64]
 Names = tuple[str, ...]
 
 

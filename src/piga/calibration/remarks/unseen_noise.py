@@ -22,14 +22,13 @@ from piga.calibration.intervals.coloured_noise import contrasts_of
 from piga.calibration.intervals.slow_noise import moved_by
 from piga.calibration.model.solution import name_coefficients
 from piga.calibration.noise.components import RATES, RateBins, markov_times
-from piga.calibration.noise.likelihood import Profile
+from piga.calibration.noise.likelihood import ProfileLikelihood
 from piga.calibration.noise.settings import NOISE
 from piga.calibration.remarks.slow_changes import joined_factor
 from piga.records.calibration import Coefficient
 from piga.records.calibration.verdict import THRESHOLDS
+from piga.results import Array
 from piga.units import G0
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -144,7 +143,9 @@ def unseen_noise(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) ->
     if contrasts is None or moved is None:
         return None
     walk = 0.0 if bins.point else plain.noise.walk
-    profile = Profile.of(contrasts, contrasts.turned(walk * RATES["walk"](bins, 0.0)) if walk else None)
+    profile = ProfileLikelihood.of(
+        contrasts, contrasts.turned(walk * RATES["walk"](bins, 0.0)) if walk else None
+    )
     expanded = np.array([c.expanded for c in coefficients]) / float(ndtri(0.5 + 0.5 * UNSEEN.confidence))
     white = _variances(plain, plain.solution.covariance) * (plain.sample_variance if bins.point else 1.0)
     without = np.array([c.std**2 for c in coefficients]) - _variances(fit, fit.covariance) + white
