@@ -15,6 +15,7 @@ from piga.records.terms import shown_unit
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.numbers import pretty_unit, printed, short, signed
 from piga.reports.render.page import (
+    ALONE,
     Block,
     Cell,
     FigureBlock,
@@ -89,7 +90,7 @@ def campaign_page(collected: Collected) -> Page:
         tiles=_tiles(collected, judged),
         sections=tuple(sections),
         kicker="piga · campaign",
-        footer=f"Made by piga {collected.version}. This file holds all it shows: it opens without a network, and prints on A4.",
+        footer=f"Made by piga {collected.version}. {ALONE}",
     )
 
 

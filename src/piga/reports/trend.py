@@ -16,6 +16,7 @@ from piga.records.terms import meaning_of, shown_unit
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, short, signed
 from piga.reports.render.page import (
+    ALONE,
     Block,
     Cell,
     FigureBlock,
@@ -191,7 +192,7 @@ def trend_page(drifts: Trend, *, at: dt.datetime | None = None) -> Page:
         tiles=_tiles(drifts, span),
         sections=tuple(sections),
         kicker="piga · trend",
-        footer=f"Made by piga {__version__}. This file holds all it shows: it opens without a network, and prints on A4.",
+        footer=f"Made by piga {__version__}. {ALONE}",
     )
 
 

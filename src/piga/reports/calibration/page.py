@@ -39,6 +39,7 @@ from piga.reports.render.decimate import outline
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, short, significant
 from piga.reports.render.page import (
+    ALONE,
     Block,
     FigureBlock,
     Notice,
@@ -261,8 +262,7 @@ def calibration_page(cal: Calibration) -> Page:
         sections=sections,
         judgement=judgement(cal),
         kicker="piga · gyro accelerometer calibration",
-        footer=f"Made by {cal.provenance.software} on {cal.provenance.created}. This file holds all it shows: "
-        "it opens without a network, and prints on A4.",
+        footer=f"Made by {cal.provenance.software} on {cal.provenance.created}. {ALONE}",
         segments=selectable_segments(cal),
     )
 

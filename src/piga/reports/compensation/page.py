@@ -31,6 +31,7 @@ from piga.reports.render.decimate import SHOWN
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import count, pretty_unit, printed, rounded, short
 from piga.reports.render.page import (
+    ALONE,
     Block,
     FigureBlock,
     Judgement,
@@ -110,8 +111,7 @@ def _page(
         sections=sections,
         judgement=judged,
         kicker="piga · compensation",
-        footer=f"Made by piga {__version__} on {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}. This file holds all it "
-        "shows: it opens without a network, and prints on A4.",
+        footer=f"Made by piga {__version__} on {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}. {ALONE}",
     )
 
 

@@ -26,6 +26,8 @@ Tone = Literal["", "good", "doubtful", "bad", "quiet"]
 Kind = Literal["info", "good", "warning", "problem"]
 Align = Literal["text", "number"]
 Item = TypeVar("Item")
+ALONE = "This file holds all it shows: it opens without a network, and prints on A4."
+"""Last sentence of a page's footer."""
 
 
 @dataclass(frozen=True)
