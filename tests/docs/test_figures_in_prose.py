@@ -14,6 +14,7 @@ from piga.calibration.classical.revolutions import REVOLUTIONS
 from piga.calibration.fit.outliers import OUTLIERS
 from piga.calibration.fit.residuals import WHITENESS
 from piga.calibration.fit.servo import SERVO_FIT
+from piga.calibration.model.design import DESIGN
 from piga.calibration.noise.settings import NOISE
 from piga.calibration.remarks.advice import ADVICE
 from piga.calibration.remarks.leverage import LEVERAGE
@@ -90,7 +91,7 @@ CALIBRATION = {
     "parts": f"({CANDIDATES.pieces} parts, where segments are few)",
     "notable": f"sum of squares by over {100 * CANDIDATES.notable:g} %",
     "suggestions": f"at most {word(CANDIDATES.suggestions)} times",
-    "joined rows": f"about {CANDIDATES.rows} rows, as long as the output turns by less than {CANDIDATES.widest_turn:g} rad",
+    "joined rows": f"about {DESIGN.joined_rows} rows, as long as the output turns by less than {DESIGN.joined_turn:g} rad",
     "seen signature": f"`{norm.isf(0.005):.2f} + {norm.isf(0.05):.2f} = {seen_from():.2f}`",
     "ratio": f"where `r < {1 / seen_from():.3f}`",
     "larger u": f"by less than {100 * (math.hypot(1, 1 / seen_from()) - 1):.1f} %",
