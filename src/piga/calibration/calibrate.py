@@ -190,7 +190,8 @@ def _calibration(
     except (IdentifiabilityError, DataError) as error:
         raise with_advice(error, advise(run, request)) from None
     with beside(run.size) as other:
-        residuals = other.submit(_examined, fit)
+        type_a_freedom = other.submit(type_a_degrees, fit)
+        residuals = other.submit(find_residuals, fit.design, fit.solution.values, fit.noise, fit.mode)
         steps("adding up the budget")
         budget = make_budget(fit, coefficients, covariance, steps)
         candidates = Candidates(without_slow(fit))
@@ -198,7 +199,7 @@ def _calibration(
         for doubt in doubts:
             budget = budget.with_row(doubt.row(coefficients))
         type_a, whole = budget.covariances(covariance)
-        degrees = type_a_degrees(fit) * share_of_type_a(type_a, covariance)
+        degrees = type_a_freedom.result() * share_of_type_a(type_a, covariance)
         covariance = whole
         coefficients = combined(coefficients, covariance, budget.rows, degrees)
         steps("checking the intervals")
@@ -207,11 +208,11 @@ def _calibration(
         not_excluded = other.submit(unseen_noise, fit, candidates.fit, coefficients)
         said = find_remarks(fit, candidates, coefficients)
         history = _history(fit) if request.method == "recursive" else None
-    examined, noise = residuals.result(), not_excluded.result()
+        examined = _examined(fit, residuals.result())
     notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, examined.scatter)
     result = _assemble(run, fit, coefficients, covariance, budget.rows, examined, notes, history)
     unseen = unseen_bias(candidates.fit, coefficients, said.missing)
-    unexcluded = tuple(one.words for one in (unseen, noise) if one)
+    unexcluded = tuple(one.words for one in (unseen, not_excluded.result()) if one)
     result = replace(result, remarks=(*unexcluded, *remarks_in_words(coefficients, request.phases)))
     result = with_remarks(result, fit, said, doubts)
     result = with_given_servo(result, given_servo(run), _moved_servo(run))
@@ -267,10 +268,9 @@ class _Examined:
     segments: tuple[SegmentSummary, ...]
 
 
-def _examined(fit: Fit) -> _Examined:
+def _examined(fit: Fit, residuals: Residuals) -> _Examined:
     """The residuals of a fit and what they say."""
     design, run = fit.design, fit.design.run
-    residuals = find_residuals(design, fit.solution.values, fit.noise, fit.mode)
     plain = Diagnostics(residual_kind="rate" if run.kind == "rate" else "angle", range=validity_ranges(run))
     tests = diagnose(residuals, plain, (partial(counted_products, design, fit.noise, fit.mode, residuals),))
     scatter = segment_scatter(design, residuals, fit.noise, fit.coloured_rms)
@@ -429,7 +429,16 @@ def _published_calibration(run: Run, request: Request, steps: Steps) -> Calibrat
     history |= {name: published.history[:, i] for i, name in enumerate(published.names)}
     notes = ("the published recursion depends on its first guess and predicts the phase from the input",)
     std_budget = (budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, std),)
-    return _assemble(run, fit, coefficients, covariance, std_budget, _examined(fit), notes, history)
+    return _assemble(
+        run,
+        fit,
+        coefficients,
+        covariance,
+        std_budget,
+        _examined(fit, find_residuals(design, fit.solution.values, noise, mode)),
+        notes,
+        history,
+    )
 
 
 def _linear_values(design: Design, named: dict[str, float]) -> Array:
