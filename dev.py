@@ -157,7 +157,9 @@ def compiled(arguments: list[str]) -> None:
     """All tests of the compiled kernels, and those that are too long for interpreted ones."""
     programs = environment(".venv-test", "requirements-dev.txt")
     selected = "(compiled or only_compiled) and not slow"
-    call([str(programs / "python"), "-m", "pytest", "-n", "2", "-m", selected, *arguments])
+    call(
+        [str(programs / "python"), "-m", "pytest", "-n", "2", "--dist", "worksteal", "-m", selected, *arguments]
+    )
 
 
 def slow(arguments: list[str]) -> None:

@@ -138,8 +138,8 @@ def find_noise(
     elif long:
         centre, _ = _likeliest(lambda grid: deviance(grid, slice(NOISE.first_rows)), low, high)
     if centre is not None:
-        centre = min(max(centre, low), high)
-        low, high = max(low, centre - width), min(high, centre + width)
+        low = max(min(centre, high - width) - width, low)
+        high = min(low + 2.0 * width, high)
     best, size = _likeliest(lambda grid: deviance(grid, slice(None)), low, high)
     if information is not None:
         grid = np.append(NOISE.lowest_ratio, np.full(CANDIDATES - 1, best))
