@@ -516,7 +516,7 @@ def test_plain_http_gets_no_answer_and_harms_nobody(server: Server, stranger: Re
 
 # Connections without a request
 
-HURRIED = "from piga.workbench import connection; connection.LONGEST_HEAD = 0.5; from piga.cli.main import main; main()"
+HURRIED = "from piga.workbench import app; app.LONGEST_HEAD = 0.5; from piga.cli.main import main; main()"
 """A ``piga ui`` that waits half a second for a head."""
 
 

@@ -1,7 +1,7 @@
 """Checks of a log beyond single cells, and the output in SI.
 
 Limits, stuck values, lost samples, a stopped output, wrong units. A counter, a folded angle or a rate becomes the output, or an
-error with the reason (:class:`Reading`).
+error with the reason (:class:`Reading`). A rate is integrated to the angle that the coupling turns with (:class:`RateAngle`).
 """
 
 from __future__ import annotations
@@ -492,4 +492,64 @@ class Reading:
             f"{self.path}: {listed}: it was reset there",
             remedy="start a new segment there (a segment column) and use phases = 'per-segment'; "
             "if it wrapped instead, give [instrument] counter_bits",
+        )
+
+
+def integrated_rate(t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:
+    """Angle [rad] from a rate: trapezoid with end correction; see :class:`RateAngle`."""
+    follower = RateAngle()
+    return np.concatenate((follower.push(t, rate, begins), follower.finish()))
+
+
+class RateAngle:
+    """Angle from a rate, chunk by chunk: trapezoid with end correction, slopes by central differences.
+
+    The last sample is held back until the next one arrives. The result does not depend on the chunks, to the bit.
+    """
+
+    def __init__(self) -> None:
+        self._t, self._rate, self._begins = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.bool_)
+        self._angle, self._slope = 0.0, 0.0
+        self._given = False
+
+    def push(self, t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:
+        """Angles [rad] of the held-back sample and of all new samples but the last."""
+        self._t, self._rate = np.concatenate((self._t, t)), np.concatenate((self._rate, rate))
+        self._begins = np.concatenate((self._begins, begins))
+        return self._go(self._t.size - 1)
+
+    def finish(self) -> Array:
+        """Angle of the held-back sample."""
+        return self._go(self._t.size)
+
+    def _go(self, stop: int) -> Array:
+        """Angles of new samples up to ``stop``; the sample before ``stop`` is kept for the next slopes."""
+        first = 1 if self._given else 0
+        if stop <= first:
+            return np.zeros(0)
+        slope = self._slopes()[:stop]
+        if self._given:
+            slope[0] = self._slope
+        step = np.where(self._begins[1:stop], 0.0, np.diff(self._t[:stop]))
+        rate = self._rate[:stop]
+        turns = 0.5 * step * (rate[1:] + rate[:-1]) + step**2 / 12.0 * (slope[:-1] - slope[1:])
+        angle = np.cumsum(np.concatenate(([self._angle], turns)))
+        self._angle, self._slope, self._given = float(angle[-1]), float(slope[-1]), True
+        self._t, self._rate, self._begins = (
+            self._t[stop - 1 :],
+            self._rate[stop - 1 :],
+            self._begins[stop - 1 :],
+        )
+        return angle[first:]
+
+    def _slopes(self) -> Array:
+        """Slope at every sample, one-sided at both ends of a stretch."""
+        step = np.diff(self._t)
+        joined = ~self._begins[1:] & (step > 0.0)
+        each = np.where(joined, np.diff(self._rate) / np.where(joined, step, 1.0), 0.0)
+        each, step = np.pad(each, 1), np.pad(np.where(joined, step, 0.0), 1)
+        left, right, before, behind = each[:-1], each[1:], step[:-1], step[1:]
+        inner = (before > 0.0) & (behind > 0.0)
+        return np.where(
+            inner, (left * behind + right * before) / np.where(inner, before + behind, 1.0), left + right
         )

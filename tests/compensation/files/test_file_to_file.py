@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 
 import piga
 from piga.compensation.files import file_to_file as parts
-from piga.compensation.phase import RateAngle, integrated_rate
 from piga.compensation.result import Resampler
 from piga.compensation.sets import set_files
 from piga.compensation.sets.set_files import orthogonal_triad
@@ -207,19 +205,6 @@ def test_set_at_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys):
     for axis in ("dvx", "dvy", "dvz"):
         total = np.cumsum(fine[axis].to_numpy())[last]
         assert abs(np.cumsum(slow[axis].to_numpy())[-1] - total) < 1e-12
-
-
-def test_angle_from_rate_does_not_depend_on_the_chunks():
-    rng = np.random.default_rng(2)
-    t = np.cumsum(0.01 + 1e-3 * rng.random(200))
-    rate, begins = np.sin(t), np.zeros(200, dtype=bool)
-    begins[[0, 90, 91, 150]] = True
-    whole = integrated_rate(t, rate, begins)
-    for cuts in ([1, 2, 90, 91, 92, 150], [89, 151], list(range(1, 200))):
-        follower = RateAngle()
-        edges = [0, *cuts, 200]
-        seen = [follower.push(t[a:b], rate[a:b], begins[a:b]) for a, b in itertools.pairwise(edges)]
-        assert np.concatenate([*seen, follower.finish()]).tobytes() == whole.tobytes()
 
 
 def test_state_of_a_resampler_moves_to_another_one():

@@ -12,6 +12,7 @@ from typing import cast
 import numpy as np
 
 from piga.errors import ArgumentError, CalibrationError
+from piga.reading.signal_checks import RateAngle
 from piga.records.run import Run
 from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES
 from piga.records.spool import arrays_like, exact_median, means, spans, steps
@@ -209,39 +210,24 @@ def phase_angle(run: Run, request: Request, scale_factor: float) -> Array:
     predicted = request.phase_source == "input"
     if not predicted and run.kind != "rate":
         return run.output
-    rate = run.output if predicted else steady_rates(run)
     angle: Array = arrays_like(run.t).empty(run.size)
+    if not predicted:
+        rate, follower, done = steady_rates(run), RateAngle(), 0
+        for part in spans(run.size):
+            new = follower.push(run.t[part], rate[part], run.begins[part])
+            angle[done : done + new.size] = new
+            done += new.size
+        angle[done:] = follower.finish()
+        return angle
     turned = 0.0
     for part in spans(run.size):
         h = steps(run.t, part)
         h[run.begins[part]] = 0.0
-        if predicted:
-            increments = scale_factor * h * means(run.f[:, 0], part)
-        else:
-            increments = h * means(rate, part) + _corrected(run, rate, part)
+        increments = scale_factor * h * means(run.f[:, 0], part)
         increments[0] += turned
         angle[part] = np.cumsum(increments)
         turned = float(angle[part.stop - 1])
     return angle
-
-
-def _corrected(run: Run, rate: Array, part: slice) -> Array:
-    """End correction for the interval into each row of a slice. Needs two rows before and one after the slice."""
-    window = slice(max(part.start - 2, 0), min(part.stop + 1, run.size))
-    step = np.diff(run.t[window])
-    step[run.begins[window][1:]] = 0.0
-    into = np.concatenate(([0.0], _end_correction(rate[window], step)))
-    return into[part.start - window.start : part.stop - window.start]
-
-
-def _end_correction(rate: Array, step: Array) -> Array:
-    """End correction of the trapezoid, ``h^2/12 (r0' - r1')``, slopes by central differences."""
-    slope = np.zeros(rate.size)
-    inner = (step[1:] > 0.0) & (step[:-1] > 0.0)
-    span = np.where(inner, step[1:] + step[:-1], 1.0)
-    slope[1:-1] = np.where(inner, (rate[2:] - rate[:-2]) / span, 0.0)
-    both = (slope[:-1] != 0.0) & (slope[1:] != 0.0)
-    return np.where(both, step**2 / 12.0 * (slope[:-1] - slope[1:]), 0.0)
 
 
 def steady_rates(run: Run) -> Array:

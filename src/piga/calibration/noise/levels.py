@@ -131,16 +131,16 @@ def find_noise(
         objective = restricted(log * share, square * share / count, freedom)
         return objective if information is None else objective + information(grid), square * share
 
-    centre, width = None, NOISE.ratio_known
+    centre, width, passes = None, NOISE.ratio_known, NOISE.refinements
     if near is not None and near.white > 0.0 and near.walk > 0.0:
-        centre = math.log10(near.walk * step / near.white)
+        centre, passes = math.log10(near.walk * step / near.white), passes - 2
         width = NOISE.ratio_known_long if long else width
     elif long:
-        centre, _ = _likeliest(lambda grid: deviance(grid, slice(NOISE.first_rows)), low, high)
+        centre, _ = _likeliest(lambda grid: deviance(grid, slice(NOISE.first_rows)), low, high, passes)
     if centre is not None:
-        low = max(min(centre, high - width) - width, low)
-        high = min(low + 2.0 * width, high)
-    best, size = _likeliest(lambda grid: deviance(grid, slice(None)), low, high)
+        centre = min(max(centre, low), high)
+        low, high = max(low, centre - width), min(high, centre + width)
+    best, size = _likeliest(lambda grid: deviance(grid, slice(None)), low, high, None if long else passes)
     if information is not None:
         grid = np.append(NOISE.lowest_ratio, np.full(CANDIDATES - 1, best))
         log, square = deviance_sums(d, h, 10.0**grid / step)
@@ -154,19 +154,20 @@ def find_noise(
 
 
 def _likeliest(
-    deviance: Callable[[Array], tuple[Array, Array]], low: float, high: float
+    deviance: Callable[[Array], tuple[Array, Array]], low: float, high: float, passes: int | None
 ) -> tuple[float, float]:
     """``log10(q h/r)`` of the least deviance and the residual square there, on a grid from ``low`` to ``high``.
 
-    The grid is refined around its best point, and moved where the best point is its first or last.
+    The grid is refined around its best point in ``passes``. If their number is None, the grid moves where the best point is
+    its first or last, and is refined until it is fine enough.
     """
-    for _ in range(NOISE.ratio_passes):
+    for _ in range(passes or NOISE.ratio_passes):
         grid = np.linspace(low, high, CANDIDATES)
         objective, square = deviance(grid)
         best = least_on_grid(grid, objective)
         spacing = (high - low) / (CANDIDATES - 1)
-        outside = NOISE.lowest_ratio < best == low or NOISE.highest_ratio > best == high
-        if spacing <= NOISE.ratio_spacing and not outside:
+        outside = passes is None and (NOISE.lowest_ratio < best == low or NOISE.highest_ratio > best == high)
+        if passes is None and spacing <= NOISE.ratio_spacing and not outside:
             break
         reach = high - low if outside else spacing
         low, high = max(best - reach, NOISE.lowest_ratio), min(best + reach, NOISE.highest_ratio)

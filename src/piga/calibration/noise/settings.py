@@ -19,10 +19,13 @@ class NoiseSettings:
         Largest ``log10(q h/r)`` searched: pure random walk.
     first_rows:
         Increments used by the first, coarse passes over a long record.
+    refinements:
+        Passes over the residuals; two less if the ratio is known to a decade.
     ratio_spacing:
-        Spacing of ``log10(q h/r)`` at which the grid is no longer refined; a parabola finds the optimum between its points.
+        Spacing of ``log10(q h/r)`` at which the grid of a long record is no longer refined; a parabola finds the optimum
+        between its points.
     ratio_passes:
-        Most passes over the residuals; one to four are usual.
+        Most passes over the residuals of a long record; one to three are usual.
     ratio_known:
         Range of ``log10(q h/r)`` to both sides of an earlier estimate.
     ratio_known_long:
@@ -200,6 +203,7 @@ class NoiseSettings:
     lowest_ratio: float = -10.0
     highest_ratio: float = 4.0
     first_rows: int = 1 << 17
+    refinements: int = 4
     ratio_spacing: float = 0.1
     ratio_passes: int = 12
     ratio_known: float = 1.0

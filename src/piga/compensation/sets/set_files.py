@@ -24,11 +24,11 @@ from piga.compensation.files.file_to_file import (
     found_while_reading,
 )
 from piga.compensation.model import COMPENSATION_METHODS, FLAGS, Limits, Phase
-from piga.compensation.phase import RateAngle, integrated_rate
 from piga.compensation.result import CompensatedSet, Inputs, Resampler, TableWriter, inputs_listed, notes_on
 from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
 from piga.errors import ArgumentError, DataError, RunFileError
 from piga.progress import Progress, report
+from piga.reading.signal_checks import RateAngle, integrated_rate
 from piga.records import Calibration, read_toml
 from piga.records.calibration.document import read_with_digest
 from piga.records.run import Run
