@@ -138,7 +138,7 @@ def find_noise(
     elif long:
         centre, _ = _likeliest(lambda grid: deviance(grid, slice(NOISE.first_rows)), low, high, passes)
     if centre is not None:
-        centre = min(max(centre, low), high)
+        centre = min(max(centre, low + width), high - width) if long else min(max(centre, low), high)
         low, high = max(low, centre - width), min(high, centre + width)
     best, size = _likeliest(lambda grid: deviance(grid, slice(None)), low, high, None if long else passes)
     if information is not None:
