@@ -146,7 +146,7 @@ def test(arguments: list[str]) -> None:
         checks = [[python, "-m", "ruff", "check"], [python, "-m", "ruff", "format", "--check"]]
         together([*checks, [str(programs / "lint-imports")]])
         call([python, "-m", "pytest", "-n", "2", "-m", "smoke", *map(str, smoke)])
-        print("all tests with the JIT off (somewhat over three minutes on two cores)", flush=True)
+        print("all tests with the JIT off (about three minutes on two cores)", flush=True)
         call(everything, NUMBA_DISABLE_JIT="1")
     if types.returncode:
         print("the types are wrong: see above, or run .venv-test/bin/mypy", flush=True)
