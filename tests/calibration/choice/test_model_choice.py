@@ -115,6 +115,15 @@ def test_estimates_are_those_of_a_calibration_with_this_noise(run, compared):
 
 
 @pytest.mark.only_compiled
+def test_noise_of_counts_is_that_of_the_calibration():
+    """The record of the demo is counted coarsely: its covariance is that of the counts, found once."""
+    counted, terms = piga.example_run(), ["scale_factor", "tan_beta", "k0"]
+    choice = piga.compare_models(counted, [["scale_factor", "k0"], terms])
+    result = piga.calibrate(counted, list(choice.noise_terms))
+    assert choice.angle_random_walk == result.angle_random_walk
+    assert choice.angle_rms == result.angle_rms
+
+
 def test_truth_is_best_and_ranked(compared):
     assert compared.sets[compared.best].terms == TRUE
     assert compared.sets[compared.best_prediction].terms == TRUE

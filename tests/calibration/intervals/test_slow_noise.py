@@ -8,7 +8,7 @@ import numpy as np
 
 import piga
 from piga.calibration.fit.one_run import Fit, fit_run
-from piga.calibration.intervals.slow_noise import _whitened_means, quick_look
+from piga.calibration.intervals.slow_noise import _whitened_means, quick_looks
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import KNOTS
 from piga.calibration.noise.levels import Noise
@@ -39,7 +39,8 @@ def test_means_of_bins_are_whitened_as_angle_noise_and_random_walk_say() -> None
         d[k] = 1.0
         if k + 1 < size:
             d[k + 1] = -1.0
-        rows.append(_whitened_means(replace(fit, d=d), DriftBasis.of(fit.design.run), 0, size, bins)[:, -1])
+        (means,) = _whitened_means(replace(fit, d=d), [DriftBasis.of(fit.design.run)], 0, size, bins)
+        rows.append(means[:, -1])
     linear = np.array(rows).T
     t = 0.1 * np.arange(size)
     covariance = noise.white * np.eye(size) + noise.walk * np.minimum.outer(t, t)
@@ -56,7 +57,7 @@ def test_the_quick_look_sees_a_drift_and_no_noise_for_one() -> None:
         rate = np.cumsum(np.sqrt(0.1 * drift) * rng.standard_normal(size))
         angle += np.cumsum(0.1 * rate) + np.sqrt(noise.white) * rng.standard_normal(size)
         residual = replace(fit, d=np.diff(angle, prepend=0.0))
-        return quick_look(residual, DriftBasis.of(fit.design.run)).gain
+        return quick_looks(residual, [DriftBasis.of(fit.design.run)])[0].gain
 
     assert np.median([gain(0.0) for _ in range(20)]) < 0.3
     assert np.median([gain(1e-15) for _ in range(20)]) > 3.0
@@ -65,4 +66,4 @@ def test_the_quick_look_sees_a_drift_and_no_noise_for_one() -> None:
 def test_a_quick_look_at_few_bins_sees_nothing() -> None:
     """Fewer rows than steps of the drift: whatever the residuals are, they are no evidence."""
     fit = replace(fit_with(KNOTS, Noise(1e-12, 1e-12)), d=np.linspace(0.0, 1.0, KNOTS))
-    assert quick_look(fit, DriftBasis.of(fit.design.run)).gain == 0.0
+    assert quick_looks(fit, [DriftBasis.of(fit.design.run)])[0].gain == 0.0

@@ -66,15 +66,15 @@ def test_a_cubic_has_its_mean_whatever_the_intervals() -> None:
     t = np.cumsum(rng.uniform(0.8, 1.2, 12))
     cubic = np.polynomial.Polynomial([1.0, -0.3, 2.0, 0.02])
     whole, h, bows = cubic.integ(), np.diff(t), np.empty(11)
-    assert smooth_bows(cubic(t), h, bows)
+    assert smooth_bows(cubic(t), h, np.empty(11), bows)
     np.testing.assert_allclose(bows, np.diff(whole(t)) / h - 0.5 * (cubic(t[1:]) + cubic(t[:-1])), rtol=1e-9)
     h[5] = 0.0
     parted = np.empty(11)
-    smooth_bows(cubic(t), h, parted)
+    smooth_bows(cubic(t), h, np.empty(11), parted)
     assert parted[5] == 0.0
     np.testing.assert_allclose(np.delete(parted, 5), np.delete(bows, 5), rtol=1e-9)
     h[3] = h[8] = 0.0
-    smooth_bows(cubic(t), h, parted)
+    smooth_bows(cubic(t), h, np.empty(11), parted)
     assert not parted[3:9].any()  # two intervals tell no smoothness
 
 
@@ -85,14 +85,14 @@ def test_a_cubic_has_its_mean_whatever_the_intervals() -> None:
 )
 def test_nothing_rings(samples: np.ndarray) -> None:
     bows = np.empty(19)
-    assert not smooth_bows(samples.astype(float), np.full(19, 0.25), bows)
+    assert not smooth_bows(samples.astype(float), np.full(19, 0.25), np.empty(19), bows)
     assert not bows.any()
 
 
 def test_a_kink_stays_at_a_kink() -> None:
     """The wrong mean of the interval that holds it is an eighth of the change; no other is off by more than that."""
     bows = np.empty(19)
-    smooth_bows(np.maximum(np.arange(20) - 9.4, 0.0), np.ones(19), bows)
+    smooth_bows(np.maximum(np.arange(20) - 9.4, 0.0), np.ones(19), np.empty(19), bows)
     assert np.flatnonzero(bows).tolist() == [9]
     assert abs(bows[9]) < 1.0 / 12.0
 

@@ -15,7 +15,14 @@ from piga.calibration.model import design as design_module
 from piga.calibration.model.design import DESIGN, Design
 from piga.calibration.model.request import Request
 from piga.calibration.noise.counted import count_of
-from piga.calibration.noise.stretches import SawTooth, empty_stretches, find_stretches, follow, looks_white
+from piga.calibration.noise.stretches import (
+    SawTooth,
+    empty_stretches,
+    find_stretches,
+    follow,
+    looks_white,
+    residual_blocks,
+)
 from piga.records.run import Run
 from piga.units import G0
 from tests.calibration.made.scenarios import SCENARIOS
@@ -93,7 +100,7 @@ def test_counts_look_white_where_the_path_runs_through_them(rate: float, swing: 
     """Not where it stands among few counts, nor where the samples fall on the same part of a count again and again."""
     design, values = scanned(rate, swing)
     stretches = empty_stretches(design.run, 60, 0)
-    teeth = follow(design, stretches, design.run.resolution, values)
+    teeth = follow(design.run, stretches, design.run.resolution, residual_blocks(design, values))
     assert looks_white(teeth) is white
     fit = refine_counted(fit_run(design.run, design.request))
     assert (fit.counted is None) is white

@@ -13,7 +13,7 @@ from piga.calibration.allan import allan_deviation, drift_line
 from piga.calibration.fit.one_run import Fit, fit_run, refine_counted
 from piga.calibration.intervals import added_noise
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
-from piga.calibration.intervals.slow_noise import include_slow_noise, quick_look
+from piga.calibration.intervals.slow_noise import include_slow_noise, quick_looks
 from piga.calibration.joint.summary import RunSummary
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import make_request
@@ -41,7 +41,7 @@ def fitted(scenario: Scenario, seed: int, phase: str | None = None) -> Fit:
 def looked(scenario: Scenario, seed: int) -> float:
     """Gain of a drift at the quick look."""
     fit = fitted(scenario, seed)
-    return quick_look(fit, DriftBasis.of(fit.design.run)).gain
+    return quick_looks(fit, [DriftBasis.of(fit.design.run)])[0].gain
 
 
 @pytest.mark.parametrize("phase", ["shared", "per-segment"])

@@ -13,7 +13,7 @@ import piga
 from piga.calibration.fit.one_run import Fit, fit_run, refine_counted
 from piga.calibration.intervals import slow_noise
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
-from piga.calibration.intervals.slow_noise import include_slow_noise, likely_level, quick_look, slow_factor
+from piga.calibration.intervals.slow_noise import include_slow_noise, likely_level, quick_looks, slow_factor
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients, solve
@@ -147,7 +147,7 @@ def test_none_is_seen_where_there_is_none() -> None:
 def test_quick_look_sees_what_a_long_record_shows() -> None:
     def gain(scatter: float, seed: int) -> float:
         fit = fitted(replace(SCATTER, scatter=scatter), seed)
-        return quick_look(fit, SegmentBasis.of(fit.design.run)).gain
+        return quick_looks(fit, [SegmentBasis.of(fit.design.run)])[0].gain
 
     assert gain(3e-5, 1) > 10.0
     assert np.median([gain(0.0, seed) for seed in range(6)]) < 0.3

@@ -21,6 +21,8 @@ from piga._kernels.jit import Array, kernel, reducing_kernel
 
 LARGE, SMALL = 2.0**300, 2.0**-300
 """Size above which the recurrence of the variances is scaled down, and the scale factor."""
+UNCHECKED = 8
+"""Rows between two looks at that size: a row may be a gap of 1e10 sample intervals without an overflow."""
 CANDIDATES = 8
 """Candidates of kappa whose likelihood is computed in one pass over the residuals."""
 
@@ -82,39 +84,46 @@ def whiten(columns: Array, carry: Array, scale: Array, state: Array, out: Array)
 
 @kernel
 def likelihoods(d: Array, h: Array, kappas: Array, work: Array, out_log: Array, out_square: Array) -> None:
-    """Sums of ``log v`` and ``i^2/v`` of the residual increments for each of CANDIDATES candidates of kappa.
+    """Sums of ``log v`` and ``i^2/v`` of the residual increments for each of the candidates of kappa (k,).
 
-    Logarithms are taken of products of 16 variances. Accumulates into ``out_log`` and ``out_square``. ``work``
-    (4, CANDIDATES) is scratch space.
+    With ``p_n = v_1 v_2 .. v_n`` and ``s_n = p_(n-1) i_n`` no step waits for a division:
+    ``p_n = (kappa h_n + 2) p_(n-1) - p_(n-2)``, ``s_n = s_(n-1) + p_(n-1) d_n`` and ``i_n^2/v_n = s_n^2/(p_(n-1) p_n)``. The sum
+    of the logarithms is the logarithm of the last p. Accumulates into ``out_log`` and ``out_square`` (k,). ``work``
+    (4, k) is scratch space.
     """
-    inverse, last, product, square = work[0], work[1], work[2], work[3]
-    for k in range(CANDIDATES):
-        inverse[k] = last[k] = square[k] = 0.0
+    before, product, total, square = work[0], work[1], work[2], work[3]
+    candidates = kappas.size
+    for k in range(candidates):
+        before[k] = total[k] = square[k] = 0.0
         product[k] = 1.0
     count = 0
     for i in range(d.size):
-        if h[i] < 0.0:
+        step, increment = h[i], d[i]
+        if step < 0.0:
             continue
-        if h[i] == 0.0:
-            for k in range(CANDIDATES):
-                inverse[k] = 0.0
-                last[k] = 0.0
-            continue
-        for k in range(CANDIDATES):
-            v = kappas[k] * h[i] + 2.0 - inverse[k]
-            e = d[i] + last[k] * inverse[k]
-            w = 1.0 / v
-            square[k] += e * e * w
-            product[k] *= v
-            inverse[k] = w
-            last[k] = e
-        count += 1
-        if count == 16:
-            count = 0
-            for k in range(CANDIDATES):
+        if step == 0.0:
+            for k in range(candidates):
                 out_log[k] += math.log(product[k])
+                before[k] = total[k] = 0.0
                 product[k] = 1.0
-    for k in range(CANDIDATES):
+            continue
+        for k in range(candidates):
+            following = (kappas[k] * step + 2.0) * product[k] - before[k]
+            gathered = total[k] + product[k] * increment
+            square[k] += gathered * gathered / (product[k] * following)
+            before[k] = product[k]
+            product[k] = following
+            total[k] = gathered
+        count += 1
+        if count == UNCHECKED:
+            count = 0
+            for k in range(candidates):
+                if product[k] > LARGE:
+                    before[k] *= SMALL
+                    product[k] *= SMALL
+                    total[k] *= SMALL
+                    out_log[k] -= math.log(SMALL)
+    for k in range(candidates):
         out_log[k] += math.log(product[k])
         out_square[k] += square[k]
 

@@ -239,7 +239,7 @@ def _turned_integral(
 
 
 @exact
-def smooth_bows(x: Array, h: Array, out: Array) -> bool:
+def smooth_bows(x: Array, h: Array, work: Array, out: Array) -> bool:
     """Mean of a smooth input over each interval less that of both ends; True where one is not 0.
 
     ``-h^2/12 x''`` with the second derivative by the samples on both sides (exact for a cubic), at the ends of a stretch by
@@ -249,35 +249,45 @@ def smooth_bows(x: Array, h: Array, out: Array) -> bool:
     ----------
     x, h, out:
         (n + 1,) samples; (n,) intervals [s], 0 where samples do not belong together; (n,) results.
+    work:
+        (n,) scratch space: the second derivative at the samples.
     """
     n = h.size
-    bent = False
-    second = 0.0
-    for i in range(n):
-        out[i] = 0.0
-        if h[i] == 0.0:
-            continue
-        left = i > 0 and h[i - 1] != 0.0
-        right = i < n - 1 and h[i + 1] != 0.0
-        first = second  # at the beginning of the interval, where there is a left one
-        if right:
-            second = curvature(x, h, i + 1)
-        if left and right:
+    for i in range(1, n):
+        joined = (h[i - 1] != 0.0) & (h[i] != 0.0)
+        work[i] = curvature(x, h, i) if joined else 0.0
+    for i in range(1, n - 1):
+        if (h[i - 1] != 0.0) & (h[i] != 0.0) & (h[i + 1] != 0.0):
             share = (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i - 1] + h[i] + h[i + 1]))
-            value = limited(first + share * (second - first), first, second)
-        elif left and i > 1 and h[i - 2] != 0.0:
-            before = curvature(x, h, i - 1)
-            value = first + (first - before) * (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i] + h[i - 1] + h[i - 2]))
-            value = limited(value, first, before)
-        elif right and i < n - 2 and h[i + 2] != 0.0:
-            after = curvature(x, h, i + 2)
-            value = second + (second - after) * (h[i] + 2.0 * h[i + 1]) / (2.0 * (h[i] + h[i + 1] + h[i + 2]))
-            value = limited(value, second, after)
+            out[i] = bow_of(h[i], limited(work[i] + share * (work[i + 1] - work[i]), work[i], work[i + 1]))
         else:
-            continue
-        out[i] = bow_of(h[i], value)
+            out[i] = 0.0
+    out[0], out[n - 1] = bow_of(h[0], _at_an_end(x, h, 0)), bow_of(h[n - 1], _at_an_end(x, h, n - 1))
+    for i in range(n):
+        if h[i] == 0.0:
+            for k in range(max(i - 1, 0), min(i + 2, n)):
+                out[k] = bow_of(h[k], _at_an_end(x, h, k))
+    bent = False
+    for i in range(n):
         bent |= out[i] != 0.0
     return bent
+
+
+@exact
+def _at_an_end(x: Array, h: Array, i: int) -> float:
+    """Second derivative of ``x`` in the first or last interval ``i`` of a stretch; 0 where it has too few samples."""
+    n = h.size
+    if h[i] == 0.0:
+        return 0.0
+    if i > 1 and h[i - 1] != 0.0 and h[i - 2] != 0.0:
+        first, before = curvature(x, h, i), curvature(x, h, i - 1)
+        further = (first - before) * (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i] + h[i - 1] + h[i - 2]))
+        return limited(first + further, first, before)
+    if i < n - 2 and h[i + 1] != 0.0 and h[i + 2] != 0.0:
+        second, after = curvature(x, h, i + 1), curvature(x, h, i + 2)
+        further = (second - after) * (h[i] + 2.0 * h[i + 1]) / (2.0 * (h[i] + h[i + 1] + h[i + 2]))
+        return limited(second + further, second, after)
+    return 0.0
 
 
 def add_product_bows(code: int, f: Array, bows: Array, temperature: Array, h: Array, out: Array) -> None:

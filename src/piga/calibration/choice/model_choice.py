@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from piga._kernels.estimation.noise import innovation_weights
 from piga.calibration.choice.cross_validation import HeldOutPrediction, fold_of, predict, row_edges
-from piga.calibration.fit.one_run import Fit, refine_counted
+from piga.calibration.fit.one_run import Fit
 from piga.calibration.fit.servo import at_state, find_state, refuse_if_servo_confounded
 from piga.calibration.joint.summary import prepare, run_name
 from piga.calibration.model.design import PHASELESS, Design, ServoState, phaseless_columns
@@ -304,7 +304,7 @@ class Weighed:
     @classmethod
     def of(cls, run: Run, request: Request) -> Weighed:
         """Find the noise with the determined part of the union, then reduce the whole union once."""
-        fit = refine_counted(prepare(run, request, run_name(run, 0)).fit)
+        fit = prepare(run, request, run_name(run, 0)).fit
         columns = tuple(dict.fromkeys((*request.terms, PROBE)))
         design = Design(fit.design.run, replace(request, terms=columns), fit.design.scale_factor)
         groups, per_segment = design.groups, design.per_segment

@@ -344,7 +344,7 @@ def _covariance(design: Design, mode: str, noise: Noise, solution: Solution) -> 
 
 def refine_counted(fit: Fit) -> Fit:
     """The same fit with the covariance of coarse counts; unchanged if plain whitening is right."""
-    refined = fit_counted(fit.design, fit.mode, fit.noise, fit.solution)
+    refined = fit_counted(fit.design, fit.mode, fit.noise, fit.solution, fit.d)
     if refined is None:
         return fit
     return replace(

@@ -20,6 +20,7 @@ from piga.calibration.model.solution import solve
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import Whitener, residual_increments
 from piga.errors import DataError
+from piga.reading.signal_checks import largest_size
 from piga.records.run import Run
 from piga.records.spool import arrays_like, gathered, spans, steps
 from piga.results import Array
@@ -170,12 +171,11 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run, parameters
     misses, whitened = [np.zeros(0)], [np.zeros(0)]
     for rows in spans(d.size):
         part, interval = np.asarray(d[rows]), np.asarray(h[rows])
-        formed = interval > 0.0
+        looked = np.flatnonzero(interval > 0.0)[::every]
         white = part if mode == "samples" else whitener.apply_columns(part[None, :], interval)[0]
         for values, kept in ((part, misses), (white, whitened)):
-            kept.append(np.abs(values[formed][::every]))
-        biggest = max(biggest, float(np.abs(part).max()))
-        largest = max(largest, float(np.abs(white).max()))
+            kept.append(np.abs(values[looked]))
+        biggest, largest = max(biggest, largest_size(part)), max(largest, largest_size(white))
     size, shown = np.concatenate(misses), np.concatenate(whitened)
     spread = float(np.sqrt(np.mean(size**2))) if size.size else 0.0
     if biggest <= OUTLIERS.least_miss or spread == 0.0:

@@ -101,7 +101,7 @@ def _contrasts(block: Array, y: Array, rest: float, fast: int) -> Contrasts:
 
 def _bin_contrasts(fit: Fit, bins: RateBins) -> Contrasts:
     """Contrasts of a long record from the means of the residual angle over a few parts of every stretch."""
-    rows = means_of_bins(fit, bins, NOISE.colour_means * bins.size)
+    (rows,) = means_of_bins(fit, [bins], NOISE.colour_means * bins.size)
     turned = triangle(rows)
     size = bins.count
     rest = float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0

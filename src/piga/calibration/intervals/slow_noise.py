@@ -11,6 +11,7 @@ over a few bins of every stretch. A record without slow noise needs nothing else
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import cast
@@ -93,8 +94,13 @@ def include_slow_noise(fit: Fit, clear: float = NOISE.slow_in_weights) -> Fit:
     able = fit.mode == "increments" and request.method == "information"
     if not able or request.angle_rms is not None or fit.design.rows < 8 * KNOTS:
         return fit
-    looked = _beside_counts if fit.counted is not None else _looked_for
-    candidates = [candidate for basis in slow_bases(fit.design.run) if (candidate := looked(fit, basis))]
+    looked, bases = _looked_for, slow_bases(fit.design.run)
+    if fit.counted is not None:
+        looked = _beside_counts
+    elif fit.design.rows > NOISE.restricted_rows:
+        levels = quick_looks(fit, bases)
+        bases = tuple(b for b, level in zip(bases, levels, strict=True) if level.gain >= NOISE.slow_suspected)
+    candidates = [candidate for basis in bases if (candidate := looked(fit, basis))]
     best = max(candidates, key=lambda candidate: candidate.gain, default=None)
     if best is None or best.gain < NOISE.slow_in_covariance:
         return fit
@@ -128,9 +134,7 @@ def _solved(fit: Fit, noise: Noise) -> Fit:
 
 
 def _looked_for(fit: Fit, basis: SlowBasis) -> _SlowCandidate | None:
-    """A slow noise and the levels estimated with it; None if a quick test shows no slow noise."""
-    if fit.design.rows > NOISE.restricted_rows and quick_look(fit, basis).gain < NOISE.slow_suspected:
-        return None
+    """A slow noise and the levels estimated with it; None if there is hardly any."""
     if likely_level(slow_factor(fit, fit.noise, basis), basis).gain < NOISE.slow_suspected:
         return None
     return _SlowCandidate(basis, *_levels_together(fit, basis))
@@ -247,28 +251,34 @@ def _deviances(fit: Fit, basis: SlowBasis, noise: Noise, below: float) -> _Devia
     return _Deviances(grid, without, best, {False: plain, True: left}, step, freedom)
 
 
-def quick_look(fit: Fit, basis: SlowBasis) -> Level:
-    """Slow noise in the means of the residual angle over a few bins of every stretch; the model is kept fixed."""
+def quick_looks(fit: Fit, bases: Sequence[SlowBasis]) -> list[Level]:
+    """Slow noises in the means of the residual angle over a few bins of every stretch; the model is kept fixed."""
     starts = int(np.count_nonzero(fit.design.run.begins))
-    rows = means_of_bins(fit, basis, int(np.clip(NOISE.look_most_bins // starts, 2, NOISE.look_bins)))
-    if len(rows) <= basis.count:
-        return Level(0.0, 0.0, 0.0)
-    return likely_level(triangle(rows), basis)
-
-
-def means_of_bins(fit: Fit, basis: NoiseColumns, bins: int) -> Array:
-    """Independent rows ``[slow noise | residual]`` (rows, count + 1) from the means of the residual angle over bins."""
-    run = fit.design.run
-    starts = np.flatnonzero(run.begins)
-    rows = [
-        basis.placed(_whitened_means(fit, basis, int(left), int(right), bins), int(run.segment_index[left]))
-        for left, right in pairwise(np.append(starts, run.size))
-        if right - left >= 2 * bins
+    parts = means_of_bins(fit, bases, int(np.clip(NOISE.look_most_bins // starts, 2, NOISE.look_bins)))
+    return [
+        likely_level(triangle(rows), basis) if len(rows) > basis.count else Level(0.0, 0.0, 0.0)
+        for rows, basis in zip(parts, bases, strict=True)
     ]
-    return np.concatenate([np.zeros((0, basis.count + 1)), *rows])
 
 
-def _whitened_means(fit: Fit, basis: NoiseColumns, left: int, right: int, bins: int) -> Array:
+def means_of_bins(fit: Fit, bases: Sequence[NoiseColumns], bins: int) -> list[Array]:
+    """Independent rows ``[slow noise | residual]`` (rows, count + 1) from the means of the residual angle over bins.
+
+    One array for each slow noise.
+    """
+    run = fit.design.run
+    parts = [[np.zeros((0, basis.count + 1))] for basis in bases]
+    for left, right in pairwise(np.append(np.flatnonzero(run.begins), run.size)):
+        if right - left < 2 * bins:
+            continue
+        for basis, part, rows in zip(bases, parts, _whitened_means(fit, bases, left, right, bins), strict=True):
+            part.append(basis.placed(rows, int(run.segment_index[left])))
+    return [np.concatenate(part) for part in parts]
+
+
+def _whitened_means(
+    fit: Fit, bases: Sequence[NoiseColumns], left: int, right: int, bins: int
+) -> Iterator[Array]:
     """Differences of neighbouring bin means as independent rows ``[slow noise | residual]`` (bins - 1, size + 1)."""
     edges = np.linspace(0, right - left, bins + 1).astype(np.int64)
     sizes = np.diff(edges)
@@ -279,8 +289,10 @@ def _whitened_means(fit: Fit, basis: NoiseColumns, left: int, right: int, bins: 
     covariance = fit.noise.walk * (np.minimum.outer(middles, middles) - np.diag(widths) / 6.0)
     covariance += np.diag(fit.noise.white / sizes)
     difference = np.diff(np.eye(bins), axis=0)
-    rows = np.diff(np.vstack([basis.angle(middles + t[0]), angles]), axis=1).T
-    return np.linalg.solve(np.linalg.cholesky(difference @ covariance @ difference.T), rows)
+    lower = np.linalg.cholesky(difference @ covariance @ difference.T)
+    for basis in bases:
+        rows = np.diff(np.vstack([basis.angle(middles + t[0]), angles]), axis=1).T
+        yield np.linalg.solve(lower, rows)
 
 
 def likely_level(factor: Array, basis: SlowBasis) -> Level:

@@ -370,10 +370,10 @@ class Design:
         h[run.begins[low + 1 : high]] = 0.0
         inputs = [*self._force[:, low:high]]
         inputs += [] if run.base_rate is None else [*run.base_rate[low:high].T]
-        bows, bent = np.empty((6, h.size)), False
+        bows, work, bent = np.empty((6, h.size)), np.empty(h.size), False
         bows[len(inputs) :] = 0.0
         for bow, samples in zip(bows, inputs, strict=False):
-            bent |= bool(smooth_bows(np.ascontiguousarray(samples), h, bow))
+            bent |= bool(smooth_bows(np.ascontiguousarray(samples), h, work, bow))
         return bows[:, first - low : stop - 1 - low] if bent else None
 
     def _leave_out(self, columns: Array, h: Array, left_out: NDArray[np.bool_]) -> None:

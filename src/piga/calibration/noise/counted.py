@@ -39,6 +39,7 @@ from piga.calibration.noise.stretches import (
     looks_white,
     modes_of,
     most_modes,
+    residual_blocks,
     walk_covariance,
     white_covariance,
 )
@@ -109,7 +110,8 @@ class Path:
     @classmethod
     def of(cls, stretches: Stretches, solution: Solution) -> Path:
         """The saw-tooth of every stretch, followed through the record."""
-        teeth = follow(stretches.design, stretches.parts, stretches.count, solution.values)
+        residuals = residual_blocks(stretches.design, solution.values)
+        teeth = follow(stretches.design.run, stretches.parts, stretches.count, residuals)
         return cls(solution, teeth, solution.values)
 
     def next(self, stretches: Stretches, solution: Solution) -> Path:
@@ -191,8 +193,11 @@ class CountedFit:
     solution: Solution
 
 
-def fit_counted(design: Design, mode: str, noise: Noise, solution: Solution) -> CountedFit | None:
-    """Fit with the covariance of coarse counts; None where plain whitening with ``noise`` is right."""
+def fit_counted(design: Design, mode: str, noise: Noise, solution: Solution, d: Array) -> CountedFit | None:
+    """Fit with the covariance of coarse counts; None where plain whitening with ``noise`` is right.
+
+    ``d`` (n,) are the residual increments of the solution.
+    """
     count = count_of(design.run)
     step = design.run.median_step
     dithered = (
@@ -201,7 +206,7 @@ def fit_counted(design: Design, mode: str, noise: Noise, solution: Solution) -> 
     if mode != "increments" or count == 0.0 or dithered or design.request.angle_rms is not None:
         return None
     modes = modes_of(design)
-    if modes < 3 or (design.run.size > NOISE.counting_long and _is_white(design, solution, modes, count)):
+    if modes < 3 or (design.run.size > NOISE.counting_long and _is_white(design, d, modes, count)):
         return None
     stretches = Stretches.of(design, modes, count)
     noise = Noise(0.0, 0.0)
@@ -228,12 +233,13 @@ def fit_counted(design: Design, mode: str, noise: Noise, solution: Solution) -> 
     return CountedFit(counted, levels, summaries, solution)
 
 
-def _is_white(design: Design, solution: Solution, modes: int, count: float) -> bool:
-    """True where the saw-tooth along the path of the plain fit is white."""
+def _is_white(design: Design, d: Array, modes: int, count: float) -> bool:
+    """True where the saw-tooth along the path of the plain fit, with the residual increments ``d``, is white."""
     run = design.run
     most = min(NOISE.white_contrasts // int(np.count_nonzero(run.begins)), most_modes(run))
     stretches = empty_stretches(run, max(modes, most), 0)
-    return looks_white(follow(design, stretches, count, solution.values))
+    residuals = ((block, d[block.start : block.stop]) for block in design.blocks())
+    return looks_white(follow(run, stretches, count, residuals))
 
 
 def _rows(stretches: Stretches, values: Array | None) -> Array:

@@ -243,19 +243,21 @@ class SawTooth:
         return sum(wave**2 @ self.power for wave in waves) / white
 
 
-def follow(design: Design, stretches: list[Stretch], count: float, values: Array) -> list[SawTooth]:
-    """The saw-tooth of every stretch along the path of column coefficients ``values`` (segments, m)."""
+def follow(
+    run: Run, stretches: list[Stretch], count: float, residuals: Iterator[tuple[Block, Array]]
+) -> list[SawTooth]:
+    """The saw-tooth of every stretch along a path; ``residuals`` are observed less modelled increments, block by block."""
     teeth = {stretch.start: SawTooth.of(stretch, count) for stretch in stretches}
-    output, work = design.run.output, np.empty((4, WAVES))
-    for stretch, first, rows, residual in angle_pieces(stretches, _residuals(design, values)):
+    output, work = run.output, np.empty((4, WAVES))
+    for stretch, first, rows, residual in angle_pieces(stretches, residuals):
         tooth = teeth[stretch.start]
         turned = (output[rows] - output[stretch.start] - residual) / count
         add_waves(turned, first, stretch.edges, work, tooth.cosines, tooth.sines)
     return list(teeth.values())
 
 
-def _residuals(design: Design, values: Array) -> Iterator[tuple[Block, Array]]:
-    """Blocks with observed minus modelled increments."""
+def residual_blocks(design: Design, values: Array) -> Iterator[tuple[Block, Array]]:
+    """Blocks with observed minus modelled increments, for column coefficients ``values`` (segments, m)."""
     for block in design.blocks():
         yield block, block.columns[-1] - values[block.segment] @ block.columns[:-1]
 
