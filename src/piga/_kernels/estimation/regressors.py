@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.arithmetic import bow_of, curvature, limited, sine_cosine
-from piga._kernels.jit import exact, kernel
+from piga._kernels.arithmetic import LIMIT, bow_of, curvature, fast_sine_cosine, limited, sine_cosine
+from piga._kernels.jit import exact, inline, kernel
 
 Array = NDArray[np.float64]
 
@@ -40,22 +40,25 @@ CODES = {
 """Code of each column; harmonics are ``100 + 2 n`` (sine) and ``101 + 2 n`` (cosine) of order n."""
 
 
+@inline
+def small_angle_moments(x: float) -> tuple[float, float, float]:
+    """As :func:`half_angle_moments` for ``|x| < 0.5``: series, since the quotients lose digits."""
+    x2 = x * x
+    j0 = 1.0 + x2 * (_J0[0] + x2 * (_J0[1] + x2 * (_J0[2] + x2 * (_J0[3] + x2 * (_J0[4] + x2 * _J0[5])))))
+    ratio = _J1[0] + x2 * (_J1[1] + x2 * (_J1[2] + x2 * (_J1[3] + x2 * (_J1[4] + x2 * (_J1[5] + x2 * _J1[6])))))
+    return j0, x * ratio, 2.0 * ratio
+
+
 @kernel
 def half_angle_moments(x: float) -> tuple[float, float, float]:
     """Moments of ``exp(i x v)`` over v in [-1, 1], halved: of 1, v and 1 - v^2 (times 1, -i, 1).
 
-    ``j0 = sin x / x``, ``j1 = (sin x - x cos x)/x^2`` and ``2 j1/x``: spherical Bessel functions, with
-    series for small x where the quotients lose digits.
+    ``j0 = sin x / x``, ``j1 = (sin x - x cos x)/x^2`` and ``2 j1/x``: spherical Bessel functions.
     """
-    x2 = x * x
-    if x2 < 0.25:
-        j0 = 1.0 + x2 * (_J0[0] + x2 * (_J0[1] + x2 * (_J0[2] + x2 * (_J0[3] + x2 * (_J0[4] + x2 * _J0[5])))))
-        ratio = _J1[0] + x2 * (
-            _J1[1] + x2 * (_J1[2] + x2 * (_J1[3] + x2 * (_J1[4] + x2 * (_J1[5] + x2 * _J1[6]))))
-        )
-        return j0, x * ratio, 2.0 * ratio
+    if abs(x) < 0.5:
+        return small_angle_moments(x)
     sine, cosine = math.sin(x), math.cos(x)
-    j1 = (sine - x * cosine) / x2
+    j1 = (sine - x * cosine) / (x * x)
     return sine / x, j1, 2.0 * j1 / x
 
 
@@ -85,20 +88,37 @@ def coupling_columns(
     columns:
         (2, n) results.
     """
+    small = True
     for i in range(h.size):
-        if h[i] == 0.0:
-            columns[0, i] = columns[1, i] = 0.0
-            continue
-        j0, j1, sag = half_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
-        s, c = sine_cosine(0.5 * order * (psi[i] + psi[i + 1]))
-        ym, yd = 0.5 * (y[i] + y[i + 1]), 0.5 * (y[i + 1] - y[i])
-        zm, zd = 0.5 * (z[i] + z[i + 1]), 0.5 * (z[i + 1] - z[i])
-        bent = order * bend[i] * sag
-        # even part j0, odd part j1 and sag of psi turn by +90 deg; the bow of the input does not
-        ye, ze = ym * j0 + 1.5 * sag * bows[0, i], zm * j0 + 1.5 * sag * bows[1, i]
-        yo, zo = yd * j1 + ym * bent, zd * j1 + zm * bent
-        columns[0, i] = h[i] * (s * (ye + zo) + c * (yo - ze))
-        columns[1, i] = h[i] * (c * (ye + zo) - s * (yo - ze))
+        turn, middle = 0.5 * order * (psi[i + 1] - psi[i]), 0.5 * order * (psi[i] + psi[i + 1])
+        small &= (h[i] == 0.0) | ((abs(turn) < 0.5) & (abs(middle) <= LIMIT))
+    if small:  # without branches: whole vectors at a time
+        for i in range(h.size):
+            moments = small_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
+            turned = fast_sine_cosine(0.5 * order * (psi[i] + psi[i + 1]))
+            columns[0, i], columns[1, i] = _coupled(y, z, bows, h, bend, order, i, moments, turned)
+    else:
+        for i in range(h.size):
+            moments = half_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
+            turned = sine_cosine(0.5 * order * (psi[i] + psi[i + 1]))
+            columns[0, i], columns[1, i] = _coupled(y, z, bows, h, bend, order, i, moments, turned)
+
+
+@inline
+def _coupled(
+    y: Array, z: Array, bows: Array, h: Array, bend: Array, order: float, i: int,
+    moments: tuple[float, float, float], turned: tuple[float, float],
+) -> tuple[float, float]:  # fmt: skip
+    """Both product integrals of interval ``i``, from the moments of half its turn and the sine and cosine at its middle."""
+    j0, j1, sag = moments
+    s, c = turned
+    ym, yd = 0.5 * (y[i] + y[i + 1]), 0.5 * (y[i + 1] - y[i])
+    zm, zd = 0.5 * (z[i] + z[i + 1]), 0.5 * (z[i + 1] - z[i])
+    bent = order * bend[i] * sag
+    # even part j0, odd part j1 and sag of psi turn by +90 deg; the bow of the input does not
+    ye, ze = ym * j0 + 1.5 * sag * bows[0, i], zm * j0 + 1.5 * sag * bows[1, i]
+    yo, zo = yd * j1 + ym * bent, zd * j1 + zm * bent
+    return h[i] * (s * (ye + zo) + c * (yo - ze)), h[i] * (c * (ye + zo) - s * (yo - ze))
 
 
 _ROWS = {"a_x": 0, "m_Y": 1, "m_Z": 2, "k0_T": 3, "k0_t": 4}

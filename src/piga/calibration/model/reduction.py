@@ -11,12 +11,13 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga._kernels.estimation.sequential import absorb, back_substitute, gather
+from piga._kernels.estimation.noise import absorb_whitened, whiten
+from piga._kernels.estimation.sequential import back_substitute, gather
 from piga.errors import ArgumentError
 from piga.results import Array
 
@@ -24,6 +25,26 @@ BLOCK = 1024
 """Rows reduced at a time; a block of ten columns fits in the second-level cache."""
 SHORT = 128
 """Most rows of a block that is summed in double-double at once."""
+
+
+class Whitening(NamedTuple):
+    """Weights of rows: ``carry`` (n,) on the innovation before, ``scale`` (n,), and ``state`` (m + 1,), the last innovations."""
+
+    carry: Array
+    scale: Array
+    state: Array
+
+    @classmethod
+    def plain(cls, columns: Array) -> Whitening:
+        """Weights that leave ``columns`` (m + 1, n) as they are."""
+        size, rows = columns.shape
+        return cls(np.zeros(rows), np.ones(rows), np.zeros(size))
+
+    def apply(self, columns: Array) -> Array:
+        """Whitened columns (m + 1, n), a new array; the state moves on."""
+        out = np.empty(columns.shape)
+        whiten(columns, 0, self.carry, self.scale, self.state, out)
+        return out
 
 
 @dataclass(eq=False)
@@ -59,8 +80,8 @@ class Reduction:
         """Upper triangular factor R, shape (m + 1, m + 1), last column for y."""
         return np.sqrt(self.weight[0])[:, None] * self.unit[0]
 
-    def absorb(self, columns: Array, *, count: int | None = None) -> None:
-        """Absorb rows given as ``columns`` (m + 1, n), last one y.
+    def absorb(self, columns: Array, *, count: int | None = None, whitening: Whitening | None = None) -> None:
+        """Absorb rows given as ``columns`` (m + 1, n), last one y, whitened first by ``whitening``.
 
         ``count`` is the number of rows that carry information (n unless some are all zero).
         """
@@ -71,11 +92,11 @@ class Reduction:
             )
         if columns.shape[1] <= SHORT:
             rows = np.zeros((2, columns.shape[1], size))
-            rows[0] = columns.T
+            rows[0] = (columns if whitening is None else whitening.apply(columns)).T
         else:
             rows = np.zeros((2, size, size))
-            for start in range(0, columns.shape[1], BLOCK):
-                absorb(rows[0], np.array(columns[:, start : start + BLOCK], order="C"))
+            whitening = Whitening.plain(columns) if whitening is None else whitening
+            absorb_whitened(rows[0], np.ascontiguousarray(columns), *whitening, BLOCK)
         gather(self.weight, self.unit, rows, _ones(rows.shape[1]))
         self.count += columns.shape[1] if count is None else count
 

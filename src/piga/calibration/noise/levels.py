@@ -211,7 +211,7 @@ def deviance_sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
     results = [(np.zeros(CANDIDATES), np.zeros(CANDIDATES)) for _ in parts]
     with workers(d.size, 2) as pool:
         jobs = [
-            pool.submit(likelihoods, *part, kappas, np.empty((4, CANDIDATES)), *result)
+            pool.submit(likelihoods, *part, kappas, *result)
             for part, result in zip(parts, results, strict=True)
         ]
         for job in jobs:

@@ -15,9 +15,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga._kernels.estimation.noise import innovation_weights, whiten
+from piga._kernels.estimation.noise import innovation_weights
 from piga.calibration.model.design import Block, Design
-from piga.calibration.model.reduction import Reduction, workers
+from piga.calibration.model.reduction import Reduction, Whitening, workers
 from piga.calibration.model.solution import DRIFT_NAMES, KNOTS
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.settings import NOISE
@@ -207,17 +207,19 @@ class Whitener:
         self._state = np.zeros(self.size)
         self._variance = 0.0
 
+    def weights(self, h: Array) -> Whitening:
+        """Weights of the next rows, which have the intervals ``h``. They are to be applied in this order."""
+        carry, scale = np.zeros(h.size), np.ones(h.size)
+        if self.mode == "rates":
+            scale = np.divide(1.0, h, out=np.zeros_like(h), where=h > 0.0)
+        elif self.mode == "increments":
+            white, walk = self.noise.white, self.noise.walk
+            self._variance = innovation_weights(h, white, walk, self._variance, carry, scale)
+        return Whitening(carry, scale, self._state)
+
     def apply_columns(self, columns: Array, h: Array) -> Array:
         """Weighted columns for intervals ``h``, a new array."""
-        if self.mode == "samples":
-            return columns.copy()
-        if self.mode == "rates":
-            return columns * np.divide(1.0, h, out=np.zeros_like(h), where=h > 0.0)
-        carry, scale = np.empty(h.size), np.empty(h.size)
-        self._variance = innovation_weights(h, self.noise.white, self.noise.walk, self._variance, carry, scale)
-        out = np.empty_like(columns)
-        whiten(columns, carry, scale, self._state, out)
-        return out
+        return self.weights(h).apply(columns)
 
 
 def weighting_mode(design: Design, method: str) -> str:
@@ -231,9 +233,17 @@ def weighted_blocks(
     design: Design, mode: str, noise: Noise, basis: NoiseColumns | None = None
 ) -> Iterator[tuple[Block, Array]]:
     """Blocks with their weighted columns in order; columns of a slow noise precede the last."""
+    for block, columns, weights in _blocks_and_weights(design, mode, noise, basis):
+        yield block, weights.apply(columns)
+
+
+def _blocks_and_weights(
+    design: Design, mode: str, noise: Noise, basis: NoiseColumns | None = None
+) -> Iterator[tuple[Block, Array, Whitening]]:
+    """Blocks with their columns, those of a slow noise before the last, and the weights of their rows."""
     whitener = Whitener(mode, noise, len(design.names) + (0 if basis is None else basis.size) + 1)
     for block in design.blocks():
-        yield block, whitener.apply_columns(_with_slow(design, block, basis), block.h)
+        yield block, _with_slow(design, block, basis), whitener.weights(block.h)
 
 
 def _with_slow(design: Design, block: Block, basis: NoiseColumns | None) -> Array:
@@ -263,13 +273,13 @@ def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
     estimated, is integrated out of each summary.
     """
     if mode != "increments":
-        return _absorbed(design, design.names, weighted_blocks(design, mode, noise))
+        return _absorbed(design, design.names, _blocks_and_weights(design, mode, noise))
     drift = DriftBasis.of(design.run) if noise.drift > 0.0 else None
     names = design.names if drift is None else (*design.names, *DRIFT_NAMES)
     if noise.scatter > 0.0 or noise.stated:
         summaries = _reduce_scattered(design, mode, noise, drift, names)
     else:
-        summaries = _absorbed(design, names, weighted_blocks(design, mode, noise, drift))
+        summaries = _absorbed(design, names, _blocks_and_weights(design, mode, noise, drift))
     if drift is not None:
         summaries[0] = Reduction.stacked([summaries[0], _steps_known(names, noise.drift * drift.spacing)])
     return summaries
@@ -283,8 +293,8 @@ def _reduce_scattered(
     order = [m, *range(m), *range(m + 1, len(names) + 2)]
     segments = SegmentBasis.of(design.run)
     basis = segments if drift is None else BesideStated(segments, drift)
-    blocks = weighted_blocks(design, mode, noise, basis)
-    summaries = _absorbed(design, (RATE, *names), ((b, columns[order]) for b, columns in blocks))
+    blocks = ((b, columns[order], w) for b, columns, w in _blocks_and_weights(design, mode, noise, basis))
+    summaries = _absorbed(design, (RATE, *names), blocks)
     scattered = noise.scattered
     variance = np.full(len(summaries), noise.scatter) if scattered is None else scattered
     variance = np.maximum(variance, NOISE.fixed_rate * variance.max())
@@ -295,18 +305,14 @@ def _reduce_scattered(
     return [part.behind_first() for part in summaries]
 
 
-def _absorbed(design: Design, names: tuple[str, ...], blocks: Iterator[tuple[Block, Array]]) -> list[Reduction]:
-    """One summary of the columns per segment; the reduction of a block runs beside the whitening of the next."""
+def _absorbed(
+    design: Design, names: tuple[str, ...], blocks: Iterator[tuple[Block, Array, Whitening]]
+) -> list[Reduction]:
+    """One summary of the weighted columns per segment."""
     summaries = [Reduction.empty(names) for _ in design.run.labels]
-    with workers(design.run.size, 1) as pool:
-        jobs = []
-        for block, columns in blocks:
-            count = int(np.count_nonzero(block.h > 0.0))
-            jobs.append(pool.submit(summaries[block.segment].absorb, columns, count=count))
-            if len(jobs) > 4:
-                jobs.pop(0).result()
-        for job in jobs:
-            job.result()
+    for block, columns, weights in blocks:
+        count = int(np.count_nonzero(block.h > 0.0))
+        summaries[block.segment].absorb(columns, count=count, whitening=weights)
     return summaries
 
 
