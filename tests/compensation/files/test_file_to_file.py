@@ -178,6 +178,26 @@ def test_set_of_files_in_chunks_is_the_set_read_whole(tmp_path, monkeypatch, kin
         assert pieces[name].to_numpy().tobytes() == whole[name].to_numpy().tobytes(), name
 
 
+def test_set_of_files_of_rates_is_the_set_in_memory(tmp_path):
+    """The times of its records differ by less than is refused: each angle is integrated over its own."""
+    t, runs = np.arange(120) * 0.01, []
+    for i, name in enumerate("xyz"):
+        path = write(tmp_path, f"{name}.parquet", rows=120, phi=0.2 * i)
+        path.write_text(path.read_text().replace('"angle" , unit = "rad"', '"rate", unit = "rad/s"'))
+        table = pa.parquet.read_table(tmp_path / f"{name}.parquet")
+        rate, own = 0.9 + 0.1 * np.sin(0.3 * (i + 1) * t), t + 3e-9 * i * (np.arange(120) % 2)
+        for column, values in (("t", own), ("psi", rate)):
+            table = table.set_column(table.column_names.index(column), column, pa.array(values))
+        pa.parquet.write_table(table, tmp_path / f"{name}.parquet")
+        runs.append(path)
+    mounted = orthogonal_triad([calibration_of(CAL, {"phi": 1e-4}, serial="A") for _ in runs])
+    set_files.compensate_set_files(runs, mounted, tmp_path / "o.parquet", "parquet")
+    written = pa.parquet.read_table(tmp_path / "o.parquet")
+    together = piga.compensate_set([piga.read_run(path) for path in runs], mounted)
+    for name, values in together.columns().items():
+        assert written[name].to_numpy().tobytes() == values.tobytes(), name
+
+
 def test_set_whose_times_differ_is_refused_by_name(tmp_path):
     runs = [write(tmp_path, f"{name}.parquet", rows=200) for name in "xyz"]
     table = pa.parquet.read_table(tmp_path / "z.parquet")

@@ -375,14 +375,17 @@ def _solved(
     )  # fmt: skip
     followers = [RateAngle() for _ in records]
     waiting: SetReading | None = None
+    read = 0
     for rows in _together(records):
         if not sampled:
-            part = stream.push(
+            solved = stream.push(
                 rows.t, rows.output, base_rate=rows.base_rate, temperature=rows.temperature, begins=rows.begins
             )
-            yield label, rows, part
+            yield label, rows, solved
             continue
-        psi = [f.push(rows.t, rate, rows.begins) for f, rate in zip(followers, rows.output, strict=True)]
+        part = slice(read, read + rows.t.size)
+        read = part.stop
+        psi = [f.push(r.t[part], r.output[part], rows.begins) for f, r in zip(followers, records, strict=True)]
         known = rows if waiting is None else _joined(waiting, rows)
         ready, waiting = _split(known, known.t.size - 1)
         yield label, ready, _push_sampled(stream, ready, psi)
