@@ -95,7 +95,7 @@ def test_uncertainty_is_that_of_the_covariance():
 
 def test_factor_is_triangular_and_gives_the_covariance():
     cal = calibration_of({"tan_beta": 1e-3, "phi": 0.1, "k0": 1e-3}, {"tan_beta": 1e-6, "k0": 2e-6})
-    model = make_model(cal)
+    model = make_model(cal).instrument
     assert model.codes.size == 2
     assert np.allclose(np.tril(model.factor, -1), 0.0)
     assert np.allclose(np.sqrt(np.diag(model.factor.T @ model.factor)), [1e-6, 2e-6 * G0])
