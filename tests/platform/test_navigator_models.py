@@ -18,7 +18,8 @@ from piga.platform import (
     true_knowledge,
 )
 from piga.platform.analysis import CHANNELS, daily_lines, day_slices
-from piga.platform.navigator import encoder_harmonics, true_start
+from piga.platform.geometry import encoder_harmonics
+from piga.platform.navigator import true_start
 from piga.platform.scenario import Compensation, Gyro, Harmonic, MotionPlan, Rotation, Sensors
 from tests.platform.conftest import ARCMIN, ARCSEC, DEG, only_compiled, published, wobbling
 
