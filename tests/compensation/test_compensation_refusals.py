@@ -19,7 +19,8 @@ from piga.compensation.sets.set_compensator import PublishedSet
 from piga.compensation.sets.set_files import read_triad
 from piga.units import G0
 from tests.compensation.run_files import CAL, command, write
-from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+from tests.compensation.sets.triads import orthogonal
+from tests.compensation.twin_data import K_G, TAN_BETA, assert_same_bits, calibration_of, constant_force, run_of
 
 T = 0.01 * np.arange(60)
 F = constant_force(T, 1.0, 3.0, 0.5)
@@ -63,7 +64,7 @@ def test_nothing_and_single_samples() -> None:
     seen = [
         stream.push({"t": t, "output": psi, "f": f}) for t, psi, f in zip(run.t, run.output, run.f, strict=True)
     ]
-    assert np.concatenate([part.ax for part in seen]).tobytes() == whole.ax.tobytes()
+    assert_same_bits(seen, whole, ["ax"])
     again = piga.Compensator(cal)
     again.push({"t": 1.0, "output": 0.0, "f": F[0]})
     stood = again.push({"t": 1.0, "output": 0.1, "f": F[0]})
@@ -160,7 +161,7 @@ def test_the_phase_of_a_record_of_rates_up_to_its_first_gap() -> None:
 
 
 def mounted(**values: float) -> list[Mounted]:
-    return [Mounted(calibration_of({**CAL, **values}), np.roll(np.eye(3), -i, axis=0)) for i in range(3)]
+    return [Mounted(calibration_of({**CAL, **values}), axes) for axes in orthogonal()]
 
 
 PSI = np.tile(0.9 * T, (3, 1))
@@ -243,8 +244,7 @@ def test_base_rate_of_some_instruments_of_a_set() -> None:
     """Those without one are taken as at rest in their base."""
     rate = np.tile([1e-4, 2e-3, -1e-3], (T.size, 1))
     records = [run_of(T, np.roll(F, -i, axis=1), phi=0.3, base_rate=rate if i == 1 else None) for i in range(3)]
-    plain = [Mounted(calibration_of({**CAL, "k0": 0.0}), np.roll(np.eye(3), -i, axis=0)) for i in range(3)]
-    compensated = compensate_set(records, plain)
+    compensated = compensate_set(records, mounted(k0=0.0))
     assert np.abs(compensated.f[1:] - F[1:]).max() < 1e-9 * G0
 
 

@@ -16,7 +16,7 @@ from piga.compensation.sets.set_compensator import PublishedSet
 from piga.units import G0
 from tests.compensation.sets.triads import PHASES, SKEWED, made, orthogonal, rotation
 from tests.compensation.sets.twin_triad import run, spectrum
-from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
+from tests.compensation.twin_data import K_G, TAN_BETA, assert_same_bits, calibration_of, run_of
 
 ROWS = 300 if numba.config.DISABLE_JIT else 3000
 
@@ -77,10 +77,7 @@ def test_a_redundant_set_that_locks_is_the_same_whatever_the_chunks(size: int) -
     whole, stream = SetCompensator(mounted).push(t, psi), SetCompensator(mounted)
     assert whole.flagged("near_critical").any()
     parts = [stream.push(t[i : i + size], psi[:, i : i + size]) for i in range(0, t.size, size)]
-    for name in ("f", "dv", "u_f", "residual", "flags"):
-        assert (
-            np.concatenate([getattr(part, name) for part in parts]).tobytes() == getattr(whole, name).tobytes()
-        )
+    assert_same_bits(parts, whole, ("f", "dv", "u_f", "residual", "flags"))
 
 
 @pytest.mark.compiled
@@ -92,8 +89,7 @@ def test_set_is_the_same_to_the_bit_whatever_the_chunks():
     whole = SetCompensator(mounted).push(t, psi)
     stream = SetCompensator(mounted)
     parts = [stream.push(t[a:b], psi[:, a:b]) for a, b in ((0, 1), (1, 70), (70, 71), (71, 200), (200, ROWS))]
-    for name in ("f", "dv", "u_f", "residual"):
-        assert np.concatenate([getattr(p, name) for p in parts]).tobytes() == getattr(whole, name).tobytes()
+    assert_same_bits(parts, whole, ("f", "dv", "u_f", "residual"))
 
 
 def test_fault_of_one_instrument_is_flagged():
