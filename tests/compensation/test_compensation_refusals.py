@@ -212,8 +212,9 @@ def test_temperature_of_a_set() -> None:
     [
         (np.eye(2), r"axes of instrument 1: shape \(2, 2\)"),
         (np.full((3, 3), np.nan), "axes of instrument 1"),
-        (np.diag([1.0, 1.0, -1.0]), "not a right-handed set"),
+        (np.diag([1.0, 1.0, -1.0]), "instrument 1: the rows are not a right-handed set"),
         (np.eye(3) * 1.001, "not a right-handed set"),
+        (np.eye(3), "the input axes lie in one plane"),
     ],
 )
 def test_axes_that_are_none(axes: np.ndarray, message: str) -> None:

@@ -134,9 +134,7 @@ def test_stretches_of_a_record_are_kept_in_a_stream():
     assert stream.push(run_of(t + 0.5, constant_force(t, 1.0, 1.0), phi=0.3)).flagged("no_increment")[0]
 
 
-def test_missing_column_and_bad_number_are_named():
-    with pytest.raises(piga.ArgumentError, match="lacks 'f'"):
-        piga.Compensator(CAL).push({"t": [0.0], "output": [0.0]})
+def test_a_bad_number_is_named():
     with pytest.raises(piga.ArgumentError, match=r"chunk\['output'\]\[1\] is not finite"):
         piga.Compensator(CAL).push({"t": [0.0, 1.0], "output": [0.0, np.nan], "f": np.zeros((2, 3))})
 
