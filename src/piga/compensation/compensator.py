@@ -282,16 +282,15 @@ class Compensator:
             raise ArgumentError(f"chunk: {what}", remedy=f"keys: {', '.join(ROW_KEYS)}")
         t = np.atleast_1d(np.asarray(columns["t"], dtype=float))
         n = t.size
-        output = _column(columns, "output", n)
-        force = _rows(columns, "f", n)
-        temperature = _column(columns, "temperature", n) if columns.get("temperature") is not None else NONE
+        output, force = _shaped(columns, "output", (n,)), _shaped(columns, "f", (n, 3))
+        temperature = _shaped(columns, "temperature", (n,), NONE)
         if self._model.needs_temperature and not temperature.size:
             raise ArgumentError(
                 "chunk: the key 'temperature' is missing, and the calibration has temperature terms",
                 remedy="add 'temperature' [K], one value per time",
             )
-        base_rate = _rows(columns, "base_rate", n) if columns.get("base_rate") is not None else NO_RATES
-        angle = _column(columns, "angle", n) if columns.get("angle") is not None else NONE
+        base_rate = _shaped(columns, "base_rate", (n, 3), NO_RATES)
+        angle = _shaped(columns, "angle", (n,), NONE)
         given = columns.get("begins")
         y, z = np.ascontiguousarray(force[:, 1]), np.ascontiguousarray(force[:, 2])
         _check_finite(Chunk(t, output, y, z, NO_MARKS, base_rate, temperature, angle))
@@ -301,20 +300,19 @@ class Compensator:
         return Chunk(t, output, y, z, begins, base_rate, temperature, angle)
 
 
-def _column(columns: Mapping[str, Any], name: str, n: int) -> Array:
-    values = np.ascontiguousarray(np.atleast_1d(np.asarray(columns[name], dtype=float)))
-    if values.shape != (n,):
+def _shaped(
+    columns: Mapping[str, Any], name: str, shape: tuple[int, ...], missing: Array | None = None
+) -> Array:
+    """A column of this shape; ``missing`` if it may be left out and is."""
+    if missing is not None and columns.get(name) is None:
+        return missing
+    rows = len(shape) > 1
+    given = np.asarray(columns[name], dtype=float)
+    values = np.ascontiguousarray(np.atleast_2d(given) if rows else np.atleast_1d(given))
+    if values.shape != shape:
         raise ArgumentError(
-            f"chunk['{name}']: shape {values.shape} instead of ({n},)", remedy="one value per time"
-        )
-    return values
-
-
-def _rows(columns: Mapping[str, Any], name: str, n: int) -> Array:
-    values = np.ascontiguousarray(np.atleast_2d(np.asarray(columns[name], dtype=float)))
-    if values.shape != (n, 3):
-        raise ArgumentError(
-            f"chunk['{name}']: shape {values.shape} instead of ({n}, 3)", remedy="one row per time"
+            f"chunk['{name}']: shape {values.shape} instead of {shape}",
+            remedy=f"one {'row' if rows else 'value'} per time",
         )
     return values
 

@@ -343,7 +343,7 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
         read = replace(scenario, sensors=replace(scenario.sensors, piga=reading.sensors))
         run = ideal if reading.sensors is None else simulate(read, motion=ideal.truth.motion)
         outcomes[reading.name] = _outcome(run, reading, preparation)
-    tripod = next(r.sensors for r in readings(sensors) if r.name == "raw tripod")
+    tripod = next(way.sensors for way in ways if way.name == "raw tripod")
     assert tripod is not None  # noqa: S101 - named above
     times, force = ideal.readouts.times, ideal.truth.force
     one_day = slice(0, min(len(times), round(86164.1 / scenario.step) + 1), max(1, round(60.0 / scenario.step)))
