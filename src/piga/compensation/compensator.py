@@ -383,7 +383,11 @@ def compensate(
     plan = _plan(record, calibration, method, phase, limits, max_age_days, force)
     result = empty_step(record.size, uncertainty, flags)
     report(progress, 0, record.size, "compensating")
-    for rows, _, _ in plan.run(lambda rows, _: _part(result, rows)):
+
+    def room(rows: slice) -> Step:
+        return Step(result.ax[rows], result.dv[rows], result.u_ax[rows], result.flags[rows])
+
+    for rows, _, _ in plan.run(room):
         report(progress, rows.stop, record.size, "compensating")
     return Compensated(
         record.t, result.ax, result.dv, result.u_ax, result.flags, record.serial, plan.method, notes_on(calibration),
@@ -412,8 +416,8 @@ def compensate_in_pieces(
     """
     plan = _plan(record, calibration, method, phase, limits, max_age_days, force)
 
-    def room(_rows: slice, count: int) -> Step:
-        return empty_step(count, uncertainty, flags=True)
+    def room(rows: slice) -> Step:
+        return empty_step(rows.stop - rows.start, uncertainty, flags=True)
 
     for rows, chunk, computed in plan.run(room, state, done):
         part = Compensated(
@@ -469,10 +473,6 @@ def _plan(
     return _Plan(record, calibration, chosen, phase, limits, age_flag(calibration, max_age_days))
 
 
-def _part(result: Step, rows: slice) -> Step:
-    return Step(result.ax[rows], result.dv[rows], result.u_ax[rows], result.flags[rows])
-
-
 @dataclass(frozen=True)
 class _Plan:
     record: Run
@@ -483,14 +483,14 @@ class _Plan:
     flag: int
 
     def run(
-        self, room: Callable[[slice, int], Step], state: Array | None = None, done: int = 0
+        self, room: Callable[[slice], Step], state: Array | None = None, done: int = 0
     ) -> Iterator[tuple[slice, Chunk, Step]]:
-        """Compensate piece by piece. ``room`` gives the output arrays for some rows and their number."""
+        """Compensate piece by piece. ``room`` gives the output arrays for some rows."""
         state, work = init_state() if state is None else state, work_array()
         typical = self.record.median_step if self.record.kind == "rate" else 0.0
         for rows, model in islice(self._pieces(), done, None):
             chunk = _chunk(self.record, rows)
-            computed = room(rows, chunk.t.size)
+            computed = room(rows)
             run_kernel(model, state, chunk, self.record.kind, typical or 1.0, work, computed)
             yield rows, chunk, computed
 
