@@ -202,7 +202,7 @@ def test_a_joint_calibration_names_its_runs_and_sources(run, cal):
 def test_a_set_in_pieces_is_the_set_to_the_bit(run, cal, monkeypatch):
     call = long_calls(run, cal)["set"]
     whole = call(progress=None)
-    monkeypatch.setattr("piga.records.spool.BLOCK", 77)
+    monkeypatch.setattr("piga.compensation.sets.set_files.READINGS", 3 * 77)
     parts, steps = heard(call)
     assert parts == whole
     assert len(steps) == 1 + -(-whole.size // 77)

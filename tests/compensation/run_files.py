@@ -15,18 +15,15 @@ from piga.cli.main import main
 from piga.compensation.files import file_to_file
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
-RUN = """
-[instrument]
-serial = "A"
-scale_factor = "0.8884 rad/s/g"
-{counter}
-[data]
-file = "{file}"
-time = {{ column = "t", unit = "s" }}
-output = {{ column = "psi", kind = "{kind}" {unit} }}
-reference = {{ columns = ["fx", "fy", "fz"], unit = "m/s^2" }}
-{segment}
-"""
+TIME, ANGLE = 'time = { column = "t", unit = "s" }', 'kind = "angle", unit = "rad"'
+REFERENCE = 'reference = { columns = ["fx", "fy", "fz"], unit = "m/s^2" }'
+
+
+def run_text(file: str, *lines: str, time: str = TIME, output: str = ANGLE, instrument: str = "") -> str:
+    """A run file; ``lines`` are those of its data beside time and output, and what follows."""
+    head = ["[instrument]", 'serial = "A"', 'scale_factor = "0.8884 rad/s/g"', instrument]
+    data = ["[data]", f'file = "{file}"', time, f'output = {{ column = "psi", {output} }}']
+    return "\n".join([*head, *data, *lines, ""])
 
 
 KERNEL = import_module("piga.compensation.compensator")
@@ -48,10 +45,9 @@ def write(folder, name="run.parquet", rows=500, serial="A", counts=False, phi=0.
         pa.csv.write_csv(table, folder / name)
     else:
         pa.parquet.write_table(table, folder / name)
-    text = RUN.format(
-        file=name, kind="counts" if counts else "angle", unit="" if counts else ', unit = "rad"', segment="",
-        counter="counts_per_revolution = 72000\ncounter_bits = 16" if counts else "",
-    )  # fmt: skip
+    counter = ('kind = "counts"', "counts_per_revolution = 72000\ncounter_bits = 16")
+    output, instrument = counter if counts else (ANGLE, "")
+    text = run_text(name, REFERENCE, output=output, instrument=instrument)
     path = folder / (name.split(".")[0] + ".toml")
     path.write_text(text)
     calibration_of({**CAL, "phi": phi}, {"phi": 1e-4}, serial=serial, angle_rms=1e-6).to_json(
@@ -75,6 +71,13 @@ def to_file(path, calibration, out, **options):
     record = piga.read_run(path, held=file_to_file.HELD_ROWS)
     summary = file_to_file.compensate_to_file(record, calibration, out, "parquet", **options)
     return summary, file_to_file.found_while_reading(record)
+
+
+def assert_file_holds(path, whole: piga.compensation.Compensated) -> None:
+    """A Parquet file holds these compensated rows, to the bit."""
+    table = pa.parquet.read_table(path)
+    for name in ("t", "ax", "dv", "u_ax", "flags"):
+        assert table.column(name).to_numpy().tobytes() == getattr(whole, name).tobytes(), name
 
 
 def command(monkeypatch, capsys, *words) -> tuple[int, str, str]:

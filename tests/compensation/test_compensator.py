@@ -15,6 +15,7 @@ from piga.compensation import FLAGS, Mounted, Phase, SetCompensator
 from piga.reports.compensation.figures import compensation_errors, error_figures
 from piga.reports.render.orders import order_spectrum
 from piga.units import G0
+from tests.compensation.sets.triads import orthogonal
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, mean_force, run_of
 
 PHI = np.pi / 4
@@ -174,7 +175,7 @@ def test_harmonics_at_samples_of_angle_and_rate():
     rate, psi = K_G / G0 * coupled, alpha - PHI
     single = piga.Compensator(cal, kind="rate").push({"t": t, "output": rate, "f": f, "angle": psi})
     assert np.abs(single.ax - f[:, 0]).max() < 1e-13 * G0
-    axes = [np.roll(np.eye(3), -i, axis=0) for i in range(3)]
+    axes = orthogonal()
     rates = []
     for matrix in axes:
         x, y, z = (f @ matrix.T).T

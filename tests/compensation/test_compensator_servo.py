@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,7 +11,8 @@ import pytest
 import piga
 from piga.compensation import Mounted, PhaseFinder, SetCompensator
 from piga.units import G0
-from tests.compensation.twin_data import calibration_of
+from tests.compensation.sets.triads import orthogonal
+from tests.compensation.twin_data import assert_same_bits, calibration_of, in_pieces
 from tests.instrument.servo_truth import Design, motion
 
 DESIGN = Design(beta=1e-3)
@@ -83,7 +83,7 @@ def test_noise_is_what_is_left():
 @pytest.mark.compiled
 def test_a_set():
     force = np.array([1.0, 2.0, -1.5])
-    axes = [np.roll(np.eye(3), -i, axis=0) for i in range(3)]
+    axes = orthogonal()
     columns = [record(*(matrix @ force)) for matrix in axes]
     left = {}
     for name, values in (("without", BASIC), ("with", WHOLE)):
@@ -105,10 +105,8 @@ def test_result_is_the_same_to_the_bit_whatever_the_chunks(chunks):
         {**WHOLE, "k2": 1e-5}, {"servo": 1e-7, "servo_damping": 1e-7, "phi": 1e-4}, angle_rms=1e-6
     )
     whole, stream = piga.Compensator(cal).push(columns), piga.Compensator(cal)
-    cuts = pairwise([*range(0, whole.ax.size, chunks), whole.ax.size])
-    parts = [stream.push({name: c[a:b] for name, c in columns.items()}) for a, b in cuts]
-    for name in ("ax", "dv", "u_ax", "flags"):
-        assert np.concatenate([getattr(p, name) for p in parts]).tobytes() == getattr(whole, name).tobytes()
+    cuts = [*range(0, whole.ax.size, chunks), whole.ax.size]
+    assert_same_bits(in_pieces(stream, columns, cuts), whole)
 
 
 @pytest.mark.parametrize("force", [(1.0, 1.0, 0.0), (-1.0, 5.0, 1.0), (2.0, 3.0, -4.0)])

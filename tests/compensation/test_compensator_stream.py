@@ -16,7 +16,16 @@ from piga.compensation import Chunk, Mounted, SetCompensator, init_state, step
 from piga.compensation.model import make_model
 from piga.records.calibration import Diagnostics
 from piga.units import G0
-from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+from tests.compensation.sets.triads import orthogonal
+from tests.compensation.twin_data import (
+    K_G,
+    TAN_BETA,
+    assert_same_bits,
+    calibration_of,
+    constant_force,
+    in_pieces,
+    run_of,
+)
 
 ERRORS = {"k0": 1.6e-3, "k2": 2e-5, "m_Y": 2e-4, "k_XY": 1e-4, "s2": 1e-5, "c2": 2e-5}
 
@@ -41,11 +50,6 @@ def noisy_columns(kind: str) -> dict:
     return {"t": t, "output": output, "f": f, "base_rate": base}
 
 
-def pieces(columns: dict, cuts: list[int]) -> list[dict]:
-    edges = [0, *sorted(cuts), ROWS]
-    return [{name: c[a:b] for name, c in columns.items()} for a, b in pairwise(edges)]
-
-
 @pytest.mark.compiled
 @pytest.mark.parametrize("kind", ["angle", "rate", "both"])
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -56,10 +60,7 @@ def test_result_is_the_same_to_the_bit_whatever_the_chunks(kind, cuts):
         columns["angle"] = noisy_columns("angle")["output"]
     whole = piga.Compensator(CAL, kind="angle" if kind == "angle" else "rate").push(columns)
     stream = piga.Compensator(CAL, kind="angle" if kind == "angle" else "rate")
-    parts = [stream.push(piece) for piece in pieces(columns, cuts)]
-    for name in ("ax", "dv", "u_ax", "flags"):
-        joined = np.concatenate([getattr(part, name) for part in parts])
-        assert joined.tobytes() == getattr(whole, name).tobytes()
+    assert_same_bits(in_pieces(stream, columns, [0, *sorted(cuts), ROWS]), whole)
 
 
 @pytest.mark.compiled
@@ -71,15 +72,14 @@ def test_one_sample_at_a_time_is_the_record():
     whole = piga.compensate(run, CAL)
     stream = piga.Compensator(CAL)
     parts = [stream.push({name: column[i] for name, column in columns.items()}) for i in range(300)]
-    assert np.concatenate([p.ax for p in parts]).tobytes() == whole.ax.tobytes()
-    assert np.concatenate([p.u_ax for p in parts]).tobytes() == whole.u_ax.tobytes()
+    assert_same_bits(parts, whole, ("ax", "u_ax"))
 
 
 def test_state_moves_to_another_compensator():
     columns = noisy_columns("angle")
-    first, second = pieces(columns, [ROWS // 2])
+    second = {name: column[ROWS // 2 :] for name, column in columns.items()}
     stream = piga.Compensator(CAL)
-    stream.push(first)
+    in_pieces(stream, columns, (0, ROWS // 2))
     moved = piga.Compensator(CAL, state=stream.state)
     assert moved.push(second).ax.tobytes() == stream.push(second).ax.tobytes()
 
@@ -134,9 +134,7 @@ def test_stretches_of_a_record_are_kept_in_a_stream():
     assert stream.push(run_of(t + 0.5, constant_force(t, 1.0, 1.0), phi=0.3)).flagged("no_increment")[0]
 
 
-def test_missing_column_and_bad_number_are_named():
-    with pytest.raises(piga.ArgumentError, match="lacks 'f'"):
-        piga.Compensator(CAL).push({"t": [0.0], "output": [0.0]})
+def test_a_bad_number_is_named():
     with pytest.raises(piga.ArgumentError, match=r"chunk\['output'\]\[1\] is not finite"):
         piga.Compensator(CAL).push({"t": [0.0, 1.0], "output": [0.0, np.nan], "f": np.zeros((2, 3))})
 
@@ -184,9 +182,7 @@ def test_samples_are_the_same_to_the_bit_whatever_the_chunks_and_what_is_asked_f
     whole = piga.Compensator(cal, kind="rate", step=0.01).push(columns)
     assert len(set(whole.flags.tolist())) > 4
     stream = piga.Compensator(cal, kind="rate", step=0.01)
-    parts = [stream.push({name: c[a:b] for name, c in columns.items()}) for a, b in pairwise(CUTS)]
-    for name in ("ax", "dv", "u_ax", "flags"):
-        assert np.concatenate([getattr(p, name) for p in parts]).tobytes() == getattr(whole, name).tobytes()
+    assert_same_bits(in_pieces(stream, columns, CUTS), whole)
     bare = piga.Compensator(cal, kind="rate", uncertainty=False, flags=False).push(columns)
     flagged = piga.Compensator(cal, kind="rate", step=0.01, uncertainty=False).push(columns)
     known = piga.Compensator(cal, kind="rate", step=0.01, flags=False).push(columns)
@@ -205,7 +201,7 @@ def test_triad_of_samples_is_the_same_to_the_bit_whatever_the_chunks_and_what_is
     data = [samples(seed) for seed in range(3)]
     t, begins = data[0]["t"], data[0]["begins"]
     psi, rate = np.array([d["angle"] for d in data]), np.array([d["output"] for d in data])
-    mounted = [Mounted(LIMITED, np.roll(np.eye(3), -i, axis=0)) for i in range(3)]
+    mounted = [Mounted(LIMITED, axes) for axes in orthogonal()]
 
     def push(cuts, **wanted):
         stream = SetCompensator(mounted, sampled=True, **wanted)
@@ -225,7 +221,7 @@ def test_triad_of_samples_is_the_same_to_the_bit_whatever_the_chunks_and_what_is
 def test_bad_number_in_a_set_is_named_and_leaves_the_state():
     data = samples()
     psi = np.tile(data["angle"], (3, 1))
-    mounted = [Mounted(LIMITED, np.roll(np.eye(3), -i, axis=0)) for i in range(3)]
+    mounted = [Mounted(LIMITED, axes) for axes in orthogonal()]
     stream, sound = SetCompensator(mounted), SetCompensator(mounted)
     stream.push(data["t"][:10], psi[:, :10])
     sound.push(data["t"][:10], psi[:, :10])
@@ -272,10 +268,7 @@ def test_angles_are_the_same_to_the_bit_whatever_the_chunks_and_what_is_asked_fo
         (0, 66, 67, 131, 195, LIMITED_ROWS),
         (0, *np.sort(rng.integers(0, LIMITED_ROWS, 20)), LIMITED_ROWS),
     ):
-        stream = piga.Compensator(cal)
-        parts = [stream.push({name: c[a:b] for name, c in columns.items()}) for a, b in pairwise(cuts)]
-        for name in ("ax", "dv", "u_ax", "flags"):
-            assert np.concatenate([getattr(p, name) for p in parts]).tobytes() == getattr(whole, name).tobytes()
+        assert_same_bits(in_pieces(piga.Compensator(cal), columns, cuts), whole)
     for wanted in ({"flags": False}, {"uncertainty": False}, {"flags": False, "uncertainty": False}):
         rows = piga.Compensator(cal, **wanted).push(columns)
         assert rows.ax.tobytes() == whole.ax.tobytes()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,7 +11,8 @@ from scipy.integrate import solve_ivp
 import piga
 from piga.compensation import Mounted, SetCompensator
 from piga.units import G0
-from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
+from tests.compensation.sets.triads import orthogonal
+from tests.compensation.twin_data import K_G, TAN_BETA, assert_same_bits, calibration_of, in_pieces
 
 K, PHI = K_G / G0, 0.3
 Input = Callable[[float], np.ndarray]
@@ -70,12 +70,11 @@ def test_angles_on_a_swaying_base(rate, most):
     assert np.abs(error[2:]).max() > 0.02 * most
 
 
-@pytest.mark.parametrize("axes", [np.array([np.roll(np.eye(3), -i, axis=0) for i in range(3)])])
-def test_a_set_on_a_swaying_base(axes):
-    records = [record(100.0, 1.2, steady, swaying, matrix) for matrix in axes]
-    stream = SetCompensator([Mounted(calibration(), matrix) for matrix in axes])
+def test_a_set_on_a_swaying_base():
+    records = [record(100.0, 1.2, steady, swaying, matrix) for matrix in AXES]
+    stream = SetCompensator([Mounted(calibration(), matrix) for matrix in AXES])
     rows = stream.push(records[0][0], [r[1] for r in records], base_rate=[r[3] for r in records])
-    error = rows.f[1:] / G0 - np.array([matrix @ steady(0.0) for matrix in axes])[:, 0] / G0
+    error = rows.f[1:] / G0 - np.array([matrix @ steady(0.0) for matrix in AXES])[:, 0] / G0
     assert np.abs(error[2:]).max() < 0.4e-6
     assert np.isfinite(rows.u_f[1:]).all()
 
@@ -145,15 +144,11 @@ def test_bows_are_the_same_to_the_bit_whatever_the_chunks(chunks):
     cal = calibration(scale_factor=1e-6)
     columns = {"t": t, "output": psi, "f": f, "base_rate": omega}
     whole, stream = piga.Compensator(cal).push(columns), piga.Compensator(cal)
-    parts = [
-        stream.push({name: c[a:b] for name, c in columns.items()})
-        for a, b in pairwise([*range(0, t.size, chunks), t.size])
-    ]
-    for name in ("ax", "u_ax"):
-        assert np.concatenate([getattr(p, name) for p in parts]).tobytes() == getattr(whole, name).tobytes()
+    parts = in_pieces(stream, columns, [*range(0, t.size, chunks), t.size])
+    assert_same_bits(parts, whole, ("ax", "u_ax"))
 
 
-AXES = np.array([np.roll(np.eye(3), -i, axis=0) for i in range(3)])
+AXES = np.array(orthogonal())
 QUIET = 1e-8
 """Noise of the angle [rad] below what the samples leave open."""
 

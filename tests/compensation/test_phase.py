@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import piga
 from piga.compensation import PhaseFinder, identify_phase
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
@@ -47,9 +46,3 @@ def test_phase_is_found_on_line_once_the_output_has_turned():
     assert phases[0] is None
     assert phases[-1].std < phases[15].std
     assert abs(phases[-1].value - identify_phase(run, cal, 30.0).value) < 1e-9
-
-
-def test_too_short_a_rest_is_refused():
-    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA}, angle_rms=1e-4)
-    with pytest.raises(piga.CalibrationError, match="does not turn once"):
-        identify_phase(rest_record(0.4, 0.0, 1), cal, 2.0)

@@ -20,7 +20,7 @@ from piga.compensation.result import TableWriter
 from piga.formats.columns import nulls_of, numbers_of
 from piga.units import G0
 from tests.compensation.run_files import CAL, command, small_chunks, write
-from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+from tests.compensation.twin_data import K_G, TAN_BETA, assert_same_bits, calibration_of, constant_force, run_of
 
 
 def test_the_phase_at_rest_by_the_command(tmp_path, monkeypatch, capsys):
@@ -54,11 +54,7 @@ def test_a_record_in_pieces_is_the_record(monkeypatch):
     result = list(compensate_in_pieces(run, cal))
     assert len(result) == 16
     assert {label for label, _, _ in result} == set(run.labels)
-    for name in ("t", "ax", "dv", "u_ax", "flags"):
-        assert (
-            np.concatenate([getattr(part, name) for _, _, part in result]).tobytes()
-            == getattr(whole, name).tobytes()
-        )
+    assert_same_bits([part for _, _, part in result], whole, ("t", "ax", "dv", "u_ax", "flags"))
     assert np.concatenate([chunk.a_Y for _, chunk, _ in result]).tobytes() == run.f[:, 1].tobytes()
 
 

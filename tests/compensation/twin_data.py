@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -107,3 +111,17 @@ def constant_force(t: Array, a_x: float, a_Y: float, a_Z: float = 0.0) -> Array:
 def mean_force(f: Array) -> Array:
     """Mean of a_x over each interval [m/s^2] for input that is linear between samples."""
     return 0.5 * (f[1:, 0] + f[:-1, 0])
+
+
+def in_pieces(stream: piga.Compensator, columns: Mapping[str, NDArray], edges: Iterable[int]) -> list[Any]:
+    """The compensated pieces of a stream whose columns come cut at these rows."""
+    return [stream.push({name: c[a:b] for name, c in columns.items()}) for a, b in pairwise(edges)]
+
+
+def assert_same_bits(
+    parts: Sequence[Any], whole: Any, names: Iterable[str] = ("ax", "dv", "u_ax", "flags")
+) -> None:
+    """The pieces, one after another, are the whole result."""
+    for name in names:
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        assert joined.tobytes() == getattr(whole, name).tobytes(), name

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numba
 import numpy as np
 import pytest
 
-from piga.platform import PlatformScenario, true_knowledge
+from piga.platform import (
+    Alignment,
+    Navigation,
+    PlatformRun,
+    PlatformScenario,
+    compensator,
+    load_scenario,
+    navigate,
+    simulate,
+    true_knowledge,
+)
+from piga.platform.navigator import true_start
 from piga.platform.observation import Tip
-from piga.platform.scenario import Gyro, Harmonic, Place, Rotation, Sensors
+from piga.platform.scenario import Gyro, Harmonic, MotionPlan, Oscillation, Place, Rotation, Sensors
 
 DEG = np.pi / 180.0
 ARCMIN = DEG / 60.0
 ARCSEC = DEG / 3600.0
+EXAMPLES = Path(__file__).parents[2] / "examples"
 INTERPRETED = bool(numba.config.DISABLE_JIT)
 
 only_compiled = pytest.mark.skipif(INTERPRETED, reason="days of one-second steps take minutes with the JIT off")
@@ -46,6 +60,13 @@ def wobbling(**changes) -> PlatformScenario:
 
 
 HARMONICS = (Harmonic(1, 0.2 * ARCMIN, 0.3), Harmonic(2, 0.25 * ARCMIN, 1.0), Harmonic(3, 0.05 * ARCMIN, 2.0))
+AT_SEA = MotionPlan(
+    "sway",
+    sway=tuple(
+        Oscillation(a, p)
+        for a, p in ((0.03, 9.0), (0.02, 7.0), (0.02, 11.0), (0.3, 9.0), (0.3, 12.0), (0.3, 8.0))
+    ),
+)
 NOISE = Sensors(gimbal_noise=ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-4)
 
 
@@ -66,3 +87,16 @@ def truth(s, orders=3):
     known = true_knowledge(s)
     tips = [Tip.of(known.polar, orders).vector, Tip.of(known.equatorial, orders).vector]
     return np.concatenate([*tips, [known.eta0, known.eta_rate]])
+
+
+def navigated(s: PlatformScenario, model="none", **options) -> tuple[PlatformRun, Navigation]:
+    """A run, and its navigation with this model from the true start."""
+    run = simulate(s)
+    made = compensator(model, true_knowledge(s), run.readouts)
+    return run, navigate(run.readouts, made, true_start(run.truth), **options)
+
+
+def alignment(drift: tuple[float, ...] = (0.0, 0.0, 0.0), std: tuple[float, ...] = (1.0,) * 9) -> Alignment:
+    """An alignment at the place of the published case, with this drift and these standard uncertainties."""
+    place = load_scenario(EXAMPLES / "platform-published.toml").place
+    return Alignment(place, np.eye(3), np.array(drift), np.eye(3), np.diag(np.square(std)), {}, {}, 1.0)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from piga.platform import Alignment, error_budget, linear_errors, load_scenario, simulate
+from piga.platform import error_budget, linear_errors, simulate
 from piga.platform.budget import perturbed_errors, standard_sources
 from piga.platform.navigator import Perturbation
 from piga.platform.scenario import Place
-from tests.platform.conftest import DEG, INTERPRETED, published
+from tests.platform.conftest import DEG, INTERPRETED, alignment, published
 
 DURATION = 7200.0 if INTERPRETED else 86400.0
 
@@ -69,15 +67,6 @@ def test_the_budget_lists_every_source_and_their_sum():
     for row in rows:
         assert row.position_linear == pytest.approx(row.position_full, rel=0.01)
         assert row.difference < 0.01 * row.position_full
-
-
-EXAMPLES = Path(__file__).parents[2] / "examples"
-
-
-def alignment(drift: tuple[float, ...] = (0.0, 0.0, 0.0), std: tuple[float, ...] = (1.0,) * 9) -> Alignment:
-    """An alignment at the place of the published case, with this drift and these standard uncertainties."""
-    place = load_scenario(EXAMPLES / "platform-published.toml").place
-    return Alignment(place, np.eye(3), np.array(drift), np.eye(3), np.diag(np.square(std)), {}, {}, 1.0)
 
 
 @pytest.mark.parametrize("axis", range(3))

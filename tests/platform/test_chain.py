@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from piga._kernels.platform.motion import solve_triad
 from piga.errors import ArgumentError
-from piga.platform import Alignment, load_scenario
+from piga.platform import load_scenario
 from piga.platform.chain import _drift, capstone
 from piga.platform.scenario import Compensation, Gyro, PigaSensors, Sensors
 from piga.platform.simulate import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments
-from tests.platform.conftest import DEG, only_compiled, published
+from tests.platform.conftest import DEG, EXAMPLES, alignment, only_compiled, published
 
 PIGA = PigaSensors(0.8884 / 9.80665, 3.6e-4, mounting="skewed", cone=TRIPOD)
 
@@ -156,15 +155,6 @@ def test_a_passage_leaves_what_stationary_phase_says():
 def test_the_capstone_needs_gyro_accelerometers():
     with pytest.raises(ArgumentError, match="accelerometers = 'piga'"):
         capstone(published(duration=1200.0, step=4.0))
-
-
-EXAMPLES = Path(__file__).parents[2] / "examples"
-
-
-def alignment(drift: tuple[float, ...] = (0.0, 0.0, 0.0), std: tuple[float, ...] = (1.0,) * 9) -> Alignment:
-    """An alignment at the place of the published case, with this drift and these standard uncertainties."""
-    place = load_scenario(EXAMPLES / "platform-published.toml").place
-    return Alignment(place, np.eye(3), np.array(drift), np.eye(3), np.diag(np.square(std)), {}, {}, 1.0)
 
 
 def test_the_drift_that_the_navigator_is_told() -> None:

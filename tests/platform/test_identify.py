@@ -10,8 +10,18 @@ from piga.platform import identify, identify_recursively, observability, simulat
 from piga.platform.estimate import UnknownGroup, solve
 from piga.platform.geometry import apparent_gyro
 from piga.platform.observation import ForceFilter, ObservedRecord
-from piga.platform.scenario import Gyro, MotionPlan, Oscillation, PigaSensors, Rotation, Sensors
-from tests.platform.conftest import ARCMIN, ARCSEC, DEG, INTERPRETED, NOISE, calibration, only_compiled, truth
+from piga.platform.scenario import Gyro, PigaSensors, Rotation, Sensors
+from tests.platform.conftest import (
+    ARCMIN,
+    ARCSEC,
+    AT_SEA,
+    DEG,
+    INTERPRETED,
+    NOISE,
+    calibration,
+    only_compiled,
+    truth,
+)
 
 pytestmark = pytest.mark.compiled
 
@@ -102,11 +112,7 @@ def test_a_long_record_is_cut_into_stretches(monkeypatch):
 
 
 def test_a_swaying_base_does_not_spoil_it():
-    sway = tuple(
-        Oscillation(a, p)
-        for a, p in ((0.03, 9.0), (0.02, 7.0), (0.02, 11.0), (0.3, 9.0), (0.3, 12.0), (0.3, 8.0))
-    )
-    s = calibration(motion=MotionPlan("sway", sway=sway), step=2.0 if INTERPRETED else 1.0, sensors=NOISE)
+    s = calibration(motion=AT_SEA, step=2.0 if INTERPRETED else 1.0, sensors=NOISE)
     identified = identify(simulate(s).readouts, s.place, sources=("force", "pick-off"))
     std = np.sqrt(np.diag(identified.covariance))
     score = (identified.values - truth(s)) / std

@@ -8,20 +8,22 @@ import numpy as np
 import pytest
 
 from piga.platform import identify, identify_recursively, simulate
-from piga.platform.scenario import Gyro, MotionPlan, Oscillation, Sensors
+from piga.platform.scenario import Gyro, Sensors
 from piga.platform.simulate import base_motion
-from tests.platform.conftest import ARCMIN, ARCSEC, INTERPRETED, NOISE, calibration, only_compiled, truth
+from tests.platform.conftest import (
+    ARCMIN,
+    ARCSEC,
+    AT_SEA,
+    INTERPRETED,
+    NOISE,
+    calibration,
+    only_compiled,
+    truth,
+)
 
 pytestmark = pytest.mark.compiled
 
 ANGLES, FORCE = ("gimbals", "pick-off"), ("force", "pick-off")
-AT_SEA = MotionPlan(
-    "sway",
-    sway=tuple(
-        Oscillation(a, p)
-        for a, p in ((0.03, 9.0), (0.02, 7.0), (0.02, 11.0), (0.3, 9.0), (0.3, 12.0), (0.3, 8.0))
-    ),
-)
 CASES = {
     "gimbal angles": ({}, ANGLES, identify),
     "specific force": ({}, FORCE, identify),

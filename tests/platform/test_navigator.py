@@ -24,21 +24,15 @@ from piga.platform.geometry import (
 )
 from piga.platform.navigator import modelled_angles, true_start
 from piga.platform.scenario import Gyro, MotionPlan, Oscillation
-from tests.platform.conftest import INTERPRETED, only_compiled, published
+from tests.platform.conftest import INTERPRETED, navigated, only_compiled, published
 
 pytestmark = [pytest.mark.compiled, pytest.mark.smoke]
-
-
-def _navigated(s, model="none", **options):
-    run = simulate(s)
-    made = compensator(model, true_knowledge(s), run.readouts)
-    return run, navigate(run.readouts, made, true_start(run.truth), **options)
 
 
 @only_compiled
 def test_ten_static_days_without_errors_stand_still():
     s = published().without_errors()
-    run, shown = _navigated(s)
+    run, shown = navigated(s)
     e = errors(shown, run.truth, run.readouts)
     assert e.horizontal.max() < 1e-5
     assert np.abs(e.up).max() < 1e-6
@@ -103,8 +97,8 @@ def test_chunks_do_not_change_the_result():
 
 def test_rows_can_be_thinned_but_must_divide():
     s = published(duration=600.0, step=2.0)
-    _, dense = _navigated(s, "A")
-    _, thin = _navigated(s, "A", every=7)
+    _, dense = navigated(s, "A")
+    _, thin = navigated(s, "A", every=7)
     np.testing.assert_array_equal(thin.position, dense.position[6::7])
     np.testing.assert_allclose(thin.table, dense.table[6::7], rtol=0, atol=1e-15)
     run = simulate(s)
@@ -146,7 +140,7 @@ def test_what_is_shown_follows_from_the_matrices():
     s = published(
         duration=600.0, step=2.0, triad=(0.01, 0.02, -0.03), motion=MotionPlan(roll=0.1, pitch=0.2, heading=2.5)
     )
-    run, shown = _navigated(s, "B")
+    run, shown = navigated(s, "B")
     made = compensator("B", true_knowledge(s), run.readouts)
     k = 250
     t = shown.times[k]

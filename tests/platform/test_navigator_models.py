@@ -18,9 +18,10 @@ from piga.platform import (
     true_knowledge,
 )
 from piga.platform.analysis import CHANNELS, daily_lines, day_slices
-from piga.platform.navigator import encoder_harmonics, true_start
+from piga.platform.geometry import encoder_harmonics
+from piga.platform.navigator import true_start
 from piga.platform.scenario import Compensation, Gyro, Harmonic, MotionPlan, Rotation, Sensors
-from tests.platform.conftest import ARCMIN, ARCSEC, DEG, only_compiled, published, wobbling
+from tests.platform.conftest import ARCMIN, ARCSEC, DEG, navigated, only_compiled, published, wobbling
 
 pytestmark = pytest.mark.compiled
 
@@ -116,10 +117,7 @@ def test_the_second_order_remainder_is_a_step_and_lines_at_twice_the_rate():
             polar=replace(s.polar, misalignment=4.0 * ARCMIN * scale),
             equatorial=replace(s.equatorial, misalignment=4.0 * ARCMIN * scale),
         )
-        run = simulate(scaled)
-        shown = navigate(
-            run.readouts, compensator("B", true_knowledge(scaled), run.readouts), true_start(run.truth)
-        )
+        run, shown = navigated(scaled, "B")
         e = errors(shown, run.truth, run.readouts)
         rate = s.polar_rotation.rate
         at = [line_amplitudes(e.times, e.velocity[:, 1:2], k * rate, s.place.latitude)[0] for k in (1.0, 2.0)]
@@ -188,8 +186,7 @@ def test_days_are_cut_where_they_end():
 
 def test_a_short_run_has_one_short_day():
     s = published(duration=3600.0, step=8.0)
-    run = simulate(s)
-    shown = navigate(run.readouts, compensator("A", true_knowledge(s), run.readouts), true_start(run.truth))
+    run, shown = navigated(s, "A")
     lines = daily_lines(errors(shown, run.truth, run.readouts), s.polar_rotation.rate, s.place.latitude)
     assert lines.day.tolist() == [1]
     assert set(lines.amplitude) == set(CHANNELS)

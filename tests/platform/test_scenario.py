@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from piga.errors import PigaError
 from piga.platform import load_scenario
-from tests.platform.conftest import ARCMIN, ARCSEC, DEG
+from tests.platform.conftest import ARCMIN, ARCSEC, DEG, EXAMPLES
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 LEAST = '[site]\nlatitude = "40 deg"\n[run]\nduration = "1 h"\n'
 
 

@@ -24,10 +24,10 @@ from piga.units import ARCSEC
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from piga.platform.analysis import Array
     from piga.platform.chain import ModelComparisonRun
     from piga.platform.scenario import Model, PlatformScenario
     from piga.platform.simulate import PlatformRun
+    from piga.results import Array
 
 app = App(
     "platform",

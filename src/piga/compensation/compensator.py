@@ -282,16 +282,15 @@ class Compensator:
             raise ArgumentError(f"chunk: {what}", remedy=f"keys: {', '.join(ROW_KEYS)}")
         t = np.atleast_1d(np.asarray(columns["t"], dtype=float))
         n = t.size
-        output = _column(columns, "output", n)
-        force = _rows(columns, "f", n)
-        temperature = _column(columns, "temperature", n) if columns.get("temperature") is not None else NONE
+        output, force = _shaped(columns, "output", (n,)), _shaped(columns, "f", (n, 3))
+        temperature = _shaped(columns, "temperature", (n,), NONE)
         if self._model.needs_temperature and not temperature.size:
             raise ArgumentError(
                 "chunk: the key 'temperature' is missing, and the calibration has temperature terms",
                 remedy="add 'temperature' [K], one value per time",
             )
-        base_rate = _rows(columns, "base_rate", n) if columns.get("base_rate") is not None else NO_RATES
-        angle = _column(columns, "angle", n) if columns.get("angle") is not None else NONE
+        base_rate = _shaped(columns, "base_rate", (n, 3), NO_RATES)
+        angle = _shaped(columns, "angle", (n,), NONE)
         given = columns.get("begins")
         y, z = np.ascontiguousarray(force[:, 1]), np.ascontiguousarray(force[:, 2])
         _check_finite(Chunk(t, output, y, z, NO_MARKS, base_rate, temperature, angle))
@@ -301,20 +300,19 @@ class Compensator:
         return Chunk(t, output, y, z, begins, base_rate, temperature, angle)
 
 
-def _column(columns: Mapping[str, Any], name: str, n: int) -> Array:
-    values = np.ascontiguousarray(np.atleast_1d(np.asarray(columns[name], dtype=float)))
-    if values.shape != (n,):
+def _shaped(
+    columns: Mapping[str, Any], name: str, shape: tuple[int, ...], missing: Array | None = None
+) -> Array:
+    """A column of this shape; ``missing`` if it may be left out and is."""
+    if missing is not None and columns.get(name) is None:
+        return missing
+    rows = len(shape) > 1
+    given = np.asarray(columns[name], dtype=float)
+    values = np.ascontiguousarray(np.atleast_2d(given) if rows else np.atleast_1d(given))
+    if values.shape != shape:
         raise ArgumentError(
-            f"chunk['{name}']: shape {values.shape} instead of ({n},)", remedy="one value per time"
-        )
-    return values
-
-
-def _rows(columns: Mapping[str, Any], name: str, n: int) -> Array:
-    values = np.ascontiguousarray(np.atleast_2d(np.asarray(columns[name], dtype=float)))
-    if values.shape != (n, 3):
-        raise ArgumentError(
-            f"chunk['{name}']: shape {values.shape} instead of ({n}, 3)", remedy="one row per time"
+            f"chunk['{name}']: shape {values.shape} instead of {shape}",
+            remedy=f"one {'row' if rows else 'value'} per time",
         )
     return values
 
@@ -385,7 +383,11 @@ def compensate(
     plan = _plan(record, calibration, method, phase, limits, max_age_days, force)
     result = empty_step(record.size, uncertainty, flags)
     report(progress, 0, record.size, "compensating")
-    for rows, _, _ in plan.run(lambda rows, _: _part(result, rows)):
+
+    def room(rows: slice) -> Step:
+        return Step(result.ax[rows], result.dv[rows], result.u_ax[rows], result.flags[rows])
+
+    for rows, _, _ in plan.run(room):
         report(progress, rows.stop, record.size, "compensating")
     return Compensated(
         record.t, result.ax, result.dv, result.u_ax, result.flags, record.serial, plan.method, notes_on(calibration),
@@ -414,8 +416,8 @@ def compensate_in_pieces(
     """
     plan = _plan(record, calibration, method, phase, limits, max_age_days, force)
 
-    def room(_rows: slice, count: int) -> Step:
-        return empty_step(count, uncertainty, flags=True)
+    def room(rows: slice) -> Step:
+        return empty_step(rows.stop - rows.start, uncertainty, flags=True)
 
     for rows, chunk, computed in plan.run(room, state, done):
         part = Compensated(
@@ -471,10 +473,6 @@ def _plan(
     return _Plan(record, calibration, chosen, phase, limits, age_flag(calibration, max_age_days))
 
 
-def _part(result: Step, rows: slice) -> Step:
-    return Step(result.ax[rows], result.dv[rows], result.u_ax[rows], result.flags[rows])
-
-
 @dataclass(frozen=True)
 class _Plan:
     record: Run
@@ -485,14 +483,14 @@ class _Plan:
     flag: int
 
     def run(
-        self, room: Callable[[slice, int], Step], state: Array | None = None, done: int = 0
+        self, room: Callable[[slice], Step], state: Array | None = None, done: int = 0
     ) -> Iterator[tuple[slice, Chunk, Step]]:
-        """Compensate piece by piece. ``room`` gives the output arrays for some rows and their number."""
+        """Compensate piece by piece. ``room`` gives the output arrays for some rows."""
         state, work = init_state() if state is None else state, work_array()
         typical = self.record.median_step if self.record.kind == "rate" else 0.0
         for rows, model in islice(self._pieces(), done, None):
             chunk = _chunk(self.record, rows)
-            computed = room(rows, chunk.t.size)
+            computed = room(rows)
             run_kernel(model, state, chunk, self.record.kind, typical or 1.0, work, computed)
             yield rows, chunk, computed
 

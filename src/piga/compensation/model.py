@@ -102,39 +102,13 @@ class Phase:
 
 @dataclass(frozen=True)
 class Model:
-    """One instrument for one phase: parameters by kernel index, harmonics, covariance factor, limits.
+    """One instrument for one phase: its arrays for the kernels, the formula, and the flags that hold for all rows."""
 
-    ``factor`` F (rank, coefficients) is upper triangular. ``F' F`` is the covariance of the coefficients ``codes``.
-    """
-
-    parameters: Array
+    instrument: InstrumentArrays
     has_terms: bool
-    orders: Array
-    sines: Array
-    cosines: Array
-    codes: NDArray[np.int64]
-    factor: Array
-    limits: Array
     formula: int
     base_flag: int
     needs_temperature: bool
-
-    @property
-    def instrument(self) -> InstrumentArrays:
-        """The arrays for the kernels."""
-        return InstrumentArrays(
-            self.parameters, self.orders, self.sines, self.cosines, self.codes, self.factor, self.limits
-        )
-
-    @property
-    def scale_factor(self) -> float:
-        """K [(rad/s)/(m/s^2)]."""
-        return float(self.parameters[at.P_K])
-
-    @property
-    def tan_beta(self) -> float:
-        """Tangent of the non-orthogonality angle."""
-        return float(self.parameters[at.P_TAN_BETA])
 
 
 def make_model(
@@ -171,15 +145,18 @@ def make_model(
     orders = sorted({wave[1] for name in values if (wave := harmonic(name)) and wave[1] > 1})
     codes, factor = _covariance_factor(calibration, used, phase)
     chosen = limits or Limits.of(calibration)
-    return Model(
+    instrument = InstrumentArrays(
         parameters=parameters,
-        has_terms=any(values.get(name, 0.0) != 0.0 for name in at.TERMS),
         orders=np.array(orders, dtype=float),
         sines=np.array([values.get(f"s{n}", 0.0) for n in orders], dtype=float),
         cosines=np.array([values.get(f"c{n}", 0.0) for n in orders], dtype=float),
         codes=codes,
         factor=factor,
         limits=chosen.as_array(calibration.temperature_reference),
+    )
+    return Model(
+        instrument=instrument,
+        has_terms=any(values.get(name, 0.0) != 0.0 for name in at.TERMS),
         formula=at.PUBLISHED if method == "published" else at.EXACT,
         base_flag=flag,
         needs_temperature=any(name in values for name in ("k0_T", "k1_T")),
@@ -310,8 +287,3 @@ MEANING = {
     "fault": "the instruments of the set contradict each other",
 }
 """Meaning of each flag."""
-
-
-def describe(mask: int) -> tuple[str, ...]:
-    """Names of the flags set in ``mask``."""
-    return tuple(name for name, bit in FLAGS.items() if mask & bit)

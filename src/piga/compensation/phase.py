@@ -12,7 +12,7 @@ from piga._kernels.compensation import layout as at
 from piga._kernels.compensation.terms import SERVO, SERVO_DAMPING
 from piga._kernels.estimation.noise import innovation_weights, whiten
 from piga._kernels.estimation.regressors import coupling_columns
-from piga.compensation.model import Model, Phase, make_model
+from piga.compensation.model import Phase, make_model
 from piga.errors import CalibrationError
 from piga.reading.signal_checks import integrated_rate
 from piga.records.calibration import Calibration
@@ -59,9 +59,8 @@ class PhaseFinder:
     """
 
     def __init__(self, calibration: Calibration) -> None:
-        self._model: Model = make_model(calibration, phase=Phase(0.0))
-        p = self._model.parameters
-        if self._model.tan_beta == 0.0 and p[at.P_OFFSET_Y] == 0.0 and p[at.P_OFFSET_Z] == 0.0:
+        p = self._parameters = make_model(calibration, phase=Phase(0.0)).instrument.parameters
+        if p[at.P_TAN_BETA] == 0.0 and p[at.P_OFFSET_Y] == 0.0 and p[at.P_OFFSET_Z] == 0.0:
             raise CalibrationError(
                 "the calibration has no cross-coupling: there is no phase to find",
                 remedy="leave --identify-phase out",
@@ -92,7 +91,7 @@ class PhaseFinder:
     def _add(self, t: Array, psi: Array, y: Array, z: Array) -> None:
         h, turn = np.diff(t), np.diff(psi)
         self._turned += float(np.abs(turn).sum())
-        p = self._model.parameters
+        p = self._parameters
         coupling = p[at.P_K] * p[at.P_TAN_BETA]
         straight, spent = np.zeros(h.size), float(h.sum())
         v = float(turn.sum()) / (p[at.P_K] * spent) if spent > 0.0 else 0.0

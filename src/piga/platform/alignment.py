@@ -10,10 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
-from piga.platform.estimate import UnknownGroup, solve_with_noise
+from piga.platform.estimate import UnknownGroup, by_source, solve_with_noise
 from piga.platform.geometry import geodetic_to_earth, local_axes, specific_force_at_rest, wrapped
 from piga.platform.navigator import Knowledge, Start, site_start
 from piga.platform.observation import (
@@ -27,9 +26,7 @@ from piga.platform.observation import (
 from piga.platform.scenario import Place
 from piga.platform.simulate import Readouts
 from piga.progress import Progress, report
-from piga.results import Result
-
-Array = NDArray[np.float64]
+from piga.results import Array, Result
 
 UNKNOWNS = (
     "triad.x", "triad.y", "triad.z", "drift.x", "drift.y", "drift.z", "base.1", "base.2", "base.3",
@@ -121,14 +118,15 @@ def align(
         solution = solve_with_noise(parts, UNKNOWNS)
         x = _moved(x, solution.step)
     to_level = local_axes(place.latitude, place.longitude).T
+    noise, rms = by_source(parts, solution)
     return Alignment(
         place=place,
         triad=x.triad.T.copy(),
         drift=x.drift,
         base=to_level @ x.base,
         covariance=solution.covariance,
-        noise={part.name: level for part, level in zip(parts, solution.levels, strict=True)},
-        rms={part.name: float(np.sqrt(part.squares(solution.step) / part.rows)) for part in parts},
+        noise=noise,
+        rms=rms,
         condition=solution.condition,
     )
 

@@ -14,10 +14,8 @@ from piga import earth
 from piga.platform.geometry import gravity, misalignment
 from piga.platform.navigator import CaseCompensator, Errors, Knowledge
 from piga.platform.scenario import Gyro, PlatformScenario
-from piga.results import Result
+from piga.results import Array, Result
 from piga.units import DAY
-
-Array = NDArray[np.float64]
 
 CHANNELS = ("east_velocity", "north_velocity", "heading", "roll", "pitch")
 _SCHULER = float(np.sqrt(earth.GM / earth.SEMI_MAJOR_AXIS**3))

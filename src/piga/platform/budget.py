@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga import earth
 from piga.platform.alignment import Alignment
@@ -31,8 +30,6 @@ from piga.platform.simulate import PlatformRun, simulate
 from piga.progress import Progress, Steps
 from piga.results import Result
 from piga.units import ARCSEC
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

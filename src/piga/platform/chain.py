@@ -48,7 +48,6 @@ from piga.platform.scenario import Model, PigaSensors, PlatformScenario
 from piga.platform.simulate import (
     TRIPOD,
     PlatformRun,
-    base_motion,
     gimbal_angles,
     locked,
     mounting_axes,
@@ -56,10 +55,8 @@ from piga.platform.simulate import (
     simulate,
 )
 from piga.progress import Progress, Steps
-from piga.results import Plotted, Result, finite
+from piga.results import Array, Plotted, Result, finite
 from piga.units import ARCMIN, DAY
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -343,21 +340,16 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
     outcomes = {}
     for reading in ways:
         steps(f"navigating, {reading.name}")
-        run = ideal if reading.sensors is None else _reread(scenario, reading.sensors)
+        read = replace(scenario, sensors=replace(scenario.sensors, piga=reading.sensors))
+        run = ideal if reading.sensors is None else simulate(read, motion=ideal.truth.motion)
         outcomes[reading.name] = _outcome(run, reading, preparation)
-    tripod = next(r.sensors for r in readings(sensors) if r.name == "raw tripod")
+    tripod = next(way.sensors for way in ways if way.name == "raw tripod")
     assert tripod is not None  # noqa: S101 - named above
     times, force = ideal.readouts.times, ideal.truth.force
     one_day = slice(0, min(len(times), round(86164.1 / scenario.step) + 1), max(1, round(60.0 / scenario.step)))
     along = force[one_day] @ mounting_axes(tripod)[:, 0, :].T
     steps.finish()
     return Capstone(scenario, outcomes, _passage(ideal, tripod), (times[one_day], along))
-
-
-def _reread(scenario: PlatformScenario, sensors: PigaSensors) -> PlatformRun:
-    return simulate(
-        replace(scenario, sensors=replace(scenario.sensors, piga=sensors)), motion=base_motion(scenario)
-    )
 
 
 def _outcome(run: PlatformRun, reading: TriadReading, preparation: Preparation) -> CapstoneOutcome:

@@ -6,12 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.errors import IdentifiabilityError
-from piga.results import Result
-
-Array = NDArray[np.float64]
+from piga.results import Array, Result
 
 _SMALLEST_SIGMA = 1e-12
 """Smallest noise level of a group. It avoids division by zero for a record without noise."""
@@ -97,6 +94,12 @@ def noise_levels(parts: Sequence[Reduced], solution: LeastSquares) -> list[float
         freedom = max(part.rows - leverage, 1.0)
         levels.append(max(float(np.sqrt(part.squares(solution.step) / freedom)), _SMALLEST_SIGMA))
     return levels
+
+
+def by_source(parts: Sequence[Reduced], solution: LeastSquares) -> tuple[dict[str, float], dict[str, float]]:
+    """Noise level of each group, and the root mean square of its residuals after the step of ``solution``."""
+    noise = {part.name: level for part, level in zip(parts, solution.levels, strict=True)}
+    return noise, {part.name: float(np.sqrt(part.squares(solution.step) / part.rows)) for part in parts}
 
 
 def solve_with_noise(parts: Sequence[Reduced], names: Sequence[str]) -> LeastSquares:

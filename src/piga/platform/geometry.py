@@ -12,14 +12,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from piga import earth
 from piga._kernels.platform.motion import Misalignment, exact_geometry_series
 from piga.frames import axis_turn, skew
 from piga.platform.scenario import Gyro, Rotation
-
-Array = NDArray[np.float64]
+from piga.results import Array
 
 KERNEL_EARTH = np.array(
     [
@@ -101,19 +100,30 @@ def gravity(latitude: float, height: float = 0.0) -> float:
     return float(np.linalg.norm(specific_force_at_rest(geodetic_to_earth(latitude, 0.0, height))))
 
 
-def harmonic_arrays(gyro: Gyro) -> tuple[Array, Array]:
-    """Cosine and sine coefficients [rad] of the misalignment over the case angle, order 1 upwards."""
-    orders = max((h.order for h in gyro.harmonics), default=0)
+def _harmonics(gyro: Gyro, orders: int, phase: float) -> tuple[Array, Array]:
+    """Cosine and sine coefficients [rad] of the misalignment, order 1 to ``orders``, over the case angle less ``phase``.
+
+    With ``c = theta + phase``: ``a cos(k c + p) = A cos(k theta) + B sin(k theta)``,
+    ``A = a cos(k phase + p)``, ``B = -a sin(k phase + p)``.
+    """
     cosines, sines = np.zeros(orders), np.zeros(orders)
     for h in gyro.harmonics:
-        cosines[h.order - 1] += h.amplitude * np.cos(h.phase)
-        sines[h.order - 1] -= h.amplitude * np.sin(h.phase)
+        if h.order <= orders:
+            angle = h.order * phase + h.phase
+            cosines[h.order - 1] += h.amplitude * np.cos(angle)
+            sines[h.order - 1] -= h.amplitude * np.sin(angle)
     return cosines, sines
+
+
+def encoder_harmonics(gyro: Gyro, orders: int) -> tuple[Array, Array]:
+    """Harmonics of the misalignment over the *encoder* angle: cosine and sine, order 1 to ``orders``."""
+    return _harmonics(gyro, orders, gyro.phase)
 
 
 def over_case_angle(gyro: Gyro) -> Misalignment:
     """The misalignment of a gyro, in the form for the kernels."""
-    return Misalignment(gyro.misalignment, *harmonic_arrays(gyro))
+    orders = max((h.order for h in gyro.harmonics), default=0)
+    return Misalignment(gyro.misalignment, *_harmonics(gyro, orders, 0.0))
 
 
 def misalignment(gyro: Gyro, angle: ArrayLike) -> Array:
@@ -133,8 +143,15 @@ def nulled_attitude(
     No small-angle step. Own derivation, docs/platform.md section 2.
     """
     a, b, e = (np.ascontiguousarray(v, dtype=float) for v in np.broadcast_arrays(*np.atleast_1d(c1, c2, eta)))
-    attitude, ring = np.empty((a.size, 3, 3)), np.empty(a.size)
-    exact_geometry_series(over_case_angle(polar), a, over_case_angle(equatorial), b, e, attitude, ring)
+    return exact_attitude(over_case_angle(polar), a, over_case_angle(equatorial), b, e)
+
+
+def exact_attitude(
+    polar: Misalignment, c1: Array, equatorial: Misalignment, c2: Array, eta: Array
+) -> tuple[Array, Array]:
+    """As :func:`nulled_attitude`, from misalignments in the form for the kernels; angles (n,)."""
+    attitude, ring = np.empty((c1.size, 3, 3)), np.empty(c1.size)
+    exact_geometry_series(polar, c1, equatorial, c2, eta, attitude, ring)
     return attitude, ring
 
 
@@ -195,12 +212,6 @@ def encoder_angle(rotation: Rotation, times: ArrayLike) -> Array:
     span = 2.0 * np.pi * rotation.turns
     within = np.mod(angle, 2.0 * span)
     return np.where(within <= span, within, 2.0 * span - within)
-
-
-def phasor(rotation: Rotation, times: ArrayLike) -> Array:
-    """Cosine and sine of the encoder angle, shape (n, 2)."""
-    angle = encoder_angle(rotation, times)
-    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def apparent_gyro(gyro: Gyro, rotation: Rotation) -> Gyro:

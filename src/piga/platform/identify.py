@@ -18,6 +18,7 @@ from piga._kernels.estimation.sequential import sequential_factor
 from piga.platform.estimate import (
     LeastSquares,
     Reduced,
+    by_source,
     in_words,
     noise_levels,
     solve_with_noise,
@@ -36,11 +37,9 @@ from piga.platform.observation import (
 from piga.platform.scenario import Gyro, Place
 from piga.platform.simulate import Readouts
 from piga.progress import Progress, report
-from piga.results import Plotted, Result
+from piga.results import Array, Plotted, Result
 from piga.threads import with_one_thread
 from piga.units import ARCSEC
-
-Array = NDArray[np.float64]
 
 UNKNOWN_PHASE = float(np.pi / np.sqrt(3.0))
 """Standard uncertainty [rad] of an unknown phase (uniform over a turn)."""
@@ -108,6 +107,7 @@ def result(
     known = tips + (2 if "pick-off" in record.sources else 0)
     vector = np.concatenate([x.polar.vector, x.equatorial.vector, [x.eta0, x.eta_rate]])[:known]
     covariance = solution.covariance[:known, :known]
+    noise, rms = by_source(parts, solution)
     return Identification(
         sources=record.sources,
         polar=x.polar.gyro(),
@@ -117,8 +117,8 @@ def result(
         names=names(orders)[:known],
         values=vector,
         covariance=covariance,
-        noise={part.name: level for part, level in zip(parts, solution.levels, strict=True)},
-        rms={part.name: float(np.sqrt(part.squares(solution.step) / part.rows)) for part in parts},
+        noise=noise,
+        rms=rms,
         degrees_of_freedom=sum(part.rows for part in parts) - len(solution.covariance),
         condition=solution.condition,
         parameters=_parameters(vector, covariance, orders, known > tips),
@@ -268,7 +268,7 @@ def identify_recursively(
     span = float(readouts.times[-1] - readouts.times[0])
     early = ObservedRecord.checked(readouts.first(max(4.0 * record.periods[1], 0.25 * span)), sources, orders)
     x, parts, start = gauss_newton(early, place, progress=progress)
-    levels = {part.name: level for part, level in zip(parts, start.levels, strict=True)}
+    levels, _ = by_source(parts, start)
     times, ends = _taken_in(list(record.in_time(x, levels)), len(record.names) + 1, points, progress)
     values, stds = np.empty((len(ends), len(record.names))), np.empty((len(ends), len(record.names)))
     for k, factor in enumerate(ends):

@@ -20,7 +20,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga import earth
 from piga._kernels.platform.motion import follow
@@ -38,6 +37,7 @@ from piga.errors import ArgumentError
 from piga.frames import rotation_vector_to_matrix
 from piga.platform.geometry import (
     KERNEL_EARTH,
+    encoder_harmonics,
     geodetic_to_earth,
     gravitation,
     local_axes,
@@ -46,9 +46,7 @@ from piga.platform.geometry import (
 )
 from piga.platform.scenario import Gyro, Model, Place, PlatformScenario
 from piga.platform.simulate import Readouts, Truth
-from piga.results import Result
-
-Array = NDArray[np.float64]
+from piga.results import Array, Result
 
 
 @dataclass(frozen=True)
@@ -71,21 +69,6 @@ def true_knowledge(scenario: PlatformScenario) -> Knowledge:
     return Knowledge(scenario.polar, scenario.equatorial, scenario.redundancy, rate)
 
 
-def encoder_harmonics(gyro: Gyro, orders: int) -> tuple[Array, Array]:
-    """Harmonics of the misalignment over the *encoder* angle: cosine and sine, order 1 to ``orders``.
-
-    With ``c = theta + phase``: ``a cos(k c + p) = A cos(k theta) + B sin(k theta)``,
-    ``A = a cos(k phase + p)``, ``B = -a sin(k phase + p)``.
-    """
-    cosines, sines = np.zeros(orders), np.zeros(orders)
-    for h in gyro.harmonics:
-        if h.order <= orders:
-            angle = h.order * gyro.phase + h.phase
-            cosines[h.order - 1] += h.amplitude * np.cos(angle)
-            sines[h.order - 1] -= h.amplitude * np.sin(angle)
-    return cosines, sines
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class CaseCompensator(Result):
     """One model prepared for the navigator: kernel constants, redundancy angle per node (n + 1,) or (1,)."""
@@ -104,8 +87,7 @@ class CaseCompensator(Result):
 def modelled_angles(made: CaseCompensator, readouts: Readouts) -> Array:
     """Small angles e (n + 1, 3) [rad] of the platform against the triad at the nodes, as the model has them."""
     (c1, s1), (c2, s2) = (case.T for case in readouts.case_nodes)
-    m1 = made.tips[4] + _series(made.harmonics[0], made.harmonics[1], c1, s1)
-    m2 = made.tips[5] + _series(made.harmonics[2], made.harmonics[3], c2, s2)
+    m1, m2 = _misalignments(made.tips, made.harmonics, readouts)
     tangent, secant = made.tangent_secant()
     ex = m1 * (c1 * made.tips[0] - s1 * made.tips[1])
     ey = m1 * (s1 * made.tips[0] + c1 * made.tips[1])
@@ -157,8 +139,7 @@ def follow_redundancy(
     if the cases rest), so errors of the model at the case-rotation period are averaged out.
     """
     (c1, s1), (c2, s2) = (case.T for case in readouts.case_nodes)
-    m1 = tips[4] + _series(harmonics[0], harmonics[1], c1, s1)
-    m2 = tips[5] + _series(harmonics[2], harmonics[3], c2, s2)
+    m1, m2 = _misalignments(tips, harmonics, readouts)
     expected = m2 * (c2 * tips[2] - s2 * tips[3]) - m1 * (s1 * tips[0] + c1 * tips[1])
     turned = abs(readouts.encoder1[min(len(c1) - 1, 64)] - readouts.encoder1[0]) / (
         min(len(c1) - 1, 64) * readouts.step
@@ -171,6 +152,14 @@ def follow_redundancy(
         1.0 - decay * decay, (1.0 - decay) ** 2 / readouts.step, eta,
     )  # fmt: skip
     return eta
+
+
+def _misalignments(
+    tips: Array, harmonics: tuple[Array, Array, Array, Array], readouts: Readouts
+) -> tuple[Array, Array]:
+    """Misalignments [rad] of both gyros at the nodes (n + 1,), as a model has them."""
+    (c1, s1), (c2, s2) = (case.T for case in readouts.case_nodes)
+    return tips[4] + _series(*harmonics[:2], c1, s1), tips[5] + _series(*harmonics[2:], c2, s2)
 
 
 def _series(cosines: Array, sines: Array, c: Array, s: Array) -> Array:

@@ -25,16 +25,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from piga import earth
-from piga._kernels.platform.motion import Misalignment, exact_geometry_series
+from piga._kernels.platform.motion import Misalignment
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.platform.estimate import UnknownGroup
-from piga.platform.geometry import gimbal_attitude, turns_to_gimbals, wrapped
+from piga.platform.geometry import encoder_harmonics, exact_attitude, gimbal_attitude, turns_to_gimbals, wrapped
 from piga.platform.scenario import Gyro, Harmonic
 from piga.platform.simulate import Readouts
-from piga.results import Result
-
-Array = NDArray[np.float64]
+from piga.results import Array, Result
 
 
 @dataclass(frozen=True)
@@ -49,8 +47,6 @@ class Tip:
     @classmethod
     def of(cls, gyro: Gyro, orders: int) -> Tip:
         """The unknowns that describe ``gyro``, with harmonics up to ``orders``."""
-        from piga.platform.navigator import encoder_harmonics
-
         m, phase = gyro.misalignment, gyro.phase
         return cls(m * float(np.cos(phase)), m * float(np.sin(phase)), *encoder_harmonics(gyro, orders))
 
@@ -77,10 +73,11 @@ class Tip:
             harmonics.append(Harmonic(k, float(np.hypot(a, b)), float(np.remainder(phase, 2.0 * np.pi))))
         return Gyro(float(np.hypot(self.u, self.v)), self.phase, tuple(harmonics))
 
-    def over_case_angle(self) -> tuple[Array, Array]:
-        """Cosine and sine coefficients over the case angle ``c = theta + phase`` (for the exact geometry)."""
+    def over_case_angle(self) -> Misalignment:
+        """The misalignment over the case angle ``c = theta + phase``, in the form for the kernels."""
         k = np.arange(1, len(self.cosines) + 1) * self.phase
-        return (
+        return Misalignment(
+            float(np.hypot(self.u, self.v)),
             self.cosines * np.cos(k) - self.sines * np.sin(k),
             self.cosines * np.sin(k) + self.sines * np.cos(k),
         )
@@ -159,17 +156,9 @@ def misalignment_regressors(x: Unknowns, times: Array, encoder1: Array, encoder2
 
 def exact_platform(x: Unknowns, times: Array, encoder1: Array, encoder2: Array) -> tuple[Array, Array]:
     """Exact ``C_G^P`` (n, 3, 3) and pick-off (n,) for the unknowns."""
-    attitude, ring = np.empty((len(times), 3, 3)), np.empty(len(times))
-    exact_geometry_series(
-        Misalignment(float(np.hypot(x.polar.u, x.polar.v)), *x.polar.over_case_angle()),
-        encoder1 + x.polar.phase,
-        Misalignment(float(np.hypot(x.equatorial.u, x.equatorial.v)), *x.equatorial.over_case_angle()),
-        encoder2 + x.equatorial.phase,
-        x.eta0 + x.eta_rate * times,
-        attitude,
-        ring,
-    )
-    return attitude, ring
+    polar, equatorial = x.polar.over_case_angle(), x.equatorial.over_case_angle()
+    c1, c2 = encoder1 + x.polar.phase, encoder2 + x.equatorial.phase
+    return exact_attitude(polar, c1, equatorial, c2, x.eta0 + x.eta_rate * times)
 
 
 def earth_to_inertial(times: Array) -> Array:

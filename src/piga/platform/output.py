@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.formats.parquet_writer import number_column
 from piga.platform.alignment import UNKNOWNS, Alignment
@@ -15,13 +14,11 @@ from piga.platform.chain import ModelRun
 from piga.platform.identify import UNKNOWNS as MISALIGNMENTS
 from piga.platform.identify import Identification, Observability
 from piga.platform.simulate import PlatformRun, Readouts
-from piga.results import finite
+from piga.results import Array, finite
 from piga.units import ARCMIN
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-Array = NDArray[np.float64]
 
 
 def _table(columns: dict[str, tuple[Array, str]]) -> pa.Table:

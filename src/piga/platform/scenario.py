@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from msgspec import Meta, Struct
+from msgspec import Meta
 from msgspec import field as table_field
 
 from piga.errors import RunFileError
+from piga.records.run_file import TomlTable
 from piga.records.text_files import convert_toml, read_toml
 from piga.units import to_si
 
 Quantity = str | float
+Model = Literal["none", "A", "B", "C"]
+MODELS: tuple[Model, ...] = ("none", "A", "B", "C")
 Pair = tuple[Quantity, Quantity]
+Three = tuple[Quantity, Quantity, Quantity]
 Still = ("0 deg", "10 s")
 StillMetres = ("0 m", "10 s")
 
 
-class SiteFile(Struct, forbid_unknown_fields=True, frozen=True):
+class SiteFile(TomlTable, frozen=True):
     """``[site]``: where the base stands or starts."""
 
     latitude: Quantity
@@ -28,7 +32,7 @@ class SiteFile(Struct, forbid_unknown_fields=True, frozen=True):
     height: Quantity = "0 m"
 
 
-class PlatformRunTable(Struct, forbid_unknown_fields=True, frozen=True):
+class PlatformRunTable(TomlTable, frozen=True):
     """``[run]``: length, interval between readouts, seed of all noise."""
 
     duration: Quantity
@@ -36,7 +40,7 @@ class PlatformRunTable(Struct, forbid_unknown_fields=True, frozen=True):
     seed: Annotated[int, Meta(ge=0)] = 1
 
 
-class MotionFile(Struct, forbid_unknown_fields=True, frozen=True):
+class MotionFile(TomlTable, frozen=True):
     """``[motion]``; sways are ``["amplitude", "period"]``."""
 
     kind: Literal["static", "turn", "sway", "track"] = "static"
@@ -53,7 +57,7 @@ class MotionFile(Struct, forbid_unknown_fields=True, frozen=True):
     file: str | None = None
 
 
-class CaseRotationFile(Struct, forbid_unknown_fields=True, frozen=True):
+class CaseRotationFile(TomlTable, frozen=True):
     """``[case_rotation]``; ``period = "none"`` leaves the cases at rest."""
 
     period: Quantity = "8 min"
@@ -61,7 +65,7 @@ class CaseRotationFile(Struct, forbid_unknown_fields=True, frozen=True):
     reversal: str = "none"
 
 
-class GyroFile(Struct, forbid_unknown_fields=True, frozen=True):
+class GyroFile(TomlTable, frozen=True):
     """``[polar]`` and ``[equatorial]``."""
 
     misalignment: Quantity = "0 arcmin"
@@ -71,19 +75,19 @@ class GyroFile(Struct, forbid_unknown_fields=True, frozen=True):
     case_drift: Pair = ("0 deg/h", "0 deg/h")
 
 
-class RedundancyFile(Struct, forbid_unknown_fields=True, frozen=True):
+class RedundancyFile(TomlTable, frozen=True):
     """``[redundancy]``: by how much the equatorial momentum is off orthogonal at the start."""
 
     initial: Quantity = "0 deg"
 
 
-class PlatformTriadTable(Struct, forbid_unknown_fields=True, frozen=True):
+class PlatformTriadTable(TomlTable, frozen=True):
     """``[triad]``: rotation vector from inertial axes to the gyro triad at the start."""
 
-    attitude: tuple[Quantity, Quantity, Quantity] = ("0 deg", "0 deg", "0 deg")
+    attitude: Three = ("0 deg", "0 deg", "0 deg")
 
 
-class PigaFile(Struct, forbid_unknown_fields=True, frozen=True):
+class PigaFile(TomlTable, frozen=True):
     """``[sensors.piga]``: three gyro accelerometers on the platform."""
 
     scale_factor: Quantity = "0.8884 rad/s/g"
@@ -96,7 +100,7 @@ class PigaFile(Struct, forbid_unknown_fields=True, frozen=True):
     phase_error: Quantity = "0 deg"
 
 
-class SensorsFile(Struct, forbid_unknown_fields=True, frozen=True):
+class SensorsFile(TomlTable, frozen=True):
     """``[sensors]``: white noise and quantisation of every readout; all zero when left out."""
 
     accelerometers: Literal["ideal", "piga"] = "ideal"
@@ -105,16 +109,16 @@ class SensorsFile(Struct, forbid_unknown_fields=True, frozen=True):
     pickoff_noise: Quantity = "0 arcsec"
     pickoff_quantisation: Quantity = "0 arcsec"
     velocity_random_walk: Quantity = "0 m/s/sqrt(s)"
-    accelerometer_bias: tuple[Quantity, Quantity, Quantity] = ("0 ug", "0 ug", "0 ug")
+    accelerometer_bias: Three = ("0 ug", "0 ug", "0 ug")
     increment_quantisation: Quantity = "0 m/s"
     altitude_noise: Quantity = "0 m"
     piga: PigaFile = table_field(default_factory=PigaFile)
 
 
-class CompensationFile(Struct, forbid_unknown_fields=True, frozen=True):
+class CompensationFile(TomlTable, frozen=True):
     """``[compensation]``: the models compared, and where what they know comes from."""
 
-    models: tuple[Literal["none", "A", "B", "C"], ...] = ("none", "A", "B", "C")
+    models: tuple[Model, ...] = MODELS
     misalignment: Literal["identified", "true"] = "identified"
     redundancy: Literal["pick-off", "drift-model"] = "pick-off"
     harmonics: Annotated[int, Meta(ge=1, le=8)] = 3
@@ -122,19 +126,19 @@ class CompensationFile(Struct, forbid_unknown_fields=True, frozen=True):
     attitude: Literal["aligned", "true"] | None = None
 
 
-class IdentificationFile(Struct, forbid_unknown_fields=True, frozen=True):
+class IdentificationFile(TomlTable, frozen=True):
     """``[identification]``: the first stretch of the run, on which identification and alignment work."""
 
     duration: Quantity = "2 h"
 
 
-class NavigationFile(Struct, forbid_unknown_fields=True, frozen=True):
+class NavigationFile(TomlTable, frozen=True):
     """``[navigation]``: time constant of the altitude damping of the vertical channel."""
 
     damping_time: Quantity = "100 s"
 
 
-class ScenarioFile(Struct, forbid_unknown_fields=True, frozen=True):
+class ScenarioFile(TomlTable, frozen=True):
     """The whole file."""
 
     site: SiteFile
@@ -149,10 +153,6 @@ class ScenarioFile(Struct, forbid_unknown_fields=True, frozen=True):
     compensation: CompensationFile = table_field(default_factory=CompensationFile)
     identification: IdentificationFile = table_field(default_factory=IdentificationFile)
     navigation: NavigationFile = table_field(default_factory=NavigationFile)
-
-
-Model = Literal["none", "A", "B", "C"]
-MODELS: tuple[Model, ...] = ("none", "A", "B", "C")
 
 
 @dataclass(frozen=True)
@@ -276,15 +276,15 @@ class PlatformScenario:
     duration: float
     step: float = 1.0
     seed: int = 1
-    motion: MotionPlan = field(default_factory=MotionPlan)
+    motion: MotionPlan = MotionPlan()
     polar_rotation: Rotation = Rotation(0.0)
     equatorial_rotation: Rotation = Rotation(0.0)
-    polar: Gyro = field(default_factory=Gyro)
-    equatorial: Gyro = field(default_factory=Gyro)
+    polar: Gyro = Gyro()
+    equatorial: Gyro = Gyro()
     redundancy: float = 0.0
     triad: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    sensors: Sensors = field(default_factory=Sensors)
-    compensation: Compensation = field(default_factory=Compensation)
+    sensors: Sensors = Sensors()
+    compensation: Compensation = Compensation()
     calibration_time: float = 7200.0
     damping_time: float = 100.0
     source: str = ""
@@ -346,13 +346,17 @@ class _Reader:
     def si(self, value: Quantity, unit: str, key: str) -> float:
         return to_si(value, unit, what=f"{self.path}: {key}")
 
-    def each(self, table: Struct, section: str, units: dict[str, str]) -> dict[str, float]:
+    def each(self, table: TomlTable, section: str, units: dict[str, str]) -> dict[str, float]:
         """SI values of a table by key; ``units`` has the unit of each."""
         return {name: self.si(getattr(table, name), unit, f"{section} {name}") for name, unit in units.items()}
 
     def pair(self, values: Pair, unit: str, key: str) -> tuple[float, float]:
         first, second = (self.si(value, unit, key) for value in values)
         return first, second
+
+    def three(self, values: Three, unit: str, key: str) -> tuple[float, float, float]:
+        x, y, z = (self.si(value, unit, key) for value in values)
+        return x, y, z
 
     def positive(self, value: Quantity, unit: str, key: str) -> float:
         number = self.si(value, unit, key)
@@ -375,7 +379,7 @@ class _Reader:
             polar=self.gyro(f.polar, "polar"),
             equatorial=self.gyro(f.equatorial, "equatorial"),
             redundancy=self.si(f.redundancy.initial, "rad", "[redundancy] initial"),
-            triad=self.triad(f),
+            triad=self.three(f.triad.attitude, "rad", "[triad] attitude"),
             sensors=self.sensors(f),
             compensation=self.compensation(f),
             calibration_time=self.positive(f.identification.duration, "s", "[identification] duration"),
@@ -407,10 +411,6 @@ class _Reader:
                 f"{self.path}: [run] step {s.step:g} s gives fewer than 8 samples per case turn",
                 remedy="shorten the step or lengthen [case_rotation] period",
             )
-
-    def triad(self, f: ScenarioFile) -> tuple[float, float, float]:
-        x, y, z = (self.si(angle, "rad", "[triad] attitude") for angle in f.triad.attitude)
-        return x, y, z
 
     def rotations(self, f: ScenarioFile) -> tuple[Rotation, Rotation]:
         c, turns = f.case_rotation, 0
@@ -471,10 +471,9 @@ class _Reader:
 
     def sensors(self, f: ScenarioFile) -> Sensors:
         s, key = f.sensors, "[sensors]"
-        bias = [self.si(b, "m/s^2", f"{key} accelerometer_bias") for b in s.accelerometer_bias]
         return Sensors(
             **self.each(s, key, _SENSOR_UNITS),
-            accelerometer_bias=(bias[0], bias[1], bias[2]),
+            accelerometer_bias=self.three(s.accelerometer_bias, "m/s^2", f"{key} accelerometer_bias"),
             piga=self.piga(f) if s.accelerometers == "piga" else None,
         )
 

@@ -29,9 +29,7 @@ from piga.platform.geometry import (
 )
 from piga.platform.scenario import MotionPlan, Oscillation, PigaSensors, Place, PlatformScenario, Sensors
 from piga.records.limits import read_whole
-from piga.results import Plotted, Result
-
-Array = NDArray[np.float64]
+from piga.results import Array, Plotted, Result
 
 MAX_TRACK = 256 << 20
 """Largest file of a track [bytes]: some three million rows."""
@@ -271,11 +269,6 @@ def read_increments(sensors: PigaSensors, times: Array, alpha: Array) -> Array:
     return increments
 
 
-def through_pigas(sensors: PigaSensors, times: Array, force: Array, spin: Array) -> Array:
-    """Velocity increments (n, 3) [m/s] that three gyro accelerometers give for the true force."""
-    return read_increments(sensors, times, gimbal_angles(sensors, times, force, spin))
-
-
 def locked(sensors: PigaSensors, force: Array) -> NDArray[np.bool_]:
     """Whether each instrument is inside its locked zone ``|a_x| < a_t tan(beta)``: (n, 3)."""
     along = force @ mounting_axes(sensors)[:, 0, :].T
@@ -408,8 +401,8 @@ def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) ->
     rows = TrueRows(increments, force, gimbals, ring, eta, spin)
     simulate_platform(gyros, base, 0.0, h, triad, scenario.redundancy, rows)
     times = h * np.arange(n + 1, dtype=np.float64)
-    if scenario.sensors.piga is not None:
-        increments = through_pigas(scenario.sensors.piga, times, force, spin)
+    if (sensors := scenario.sensors.piga) is not None:
+        increments = read_increments(sensors, times, gimbal_angles(sensors, times, force, spin))
     readouts = _read(scenario, times, increments, gimbals, ring, motion.place[:, 2])
     return PlatformRun(scenario, readouts, Truth(motion, force, eta, start, triad))
 

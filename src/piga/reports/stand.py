@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from piga._version import __version__
 from piga.instrument import Instrument, dead_zone, mean_rate
 from piga.instrument.twin.linear import analyse_loop, loop_poles, open_loop, step_response
-from piga.instrument.twin.parameters import TwinParameters, parameter_table
+from piga.instrument.twin.parameters import TwinParameters
 from piga.records.terms import shown_unit
 from piga.reports.render.decimate import thin
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
@@ -391,7 +392,7 @@ def _servo_section(test: SimulatedTest, figures: dict[str, Figure]) -> Section:
 
 def _design_section(p: TwinParameters) -> Section:
     table = (
-        TableOf(parameter_table())
+        TableOf(fields(TwinParameters))
         .text("parameter", lambda entry: entry.metadata["meaning"])
         .text("symbol", lambda entry: entry.metadata["symbol"])
         .number("value", lambda entry: _number(getattr(p, entry.name)))

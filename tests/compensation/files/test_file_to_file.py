@@ -15,6 +15,7 @@ from piga.compensation.result import Resampler
 from piga.compensation.sets import set_files
 from piga.compensation.sets.set_files import orthogonal_triad
 from tests.compensation.run_files import CAL, KERNEL, command, small_chunks, write
+from tests.compensation.sets.triads import orthogonal
 from tests.compensation.twin_data import calibration_of
 from tests.kills import kills
 
@@ -159,11 +160,9 @@ def test_killed_at_any_moment_the_result_is_the_same(tmp_path):
 def test_set_of_files_in_chunks_is_the_set_read_whole(tmp_path, monkeypatch, kind):
     runs = []
     for i, name in enumerate("xyz"):
-        path = write(
-            tmp_path, f"{name}.parquet", rows=400, axes=np.roll(np.eye(3), -i, axis=0).tolist(), phi=0.2 * i
-        )
+        path = write(tmp_path, f"{name}.parquet", rows=400, axes=orthogonal()[i], phi=0.2 * i)
         if kind == "rate":
-            path.write_text(path.read_text().replace('"angle" , unit = "rad"', '"rate", unit = "rad/s"'))
+            path.write_text(path.read_text().replace('"angle", unit = "rad"', '"rate", unit = "rad/s"'))
             table = pa.parquet.read_table(tmp_path / f"{name}.parquet")
             rate = 0.9 + 0.1 * np.sin(0.3 * (i + 1) * table["t"].to_numpy())
             pa.parquet.write_table(table.set_column(1, "psi", pa.array(rate)), tmp_path / f"{name}.parquet")
@@ -176,6 +175,26 @@ def test_set_of_files_in_chunks_is_the_set_read_whole(tmp_path, monkeypatch, kin
     assert pieces.num_rows == 400
     for name in whole.column_names:
         assert pieces[name].to_numpy().tobytes() == whole[name].to_numpy().tobytes(), name
+
+
+def test_set_of_files_of_rates_is_the_set_in_memory(tmp_path):
+    """The times of its records differ by less than is refused: each angle is integrated over its own."""
+    t, runs = np.arange(120) * 0.01, []
+    for i, name in enumerate("xyz"):
+        path = write(tmp_path, f"{name}.parquet", rows=120, phi=0.2 * i)
+        path.write_text(path.read_text().replace('"angle", unit = "rad"', '"rate", unit = "rad/s"'))
+        table = pa.parquet.read_table(tmp_path / f"{name}.parquet")
+        rate, own = 0.9 + 0.1 * np.sin(0.3 * (i + 1) * t), t + 3e-9 * i * (np.arange(120) % 2)
+        for column, values in (("t", own), ("psi", rate)):
+            table = table.set_column(table.column_names.index(column), column, pa.array(values))
+        pa.parquet.write_table(table, tmp_path / f"{name}.parquet")
+        runs.append(path)
+    mounted = orthogonal_triad([calibration_of(CAL, {"phi": 1e-4}, serial="A") for _ in runs])
+    set_files.compensate_set_files(runs, mounted, tmp_path / "o.parquet", "parquet")
+    written = pa.parquet.read_table(tmp_path / "o.parquet")
+    together = piga.compensate_set([piga.read_run(path) for path in runs], mounted)
+    for name, values in together.columns().items():
+        assert written[name].to_numpy().tobytes() == values.tobytes(), name
 
 
 def test_set_whose_times_differ_is_refused_by_name(tmp_path):
@@ -193,7 +212,7 @@ def test_set_whose_times_differ_is_refused_by_name(tmp_path):
 def test_set_at_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys):
     words = []
     for i, name in enumerate("xyz"):
-        words.append(write(tmp_path, f"{name}.parquet", axes=np.roll(np.eye(3), -i, axis=0).tolist()))
+        words.append(write(tmp_path, f"{name}.parquet", axes=orthogonal()[i]))
     for name in "xyz":
         words += ["--calibration", tmp_path / f"{name}.json"]
     for name, more in (("a", ()), ("b", ("--rate", "10 Hz"))):

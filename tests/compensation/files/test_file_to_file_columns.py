@@ -13,7 +13,16 @@ import piga
 from piga.compensation.sets import set_files
 from piga.compensation.sets.set_files import orthogonal_triad
 from piga.units import G0
-from tests.compensation.run_files import CAL, small_chunks, to_file
+from tests.compensation.run_files import (
+    ANGLE,
+    CAL,
+    REFERENCE,
+    TIME,
+    assert_file_holds,
+    run_text,
+    small_chunks,
+    to_file,
+)
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 ROWS, STEP = 400, 0.01
@@ -22,24 +31,8 @@ ROWS, STEP = 400, 0.01
 BASE = np.array([2e-5, 3e-3, -2e-3])
 
 
-RUN = """
-[instrument]
-serial = "A"
-scale_factor = "0.8884 rad/s/g"
-[data]
-file = "{name}.parquet"
-{time}
-output = {{ column = "psi", {output} }}
-reference = {{ columns = ["fx", "fy", "fz"], unit = "m/s^2" }}
-{more}
-"""
-
-
-TIME = 'time = { column = "t", unit = "s" }'
-
-
 def written(
-    folder: Path, *, kind: str = "angle", output: str = 'kind = "angle", unit = "rad"', time: str = TIME, more: str = "",
+    folder: Path, *, kind: str = "angle", output: str = ANGLE, time: str = TIME, more: str = "",
     name: str = "run", **columns: np.ndarray,
 ) -> Path:  # fmt: skip
     """A record of a slow swing with base rate and a temperature that drifts; ``columns`` replace or add some."""
@@ -60,7 +53,7 @@ def written(
     table |= {"warm": warm - 273.15, "k": np.arange(ROWS) % 100, "part": np.repeat([1, 2, 1, 3], ROWS // 4)}
     pa.parquet.write_table(pa.table(table | columns), folder / f"{name}.parquet")
     path = folder / f"{name}.toml"
-    path.write_text(RUN.format(name=name, time=time, output=output, more=more))
+    path.write_text(run_text(f"{name}.parquet", REFERENCE, more, time=time, output=output))
     return path
 
 
@@ -78,9 +71,7 @@ def same(
     whole = piga.compensate(piga.read_run(path), cal)
     small_chunks(monkeypatch, chunk)
     _, result = to_file(path, cal, folder / "o.parquet")
-    table = pa.parquet.read_table(folder / "o.parquet")
-    for column in ("t", "ax", "dv", "u_ax", "flags"):
-        assert table.column(column).to_numpy().tobytes() == getattr(whole, column).tobytes(), column
+    assert_file_holds(folder / "o.parquet", whole)
     return result
 
 
@@ -201,19 +192,6 @@ def test_sets_that_do_not_fit_together(tmp_path: Path, monkeypatch: pytest.Monke
         set_files.compensate_set_files([*runs, short], mounted, tmp_path / "o.parquet", "parquet")
 
 
-NUMBERED = """
-[instrument]
-serial = "A"
-scale_factor = "0.8884 rad/s/g"
-[data]
-file = "{file}"
-time = {{ column = "t", unit = "s" }}
-output = {{ column = "psi", kind = "angle", unit = "rad" }}
-reference = {{ columns = ["fx", "fy", "fz"], unit = "m/s^2" }}
-{more}
-"""
-
-
 NUMBERED_CAL = calibration_of(
     {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3}, {"phi": 1e-4}, serial="A", angle_rms=1e-6
 )
@@ -242,7 +220,7 @@ def write_numbered(folder, name: str, more: str):
     else:
         pa.parquet.write_table(pa.table(result), folder / name)
     path = folder / "run.toml"
-    path.write_text(NUMBERED.format(file=name, more=more))
+    path.write_text(run_text(name, REFERENCE, more))
     return path
 
 
@@ -254,9 +232,7 @@ def test_ranges_and_sequence_numbers_hold_in_a_streamed_file(tmp_path, monkeypat
     whole = piga.compensate(piga.read_run(path), NUMBERED_CAL)
     small_chunks(monkeypatch, chunk)
     summary, result = to_file(path, NUMBERED_CAL, tmp_path / "o.parquet")
-    table = pa.parquet.read_table(tmp_path / "o.parquet")
     assert summary.rows == whole.size == NUMBERED_ROWS - 4
-    for column in ("t", "ax", "dv", "u_ax", "flags"):
-        assert table.column(column).to_numpy().tobytes() == getattr(whole, column).tobytes()
+    assert_file_holds(tmp_path / "o.parquet", whole)
     assert result == {"saturated": 4, "gap": 4, "sequence-gap": 5}
     assert np.count_nonzero(whole.flagged("no_increment")) > 1

@@ -15,21 +15,10 @@ from scipy.io import savemat
 from piga.compensation.sets.set_files import is_triad_file
 from piga.units import G0
 from tests.compensation.files.test_file_to_file_stand import WORK
-from tests.compensation.run_files import CAL
+from tests.compensation.run_files import CAL, REFERENCE, run_text
 from tests.compensation.twin_data import calibration_of
 
 LIMIT = 350_000_000
-RUN = """
-[instrument]
-serial = "A"
-scale_factor = "0.8884 rad/s/g"
-[data]
-file = "{name}"
-time = {{ column = "t", unit = "s" }}
-output = {{ column = "psi", kind = "angle", unit = "rad" }}
-reference = {{ columns = ["fx", "fy", "fz"], unit = "m/s^2" }}
-{more}
-"""
 MORE = 'base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }\ntemperature = { column = "warm", unit = "degC" }'
 READ = """
 import sys
@@ -59,7 +48,7 @@ def columns(rows: int, axis: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> di
 
 def written(folder: Path, rows: int, name: str = "run", more: str = "", **others: np.ndarray) -> Path:
     pa.parquet.write_table(pa.table(columns(rows) | others), folder / f"{name}.parquet")
-    (folder / f"{name}.toml").write_text(RUN.format(name=f"{name}.parquet", more=more))
+    (folder / f"{name}.toml").write_text(run_text(f"{name}.parquet", REFERENCE, more))
     calibration_of(CAL, {"phi": 1e-4, "k0": 1e-6}, serial="A", angle_rms=1e-6).to_json(folder / "cal.json")
     return folder / f"{name}.toml"
 

@@ -17,22 +17,10 @@ import piga
 from piga.compensation.files.file_to_file import FileSummary
 from piga.compensation.sets import set_files
 from piga.compensation.sets.set_files import orthogonal_triad
-from tests.compensation.run_files import CAL, small_chunks, to_file
+from tests.compensation.run_files import ANGLE, CAL, TIME, assert_file_holds, run_text, small_chunks, to_file
 from tests.compensation.twin_data import calibration_of
 
 ROWS, STEP = 600, 0.01
-RUN = """
-[instrument]
-serial = "A"
-scale_factor = "0.8884 rad/s/g"
-[data]
-file = "{name}"
-{time}
-output = {{ column = "psi", {output} }}
-{more}
-[stand]
-{stand}
-"""
 HEAD = 'kind = "dividing-head"\nlatitude = "40 deg"\ndwell = "0.9 s"\nroll = "0.3 rad"\n'
 STANDS = {
     "head in order": HEAD + 'positions = "0:40:10 deg"',
@@ -48,7 +36,6 @@ STANDS = {
     'force = { columns = ["x", "y", "z"], unit = "g" }\n'
     'base_rate = { columns = ["p", "q", "r"], unit = "deg/s" }',
 }  # fmt: skip
-TIME, ANGLE = 'time = { column = "t", unit = "s" }', 'kind = "angle", unit = "rad"'
 
 
 def written(
@@ -79,7 +66,7 @@ def written(
     }
     pa.csv.write_csv(pa.table(profile), folder / "profile.csv")
     path = folder / f"{name}.toml"
-    path.write_text(RUN.format(name=data_name, time=time, output=output, more=more, stand=stand))
+    path.write_text(run_text(data_name, more, "[stand]", stand, time=time, output=output))
     return path
 
 
@@ -96,9 +83,7 @@ def same(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) 
     for name in ("t", "output", "f", "base_rate", "segment_index", "begins"):
         assert getattr(again, name).tobytes() == getattr(record, name).tobytes(), name
     summary, _ = to_file(path, calibration(), folder / "o.parquet")
-    table = pa.parquet.read_table(folder / "o.parquet")
-    for column in ("t", "ax", "dv", "u_ax", "flags"):
-        assert table.column(column).to_numpy().tobytes() == getattr(whole, column).tobytes(), column
+    assert_file_holds(folder / "o.parquet", whole)
     return summary
 
 

@@ -48,7 +48,6 @@ def integral(t):
 @pytest.fixture(scope="module")
 def smooth():
     """Times and angle of the smooth force by tight DOP853."""
-    from scipy.integrate import solve_ivp
 
     def slope(t, x):
         u = INST.scale_factor * force(t)

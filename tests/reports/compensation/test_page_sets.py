@@ -134,7 +134,7 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method,
     for i, (name, axes) in enumerate(zip(NAMES, [rotation(a) for a in SKEWED], strict=True)):
         path = write(tmp_path, f"{name}.parquet", rows=400, axes=axes.tolist(), phi=PHASES[i])
         if kind == "rate":
-            path.write_text(path.read_text().replace('"angle" , unit = "rad"', '"rate", unit = "rad/s"'))
+            path.write_text(path.read_text().replace('"angle", unit = "rad"', '"rate", unit = "rad/s"'))
             table = pa.parquet.read_table(tmp_path / f"{name}.parquet")
             rate = pa.array(np.full(400, K_G * (axes[0] @ (1.0, 3.0, 1.0))))
             pa.parquet.write_table(table.set_column(1, "psi", rate), tmp_path / f"{name}.parquet")

@@ -36,7 +36,10 @@ class Samples(NamedTuple):
 
 
 class InstrumentArrays(NamedTuple):
-    """Coefficients of an instrument, as :class:`piga.compensation.model.Model` holds them."""
+    """Coefficients of an instrument: parameters by index, harmonics, covariance factor, limits.
+
+    ``factor`` F (rank, coefficients) is upper triangular. ``F' F`` is the covariance of the coefficients ``codes``.
+    """
 
     parameters: Array
     orders: Array

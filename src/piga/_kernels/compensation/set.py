@@ -118,30 +118,26 @@ def one_of(samples: SetSamples, i: int) -> Samples:
 
 
 @kernel
-def interval_axis(rows: int, p: Array, axes: Array, w: Array) -> None:
-    """Effective axis of an instrument over every interval, common frame; half turn and gain."""
-    tangent = p[at.P_TAN_BETA]
+def find_gains(rows: int, w: Array) -> None:
+    """Half the turn ``delta`` of every interval, and its gain ``sin(delta)/delta``.
+
+    The gain is the derivative of the angle equation by A over that by the coupling.
+    """
     for j in range(1, rows + 1):
         delta = 0.5 * (w[at.PSI + j] - w[at.PSI + j - 1])
         d = delta * delta
-        # sin(delta)/delta: the derivative of the angle equation by A over that by the coupling
         gain = 1.0 + d * (-1 / 6 + d * (1 / 120 + d * (-1 / 5040 + d * (1 / 362880 - d / 39916800))))
         w[at.HALF + j], w[at.GAIN + j] = delta, gain
-        y, z = tangent * gain * w[at.SINE + j], -tangent * gain * w[at.COSINE + j]
-        x = 1.0 + p[terms.K1]
-        y, z = y + p[terms.M_Y], z + p[terms.M_Z]
-        w[at.AXIS_X + j] = x * axes[0, 0] + y * axes[1, 0] + z * axes[2, 0]
-        w[at.AXIS_Y + j] = x * axes[0, 1] + y * axes[1, 1] + z * axes[2, 1]
-        w[at.AXIS_Z + j] = x * axes[0, 2] + y * axes[1, 2] + z * axes[2, 2]
 
 
 @kernel
-def sample_axis(rows: int, p: Array, axes: Array, w: Array) -> None:
-    """Effective axis of an instrument at every sample, common frame."""
+def find_axis(rows: int, p: Array, axes: Array, w: Array) -> None:
+    """Effective axis of an instrument over every interval or at every sample, common frame."""
     tangent = p[at.P_TAN_BETA]
     x = 1.0 + p[terms.K1]
     for j in range(1, rows + 1):
-        y, z = p[terms.M_Y] + tangent * w[at.SINE + j], p[terms.M_Z] - tangent * w[at.COSINE + j]
+        y = tangent * w[at.GAIN + j] * w[at.SINE + j] + p[terms.M_Y]
+        z = p[terms.M_Z] - tangent * w[at.GAIN + j] * w[at.COSINE + j]
         w[at.AXIS_X + j] = x * axes[0, 0] + y * axes[1, 0] + z * axes[2, 0]
         w[at.AXIS_Y + j] = x * axes[0, 1] + y * axes[1, 1] + z * axes[2, 1]
         w[at.AXIS_Z + j] = x * axes[0, 2] + y * axes[1, 2] + z * axes[2, 2]
@@ -396,23 +392,23 @@ def load_instrument(
     find_inverse(n, w)
     for j in range(1, rows + 1):
         w[at.INPUT + j] = 0.0
-        w[at.DERIVATIVE + j] = 1.0
+        w[at.DERIVATIVE + j] = w[at.GAIN + j] = 1.0
     if samples.rate.shape[1]:
         rate = samples.rate[i, start : start + n]
         take_rates(n, rate, at.FIRST, w)
         indicated.find_samples(rows, p[at.P_PHI], w)
         describe_samples(n, True, rate, p[at.P_K], math.nan, w)
         take_rates(n, rate, at.HALF, w)
-        sample_axis(rows, p, axes, w)
         for j in range(1, n + 1):
             w[at.DOUBT + j] = 0.0
         terms.sample_harmonics(n, set_of.orders[i], set_of.sines[i], set_of.cosines[i], w)
     else:
         indicated.find_angles(rows + 1, p[at.P_PHI], w)
         describe_intervals(n, p[at.P_K], True, w)
-        interval_axis(rows, p, axes, w)
+        find_gains(rows, w)
         indicated.find_bows(n, omega.shape[0] > 0, False, state, w)
         terms.subtract_harmonics(n, set_of.orders[i], set_of.sines[i], set_of.cosines[i], w)
+    find_axis(rows, p, axes, w)
     find_base(rows, samples.rate.shape[1] > 0, w)
     for j in range(1, rows + 1):
         w[at.HARMONICS + j] = -w[at.INPUT + j]

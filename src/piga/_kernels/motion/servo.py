@@ -245,10 +245,10 @@ def try_step(
 @kernel
 def integrate(
     p: ServoConstants, drive: Nodes, x: Array, h: float, tolerance: Array, method: Method, out: Array
-) -> tuple[float, float, int, int]:
+) -> tuple[float, int, int]:
     """Integrate from node to node; ``out[i]`` is the state at ``t[i]``; ``x`` is start and end state.
 
-    Returns the step for going on [s], the sum of the local errors of alpha [rad], the number of steps
+    Returns the sum of the local errors of alpha [rad], the number of steps
     taken, and the node after which the step became smaller than 1e-13 of the interval or ``MAX_TRIES``
     steps did not reach the next node (else -1).
     """
@@ -279,7 +279,7 @@ def integrate(
             else:
                 h = step * min(factor, 0.9) if math.isfinite(ratio) else step * 0.1
             if h < 1e-13 * span or tries == MAX_TRIES:
-                return h, total_error, steps, i
+                return total_error, steps, i
         for j in range(STATES):
             out[i + 1, j] = x[j]
-    return h, total_error, steps, -1
+    return total_error, steps, -1

@@ -11,7 +11,7 @@ import shutil
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -206,14 +206,6 @@ class FileSummary:
                 count = int(np.count_nonzero(part.flags & bit))
                 self.flags[name] = self.flags.get(name, 0) + count
 
-    def carried(self) -> dict[str, Any]:
-        """The totals so far, for :meth:`go_on`."""
-        return {"rows": self.rows, "velocity": self.velocity, "flags": self.flags}
-
-    def go_on(self, carried: dict[str, Any]) -> None:
-        """Continue from stored totals."""
-        self.rows, self.velocity, self.flags = carried["rows"], carried["velocity"], dict(carried["flags"])
-
 
 def found_while_reading(*records: Run) -> dict[str, int]:
     """Number of findings of each kind in the records, as ``piga check`` counts them."""
@@ -284,7 +276,7 @@ def compensate_to_file(
     if carried is not None:
         done, state[:] = carried["pieces"], carried["state"]
         advance(carried["rows"])
-        summary.go_on(carried["summary"])
+        summary = FileSummary(**carried["summary"])
         if resampler is not None:
             resampler.go_on(carried["resampler"])
     rows = 0 if carried is None else carried["rows"]
@@ -295,7 +287,7 @@ def compensate_to_file(
             done, rows = done + count, rows + taken
         parts.keep(
             {
-                "pieces": done, "rows": rows, "state": state.tolist(), "summary": summary.carried(),
+                "pieces": done, "rows": rows, "state": state.tolist(), "summary": asdict(summary),
                 "resampler": resampler.carried() if resampler else None,
             },
             writer.rows,

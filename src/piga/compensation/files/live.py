@@ -14,7 +14,6 @@ from collections.abc import Iterator, Mapping
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.compensation.compensator import Compensator
 from piga.compensation.result import Compensated, schema_of
@@ -133,7 +132,8 @@ def compensate_arrow(source: IO[bytes], sink: IO[bytes], stream: Compensator) ->
         compensated = _pushed(stream, columns, f"batch {number}").columns()
         schema = schema_of(compensated, notes=stream.notes)
         writer = writer or pa.ipc.new_stream(sink, schema)
-        writer.write_batch(_batch(compensated, schema))
+        arrays = [number_column(column) for column in compensated.values()]
+        writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=schema))
         sink.flush()
         rows += batch.num_rows
     if writer is not None:
@@ -266,12 +266,6 @@ def _place(data: bytes, reference: int) -> int:
     if not reference:
         raise ValueError("damaged metadata")
     return int(reference + struct.unpack_from("<I", data, reference)[0])
-
-
-def _batch(columns: Mapping[str, NDArray], schema: Any) -> Any:
-    import pyarrow as pa
-
-    return pa.RecordBatch.from_arrays([number_column(column) for column in columns.values()], schema=schema)
 
 
 def _check_names(names: list[str]) -> None:

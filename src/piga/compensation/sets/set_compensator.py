@@ -85,6 +85,20 @@ def rotation(axes: ArrayLike, index: int) -> Array:
     return np.asarray(left @ right)
 
 
+def check_count(count: int) -> None:
+    """Refuse fewer than three instruments.
+
+    Raises
+    ------
+    ArgumentError
+        In this case.
+    """
+    if count < 3:
+        raise ArgumentError(
+            f"a set of {count} instruments cannot give three components", remedy="use three or more instruments"
+        )
+
+
 def check_spread(axes: Array) -> None:
     """Refuse fewer than three instruments or coplanar input axes; ``axes`` has shape (N, 3, 3).
 
@@ -93,11 +107,7 @@ def check_spread(axes: Array) -> None:
     ArgumentError
         In both cases.
     """
-    if axes.shape[0] < 3:
-        raise ArgumentError(
-            f"a set of {axes.shape[0]} instruments cannot give three components",
-            remedy="use three or more instruments",
-        )
+    check_count(axes.shape[0])
     smallest = np.linalg.svd(axes[:, 0, :], compute_uv=False)[-1]
     if smallest < 0.05:
         raise ArgumentError(
@@ -136,11 +146,7 @@ class PublishedSet:
     def __init__(
         self, instruments: Sequence[Mounted], *, sampled: bool = False, max_age_days: float | None = None
     ) -> None:
-        if len(instruments) < 3:
-            raise ArgumentError(
-                f"a set of {len(instruments)} instruments cannot give three components",
-                remedy="use three or more instruments",
-            )
+        check_count(len(instruments))
         self._axes = np.array([np.asarray(item.axes, dtype=float) for item in instruments])
         self._solve = np.linalg.pinv(self._axes[:, 0, :])
         self._models = [
@@ -196,7 +202,7 @@ class PublishedSet:
 
     def _force(self, psi: Array, rate: Array, omega: Array) -> Array:
         """Force (n, 3) in the common frame from angles and rates (N, n)."""
-        p = [model.parameters for model in self._models]
+        p = [model.instrument.parameters for model in self._models]
         indicated = [
             (rate[i] + omega[i, :, 0]) / q[at.P_K] - q[at.P_TERMS + at.TERMS.index("k0")]
             for i, q in enumerate(p)
@@ -262,14 +268,13 @@ class SetCompensator:
         check_spread(self._axes)
         self._sampled, self._uncertainty, self._flags = sampled, uncertainty, flags
         self._details = details and flags
-        models = [
+        self._models = [
             make_model(item.calibration, segment=item.segment, phase=item.phase, limits=limits)
             for item in instruments
         ]
-        self._models = models
         self._flag = _age_flags(instruments, max_age_days)
-        self._count = len(models)
-        self._arrays = stacked(models, self._axes)
+        self._count = len(instruments)
+        self._arrays = stacked(self._models, self._axes)
         self._threshold = fault_threshold(self._count - 3)
         self._states = np.zeros((self._count, at.STATE))
         self._set_state = np.zeros(SET_STATE)
@@ -372,24 +377,24 @@ def _check_finite(**columns: Array) -> None:
 
 def stacked(models: list[Model], axes: Array) -> SetModels:
     """Arrays of all instruments at one size. Padding: order 1 with amplitude 0, code of k0 with weight 0."""
-    count = len(models)
-    harmonics = max(model.orders.size for model in models)
-    size = max(model.codes.size for model in models)
-    rank = max(model.factor.shape[0] for model in models)
+    count, arrays = len(models), [model.instrument for model in models]
+    harmonics = max(one.orders.size for one in arrays)
+    size = max(one.codes.size for one in arrays)
+    rank = max(one.factor.shape[0] for one in arrays)
     orders, sines, cosines = (
         np.ones((count, harmonics)),
         np.zeros((count, harmonics)),
         np.zeros((count, harmonics)),
     )
     codes, factors = np.full((count, size), at.P_TERMS, dtype=np.int64), np.zeros((count, rank, size))
-    for i, model in enumerate(models):
-        orders[i, : model.orders.size] = model.orders
-        sines[i, : model.orders.size], cosines[i, : model.orders.size] = model.sines, model.cosines
-        codes[i, : model.codes.size] = model.codes
-        factors[i, : model.factor.shape[0], : model.codes.size] = model.factor
+    for i, one in enumerate(arrays):
+        orders[i, : one.orders.size] = one.orders
+        sines[i, : one.orders.size], cosines[i, : one.orders.size] = one.sines, one.cosines
+        codes[i, : one.codes.size] = one.codes
+        factors[i, : one.factor.shape[0], : one.codes.size] = one.factor
     return SetModels(
-        np.array([model.parameters for model in models]), axes, np.array([model.has_terms for model in models]),
-        orders, sines, cosines, codes, factors, np.array([model.limits for model in models]),
+        np.array([one.parameters for one in arrays]), axes, np.array([model.has_terms for model in models]),
+        orders, sines, cosines, codes, factors, np.array([one.limits for one in arrays]),
     )  # fmt: skip
 
 

@@ -28,7 +28,7 @@ from piga.compensation.result import CompensatedSet, Inputs, Resampler, TableWri
 from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
 from piga.errors import ArgumentError, DataError, RunFileError
 from piga.progress import Progress, report
-from piga.reading.signal_checks import RateAngle, integrated_rate
+from piga.reading.signal_checks import RateAngle
 from piga.records import Calibration, read_toml
 from piga.records.calibration.document import read_with_digest
 from piga.records.run import Run
@@ -76,37 +76,22 @@ def compensate_set(
         )
     for record, item in zip(records, instruments, strict=True):
         check_member(record, item, force)
-    first = records[0]
-    begins = np.logical_or.reduce([record.begins for record in records])
-    mounted = mounted_on(records, instruments)
-    sampled = first.kind == "rate"
     stream = set_stream(
-        mounted, method, sampled=sampled, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days,
+        records,
+        instruments,
+        method,
+        uncertainty=uncertainty,
+        limits=limits,
+        max_age_days=max_age_days,
         details=details,
-    )  # fmt: skip
-    turned = [integrated_rate(r.t, r.output, begins) for r in records] if sampled else None
-    moves = any(record.base_rate is not None for record in records)
-    warm = all(record.temperature is not None for record in records)
-    report(progress, 0, first.size, "compensating")
-    parts = []
-    for rows in spans(first.size):
-        still = np.zeros((rows.stop - rows.start, 3))
-        output = np.array([record.output[rows] for record in records])
-        parts.append(
-            stream.push(
-                first.t[rows],
-                output if turned is None else np.array([angle[rows] for angle in turned]),
-                rate=output if sampled else None,
-                base_rate=[still if r.base_rate is None else r.base_rate[rows] for r in records]
-                if moves
-                else None,
-                temperature=[r.temperature[rows] for r in records if r.temperature is not None]
-                if warm
-                else None,
-                begins=begins[rows],
-            )
-        )
-        report(progress, rows.stop, first.size, "compensating")
+    )
+    parts: list[CompensatedSet] = []
+    size, solved = records[0].size, 0
+    report(progress, 0, size, "compensating")
+    for _, part in _solved(records, stream):
+        parts.append(part)
+        solved += part.size
+        report(progress, solved, size, "compensating")
     return joined_set(parts)
 
 
@@ -126,10 +111,12 @@ def joined_set(parts: Sequence[CompensatedSet]) -> CompensatedSet:
 
 
 def set_stream(
-    mounted: Sequence[Mounted], method: str, *, sampled: bool, uncertainty: bool, limits: Limits | None = None,
-    max_age_days: float | None = None, details: bool = False,
+    records: Sequence[Run], instruments: Sequence[Mounted], method: str, *, uncertainty: bool,
+    limits: Limits | None = None, max_age_days: float | None = None, details: bool = False,
 ) -> SetCompensator | PublishedSet:  # fmt: skip
     """The compensator of a set for a method.
+
+    The first segment of each record gives the phase of its instrument, unless another one is named.
 
     Raises
     ------
@@ -140,20 +127,17 @@ def set_stream(
         raise ArgumentError(
             f"method: '{method}' is not known", remedy=f"one of: {', '.join(COMPENSATION_METHODS)}"
         )
+    sampled = records[0].kind == "rate"
+    mounted = [
+        replace(item, segment=item.segment or record.labels[0])
+        for record, item in zip(records, instruments, strict=True)
+    ]
     if method == "published":
         return PublishedSet(mounted, sampled=sampled, max_age_days=max_age_days)
     return SetCompensator(
         mounted, sampled=sampled, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days,
         details=details,
     )  # fmt: skip
-
-
-def mounted_on(records: Sequence[Run], instruments: Sequence[Mounted]) -> list[Mounted]:
-    """The instruments, each with the segment that gives the phase of its record: the first one, unless one is named."""
-    return [
-        replace(item, segment=item.segment or record.labels[0])
-        for record, item in zip(records, instruments, strict=True)
-    ]
 
 
 def check_member(record: Run, item: Mounted, force: bool) -> None:
@@ -332,18 +316,25 @@ def compensate_set_files(
     give_back()
     check_together(records)
     inputs = [*inputs, *(file for record in records for file in record.input_sha256.items())]
+    stream = set_stream(
+        records,
+        instruments,
+        method,
+        uncertainty=uncertainty,
+        max_age_days=max_age_days,
+        details=watch is not None,
+    )
     counts, velocity, rows, solved = dict.fromkeys(FLAGS, 0), np.zeros(3), 0, 0
     report(progress, 0, records[0].size, "compensating")
-    parts = _solved(records, instruments, uncertainty, max_age_days, method, watch is not None)
     notes = notes_on(*(item.calibration for item in instruments))
     with TableWriter(out, kind, notes, inputs) as writer:
-        for number, (label, read, part) in enumerate(parts, 1):
+        for number, (read, part) in enumerate(_solved(records, stream), 1):
             solved += part.size
             report(progress, solved, records[0].size, "compensating")
             if number % (GIVEN_BACK_AFTER if watch is None else GIVEN_BACK_SOONER) == 0:
                 give_back(HELD_BYTES)
             if watch is not None and part.size:
-                watch(label, read, part)
+                watch(records[0].labels[0], read, part)
             for name in FLAGS:
                 counts[name] += int(part.flagged(name).sum())
             velocity += part.dv.sum(axis=0)
@@ -359,44 +350,6 @@ def compensate_set_files(
     }
 
 
-def _solved(
-    records: Sequence[Run],
-    instruments: Sequence[Mounted],
-    uncertainty: bool,
-    max_age: float | None,
-    method: str,
-    details: bool,
-) -> Iterator[tuple[str, SetReading, CompensatedSet]]:
-    """Pieces of the records and their compensated rows."""
-    sampled, label = records[0].kind == "rate", records[0].labels[0]
-    stream = set_stream(
-        mounted_on(records, instruments), method, sampled=sampled, uncertainty=uncertainty, max_age_days=max_age,
-        details=details,
-    )  # fmt: skip
-    followers = [RateAngle() for _ in records]
-    waiting: SetReading | None = None
-    for rows in _together(records):
-        if not sampled:
-            part = stream.push(
-                rows.t, rows.output, base_rate=rows.base_rate, temperature=rows.temperature, begins=rows.begins
-            )
-            yield label, rows, part
-            continue
-        psi = [f.push(rows.t, rate, rows.begins) for f, rate in zip(followers, rows.output, strict=True)]
-        known = rows if waiting is None else _joined(waiting, rows)
-        ready, waiting = _split(known, known.t.size - 1)
-        yield label, ready, _push_sampled(stream, ready, psi)
-    if waiting is not None:
-        yield label, waiting, _push_sampled(stream, waiting, [f.finish() for f in followers])
-
-
-def _push_sampled(stream: SetCompensator | PublishedSet, rows: SetReading, psi: list[Array]) -> CompensatedSet:
-    return stream.push(
-        rows.t, np.array(psi), rate=rows.output, base_rate=rows.base_rate, temperature=rows.temperature,
-        begins=rows.begins,
-    )  # fmt: skip
-
-
 def _read(path: Path, item: Mounted, force: bool, held: int) -> Run:
     """The record of an instrument without the columns that a set does not need."""
     record = read_run(path, need_reference=False, held=held)
@@ -405,44 +358,62 @@ def _read(path: Path, item: Mounted, force: bool, held: int) -> Run:
     return replace(record, f=nothing, segment_index=record.segment_index[:0])
 
 
-def _together(records: Sequence[Run]) -> Iterator[SetReading]:
-    """Rows of all records together; more records mean fewer rows at a time."""
-    first, step = records[0], max(READINGS // len(records), 1)
+def _solved(
+    records: Sequence[Run], stream: SetCompensator | PublishedSet
+) -> Iterator[tuple[SetReading, CompensatedSet]]:
+    """Pieces of the records and their compensated rows."""
+    for part, psi in _pieces(records):
+        rows = _reading(records, part)
+        angles, rate = (rows.output, None) if psi is None else (psi, rows.output)
+        solved = stream.push(
+            rows.t,
+            angles,
+            rate=rate,
+            base_rate=rows.base_rate,
+            temperature=rows.temperature,
+            begins=rows.begins,
+        )
+        yield rows, solved
+
+
+def _pieces(records: Sequence[Run]) -> Iterator[tuple[slice, Array | None]]:
+    """Row ranges, and the angles (N, n) of records of rates; more records mean fewer rows at a time.
+
+    The angle of a rate is known one row late.
+    """
+    size, step = records[0].size, max(READINGS // len(records), 1)
+    followers = [RateAngle() for _ in records]
+    done = 0
+    for start in range(0, size, step):
+        part = slice(start, min(start + step, size))
+        trim()
+        if records[0].kind != "rate":
+            yield part, None
+            continue
+        begins = _begins(records, part)
+        psi = [f.push(r.t[part], r.output[part], begins) for f, r in zip(followers, records, strict=True)]
+        yield slice(done, done + psi[0].size), np.array(psi)
+        done += psi[0].size
+    if records[0].kind == "rate":
+        yield slice(done, size), np.array([f.finish() for f in followers])
+
+
+def _reading(records: Sequence[Run], part: slice) -> SetReading:
+    """Rows of all records together."""
     base = any(record.base_rate is not None for record in records)
     warm = all(record.temperature is not None for record in records)
-    for start in range(0, first.size, step):
-        part = slice(start, min(start + step, first.size))
-        trim()
-        still = np.zeros((part.stop - part.start, 3))
-        yield SetReading(
-            np.ascontiguousarray(first.t[part]),
-            np.array([record.output[part] for record in records]),
-            np.logical_or.reduce([record.begins[part] for record in records]),
-            [still if r.base_rate is None else np.ascontiguousarray(r.base_rate[part]) for r in records]
-            if base else None,
-            [np.ascontiguousarray(r.temperature[part]) for r in records if r.temperature is not None]
-            if warm else None,
-        )  # fmt: skip
-
-
-def _split(rows: SetReading, count: int) -> tuple[SetReading, SetReading | None]:
-    """The first ``count`` rows and the rest (None if there is no rest)."""
-    head, tail = (
-        SetReading(
-            rows.t[cut], np.ascontiguousarray(rows.output[:, cut]), rows.begins[cut],
-            None if rows.base_rate is None else [values[cut] for values in rows.base_rate],
-            None if rows.temperature is None else [values[cut] for values in rows.temperature],
-        )
-        for cut in (slice(0, count), slice(count, None))
-    )  # fmt: skip
-    return head, tail if tail.t.size else None
-
-
-def _joined(a: SetReading, b: SetReading) -> SetReading:
-    def both(x: list[Array] | None, y: list[Array] | None) -> list[Array] | None:
-        return None if x is None or y is None else [np.concatenate(pair) for pair in zip(x, y, strict=True)]
-
+    still = np.zeros((part.stop - part.start, 3))
     return SetReading(
-        np.concatenate((a.t, b.t)), np.concatenate((a.output, b.output), axis=1),
-        np.concatenate((a.begins, b.begins)), both(a.base_rate, b.base_rate), both(a.temperature, b.temperature),
+        np.ascontiguousarray(records[0].t[part]),
+        np.array([record.output[part] for record in records]),
+        _begins(records, part),
+        [still if r.base_rate is None else np.ascontiguousarray(r.base_rate[part]) for r in records]
+        if base else None,
+        [np.ascontiguousarray(r.temperature[part]) for r in records if r.temperature is not None]
+        if warm else None,
     )  # fmt: skip
+
+
+def _begins(records: Sequence[Run], part: slice) -> NDArray[np.bool_]:
+    """Rows at which a stretch begins in any record."""
+    return np.logical_or.reduce([record.begins[part] for record in records])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import Field, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from piga._kernels.motion.servo import ServoConstants
@@ -143,11 +143,6 @@ class TwinParameters:
             integral_gain=factor * self.integral_gain,
             rate_gain=factor * self.rate_gain,
         )
-
-
-def parameter_table() -> tuple[Field[Any], ...]:
-    """The fields of :class:`TwinParameters` with their metadata, in order."""
-    return fields(TwinParameters)
 
 
 PRESETS: Mapping[str, TwinParameters] = {

@@ -116,19 +116,14 @@ def slow_manifold(
     return state
 
 
-def _tolerance(p: TwinParameters, accuracy: float) -> Array:
-    fast = p.nutation
-    return accuracy * np.array([1.0, 1.0, fast, fast, 1.0])
-
-
 def _run(
     p: TwinParameters, t: Array, f: Array, base_rate: Array, noise: Array, start: Array, accuracy: float
 ) -> tuple[Array, float, int]:
-    states = np.empty((t.size, servo.STATES))
-    step = min(float(t[1] - t[0]), 0.5 / p.nutation)
+    states, fast = np.empty((t.size, servo.STATES)), p.nutation
+    step, tolerance = min(float(t[1] - t[0]), 0.5 / fast), accuracy * np.array([1.0, 1.0, fast, fast, 1.0])
     drive = servo.Nodes(t, f, base_rate, noise)
-    _, error, steps, failed = servo.integrate(
-        p.constants(), drive, start.copy(), step, _tolerance(p, accuracy), _tableau(), states
+    error, steps, failed = servo.integrate(
+        p.constants(), drive, start.copy(), step, tolerance, _tableau(), states
     )
     if failed >= 0:
         raise PigaError(
