@@ -14,7 +14,6 @@ from piga.reports.calibration.figures import (
     elapsed_time,
     residual_angles,
     residual_figure,
-    scale_factor,
 )
 from piga.reports.calibration.page import (
     calibration_figures,
@@ -28,6 +27,7 @@ from piga.reports.calibration.tables import (
     leverage_tables,
     residual_quantity,
     scalars,
+    scale_factor,
 )
 from piga.reports.render.interactive import figure_spec
 from piga.reports.render.page import Notice, Table, page_html

@@ -16,12 +16,12 @@ from piga.calibration.fit.residuals import add_lagged_products
 from piga.records.calibration import Calibration, Residuals
 from piga.records.terms import shown_unit
 from piga.reports.calibration.budget import budget_shares, source_in_words
-from piga.reports.calibration.tables import residual_quantity, shown_segments
+from piga.reports.calibration.tables import residual_quantity, scale_factor, shown_segments
 from piga.reports.render.decimate import POINTS, envelope_rows, leading_part, outline
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.render.numbers import pretty_unit
 from piga.reports.render.orders import OrderSpectrum, Ripple, segment_slices, spectrum_and_ripple
-from piga.units import ARCSEC, G0, MICRO_G, conversion_factor
+from piga.units import ARCSEC, G0, MICRO_G
 
 
 def deviation_figure(deviation: AllanDeviation) -> Figure:
@@ -326,14 +326,6 @@ def _settled(values: Array) -> tuple[float, float]:
     low, high = float(late.min()), float(late.max())
     room = 0.5 * (high - low) or abs(high) * 1e-6 or 1e-12
     return low - room, high + room
-
-
-def scale_factor(cal: Calibration) -> float:
-    """``K`` in SI, (rad/s)/(m/s^2): the estimate, or the nominal value if it was not estimated."""
-    for coefficient in cal.coefficients:
-        if coefficient.name == "scale_factor":
-            return coefficient.value * conversion_factor(coefficient.unit, "rad/s/(m/s^2)")
-    return cal.scale_factor_nominal
 
 
 def elapsed_time(residuals: Residuals) -> Array:

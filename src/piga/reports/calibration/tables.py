@@ -79,6 +79,12 @@ def common_coefficients(cal: Calibration) -> list[Coefficient]:
     return [coefficient for coefficient in cal.coefficients if coefficient.segment is None]
 
 
+def scale_factor(cal: Calibration) -> float:
+    """``K`` in SI, (rad/s)/(m/s^2): the estimate, or the nominal value if it was not estimated."""
+    estimated = (coefficient.value_si for coefficient in cal.coefficients if coefficient.name == "scale_factor")
+    return next(estimated, cal.scale_factor_nominal)
+
+
 def coefficient_table(cal: Calibration) -> Table:
     """Coefficients with standard and expanded uncertainty."""
     rows = [_coefficient_row(coefficient) for coefficient in common_coefficients(cal)]
