@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import numpy as np
 from piga._version import __version__
 from piga.records.terms import meaning_of, shown_unit
 from piga.reports.render.figure import Axis, Figure, Panel, Series
-from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, short, signed
+from piga.reports.render.numbers import ascii_text, fixed, pretty_unit, printed, rounded, short, signed
 from piga.reports.render.page import (
     ALONE,
     Block,
@@ -335,13 +334,8 @@ def trend_text(drifts: Trend, *, at: dt.datetime | None = None) -> str:
     return "\n".join([head, "", *(line.rstrip() for line in body), "", *alarms, *remarks])
 
 
-_ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−–µ×", "-0123456789--ux")
-
-
 def _ascii(text: str) -> str:
-    """A line of a table for any terminal."""
-    plain = re.sub(r"\s×\s10", "e", text).replace("±", "+-").replace("²", "^2").replace("³", "^3")
-    return re.sub(r"[\u00a0\u202f]", "", plain).translate(_ASCII)
+    return ascii_text(text.replace("±", "+-"))
 
 
 def trend_document(drifts: Trend, *, at: dt.datetime | None = None) -> dict[str, Any]:

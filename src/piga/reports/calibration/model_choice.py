@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from textwrap import wrap
 from typing import Any
 
 from piga.records.calibration import Calibration
 from piga.records.terms import shown_unit
 from piga.reports.render.figure import Axis, Figure, Panel, Series
-from piga.reports.render.numbers import count, printed, rounded, short, signed
+from piga.reports.render.numbers import ascii_text, count, printed, rounded, short, signed
 from piga.reports.render.page import Cell, FigureBlock, Section, Table, TableColumn, Text
 from piga.units import MICRO_G
 
-_PLAIN = str.maketrans("−–⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "---0123456789")
 HEADS = (
     "",
     "terms",
@@ -113,7 +111,7 @@ def comparison_text(document: dict[str, Any]) -> list[str]:
     """The comparison for a terminal of 80 columns: figures by number of the set, then what the sets hold."""
     heads = ("set", "coeffs", "chi2/dof", "BIC above", "weight", "prediction above", "missed [ug]")
     order = comparison_rows(document)[1]
-    rows = [tuple(_ascii(text) for text in (row[0], *row[2:-1])) for row in order if row[2] != "–"]
+    rows = [tuple(ascii_text(text) for text in (row[0], *row[2:-1])) for row in order if row[2] != "–"]
     width = [max(len(row[i]) for row in (heads, *rows)) for i in range(len(heads))]
     lines = ["Term sets compared, the best first"]
     if rows:
@@ -125,12 +123,6 @@ def comparison_text(document: dict[str, Any]) -> list[str]:
         text = f"{number}: {terms}" + (f" ({remark})" if remark else "")
         lines += wrap(text, 78, initial_indent="  ", subsequent_indent="     ")
     return [*lines, *wrap(comparison_words(document), 78, initial_indent="  ", subsequent_indent="  ")]
-
-
-def _ascii(text: str) -> str:
-    """A printed number in plain text."""
-    text = re.sub(r"\s*×\s*10", "e", text).replace("±", "+/-")
-    return re.sub(r"[\u202f\u00a0]", "", text).translate(_PLAIN)
 
 
 def comparison_table(document: dict[str, Any]) -> Table:

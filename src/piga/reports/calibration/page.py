@@ -37,7 +37,16 @@ from piga.reports.calibration.tables import (
 )
 from piga.reports.render.decimate import outline
 from piga.reports.render.figure import Figure
-from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, short, significant
+from piga.reports.render.numbers import (
+    ascii_text,
+    count,
+    pretty_unit,
+    printed,
+    relative,
+    rounded,
+    short,
+    significant,
+)
 from piga.reports.render.page import (
     ALONE,
     Block,
@@ -172,13 +181,8 @@ def _text_table(cal: Calibration) -> list[str]:
     return [
         f"  {name:<{width[0]}}  {value:>{width[1]}}  {u:>{width[2]}}  {wide:>{width[3]}}  {unit:<{width[4]}}  "
         f"{nu:>{width[5]}}  {k:>{width[6]}}"
-        for name, value, u, wide, unit, nu, k in ((_ascii(cell) for cell in line) for line in lines)
+        for name, value, u, wide, unit, nu, k in (map(ascii_text, line) for line in lines)
     ]
-
-
-def _ascii(text: str) -> str:
-    """A cell of a table for any terminal."""
-    return text.replace("–", "-").replace("∞", "inf").replace("\u202f", "")
 
 
 def _text_figures(cal: Calibration) -> list[str]:
@@ -193,17 +197,9 @@ def _text_figures(cal: Calibration) -> list[str]:
         ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
         ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
         ("noise of the angle", noise),
-        *(
-            [("bias drift", drift_found(cal).replace("µ", "u").replace("√s", "sqrt(s)"))]
-            if cal.bias_drift > 0.0
-            else []
-        ),
-        *([("scatter of segments", scatter_found(cal).replace("µ", "u"))] if cal.segment_scatter > 0.0 else []),
-        *(
-            [("coloured noise", coloured_found(cal).replace("µ", "u"))]
-            if cal.coloured_noise is not None
-            else []
-        ),
+        *([("bias drift", drift_found(cal))] if cal.bias_drift > 0.0 else []),
+        *([("scatter of segments", scatter_found(cal))] if cal.segment_scatter > 0.0 else []),
+        *([("coloured noise", coloured_found(cal))] if cal.coloured_noise is not None else []),
         ("condition number", short(cal.condition)),
     ]
     rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
@@ -215,7 +211,7 @@ def _text_figures(cal: Calibration) -> list[str]:
         for run in cal.runs
     ]
     wide = max(len(name) for name, _ in rows)
-    return [f"  {name:<{wide}}  {text}".replace("\u202f", "").replace("–", "-") for name, text in rows]
+    return [ascii_text(f"  {name:<{wide}}  {text}") for name, text in rows]
 
 
 __all__ = ["calibration_figures", "calibration_page", "calibration_text", "write_calibration_report"]

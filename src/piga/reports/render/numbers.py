@@ -7,10 +7,15 @@ GUM (JCGM 100, 7.2.6) recommends; ``3.5876(12)e-4`` puts the uncertainty in unit
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_PLAIN_DIGITS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+_ASCII = str.maketrans({
+    "−": "-", "–": "-", "±": "+/-", "×": "x", "∞": "inf", "µ": "u", "²": "^2", "³": "^3", "\u00a0": "", "\u202f": "",
+})  # fmt: skip
 _PRETTY = (("^2", "²"), ("^3", "³"), ("sqrt(s)", "√s"), ("arcsec", "″"), ("degC", "°C"))
 
 
@@ -147,6 +152,18 @@ def printed(number: str) -> str:
     mantissa, mark, exponent = number.partition("e")
     text = mantissa.replace("-", "−")
     return f"{text} × {power(exponent)}" if mark and exponent.lstrip("-").isdigit() else text
+
+
+def ascii_text(text: str) -> str:
+    """A printed text for any terminal.
+
+    Examples
+    --------
+    >>> ascii_text("3.2 × 10⁻⁶ rad/√s"), ascii_text("− 12 µg/g²")
+    ('3.2e-6 rad/sqrt(s)', '- 12 ug/g^2')
+    """
+    text = re.sub(r"\s*×\s*10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda found: f"e{found[1].translate(_PLAIN_DIGITS)}", text)
+    return text.replace("√s", "sqrt(s)").translate(_ASCII)
 
 
 def power(exponent: int | str) -> str:
