@@ -10,13 +10,13 @@ from piga.records.run_file import UncertaintyTable
 from piga.records.terms import shown_unit
 from piga.reports.calibration.budget import SOURCES, budget_tables, source_in_words
 from piga.reports.calibration.figures import (
+    calibration_figures,
     convergence_figure,
     elapsed_time,
     residual_angles,
     residual_figure,
 )
 from piga.reports.calibration.page import (
-    calibration_figures,
     calibration_page,
     calibration_text,
     write_calibration_report,

@@ -26,7 +26,7 @@ from piga.reports.calibration.tables import (
     judgement,
     leverage_tables,
     outlier_table,
-    propagation_table,
+    propagation_tables,
     quality_table,
     residual_quantity,
     runs_table,
@@ -54,7 +54,6 @@ from piga.reports.render.page import (
     Notice,
     Page,
     Section,
-    Table,
     Text,
     Tile,
     Tone,
@@ -133,29 +132,17 @@ def _wrapped(lines: list[str]) -> list[str]:
     ]
 
 
-def drift_found(cal: Calibration) -> str:
-    """Random walk of the rate in words, or that none was detected."""
-    if cal.bias_drift == 0.0:
-        return "none seen"
-    shown = short(cal.bias_drift / cal.scale_factor_nominal / G0 * 1e6)
-    return f"{shown} µg/√s ({printed(short(cal.bias_drift))} rad/s/√s)"
+def _rate_noise(cal: Calibration) -> dict[str, str]:
+    """Noise of the rate that was found, in words: ``drift``, ``scatter`` from segment to segment, ``coloured``."""
 
+    def size(rate: float, per: str = "") -> str:
+        shown = short(rate / cal.scale_factor_nominal / G0 * 1e6)
+        return f"{shown} µg{per} ({printed(short(rate))} rad/s{per})"
 
-def coloured_found(cal: Calibration) -> str:
-    """Coloured noise of the rate in words, or that none was detected."""
+    found = {"drift": size(cal.bias_drift, "/√s")} if cal.bias_drift else {}
+    found |= {"scatter": size(cal.segment_scatter)} if cal.segment_scatter else {}
     noise = cal.coloured_noise
-    if noise is None:
-        return "none seen"
-    shown = short(noise.rms / cal.scale_factor_nominal / G0 * 1e6)
-    return f"{noise.words}, {shown} µg ({printed(short(noise.rms))} rad/s)"
-
-
-def scatter_found(cal: Calibration) -> str:
-    """Scatter of the rate from segment to segment in words, or that none was detected."""
-    if cal.segment_scatter == 0.0:
-        return "none seen"
-    shown = short(cal.segment_scatter / cal.scale_factor_nominal / G0 * 1e6)
-    return f"{shown} µg ({printed(short(cal.segment_scatter))} rad/s)"
+    return found | ({} if noise is None else {"coloured": f"{noise.words}, {size(noise.rms)}"})
 
 
 def _text_table(cal: Calibration) -> list[str]:
@@ -193,13 +180,12 @@ def _text_figures(cal: Calibration) -> list[str]:
 
     white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
     noise = f"{white} arcsec white, {walk} arcsec/sqrt(s) walk"
+    of_rate = {"drift": "bias drift", "scatter": "scatter of segments", "coloured": "coloured noise"}
     rows = [
         ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
         ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
         ("noise of the angle", noise),
-        *([("bias drift", drift_found(cal))] if cal.bias_drift > 0.0 else []),
-        *([("scatter of segments", scatter_found(cal))] if cal.segment_scatter > 0.0 else []),
-        *([("coloured noise", coloured_found(cal))] if cal.coloured_noise is not None else []),
+        *((of_rate[kind], words) for kind, words in _rate_noise(cal).items()),
         ("condition number", short(cal.condition)),
     ]
     rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
@@ -213,8 +199,6 @@ def _text_figures(cal: Calibration) -> list[str]:
     wide = max(len(name) for name, _ in rows)
     return [ascii_text(f"  {name:<{wide}}  {text}") for name, text in rows]
 
-
-__all__ = ["calibration_figures", "calibration_page", "calibration_text", "write_calibration_report"]
 
 _METHODS = {
     "information": "whitened linear least squares in the angle domain",
@@ -488,24 +472,20 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
     blocks += [Notice("info", f"{sentence(remark)}.") for remark in cal.remarks]
     blocks += [FigureBlock(figures[key]) for key in ("whiteness", "allan") if key in figures]
     white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
+    of_rate = _rate_noise(cal)
     rows = [
         ("Condition number", printed(short(cal.condition))),
         ("White noise of the angle", f"{white} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
         ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
-        ("Bias drift", drift_found(cal)),
-        ("Scatter of the rate from segment to segment", scatter_found(cal)),
-        ("Coloured noise of the rate", coloured_found(cal)),
+        ("Bias drift", of_rate.get("drift", "none seen")),
+        ("Scatter of the rate from segment to segment", of_rate.get("scatter", "none seen")),
+        ("Coloured noise of the rate", of_rate.get("coloured", "none seen")),
         *scalars({key: value for key, value in cal.diagnostics.document().items() if key not in OWN_TABLES}),
     ]
     blocks.append(facts_table(rows))
-    for tables, text in ((leverage_tables(cal), LEVERAGE_LEAD), (_propagation(cal), PROPAGATION_LEAD)):
+    for tables, text in ((leverage_tables(cal), LEVERAGE_LEAD), (propagation_tables(cal), PROPAGATION_LEAD)):
         blocks += [Text(text, lead=True), *tables] if tables else []
     return Section("Identifiability and noise", "identifiability", tuple(blocks))
-
-
-def _propagation(cal: Calibration) -> tuple[Table, ...]:
-    table = propagation_table(cal)
-    return () if table is None else (table,)
 
 
 def _quality(cal: Calibration, figures: dict[str, Figure]) -> Section:

@@ -420,11 +420,11 @@ def _share(share: float | None, shift: float | None) -> Cell:
     return Cell(printed(text), "doubtful" if bad else "")
 
 
-def propagation_table(cal: Calibration) -> Table | None:
-    """First-order and Monte Carlo intervals side by side with the verdict; None without Monte Carlo."""
+def propagation_tables(cal: Calibration) -> tuple[Table, ...]:
+    """First-order and Monte Carlo intervals side by side with the verdict; none without Monte Carlo."""
     monte_carlo = cal.diagnostics.monte_carlo
     if monte_carlo is None:
-        return None
+        return ()
     columns = (
         TableColumn("Coefficient", align="text"),
         TableColumn("Unit", align="text"),
@@ -450,7 +450,7 @@ def propagation_table(cal: Calibration) -> Table | None:
                 *intervals, printed(short(row.tolerance * scale, 1)), verdict,
             )
         )  # fmt: skip
-    return Table(columns, tuple(rows), notes=(f"{monte_carlo.trials} trials.",))
+    return (Table(columns, tuple(rows), notes=(f"{monte_carlo.trials} trials.",)),)
 
 
 def _interval(ends: tuple[float, float], scale: float) -> str:
