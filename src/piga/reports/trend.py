@@ -13,7 +13,7 @@ import numpy as np
 from piga._version import __version__
 from piga.records.terms import meaning_of, shown_unit
 from piga.reports.render.figure import Axis, Figure, Panel, Series
-from piga.reports.render.numbers import ascii_text, fixed, pretty_unit, printed, rounded, short, signed
+from piga.reports.render.numbers import aligned, ascii_text, fixed, pretty_unit, printed, rounded, short, signed
 from piga.reports.render.page import (
     ALONE,
     Block,
@@ -319,19 +319,12 @@ def trend_text(drifts: Trend, *, at: dt.datetime | None = None) -> str:
     table = summary_table(drifts, at)
     lines = [[column.heading for column in table.columns]]
     lines += [[_ascii(cell.text) for cell in row] for row in table.cells]
-    width = [max(len(line[column]) for line in lines) for column in range(len(table.columns))]
     head = f"Trend of {drifts.serial}: {len(drifts.records)} records, {drifts.times[0]:%Y-%m-%d} to {drifts.times[-1]:%Y-%m-%d}"
-    body = [
-        "  "
-        + "  ".join(
-            text.ljust(w) if i < 2 else text.rjust(w)
-            for i, (text, w) in enumerate(zip(line, width, strict=True))
-        )
-        for line in lines
-    ]
     alarms = [f"alarm: {alarm}" for alarm in drifts.alarms] or ["no alarm"]
     remarks = [_ascii(f"note: {remark}") for remark in drifts.remarks]
-    return "\n".join([head, "", *(line.rstrip() for line in body), "", *alarms, *remarks])
+    return "\n".join(
+        [head, "", *(f"  {line}".rstrip() for line in aligned(lines, left={0, 1})), "", *alarms, *remarks]
+    )
 
 
 def _ascii(text: str) -> str:

@@ -38,6 +38,7 @@ from piga.reports.calibration.tables import (
 from piga.reports.render.decimate import outline
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import (
+    aligned,
     ascii_text,
     count,
     pretty_unit,
@@ -164,12 +165,7 @@ def _text_table(cal: Calibration) -> list[str]:
             factor(coefficient),
         )
         lines.append((coefficient.key, *line))
-    width = [max(len(line[column]) for line in lines) for column in range(7)]
-    return [
-        f"  {name:<{width[0]}}  {value:>{width[1]}}  {u:>{width[2]}}  {wide:>{width[3]}}  {unit:<{width[4]}}  "
-        f"{nu:>{width[5]}}  {k:>{width[6]}}"
-        for name, value, u, wide, unit, nu, k in (map(ascii_text, line) for line in lines)
-    ]
+    return [f"  {line}" for line in aligned([tuple(map(ascii_text, line)) for line in lines], left={0, 4})]
 
 
 def _text_figures(cal: Calibration) -> list[str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
 
@@ -164,6 +165,24 @@ def ascii_text(text: str) -> str:
     """
     text = re.sub(r"\s*×\s*10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda found: f"e{found[1].translate(_PLAIN_DIGITS)}", text)
     return text.replace("√s", "sqrt(s)").translate(_ASCII)
+
+
+def aligned(rows: Sequence[Sequence[str]], left: Container[int] = ()) -> list[str]:
+    """Rows of a table for the terminal, two spaces between columns. Those of ``left`` begin alike, the others end alike.
+
+    Examples
+    --------
+    >>> aligned([("k0", "1.5"), ("tan_beta", "12")], left={0})
+    ['k0        1.5', 'tan_beta   12']
+    """
+    width = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            text.ljust(wide) if k in left else text.rjust(wide)
+            for k, (text, wide) in enumerate(zip(row, width, strict=True))
+        )
+        for row in rows
+    ]
 
 
 def power(exponent: int | str) -> str:
