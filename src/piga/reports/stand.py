@@ -15,7 +15,7 @@ from piga.instrument.twin.linear import analyse_loop, loop_poles, open_loop, ste
 from piga.instrument.twin.parameters import TwinParameters, parameter_table
 from piga.records.terms import shown_unit
 from piga.reports.render.decimate import thin
-from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Role, Series
 from piga.reports.render.numbers import count, pretty_unit, printed, short, significant
 from piga.reports.render.page import (
     Block,
@@ -34,7 +34,7 @@ from piga.stand.write_run import TrueValue, coefficients, imperfection_values, p
 from piga.units import ARCSEC, G0, MICRO_G
 
 _POINTS = 801
-_ROLES: tuple[Role, ...] = ("x", "y", "z", "data")
+_ROLES: tuple[Role, ...] = (*XYZ, "data")
 
 
 def locking_figure(
@@ -107,8 +107,6 @@ def _spread(limit: float, border: float) -> NDArray[np.float64]:
 
 Array = NDArray[np.float64]
 
-_NAMES: tuple[tuple[str, Role], ...] = (("X0", "x"), ("Y0", "y"), ("Z0", "z"))
-
 
 def simulation_figures(test: SimulatedTest) -> tuple[Figure, ...]:
     """All figures of a simulated test, in reading order."""
@@ -129,7 +127,7 @@ def _time(test: SimulatedTest) -> tuple[Array, str]:
 
 
 def _components(t: Array, values: Array) -> tuple[Series, ...]:
-    return tuple(Series(*thin(t, values[:, k]), name=name, role=role) for k, (name, role) in enumerate(_NAMES))
+    return tuple(Series(*thin(t, values[:, k]), f"{role.upper()}0", role=role) for k, role in enumerate(XYZ))
 
 
 def stand_figure(test: SimulatedTest) -> Figure:

@@ -20,7 +20,7 @@ from piga.instrument import (
     revolution_period,
 )
 from piga.instrument.motion.closed_form import Case as FormNumber
-from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Series
 from piga.results import Result
 from piga.studies.case import INSTRUMENT, TRANSVERSE, Case, Chapter, in_g
 from piga.units import G0
@@ -32,7 +32,6 @@ _STEP = 0.05
 _LATE = 1e4
 _DOTS = 40
 _FLOOR = 1e-16
-_ROLES: tuple[Role, ...] = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -341,7 +340,7 @@ def _rest_cases() -> list[Case]:
 def _rest_figure() -> Figure:
     t = np.linspace(0.0, 600.0, 1201)
     curves, rests = [], []
-    for example, role in zip(EXAMPLES[:3], _ROLES, strict=True):
+    for example, role in zip(EXAMPLES[:3], XYZ, strict=True):
         alpha = np.degrees(closed_form(INSTRUMENT, t, *example.force)[0])
         curves.append(Series(t, alpha, f"{example.number} {example.regime}", role=role))
         rest = math.degrees(float(fixed_points(INSTRUMENT, *example.force)[0])) % 360.0

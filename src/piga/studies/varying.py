@@ -18,7 +18,7 @@ from piga.instrument import (
     published_closed_form,
 )
 from piga.instrument.motion.closed_form import Case as FormNumber
-from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Series
 from piga.studies.case import (
     INSTRUMENT,
     RAMP_TOP,
@@ -285,8 +285,7 @@ def _revolving_skew(load: float) -> float:
 
 def _mounting_figure(load: float) -> Figure:
     rates, missing = [], []
-    roles: tuple[Role, ...] = ("x", "y", "z")
-    for seconds, role in zip((100.0, 1000.0, 5000.0), roles, strict=True):
+    for seconds, role in zip((100.0, 1000.0, 5000.0), XYZ, strict=True):
         inst = Instrument(SCALE, seconds * ARCSEC)
         a_x, a_t = load * np.sin(_SKEWS), load * np.cos(_SKEWS)
         share = mean_rate(inst, a_x, a_t, 0.0) / (inst.scale_factor * a_x)

@@ -15,9 +15,9 @@ from piga.compensation import FLAGS, Compensated, CompensatedSet
 from piga.records.calibration import Residuals
 from piga.records.run import Run
 from piga.records.spool import BLOCK, spans, trim
-from piga.reports.compensation.outline import AXES, CORRECTION, FORCE, RAW, CompensationOutline, SetOutline
+from piga.reports.compensation.outline import CORRECTION, FORCE, RAW, CompensationOutline, SetOutline
 from piga.reports.render.decimate import POINTS, envelope_rows, leading_part
-from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Role, Series
 from piga.reports.render.orders import TURNS_NEEDED, order_grid, order_spectrum, segment_slices
 from piga.units import G0, MICRO_G
 
@@ -212,13 +212,10 @@ def plain_force_figure(result: Compensated) -> Figure:
 def plain_set_figure(result: CompensatedSet) -> Figure:
     """Force of a set in the common frame, and its uncertainty."""
     t = result.t - result.t[0]
-    roles: tuple[Role, ...] = ("x", "y", "z")
-    force = tuple(Series(t, result.f[:, i] / G0, f"f{AXES[i]}", role=role) for i, role in enumerate(roles))
+    force = tuple(Series(t, result.f[:, i] / G0, f"f{role}", role=role) for i, role in enumerate(XYZ))
     panels = [Panel(TIME, Axis("specific force", "g"), force)]
     if result.u_f.size:
-        u = tuple(
-            Series(t, result.u_f[:, i] / MICRO_G, f"u(f{AXES[i]})", role=role) for i, role in enumerate(roles)
-        )
+        u = tuple(Series(t, result.u_f[:, i] / MICRO_G, f"u(f{role})", role=role) for i, role in enumerate(XYZ))
         panels.append(Panel(TIME, Axis("standard uncertainty", "µg"), u))
     return Figure(
         "set-force",
@@ -342,9 +339,6 @@ def _curve(
     return Series(t[rows], y[rows] / unit, title or name, role=role)
 
 
-ROLES: dict[str, Role] = {"x": "x", "y": "y", "z": "z"}
-
-
 def set_force_figure(outline: SetOutline) -> Figure:
     """Indicated and compensated components, and their difference."""
     panels = [
@@ -356,10 +350,10 @@ def set_force_figure(outline: SetOutline) -> Figure:
                 _curve(outline, force, G0, "after", "compensated"),
             ),
         )
-        for axis, raw, force in zip(AXES, RAW, FORCE, strict=True)
+        for axis, raw, force in zip(XYZ, RAW, FORCE, strict=True)
     ]
     lines = tuple(
-        _curve(outline, name, MICRO_G, ROLES[axis], axis) for axis, name in zip(AXES, CORRECTION, strict=True)
+        _curve(outline, name, MICRO_G, axis, axis) for axis, name in zip(XYZ, CORRECTION, strict=True)
     )
     panels.append(Panel(TIME, Axis("correction", "µg"), lines))
     return Figure(

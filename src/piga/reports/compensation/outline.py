@@ -247,7 +247,6 @@ def _extremes(rows: dict[str, Array], curves: tuple[str, ...], bucket: int) -> d
     return {name: values[kept] for name, values in rows.items()}
 
 
-AXES = ("x", "y", "z")
 RAW, FORCE, CORRECTION = ("raw_x", "raw_y", "raw_z"), ("fx", "fy", "fz"), ("dx", "dy", "dz")
 
 

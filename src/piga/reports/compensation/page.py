@@ -26,9 +26,9 @@ from piga.reports.compensation.figures import (
     set_force_figure,
     set_orders_figure,
 )
-from piga.reports.compensation.outline import AXES, CORRECTION, CompensationOutline, SetOutline
+from piga.reports.compensation.outline import CORRECTION, CompensationOutline, SetOutline
 from piga.reports.render.decimate import SHOWN
-from piga.reports.render.figure import Figure
+from piga.reports.render.figure import XYZ, Figure
 from piga.reports.render.numbers import count, pretty_unit, printed, rounded, short
 from piga.reports.render.page import (
     ALONE,
@@ -339,7 +339,7 @@ def _set_flags(outline: SetOutline, facts: SetFacts) -> Section:
 
 def _instruments(outline: SetOutline, facts: SetFacts) -> Section:
     mounting = (
-        TableColumn("instrument", align="text"), *(TableColumn(f"X0 along {axis}") for axis in AXES),
+        TableColumn("instrument", align="text"), *(TableColumn(f"X0 along {axis}") for axis in XYZ),
         TableColumn("correction, rms", "µg"), TableColumn("misfit, rms", "µg"),
     )  # fmt: skip
     names = ("scale_factor", "tan_beta", "phi")

@@ -20,6 +20,9 @@ from piga.results import Result
 Mark = Literal["line", "points", "line+points", "bars", "band", "steps"]
 Role = Literal["data", "model", "before", "after", "reference", "warning", "x", "y", "z", "muted"]
 
+XYZ: Final[tuple[Role, Role, Role]] = ("x", "y", "z")
+"""Roles of the three components of a vector."""
+
 
 @dataclass(frozen=True)
 class Axis:
