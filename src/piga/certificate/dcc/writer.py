@@ -23,8 +23,10 @@ from piga.certificate.certificate_file import (
     title_of,
 )
 from piga.certificate.dcc.layout import (
+    BEFORE,
     DCC,
     JOINT,
+    MEASURED,
     RECORD,
     SI,
     dsi_unit,
@@ -33,7 +35,7 @@ from piga.certificate.dcc.layout import (
     significant_digit,
     to_dsi,
 )
-from piga.certificate.statements import Statement, statements, verdicts
+from piga.certificate.statements import TRACEABILITY, Statement, statements, verdicts
 from piga.errors import DataError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration.coefficient import PROBABILITY, joint_factor
@@ -200,7 +202,7 @@ def _statement(statement: Statement) -> etree._Element:
         "statement",
         [
             text("name", statement.title),
-            dcc("traceable", "true") if statement.kind == "traceability" else None,
+            dcc("traceable", "true") if statement.ref_type == TRACEABILITY else None,
             dcc("norm", "ISO/IEC 17025:2017"),
             given("reference", statement.clause),
             rich("declaration", statement.text),
@@ -228,10 +230,10 @@ def measurement_result(
     """The measurement: method, conditions and results."""
     results = []
     if before is not None:
-        results.append(_coefficients("Coefficients before adjustment", before, {}, "basic_beforeAdjustment"))
+        results.append(_coefficients("Coefficients before adjustment", before, {}, BEFORE))
     after = "" if before is None else " after adjustment"
-    marks = {verdict.key: verdict.dcc for verdict in verdicts(data, calibration)}
-    results.append(_coefficients(f"Coefficients{after}", calibration, marks, "basic_measuredValue"))
+    marks = {verdict.key: verdict.status for verdict in verdicts(data, calibration)}
+    results.append(_coefficients(f"Coefficients{after}", calibration, marks, MEASURED))
     results.append(_joint(calibration))
     results.append(_record(calibration))
     return dcc(
