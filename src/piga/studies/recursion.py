@@ -14,7 +14,7 @@ from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.studies.case import (
     INSTRUMENT,
     RAMP_TOP,
-    TRANSVERSE,
+    RATIO,
     Case,
     Chapter,
     ForceHistory,
@@ -33,7 +33,6 @@ Array = NDArray[np.float64]
 
 PUBLISHED_TAN_BETA, PUBLISHED_PHASE = 4.848e-3, 0.802
 _LATE = 20.0
-_RATIO = TRANSVERSE * INSTRUMENT.tan_beta
 
 
 def recursion() -> Chapter:
@@ -50,10 +49,10 @@ def recursion() -> Chapter:
 
 def _published_cases() -> list[Case]:
     tan_beta, phi = raw_state(published_calibration("ramp"))
-    walk = model_phase(record("ramp"))[-1] * 0.5 * _RATIO**2
-    constant, lead = closed_form_phase(_RATIO, INSTRUMENT.alpha0)
+    walk = model_phase(record("ramp"))[-1] * 0.5 * RATIO**2
+    constant, lead = closed_form_phase()
     source = "[Wei2024] eq. 12-18"
-    second_order = 0.5 * _RATIO**2 * INSTRUMENT.tan_beta
+    second_order = 0.5 * RATIO**2 * INSTRUMENT.tan_beta
     return [
         Case(
             "recursion.tan_beta",
@@ -287,8 +286,8 @@ def phase_walk() -> tuple[Array, Array, Array]:
     log = record("ramp")
     alpha = propagate(INSTRUMENT, log.t, log.f)
     predicted = model_phase(log)
-    constant, lead = closed_form_phase(_RATIO, INSTRUMENT.alpha0)
-    return log.t, predicted + constant - lead - alpha, 0.5 * _RATIO**2 * predicted
+    constant, lead = closed_form_phase()
+    return log.t, predicted + constant - lead - alpha, 0.5 * RATIO**2 * predicted
 
 
 def misread_phase_error() -> float:

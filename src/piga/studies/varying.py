@@ -22,6 +22,7 @@ from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Series
 from piga.studies.case import (
     INSTRUMENT,
     RAMP_TOP,
+    RATIO,
     SCALE,
     TRANSVERSE,
     Case,
@@ -51,11 +52,10 @@ class ForceForm:
 
 
 def _forms() -> tuple[ForceForm, ...]:
-    critical = TRANSVERSE * INSTRUMENT.tan_beta
     return (
         ForceForm(1, "a_x = 0, a_Y and a_Z vary", (0.0, 3.0, 4.0)),
-        ForceForm(2, "a_x = a_t tan(beta)", (critical, TRANSVERSE, 0.0)),
-        ForceForm(3, "a_x = 0.4 a_t tan(beta)", (0.4 * critical, TRANSVERSE, 0.0)),
+        ForceForm(2, "a_x = a_t tan(beta)", (RATIO, TRANSVERSE, 0.0)),
+        ForceForm(3, "a_x = 0.4 a_t tan(beta)", (0.4 * RATIO, TRANSVERSE, 0.0)),
         ForceForm(4, "a_x = 0.2 a_t", (0.2 * TRANSVERSE, TRANSVERSE, 0.0)),
     )
 
@@ -136,7 +136,6 @@ def run() -> Chapter:
     log = record("ramp")
     error = raw_error(log)
     worst = float(np.abs(error).max())
-    bound = TRANSVERSE * INSTRUMENT.tan_beta
     late = log.f[:, 0] > 0.5 * RAMP_TOP * G0
     slope = float(np.abs(error[late] / (log.f[late, 0] / G0)).max())
     cases = (
@@ -155,9 +154,9 @@ def run() -> Chapter:
             "[Wei2024] eq. 2-4",
             "error over a_x, largest in the upper half of the range",
             "1",
-            bound,
+            RATIO,
             slope,
-            0.02 * bound,
+            0.02 * RATIO,
             "the envelope is 5 tan(beta); within a revolution of the top it is met to 2 %",
         ),
     )
@@ -184,7 +183,7 @@ def _run_figure(error: Array) -> Figure:
     log = record("ramp")
     drawn = slice(None, None, _EVERY)
     a_x, error = log.f[drawn, 0] / G0, error[drawn]
-    envelope = TRANSVERSE * INSTRUMENT.tan_beta * a_x
+    envelope = RATIO * a_x
     indicated = a_x + error
     revolutions = model_phase(log)[drawn] / (2.0 * np.pi)
     close = a_x > RAMP_TOP - 0.25
