@@ -5,7 +5,7 @@ The force, the misfit and the orders of a set of instruments have figures of the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -43,10 +43,7 @@ def error_figures(
         White noise of the angle [rad, rms] and angle random walk [rad/sqrt(s)], as the calibration found them.
     """
     errors = compensation_errors(record, result, scale_factor)
-    return (
-        error_figure(errors),
-        error_spectrum_figure({"a_x": leading_part(errors)}, scale_factor, noise),
-    )
+    return error_figure(errors), error_spectrum_figure(leading_part(errors), scale_factor, noise)
 
 
 def compensation_errors(record: Run, result: Compensated, scale_factor: float) -> Residuals:
@@ -63,27 +60,10 @@ def compensation_errors(record: Run, result: Compensated, scale_factor: float) -
     if record.base_rate is not None:
         turn = turn + 0.5 * h * (record.base_rate[1:, 0] + record.base_rate[:-1, 0])
     psi = np.concatenate(([0.0], np.cumsum(turn))) if rate else record.output
-    return error_record(
-        record.t, psi, turn / scale_factor - force, result.dv[1:] - force, scale_factor, record.segment_index
-    )
-
-
-def error_record(
-    t: Array,
-    psi: Array,
-    before: Array,
-    after: Array,
-    scale_factor: float,
-    segment: NDArray[np.int32] | None = None,
-) -> Residuals:
-    """Errors of velocity increments [m/s] (n - 1,) as running angles [rad] at the times ``t`` (n,) [s].
-
-    ``psi`` (n,) [rad] is the output angle of the instrument whose revolutions are looked for.
-    """
-    running = [np.concatenate(([0.0], np.cumsum(scale_factor * error))) for error in (before, after)]
-    index = np.zeros(t.size, np.int32) if segment is None else segment
-    nothing = np.zeros(t.size)
-    return Residuals(np.arange(1, t.size + 1), t, psi, nothing, running[0], running[1], nothing, index)
+    errors = turn / scale_factor - force, result.dv[1:] - force
+    before, after = (np.concatenate(([0.0], np.cumsum(scale_factor * error))) for error in errors)
+    rows, nothing = np.arange(1, record.size + 1), np.zeros(record.size)
+    return Residuals(rows, record.t, psi, nothing, before, after, nothing, record.segment_index)
 
 
 def in_windows(residuals: Residuals) -> Residuals:
@@ -126,28 +106,22 @@ def error_figure(errors: Residuals) -> Figure:
     )
 
 
-def error_spectrum_figure(
-    errors: dict[str, Residuals], scale_factor: float, noise: tuple[float, float] = (0.0, 0.0)
-) -> Figure:
-    """Amplitude of the error in revolution order, one panel per component; a line at an order is a missed term."""
-    panels = []
-    for name, residuals in errors.items():
-        spectrum = order_spectrum(in_windows(residuals), scale_factor, noise=noise)
-        curves: tuple[Series, ...] = (
-            Series(spectrum.order, spectrum.before / MICRO_G, "as indicated", role="before"),
-            Series(spectrum.order, spectrum.after / MICRO_G, "compensated", role="after"),
+def error_spectrum_figure(errors: Residuals, scale_factor: float, noise: tuple[float, float]) -> Figure:
+    """Amplitude of the error in revolution order; a line at an order is a missed term."""
+    spectrum = order_spectrum(in_windows(errors), scale_factor, noise)
+    curves = [
+        Series(spectrum.order, spectrum.before / MICRO_G, "as indicated", role="before"),
+        Series(spectrum.order, spectrum.after / MICRO_G, "compensated", role="after"),
+    ]
+    if any(noise):
+        curves.append(
+            Series(spectrum.order, spectrum.noise / MICRO_G, "noise alone", role="muted", dashed=True)
         )
-        if any(noise):
-            expected = Series(
-                spectrum.order, spectrum.noise / MICRO_G, "noise alone", role="muted", dashed=True
-            )
-            curves = (*curves, expected)
-        amplitude = Axis(f"amplitude of the error of {name}", "µg", log=True)
-        panels.append(Panel(Axis("revolution order", "1"), amplitude, curves))
+    amplitude = Axis("amplitude of the error of a_x", "µg", log=True)
     return Figure(
         "compensation-spectrum",
         "Error in revolution order.",
-        tuple(panels),
+        (Panel(Axis("revolution order", "1"), amplitude, tuple(curves)),),
         "Lines at whole orders are errors that turn with the output: the cross-coupling at order 1, its pulling and "
         "the servo at order 2. After a good compensation no order stands out of the noise.",
     )
@@ -283,24 +257,23 @@ def _increments(leading: Residuals, part: slice, scale_factor: float) -> Iterato
         )
 
 
-def correction_figure(order: Array, amplitude: Array) -> Figure:
-    """The spectrum of the correction of one instrument."""
-    return orders_figure((order_panel(order, amplitude),))
+def orders_figure(instruments: Iterable[tuple[str, CompensationOutline]]) -> Figure | None:
+    """Spectrum of the correction of each instrument in its own revolution order, over at most six decades.
 
-
-def order_panel(order: Array, amplitude: Array, title: str = "") -> Panel:
-    """The spectrum of one correction, over at most six decades."""
-    shown = np.maximum(amplitude, 1e-6 * float(np.nanmax(amplitude)))
-    axis = Axis("amplitude of the correction", "µg", log=True)
-    return Panel(Axis("revolution order", "1"), axis, (Series(order, shown / MICRO_G, "correction"),), title)
-
-
-def orders_figure(panels: tuple[Panel, ...]) -> Figure:
-    """Spectra of corrections."""
+    ``instruments`` have the titles of their panels. None if no output turns far enough.
+    """
+    axes, panels = (Axis("revolution order", "1"), Axis("amplitude of the correction", "µg", log=True)), []
+    for title, outline in instruments:
+        order, amplitude = correction_spectrum(outline)
+        if (amplitude > 0.0).any():
+            shown = np.maximum(amplitude, 1e-6 * float(np.nanmax(amplitude)))
+            panels.append(Panel(*axes, (Series(order, shown / MICRO_G, "correction"),), title))
+    if not panels:
+        return None
     return Figure(
         "compensation-orders",
         "What was taken out, by revolution order.",
-        panels,
+        tuple(panels),
         "The cross-coupling turns with the output and stands at order 1, pulling at order 2, harmonics of the "
         "calibration at theirs.",
         height=2.8,
@@ -390,13 +363,3 @@ def misfit_figure(outline: SetOutline, names: tuple[str, ...]) -> Figure:
         "a step or a drift in one of them points at its calibration, its mounting, its phase or a fault.",
         height=1.7,
     )
-
-
-def set_orders_figure(outline: SetOutline, names: tuple[str, ...]) -> Figure | None:
-    """Spectrum of every instrument's correction in its own revolution order; None if no output turns far enough."""
-    panels = []
-    for name, single in zip(names, outline.instruments, strict=True):
-        order, amplitude = correction_spectrum(single)
-        if (amplitude > 0.0).any():
-            panels.append(order_panel(order, amplitude, name))
-    return orders_figure(tuple(panels)) if panels else None
