@@ -121,9 +121,11 @@ def simulation_figures(test: SimulatedTest) -> tuple[Figure, ...]:
     return tuple(figures)
 
 
-def _time(test: SimulatedTest) -> tuple[Array, str]:
+def _time(test: SimulatedTest) -> tuple[Array, Axis]:
+    """Time since the start, and its axis."""
     t = test.profile.t - test.profile.t[0]
-    return (t / 3600.0, "h") if t[-1] > 3 * 3600.0 else (t, "s")
+    scale, unit = (3600.0, "h") if t[-1] > 3 * 3600.0 else (1.0, "s")
+    return t / scale, Axis("time", unit)
 
 
 def _components(t: Array, values: Array) -> tuple[Series, ...]:
@@ -132,15 +134,15 @@ def _components(t: Array, values: Array) -> tuple[Series, ...]:
 
 def stand_figure(test: SimulatedTest) -> Figure:
     """Specific force and base rate of the reference."""
-    t, unit = _time(test)
+    t, time = _time(test)
     force = Panel(
-        Axis("time", unit),
+        time,
         Axis("specific force", "g"),
         _components(t, test.profile.reference / G0),
         "Specific force",
     )
     degrees = np.degrees(test.profile.reference_rate)
-    rate = Panel(Axis("time", unit), Axis("base rate", "deg/s"), _components(t, degrees), "Base rate")
+    rate = Panel(time, Axis("base rate", "deg/s"), _components(t, degrees), "Base rate")
     caption = (
         f"What the {test.stand.kind} does in base axes, as the lab's log states it; moves between segments "
         "are shown, but not recorded."
@@ -150,9 +152,9 @@ def stand_figure(test: SimulatedTest) -> Figure:
 
 def imperfection_figure(test: SimulatedTest) -> Figure:
     """Specific force that the instrument feels, less the reference."""
-    t, unit = _time(test)
+    t, time = _time(test)
     change = (test.profile.force - test.profile.reference) / MICRO_G
-    panel = Panel(Axis("time", unit), Axis("true less reference", "ug"), _components(t, change))
+    panel = Panel(time, Axis("true less reference", "ug"), _components(t, change))
     caption = "What the imperfections change: the instrument feels it, the log does not show it."
     return Figure("imperfections", "Imperfections of the stand", (panel,), caption)
 
@@ -165,7 +167,7 @@ def lock_zone_figure(test: SimulatedTest) -> Figure:
 
 def output_figure(test: SimulatedTest) -> Figure:
     """Output angle, and the indicated specific force less the true one."""
-    t, unit = _time(test)
+    t, time = _time(test)
     turns = Series(*thin(t, test.alpha / (2.0 * math.pi)), name="gimbal angle")
     p = test.profile
     error = test.rate / test.specimen.instrument.scale_factor - p.force[:, 0]
@@ -175,10 +177,8 @@ def output_figure(test: SimulatedTest) -> Figure:
         "output",
         "The output",
         (
-            Panel(Axis("time", unit), Axis("gimbal angle", "rev"), (turns,), "Gimbal angle"),
-            Panel(
-                Axis("time", unit), Axis("rate/K less a_x", "ug"), (indicated,), "Error of the uncoupled model"
-            ),
+            Panel(time, Axis("gimbal angle", "rev"), (turns,), "Gimbal angle"),
+            Panel(time, Axis("rate/K less a_x", "ug"), (indicated,), "Error of the uncoupled model"),
         ),
         "Revolutions of the outer gimbal, and what calibration has to explain: the rate over K less the true "
         "specific force along the input axis (recorded segments; base rate and all errors included).",
@@ -191,14 +191,12 @@ def servo_figure(test: SimulatedTest) -> Figure:
     motion = test.motion
     if motion is None:
         raise ValueError("the quasi-steady model has no servo")
-    t, unit = _time(test)
+    t, time = _time(test)
     tilt = (motion.beta - test.specimen.design.pick_off_null) / ARCSEC
     panels = [
+        Panel(time, Axis("tilt from null", "arcsec"), (Series(*thin(t, tilt), name="tilt"),), "Tilt"),
         Panel(
-            Axis("time", unit), Axis("tilt from null", "arcsec"), (Series(*thin(t, tilt), name="tilt"),), "Tilt"
-        ),
-        Panel(
-            Axis("time", unit),
+            time,
             Axis("motor torque", "mNm"),
             (Series(*thin(t, 1e3 * motion.torque), name="torque", role="model"),),
             "Torque motor",
@@ -228,10 +226,10 @@ def bode_figure(p: TwinParameters) -> Figure:
     cross = np.full(2, analysis.crossover / (2.0 * math.pi))
     gain = 20.0 * np.log10(np.abs(response))
     phase = np.degrees(np.unwrap(np.angle(response)))
-    limits = (float(hertz[0]), float(hertz[-1]))
+    across = Axis("frequency", "Hz", log=True, limits=(float(hertz[0]), float(hertz[-1])))
     panels = (
         Panel(
-            Axis("frequency", "Hz", log=True, limits=limits),
+            across,
             Axis("gain", "dB"),
             (
                 Series(hertz, gain, name="open loop"),
@@ -240,7 +238,7 @@ def bode_figure(p: TwinParameters) -> Figure:
             "Gain",
         ),
         Panel(
-            Axis("frequency", "Hz", log=True, limits=limits),
+            across,
             Axis("phase", "deg"),
             (
                 Series(hertz, phase, name="open loop"),

@@ -17,7 +17,7 @@ from piga.records.calibration import Calibration, Residuals
 from piga.records.terms import shown_unit
 from piga.reports.calibration.budget import budget_shares, source_in_words
 from piga.reports.calibration.tables import residual_quantity, scale_factor, shown_segments
-from piga.reports.render.decimate import POINTS, envelope_rows, leading_part, outline
+from piga.reports.render.decimate import POINTS, envelope_rows, leading_part, outline, rows_of
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.render.numbers import pretty_unit
 from piga.reports.render.orders import OrderSpectrum, Ripple, segment_slices, spectrum_and_ripple
@@ -411,10 +411,7 @@ def run_figures(cal: Calibration) -> tuple[Figure, ...]:
     for index, run in enumerate(cal.runs):
         rows = residuals.run == index
         if rows.any():
-            own = Residuals(
-                residuals.row[rows], residuals.t[rows], residuals.psi[rows], residuals.a_x[rows], residuals.before[rows],
-                residuals.after[rows], residuals.innovation[rows], residuals.segment[rows],
-            )  # fmt: skip
+            own = rows_of(residuals, np.flatnonzero(rows))
             figure = residual_figure(outline(own), residual_quantity(cal))
             figures.append(
                 replace(figure, key=f"residual-time-{index}", title=f"Run {run.name}: {figure.title}")

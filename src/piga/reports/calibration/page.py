@@ -17,6 +17,7 @@ from piga.reports.calibration.tables import (
     LEVERAGE_LEAD,
     OWN_TABLES,
     PROPAGATION_LEAD,
+    coefficient_figures,
     coefficient_table,
     common_coefficients,
     correlation_table,
@@ -153,18 +154,8 @@ def _text_table(cal: Calibration) -> list[str]:
         if not coefficient.determined:
             lines.append((coefficient.key, "not determined", "-", "-", coefficient.unit, "-", "-"))
             continue
-        scale, unit = shown_unit(coefficient.name, coefficient.unit)
-        value, std = coefficient.value * scale, coefficient.std * scale
-        number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
-        line = (
-            number.value,
-            number.uncertainty,
-            wide.uncertainty,
-            unit,
-            freedom(coefficient),
-            factor(coefficient),
-        )
-        lines.append((coefficient.key, *line))
+        figures = coefficient_figures(coefficient)
+        lines.append((coefficient.key, *figures, freedom(coefficient), factor(coefficient)))
     return [f"  {line}" for line in aligned([tuple(map(ascii_text, line)) for line in lines], left={0, 4})]
 
 

@@ -138,21 +138,26 @@ def named(coefficient: Coefficient) -> Cell:
     )
 
 
+def coefficient_figures(coefficient: Coefficient) -> tuple[str, str, str, str]:
+    """Value, standard and expanded uncertainty, each rounded by its own uncertainty, and their unit."""
+    scale, unit = shown_unit(coefficient.name, coefficient.unit)
+    number = rounded(coefficient.value * scale, coefficient.std * scale)
+    wide = rounded(coefficient.value * scale, coefficient.expanded * scale)
+    return number.value, number.uncertainty, wide.uncertainty, unit
+
+
 def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
     if not coefficient.determined:
         unit = pretty_unit(coefficient.unit)
         return named(coefficient), Cell("not determined", "doubtful"), "–", "–", unit, "–", "–", "–"
-    scale, unit = shown_unit(coefficient.name, coefficient.unit)
+    *figures, unit = coefficient_figures(coefficient)
+    scale = shown_unit(coefficient.name, coefficient.unit)[0]
     value, std = coefficient.value * scale, coefficient.std * scale
-    number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
-    small = std > abs(value)
     return (
         named(coefficient),
-        printed(number.value),
-        printed(number.uncertainty),
-        printed(wide.uncertainty),
+        *map(printed, figures),
         pretty_unit(unit),
-        Cell(relative(value, std), "doubtful" if small else ""),
+        Cell(relative(value, std), "doubtful" if std > abs(value) else ""),
         freedom(coefficient),
         factor(coefficient),
     )
