@@ -12,7 +12,7 @@ import numpy as np
 
 from piga._version import __version__
 from piga.records.terms import meaning_of, shown_unit
-from piga.reports.render.figure import Axis, Figure, Panel, Series
+from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.render.numbers import aligned, ascii_text, fixed, pretty_unit, printed, rounded, short, signed
 from piga.reports.render.page import (
     ALONE,
@@ -92,17 +92,14 @@ def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None) ->
 
 
 def _values(trend: CoefficientTrend, start: dt.datetime, scale: TrendScale, ahead: float | None) -> Panel:
-    times = np.array([point.time for point in trend.points])
-    values = np.array([point.value for point in trend.points])
-    bars = np.array([point.own_half_width for point in trend.points]) * scale.factor
-    outside = np.array([point.outside for point in trend.points])
     series: list[Series] = []
     if trend.model.line is not None:
-        series += _line(trend, start, scale, max(float(times[-1]), ahead or 0.0))
-    names = tuple(point.record for point in trend.points)
-    series.append(_points(start, scale, times, values, bars, ~outside, names, alarm=False))
-    if outside.any():
-        series.append(_points(start, scale, times, values, bars, outside, names, alarm=True))
+        series += _line(trend, start, scale, max(float(trend.points[-1].time), ahead or 0.0))
+    outside = [point for point in trend.points if point.outside]
+    inside = [point for point in trend.points if not point.outside]
+    series.append(_points(inside, start, scale, "records", "data"))
+    if outside:
+        series.append(_points(outside, start, scale, "out of control", "warning"))
     if ahead is not None and trend.model.line is not None:
         forecast = trend.model.coefficient_at(ahead)
         series.append(
@@ -118,25 +115,15 @@ def _values(trend: CoefficientTrend, start: dt.datetime, scale: TrendScale, ahea
     return Panel(DATE, Axis(scale.quantity, scale.unit), tuple(series), title=trend.key)
 
 
-def _points(
-    start: dt.datetime,
-    scale: TrendScale,
-    times: np.ndarray,
-    values: np.ndarray,
-    bars: np.ndarray,
-    chosen: np.ndarray,
-    names: tuple[str, ...],
-    *,
-    alarm: bool,
-) -> Series:
+def _points(points: list[Point], start: dt.datetime, scale: TrendScale, name: str, role: Role) -> Series:
     return Series(
-        _dates(start, times[chosen]),
-        scale.shown(values[chosen]),
-        "out of control" if alarm else "records",
+        _dates(start, np.array([point.time for point in points])),
+        scale.shown(np.array([point.value for point in points])),
+        name,
         mark="points",
-        role="warning" if alarm else "data",
-        error=bars[chosen],
-        text=tuple(name for name, one in zip(names, chosen, strict=True) if one),
+        role=role,
+        error=np.array([point.own_half_width for point in points]) * scale.factor,
+        text=tuple(point.record for point in points),
     )
 
 
