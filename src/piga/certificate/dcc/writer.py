@@ -10,7 +10,7 @@ from __future__ import annotations
 import base64
 import datetime as dt
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal
 from typing import TYPE_CHECKING, Any
 
@@ -333,7 +333,9 @@ def _interval(coefficient: Coefficient, power: int) -> etree._Element:
     return si("measurementUncertaintyUnivariate", [si("coverageIntervalMU", interval)])
 
 
-def _coefficients(title: str, calibration: Calibration, marks: dict[str, str], ref_type: str) -> etree._Element:
+def _coefficients(
+    title: str, calibration: Calibration, marks: Mapping[str, str], ref_type: str
+) -> etree._Element:
     quantities = [_quantity(c, marks.get(c.key, "")) for c in calibration.coefficients]
     return dcc("result", [text("name", title), dcc("data", [dcc("list", quantities)])], ref_type)
 
