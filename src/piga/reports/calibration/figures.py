@@ -179,8 +179,8 @@ def ripple_figure(turned: Ripple) -> Figure:
         Axis("radius × sin ψ", "µg", limits=(-outer, outer)),
         (
             *_polar_grid(step),
-            _closed(turned.psi, before, 2.0 * step, "before", "before"),
-            _closed(turned.psi, after, 2.0 * step, "after", "after"),
+            _closed(turned.psi, before, 2.0 * step, "before"),
+            _closed(turned.psi, after, 2.0 * step, "after"),
         ),
         title="Polar",
         equal=True,
@@ -233,11 +233,11 @@ def _polar_grid(step: float) -> tuple[Series, ...]:
     return (*rings, Series(np.array(spokes_x), np.array(spokes_y), role="muted"), zero)
 
 
-def _closed(psi: Array, values: Array, radius: float, name: str, role: str) -> Series:
+def _closed(psi: Array, values: Array, radius: float, role: Role) -> Series:
     psi, values = np.append(psi, psi[:1]), np.append(values, values[:1])
     text = tuple(f"ψ {np.degrees(p):.0f}°, ripple {v:.3g} µg" for p, v in zip(psi, values, strict=True))
     x, y = (radius + values) * np.cos(psi), (radius + values) * np.sin(psi)
-    return Series(x, y, name=name, role="before" if role == "before" else "after", text=text)
+    return Series(x, y, name=role, role=role, text=text)
 
 
 _LAGS = 40
@@ -377,20 +377,21 @@ def residual_figure(residuals: Residuals, quantity: tuple[str, str] = ("residual
     times = t / scale
     parts = [] if single else _parts(times, residuals)
     drawn = residuals.t.size
-    for title, role, values in (("Before", "before", residuals.before), ("After", "after", residuals.after)):
+    both: tuple[tuple[Role, Array], ...] = (("before", residuals.before), ("after", residuals.after))
+    for role, values in both:
         y = np.asarray(values) / ARCSEC
         x, y, kept = (times, y, np.arange(y.size)) if single else _with_gaps(times, y, parts)
         drawn = min(drawn, int(np.isfinite(y).sum()))
         series = Series(
             x,
             y,
-            name=title.lower(),
+            name=role,
             mark="points" if single else "line",
-            role="before" if role == "before" else "after",
+            role=role,
             rows=np.asarray(residuals.row)[kept],
             segments=np.asarray(residuals.segment)[kept],
         )
-        panels.append(Panel(Axis("elapsed time", unit), Axis(*quantity), (series,), title=title))
+        panels.append(Panel(Axis("elapsed time", unit), Axis(*quantity), (series,), title=role.capitalize()))
     return Figure(
         key="residual-time",
         title=f"{quantity[0].capitalize()} against time.",

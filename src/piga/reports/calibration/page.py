@@ -108,21 +108,12 @@ def calibration_text(cal: Calibration) -> str:
         f"  {segments_in_words(cal)}, {period_in_words(total_duration(cal))}, {used} rows used",
         f"  method {cal.method}, phases {cal.phases}, terms {' '.join(cal.terms)}",
     ]
-    head = [
-        *_wrapped(cal.verdict.lines()),
-        "",
-        *([f"Coefficients of {name}, given"] if cal.given else made),
-        "",
-    ]
-    if cal.given:
-        return "\n".join([*head, *_text_table(cal)])
-    return "\n".join(
-        [
-            *[*head, *_text_table(cal), "", *_text_figures(cal)],
-            *budget_text(cal),
-            *_wrapped([f"remark: {remark}" for remark in cal.remarks]),
-        ]
-    )
+    head = [f"Coefficients of {name}, given"] if cal.given else made
+    lines = [*_wrapped(cal.verdict.lines()), "", *head, "", *_text_table(cal)]
+    if not cal.given:
+        remarks = _wrapped([f"remark: {remark}" for remark in cal.remarks])
+        lines += ["", *_text_figures(cal), *budget_text(cal), *remarks]
+    return "\n".join(lines)
 
 
 def _wrapped(lines: list[str]) -> list[str]:
@@ -292,12 +283,7 @@ def _coefficient_tiles(cal: Calibration) -> list[Tile]:
 def _freedom_tile(cal: Calibration) -> Tile:
     fewest = min(cal.coefficients, key=lambda coefficient: coefficient.degrees_of_freedom)
     detail = f"effective, fewest of all coefficients ({fewest.key}): k = {fewest.coverage_factor:.3f} for 95 %"
-    return Tile(
-        "Degrees of freedom",
-        freedom(fewest),
-        "",
-        detail,
-    )
+    return Tile("Degrees of freedom", freedom(fewest), "", detail)
 
 
 def _condition_tile(cal: Calibration) -> Tile:
@@ -329,11 +315,7 @@ def _whiteness_tile(cal: Calibration) -> Tile | None:
 def _data_tile(cal: Calibration) -> Tile:
     share = 100.0 * cal.quality.used / cal.quality.rows if cal.quality.rows else 0.0
     events = sum(event.count for event in cal.quality.events)
-    detail = (
-        f"of {count(cal.quality.rows)} rows; {count(events)} findings"
-        if events
-        else f"of {count(cal.quality.rows)} rows"
-    )
+    detail = f"of {count(cal.quality.rows)} rows" + (f"; {count(events)} findings" if events else "")
     return Tile("Data used", f"{share:.4g}", "%", detail, "doubtful" if share < 95.0 else "")
 
 
@@ -369,8 +351,7 @@ def _runs(cal: Calibration) -> tuple[Section, ...]:
 
 def _coefficients(cal: Calibration) -> Section:
     lead = (
-        "The instrument's coefficients as found from this record, rounded by their uncertainty. Good: "
-        "uncertainties "
+        "The instrument's coefficients as found from this record, rounded by their uncertainty. Good: uncertainties "
         "far below the values, and below what the use of the instrument asks for."
     )
     blocks: list[Block] = [Text(lead, lead=True), coefficient_table(cal)]
@@ -383,8 +364,7 @@ def _coefficients(cal: Calibration) -> Section:
 
 def _residuals(figures: dict[str, Figure]) -> Section:
     lead = (
-        "What is left of the measured angle when the model is taken away: what the calibration explains is "
-        "gone after "
+        "What is left of the measured angle when the model is taken away: what the calibration explains is gone after "
         "it, and what it leaves should be noise."
     )
     missing = "The residuals are not part of this record: run the calibration again to see them."
@@ -403,17 +383,14 @@ def _convergence(figures: dict[str, Figure]) -> tuple[Section, ...]:
 
 def _orders(figures: dict[str, Figure]) -> Section:
     lead = (
-        "The same residuals against the rotation of the output: errors of the instrument repeat with the "
-        "turn, noise "
+        "The same residuals against the rotation of the output: errors of the instrument repeat with the turn, noise "
         "does not. Good: lines and lobes before calibration, none after."
     )
     missing = "No segment with residuals turns at least twice, so no revolution order can be told from drift."
-    if not {"residual-order", "ripple-polar"} & figures.keys():
-        return Section(
-            "Residuals against rotation", "rotation", (Text(lead, lead=True), Notice("info", missing))
-        )
-    shown = [FigureBlock(figures[key]) for key in ("residual-order", "ripple-polar") if key in figures]
-    return Section("Residuals against rotation", "rotation", (Text(lead, lead=True), *shown))
+    keys = ("residual-order", "ripple-polar")
+    drawn: list[Block] = [FigureBlock(figures[key]) for key in keys if key in figures]
+    blocks = drawn or [Notice("info", missing)]
+    return Section("Residuals against rotation", "rotation", (Text(lead, lead=True), *blocks))
 
 
 def _segments(cal: Calibration, figures: dict[str, Figure]) -> Section:
@@ -427,8 +404,7 @@ def _segments(cal: Calibration, figures: dict[str, Figure]) -> Section:
 
 def _budget(cal: Calibration, figure: Figure | None) -> Section:
     lead = (
-        "Where the uncertainty of each coefficient comes from, as standard uncertainties. Good: the fit "
-        "(type A) and "
+        "Where the uncertainty of each coefficient comes from, as standard uncertainties. Good: the fit (type A) and "
         "the largest source of type B are of the same size; otherwise the larger one is what to improve."
     )
     blocks: list[Block] = [Text(lead, lead=True), *budget_tables(cal)]
@@ -451,8 +427,7 @@ def _budget(cal: Calibration, figure: Figure | None) -> Section:
 
 def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
     lead = (
-        "How well this record tells the coefficients apart, and whether the residuals are the noise they "
-        "should be. "
+        "How well this record tells the coefficients apart, and whether the residuals are the noise they should be. "
         "Good: whitened residuals that look like white noise of size one. Doubts stand in the verdict at the top."
     )
     blocks: list[Block] = [Text(lead, lead=True)]

@@ -286,7 +286,7 @@ def runs_table(cal: Calibration) -> Table:
 def outlier_table(cal: Calibration) -> Table:
     """Samples that were left out, with their times: jumps and stuck readings, then spikes; of many the first."""
     listed = sorted(cal.outliers, key=lambda outlier: outlier.kind == "spike")
-    unit = "arcsec/s" if cal.diagnostics.residual_kind == "rate" else "arcsec"
+    unit = residual_quantity(cal)[1]
     more = len(cal.outliers) - TABLES.outliers
     notes = (f"The first {TABLES.outliers} of {count(len(cal.outliers))} findings.",) if more > 0 else ()
     table = TableOf(listed[: TABLES.outliers])

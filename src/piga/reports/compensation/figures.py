@@ -148,11 +148,7 @@ def force_figure(outline: CompensationOutline) -> Figure:
         panels.append(
             Panel(TIME, axis, (_curve(outline, "u_ax", MICRO_G, "model", "standard uncertainty per row"),))
         )
-    shown = (
-        ""
-        if outline.size <= POINTS
-        else f"Outlines of at most {POINTS} points; lowest and highest values are kept."
-    )
+    note = f"Outlines of at most {POINTS} points; lowest and highest values are kept."
     return Figure(
         "compensation-force",
         "Specific force along the input axis.",
@@ -161,7 +157,7 @@ def force_figure(outline: CompensationOutline) -> Figure:
         "The correction is the cross-coupling and the error terms of the calibration; both curves carry the same "
         "noise, so it does not.",
         height=2.3,
-        notes=(shown,) if shown else (),
+        notes=() if outline.size <= POINTS else (note,),
     )
 
 

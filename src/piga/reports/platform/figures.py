@@ -212,7 +212,7 @@ def lines_figure(comparison: ModelComparisonRun, which: Case = "amplitude") -> F
                     Series(
                         run.theory.day,
                         getattr(run.theory, which)[name] / scale,
-                        f"theory, {model_name(model)}",
+                        f"theory, {label}",
                         "line",
                         "reference",
                         dashed=True,

@@ -9,7 +9,7 @@ Okabe and Ito (vermilion, blue, bluish green); lightness differs as well, so tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
@@ -102,7 +102,7 @@ class Figure(Result):
     caption: str = ""
     columns: int = 1
     height: float = 3.2
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
 
 INK: Final = "#1c2733"
