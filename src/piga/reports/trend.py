@@ -193,7 +193,7 @@ def _tiles(drifts: Trend, span: float) -> tuple[Tile, ...]:
     days = len({point.day for point in drifts.coefficients[0].points}) if drifts.coefficients else 0
     drifting = [t.key for t in drifts.coefficients if t.drift and abs(t.drift.value) > t.drift.half_width()]
     count = len(drifts.alarms)
-    period = f"{fixed(span, 1)}" if span >= 1.0 else f"{span * 365.25:.0f}"
+    period = fixed(span, 1) if span >= 1.0 else f"{span * 365.25:.0f}"
     return (
         Tile("Records", str(len(drifts.records)), "", f"on {days} days"),
         Tile("Span", period, "years" if span >= 1.0 else "days"),

@@ -127,8 +127,8 @@ def _core(data: CertificateFile) -> etree._Element:
     )
 
 
-def _identification(issuer: str, value: str, name: str) -> etree._Element:
-    return dcc("identification", [dcc("issuer", issuer), given("value", value), text("name", name)])
+def _identification(issuer: str, value: str, name: str = "") -> etree._Element:
+    return dcc("identification", [dcc("issuer", issuer), given("value", value), rich("name", name)])
 
 
 def _items(data: CertificateFile, calibration: Calibration) -> etree._Element:
@@ -274,14 +274,11 @@ def _equipment(data: CertificateFile) -> etree._Element:
     equipment = []
     for standard in data.traceability.standard:
         shown = "; ".join(part for part in (standard.realises, standard.certificate) if part)
-        identification = [
-            dcc("issuer", "calibrationLaboratory"),
-            given("value", standard.identification or standard.name),
-        ]
+        identification = _identification("calibrationLaboratory", standard.identification or standard.name)
         parts = [
             text("name", standard.name),
             rich("description", shown),
-            dcc("identifications", [dcc("identification", identification)]),
+            dcc("identifications", [identification]),
         ]
         equipment.append(dcc("measuringEquipment", parts, "basic_normalUsed"))
     return dcc("measuringEquipments", equipment)
@@ -372,28 +369,28 @@ def _joint(calibration: Calibration) -> etree._Element:
                     [
                         si(
                             "valueXMLList",
-                            _words(to_dsi(v, p + powers[j]) for v, p in zip(column, powers, strict=True)),
+                            " ".join(to_dsi(v, p + powers[j]) for v, p in zip(column, powers, strict=True)),
                         ),
-                        si("unitXMLList", _words(dsi_unit(unit, units[j]) for unit in units)),
+                        si("unitXMLList", " ".join(dsi_unit(unit, units[j]) for unit in units)),
                     ],
                 )
             ],
         )
         for j, column in enumerate(calibration.covariance.T.tolist())
     ]
-    spread = _words(to_dsi(c.std, p) for c, p in zip(calibration.coefficients, powers, strict=True))
+    spread = " ".join(to_dsi(c.std, p) for c, p in zip(calibration.coefficients, powers, strict=True))
     region = [
         si("covarianceMatrixXMLList", columns),
         si("coverageFactorXMLList", f"{joint_factor(calibration.coefficients):.6f}"),
         si("coverageProbabilityXMLList", str(PROBABILITY)),
     ]
     vector = [
-        si("labelXMLList", _words(label_of(c.key) for c in calibration.coefficients)),
+        si("labelXMLList", " ".join(label_of(c.key) for c in calibration.coefficients)),
         si(
             "valueXMLList",
-            _words(to_dsi(c.value, p) for c, p in zip(calibration.coefficients, powers, strict=True)),
+            " ".join(to_dsi(c.value, p) for c, p in zip(calibration.coefficients, powers, strict=True)),
         ),
-        si("unitXMLList", _words(dsi_unit(unit) for unit in units)),
+        si("unitXMLList", " ".join(dsi_unit(unit) for unit in units)),
         si(
             "measurementUncertaintyUnivariateXMLList",
             [si("standardMUXMLList", [si("valueStandardMUXMLList", spread)])],
@@ -404,10 +401,6 @@ def _joint(calibration: Calibration) -> etree._Element:
         "quantity", [text("name", "Coefficients and covariance"), si("realListXMLList", vector)], JOINT
     )
     return dcc("result", [text("name", "Joint result with covariance"), dcc("data", [quantity])])
-
-
-def _words(parts: Iterable[str]) -> str:
-    return " ".join(parts)
 
 
 def _record(calibration: Calibration) -> etree._Element:

@@ -12,8 +12,8 @@ from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
 
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_PLAIN_DIGITS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+_DIGITS, _RAISED = "-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"
+_RAISE, _LOWER = str.maketrans(_DIGITS, _RAISED), str.maketrans(_RAISED, _DIGITS)
 _ASCII = str.maketrans({
     "−": "-", "–": "-", "±": "+/-", "×": "x", "∞": "inf", "µ": "u", "²": "^2", "³": "^3", "\u00a0": "", "\u202f": "",
 })  # fmt: skip
@@ -163,7 +163,7 @@ def ascii_text(text: str) -> str:
     >>> ascii_text("3.2 × 10⁻⁶ rad/√s"), ascii_text("− 12 µg/g²")
     ('3.2e-6 rad/sqrt(s)', '- 12 ug/g^2')
     """
-    text = re.sub(r"\s*×\s*10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda found: f"e{found[1].translate(_PLAIN_DIGITS)}", text)
+    text = re.sub(rf"\s*×\s*10([{_RAISED}]+)", lambda found: f"e{found[1].translate(_LOWER)}", text)
     return text.replace("√s", "sqrt(s)").translate(_ASCII)
 
 
@@ -187,7 +187,7 @@ def aligned(rows: Sequence[Sequence[str]], left: Container[int] = ()) -> list[st
 
 def power(exponent: int | str) -> str:
     """A power of ten as it is printed, e.g. ``10⁻⁴``."""
-    return f"10{str(exponent).translate(_SUPERSCRIPT)}"
+    return f"10{str(exponent).translate(_RAISE)}"
 
 
 def pretty_unit(unit: str) -> str:
