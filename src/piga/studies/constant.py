@@ -235,13 +235,9 @@ def period() -> Chapter:
         "The textbook period of a revolution, T = 2 pi / (K sqrt(a_x^2 - a_t^2 tan^2(beta))), holds only where the "
         "gimbal revolves. Revolutions per second, 1/T, are compared where T is infinite."
     )
-    cases = (*_frequency_cases(), *_rest_cases())
+    cases = (_running_period(), *_infinite_periods(), _imaginary_period(), *_rest_cases())
     source = "[Wei2020] period"
     return Chapter("period", "The textbook period, and where it fails", source, text, cases, (_rest_figure(),))
-
-
-def _frequency_cases() -> list[Case]:
-    return [_running_period(), *_infinite_periods(), _imaginary_period()]
 
 
 def _running_period() -> Case:

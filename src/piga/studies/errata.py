@@ -233,13 +233,10 @@ def _sign_figure() -> Figure:
 
 def _square_figure() -> Figure:
     with_square, without, exact = _critical_rates()
-    early = _T <= 60.0
     series = (
-        Series(_T[early], np.degrees(exact[early]), "exact motion", role="after"),
-        Series(
-            _T[early][::30], np.degrees(with_square[early][::30]), "form 2 with the square", "points", "model"
-        ),
-        Series(_T[early], np.degrees(without[early]), "form 2 without the square", role="before", dashed=True),
+        Series(_T, np.degrees(exact), "exact motion", role="after"),
+        Series(_T[::30], np.degrees(with_square[::30]), "form 2 with the square", "points", "model"),
+        Series(_T, np.degrees(without), "form 2 without the square", role="before", dashed=True),
     )
     return Figure(
         "errata-square",

@@ -222,15 +222,15 @@ def compensation() -> Chapter:
         "exact one, a_x = alpha'/K - tan(beta) (a_Y sin(alpha) - a_Z cos(alpha)), which takes the measured angle."
     )
     source = "[Wei2024] eq. 19-21"
-    largest = {
-        k: float(np.abs(v).max()) for k, v in (("b", before), ("m", model), ("f", formula), ("e", exact))
-    }
-    cases = _compensation_cases(source, largest)
+    largest = [float(np.abs(error).max()) for error in (before, model, formula, exact)]
+    cases = _compensation_cases(source, *largest)
     figure = _compensation_figure(before, model, formula, exact)
     return Chapter("compensation", "Compensation", source, text, cases, (figure,))
 
 
-def _compensation_cases(source: str, largest: dict[str, float]) -> tuple[Case, ...]:
+def _compensation_cases(
+    source: str, before: float, model: float, formula: float, own: float
+) -> tuple[Case, ...]:
     limit = "printed as 'under 0.002 g': an upper limit, anything from zero up to it agrees"
     curve = "read from the published curve as about 0.0015 g, which is below 0.002 g: reading accuracy 0.0005 g"
     rounding = (
@@ -239,7 +239,6 @@ def _compensation_cases(source: str, largest: dict[str, float]) -> tuple[Case, .
     predicted = "largest error after, phase predicted from the input"
     measured = "largest error after, phase from the output, phi = 0.802 rad as printed"
     exact = "largest error after, measured angle and linear estimator"
-    before, model, formula, own = (largest[k] for k in "bmfe")
     digit = "printed to one digit: half of the next"
     ours = source + ", our exact form"
     return (
