@@ -53,23 +53,17 @@ def allan_figure(
     segments ``single`` gets a curve of its own, from its own samples.
     """
     white, walk = noise[0] ** 2, noise[1] ** 2
-    angle_of, time, begins = (
-        np.asarray(residuals.after, dtype=float),
-        np.asarray(residuals.t),
-        _begins(residuals),
-    )
-    deviation = allan_deviation(angle_of, time, begins, white=white, walk=walk)
+    after, time, begins = np.asarray(residuals.after, dtype=float), np.asarray(residuals.t), _begins(residuals)
+    deviation = allan_deviation(after, time, begins, white=white, walk=walk)
     if deviation.tau.size < 2:
         return None
-    chosen = frozenset(single)
-    parts = [part for part in segment_slices(residuals.segment) if int(residuals.segment[part.start]) in chosen]
-    own = [
-        (
-            int(residuals.segment[part.start]),
-            allan_deviation(angle_of[part], time[part], begins[part], white=white, walk=walk),
-        )
-        for part in parts
-    ]
+    chosen, own = frozenset(single), []
+    for part in segment_slices(residuals.segment):
+        index = int(residuals.segment[part.start])
+        if index in chosen:
+            one = allan_deviation(after[part], time[part], begins[part], white=white, walk=walk)
+            curve = Series(one.tau, one.deviation / ARCSEC, mark="line+points", role="reference")
+            own += [(index, curve)] if one.tau.size > 1 else []
     tau = deviation.tau
     angle, wander = (part / ARCSEC for part in model_deviation(tau, white, walk))
     both = np.hypot(np.hypot(angle, wander), drift_line(tau, bias_drift / ARCSEC))
@@ -83,33 +77,15 @@ def allan_figure(
     ]
     series += [Series(tau, angle, "white noise", role="x", dashed=True)] if white > 0.0 else []
     series += [Series(tau, wander, "random walk", role="y", dashed=True)] if walk > 0.0 else []
-    series.append(
-        Series(
-            tau[near],
-            drift[near],
-            "bias drift" if bias_drift else "slope of a drift",
-            role="warning",
-            dashed=True,
-        )
-    )
+    name = "bias drift" if bias_drift else "slope of a drift"
+    series.append(Series(tau[near], drift[near], name, role="warning", dashed=True))
     low = 0.3 * min(float((deviation.deviation / ARCSEC).min()), float(both.min()))
     high = 3.0 * max(float((deviation.upper / ARCSEC).max()), float(both.max()))
     y = Axis("Allan deviation of the rate", "arcsec/s", log=True, limits=(low, high))
     return Figure(
         key="allan",
         title="Allan deviation of the residual rate.",
-        panels=(
-            Panel(
-                Axis("averaging time", "s", log=True),
-                y,
-                tuple(series),
-                of_segments=tuple(
-                    (index, Series(part.tau, part.deviation / ARCSEC, mark="line+points", role="reference"))
-                    for index, part in own
-                    if part.tau.size > 1
-                ),
-            ),
-        ),
+        panels=(Panel(Axis("averaging time", "s", log=True), y, tuple(series), of_segments=tuple(own)),),
         caption="Overlapping Allan deviation of what the calibration leaves, with its 68 % band. Stretches are pooled, "
         "not joined: nothing longer than a third of the longest one is seen. Good: the curve follows the noise found; "
         "one that turns upwards along the dashed slope, above it, shows a drift of the bias that was not found.",

@@ -426,7 +426,7 @@ def passage_figure(capstone: Capstone) -> Figure | None:
     if p is None:
         return None
     minutes = (p.times - p.times[0]) / MINUTE
-    centre = 1e3
+    edge = np.full_like(minutes, 1e3 * p.half_width)
     return Figure(
         "fig-passage",
         f"Instrument {p.instrument + 1} passes its locked zone",
@@ -435,24 +435,17 @@ def passage_figure(capstone: Capstone) -> Figure | None:
                 Axis("time", "min"),
                 Axis("force along the input axis", "mm/s^2"),
                 (
-                    Series(
-                        minutes,
-                        -p.half_width * centre * np.ones_like(minutes),
-                        "locked zone",
-                        "band",
-                        "warning",
-                        upper=p.half_width * centre * np.ones_like(minutes),
-                    ),
-                    Series(minutes, p.true * centre, "true", "line", "reference", dashed=True),
-                    Series(minutes, p.raw * centre, "raw output", "line", "before"),
+                    Series(minutes, -edge, "locked zone", "band", "warning", upper=edge),
+                    Series(minutes, 1e3 * p.true, "true", "line", "reference", dashed=True),
+                    Series(minutes, 1e3 * p.raw, "raw output", "line", "before"),
                 ),
             ),
             Panel(
                 Axis("time", "min"),
                 Axis("error of the reading", "mm/s^2"),
                 (
-                    Series(minutes, (p.raw - p.true) * centre, "raw output", "line", "before"),
-                    Series(minutes, (p.triad - p.true) * centre, "triad solved", "line", "after"),
+                    Series(minutes, 1e3 * (p.raw - p.true), "raw output", "line", "before"),
+                    Series(minutes, 1e3 * (p.triad - p.true), "triad solved", "line", "after"),
                 ),
             ),
         ),

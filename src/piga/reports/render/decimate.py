@@ -60,9 +60,9 @@ def _bucket_rows(values: NDArray) -> list[int]:
     return [gap, int(finite[np.argmin(values[finite])]), int(finite[np.argmax(values[finite])])]
 
 
-def thin(x: ArrayLike, y: ArrayLike, limit: int = POINTS) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """``x`` and ``y`` reduced to at most ``limit`` points by :func:`envelope_rows`."""
-    rows = envelope_rows(y, limit)
+def thin(x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``x`` and ``y`` reduced to at most :data:`POINTS` points by :func:`envelope_rows`."""
+    rows = envelope_rows(y)
     return np.asarray(x, dtype=float)[rows], np.asarray(y, dtype=float)[rows]
 
 
