@@ -295,12 +295,12 @@ def test_a_log_of_rates_is_reported_as_rates():
     assert residual_quantity(rates) == ("residual rate", "arcsec/s")
     assert "arcsec/s" in page_html(calibration_page(rates))
     assert "arcsec/s (before" in calibration_text(rates)
-    angles = residual_angles(rates)
+    angles = residual_angles(rates.residuals, "rate")
     first = slice(0, 50)
     step = np.diff(rates.residuals.t[first])
     wanted = np.cumsum(step * 0.5 * (rates.residuals.after[first][1:] + rates.residuals.after[first][:-1]))
     np.testing.assert_allclose(angles.after[1:50] - angles.after[0], wanted, rtol=1e-9, atol=1e-12)
-    assert residual_angles(cal) is cal.residuals
+    assert residual_angles(cal.residuals, cal.diagnostics.residual_kind) is cal.residuals
 
 
 def test_joint_and_contaminated_runs_have_their_sections(cal):

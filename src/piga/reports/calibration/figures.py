@@ -226,12 +226,10 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
     """
     figures: list[Figure] = []
     if cal.residuals is not None and cal.residuals.t.size:
-        whole = outline(cal.residuals)
+        whole, part = outline(cal.residuals), leading_part(cal.residuals)
         figures += run_figures(cal) if cal.runs else [residual_figure(whole, residual_quantity(cal))]
-        part = replace(cal, residuals=leading_part(cal.residuals))
-        assert part.residuals is not None  # noqa: S101 - made from residuals
-        figures += [whiteness_figure(part.residuals)] if np.isfinite(part.residuals.innovation).any() else []
-        angles = residual_angles(part)
+        figures += [whiteness_figure(part)] if np.isfinite(part.innovation).any() else []
+        angles = residual_angles(part, cal.diagnostics.residual_kind)
         noise, single = (cal.angle_rms, cal.angle_random_walk), shown_segments(cal)
         allan = None if cal.runs else allan_figure(angles, noise, cal.bias_drift, single)
         figures += [allan] if allan else []
@@ -247,11 +245,10 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
     return tuple(figures)
 
 
-def residual_angles(cal: Calibration) -> Residuals:
-    """The residuals as angles: those of a rate log integrated over each segment."""
-    residuals = cal.residuals
-    if residuals is None or residual_quantity(cal)[1] == "arcsec":
-        return cast("Residuals", residuals)
+def residual_angles(residuals: Residuals, kind: str) -> Residuals:
+    """The residuals as angles: those of ``kind`` rate integrated over each segment."""
+    if kind != "rate":
+        return residuals
     step = np.diff(residuals.t, prepend=residuals.t[:1])
     step[np.diff(residuals.segment, prepend=residuals.segment[:1]) != 0] = 0.0
     before, after = _integral(residuals.before, step), _integral(residuals.after, step)
