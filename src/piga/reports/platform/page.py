@@ -145,24 +145,19 @@ def identification_page(
 ) -> Page:
     """Page of ``piga platform identify``."""
     s = run.scenario
-    m1, m2 = identification["polar.misalignment"], identification["equatorial.misalignment"]
-    tiles = (
-        Tile("polar misalignment", f"{m1.value / ARCMIN:.5f}", "arcmin", f"± {short(m1.std / ARCSEC)} arcsec"),
-        Tile(
-            "equatorial misalignment",
-            f"{m2.value / ARCMIN:.5f}",
-            "arcmin",
-            f"± {short(m2.std / ARCSEC)} arcsec",
-        ),
-        Tile("condition", short(identification.condition), "", " + ".join(identification.sources)),
-    )
+    tiles = []
+    for gyro in ("polar", "equatorial"):
+        m = identification[f"{gyro}.misalignment"]
+        spread = f"± {short(m.std / ARCSEC)} arcsec"
+        tiles.append(Tile(f"{gyro} misalignment", f"{m.value / ARCMIN:.5f}", "arcmin", spread))
+    tiles.append(Tile("condition", short(identification.condition), "", " + ".join(identification.sources)))
     blocks: list[Block] = [parameter_table(identification, s)]
     blocks += [Notice("info", note) for note in identification.notes]
     sections = [Section("Misalignments, phases and harmonics", "parameters", tuple(blocks))]
     if recursive is not None:
         sections.append(Section("Sample by sample", "recursive", (FigureBlock(convergence_figure(recursive)),)))
     sections.append(Section("What each source can tell", "observability", (_observability_table(sources),)))
-    return page("Platform identification", s, tiles, tuple(sections))
+    return page("Platform identification", s, tuple(tiles), tuple(sections))
 
 
 def alignment_page(run: PlatformRun, aligned: Alignment) -> Page:
