@@ -51,13 +51,12 @@ class ForceForm:
     force: tuple[float, float, float]
 
 
-def _forms() -> tuple[ForceForm, ...]:
-    return (
-        ForceForm(1, "a_x = 0, a_Y and a_Z vary", (0.0, 3.0, 4.0)),
-        ForceForm(2, "a_x = a_t tan(beta)", (RATIO, TRANSVERSE, 0.0)),
-        ForceForm(3, "a_x = 0.4 a_t tan(beta)", (0.4 * RATIO, TRANSVERSE, 0.0)),
-        ForceForm(4, "a_x = 0.2 a_t", (0.2 * TRANSVERSE, TRANSVERSE, 0.0)),
-    )
+FORMS = (
+    ForceForm(1, "a_x = 0, a_Y and a_Z vary", (0.0, 3.0, 4.0)),
+    ForceForm(2, "a_x = a_t tan(beta)", (RATIO, TRANSVERSE, 0.0)),
+    ForceForm(3, "a_x = 0.4 a_t tan(beta)", (0.4 * RATIO, TRANSVERSE, 0.0)),
+    ForceForm(4, "a_x = 0.2 a_t", (0.2 * TRANSVERSE, TRANSVERSE, 0.0)),
+)
 
 
 def swing(t: Array) -> Array:
@@ -88,7 +87,7 @@ def solved(form: ForceForm) -> tuple[Array, Array, Array]:
 def forms() -> Chapter:
     """The four closed forms hold for time-varying input with a constant ratio of its components."""
     cases, panels = [], []
-    for form in _forms():
+    for form in FORMS:
         t, published, exact = solved(form)
         at = int(np.argmax(np.abs(published - exact)))
         note = (
