@@ -32,7 +32,8 @@ from piga.instrument.twin.linear import (
 )
 from piga.instrument.twin.parameters import PRESETS
 from piga.instrument.twin.run import run_twin
-from piga.reports.calibration.figures import scale_factor, spectrum_figure
+from piga.reports.calibration.figures import spectrum_figure
+from piga.reports.calibration.tables import scale_factor
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.orders import order_spectrum
 from piga.reports.render.static import write_figure

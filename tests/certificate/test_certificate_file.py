@@ -11,6 +11,7 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from piga.calibration.budget.uncertainty import with_given_servo
@@ -47,10 +48,7 @@ def conforming(**keys):
     table = ConformityTable(
         specification="SPEC-1", rule="guarded", agreed_with_customer=True, limits={"k0": ("-5 mg", "5 mg")}
     )
-    data = complete()
-    import msgspec
-
-    return msgspec.structs.replace(data, conformity=msgspec.structs.replace(table, **keys))
+    return msgspec.structs.replace(complete(), conformity=msgspec.structs.replace(table, **keys))
 
 
 def test_the_example_is_complete(cal):
@@ -157,8 +155,6 @@ def test_what_the_calibration_must_have(cal):
 
 
 def test_conditions_need_known_units(cal):
-    import msgspec
-
     data = msgspec.structs.replace(complete(), environment=(ConditionTable(name="Air", value="20 degX"),))
     assert "unknown unit 'degX'" in missing_items(data, cal)[0]
     assert quantity_text("46 %") == (46.0, "%")

@@ -318,11 +318,15 @@ def _order_of_dates(data: CertificateFile) -> Iterator[str]:
             yield f"{second} (7.8.2.1): {later} is before {first}, {earlier}"
 
 
+def first_day_of_issue(calibration: Calibration) -> dt.date:
+    """Day of the evaluation where it is earliest. The record has it in UTC; local time is at most 12 h behind."""
+    return (dt.datetime.fromisoformat(calibration.provenance.created) - dt.timedelta(hours=12)).date()
+
+
 def _evaluated_before(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
-    """Check that the date of issue is not before the evaluation. The evaluation is in UTC; local time is at most 12 h behind."""
-    evaluated = dt.datetime.fromisoformat(calibration.provenance.created) - dt.timedelta(hours=12)
+    """Check that the date of issue is not before the evaluation."""
     issued = data.certificate.issued
-    if issued is not None and issued < evaluated.date():
+    if issued is not None and issued < first_day_of_issue(calibration):
         yield (
             f"[certificate] issued (7.8.2.1 j): {issued} is before the evaluation, "
             f"{calibration.provenance.created[:10]}"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from piga.certificate.certificate_file import CertificateFile, missing_items
-from piga.certificate.statements import Conformity, decision_rule, statements, verdicts
+from piga.certificate.statements import TRACEABILITY, Conformity, decision_rule, statements, verdicts
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.terms import meaning_of, shown_unit
@@ -86,7 +86,7 @@ def certificate_html(
         identity=_identity(data),
         parts=_parts(data, calibration, before),
         cautions=_cautions(calibration) if working_copy else None,
-        statements=statements(data, calibration),
+        statements=[one for one in statements(data, calibration) if one.ref_type != TRACEABILITY],
         record=_record(calibration, record_sha256),
     )
 

@@ -28,6 +28,8 @@ _RULES = {
     "guarded": "guarded acceptance (guard band of one expanded uncertainty): a result conforms when the interval of "
     "its expanded uncertainty lies inside the limits, and does not when the interval lies outside",
 }
+TRACEABILITY = "basic_traceability"
+"""``ref_type`` of the statement of traceability. The page has a section for it."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,6 @@ class Statement:
     title: str
     text: str
     clause: str
-    kind: str = ""
     ref_type: str = ""
     conformity: str = ""
     date: dt.date | None = None
@@ -60,11 +61,6 @@ class Conformity:
     def words(self) -> str:
         """The verdict in words."""
         return _WORDS[self.status]
-
-    @property
-    def dcc(self) -> str:
-        """The verdict as written in a DCC."""
-        return self.status
 
 
 def verdicts(data: CertificateFile, calibration: Calibration) -> tuple[Conformity, ...]:
@@ -125,8 +121,7 @@ def statements(data: CertificateFile, calibration: Calibration) -> tuple[Stateme
             "Traceability",
             data.traceability.statement,
             "7.8.4.1 c",
-            kind="traceability",
-            ref_type="basic_traceability",
+            ref_type=TRACEABILITY,
         ),
         *_validity(calibration),
         *_conformity(data, calibration),

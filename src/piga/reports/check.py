@@ -15,7 +15,7 @@ from piga.calibration.model.request import lost_phase
 from piga.records.run import Run
 from piga.records.spool import spans, steps
 from piga.reports.render.decimate import POINTS, envelope_rows
-from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Role, Series
 from piga.reports.render.page import (
     FigureBlock,
     Notice,
@@ -31,7 +31,6 @@ from piga.units import G0
 
 _BLOCK = 1 << 20
 """Samples whose outline is drawn at a time."""
-_ROLES: tuple[Role, ...] = ("x", "y", "z")
 
 
 def record_figure(run: Run) -> Figure:
@@ -40,7 +39,8 @@ def record_figure(run: Run) -> Figure:
     scale = 1.0 / (2.0 * np.pi) if run.kind == "angle" else 180.0 / np.pi
     time = Axis("time since the first sample", "s")
     forces = tuple(
-        _thin(run, partial(_scaled, run.f[:, i], 1.0 / G0), f"a_{'XYZ'[i]}", _ROLES[i]) for i in range(3)
+        _thin(run, partial(_scaled, run.f[:, i], 1.0 / G0), f"a_{role.upper()}", role)
+        for i, role in enumerate(XYZ)
     )
     intervals = [_thin(run, partial(steps, run.t), "inside a stretch", "data")]
     some = np.flatnonzero(run.begins)[1:]

@@ -41,14 +41,6 @@ SHOWN = 1e4
 """Largest margin that is drawn. Larger margins are drawn at this value."""
 
 
-def planning_figures(plan: Plan, mounting: Mounting | None) -> tuple[Figure, ...]:
-    """All figures of a plan, in reading order."""
-    figures = [dwell_figure(plan), uncertainty_figure(plan), duration_figure(plan), lock_figure(plan)]
-    if mounting is not None:
-        figures.append(mounting_figure(mounting))
-    return tuple(figures)
-
-
 def _forces(candidates: tuple[Candidate, ...]) -> tuple[Array, Array]:
     """Force along and across the input axis [g]."""
     f = np.array([candidate.force for candidate in candidates]).reshape(-1, 3) / G0
@@ -233,16 +225,17 @@ def write_plan_report(plan: Plan, mounting: Mounting | None, path: Path) -> None
 
 def plan_page(plan: Plan, mounting: Mounting | None) -> Page:
     """The page of a planned test."""
-    figures = {figure.key: FigureBlock(figure) for figure in planning_figures(plan, mounting)}
-    lead = f"Least is {_CRITERIA[plan.request.settings.criterion]}."
+    lead = Text(f"Least is {_CRITERIA[plan.request.settings.criterion]}.", lead=True)
+    places, spread = FigureBlock(dwell_figure(plan)), FigureBlock(uncertainty_figure(plan))
     sections = [
-        Section("The test", "the-test", (Text(lead, lead=True), figures["plan-positions"], visit_table(plan))),
-        Section("What it will give", "what-it-gives", (uncertainty_table(plan), figures["plan-uncertainty"])),
-        Section("Time", "time", (*_cheapest_blocks(plan), figures["plan-duration"])),
-        Section("Lock zone", "lock-zone", (figures["plan-lock"], *_excluded_blocks(plan))),
+        Section("The test", "the-test", (lead, places, visit_table(plan))),
+        Section("What it will give", "what-it-gives", (uncertainty_table(plan), spread)),
+        Section("Time", "time", (*_cheapest_blocks(plan), FigureBlock(duration_figure(plan)))),
+        Section("Lock zone", "lock-zone", (FigureBlock(lock_figure(plan)), *_excluded_blocks(plan))),
     ]
     if mounting is not None:
-        sections.append(Section("Mounting", "mounting", (_mounting_notice(mounting), figures["plan-mounting"])))
+        blocks = (_mounting_notice(mounting), FigureBlock(mounting_figure(mounting)))
+        sections.append(Section("Mounting", "mounting", blocks))
     return Page(
         title=f"Planned test of {plan.request.table.instrument.serial}",
         subtitle=f"{len(plan.best.visits)} visits in {short(plan.best.duration)} s, moves of {short(plan.request.move)} s.",

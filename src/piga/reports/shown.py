@@ -22,7 +22,7 @@ MOST_ROWS = 40
 def html_of(result: Any) -> str:
     """The card of a result as HTML."""
     make = CARDS.get(type(result).__name__)
-    return card_html(make(result) if make else _plain_card(result))
+    return card_html(make(result) if make else _facts_card(result, drawn=False))
 
 
 def summary_of(result: Any) -> str:
@@ -68,8 +68,10 @@ def facts_of(rows: list[tuple[str, str]]) -> Table:
     return named_values("", "", rows[:MOST_ROWS])
 
 
-def _plain_card(result: Any) -> Card:
-    return Card(type(result).__name__, tables=(facts_of(result.in_brief()),))
+def _facts_card(result: Any, title: str = "", *, drawn: bool = True) -> Card:
+    """What a result says of itself in brief, and its figure."""
+    figure = figure_of(result) if drawn else None
+    return Card(title or type(result).__name__, tables=(facts_of(result.in_brief()),), figure=figure)
 
 
 def _calibration(cal: Any) -> Card:
@@ -114,20 +116,6 @@ def _budget(budget: Any) -> Card:
     return Card("Uncertainty budget", tables=(table,))
 
 
-def _run(run: Any) -> Card:
-    from piga.reports.check import record_figure
-
-    return Card(
-        f"Record of {run.serial or 'an instrument'}",
-        tables=(facts_of(run.in_brief()),),
-        figure=record_figure(run),
-    )
-
-
-def _compensated(result: Any) -> Card:
-    return Card("Compensated record", tables=(facts_of(result.in_brief()),), figure=figure_of(result))
-
-
 def _plan(plan: Any) -> Card:
     from piga.reports.planning import uncertainty_table, visit_table
 
@@ -140,35 +128,22 @@ def _trend(trend: Any) -> Card:
     return Card(f"Trend of {trend.serial}", tables=(summary_table(trend),), figure=figure_of(trend))
 
 
-def _identification(result: Any) -> Card:
-    figure = figure_of(result) if result.history else None
-    return Card(type(result).__name__, tables=(facts_of(result.in_brief()),), figure=figure)
-
-
-def _figure(figure: Figure) -> Card:
-    return Card(figure.title, figure=figure)
-
-
-def _drawn(result: Any) -> Card:
-    return Card(type(result).__name__, tables=(facts_of(result.in_brief()),), figure=figure_of(result))
-
-
 CARDS: dict[str, Callable[[Any], Card]] = {
     "Calibration": _calibration,
     "Coefficient": _coefficient,
     "BudgetTable": _budget,
-    "Run": _run,
-    "Compensated": _compensated,
-    "CompensatedSet": _compensated,
+    "Run": lambda run: _facts_card(run, f"Record of {run.serial or 'an instrument'}"),
+    "Compensated": lambda result: _facts_card(result, "Compensated record"),
+    "CompensatedSet": lambda result: _facts_card(result, "Compensated record"),
     "Plan": _plan,
     "Trend": _trend,
-    "Figure": _figure,
-    "SimulatedTest": _drawn,
-    "AllanDeviation": _drawn,
-    "PlatformRun": _drawn,
-    "Identification": _identification,
-    "ModelComparisonRun": _drawn,
-    "Capstone": _drawn,
+    "Figure": lambda figure: Card(figure.title, figure=figure),
+    "SimulatedTest": _facts_card,
+    "AllanDeviation": _facts_card,
+    "PlatformRun": _facts_card,
+    "Identification": lambda result: _facts_card(result, drawn=bool(result.history)),
+    "ModelComparisonRun": _facts_card,
+    "Capstone": _facts_card,
 }
 
 

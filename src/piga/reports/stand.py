@@ -16,7 +16,7 @@ from piga.instrument.twin.linear import analyse_loop, loop_poles, open_loop, ste
 from piga.instrument.twin.parameters import TwinParameters
 from piga.records.terms import shown_unit
 from piga.reports.render.decimate import thin
-from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Role, Series
 from piga.reports.render.numbers import count, pretty_unit, printed, short, significant
 from piga.reports.render.page import (
     Block,
@@ -35,7 +35,7 @@ from piga.stand.write_run import TrueValue, coefficients, imperfection_values, p
 from piga.units import ARCSEC, G0, MICRO_G
 
 _POINTS = 801
-_ROLES: tuple[Role, ...] = ("x", "y", "z", "data")
+_ROLES: tuple[Role, ...] = (*XYZ, "data")
 
 
 def locking_figure(
@@ -108,8 +108,6 @@ def _spread(limit: float, border: float) -> NDArray[np.float64]:
 
 Array = NDArray[np.float64]
 
-_NAMES: tuple[tuple[str, Role], ...] = (("X0", "x"), ("Y0", "y"), ("Z0", "z"))
-
 
 def simulation_figures(test: SimulatedTest) -> tuple[Figure, ...]:
     """All figures of a simulated test, in reading order."""
@@ -124,26 +122,28 @@ def simulation_figures(test: SimulatedTest) -> tuple[Figure, ...]:
     return tuple(figures)
 
 
-def _time(test: SimulatedTest) -> tuple[Array, str]:
+def _time(test: SimulatedTest) -> tuple[Array, Axis]:
+    """Time since the start, and its axis."""
     t = test.profile.t - test.profile.t[0]
-    return (t / 3600.0, "h") if t[-1] > 3 * 3600.0 else (t, "s")
+    scale, unit = (3600.0, "h") if t[-1] > 3 * 3600.0 else (1.0, "s")
+    return t / scale, Axis("time", unit)
 
 
 def _components(t: Array, values: Array) -> tuple[Series, ...]:
-    return tuple(Series(*thin(t, values[:, k]), name=name, role=role) for k, (name, role) in enumerate(_NAMES))
+    return tuple(Series(*thin(t, values[:, k]), f"{role.upper()}0", role=role) for k, role in enumerate(XYZ))
 
 
 def stand_figure(test: SimulatedTest) -> Figure:
     """Specific force and base rate of the reference."""
-    t, unit = _time(test)
+    t, time = _time(test)
     force = Panel(
-        Axis("time", unit),
+        time,
         Axis("specific force", "g"),
         _components(t, test.profile.reference / G0),
         "Specific force",
     )
     degrees = np.degrees(test.profile.reference_rate)
-    rate = Panel(Axis("time", unit), Axis("base rate", "deg/s"), _components(t, degrees), "Base rate")
+    rate = Panel(time, Axis("base rate", "deg/s"), _components(t, degrees), "Base rate")
     caption = (
         f"What the {test.stand.kind} does in base axes, as the lab's log states it; moves between segments "
         "are shown, but not recorded."
@@ -153,9 +153,9 @@ def stand_figure(test: SimulatedTest) -> Figure:
 
 def imperfection_figure(test: SimulatedTest) -> Figure:
     """Specific force that the instrument feels, less the reference."""
-    t, unit = _time(test)
+    t, time = _time(test)
     change = (test.profile.force - test.profile.reference) / MICRO_G
-    panel = Panel(Axis("time", unit), Axis("true less reference", "ug"), _components(t, change))
+    panel = Panel(time, Axis("true less reference", "ug"), _components(t, change))
     caption = "What the imperfections change: the instrument feels it, the log does not show it."
     return Figure("imperfections", "Imperfections of the stand", (panel,), caption)
 
@@ -168,7 +168,7 @@ def lock_zone_figure(test: SimulatedTest) -> Figure:
 
 def output_figure(test: SimulatedTest) -> Figure:
     """Output angle, and the indicated specific force less the true one."""
-    t, unit = _time(test)
+    t, time = _time(test)
     turns = Series(*thin(t, test.alpha / (2.0 * math.pi)), name="gimbal angle")
     p = test.profile
     error = test.rate / test.specimen.instrument.scale_factor - p.force[:, 0]
@@ -178,10 +178,8 @@ def output_figure(test: SimulatedTest) -> Figure:
         "output",
         "The output",
         (
-            Panel(Axis("time", unit), Axis("gimbal angle", "rev"), (turns,), "Gimbal angle"),
-            Panel(
-                Axis("time", unit), Axis("rate/K less a_x", "ug"), (indicated,), "Error of the uncoupled model"
-            ),
+            Panel(time, Axis("gimbal angle", "rev"), (turns,), "Gimbal angle"),
+            Panel(time, Axis("rate/K less a_x", "ug"), (indicated,), "Error of the uncoupled model"),
         ),
         "Revolutions of the outer gimbal, and what calibration has to explain: the rate over K less the true "
         "specific force along the input axis (recorded segments; base rate and all errors included).",
@@ -194,14 +192,12 @@ def servo_figure(test: SimulatedTest) -> Figure:
     motion = test.motion
     if motion is None:
         raise ValueError("the quasi-steady model has no servo")
-    t, unit = _time(test)
+    t, time = _time(test)
     tilt = (motion.beta - test.specimen.design.pick_off_null) / ARCSEC
     panels = [
+        Panel(time, Axis("tilt from null", "arcsec"), (Series(*thin(t, tilt), name="tilt"),), "Tilt"),
         Panel(
-            Axis("time", unit), Axis("tilt from null", "arcsec"), (Series(*thin(t, tilt), name="tilt"),), "Tilt"
-        ),
-        Panel(
-            Axis("time", unit),
+            time,
             Axis("motor torque", "mNm"),
             (Series(*thin(t, 1e3 * motion.torque), name="torque", role="model"),),
             "Torque motor",
@@ -231,10 +227,10 @@ def bode_figure(p: TwinParameters) -> Figure:
     cross = np.full(2, analysis.crossover / (2.0 * math.pi))
     gain = 20.0 * np.log10(np.abs(response))
     phase = np.degrees(np.unwrap(np.angle(response)))
-    limits = (float(hertz[0]), float(hertz[-1]))
+    across = Axis("frequency", "Hz", log=True, limits=(float(hertz[0]), float(hertz[-1])))
     panels = (
         Panel(
-            Axis("frequency", "Hz", log=True, limits=limits),
+            across,
             Axis("gain", "dB"),
             (
                 Series(hertz, gain, name="open loop"),
@@ -243,7 +239,7 @@ def bode_figure(p: TwinParameters) -> Figure:
             "Gain",
         ),
         Panel(
-            Axis("frequency", "Hz", log=True, limits=limits),
+            across,
             Axis("phase", "deg"),
             (
                 Series(hertz, phase, name="open loop"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,8 @@ import numpy as np
 
 from piga._version import __version__
 from piga.records.terms import meaning_of, shown_unit
-from piga.reports.render.figure import Axis, Figure, Panel, Series
-from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, short, signed
+from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.numbers import aligned, ascii_text, fixed, pretty_unit, printed, rounded, short, signed
 from piga.reports.render.page import (
     ALONE,
     Block,
@@ -93,17 +92,14 @@ def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None) ->
 
 
 def _values(trend: CoefficientTrend, start: dt.datetime, scale: TrendScale, ahead: float | None) -> Panel:
-    times = np.array([point.time for point in trend.points])
-    values = np.array([point.value for point in trend.points])
-    bars = np.array([point.own_half_width for point in trend.points]) * scale.factor
-    outside = np.array([point.outside for point in trend.points])
     series: list[Series] = []
     if trend.model.line is not None:
-        series += _line(trend, start, scale, max(float(times[-1]), ahead or 0.0))
-    names = tuple(point.record for point in trend.points)
-    series.append(_points(start, scale, times, values, bars, ~outside, names, alarm=False))
-    if outside.any():
-        series.append(_points(start, scale, times, values, bars, outside, names, alarm=True))
+        series += _line(trend, start, scale, max(float(trend.points[-1].time), ahead or 0.0))
+    outside = [point for point in trend.points if point.outside]
+    inside = [point for point in trend.points if not point.outside]
+    series.append(_points(inside, start, scale, "records", "data"))
+    if outside:
+        series.append(_points(outside, start, scale, "out of control", "warning"))
     if ahead is not None and trend.model.line is not None:
         forecast = trend.model.coefficient_at(ahead)
         series.append(
@@ -119,25 +115,15 @@ def _values(trend: CoefficientTrend, start: dt.datetime, scale: TrendScale, ahea
     return Panel(DATE, Axis(scale.quantity, scale.unit), tuple(series), title=trend.key)
 
 
-def _points(
-    start: dt.datetime,
-    scale: TrendScale,
-    times: np.ndarray,
-    values: np.ndarray,
-    bars: np.ndarray,
-    chosen: np.ndarray,
-    names: tuple[str, ...],
-    *,
-    alarm: bool,
-) -> Series:
+def _points(points: list[Point], start: dt.datetime, scale: TrendScale, name: str, role: Role) -> Series:
     return Series(
-        _dates(start, times[chosen]),
-        scale.shown(values[chosen]),
-        "out of control" if alarm else "records",
+        _dates(start, np.array([point.time for point in points])),
+        scale.shown(np.array([point.value for point in points])),
+        name,
         mark="points",
-        role="warning" if alarm else "data",
-        error=bars[chosen],
-        text=tuple(name for name, one in zip(names, chosen, strict=True) if one),
+        role=role,
+        error=np.array([point.own_half_width for point in points]) * scale.factor,
+        text=tuple(point.record for point in points),
     )
 
 
@@ -207,7 +193,7 @@ def _tiles(drifts: Trend, span: float) -> tuple[Tile, ...]:
     days = len({point.day for point in drifts.coefficients[0].points}) if drifts.coefficients else 0
     drifting = [t.key for t in drifts.coefficients if t.drift and abs(t.drift.value) > t.drift.half_width()]
     count = len(drifts.alarms)
-    period = f"{fixed(span, 1)}" if span >= 1.0 else f"{span * 365.25:.0f}"
+    period = fixed(span, 1) if span >= 1.0 else f"{span * 365.25:.0f}"
     return (
         Tile("Records", str(len(drifts.records)), "", f"on {days} days"),
         Tile("Span", period, "years" if span >= 1.0 else "days"),
@@ -320,28 +306,16 @@ def trend_text(drifts: Trend, *, at: dt.datetime | None = None) -> str:
     table = summary_table(drifts, at)
     lines = [[column.heading for column in table.columns]]
     lines += [[_ascii(cell.text) for cell in row] for row in table.cells]
-    width = [max(len(line[column]) for line in lines) for column in range(len(table.columns))]
     head = f"Trend of {drifts.serial}: {len(drifts.records)} records, {drifts.times[0]:%Y-%m-%d} to {drifts.times[-1]:%Y-%m-%d}"
-    body = [
-        "  "
-        + "  ".join(
-            text.ljust(w) if i < 2 else text.rjust(w)
-            for i, (text, w) in enumerate(zip(line, width, strict=True))
-        )
-        for line in lines
-    ]
     alarms = [f"alarm: {alarm}" for alarm in drifts.alarms] or ["no alarm"]
     remarks = [_ascii(f"note: {remark}") for remark in drifts.remarks]
-    return "\n".join([head, "", *(line.rstrip() for line in body), "", *alarms, *remarks])
-
-
-_ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−–µ×", "-0123456789--ux")
+    return "\n".join(
+        [head, "", *(f"  {line}".rstrip() for line in aligned(lines, left={0, 1})), "", *alarms, *remarks]
+    )
 
 
 def _ascii(text: str) -> str:
-    """A line of a table for any terminal."""
-    plain = re.sub(r"\s×\s10", "e", text).replace("±", "+-").replace("²", "^2").replace("³", "^3")
-    return re.sub(r"[\u00a0\u202f]", "", plain).translate(_ASCII)
+    return ascii_text(text.replace("±", "+-"))
 
 
 def trend_document(drifts: Trend, *, at: dt.datetime | None = None) -> dict[str, Any]:

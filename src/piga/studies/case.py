@@ -109,25 +109,28 @@ INSTRUMENT: Final = Instrument(SCALE, "1000 arcsec", 0.25 * math.pi)
 """K, beta and alpha0 of all published runs except the five-coefficient one [Wei2020], [Wei2024]."""
 TRANSVERSE: Final = 5.0
 """a_Y of the examples [g]. In the time-varying run a_Y = 5 a_x."""
+RATIO: Final = TRANSVERSE * INSTRUMENT.tan_beta
+"""r of the time-varying run, and a_x of the critical example [g]."""
 RAMP_TOP: Final = 2.06
 """a_x at the end of the time-varying run [g]: a_Y reaches about 10 g, the error about 0.05 g."""
 
 
-def in_g(a_x: float, a_Y: float, a_Z: float) -> tuple[float, float, float]:
-    """Specific force in m/s^2 from components in g."""
-    return a_x * G0, a_Y * G0, a_Z * G0
+def example_force(a_x: float) -> tuple[float, float, float]:
+    """Specific force of an example [m/s^2]: ``a_x`` [g] and the transverse force of all of them."""
+    return a_x * G0, TRANSVERSE * G0, 0.0
 
 
 ForceHistory = Literal["ramp", "constant"]
 
 
 @cache
-def record(profile: ForceHistory, duration: float = 100.0, rate: float = 100.0) -> Run:
-    """The time-varying run as a record of output rates over ``duration`` [s] at ``rate`` [Hz], a_Y = 5 a_x [Wei2024].
+def record(profile: ForceHistory) -> Run:
+    """The time-varying run as a record of output rates over 100 s at 100 Hz, a_Y = 5 a_x [Wei2024].
 
     ``ramp``: a_x from 0 to 2.06 g. The publication does not print its profile; a straight line replaces
     it. ``constant``: a_x = 2.06 g throughout.
     """
+    duration = rate = 100.0
     t = np.arange(round(duration * rate) + 1) / rate
     a_x = RAMP_TOP * G0 * (t / duration if profile == "ramp" else np.ones_like(t))
     f = np.outer(a_x, [1.0, TRANSVERSE, 0.0])
@@ -136,9 +139,9 @@ def record(profile: ForceHistory, duration: float = 100.0, rate: float = 100.0) 
 
 
 @cache
-def published_calibration(profile: ForceHistory, duration: float = 100.0) -> Calibration:
+def published_calibration(profile: ForceHistory) -> Calibration:
     """[tan_beta, phi] of a record by the published recursion, x0 = [4.5e-3, 0.4], P0 = 1e10 I."""
-    return calibrate(record(profile, duration), terms=["tan_beta"], method="published")
+    return calibrate(record(profile), terms=["tan_beta"], method="published")
 
 
 @cache
@@ -158,10 +161,15 @@ def raw_error(run: Run) -> Array:
     return np.asarray((run.output / run.scale_factor - run.f[:, 0]) / G0)
 
 
+def velocity(run: Run) -> Array:
+    """Integral of a_x [m/s]."""
+    steps = 0.5 * (run.f[1:, 0] + run.f[:-1, 0]) * np.diff(run.t)
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
 def model_phase(run: Run) -> Array:
     """Phase of the published model minus phi: the integral of K a_x [rad]."""
-    steps = 0.5 * (run.f[1:, 0] + run.f[:-1, 0]) * np.diff(run.t)
-    return np.asarray(run.scale_factor * np.concatenate(([0.0], np.cumsum(steps))))
+    return np.asarray(run.scale_factor * velocity(run))
 
 
 def model_residual(run: Run, calibration: Calibration) -> Array:
@@ -175,7 +183,8 @@ def compensated_error(run: Run, calibration: Calibration, method: str) -> Array:
     return np.asarray((compensate(run, calibration, method=method, uncertainty=False).ax - run.f[:, 0]) / G0)
 
 
-def closed_form_phase(r: float, alpha0: float) -> tuple[float, float]:
-    """``C`` and ``phi = asin(r)`` of the running regime [rad] [Wei2024, eq. 5-11, 19-21]."""
-    root = math.sqrt((1.0 - r) * (1.0 + r))
-    return 2.0 / root * math.atan((math.tan(0.5 * alpha0) + r) / root), math.asin(r)
+def closed_form_phase() -> tuple[float, float]:
+    """``C`` and ``phi = asin(r)`` of the time-varying run [rad] [Wei2024, eq. 5-11, 19-21]."""
+    root = math.sqrt((1.0 - RATIO) * (1.0 + RATIO))
+    start = math.tan(0.5 * INSTRUMENT.alpha0)
+    return 2.0 / root * math.atan((start + RATIO) / root), math.asin(RATIO)

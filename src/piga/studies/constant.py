@@ -20,9 +20,9 @@ from piga.instrument import (
     revolution_period,
 )
 from piga.instrument.motion.closed_form import Case as FormNumber
-from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Series
 from piga.results import Result
-from piga.studies.case import INSTRUMENT, TRANSVERSE, Case, Chapter, in_g
+from piga.studies.case import INSTRUMENT, RATIO, Case, Chapter, example_force
 from piga.units import G0
 
 Array = NDArray[np.float64]
@@ -32,7 +32,6 @@ _STEP = 0.05
 _LATE = 1e4
 _DOTS = 40
 _FLOOR = 1e-16
-_ROLES: tuple[Role, ...] = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -48,12 +47,12 @@ class Example:
     @property
     def force(self) -> tuple[float, float, float]:
         """Specific force [m/s^2]."""
-        return in_g(self.a_x, TRANSVERSE, 0.0)
+        return example_force(self.a_x)
 
 
 EXAMPLES = (
     Example(1, "zero input", 0.0, 0.0, 0.0),
-    Example(2, "critical", TRANSVERSE * INSTRUMENT.tan_beta, 1.23, 0.01),
+    Example(2, "critical", RATIO, 1.23, 0.01),
     Example(3, "locked", 0.01, 0.509, 0.001),
     Example(4, "running", 1.0, 50.9, 0.1),
 )
@@ -236,13 +235,9 @@ def period() -> Chapter:
         "The textbook period of a revolution, T = 2 pi / (K sqrt(a_x^2 - a_t^2 tan^2(beta))), holds only where the "
         "gimbal revolves. Revolutions per second, 1/T, are compared where T is infinite."
     )
-    cases = (*_frequency_cases(), *_rest_cases())
+    cases = (_running_period(), *_infinite_periods(), _imaginary_period(), *_rest_cases())
     source = "[Wei2020] period"
     return Chapter("period", "The textbook period, and where it fails", source, text, cases, (_rest_figure(),))
-
-
-def _frequency_cases() -> list[Case]:
-    return [_running_period(), *_infinite_periods(), _imaginary_period()]
 
 
 def _running_period() -> Case:
@@ -302,13 +297,11 @@ def _rest_cases() -> list[Case]:
         rest = float(fixed_points(INSTRUMENT, *example.force)[0])
         rest += 2.0 * math.pi * (rest < 0.0)
         end = float(closed_form(INSTRUMENT, _LATE, *example.force)[0])
-        tolerance = 5e-3 if example.number == 2 else 1e-9
-        note = (
-            "the critical approach is algebraic: 2/(K a_x t) = 0.009 rad is left after 10 000 s; half of it each way"
-            if example.number == 2
-            else "approached exponentially: nothing but rounding is left after 10 000 s"
-        )
-        left = 2.0 / (INSTRUMENT.scale_factor * example.force[0] * _LATE) if example.number == 2 else 0.0
+        left, tolerance = 0.0, 1e-9
+        note = "approached exponentially: nothing but rounding is left after 10 000 s"
+        if example.number == 2:
+            left, tolerance = 2.0 / (INSTRUMENT.scale_factor * example.force[0] * _LATE), 5e-3
+            note = "the critical approach is algebraic: 2/(K a_x t) = 0.009 rad is left after 10 000 s; half of it each way"
         cases.append(
             Case(
                 f"period.rest-{example.number}",
@@ -317,7 +310,7 @@ def _rest_cases() -> list[Case]:
                 "rad",
                 rest,
                 end + left,
-                tolerance if example.number == 2 else 1e-9,
+                tolerance,
                 note,
             )
         )
@@ -341,7 +334,7 @@ def _rest_cases() -> list[Case]:
 def _rest_figure() -> Figure:
     t = np.linspace(0.0, 600.0, 1201)
     curves, rests = [], []
-    for example, role in zip(EXAMPLES[:3], _ROLES, strict=True):
+    for example, role in zip(EXAMPLES[:3], XYZ, strict=True):
         alpha = np.degrees(closed_form(INSTRUMENT, t, *example.force)[0])
         curves.append(Series(t, alpha, f"{example.number} {example.regime}", role=role))
         rest = math.degrees(float(fixed_points(INSTRUMENT, *example.force)[0])) % 360.0

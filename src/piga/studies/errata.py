@@ -15,7 +15,7 @@ from piga.studies.case import (
     Case,
     Chapter,
     closed_form_phase,
-    in_g,
+    example_force,
     model_residual,
     published_calibration,
     raw_state,
@@ -78,7 +78,7 @@ def _entries(value: dict[str, float]) -> list[str]:
 def _negative(case: int, *, as_published: bool) -> tuple[np.ndarray, np.ndarray]:
     """Rates [rad/s] at ``_T`` for the example's a_x turned negative: form and exact motion."""
     example = EXAMPLES[case - 1]
-    force = in_g(-example.a_x, TRANSVERSE, 0.0)
+    force = example_force(-example.a_x)
     _, rate = published_closed_form(example.number, INSTRUMENT, _T, *force, as_published=as_published)
     return rate, closed_form(INSTRUMENT, _T, *force)[1]
 
@@ -145,7 +145,7 @@ def _phase_cases() -> list[Case]:
     _, walk, predicted = phase_walk()
     log, calibration = record("ramp"), published_calibration("ramp")
     left = float(np.abs(model_residual(log, calibration)).max())
-    constant, lead = closed_form_phase(TRANSVERSE * INSTRUMENT.tan_beta, INSTRUMENT.alpha0)
+    constant, lead = closed_form_phase()
     bound = TRANSVERSE * RAMP_TOP * INSTRUMENT.tan_beta * float(np.abs(model_phase_error()).max())
     source = "[Wei2024] eq. 12-18, own prediction"
     return [
@@ -166,12 +166,12 @@ def _phase_cases() -> list[Case]:
 def model_phase_error() -> np.ndarray:
     """Phase of the published model, with its estimated phi, minus the true angle [rad]."""
     _, walk, _ = phase_walk()
-    constant, lead = closed_form_phase(TRANSVERSE * INSTRUMENT.tan_beta, INSTRUMENT.alpha0)
+    constant, lead = closed_form_phase()
     return walk - (constant - lead) + raw_state(published_calibration("ramp"))[1]
 
 
 def _degree_cases() -> list[Case]:
-    constant, lead = closed_form_phase(TRANSVERSE * INSTRUMENT.tan_beta, INSTRUMENT.alpha0)
+    constant, lead = closed_form_phase()
     source = "[Wei2024] eq. 12-21"
     return [
         Case("errata.degrees", source, "the phase printed as '0.802 degrees', in degrees", "deg", None,
@@ -233,13 +233,10 @@ def _sign_figure() -> Figure:
 
 def _square_figure() -> Figure:
     with_square, without, exact = _critical_rates()
-    early = _T <= 60.0
     series = (
-        Series(_T[early], np.degrees(exact[early]), "exact motion", role="after"),
-        Series(
-            _T[early][::30], np.degrees(with_square[early][::30]), "form 2 with the square", "points", "model"
-        ),
-        Series(_T[early], np.degrees(without[early]), "form 2 without the square", role="before", dashed=True),
+        Series(_T, np.degrees(exact), "exact motion", role="after"),
+        Series(_T[::30], np.degrees(with_square[::30]), "form 2 with the square", "points", "model"),
+        Series(_T, np.degrees(without), "form 2 without the square", role="before", dashed=True),
     )
     return Figure(
         "errata-square",

@@ -14,7 +14,7 @@ from piga.instrument import ErrorModel, Instrument, propagate
 from piga.records import Calibration, Run
 from piga.records.run_file import EstimationTable
 from piga.reports.render.figure import Axis, Figure, Panel, Series
-from piga.studies.case import SCALE, Case, Chapter
+from piga.studies.case import SCALE, Case, Chapter, model_phase, velocity
 from piga.units import G0
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def model_record() -> Run:
     f = profile(t)
     K = _INSTRUMENT.scale_factor
     a_x, a_Y = f[:, 0] / G0, f[:, 1] / G0
-    phase = K * np.concatenate(([0.0], np.cumsum(0.5 * (f[1:, 0] + f[:-1, 0]) * np.diff(t)))) + TRUTH["phi"]
+    phase = model_phase(real_record()) + TRUTH["phi"]
     error = TRUTH["tan_beta"] * a_Y * np.sin(phase) + TRUTH["k0"] + TRUTH["k1"] * a_x + TRUTH["k2"] * a_x**2
     return Run.from_arrays(t, K * G0 * (a_x + error), f, scale_factor=SCALE, kind="rate", serial="five")
 
@@ -177,13 +177,10 @@ def _success_cases() -> list[Case]:
     ]
 
 
-def _indicated_error(run: Run, every: int = 10) -> tuple[Array, Array, Array]:
-    """Time [s], indicated minus true a_x [g] over ``every`` samples, and mean output angle [rad]."""
-    t, psi = run.t[::every], run.output[::every]
-    velocity = np.concatenate(([0.0], np.cumsum(0.5 * (run.f[1:, 0] + run.f[:-1, 0]) * np.diff(run.t))))[
-        ::every
-    ]
-    error = (np.diff(psi) / run.scale_factor - np.diff(velocity)) / np.diff(t) / G0
+def _indicated_error(run: Run) -> tuple[Array, Array, Array]:
+    """Time [s], indicated minus true a_x [g] over ten samples, and mean output angle [rad]."""
+    t, psi, v = run.t[::10], run.output[::10], velocity(run)[::10]
+    error = (np.diff(psi) / run.scale_factor - np.diff(v)) / np.diff(t) / G0
     return 0.5 * (t[1:] + t[:-1]), error, 0.5 * (psi[1:] + psi[:-1])
 
 

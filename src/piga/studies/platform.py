@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
 from piga.platform.analysis import channels, line_amplitudes
 from piga.platform.chain import ModelComparisonRun, compare
-from piga.platform.geometry import nulled_attitude, small_angles
+from piga.platform.geometry import nulled_attitude
 from piga.platform.scenario import Compensation, Gyro, Harmonic, Model, Place, PlatformScenario, Rotation
 from piga.platform.simulate import simulate
 from piga.reports.platform.figures import lines_figure, published_figure
@@ -31,16 +31,13 @@ _HOUR_RATE = math.radians(1.0) / 3600.0
 _CASE = np.arange(256) * (2.0 * np.pi / 256)
 
 
-def pole_amplitude(misalignment: float, eta: float, *, exact: bool = True) -> float:
+def pole_amplitude(misalignment: float, eta: float) -> float:
     """First-harmonic amplitude [rad] of the platform's rotation about the polar axis over a case turn, for m2 = 0.
 
-    From the exact geometry of both nulled pick-offs, or from the publication's small-angle matrices.
+    From the exact geometry of both nulled pick-offs.
     """
-    if not exact:
-        turn = small_angles(Gyro(misalignment), Gyro(), _CASE, _CASE, eta)[0][:, 2]
-    else:
-        attitude, _ = nulled_attitude(Gyro(misalignment), Gyro(), _CASE, _CASE, eta)
-        turn = matrix_to_rotation_vector(np.swapaxes(attitude, 1, 2))[:, 2]
+    attitude, _ = nulled_attitude(Gyro(misalignment), Gyro(), _CASE, _CASE, eta)
+    turn = matrix_to_rotation_vector(np.swapaxes(attitude, 1, 2))[:, 2]
     return float(2.0 * np.abs(np.mean(turn * np.exp(-1j * _CASE))))
 
 

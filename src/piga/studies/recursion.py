@@ -14,7 +14,7 @@ from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.studies.case import (
     INSTRUMENT,
     RAMP_TOP,
-    TRANSVERSE,
+    RATIO,
     Case,
     Chapter,
     ForceHistory,
@@ -33,7 +33,6 @@ Array = NDArray[np.float64]
 
 PUBLISHED_TAN_BETA, PUBLISHED_PHASE = 4.848e-3, 0.802
 _LATE = 20.0
-_RATIO = TRANSVERSE * INSTRUMENT.tan_beta
 
 
 def recursion() -> Chapter:
@@ -50,10 +49,10 @@ def recursion() -> Chapter:
 
 def _published_cases() -> list[Case]:
     tan_beta, phi = raw_state(published_calibration("ramp"))
-    walk = model_phase(record("ramp"))[-1] * 0.5 * _RATIO**2
-    constant, lead = closed_form_phase(_RATIO, INSTRUMENT.alpha0)
+    walk = model_phase(record("ramp"))[-1] * 0.5 * RATIO**2
+    constant, lead = closed_form_phase()
     source = "[Wei2024] eq. 12-18"
-    second_order = 0.5 * _RATIO**2 * INSTRUMENT.tan_beta
+    second_order = 0.5 * RATIO**2 * INSTRUMENT.tan_beta
     return [
         Case(
             "recursion.tan_beta",
@@ -223,15 +222,15 @@ def compensation() -> Chapter:
         "exact one, a_x = alpha'/K - tan(beta) (a_Y sin(alpha) - a_Z cos(alpha)), which takes the measured angle."
     )
     source = "[Wei2024] eq. 19-21"
-    largest = {
-        k: float(np.abs(v).max()) for k, v in (("b", before), ("m", model), ("f", formula), ("e", exact))
-    }
-    cases = _compensation_cases(source, largest)
+    largest = [float(np.abs(error).max()) for error in (before, model, formula, exact)]
+    cases = _compensation_cases(source, *largest)
     figure = _compensation_figure(before, model, formula, exact)
     return Chapter("compensation", "Compensation", source, text, cases, (figure,))
 
 
-def _compensation_cases(source: str, largest: dict[str, float]) -> tuple[Case, ...]:
+def _compensation_cases(
+    source: str, before: float, model: float, formula: float, own: float
+) -> tuple[Case, ...]:
     limit = "printed as 'under 0.002 g': an upper limit, anything from zero up to it agrees"
     curve = "read from the published curve as about 0.0015 g, which is below 0.002 g: reading accuracy 0.0005 g"
     rounding = (
@@ -240,7 +239,6 @@ def _compensation_cases(source: str, largest: dict[str, float]) -> tuple[Case, .
     predicted = "largest error after, phase predicted from the input"
     measured = "largest error after, phase from the output, phi = 0.802 rad as printed"
     exact = "largest error after, measured angle and linear estimator"
-    before, model, formula, own = (largest[k] for k in "bmfe")
     digit = "printed to one digit: half of the next"
     ours = source + ", our exact form"
     return (
@@ -287,8 +285,8 @@ def phase_walk() -> tuple[Array, Array, Array]:
     log = record("ramp")
     alpha = propagate(INSTRUMENT, log.t, log.f)
     predicted = model_phase(log)
-    constant, lead = closed_form_phase(_RATIO, INSTRUMENT.alpha0)
-    return log.t, predicted + constant - lead - alpha, 0.5 * _RATIO**2 * predicted
+    constant, lead = closed_form_phase()
+    return log.t, predicted + constant - lead - alpha, 0.5 * RATIO**2 * predicted
 
 
 def misread_phase_error() -> float:

@@ -9,7 +9,7 @@ from piga._version import __version__
 from piga.errors import ArgumentError
 from piga.progress import Progress, Steps
 from piga.reports.render.figure import Figure
-from piga.reports.render.numbers import pretty_unit, printed, significant
+from piga.reports.render.numbers import aligned, pretty_unit, printed, significant
 from piga.reports.render.page import (
     Block,
     Cell,
@@ -107,7 +107,7 @@ def reproduce(only: str | None = None, *, progress: Progress | None = None) -> R
     chapters: list[Chapter] = []
     for name in names:
         steps(name)
-        chapters += run_chapters([name])
+        chapters.append(CHAPTERS[name]())
     steps.finish()
     return Reproduction(tuple(chapters))
 
@@ -207,7 +207,7 @@ def _sources() -> Section:
 
 def text_lines(reproduction: Reproduction) -> list[tuple[Verdict | None, str]]:
     """Lines of the terminal table, each with its verdict (None: a heading)."""
-    heads = ("case", "published", "computed", "difference", "tolerance", "unit", "verdict")
+    heads = ("case", "published", "computed", "difference", "tolerance", "unit")
     rows = [
         (
             case.id,
@@ -216,24 +216,15 @@ def text_lines(reproduction: Reproduction) -> list[tuple[Verdict | None, str]]:
             difference(case),
             number(case.tolerance, 2),
             case.unit,
-            case.verdict,
         )
         for case in reproduction.cases
     ]
-    widths = [max(len(row[k]) for row in (heads, *rows)) for k in range(len(heads))]
-
-    def line(row: tuple[str, ...]) -> str:
-        cells = [
-            c.rjust(w) if 1 <= k <= 4 else c.ljust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))
-        ]
-        return "  ".join(cells[:-1])
-
-    lines: list[tuple[Verdict | None, str]] = [(None, f"{line(heads)}  verdict")]
+    head, *shown = aligned((heads, *rows), left={0, 5})
+    rest = iter(shown)
+    lines: list[tuple[Verdict | None, str]] = [(None, f"{head}  verdict")]
     for chapter in reproduction.chapters:
-        lines.append((None, ""))
-        lines.append((None, f"{chapter.title}  {chapter.source}"))
-        part = [row for row in rows if row[0].startswith(f"{chapter.id}.")]
-        lines += [(case.verdict, line(row)) for case, row in zip(chapter.cases, part, strict=True)]
+        lines += [(None, ""), (None, f"{chapter.title}  {chapter.source}")]
+        lines += [(case.verdict, next(rest)) for case in chapter.cases]
     return lines
 
 

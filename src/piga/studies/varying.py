@@ -18,10 +18,11 @@ from piga.instrument import (
     published_closed_form,
 )
 from piga.instrument.motion.closed_form import Case as FormNumber
-from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Series
 from piga.studies.case import (
     INSTRUMENT,
     RAMP_TOP,
+    RATIO,
     SCALE,
     TRANSVERSE,
     Case,
@@ -50,14 +51,12 @@ class ForceForm:
     force: tuple[float, float, float]
 
 
-def _forms() -> tuple[ForceForm, ...]:
-    critical = TRANSVERSE * INSTRUMENT.tan_beta
-    return (
-        ForceForm(1, "a_x = 0, a_Y and a_Z vary", (0.0, 3.0, 4.0)),
-        ForceForm(2, "a_x = a_t tan(beta)", (critical, TRANSVERSE, 0.0)),
-        ForceForm(3, "a_x = 0.4 a_t tan(beta)", (0.4 * critical, TRANSVERSE, 0.0)),
-        ForceForm(4, "a_x = 0.2 a_t", (0.2 * TRANSVERSE, TRANSVERSE, 0.0)),
-    )
+FORMS = (
+    ForceForm(1, "a_x = 0, a_Y and a_Z vary", (0.0, 3.0, 4.0)),
+    ForceForm(2, "a_x = a_t tan(beta)", (RATIO, TRANSVERSE, 0.0)),
+    ForceForm(3, "a_x = 0.4 a_t tan(beta)", (0.4 * RATIO, TRANSVERSE, 0.0)),
+    ForceForm(4, "a_x = 0.2 a_t", (0.2 * TRANSVERSE, TRANSVERSE, 0.0)),
+)
 
 
 def swing(t: Array) -> Array:
@@ -88,7 +87,7 @@ def solved(form: ForceForm) -> tuple[Array, Array, Array]:
 def forms() -> Chapter:
     """The four closed forms hold for time-varying input with a constant ratio of its components."""
     cases, panels = [], []
-    for form in _forms():
+    for form in FORMS:
         t, published, exact = solved(form)
         at = int(np.argmax(np.abs(published - exact)))
         note = (
@@ -136,7 +135,6 @@ def run() -> Chapter:
     log = record("ramp")
     error = raw_error(log)
     worst = float(np.abs(error).max())
-    bound = TRANSVERSE * INSTRUMENT.tan_beta
     late = log.f[:, 0] > 0.5 * RAMP_TOP * G0
     slope = float(np.abs(error[late] / (log.f[late, 0] / G0)).max())
     cases = (
@@ -155,9 +153,9 @@ def run() -> Chapter:
             "[Wei2024] eq. 2-4",
             "error over a_x, largest in the upper half of the range",
             "1",
-            bound,
+            RATIO,
             slope,
-            0.02 * bound,
+            0.02 * RATIO,
             "the envelope is 5 tan(beta); within a revolution of the top it is met to 2 %",
         ),
     )
@@ -184,7 +182,7 @@ def _run_figure(error: Array) -> Figure:
     log = record("ramp")
     drawn = slice(None, None, _EVERY)
     a_x, error = log.f[drawn, 0] / G0, error[drawn]
-    envelope = TRANSVERSE * INSTRUMENT.tan_beta * a_x
+    envelope = RATIO * a_x
     indicated = a_x + error
     revolutions = model_phase(log)[drawn] / (2.0 * np.pi)
     close = a_x > RAMP_TOP - 0.25
@@ -285,8 +283,7 @@ def _revolving_skew(load: float) -> float:
 
 def _mounting_figure(load: float) -> Figure:
     rates, missing = [], []
-    roles: tuple[Role, ...] = ("x", "y", "z")
-    for seconds, role in zip((100.0, 1000.0, 5000.0), roles, strict=True):
+    for seconds, role in zip((100.0, 1000.0, 5000.0), XYZ, strict=True):
         inst = Instrument(SCALE, seconds * ARCSEC)
         a_x, a_t = load * np.sin(_SKEWS), load * np.cos(_SKEWS)
         share = mean_rate(inst, a_x, a_t, 0.0) / (inst.scale_factor * a_x)

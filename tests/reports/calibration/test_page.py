@@ -5,19 +5,18 @@ import re
 import numpy as np
 import pytest
 
-from piga.records.calibration import Amount, Outlier, Residuals, RunRecord, SegmentLeverage
+from piga.records.calibration import Amount, ColouredNoise, Outlier, Residuals, RunRecord, SegmentLeverage
 from piga.records.run_file import UncertaintyTable
 from piga.records.terms import shown_unit
 from piga.reports.calibration.budget import SOURCES, budget_tables, source_in_words
 from piga.reports.calibration.figures import (
+    calibration_figures,
     convergence_figure,
     elapsed_time,
     residual_angles,
     residual_figure,
-    scale_factor,
 )
 from piga.reports.calibration.page import (
-    calibration_figures,
     calibration_page,
     calibration_text,
     write_calibration_report,
@@ -28,6 +27,7 @@ from piga.reports.calibration.tables import (
     leverage_tables,
     residual_quantity,
     scalars,
+    scale_factor,
 )
 from piga.reports.render.interactive import figure_spec
 from piga.reports.render.page import Notice, Table, page_html
@@ -257,6 +257,15 @@ def test_terminal_summary_is_aligned_ascii(cal):
     assert all(line[column - 1] == " " and line[column] != " " for line in lines[start : start + 7])
 
 
+def test_noise_of_the_rate_is_ascii_on_the_terminal(cal):
+    noise = ColouredNoise("markov", 2e-7, 30.0, 12.0)
+    text = calibration_text(
+        dataclasses.replace(cal, bias_drift=3e-8, segment_scatter=2e-7, coloured_noise=noise)
+    )
+    assert text.isascii()
+    assert "ug/sqrt(s) (3.00e-8 rad/s/sqrt(s))" in text
+
+
 def test_convergence_figure_shows_every_coefficient_with_its_band():
     cal = calibration()
     samples = np.geomspace(100.0, 28_000.0, 50)
@@ -286,12 +295,12 @@ def test_a_log_of_rates_is_reported_as_rates():
     assert residual_quantity(rates) == ("residual rate", "arcsec/s")
     assert "arcsec/s" in page_html(calibration_page(rates))
     assert "arcsec/s (before" in calibration_text(rates)
-    angles = residual_angles(rates)
+    angles = residual_angles(rates.residuals, "rate")
     first = slice(0, 50)
     step = np.diff(rates.residuals.t[first])
     wanted = np.cumsum(step * 0.5 * (rates.residuals.after[first][1:] + rates.residuals.after[first][:-1]))
     np.testing.assert_allclose(angles.after[1:50] - angles.after[0], wanted, rtol=1e-9, atol=1e-12)
-    assert residual_angles(cal) is cal.residuals
+    assert residual_angles(cal.residuals, cal.diagnostics.residual_kind) is cal.residuals
 
 
 def test_joint_and_contaminated_runs_have_their_sections(cal):

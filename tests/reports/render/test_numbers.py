@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from piga.records.terms import shown_unit
 from piga.reports.render.numbers import (
+    ascii_text,
     count,
     fixed,
     pretty_unit,
@@ -112,6 +113,12 @@ def test_units_belong_to_the_coefficient_and_are_printed():
     assert [pretty_unit(u) for u in ("ug/g^2", "1", "urad", "rad/sqrt(s)", "rad/s/g")] == [
         "µg/g²", "", "µrad", "rad/√s", "rad/s/g",
     ]  # fmt: skip
+
+
+def test_a_power_of_ten_is_ascii_whatever_its_digits():
+    assert ascii_text("(2.0 ± 0.3)\u00a0×\u00a010⁻¹²") == "(2.0 +/- 0.3)e-12"
+    assert ascii_text("2.40\u00a0×\u00a010³ µg/g³, 12\u202f000") == "2.40e3 ug/g^3, 12000"
+    assert ascii_text("–") == "-"
 
 
 def test_numbers_are_plain_below_a_million():

@@ -6,7 +6,7 @@ import pytest
 
 from piga.records.calibration import Residuals
 from piga.reports.render import orders
-from piga.reports.render.orders import order_spectrum, ripple
+from piga.reports.render.orders import Ripple, order_spectrum, spectrum_and_ripple
 from piga.units import ARCSEC, G0
 from tests.reports.example import TAN_BETA, K, residuals, ripple_integral
 
@@ -23,6 +23,10 @@ def ramp(order_2, seed=3, rows=30_000):
     after = K * order_2 * ripple_integral(psi, t, 2, 1.1) + 3e-8 * t
     columns = (np.arange(1, rows + 1), t, psi, a_x, 3.0 * after, after, after * 0.0)
     return Residuals(*(column[keep] for column in columns), np.zeros(int(keep.sum()), dtype=np.int32))
+
+
+def ripple(result: Residuals) -> Ripple:
+    return spectrum_and_ripple(result, K, (0.0, 0.0))[1]
 
 
 def at(spectrum, order):
@@ -97,7 +101,7 @@ def test_segments_that_hardly_turn_are_left_out():
     still = dataclasses.replace(result, psi=result.psi * 1e-3)
     assert order_spectrum(still, K).segments == 0
     assert np.isnan(order_spectrum(still, K).after).all()
-    assert ripple(still, K).segments == 0
+    assert ripple(still).segments == 0
 
 
 def test_standing_samples_of_a_coarse_encoder_keep_their_time():
@@ -113,7 +117,7 @@ def test_standing_samples_of_a_coarse_encoder_keep_their_time():
 
 
 def test_ripple_shows_the_cross_coupling_and_its_removal(cal):
-    turned = ripple(cal.residuals, K)
+    turned = ripple(cal.residuals)
     mean = math.fsum(turned.before) / turned.before.size
     first = 2.0 * np.mean((turned.before - mean) * np.exp(1j * turned.psi))
     # 22 of the 24 positions turn; their mean transverse force is the mean of |sin| over them.
@@ -130,7 +134,7 @@ def test_a_ripple_has_no_more_bins_than_samples_in_a_turn(stride, bins):
     zero, rows = np.zeros(psi.size), np.arange(1, psi.size + 1)
     whole = dataclasses.replace(residuals(), row=rows, t=t, psi=psi, a_x=zero + G0, before=1e-6 * np.sin(psi))
     result = ripple(
-        dataclasses.replace(whole, after=zero, innovation=zero, segment=np.zeros(psi.size, dtype=np.int32)), K
+        dataclasses.replace(whole, after=zero, innovation=zero, segment=np.zeros(psi.size, dtype=np.int32))
     )
     assert result.before.size == bins
 

@@ -30,7 +30,7 @@ def every_mark():
 
 
 def test_static_and_interactive_show_the_same_series(cal):
-    from piga.reports.calibration.page import calibration_figures
+    from piga.reports.calibration.figures import calibration_figures
 
     for figure in (*calibration_figures(cal), every_mark()):
         keys = {

@@ -20,7 +20,14 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from piga.certificate.certificate_file import WORST, overall, range_sentence, title_of, validity_ranges
+from piga.certificate.certificate_file import (
+    WORST,
+    first_day_of_issue,
+    overall,
+    range_sentence,
+    title_of,
+    validity_ranges,
+)
 from piga.certificate.dcc.layout import (
     AGAIN,
     BEFORE,
@@ -189,10 +196,10 @@ def _compare(
         raise DataError(f"{path}: the attached record holds other coefficients", remedy="do not use the file")
     for stated, kept in zip(coefficients, record.coefficients, strict=True):
         if (stated.value, stated.std) != (kept.value, kept.std):
-            raise DataError(
-                f"{path}: contradicts itself: {stated.key} is stated as {stated.value!r} (u {stated.std!r}), the attached "
-                f"record has {kept.value!r} (u {kept.std!r})",
-                remedy="do not use the file; ask the issuer",
+            raise contradiction(
+                path,
+                f"{stated.key} is stated as {stated.value!r} (u {stated.std!r}), the attached record has {kept.value!r} "
+                f"(u {kept.std!r})",
             )
     if not np.array_equal(covariance, record.covariance):
         raise DataError(
@@ -384,10 +391,10 @@ def _compare_dates(path: Path, root: etree._Element, record: Calibration) -> Non
         if later < earlier:
             raise contradiction(path, f"{second} {later} is before {first} {earlier}")
     try:
-        evaluated = dt.datetime.fromisoformat(record.provenance.created) - dt.timedelta(hours=12)
+        evaluated = first_day_of_issue(record)
     except (ValueError, OverflowError):
         raise DataError(f"{path}: the attached record has no date of its evaluation", remedy=AGAIN) from None
-    if dates[-1] < evaluated.date():
+    if dates[-1] < evaluated:
         raise contradiction(
             path,
             f"issued {dates[-1]}, before the attached record was evaluated, {record.provenance.created[:10]}",

@@ -10,7 +10,7 @@ from __future__ import annotations
 import base64
 import datetime as dt
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +23,10 @@ from piga.certificate.certificate_file import (
     title_of,
 )
 from piga.certificate.dcc.layout import (
+    BEFORE,
     DCC,
     JOINT,
+    MEASURED,
     RECORD,
     SI,
     dsi_unit,
@@ -33,7 +35,7 @@ from piga.certificate.dcc.layout import (
     significant_digit,
     to_dsi,
 )
-from piga.certificate.statements import Statement, statements, verdicts
+from piga.certificate.statements import TRACEABILITY, Statement, statements, verdicts
 from piga.errors import DataError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration.coefficient import PROBABILITY, joint_factor
@@ -125,8 +127,8 @@ def _core(data: CertificateFile) -> etree._Element:
     )
 
 
-def _identification(issuer: str, value: str, name: str) -> etree._Element:
-    return dcc("identification", [dcc("issuer", issuer), given("value", value), text("name", name)])
+def _identification(issuer: str, value: str, name: str = "") -> etree._Element:
+    return dcc("identification", [dcc("issuer", issuer), given("value", value), rich("name", name)])
 
 
 def _items(data: CertificateFile, calibration: Calibration) -> etree._Element:
@@ -200,7 +202,7 @@ def _statement(statement: Statement) -> etree._Element:
         "statement",
         [
             text("name", statement.title),
-            dcc("traceable", "true") if statement.kind == "traceability" else None,
+            dcc("traceable", "true") if statement.ref_type == TRACEABILITY else None,
             dcc("norm", "ISO/IEC 17025:2017"),
             given("reference", statement.clause),
             rich("declaration", statement.text),
@@ -228,10 +230,10 @@ def measurement_result(
     """The measurement: method, conditions and results."""
     results = []
     if before is not None:
-        results.append(_coefficients("Coefficients before adjustment", before, {}, "basic_beforeAdjustment"))
+        results.append(_coefficients("Coefficients before adjustment", before, {}, BEFORE))
     after = "" if before is None else " after adjustment"
-    marks = {verdict.key: verdict.dcc for verdict in verdicts(data, calibration)}
-    results.append(_coefficients(f"Coefficients{after}", calibration, marks, "basic_measuredValue"))
+    marks = {verdict.key: verdict.status for verdict in verdicts(data, calibration)}
+    results.append(_coefficients(f"Coefficients{after}", calibration, marks, MEASURED))
     results.append(_joint(calibration))
     results.append(_record(calibration))
     return dcc(
@@ -272,14 +274,11 @@ def _equipment(data: CertificateFile) -> etree._Element:
     equipment = []
     for standard in data.traceability.standard:
         shown = "; ".join(part for part in (standard.realises, standard.certificate) if part)
-        identification = [
-            dcc("issuer", "calibrationLaboratory"),
-            given("value", standard.identification or standard.name),
-        ]
+        identification = _identification("calibrationLaboratory", standard.identification or standard.name)
         parts = [
             text("name", standard.name),
             rich("description", shown),
-            dcc("identifications", [dcc("identification", identification)]),
+            dcc("identifications", [identification]),
         ]
         equipment.append(dcc("measuringEquipment", parts, "basic_normalUsed"))
     return dcc("measuringEquipments", equipment)
@@ -331,7 +330,9 @@ def _interval(coefficient: Coefficient, power: int) -> etree._Element:
     return si("measurementUncertaintyUnivariate", [si("coverageIntervalMU", interval)])
 
 
-def _coefficients(title: str, calibration: Calibration, marks: dict[str, str], ref_type: str) -> etree._Element:
+def _coefficients(
+    title: str, calibration: Calibration, marks: Mapping[str, str], ref_type: str
+) -> etree._Element:
     quantities = [_quantity(c, marks.get(c.key, "")) for c in calibration.coefficients]
     return dcc("result", [text("name", title), dcc("data", [dcc("list", quantities)])], ref_type)
 
@@ -368,28 +369,28 @@ def _joint(calibration: Calibration) -> etree._Element:
                     [
                         si(
                             "valueXMLList",
-                            _words(to_dsi(v, p + powers[j]) for v, p in zip(column, powers, strict=True)),
+                            " ".join(to_dsi(v, p + powers[j]) for v, p in zip(column, powers, strict=True)),
                         ),
-                        si("unitXMLList", _words(dsi_unit(unit, units[j]) for unit in units)),
+                        si("unitXMLList", " ".join(dsi_unit(unit, units[j]) for unit in units)),
                     ],
                 )
             ],
         )
         for j, column in enumerate(calibration.covariance.T.tolist())
     ]
-    spread = _words(to_dsi(c.std, p) for c, p in zip(calibration.coefficients, powers, strict=True))
+    spread = " ".join(to_dsi(c.std, p) for c, p in zip(calibration.coefficients, powers, strict=True))
     region = [
         si("covarianceMatrixXMLList", columns),
         si("coverageFactorXMLList", f"{joint_factor(calibration.coefficients):.6f}"),
         si("coverageProbabilityXMLList", str(PROBABILITY)),
     ]
     vector = [
-        si("labelXMLList", _words(label_of(c.key) for c in calibration.coefficients)),
+        si("labelXMLList", " ".join(label_of(c.key) for c in calibration.coefficients)),
         si(
             "valueXMLList",
-            _words(to_dsi(c.value, p) for c, p in zip(calibration.coefficients, powers, strict=True)),
+            " ".join(to_dsi(c.value, p) for c, p in zip(calibration.coefficients, powers, strict=True)),
         ),
-        si("unitXMLList", _words(dsi_unit(unit) for unit in units)),
+        si("unitXMLList", " ".join(dsi_unit(unit) for unit in units)),
         si(
             "measurementUncertaintyUnivariateXMLList",
             [si("standardMUXMLList", [si("valueStandardMUXMLList", spread)])],
@@ -400,10 +401,6 @@ def _joint(calibration: Calibration) -> etree._Element:
         "quantity", [text("name", "Coefficients and covariance"), si("realListXMLList", vector)], JOINT
     )
     return dcc("result", [text("name", "Joint result with covariance"), dcc("data", [quantity])])
-
-
-def _words(parts: Iterable[str]) -> str:
-    return " ".join(parts)
 
 
 def _record(calibration: Calibration) -> etree._Element:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from piga.records.calibration import BudgetEntry, Calibration, Coefficient
 from piga.records.terms import shown_unit
 from piga.reports.calibration.tables import TABLES, common_coefficients
-from piga.reports.render.numbers import pretty_unit, printed, short
+from piga.reports.render.numbers import ascii_text, pretty_unit, printed, short
 from piga.reports.render.page import Cell, Table, TableColumn
 
 DESCRIBED = 5
@@ -207,5 +207,5 @@ def _text_rows(cal: Calibration, coefficient: Coefficient) -> list[tuple[str, ..
             short(part * scale, 2),
             f"{100 * share:.0f} %",
         )
-        rows.append(tuple(text.replace("–", "-").replace("\u202f", "") for text in shown))
+        rows.append(tuple(map(ascii_text, shown)))
     return rows

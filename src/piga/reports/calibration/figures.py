@@ -16,12 +16,12 @@ from piga.calibration.fit.residuals import add_lagged_products
 from piga.records.calibration import Calibration, Residuals
 from piga.records.terms import shown_unit
 from piga.reports.calibration.budget import budget_shares, source_in_words
-from piga.reports.calibration.tables import residual_quantity, shown_segments
-from piga.reports.render.decimate import POINTS, envelope_rows, leading_part, outline
+from piga.reports.calibration.tables import residual_quantity, scale_factor, shown_segments
+from piga.reports.render.decimate import POINTS, envelope_rows, leading_part, outline, rows_of
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.render.numbers import pretty_unit
 from piga.reports.render.orders import OrderSpectrum, Ripple, segment_slices, spectrum_and_ripple
-from piga.units import ARCSEC, G0, MICRO_G, conversion_factor
+from piga.units import ARCSEC, G0, MICRO_G
 
 
 def deviation_figure(deviation: AllanDeviation) -> Figure:
@@ -53,23 +53,17 @@ def allan_figure(
     segments ``single`` gets a curve of its own, from its own samples.
     """
     white, walk = noise[0] ** 2, noise[1] ** 2
-    angle_of, time, begins = (
-        np.asarray(residuals.after, dtype=float),
-        np.asarray(residuals.t),
-        _begins(residuals),
-    )
-    deviation = allan_deviation(angle_of, time, begins, white=white, walk=walk)
+    after, time, begins = np.asarray(residuals.after, dtype=float), np.asarray(residuals.t), _begins(residuals)
+    deviation = allan_deviation(after, time, begins, white=white, walk=walk)
     if deviation.tau.size < 2:
         return None
-    chosen = frozenset(single)
-    parts = [part for part in segment_slices(residuals.segment) if int(residuals.segment[part.start]) in chosen]
-    own = [
-        (
-            int(residuals.segment[part.start]),
-            allan_deviation(angle_of[part], time[part], begins[part], white=white, walk=walk),
-        )
-        for part in parts
-    ]
+    chosen, own = frozenset(single), []
+    for part in segment_slices(residuals.segment):
+        index = int(residuals.segment[part.start])
+        if index in chosen:
+            one = allan_deviation(after[part], time[part], begins[part], white=white, walk=walk)
+            curve = Series(one.tau, one.deviation / ARCSEC, mark="line+points", role="reference")
+            own += [(index, curve)] if one.tau.size > 1 else []
     tau = deviation.tau
     angle, wander = (part / ARCSEC for part in model_deviation(tau, white, walk))
     both = np.hypot(np.hypot(angle, wander), drift_line(tau, bias_drift / ARCSEC))
@@ -83,33 +77,15 @@ def allan_figure(
     ]
     series += [Series(tau, angle, "white noise", role="x", dashed=True)] if white > 0.0 else []
     series += [Series(tau, wander, "random walk", role="y", dashed=True)] if walk > 0.0 else []
-    series.append(
-        Series(
-            tau[near],
-            drift[near],
-            "bias drift" if bias_drift else "slope of a drift",
-            role="warning",
-            dashed=True,
-        )
-    )
+    name = "bias drift" if bias_drift else "slope of a drift"
+    series.append(Series(tau[near], drift[near], name, role="warning", dashed=True))
     low = 0.3 * min(float((deviation.deviation / ARCSEC).min()), float(both.min()))
     high = 3.0 * max(float((deviation.upper / ARCSEC).max()), float(both.max()))
     y = Axis("Allan deviation of the rate", "arcsec/s", log=True, limits=(low, high))
     return Figure(
         key="allan",
         title="Allan deviation of the residual rate.",
-        panels=(
-            Panel(
-                Axis("averaging time", "s", log=True),
-                y,
-                tuple(series),
-                of_segments=tuple(
-                    (index, Series(part.tau, part.deviation / ARCSEC, mark="line+points", role="reference"))
-                    for index, part in own
-                    if part.tau.size > 1
-                ),
-            ),
-        ),
+        panels=(Panel(Axis("averaging time", "s", log=True), y, tuple(series), of_segments=tuple(own)),),
         caption="Overlapping Allan deviation of what the calibration leaves, with its 68 % band. Stretches are pooled, "
         "not joined: nothing longer than a third of the longest one is seen. Good: the curve follows the noise found; "
         "one that turns upwards along the dashed slope, above it, shows a drift of the bias that was not found.",
@@ -179,8 +155,8 @@ def ripple_figure(turned: Ripple) -> Figure:
         Axis("radius × sin ψ", "µg", limits=(-outer, outer)),
         (
             *_polar_grid(step),
-            _closed(turned.psi, before, 2.0 * step, "before", "before"),
-            _closed(turned.psi, after, 2.0 * step, "after", "after"),
+            _closed(turned.psi, before, 2.0 * step, "before"),
+            _closed(turned.psi, after, 2.0 * step, "after"),
         ),
         title="Polar",
         equal=True,
@@ -233,11 +209,11 @@ def _polar_grid(step: float) -> tuple[Series, ...]:
     return (*rings, Series(np.array(spokes_x), np.array(spokes_y), role="muted"), zero)
 
 
-def _closed(psi: Array, values: Array, radius: float, name: str, role: str) -> Series:
+def _closed(psi: Array, values: Array, radius: float, role: Role) -> Series:
     psi, values = np.append(psi, psi[:1]), np.append(values, values[:1])
     text = tuple(f"ψ {np.degrees(p):.0f}°, ripple {v:.3g} µg" for p, v in zip(psi, values, strict=True))
     x, y = (radius + values) * np.cos(psi), (radius + values) * np.sin(psi)
-    return Series(x, y, name=name, role="before" if role == "before" else "after", text=text)
+    return Series(x, y, name=role, role=role, text=text)
 
 
 _LAGS = 40
@@ -250,12 +226,10 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
     """
     figures: list[Figure] = []
     if cal.residuals is not None and cal.residuals.t.size:
-        whole = outline(cal.residuals)
+        whole, part = outline(cal.residuals), leading_part(cal.residuals)
         figures += run_figures(cal) if cal.runs else [residual_figure(whole, residual_quantity(cal))]
-        part = replace(cal, residuals=leading_part(cal.residuals))
-        assert part.residuals is not None  # noqa: S101 - made from residuals
-        figures += [whiteness_figure(part.residuals)] if np.isfinite(part.residuals.innovation).any() else []
-        angles = residual_angles(part)
+        figures += [whiteness_figure(part)] if np.isfinite(part.innovation).any() else []
+        angles = residual_angles(part, cal.diagnostics.residual_kind)
         noise, single = (cal.angle_rms, cal.angle_random_walk), shown_segments(cal)
         allan = None if cal.runs else allan_figure(angles, noise, cal.bias_drift, single)
         figures += [allan] if allan else []
@@ -271,11 +245,10 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
     return tuple(figures)
 
 
-def residual_angles(cal: Calibration) -> Residuals:
-    """The residuals as angles: those of a rate log integrated over each segment."""
-    residuals = cal.residuals
-    if residuals is None or residual_quantity(cal)[1] == "arcsec":
-        return cast("Residuals", residuals)
+def residual_angles(residuals: Residuals, kind: str) -> Residuals:
+    """The residuals as angles: those of ``kind`` rate integrated over each segment."""
+    if kind != "rate":
+        return residuals
     step = np.diff(residuals.t, prepend=residuals.t[:1])
     step[np.diff(residuals.segment, prepend=residuals.segment[:1]) != 0] = 0.0
     before, after = _integral(residuals.before, step), _integral(residuals.after, step)
@@ -328,14 +301,6 @@ def _settled(values: Array) -> tuple[float, float]:
     return low - room, high + room
 
 
-def scale_factor(cal: Calibration) -> float:
-    """``K`` in SI, (rad/s)/(m/s^2): the estimate, or the nominal value if it was not estimated."""
-    for coefficient in cal.coefficients:
-        if coefficient.name == "scale_factor":
-            return coefficient.value * conversion_factor(coefficient.unit, "rad/s/(m/s^2)")
-    return cal.scale_factor_nominal
-
-
 def elapsed_time(residuals: Residuals) -> Array:
     """Time since the first sample [s]; segments whose clock starts again follow each other."""
     t = np.array(residuals.t, dtype=float)
@@ -385,20 +350,21 @@ def residual_figure(residuals: Residuals, quantity: tuple[str, str] = ("residual
     times = t / scale
     parts = [] if single else _parts(times, residuals)
     drawn = residuals.t.size
-    for title, role, values in (("Before", "before", residuals.before), ("After", "after", residuals.after)):
+    both: tuple[tuple[Role, Array], ...] = (("before", residuals.before), ("after", residuals.after))
+    for role, values in both:
         y = np.asarray(values) / ARCSEC
         x, y, kept = (times, y, np.arange(y.size)) if single else _with_gaps(times, y, parts)
         drawn = min(drawn, int(np.isfinite(y).sum()))
         series = Series(
             x,
             y,
-            name=title.lower(),
+            name=role,
             mark="points" if single else "line",
-            role="before" if role == "before" else "after",
+            role=role,
             rows=np.asarray(residuals.row)[kept],
             segments=np.asarray(residuals.segment)[kept],
         )
-        panels.append(Panel(Axis("elapsed time", unit), Axis(*quantity), (series,), title=title))
+        panels.append(Panel(Axis("elapsed time", unit), Axis(*quantity), (series,), title=role.capitalize()))
     return Figure(
         key="residual-time",
         title=f"{quantity[0].capitalize()} against time.",
@@ -419,10 +385,7 @@ def run_figures(cal: Calibration) -> tuple[Figure, ...]:
     for index, run in enumerate(cal.runs):
         rows = residuals.run == index
         if rows.any():
-            own = Residuals(
-                residuals.row[rows], residuals.t[rows], residuals.psi[rows], residuals.a_x[rows], residuals.before[rows],
-                residuals.after[rows], residuals.innovation[rows], residuals.segment[rows],
-            )  # fmt: skip
+            own = rows_of(residuals, np.flatnonzero(rows))
             figure = residual_figure(outline(own), residual_quantity(cal))
             figures.append(
                 replace(figure, key=f"residual-time-{index}", title=f"Run {run.name}: {figure.title}")

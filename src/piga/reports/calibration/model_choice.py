@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from textwrap import wrap
 from typing import Any
 
 from piga.records.calibration import Calibration
 from piga.records.terms import shown_unit
 from piga.reports.render.figure import Axis, Figure, Panel, Series
-from piga.reports.render.numbers import count, printed, rounded, short, signed
+from piga.reports.render.numbers import aligned, ascii_text, count, printed, rounded, short, signed
 from piga.reports.render.page import Cell, FigureBlock, Section, Table, TableColumn, Text
 from piga.units import MICRO_G
 
-_PLAIN = str.maketrans("−–⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "---0123456789")
 HEADS = (
     "",
     "terms",
@@ -68,12 +66,12 @@ def _terms(names: list[str]) -> str:
     return ", ".join(names)
 
 
-def comparison_rows(document: dict[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Headings and rows, the least BIC first."""
+def comparison_rows(document: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows below :data:`HEADS`, the least BIC first."""
     order = sorted(
         enumerate(document["sets"], start=1), key=lambda item: (item[1].get("bic", float("inf")), item[0])
     )
-    return HEADS, [_row(number, candidate, document) for number, candidate in order]
+    return [_row(number, candidate, document) for number, candidate in order]
 
 
 def _row(number: int, candidate: dict[str, Any], document: dict[str, Any]) -> tuple[str, ...]:
@@ -112,30 +110,18 @@ def _plain(value: float, digits: int = 3) -> str:
 def comparison_text(document: dict[str, Any]) -> list[str]:
     """The comparison for a terminal of 80 columns: figures by number of the set, then what the sets hold."""
     heads = ("set", "coeffs", "chi2/dof", "BIC above", "weight", "prediction above", "missed [ug]")
-    order = comparison_rows(document)[1]
-    rows = [tuple(_ascii(text) for text in (row[0], *row[2:-1])) for row in order if row[2] != "–"]
-    width = [max(len(row[i]) for row in (heads, *rows)) for i in range(len(heads))]
+    order = comparison_rows(document)
+    rows = [tuple(map(ascii_text, (row[0], *row[2:-1]))) for row in order if row[2] != "–"]
     lines = ["Term sets compared, the best first"]
-    if rows:
-        lines += [
-            "  " + "  ".join(f"{text:>{w}}" for text, w in zip(row, width, strict=True))
-            for row in (heads, *rows)
-        ]
+    lines += [f"  {line}" for line in aligned((heads, *rows))] if rows else []
     for number, terms, *_, remark in order:
         text = f"{number}: {terms}" + (f" ({remark})" if remark else "")
         lines += wrap(text, 78, initial_indent="  ", subsequent_indent="     ")
     return [*lines, *wrap(comparison_words(document), 78, initial_indent="  ", subsequent_indent="  ")]
 
 
-def _ascii(text: str) -> str:
-    """A printed number in plain text."""
-    text = re.sub(r"\s*×\s*10", "e", text).replace("±", "+/-")
-    return re.sub(r"[\u202f\u00a0]", "", text).translate(_PLAIN)
-
-
 def comparison_table(document: dict[str, Any]) -> Table:
     """One row per set, the least BIC first."""
-    heads, rows = comparison_rows(document)
     textual = {"terms", "remark"}
     columns = tuple(
         TableColumn(
@@ -143,7 +129,7 @@ def comparison_table(document: dict[str, Any]) -> Table:
             "µg" if head.endswith("[µg]") else "",
             "text" if head in textual else "number",
         )
-        for head in heads
+        for head in HEADS
     )
     noise = _terms(document["noise_terms"])
     cells = tuple(
@@ -151,7 +137,7 @@ def comparison_table(document: dict[str, Any]) -> Table:
             Cell(text, "good") if text and i == len(row) - 1 and row[2] != "–" else text
             for i, text in enumerate(row)
         )
-        for row in rows
+        for row in comparison_rows(document)
     )
     return Table(
         columns,
@@ -167,9 +153,7 @@ def comparison_table(document: dict[str, Any]) -> Table:
 
 def comparison_figure(document: dict[str, Any]) -> Figure | None:
     """BIC and error of prediction of every set."""
-    sets = [
-        (number, candidate) for number, candidate in enumerate(document["sets"], start=1) if "bic" in candidate
-    ]
+    sets = _determined(document)
     if not sets:
         return None
     axis = Axis("set (number of the table)", "1", limits=(0.5, len(document["sets"]) + 0.5))
@@ -200,11 +184,14 @@ def comparison_figure(document: dict[str, Any]) -> Figure | None:
     )
 
 
+def _determined(document: dict[str, Any]) -> list[tuple[int, dict[str, Any]]]:
+    """The sets that the record determines, with their numbers in the table."""
+    return [(number, one) for number, one in enumerate(document["sets"], start=1) if "bic" in one]
+
+
 def shift_table(document: dict[str, Any]) -> Table | None:
     """Every coefficient in every set that is determined."""
-    sets = [
-        (number, candidate) for number, candidate in enumerate(document["sets"], start=1) if "bic" in candidate
-    ]
+    sets = _determined(document)
     keys = list(
         dict.fromkeys(
             c["key"] for _, candidate in sets for c in candidate["coefficients"] if "[" not in c["key"]

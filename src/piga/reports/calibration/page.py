@@ -17,6 +17,7 @@ from piga.reports.calibration.tables import (
     LEVERAGE_LEAD,
     OWN_TABLES,
     PROPAGATION_LEAD,
+    coefficient_figures,
     coefficient_table,
     common_coefficients,
     correlation_table,
@@ -26,7 +27,7 @@ from piga.reports.calibration.tables import (
     judgement,
     leverage_tables,
     outlier_table,
-    propagation_table,
+    propagation_tables,
     quality_table,
     residual_quantity,
     runs_table,
@@ -37,7 +38,17 @@ from piga.reports.calibration.tables import (
 )
 from piga.reports.render.decimate import outline
 from piga.reports.render.figure import Figure
-from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, short, significant
+from piga.reports.render.numbers import (
+    aligned,
+    ascii_text,
+    count,
+    pretty_unit,
+    printed,
+    relative,
+    rounded,
+    short,
+    significant,
+)
 from piga.reports.render.page import (
     ALONE,
     Block,
@@ -45,7 +56,6 @@ from piga.reports.render.page import (
     Notice,
     Page,
     Section,
-    Table,
     Text,
     Tile,
     Tone,
@@ -98,21 +108,12 @@ def calibration_text(cal: Calibration) -> str:
         f"  {segments_in_words(cal)}, {period_in_words(total_duration(cal))}, {used} rows used",
         f"  method {cal.method}, phases {cal.phases}, terms {' '.join(cal.terms)}",
     ]
-    head = [
-        *_wrapped(cal.verdict.lines()),
-        "",
-        *([f"Coefficients of {name}, given"] if cal.given else made),
-        "",
-    ]
-    if cal.given:
-        return "\n".join([*head, *_text_table(cal)])
-    return "\n".join(
-        [
-            *[*head, *_text_table(cal), "", *_text_figures(cal)],
-            *budget_text(cal),
-            *_wrapped([f"remark: {remark}" for remark in cal.remarks]),
-        ]
-    )
+    head = [f"Coefficients of {name}, given"] if cal.given else made
+    lines = [*_wrapped(cal.verdict.lines()), "", *head, "", *_text_table(cal)]
+    if not cal.given:
+        remarks = _wrapped([f"remark: {remark}" for remark in cal.remarks])
+        lines += ["", *_text_figures(cal), *budget_text(cal), *remarks]
+    return "\n".join(lines)
 
 
 def _wrapped(lines: list[str]) -> list[str]:
@@ -124,29 +125,17 @@ def _wrapped(lines: list[str]) -> list[str]:
     ]
 
 
-def drift_found(cal: Calibration) -> str:
-    """Random walk of the rate in words, or that none was detected."""
-    if cal.bias_drift == 0.0:
-        return "none seen"
-    shown = short(cal.bias_drift / cal.scale_factor_nominal / G0 * 1e6)
-    return f"{shown} µg/√s ({printed(short(cal.bias_drift))} rad/s/√s)"
+def _rate_noise(cal: Calibration) -> dict[str, str]:
+    """Noise of the rate that was found, in words: ``drift``, ``scatter`` from segment to segment, ``coloured``."""
 
+    def size(rate: float, per: str = "") -> str:
+        shown = short(rate / cal.scale_factor_nominal / G0 * 1e6)
+        return f"{shown} µg{per} ({printed(short(rate))} rad/s{per})"
 
-def coloured_found(cal: Calibration) -> str:
-    """Coloured noise of the rate in words, or that none was detected."""
+    found = {"drift": size(cal.bias_drift, "/√s")} if cal.bias_drift else {}
+    found |= {"scatter": size(cal.segment_scatter)} if cal.segment_scatter else {}
     noise = cal.coloured_noise
-    if noise is None:
-        return "none seen"
-    shown = short(noise.rms / cal.scale_factor_nominal / G0 * 1e6)
-    return f"{noise.words}, {shown} µg ({printed(short(noise.rms))} rad/s)"
-
-
-def scatter_found(cal: Calibration) -> str:
-    """Scatter of the rate from segment to segment in words, or that none was detected."""
-    if cal.segment_scatter == 0.0:
-        return "none seen"
-    shown = short(cal.segment_scatter / cal.scale_factor_nominal / G0 * 1e6)
-    return f"{shown} µg ({printed(short(cal.segment_scatter))} rad/s)"
+    return found | ({} if noise is None else {"coloured": f"{noise.words}, {size(noise.rms)}"})
 
 
 def _text_table(cal: Calibration) -> list[str]:
@@ -156,29 +145,9 @@ def _text_table(cal: Calibration) -> list[str]:
         if not coefficient.determined:
             lines.append((coefficient.key, "not determined", "-", "-", coefficient.unit, "-", "-"))
             continue
-        scale, unit = shown_unit(coefficient.name, coefficient.unit)
-        value, std = coefficient.value * scale, coefficient.std * scale
-        number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
-        line = (
-            number.value,
-            number.uncertainty,
-            wide.uncertainty,
-            unit,
-            freedom(coefficient),
-            factor(coefficient),
-        )
-        lines.append((coefficient.key, *line))
-    width = [max(len(line[column]) for line in lines) for column in range(7)]
-    return [
-        f"  {name:<{width[0]}}  {value:>{width[1]}}  {u:>{width[2]}}  {wide:>{width[3]}}  {unit:<{width[4]}}  "
-        f"{nu:>{width[5]}}  {k:>{width[6]}}"
-        for name, value, u, wide, unit, nu, k in ((_ascii(cell) for cell in line) for line in lines)
-    ]
-
-
-def _ascii(text: str) -> str:
-    """A cell of a table for any terminal."""
-    return text.replace("–", "-").replace("∞", "inf").replace("\u202f", "")
+        figures = coefficient_figures(coefficient)
+        lines.append((coefficient.key, *figures, freedom(coefficient), factor(coefficient)))
+    return [f"  {line}" for line in aligned([tuple(map(ascii_text, line)) for line in lines], left={0, 4})]
 
 
 def _text_figures(cal: Calibration) -> list[str]:
@@ -189,21 +158,12 @@ def _text_figures(cal: Calibration) -> list[str]:
 
     white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
     noise = f"{white} arcsec white, {walk} arcsec/sqrt(s) walk"
+    of_rate = {"drift": "bias drift", "scatter": "scatter of segments", "coloured": "coloured noise"}
     rows = [
         ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
         ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
         ("noise of the angle", noise),
-        *(
-            [("bias drift", drift_found(cal).replace("µ", "u").replace("√s", "sqrt(s)"))]
-            if cal.bias_drift > 0.0
-            else []
-        ),
-        *([("scatter of segments", scatter_found(cal).replace("µ", "u"))] if cal.segment_scatter > 0.0 else []),
-        *(
-            [("coloured noise", coloured_found(cal).replace("µ", "u"))]
-            if cal.coloured_noise is not None
-            else []
-        ),
+        *((of_rate[kind], words) for kind, words in _rate_noise(cal).items()),
         ("condition number", short(cal.condition)),
     ]
     rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
@@ -215,10 +175,8 @@ def _text_figures(cal: Calibration) -> list[str]:
         for run in cal.runs
     ]
     wide = max(len(name) for name, _ in rows)
-    return [f"  {name:<{wide}}  {text}".replace("\u202f", "").replace("–", "-") for name, text in rows]
+    return [ascii_text(f"  {name:<{wide}}  {text}") for name, text in rows]
 
-
-__all__ = ["calibration_figures", "calibration_page", "calibration_text", "write_calibration_report"]
 
 _METHODS = {
     "information": "whitened linear least squares in the angle domain",
@@ -325,12 +283,7 @@ def _coefficient_tiles(cal: Calibration) -> list[Tile]:
 def _freedom_tile(cal: Calibration) -> Tile:
     fewest = min(cal.coefficients, key=lambda coefficient: coefficient.degrees_of_freedom)
     detail = f"effective, fewest of all coefficients ({fewest.key}): k = {fewest.coverage_factor:.3f} for 95 %"
-    return Tile(
-        "Degrees of freedom",
-        freedom(fewest),
-        "",
-        detail,
-    )
+    return Tile("Degrees of freedom", freedom(fewest), "", detail)
 
 
 def _condition_tile(cal: Calibration) -> Tile:
@@ -362,11 +315,7 @@ def _whiteness_tile(cal: Calibration) -> Tile | None:
 def _data_tile(cal: Calibration) -> Tile:
     share = 100.0 * cal.quality.used / cal.quality.rows if cal.quality.rows else 0.0
     events = sum(event.count for event in cal.quality.events)
-    detail = (
-        f"of {count(cal.quality.rows)} rows; {count(events)} findings"
-        if events
-        else f"of {count(cal.quality.rows)} rows"
-    )
+    detail = f"of {count(cal.quality.rows)} rows" + (f"; {count(events)} findings" if events else "")
     return Tile("Data used", f"{share:.4g}", "%", detail, "doubtful" if share < 95.0 else "")
 
 
@@ -402,8 +351,7 @@ def _runs(cal: Calibration) -> tuple[Section, ...]:
 
 def _coefficients(cal: Calibration) -> Section:
     lead = (
-        "The instrument's coefficients as found from this record, rounded by their uncertainty. Good: "
-        "uncertainties "
+        "The instrument's coefficients as found from this record, rounded by their uncertainty. Good: uncertainties "
         "far below the values, and below what the use of the instrument asks for."
     )
     blocks: list[Block] = [Text(lead, lead=True), coefficient_table(cal)]
@@ -416,8 +364,7 @@ def _coefficients(cal: Calibration) -> Section:
 
 def _residuals(figures: dict[str, Figure]) -> Section:
     lead = (
-        "What is left of the measured angle when the model is taken away: what the calibration explains is "
-        "gone after "
+        "What is left of the measured angle when the model is taken away: what the calibration explains is gone after "
         "it, and what it leaves should be noise."
     )
     missing = "The residuals are not part of this record: run the calibration again to see them."
@@ -436,17 +383,14 @@ def _convergence(figures: dict[str, Figure]) -> tuple[Section, ...]:
 
 def _orders(figures: dict[str, Figure]) -> Section:
     lead = (
-        "The same residuals against the rotation of the output: errors of the instrument repeat with the "
-        "turn, noise "
+        "The same residuals against the rotation of the output: errors of the instrument repeat with the turn, noise "
         "does not. Good: lines and lobes before calibration, none after."
     )
     missing = "No segment with residuals turns at least twice, so no revolution order can be told from drift."
-    if not {"residual-order", "ripple-polar"} & figures.keys():
-        return Section(
-            "Residuals against rotation", "rotation", (Text(lead, lead=True), Notice("info", missing))
-        )
-    shown = [FigureBlock(figures[key]) for key in ("residual-order", "ripple-polar") if key in figures]
-    return Section("Residuals against rotation", "rotation", (Text(lead, lead=True), *shown))
+    keys = ("residual-order", "ripple-polar")
+    drawn: list[Block] = [FigureBlock(figures[key]) for key in keys if key in figures]
+    blocks = drawn or [Notice("info", missing)]
+    return Section("Residuals against rotation", "rotation", (Text(lead, lead=True), *blocks))
 
 
 def _segments(cal: Calibration, figures: dict[str, Figure]) -> Section:
@@ -460,8 +404,7 @@ def _segments(cal: Calibration, figures: dict[str, Figure]) -> Section:
 
 def _budget(cal: Calibration, figure: Figure | None) -> Section:
     lead = (
-        "Where the uncertainty of each coefficient comes from, as standard uncertainties. Good: the fit "
-        "(type A) and "
+        "Where the uncertainty of each coefficient comes from, as standard uncertainties. Good: the fit (type A) and "
         "the largest source of type B are of the same size; otherwise the larger one is what to improve."
     )
     blocks: list[Block] = [Text(lead, lead=True), *budget_tables(cal)]
@@ -484,32 +427,27 @@ def _budget(cal: Calibration, figure: Figure | None) -> Section:
 
 def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
     lead = (
-        "How well this record tells the coefficients apart, and whether the residuals are the noise they "
-        "should be. "
+        "How well this record tells the coefficients apart, and whether the residuals are the noise they should be. "
         "Good: whitened residuals that look like white noise of size one. Doubts stand in the verdict at the top."
     )
     blocks: list[Block] = [Text(lead, lead=True)]
     blocks += [Notice("info", f"{sentence(remark)}.") for remark in cal.remarks]
     blocks += [FigureBlock(figures[key]) for key in ("whiteness", "allan") if key in figures]
     white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
+    of_rate = _rate_noise(cal)
     rows = [
         ("Condition number", printed(short(cal.condition))),
         ("White noise of the angle", f"{white} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
         ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
-        ("Bias drift", drift_found(cal)),
-        ("Scatter of the rate from segment to segment", scatter_found(cal)),
-        ("Coloured noise of the rate", coloured_found(cal)),
+        ("Bias drift", of_rate.get("drift", "none seen")),
+        ("Scatter of the rate from segment to segment", of_rate.get("scatter", "none seen")),
+        ("Coloured noise of the rate", of_rate.get("coloured", "none seen")),
         *scalars({key: value for key, value in cal.diagnostics.document().items() if key not in OWN_TABLES}),
     ]
     blocks.append(facts_table(rows))
-    for tables, text in ((leverage_tables(cal), LEVERAGE_LEAD), (_propagation(cal), PROPAGATION_LEAD)):
+    for tables, text in ((leverage_tables(cal), LEVERAGE_LEAD), (propagation_tables(cal), PROPAGATION_LEAD)):
         blocks += [Text(text, lead=True), *tables] if tables else []
     return Section("Identifiability and noise", "identifiability", tuple(blocks))
-
-
-def _propagation(cal: Calibration) -> tuple[Table, ...]:
-    table = propagation_table(cal)
-    return () if table is None else (table,)
 
 
 def _quality(cal: Calibration, figures: dict[str, Figure]) -> Section:

@@ -79,6 +79,12 @@ def common_coefficients(cal: Calibration) -> list[Coefficient]:
     return [coefficient for coefficient in cal.coefficients if coefficient.segment is None]
 
 
+def scale_factor(cal: Calibration) -> float:
+    """``K`` in SI, (rad/s)/(m/s^2): the estimate, or the nominal value if it was not estimated."""
+    estimated = (coefficient.value_si for coefficient in cal.coefficients if coefficient.name == "scale_factor")
+    return next(estimated, cal.scale_factor_nominal)
+
+
 def coefficient_table(cal: Calibration) -> Table:
     """Coefficients with standard and expanded uncertainty."""
     rows = [_coefficient_row(coefficient) for coefficient in common_coefficients(cal)]
@@ -132,21 +138,26 @@ def named(coefficient: Coefficient) -> Cell:
     )
 
 
+def coefficient_figures(coefficient: Coefficient) -> tuple[str, str, str, str]:
+    """Value, standard and expanded uncertainty, each rounded by its own uncertainty, and their unit."""
+    scale, unit = shown_unit(coefficient.name, coefficient.unit)
+    number = rounded(coefficient.value * scale, coefficient.std * scale)
+    wide = rounded(coefficient.value * scale, coefficient.expanded * scale)
+    return number.value, number.uncertainty, wide.uncertainty, unit
+
+
 def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
     if not coefficient.determined:
         unit = pretty_unit(coefficient.unit)
         return named(coefficient), Cell("not determined", "doubtful"), "–", "–", unit, "–", "–", "–"
-    scale, unit = shown_unit(coefficient.name, coefficient.unit)
+    *figures, unit = coefficient_figures(coefficient)
+    scale = shown_unit(coefficient.name, coefficient.unit)[0]
     value, std = coefficient.value * scale, coefficient.std * scale
-    number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
-    small = std > abs(value)
     return (
         named(coefficient),
-        printed(number.value),
-        printed(number.uncertainty),
-        printed(wide.uncertainty),
+        *map(printed, figures),
         pretty_unit(unit),
-        Cell(relative(value, std), "doubtful" if small else ""),
+        Cell(relative(value, std), "doubtful" if std > abs(value) else ""),
         freedom(coefficient),
         factor(coefficient),
     )
@@ -275,7 +286,7 @@ def runs_table(cal: Calibration) -> Table:
 def outlier_table(cal: Calibration) -> Table:
     """Samples that were left out, with their times: jumps and stuck readings, then spikes; of many the first."""
     listed = sorted(cal.outliers, key=lambda outlier: outlier.kind == "spike")
-    unit = "arcsec/s" if cal.diagnostics.residual_kind == "rate" else "arcsec"
+    unit = residual_quantity(cal)[1]
     more = len(cal.outliers) - TABLES.outliers
     notes = (f"The first {TABLES.outliers} of {count(len(cal.outliers))} findings.",) if more > 0 else ()
     table = TableOf(listed[: TABLES.outliers])
@@ -414,11 +425,11 @@ def _share(share: float | None, shift: float | None) -> Cell:
     return Cell(printed(text), "doubtful" if bad else "")
 
 
-def propagation_table(cal: Calibration) -> Table | None:
-    """First-order and Monte Carlo intervals side by side with the verdict; None without Monte Carlo."""
+def propagation_tables(cal: Calibration) -> tuple[Table, ...]:
+    """First-order and Monte Carlo intervals side by side with the verdict; none without Monte Carlo."""
     monte_carlo = cal.diagnostics.monte_carlo
     if monte_carlo is None:
-        return None
+        return ()
     columns = (
         TableColumn("Coefficient", align="text"),
         TableColumn("Unit", align="text"),
@@ -444,7 +455,7 @@ def propagation_table(cal: Calibration) -> Table | None:
                 *intervals, printed(short(row.tolerance * scale, 1)), verdict,
             )
         )  # fmt: skip
-    return Table(columns, tuple(rows), notes=(f"{monte_carlo.trials} trials.",))
+    return (Table(columns, tuple(rows), notes=(f"{monte_carlo.trials} trials.",)),)
 
 
 def _interval(ends: tuple[float, float], scale: float) -> str:

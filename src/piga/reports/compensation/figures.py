@@ -5,7 +5,7 @@ The force, the misfit and the orders of a set of instruments have figures of the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +15,9 @@ from piga.compensation import FLAGS, Compensated, CompensatedSet
 from piga.records.calibration import Residuals
 from piga.records.run import Run
 from piga.records.spool import BLOCK, spans, trim
-from piga.reports.compensation.outline import AXES, CORRECTION, FORCE, RAW, CompensationOutline, SetOutline
+from piga.reports.compensation.outline import CORRECTION, FORCE, RAW, CompensationOutline, SetOutline
 from piga.reports.render.decimate import POINTS, envelope_rows, leading_part
-from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Role, Series
 from piga.reports.render.orders import TURNS_NEEDED, order_grid, order_spectrum, segment_slices
 from piga.units import G0, MICRO_G
 
@@ -43,10 +43,7 @@ def error_figures(
         White noise of the angle [rad, rms] and angle random walk [rad/sqrt(s)], as the calibration found them.
     """
     errors = compensation_errors(record, result, scale_factor)
-    return (
-        error_figure(errors),
-        error_spectrum_figure({"a_x": leading_part(errors)}, scale_factor, noise),
-    )
+    return error_figure(errors), error_spectrum_figure(leading_part(errors), scale_factor, noise)
 
 
 def compensation_errors(record: Run, result: Compensated, scale_factor: float) -> Residuals:
@@ -63,27 +60,10 @@ def compensation_errors(record: Run, result: Compensated, scale_factor: float) -
     if record.base_rate is not None:
         turn = turn + 0.5 * h * (record.base_rate[1:, 0] + record.base_rate[:-1, 0])
     psi = np.concatenate(([0.0], np.cumsum(turn))) if rate else record.output
-    return error_record(
-        record.t, psi, turn / scale_factor - force, result.dv[1:] - force, scale_factor, record.segment_index
-    )
-
-
-def error_record(
-    t: Array,
-    psi: Array,
-    before: Array,
-    after: Array,
-    scale_factor: float,
-    segment: NDArray[np.int32] | None = None,
-) -> Residuals:
-    """Errors of velocity increments [m/s] (n - 1,) as running angles [rad] at the times ``t`` (n,) [s].
-
-    ``psi`` (n,) [rad] is the output angle of the instrument whose revolutions are looked for.
-    """
-    running = [np.concatenate(([0.0], np.cumsum(scale_factor * error))) for error in (before, after)]
-    index = np.zeros(t.size, np.int32) if segment is None else segment
-    nothing = np.zeros(t.size)
-    return Residuals(np.arange(1, t.size + 1), t, psi, nothing, running[0], running[1], nothing, index)
+    errors = turn / scale_factor - force, result.dv[1:] - force
+    before, after = (np.concatenate(([0.0], np.cumsum(scale_factor * error))) for error in errors)
+    rows, nothing = np.arange(1, record.size + 1), np.zeros(record.size)
+    return Residuals(rows, record.t, psi, nothing, before, after, nothing, record.segment_index)
 
 
 def in_windows(residuals: Residuals) -> Residuals:
@@ -126,28 +106,22 @@ def error_figure(errors: Residuals) -> Figure:
     )
 
 
-def error_spectrum_figure(
-    errors: dict[str, Residuals], scale_factor: float, noise: tuple[float, float] = (0.0, 0.0)
-) -> Figure:
-    """Amplitude of the error in revolution order, one panel per component; a line at an order is a missed term."""
-    panels = []
-    for name, residuals in errors.items():
-        spectrum = order_spectrum(in_windows(residuals), scale_factor, noise=noise)
-        curves: tuple[Series, ...] = (
-            Series(spectrum.order, spectrum.before / MICRO_G, "as indicated", role="before"),
-            Series(spectrum.order, spectrum.after / MICRO_G, "compensated", role="after"),
+def error_spectrum_figure(errors: Residuals, scale_factor: float, noise: tuple[float, float]) -> Figure:
+    """Amplitude of the error in revolution order; a line at an order is a missed term."""
+    spectrum = order_spectrum(in_windows(errors), scale_factor, noise)
+    curves = [
+        Series(spectrum.order, spectrum.before / MICRO_G, "as indicated", role="before"),
+        Series(spectrum.order, spectrum.after / MICRO_G, "compensated", role="after"),
+    ]
+    if any(noise):
+        curves.append(
+            Series(spectrum.order, spectrum.noise / MICRO_G, "noise alone", role="muted", dashed=True)
         )
-        if any(noise):
-            expected = Series(
-                spectrum.order, spectrum.noise / MICRO_G, "noise alone", role="muted", dashed=True
-            )
-            curves = (*curves, expected)
-        amplitude = Axis(f"amplitude of the error of {name}", "µg", log=True)
-        panels.append(Panel(Axis("revolution order", "1"), amplitude, curves))
+    amplitude = Axis("amplitude of the error of a_x", "µg", log=True)
     return Figure(
         "compensation-spectrum",
         "Error in revolution order.",
-        tuple(panels),
+        (Panel(Axis("revolution order", "1"), amplitude, tuple(curves)),),
         "Lines at whole orders are errors that turn with the output: the cross-coupling at order 1, its pulling and "
         "the servo at order 2. After a good compensation no order stands out of the noise.",
     )
@@ -174,11 +148,7 @@ def force_figure(outline: CompensationOutline) -> Figure:
         panels.append(
             Panel(TIME, axis, (_curve(outline, "u_ax", MICRO_G, "model", "standard uncertainty per row"),))
         )
-    shown = (
-        ""
-        if outline.size <= POINTS
-        else f"Outlines of at most {POINTS} points; lowest and highest values are kept."
-    )
+    note = f"Outlines of at most {POINTS} points; lowest and highest values are kept."
     return Figure(
         "compensation-force",
         "Specific force along the input axis.",
@@ -187,7 +157,7 @@ def force_figure(outline: CompensationOutline) -> Figure:
         "The correction is the cross-coupling and the error terms of the calibration; both curves carry the same "
         "noise, so it does not.",
         height=2.3,
-        notes=(shown,) if shown else (),
+        notes=() if outline.size <= POINTS else (note,),
     )
 
 
@@ -212,13 +182,10 @@ def plain_force_figure(result: Compensated) -> Figure:
 def plain_set_figure(result: CompensatedSet) -> Figure:
     """Force of a set in the common frame, and its uncertainty."""
     t = result.t - result.t[0]
-    roles: tuple[Role, ...] = ("x", "y", "z")
-    force = tuple(Series(t, result.f[:, i] / G0, f"f{AXES[i]}", role=role) for i, role in enumerate(roles))
+    force = tuple(Series(t, result.f[:, i] / G0, f"f{role}", role=role) for i, role in enumerate(XYZ))
     panels = [Panel(TIME, Axis("specific force", "g"), force)]
     if result.u_f.size:
-        u = tuple(
-            Series(t, result.u_f[:, i] / MICRO_G, f"u(f{AXES[i]})", role=role) for i, role in enumerate(roles)
-        )
+        u = tuple(Series(t, result.u_f[:, i] / MICRO_G, f"u(f{role})", role=role) for i, role in enumerate(XYZ))
         panels.append(Panel(TIME, Axis("standard uncertainty", "µg"), u))
     return Figure(
         "set-force",
@@ -286,24 +253,23 @@ def _increments(leading: Residuals, part: slice, scale_factor: float) -> Iterato
         )
 
 
-def correction_figure(order: Array, amplitude: Array) -> Figure:
-    """The spectrum of the correction of one instrument."""
-    return orders_figure((order_panel(order, amplitude),))
+def orders_figure(instruments: Iterable[tuple[str, CompensationOutline]]) -> Figure | None:
+    """Spectrum of the correction of each instrument in its own revolution order, over at most six decades.
 
-
-def order_panel(order: Array, amplitude: Array, title: str = "") -> Panel:
-    """The spectrum of one correction, over at most six decades."""
-    shown = np.maximum(amplitude, 1e-6 * float(np.nanmax(amplitude)))
-    axis = Axis("amplitude of the correction", "µg", log=True)
-    return Panel(Axis("revolution order", "1"), axis, (Series(order, shown / MICRO_G, "correction"),), title)
-
-
-def orders_figure(panels: tuple[Panel, ...]) -> Figure:
-    """Spectra of corrections."""
+    ``instruments`` have the titles of their panels. None if no output turns far enough.
+    """
+    axes, panels = (Axis("revolution order", "1"), Axis("amplitude of the correction", "µg", log=True)), []
+    for title, outline in instruments:
+        order, amplitude = correction_spectrum(outline)
+        if (amplitude > 0.0).any():
+            shown = np.maximum(amplitude, 1e-6 * float(np.nanmax(amplitude)))
+            panels.append(Panel(*axes, (Series(order, shown / MICRO_G, "correction"),), title))
+    if not panels:
+        return None
     return Figure(
         "compensation-orders",
         "What was taken out, by revolution order.",
-        panels,
+        tuple(panels),
         "The cross-coupling turns with the output and stands at order 1, pulling at order 2, harmonics of the "
         "calibration at theirs.",
         height=2.8,
@@ -342,9 +308,6 @@ def _curve(
     return Series(t[rows], y[rows] / unit, title or name, role=role)
 
 
-ROLES: dict[str, Role] = {"x": "x", "y": "y", "z": "z"}
-
-
 def set_force_figure(outline: SetOutline) -> Figure:
     """Indicated and compensated components, and their difference."""
     panels = [
@@ -356,10 +319,10 @@ def set_force_figure(outline: SetOutline) -> Figure:
                 _curve(outline, force, G0, "after", "compensated"),
             ),
         )
-        for axis, raw, force in zip(AXES, RAW, FORCE, strict=True)
+        for axis, raw, force in zip(XYZ, RAW, FORCE, strict=True)
     ]
     lines = tuple(
-        _curve(outline, name, MICRO_G, ROLES[axis], axis) for axis, name in zip(AXES, CORRECTION, strict=True)
+        _curve(outline, name, MICRO_G, axis, axis) for axis, name in zip(XYZ, CORRECTION, strict=True)
     )
     panels.append(Panel(TIME, Axis("correction", "µg"), lines))
     return Figure(
@@ -396,13 +359,3 @@ def misfit_figure(outline: SetOutline, names: tuple[str, ...]) -> Figure:
         "a step or a drift in one of them points at its calibration, its mounting, its phase or a fault.",
         height=1.7,
     )
-
-
-def set_orders_figure(outline: SetOutline, names: tuple[str, ...]) -> Figure | None:
-    """Spectrum of every instrument's correction in its own revolution order; None if no output turns far enough."""
-    panels = []
-    for name, single in zip(names, outline.instruments, strict=True):
-        order, amplitude = correction_spectrum(single)
-        if (amplitude > 0.0).any():
-            panels.append(order_panel(order, amplitude, name))
-    return orders_figure(tuple(panels)) if panels else None

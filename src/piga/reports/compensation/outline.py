@@ -21,7 +21,7 @@ from piga.compensation.sets.set_files import SetReading
 from piga.records.calibration import Calibration, Residuals
 from piga.records.run import Run
 from piga.records.spool import Arrays
-from piga.records.terms import si_factor
+from piga.reports.calibration.tables import scale_factor
 from piga.reports.render.decimate import SHOWN
 
 Array = NDArray[np.float64]
@@ -247,7 +247,6 @@ def _extremes(rows: dict[str, Array], curves: tuple[str, ...], bucket: int) -> d
     return {name: values[kept] for name, values in rows.items()}
 
 
-AXES = ("x", "y", "z")
 RAW, FORCE, CORRECTION = ("raw_x", "raw_y", "raw_z"), ("fx", "fy", "fz"), ("dx", "dy", "dz")
 
 
@@ -309,6 +308,4 @@ class SetOutline(Watch):
 
 def outline_of(kind: str, calibration: Calibration, curves: tuple[str, ...] = CURVES) -> CompensationOutline:
     """A fresh outline for records of this kind (``"angle"`` or ``"rate"``) and calibration."""
-    values = [c.value for c in calibration.coefficients if c.name == "scale_factor"]
-    K = values[0] * si_factor("scale_factor") if values else calibration.scale_factor_nominal
-    return CompensationOutline(kind, K, curves)
+    return CompensationOutline(kind, scale_factor(calibration), curves)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,18 +17,16 @@ from piga.records.run import Run
 from piga.records.terms import shown_unit
 from piga.reports.calibration.tables import judgement
 from piga.reports.compensation.figures import (
-    correction_figure,
-    correction_spectrum,
     error_figures,
     flag_figure,
     force_figure,
     misfit_figure,
+    orders_figure,
     set_force_figure,
-    set_orders_figure,
 )
-from piga.reports.compensation.outline import AXES, CORRECTION, CompensationOutline, SetOutline
+from piga.reports.compensation.outline import CORRECTION, CompensationOutline, SetOutline
 from piga.reports.render.decimate import SHOWN
-from piga.reports.render.figure import Figure
+from piga.reports.render.figure import XYZ
 from piga.reports.render.numbers import count, pretty_unit, printed, rounded, short
 from piga.reports.render.page import (
     ALONE,
@@ -40,6 +38,7 @@ from piga.reports.render.page import (
     Section,
     Table,
     TableColumn,
+    TableOf,
     Text,
     Tile,
     Tone,
@@ -85,7 +84,7 @@ def compensation_page(
     """The page of a compensation."""
     sections = [
         Section("Specific force", "specific-force", (FigureBlock(force_figure(outline)),)),
-        _orders(outline),
+        _orders(outline, [("", outline)], "output"),
         _reference(outline, facts.calibration, whole),
         _flags(outline),
         *_repairs(facts),
@@ -141,15 +140,13 @@ def _micro_g(value: float) -> str:
     return short(value / MICRO_G) if math.isfinite(value) else "–"
 
 
-def _orders(outline: CompensationOutline) -> Section:
-    order, amplitude = correction_spectrum(outline)
-    figure = correction_figure(order, amplitude) if (amplitude > 0.0).any() else None
-    return _orders_section(
-        outline, figure, "No part of the record turns far enough, or nothing turns with the output."
-    )
-
-
-def _orders_section(outline: CompensationOutline | SetOutline, figure: Figure | None, nothing: str) -> Section:
+def _orders(
+    outline: CompensationOutline | SetOutline,
+    instruments: Iterable[tuple[str, CompensationOutline]],
+    output: str,
+) -> Section:
+    figure = orders_figure(instruments)
+    nothing = f"No part of the record turns far enough, or nothing turns with the {output}."
     blocks: list[Block] = [Notice("info", nothing) if figure is None else FigureBlock(figure)]
     if outline.size > SHOWN:
         blocks.append(Text(f"Of the first {count(SHOWN)} rows. Figures against time show the whole record."))
@@ -213,9 +210,13 @@ def _flag_section(
 def _repairs(facts: CompensationFacts) -> tuple[Section, ...]:
     if not facts.repairs:
         return ()
-    columns = (TableColumn("finding", align="text"), TableColumn("count"))
-    rows = tuple((name, count(number)) for name, number in facts.repairs.items())
-    return (Section("Found while reading", "repairs", (Table(columns, rows, "Repairs of the record."),)),)
+    table = (
+        TableOf(facts.repairs.items())
+        .text("finding", lambda item: item[0])
+        .number("count", lambda item: count(item[1]))
+        .table("Repairs of the record.")
+    )
+    return (Section("Found while reading", "repairs", (table,)),)
 
 
 def _provenance(facts: CompensationFacts, scale_factor: float) -> Section:
@@ -226,9 +227,13 @@ def _provenance(facts: CompensationFacts, scale_factor: float) -> Section:
         "scale factor of the indication": f"{printed(short(scale_factor, 8))} (rad/s)/(m/s²)",
         **facts.options,
     }
-    heads = (TableColumn("coefficient", align="text"), TableColumn("value"), TableColumn("unit", align="text"))
-    values = tuple((c.key, *coefficient_words(c)) for c in cal.coefficients)
-    coefficients = Table(heads, values, "Coefficients of the calibration, standard uncertainty in brackets.")
+    coefficients = (
+        TableOf(cal.coefficients)
+        .text("coefficient", lambda c: c.key)
+        .number("value", lambda c: coefficient_words(c)[0])
+        .text("unit", lambda c: coefficient_words(c)[1])
+        .table("Coefficients of the calibration, standard uncertainty in brackets.")
+    )
     return _provenance_section(options, facts.files, coefficients)
 
 
@@ -257,7 +262,7 @@ def set_page(outline: SetOutline, facts: SetFacts) -> Page:
     sections = (
         Section("Specific force", "specific-force", (FigureBlock(set_force_figure(outline)),)),
         _misfit(outline, facts),
-        _set_orders(outline, facts),
+        _orders(outline, zip(facts.names, outline.instruments, strict=True), "outputs"),
         _set_flags(outline, facts),
         _instruments(outline, facts),
         _provenance_section(facts.options, facts.files),
@@ -321,11 +326,6 @@ def _misfit(outline: SetOutline, facts: SetFacts) -> Section:
     return Section(title, anchor, (said, FigureBlock(misfit_figure(outline, facts.names))))
 
 
-def _set_orders(outline: SetOutline, facts: SetFacts) -> Section:
-    nothing = "No part of the record turns far enough, or nothing turns with the outputs."
-    return _orders_section(outline, set_orders_figure(outline, facts.names), nothing)
-
-
 def _set_flags(outline: SetOutline, facts: SetFacts) -> Section:
     counted = {
         name: (count(marks.count), *(count(single.marks[name].count) for single in outline.instruments))
@@ -339,7 +339,7 @@ def _set_flags(outline: SetOutline, facts: SetFacts) -> Section:
 
 def _instruments(outline: SetOutline, facts: SetFacts) -> Section:
     mounting = (
-        TableColumn("instrument", align="text"), *(TableColumn(f"X0 along {axis}") for axis in AXES),
+        TableColumn("instrument", align="text"), *(TableColumn(f"X0 along {axis}") for axis in XYZ),
         TableColumn("correction, rms", "µg"), TableColumn("misfit, rms", "µg"),
     )  # fmt: skip
     names = ("scale_factor", "tan_beta", "phi")

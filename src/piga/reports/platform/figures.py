@@ -14,7 +14,7 @@ from piga.platform.chain import Capstone, ModelComparisonRun, ModelRun
 from piga.platform.identify import Identification
 from piga.platform.scenario import Model
 from piga.platform.simulate import PlatformRun
-from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Role, Series
 from piga.units import ARCMIN, ARCSEC, DAY
 
 Array = NDArray[np.float64]
@@ -58,17 +58,17 @@ def readouts_figure(run: PlatformRun) -> Figure:
     middle = 0.5 * (r.times[1:] + r.times[:-1])
     force = r.increments / r.step
     angles = np.unwrap(r.gimbals, axis=0)
-    gimbals, axes = ("outer", "middle", "inner"), ("x", "y", "z")
+    gimbals = ("outer", "middle", "inner")
     over = 1 if run.truth.motion.at_rest else max(1, round(MINUTE / r.step))
     close = "" if over == 1 else ", 1 min mean"
     pickoff = np.stack([r.pickoff, run.truth.eta], axis=1) / ARCMIN
     panels = (
-        _three(axis, Axis("specific force", "m/s^2"), middle / unit, force, axes),
+        _three(axis, Axis("specific force", "m/s^2"), middle / unit, force, XYZ),
         _three(
             minutes,
             Axis(f"force{close}", "mm/s^2"),
             *_course_out(middle[early], 1e3 * force[early], over),
-            axes,
+            XYZ,
         ),
         _three(axis, Axis("gimbal angle", "deg"), r.times / unit, np.degrees(angles), gimbals),
         _three(
@@ -98,8 +98,7 @@ def readouts_figure(run: PlatformRun) -> Figure:
 
 def _three(x: Axis, y: Axis, at: Array, values: Array, labels: tuple[str, str, str]) -> Panel:
     """Three columns against one axis of time, in the colours of the axes."""
-    roles: tuple[Role, ...] = ("x", "y", "z")
-    return Panel(x, y, tuple(Series(at, values[:, k], labels[k], "line", roles[k]) for k in range(3)))
+    return Panel(x, y, tuple(Series(at, values[:, k], labels[k], "line", XYZ[k]) for k in range(3)))
 
 
 def _pickoff(x: Axis, at: Array, values: Array) -> Panel:
@@ -213,7 +212,7 @@ def lines_figure(comparison: ModelComparisonRun, which: Case = "amplitude") -> F
                     Series(
                         run.theory.day,
                         getattr(run.theory, which)[name] / scale,
-                        f"theory, {model_name(model)}",
+                        f"theory, {label}",
                         "line",
                         "reference",
                         dashed=True,
@@ -404,12 +403,11 @@ def force_day_figure(capstone: Capstone) -> Figure:
     times, along = capstone.day
     sensors = capstone.scenario.sensors.piga
     width = 9.8 * (sensors.tan_beta if sensors else 0.0)
-    roles: tuple[Role, ...] = ("x", "y", "z")
     panel = Panel(
         Axis("time", "h"),
         Axis("force along the input axis", "m/s^2"),
         (
-            *(Series(times / HOUR, along[:, k], f"instrument {k + 1}", "line", roles[k]) for k in range(3)),
+            *(Series(times / HOUR, along[:, k], f"instrument {k + 1}", "line", XYZ[k]) for k in range(3)),
             Series([0.0, times[-1] / HOUR], [0.0, 0.0], "locked zone", "line", "warning", dashed=True),
         ),
     )
@@ -428,7 +426,7 @@ def passage_figure(capstone: Capstone) -> Figure | None:
     if p is None:
         return None
     minutes = (p.times - p.times[0]) / MINUTE
-    centre = 1e3
+    edge = np.full_like(minutes, 1e3 * p.half_width)
     return Figure(
         "fig-passage",
         f"Instrument {p.instrument + 1} passes its locked zone",
@@ -437,24 +435,17 @@ def passage_figure(capstone: Capstone) -> Figure | None:
                 Axis("time", "min"),
                 Axis("force along the input axis", "mm/s^2"),
                 (
-                    Series(
-                        minutes,
-                        -p.half_width * centre * np.ones_like(minutes),
-                        "locked zone",
-                        "band",
-                        "warning",
-                        upper=p.half_width * centre * np.ones_like(minutes),
-                    ),
-                    Series(minutes, p.true * centre, "true", "line", "reference", dashed=True),
-                    Series(minutes, p.raw * centre, "raw output", "line", "before"),
+                    Series(minutes, -edge, "locked zone", "band", "warning", upper=edge),
+                    Series(minutes, 1e3 * p.true, "true", "line", "reference", dashed=True),
+                    Series(minutes, 1e3 * p.raw, "raw output", "line", "before"),
                 ),
             ),
             Panel(
                 Axis("time", "min"),
                 Axis("error of the reading", "mm/s^2"),
                 (
-                    Series(minutes, (p.raw - p.true) * centre, "raw output", "line", "before"),
-                    Series(minutes, (p.triad - p.true) * centre, "triad solved", "line", "after"),
+                    Series(minutes, 1e3 * (p.raw - p.true), "raw output", "line", "before"),
+                    Series(minutes, 1e3 * (p.triad - p.true), "triad solved", "line", "after"),
                 ),
             ),
         ),

@@ -145,24 +145,19 @@ def identification_page(
 ) -> Page:
     """Page of ``piga platform identify``."""
     s = run.scenario
-    m1, m2 = identification["polar.misalignment"], identification["equatorial.misalignment"]
-    tiles = (
-        Tile("polar misalignment", f"{m1.value / ARCMIN:.5f}", "arcmin", f"± {short(m1.std / ARCSEC)} arcsec"),
-        Tile(
-            "equatorial misalignment",
-            f"{m2.value / ARCMIN:.5f}",
-            "arcmin",
-            f"± {short(m2.std / ARCSEC)} arcsec",
-        ),
-        Tile("condition", short(identification.condition), "", " + ".join(identification.sources)),
-    )
+    tiles = []
+    for gyro in ("polar", "equatorial"):
+        m = identification[f"{gyro}.misalignment"]
+        spread = f"± {short(m.std / ARCSEC)} arcsec"
+        tiles.append(Tile(f"{gyro} misalignment", f"{m.value / ARCMIN:.5f}", "arcmin", spread))
+    tiles.append(Tile("condition", short(identification.condition), "", " + ".join(identification.sources)))
     blocks: list[Block] = [parameter_table(identification, s)]
     blocks += [Notice("info", note) for note in identification.notes]
     sections = [Section("Misalignments, phases and harmonics", "parameters", tuple(blocks))]
     if recursive is not None:
         sections.append(Section("Sample by sample", "recursive", (FigureBlock(convergence_figure(recursive)),)))
     sections.append(Section("What each source can tell", "observability", (_observability_table(sources),)))
-    return page("Platform identification", s, tiles, tuple(sections))
+    return page("Platform identification", s, tuple(tiles), tuple(sections))
 
 
 def alignment_page(run: PlatformRun, aligned: Alignment) -> Page:
@@ -226,9 +221,8 @@ def _case_rotation_text(s: PlatformScenario) -> Text:
             resting = averaged_drift(at_rest, gyro.case_drift, s.duration) / ARCMIN
             turning = averaged_drift(rotation, gyro.case_drift, s.duration) / ARCMIN
             parts.append(
-                f"The case-fixed drift of the {name} gyro would turn its momentum by "
-                f"{short(resting)} arcmin over the run with the "
-                f"case at rest; with the case turning it stays within {short(turning)} arcmin."
+                f"The case-fixed drift of the {name} gyro would turn its momentum by {short(resting)} arcmin over the "
+                f"run with the case at rest; with the case turning it stays within {short(turning)} arcmin."
             )
     return Text("\n\n".join(parts) or "No case-fixed drift was put in.")
 
@@ -477,29 +471,23 @@ def capstone_page(capstone: Capstone) -> Page:
         Tile("triad solved", short(solved.position), "m", "effective axes, per sample", "good"),
     )
     story = (
-        "The platform stands still in inertial space and the Earth turns under it. Each input "
-        "axis crosses the horizontal twice "
-        "a sidereal day and is inside its locked zone for "
+        "The platform stands still in inertial space and the Earth turns under it. Each input axis crosses the "
+        "horizontal twice a sidereal day and is inside its locked zone for "
         f"{short(float(raw.locked_per_day.max()))} s a day. {_passage_words(capstone)} "
         f"Read as alpha'/K, the three instruments put the navigator {short(raw.position)} m off.\n\n"
-        "Mounted within the latitude of the pole the axes never come to the horizontal: "
-        f"{short(skewed.position)} m, with "
-        f"{short(skewed.noise_gain)} times the noise. Solved together with their effective axes "
-        "the three instruments give the force "
-        f"back in any mounting: {short(solved.position)} m, against "
+        f"Mounted within the latitude of the pole the axes never come to the horizontal: {short(skewed.position)} m, "
+        f"with {short(skewed.noise_gain)} times the noise. Solved together with their effective axes the three "
+        f"instruments give the force back in any mounting: {short(solved.position)} m, against "
         f"{short(capstone.outcomes['ideal'].position)} m with ideal ones."
     )
-    passage = passage_figure(capstone)
-    day: tuple[Block, ...] = (FigureBlock(force_day_figure(capstone)),)
-    if passage is not None:
-        day = (*day, FigureBlock(passage))
+    day = (force_day_figure(capstone), passage_figure(capstone))
     sections = (
         Section(
             "What happens",
             "story",
             (Text(story, lead=True), FigureBlock(capstone_figure(capstone)), _capstone_table(capstone)),
         ),
-        Section("Why", "why", day),
+        Section("Why", "why", tuple(FigureBlock(figure) for figure in day if figure is not None)),
     )
     return page("Gyro accelerometers on the space-stable platform", capstone.scenario, tiles, sections)
 
@@ -509,9 +497,8 @@ def _passage_words(capstone: Capstone) -> str:
     if p is None:
         return "No instrument passes its locked zone here."
     return (
-        f"A passage is too short to lock, which takes {short(p.lock_time / 60.0)} min; but about "
-        "it the gimbal turns so slowly that "
-        f"its cross-coupling does not average out: each passage leaves up to {short(p.velocity_error)} m/s."
+        f"A passage is too short to lock, which takes {short(p.lock_time / 60.0)} min; but about it the gimbal turns so "
+        f"slowly that its cross-coupling does not average out: each passage leaves up to {short(p.velocity_error)} m/s."
     )
 
 

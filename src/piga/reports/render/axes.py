@@ -16,9 +16,8 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
 from piga.errors import ArgumentError
-from piga.reports.render.decimate import envelope_rows
 from piga.reports.render.figure import INK, LIGHT, Figure, Panel, Series
-from piga.reports.render.scene import DRAWN, rows_and_columns
+from piga.reports.render.scene import bar_width, drawn_rows, rows_and_columns
 from piga.reports.render.static import WIDTH
 
 SMALL = 8.5
@@ -109,16 +108,13 @@ def _panel(panel: Panel, axes: Axes) -> None:
 def _series(series: Series, axes: Axes, *, dates: bool) -> None:
     """One curve; of a long one its outline, as on the page."""
     x, y = series.arrays()
-    rows = envelope_rows(y, DRAWN)
-    if series.upper is not None:
-        rows = np.union1d(rows, envelope_rows(np.asarray(series.upper, dtype=float), DRAWN))
+    rows = drawn_rows(series)
     x, y, colour = x[rows], y[rows], LIGHT[series.role]
     name = series.name or "_"
     if dates:
         x = x.astype(float)  # days since 1970-01-01: Matplotlib's own count of days
     if series.mark == "bars":
-        width = 0.8 * float(np.min(np.diff(np.unique(x)))) if np.unique(x).size > 1 else 0.8
-        axes.bar(x, y, width=width, color=colour, label=name)
+        axes.bar(x, y, width=bar_width(x), color=colour, label=name)
         return
     if series.mark == "band":
         upper = np.asarray(series.upper, dtype=float)[rows]

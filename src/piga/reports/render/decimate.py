@@ -60,9 +60,9 @@ def _bucket_rows(values: NDArray) -> list[int]:
     return [gap, int(finite[np.argmin(values[finite])]), int(finite[np.argmax(values[finite])])]
 
 
-def thin(x: ArrayLike, y: ArrayLike, limit: int = POINTS) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """``x`` and ``y`` reduced to at most ``limit`` points by :func:`envelope_rows`."""
-    rows = envelope_rows(y, limit)
+def thin(x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``x`` and ``y`` reduced to at most :data:`POINTS` points by :func:`envelope_rows`."""
+    rows = envelope_rows(y)
     return np.asarray(x, dtype=float)[rows], np.asarray(y, dtype=float)[rows]
 
 
@@ -75,32 +75,33 @@ def outline(residuals: Residuals) -> Residuals:
     """Rows that keep the outline of the residuals against time; all of a short record."""
     if residuals.t.size <= SHOWN:
         return residuals
-    edges = np.append(_starts(residuals.segment), residuals.t.size)
+    edges = _edges(residuals.segment)
     ends = np.unique(np.concatenate((edges[:-1], edges[1:] - 1)))
     drawn = [envelope_rows(values, OUTLINE) for values in (residuals.before, residuals.after)]
-    return _rows(residuals, np.unique(np.concatenate([ends, *drawn])))
+    return rows_of(residuals, np.unique(np.concatenate([ends, *drawn])))
 
 
 def leading_part(residuals: Residuals) -> Residuals:
     """The first samples of every segment, neighbours as in the record; all of a short record."""
     if residuals.t.size <= SHOWN:
         return residuals
-    edges = np.append(_starts(residuals.segment), residuals.t.size)
+    edges = _edges(residuals.segment)
     share = max(SHOWN // (edges.size - 1), 8)
     rows = [np.arange(left, min(left + share, right)) for left, right in pairwise(edges.tolist())]
-    return _rows(residuals, np.concatenate(rows))
+    return rows_of(residuals, np.concatenate(rows))
 
 
-def _starts(segment: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Rows where segments begin."""
-    starts = [np.zeros(1, np.int64)]
+def _edges(segment: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Rows where segments begin, and the end of the last one."""
+    edges = [np.zeros(1, np.int64)]
     for part in spans(segment.size):
         around = segment[max(part.start - 1, 0) : part.stop]
-        starts.append(max(part.start - 1, 0) + 1 + np.flatnonzero(np.diff(around)))
-    return np.concatenate(starts)
+        edges.append(max(part.start - 1, 0) + 1 + np.flatnonzero(np.diff(around)))
+    return np.concatenate((*edges, [segment.size]))
 
 
-def _rows(residuals: Residuals, rows: NDArray[np.int64]) -> Residuals:
+def rows_of(residuals: Residuals, rows: NDArray[np.int64]) -> Residuals:
+    """These rows of the residuals."""
     names = ("row", "t", "psi", "a_x", "before", "after", "innovation", "segment")
     part: dict[str, Any] = {name: gathered(getattr(residuals, name), rows) for name in names}
     run = None if residuals.run is None else gathered(residuals.run, rows)

@@ -9,7 +9,7 @@ Okabe and Ito (vermilion, blue, bluish green); lightness differs as well, so tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
@@ -19,6 +19,9 @@ from piga.results import Result
 
 Mark = Literal["line", "points", "line+points", "bars", "band", "steps"]
 Role = Literal["data", "model", "before", "after", "reference", "warning", "x", "y", "z", "muted"]
+
+XYZ: Final[tuple[Role, Role, Role]] = ("x", "y", "z")
+"""Roles of the three components of a vector."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,7 @@ class Figure(Result):
     caption: str = ""
     columns: int = 1
     height: float = 3.2
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
 
 INK: Final = "#1c2733"

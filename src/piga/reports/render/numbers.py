@@ -7,10 +7,16 @@ GUM (JCGM 100, 7.2.6) recommends; ``3.5876(12)e-4`` puts the uncertainty in unit
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
 
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_DIGITS, _RAISED = "-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"
+_RAISE, _LOWER = str.maketrans(_DIGITS, _RAISED), str.maketrans(_RAISED, _DIGITS)
+_ASCII = str.maketrans({
+    "−": "-", "–": "-", "±": "+/-", "×": "x", "∞": "inf", "µ": "u", "²": "^2", "³": "^3", "\u00a0": "", "\u202f": "",
+})  # fmt: skip
 _PRETTY = (("^2", "²"), ("^3", "³"), ("sqrt(s)", "√s"), ("arcsec", "″"), ("degC", "°C"))
 
 
@@ -149,9 +155,39 @@ def printed(number: str) -> str:
     return f"{text} × {power(exponent)}" if mark and exponent.lstrip("-").isdigit() else text
 
 
+def ascii_text(text: str) -> str:
+    """A printed text for any terminal.
+
+    Examples
+    --------
+    >>> ascii_text("3.2 × 10⁻⁶ rad/√s"), ascii_text("− 12 µg/g²")
+    ('3.2e-6 rad/sqrt(s)', '- 12 ug/g^2')
+    """
+    text = re.sub(rf"\s*×\s*10([{_RAISED}]+)", lambda found: f"e{found[1].translate(_LOWER)}", text)
+    return text.replace("√s", "sqrt(s)").translate(_ASCII)
+
+
+def aligned(rows: Sequence[Sequence[str]], left: Container[int] = ()) -> list[str]:
+    """Rows of a table for the terminal, two spaces between columns. Those of ``left`` begin alike, the others end alike.
+
+    Examples
+    --------
+    >>> aligned([("k0", "1.5"), ("tan_beta", "12")], left={0})
+    ['k0        1.5', 'tan_beta   12']
+    """
+    width = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            text.ljust(wide) if k in left else text.rjust(wide)
+            for k, (text, wide) in enumerate(zip(row, width, strict=True))
+        )
+        for row in rows
+    ]
+
+
 def power(exponent: int | str) -> str:
     """A power of ten as it is printed, e.g. ``10⁻⁴``."""
-    return f"10{str(exponent).translate(_SUPERSCRIPT)}"
+    return f"10{str(exponent).translate(_RAISE)}"
 
 
 def pretty_unit(unit: str) -> str:

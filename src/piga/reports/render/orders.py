@@ -25,13 +25,18 @@ Array = NDArray[np.float64]
 TURNS_NEEDED = 2.0
 """Cycles of a ripple that a segment must hold: fewer cannot be told from drift or from other orders."""
 
+STEP, HIGHEST = 0.125, 6.0
+"""Spacing of the revolution orders of a spectrum, and the last one."""
+BINS = 36
+"""Most bins of one revolution."""
+
 _TAPER_LOSS = 1.5  # variance of an amplitude under the raised cosine, against equal weights
 
 LONG, JOINED = 1 << 16, 0.6
 """Samples from which neighbours are joined for the spectrum, and how far the highest order may turn [rad] over those
 joined: the floor beside a strong line changes by less than 1 % of that line."""
 
-_CHUNK = 8192
+_CHUNK, _LEAST = 8192, 8
 _STANDING = 1e-7
 
 
@@ -86,7 +91,7 @@ def segment_slices(segment: ArrayLike) -> list[slice]:
     return [slice(start, stop) for start, stop in pairwise(edges)]
 
 
-def _segments(residuals: Residuals, least: int = 8) -> list[_Segment]:
+def _segments(residuals: Residuals) -> list[_Segment]:
     segments = []
     for part in segment_slices(residuals.segment):
         t, psi = residuals.t[part], residuals.psi[part]
@@ -97,22 +102,18 @@ def _segments(residuals: Residuals, least: int = 8) -> list[_Segment]:
         else:
             good = np.isfinite(t) & np.isfinite(psi) & np.isfinite(residual).all(axis=0)
             segment = _Segment(t[good], psi[good], residual[:, good], index)
-        if segment.t.size >= least:
+        if segment.t.size >= _LEAST:
             segments.append(segment)
     return segments
 
 
-def order_grid(highest: float = 6.0, step: float = 0.125) -> Array:
-    """Revolution orders ``step, 2 step, ..., highest``; whole orders are among them."""
-    return np.arange(1.0, round(highest / step) + 1.0) * step
+def order_grid() -> Array:
+    """Revolution orders from :data:`STEP` to :data:`HIGHEST`; whole orders are among them."""
+    return np.arange(1.0, round(HIGHEST / STEP) + 1.0) * STEP
 
 
 def order_spectrum(
-    residuals: Residuals,
-    scale_factor: float,
-    noise: tuple[float, float] = (0.0, 0.0),
-    step: float = 0.125,
-    highest: float = 6.0,
+    residuals: Residuals, scale_factor: float, noise: tuple[float, float] = (0.0, 0.0)
 ) -> OrderSpectrum:
     """Amplitude spectrum of the residuals in revolution order, as equivalent specific force.
 
@@ -124,8 +125,6 @@ def order_spectrum(
         ``K`` [(rad/s)/(m/s^2)].
     noise:
         White noise of the angle [rad, rms] and angle random walk [rad/sqrt(s)].
-    step, highest:
-        Spacing of the orders and the last one.
 
     Returns
     -------
@@ -134,25 +133,19 @@ def order_spectrum(
         information it holds on that order. Segments that turn less than half as far as the farthest, or
         show less than two cycles of the order, are left out: they would blur the lines.
     """
-    return _spectrum(_segments(residuals), scale_factor, noise, step, highest)
+    return _spectrum(_segments(residuals), scale_factor, noise)
 
 
 def spectrum_and_ripple(
     residuals: Residuals, scale_factor: float, noise: tuple[float, float]
 ) -> tuple[OrderSpectrum, Ripple]:
-    """:func:`order_spectrum` and :func:`ripple` of the same residuals; their samples are gathered once."""
+    """:func:`order_spectrum` and the ripple of the same residuals; their samples are gathered once."""
     segments = _segments(residuals)
     return _spectrum(segments, scale_factor, noise), _ripple(segments, scale_factor)
 
 
-def _spectrum(
-    segments: list[_Segment],
-    scale_factor: float,
-    noise: tuple[float, float],
-    step: float = 0.125,
-    highest: float = 6.0,
-) -> OrderSpectrum:
-    order = order_grid(highest, step)
+def _spectrum(segments: list[_Segment], scale_factor: float, noise: tuple[float, float]) -> OrderSpectrum:
+    order = order_grid()
     power, weight = np.zeros((3, order.size)), np.zeros(order.size)
     single: list[tuple[int, Array]] = []
     enough = 0.499 * max((segment.turns for segment in segments), default=0.0)
@@ -160,8 +153,8 @@ def _spectrum(
         shown = (order * segment.turns >= TURNS_NEEDED) & (segment.turns >= enough)
         if not shown.any():
             continue
-        joined = _joined(segment, highest)
-        square, information = _segment_power(joined, step, order.size, scale_factor)
+        joined = _joined(segment)
+        square, information = _segment_power(joined, order.size, scale_factor)
         square /= _left_by_joining(segment, joined, order) ** 2
         square = np.vstack((square, _noise_power(segment, order, noise) / scale_factor**2))
         good = shown & (information > 0.0)
@@ -173,11 +166,11 @@ def _spectrum(
     return OrderSpectrum(order, amplitude[0], amplitude[1], amplitude[2], len(single), tuple(single))
 
 
-def _joined(segment: _Segment, highest: float) -> _Segment:
+def _joined(segment: _Segment) -> _Segment:
     """Means of the residuals over an odd number of samples, about the one in the middle."""
     if segment.t.size < LONG:
         return segment
-    turn = highest * float(np.quantile(np.abs(np.diff(segment.psi)), 0.99))
+    turn = HIGHEST * float(np.quantile(np.abs(np.diff(segment.psi)), 0.99))
     half = int((JOINED / turn - 1.0) / 2.0) if turn > 0.0 else 0
     width = min(2 * max(half, 0) + 1, 2 * (segment.t.size // LONG) + 1)
     stop = segment.t.size // width * width
@@ -206,7 +199,7 @@ def _noise_power(segment: _Segment, order: Array, noise: tuple[float, float]) ->
     return 4.0 * _TAPER_LOSS * density / duration
 
 
-def _segment_power(segment: _Segment, step: float, orders: int, scale_factor: float) -> tuple[Array, Array]:
+def _segment_power(segment: _Segment, orders: int, scale_factor: float) -> tuple[Array, Array]:
     """Squared amplitudes (before, after) and information of one segment, per order."""
     moments = np.zeros((orders, 6, 2))
     plain = np.zeros((4, 4))
@@ -224,7 +217,7 @@ def _segment_power(segment: _Segment, step: float, orders: int, scale_factor: fl
         light = taper[rows].copy()
         light[:skip] = 0.0
         plain += (fixed * light) @ fixed.T
-        _add_moments(moments, carry, segment.t[rows], segment.psi[rows] - segment.psi[0], fixed, light, step)
+        _add_moments(moments, carry, segment.t[rows], segment.psi[rows] - segment.psi[0], fixed, light)
     per_order = scale_factor / np.arange(1.0, orders + 1.0)[:, None, None]
     moments[:, :4] *= per_order
     moments[:, 4:] *= per_order**2
@@ -238,14 +231,13 @@ def _add_moments(
     psi: Array,
     fixed: Array,
     weight: Array,
-    step: float,
 ) -> None:
     """Weighted sums of the integrals ``n int exp(i n psi) dt`` with 1, t, the residuals, and themselves."""
     weighted = fixed * weight
-    turn = np.exp(1j * step * psi)
+    turn = np.exp(1j * STEP * psi)
     dt, dpsi = np.diff(t), np.diff(psi)
     standing = np.abs(dpsi) < _STANDING
-    rate = np.where(standing, 0.0, dt / np.where(standing, 1.0, dpsi)) / (1j * step)
+    rate = np.where(standing, 0.0, dt / np.where(standing, 1.0, dpsi)) / (1j * STEP)
     still = np.where(standing, dt, 0.0) if standing.any() else None
     root = np.sqrt(weight)
     phasor, pieces, integral = np.ones_like(turn), np.empty_like(turn), np.empty_like(turn)
@@ -280,25 +272,16 @@ def _fit_orders(moments: Array, plain: Array) -> tuple[Array, Array]:
     return squares, np.where(good, information, 0.0)
 
 
-def ripple(residuals: Residuals, scale_factor: float, bins: int = 36) -> Ripple:
+def _ripple(segments: list[_Segment], scale_factor: float) -> Ripple:
     """Residual specific force against output angle: the mean of each bin over all turns.
 
     Every segment is turned until its own first-order ripple before calibration points to zero, so that
     positions with different transverse force add up instead of cancelling; ``after`` is turned alike.
-    Segments of less than two turns cannot show a ripple and are left out.
-
-    Parameters
-    ----------
-    residuals, scale_factor:
-        As for :func:`order_spectrum`.
-    bins:
-        Bins of one revolution; fewer are taken where the output turns further between samples.
+    Segments of less than two turns cannot show a ripple and are left out. There are :data:`BINS` bins of one revolution,
+    fewer where the output turns further between samples.
     """
-    return _ripple(_segments(residuals), scale_factor, bins)
-
-
-def _ripple(segments: list[_Segment], scale_factor: float, bins: int = 36) -> Ripple:
     segments = [segment for segment in segments if segment.turns >= TURNS_NEEDED]
+    bins = BINS
     if segments:
         stride = max(float(np.median(np.abs(np.diff(segment.psi)))) for segment in segments)
         bins = min(bins, max(12, int(2.0 * math.pi / stride) if stride > 0.0 else bins))

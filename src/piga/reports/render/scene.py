@@ -317,7 +317,7 @@ def _reach_x(series: Series) -> list[Array]:
     x, y = series.arrays()
     x = x[np.isfinite(y)]
     if series.mark == "bars":
-        half = 0.5 * _bar_width(x)
+        half = 0.5 * bar_width(x)
         return [x - half, x + half]
     return [x]
 
@@ -334,7 +334,8 @@ def _reach_y(series: Series) -> list[Array]:
     return reach + ([np.zeros(1)] if series.mark == "bars" else [])
 
 
-def _bar_width(x: Array) -> float:
+def bar_width(x: Array) -> float:
+    """Width of bars at these places, with a fifth of the distance between them."""
     steps = np.diff(np.unique(x))
     return 0.8 * float(steps.min()) if steps.size else 0.8
 
@@ -443,16 +444,20 @@ def _equal(panel: Panel, across: Range, up: Range, box: Box) -> tuple[Range, Ran
 # -- series --------------------------------------------------------------------------------------------
 
 
+def drawn_rows(series: Series) -> NDArray[np.int64]:
+    """Rows that are drawn of a series; of a long one its outline."""
+    rows = envelope_rows(series.y, DRAWN)
+    return rows if series.upper is None else np.union1d(rows, envelope_rows(series.upper, DRAWN))
+
+
 def _shapes(series: Series, x_scale: Scale, y_scale: Scale) -> tuple[Shape, ...]:
     """What is drawn of a series."""
     x_values, y_values = series.arrays()
-    rows = envelope_rows(y_values, DRAWN)
-    if series.upper is not None:
-        rows = np.union1d(rows, envelope_rows(series.upper, DRAWN))
+    rows = drawn_rows(series)
     x, y = x_scale.place(x_values[rows]), y_scale.place(y_values[rows])
     colour = f"role-{series.role}"
     if series.mark == "bars":
-        half = 0.5 * _bar_width(x_values)
+        half = 0.5 * bar_width(x_values)
         left, right = x_scale.place(x_values[rows] - half), x_scale.place(x_values[rows] + half)
         return (Shape("area", _bars(left, right, y, _floor(y_scale, np.zeros(1))[0]), colour),)
     if series.mark == "band":

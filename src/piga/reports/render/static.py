@@ -33,9 +33,9 @@ def figure_svg(figure: Figure, *, width: float = WIDTH) -> str:
     return _svg(figure, figure_scene(figure, width / POINT), css_variable, "")
 
 
-def picture_svg(figure: Figure, *, width: float = WIDTH) -> str:
-    """The figure as an SVG element on white paper, ``width`` [inch], for a notebook."""
-    return _svg(figure, figure_scene(figure, width / POINT), light_colour, f' font-family="{_FONTS}"')
+def picture_svg(figure: Figure) -> str:
+    """The figure as an SVG element on white paper, for a notebook."""
+    return _svg(figure, figure_scene(figure, WIDTH / POINT), light_colour, f' font-family="{_FONTS}"')
 
 
 def write_figure(figure: Figure, path: Path, *, width: float = WIDTH, dpi: int = 300) -> Path:
