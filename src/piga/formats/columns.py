@@ -168,10 +168,11 @@ class MissingCount:
 
     counts: dict[str, tuple[int, int]] = field(default_factory=dict)
 
-    def add(self, name: str, mask: NDArray[np.bool_], rows: NDArray[np.int64]) -> None:
-        """Count a chunk's missing values."""
-        count, first = self.counts.get(name, (0, int(rows[np.argmax(mask)])))
-        self.counts[name] = count + int(np.count_nonzero(mask)), first
+    def see(self, name: str, column: Any, rows: NDArray[np.int64]) -> None:
+        """Count the null entries of an Arrow array, whose entries stand in these file rows."""
+        if column.null_count:
+            count, first = self.counts.get(name, (0, int(rows[np.argmax(nulls_of(column))])))
+            self.counts[name] = count + column.null_count, first
 
     def events(self, order: tuple[str, ...]) -> list[Event]:
         """One event for each column with missing values."""

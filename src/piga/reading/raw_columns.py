@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.formats.columns import CHUNK_ROWS, FileChunk, RecordStream
+from piga.formats.columns import FileChunk, RecordStream
 from piga.records.calibration import Event, Tally
 from piga.records.limits import LARGEST_SAMPLE, MAX_SEGMENTS, open_regular, read_whole
 from piga.records.run_file import DataTable
@@ -93,11 +93,11 @@ def columns_stream(
     if kind in (".parquet", ".pq"):
         from piga.formats.containers.parquet_reader import ParquetStream
 
-        return ParquetStream(path, numeric, segment, CHUNK_ROWS)
+        return ParquetStream(path, numeric, segment)
     from piga.formats.containers.container import SUFFIXES, ContainerStream
 
     if kind in SUFFIXES:
-        return ContainerStream(path, kind, numeric, segment, sheet, CHUNK_ROWS)
+        return ContainerStream(path, kind, numeric, segment, sheet)
     spreadsheet = kind in (".xls", ".xlsm", ".xlsb", ".ods")
     raise DataError(
         f"{path}: piga does not read files of kind '{kind}'",

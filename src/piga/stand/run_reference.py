@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from piga.data import EXAMPLE, copy_example
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
-from piga.formats.tables import WHERE, TableStream, as_arrow, stated_units, with_seconds
+from piga.formats.containers.parquet_reader import is_time
+from piga.formats.tables import WHERE, TableStream, as_arrow, stated_units
 from piga.reading.raw_columns import SteadyFile, file_digest
 from piga.reading.read_run import read_record, read_stream
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
@@ -357,8 +358,9 @@ def run_from_table(
         If the columns do not hold what the description says.
     """
     _check_names(columns)
-    own = stated_units(table)
-    arrow, timed = with_seconds(as_arrow(table), columns["time"])
+    own, arrow = stated_units(table), as_arrow(table)
+    at = arrow.schema.get_field_index(columns["time"] or "")
+    timed = at >= 0 and is_time(arrow.schema.field(at).type)
     unknown = [name for name in units if name not in arrow.schema.names]
     if unknown:
         raise ArgumentError(

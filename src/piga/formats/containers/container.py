@@ -37,11 +37,9 @@ class ContainerStream:
     """A container. It is read whole in a separate process and given in chunks (:class:`piga.formats.columns.RecordStream`)."""
 
     def __init__(
-        self, path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None,
-        chunk_rows: int = CHUNK_ROWS,
-    ) -> None:  # fmt: skip
-        self._table = read_container(path, kind, numeric, label, sheet)
-        self._label, self._chunk_rows = label, chunk_rows
+        self, path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None
+    ) -> None:
+        self._table, self._label = read_container(path, kind, numeric, label, sheet), label
         self.units, self.expected_rows = self._table.units, self._table.rows
         self.label_names = list(self._table.labels[label][1]) if label else []
 
@@ -49,8 +47,8 @@ class ContainerStream:
         """The rows in order."""
         table = self._table
         codes = table.labels[self._label][0] if self._label else None
-        for start in range(0, table.rows, self._chunk_rows):
-            part = slice(start, min(start + self._chunk_rows, table.rows))
+        for start in range(0, table.rows, CHUNK_ROWS):
+            part = slice(start, min(start + CHUNK_ROWS, table.rows))
             numbers = {name: np.array(column[part], dtype=float) for name, column in table.numbers.items()}
             yield FileChunk(numbers, None if codes is None else np.array(codes[part]), table.file_rows(part))
             trim()

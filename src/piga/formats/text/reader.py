@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.formats.columns import FileChunk, LabelCodes, MissingCount, nulls_of, numbers_of
+from piga.formats.columns import FileChunk, LabelCodes, MissingCount, numbers_of
 from piga.formats.text.convention import (
     INFINITE,
     LINE_END,
@@ -172,8 +172,7 @@ class TextStream:
             for name in self._numeric:
                 column = batch.column(name)
                 numbers[name] = numbers_of(column)
-                if column.null_count:
-                    self._missed.add(name, nulls_of(column), part)
+                self._missed.see(name, column, part)
             codes = self._codes.of(batch.column(self._label)) if self._label is not None else None
             yield FileChunk(numbers, codes, part)
 
