@@ -93,6 +93,8 @@ def test_a_rate_log_and_its_residuals_have_rates():
     assert run.table_columns()["output"].unit == "rad/s"
     calibration = piga.calibrate(run, TERMS)
     assert calibration.residuals.table_columns()["after"].unit == "rad/s"
+    joint = piga.calibrate([run, rate_log(harmonic=1e-9)], TERMS)
+    assert joint.residuals.table_columns()["after"].unit == "rad/s"
 
 
 def test_uncertainties_have_the_whole_covariance(cal):

@@ -135,7 +135,7 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
         "row": (number_column(residuals.row), "1"),
         "segment": (label_column(residuals.segment, labels), "1"),
         "t": (number_column(residuals.t), "s"),
-        "psi": (number_column(residuals.psi), angle),
+        "psi": (number_column(residuals.psi), "rad"),
         "a_x": (number_column(residuals.a_x), "m/s^2"),
         "before": (number_column(residuals.before), angle),
         "after": (number_column(residuals.after), angle),
