@@ -31,7 +31,7 @@ SAMPLED = 64
 """Elements at each end of an array that its hash looks at."""
 
 DOORS = {
-    "arrow": "piga.formats.tables:arrow_table",
+    "arrow": "piga.formats.tables:arrow",
     "dataframe": "piga.formats.tables:dataframe",
     "dataset": "piga.formats.tables:dataset",
     "instrument": "piga.instrument.parameters:instrument_of",

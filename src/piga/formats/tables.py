@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import ArgumentError, missing_package
+from piga.errors import ArgumentError, needed
 from piga.formats.columns import CHUNK_ROWS, FileChunk, LabelCodes
 from piga.formats.containers.parquet_reader import ArrowStream
-from piga.formats.parquet_writer import arrow_array
+from piga.formats.parquet_writer import arrow_table
 from piga.records.calibration import Calibration
 from piga.records.terms import si_factor
 from piga.results import Column, Tabular
@@ -31,27 +31,16 @@ REMEDIES = ("name a column of the table", "turn it into numbers first, e.g. with
 # -- out -----------------------------------------------------------------------------------------------
 
 
-def arrow_table(result: Tabular) -> Any:
+def arrow(result: Tabular) -> Any:
     """A result as a ``pyarrow.Table``: the unit of each column is in the metadata of its field."""
-    try:
-        import pyarrow as pa
-    except ImportError:
-        raise missing_package("pyarrow") from None
-    arrays = {name: (arrow_array(column), column.unit) for name, column in result.table_columns().items()}
-    fields = [pa.field(name, array.type, metadata={"unit": unit}) for name, (array, unit) in arrays.items()]
+    needed("pyarrow")
     notes = result.table_notes()
-    metadata = {"piga.notes": json.dumps(notes)} if notes else None
-    return pa.Table.from_arrays(
-        [array for array, _ in arrays.values()], schema=pa.schema(fields, metadata=metadata)
-    )
+    return arrow_table(result.table_columns(), {"piga.notes": json.dumps(notes)} if notes else None)
 
 
 def dataframe(result: Tabular) -> Any:
     """A result as a pandas data frame, units in ``attrs``."""
-    try:
-        import pandas as pd
-    except ImportError:
-        raise missing_package("pandas") from None
+    pd = needed("pandas")
     columns = result.table_columns()
     frame = pd.DataFrame({name: _plain(column) for name, column in columns.items()})
     for name, column in columns.items():
@@ -65,10 +54,7 @@ def dataframe(result: Tabular) -> Any:
 
 def dataset(result: Tabular) -> Any:
     """A result as an xarray data set: units in the attributes, the covariance of a calibration with labels."""
-    try:
-        import xarray as xr
-    except ImportError:
-        raise missing_package("xarray") from None
+    xr = needed("xarray")
     columns = result.table_columns()
     along = "coefficient" if isinstance(result, Calibration) else "row"
     variables = {
@@ -102,8 +88,7 @@ def correlated(calibration: Calibration, library: str | None, *, si: bool) -> di
     if library is not None and library not in LIBRARIES:
         raise ArgumentError(f"correlated: library '{library}'", remedy=f"one of {', '.join(LIBRARIES)}")
     chosen = library or next((name for name in LIBRARIES if find_spec(name) is not None), LIBRARIES[0])
-    if find_spec(chosen) is None:
-        raise missing_package(chosen)
+    needed(chosen)
     scale = np.array([si_factor(c.name) if si else 1.0 for c in calibration.coefficients])
     values = scale * np.array([c.value for c in calibration.coefficients])
     covariance = np.outer(scale, scale) * calibration.covariance
@@ -185,10 +170,7 @@ def stated_units(table: object) -> dict[str, str]:
 
 def as_arrow(table: object) -> Any:
     """Any table as a ``pyarrow.Table``."""
-    try:
-        import pyarrow as pa
-    except ImportError:
-        raise missing_package("pyarrow") from None
+    pa = needed("pyarrow")
     try:
         if isinstance(table, np.ndarray) and table.dtype.names:
             table = {name: table[name] for name in table.dtype.names}
