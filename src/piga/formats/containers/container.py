@@ -29,9 +29,6 @@ from piga.records.calibration import Event
 from piga.records.limits import CPU_BASE, CPU_PER_MIB, FULL, MEMORY_LIMIT
 from piga.records.spool import mapped, trim
 
-SUFFIXES = (".h5", ".hdf5", ".hdf", ".mat", ".tdms", ".xlsx")
-"""File name endings of containers."""
-
 
 class ContainerStream:
     """A container. It is read whole in a separate process and given in chunks (:class:`piga.formats.columns.RecordStream`)."""
@@ -172,6 +169,8 @@ READERS: dict[str, Callable[..., RawTable]] = {
     ".parquet": read_labels,
 }
 """Reader of each format. Of Parquet only the labels are read here."""
+SUFFIXES = tuple(suffix for suffix in READERS if suffix != ".parquet")
+"""File name endings of containers."""
 
 
 def limit_resources(cpu: float) -> None:

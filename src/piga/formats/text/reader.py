@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -274,7 +275,7 @@ class TextStream:
         if self._clock is None:
             return table, ""
         name = next(iter(self._form.stamps))
-        clock = self._clock.copy()
+        clock = copy(self._clock)
         seconds = clock.convert(table.column(name), {*MISSING, *self._missing})
         if seconds is None:
             return None, f"column '{name}' holds a cell that is not a time stamp"
