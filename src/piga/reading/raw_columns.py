@@ -316,13 +316,9 @@ class Visits:
             index[at] = self._visit(int(codes[start]), count, int(rows[start]))
         return np.repeat(index, counts)
 
-    def finish(self) -> None:
-        """Close the last segment; called after the last row."""
-        self._close()
-
     def _visit(self, code: int, count: int, row: int) -> int:
         if code != self._code:
-            self._close()
+            self.finish()
             self._code = code
             if code >= 0:
                 self._seen[code] = self._seen.get(code, 0) + 1
@@ -333,7 +329,8 @@ class Visits:
         self._bare = [self._bare[0] + count, self._bare[1]] if self._bare else [count, row]
         return -1
 
-    def _close(self) -> None:
+    def finish(self) -> None:
+        """Report the rows without a label so far; called after the last row."""
         if self._bare:
             count, row = self._bare
             self.events.append(Event("no-segment", count, row, "rows without a segment are not used"))

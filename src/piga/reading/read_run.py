@@ -70,6 +70,7 @@ class Assembly:
         self.rows_read = self.raw.count
         self.events = self.raw.events
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def run(self, path: Path) -> Run:
         """Assemble the run. ``path`` is the run file."""
         t = self._used_rows()
@@ -324,32 +325,11 @@ def read_record(
     held: int | None = None,
     content: bytes | None = None,
 ) -> Run:
-    """Read a recorded test. :func:`piga.read_run` calls this with the stands of piga.
+    """Read a recorded test: :func:`piga.read_run`, which calls this with the stands of piga.
 
-    Parameters
-    ----------
-    path:
-        Run file (TOML). Its data file must lie beside it.
-    stand_reference:
-        Computes the reference if ``[data]`` has none and a ``[stand]`` table describes it.
-    need_reference:
-        False: a record without reference is read too, with ``f`` nan. A set of instruments needs no reference.
-    held:
-        Most rows whose arrays lie in memory; None: 4 194 304. It does not affect the result.
-    content:
-        Bytes of the run file, in place of those on disk.
-
-    Raises
-    ------
-    RunFileError
-        If the run file is not valid.
-    DataError
-        If the data file does not hold what the run file says. The message names file, row, column and remedy.
-
-    Notes
-    -----
-    The arrays of a record with more than ``held`` rows lie in unnamed files beside it, mapped into memory. The resident
-    memory is bounded for any length of the record.
+    ``stand_reference`` computes the reference if ``[data]`` has none and a ``[stand]`` table describes it. The arrays of a
+    record with more than ``held`` rows lie in unnamed files beside it, mapped into memory. The resident memory is bounded
+    for any length of the record.
     """
     path = Path(path)
     settle(path.parent)
@@ -358,8 +338,7 @@ def read_record(
     if need_reference:
         _check_reference(path, run_file)
     raw = read_columns(path.parent, run_file.data, held)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        run = Assembly(run_file, raw, stand_reference).run(path)
+    run = Assembly(run_file, raw, stand_reference).run(path)
     run.input_sha256.update({path.name: hashlib.sha256(content).hexdigest()} | raw.inputs)
     return run
 
@@ -374,8 +353,7 @@ def read_stream(path: Path, run_file: RunFile, stream: RecordStream, stand_refer
     """
     _check_reference(path, run_file)
     raw = collect(path, run_file.data, stream, stream.expected_rows + 1)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return Assembly(run_file, raw, stand_reference).run(path)
+    return Assembly(run_file, raw, stand_reference).run(path)
 
 
 def _check_reference(path: Path, run_file: RunFile) -> None:

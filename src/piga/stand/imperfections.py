@@ -113,15 +113,11 @@ NONE = Imperfections()
 """A perfect stand, as the lab's reference describes it."""
 
 
-def _scalar(value: Any, unit: str, what: str) -> float:
-    return to_si(value, unit, what=what)
-
-
 def _one(name: str, value: Any, unit: str, size: int, what: str, rng: np.random.Generator | None) -> Any:
     if name == "angle_harmonics":
         return tuple(_harmonic(item, what, rng) for item in _listed(value, what))
     if size == 1:
-        number = _scalar(value, unit, what)
+        number = to_si(value, unit, what=what)
         return number if rng is None else number * float(rng.standard_normal())
     if rng is not None and not isinstance(value, (list, tuple)):
         value = [value] * size
@@ -130,7 +126,7 @@ def _one(name: str, value: Any, unit: str, size: int, what: str, rng: np.random.
         raise ArgumentError(
             f"{what}: {len(items)} values given, {size} needed", remedy=f"give a list of {size}"
         )
-    numbers = np.array([_scalar(item, unit, what) for item in items])
+    numbers = np.array([to_si(item, unit, what=what) for item in items])
     return tuple(float(v) for v in (numbers if rng is None else numbers * rng.standard_normal(size)))
 
 
