@@ -68,15 +68,14 @@ class RawTable:
     """Columns as read, before unit conversion.
 
     ``numbers`` maps column names to float64 or int64 arrays of equal length. Missing values are NaN.
-    ``labels`` maps the segment column to (codes, names). ``first_row`` is the 1-based file row of the
-    first data row (the header counts). Messages use it to name file rows.
+    ``labels`` maps the segment column to (codes, names). ``row_numbers`` are the 1-based file rows, if they are not those of
+    the data. Messages use them.
     """
 
     path: Path
     numbers: dict[str, NDArray[np.float64] | NDArray[np.int64]]
     labels: dict[str, tuple[NDArray[np.int32], tuple[str, ...]]]
     rows: int
-    first_row: int = 1
     units: dict[str, str] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     row_numbers: NDArray[np.int64] | None = None
@@ -85,7 +84,7 @@ class RawTable:
         """1-based file rows of some data rows (blank lines are counted, as an editor does)."""
         if self.row_numbers is not None:
             return np.array(self.row_numbers[part])
-        return np.arange(self.first_row + part.start, self.first_row + part.stop, dtype=np.int64)
+        return np.arange(1 + part.start, 1 + part.stop, dtype=np.int64)
 
 
 def column_letter(index: int) -> str:
@@ -310,4 +309,4 @@ def make_table(
             )
     if rows == 0:
         raise DataError(f"{path}: no data row", remedy="check that the logger wrote data")
-    return RawTable(path, numbers, labels, rows, 1, units)
+    return RawTable(path, numbers, labels, rows, units)

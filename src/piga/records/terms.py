@@ -268,7 +268,7 @@ def check_terms(terms: tuple[str, ...], *, where: str = "terms") -> None:
     for name in terms:
         if name == "phi":
             raise RunFileError(f"{where}: 'phi' comes with tan_beta", remedy="leave it out")
-        if name not in UNITS and harmonic(name) is None:
+        if not check_name(name):
             raise RunFileError(
                 f"{where}: unknown term '{name}'",
                 remedy=f"known terms: {' '.join(n for n in UNITS if n != 'phi')} s1 c1 s2 c2 ...",

@@ -29,7 +29,7 @@ from piga.records.run_file import (
     TomlTable,
     in_unit,
 )
-from piga.records.terms import UNITS, harmonic, unit_of
+from piga.records.terms import UNITS, check_name, harmonic, unit_of
 from piga.records.text_files import read_toml
 from piga.stand.imperfections import Imperfections, imperfections
 from piga.stand.machines.logged import read_profile
@@ -247,9 +247,7 @@ class ProfileTable(TomlTable, frozen=True, tag_field="kind", tag="profile"):
 
     def build(self, folder: Path) -> Stand:
         """The stand."""
-        rate = None if self.base_rate is None else (self.base_rate.columns, self.base_rate.unit)
-        time = (self.time.column, self.time.unit)
-        return read_profile(folder / self.file, time, (self.force.columns, self.force.unit), rate)
+        return read_profile(folder / self.file, self.time, self.force, self.base_rate)
 
 
 SimpleStand = DividingHeadTable | CentrifugeTable | RateTableTable | VibrationTableTable | ProfileTable
@@ -409,7 +407,7 @@ def _tide(scenario: Scenario) -> EarthTide | None:
 def _specimen(table: ScenarioTable) -> Specimen:
     truth = table.truth
     for name in truth:
-        if name not in _MOTION and (name == "phi" or (name not in UNITS and harmonic(name) is None)):
+        if name not in _MOTION and (name == "phi" or not check_name(name)):
             known = [
                 *_MOTION,
                 *(term for term in UNITS if term not in ("phi", *_MOTION)),

@@ -139,7 +139,7 @@ def _answer(path: Path, folder: Path) -> RawTable:
     numbers = {name: mapped(folder / f"{index}.npy") for index, name in enumerate(answer["numbers"])}
     labels = {name: (mapped(folder / "label.npy"), tuple(names)) for name, names in answer["labels"].items()}
     return RawTable(
-        path, numbers, labels, answer["rows"], answer["first_row"], answer["units"],
+        path, numbers, labels, answer["rows"], answer["units"],
         tuple(Event(*event) for event in answer["events"]),
         mapped(folder / "rows.npy") if answer["row_numbers"] else None,
     )  # fmt: skip
@@ -211,7 +211,6 @@ def write(table: RawTable, folder: Path) -> dict[str, Any]:
         "numbers": list(table.numbers),
         "labels": {name: list(names) for name, (_, names) in table.labels.items()},
         "rows": table.rows,
-        "first_row": table.first_row,
         "units": table.units,
         "events": [[event.kind, event.count, event.first_row, event.detail] for event in table.events],
         "row_numbers": table.row_numbers is not None,

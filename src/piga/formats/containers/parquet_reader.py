@@ -190,7 +190,7 @@ def read_labels(path: Path, _numeric: tuple[str, ...], label: str) -> RawTable:
             remedy=f"use {MOST_NAME_LETTERS} or fewer",
         )
     whole = np.concatenate(parts) if parts else np.zeros(0, np.int32)
-    return RawTable(path, {}, {label: (whole, tuple(names))}, whole.size, 1, {})
+    return RawTable(path, {}, {label: (whole, tuple(names))}, whole.size)
 
 
 @contextmanager

@@ -263,7 +263,6 @@ class _Sheet:
             {name: np.array(cells) for name, cells in self.values.items()},
             {} if self.label is None else {self.label: as_label(self.labels)},
             len(self.numbers),
-            self.numbers[0],
             {name: unit for name, unit in units.items() if name in self.numeric},
             tuple(self.events),
             np.array(self.numbers),

@@ -301,7 +301,8 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         As :func:`read_calibration`.
     """
     document, runs = _decode(raw, path)
-    matrix = _check(path, document, runs)
+    coefficients = tuple(_coefficient(c) for c in document.coefficients)
+    matrix = _check(path, document, coefficients, runs)
     condition = document.identifiability.condition
     return Calibration(
         serial=document.instrument.serial,
@@ -310,7 +311,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         phases=document.model.phase,
         phase_source=document.model.phase_source,
         method=document.model.method,
-        coefficients=tuple(_coefficient(c) for c in document.coefficients),
+        coefficients=coefficients,
         covariance=matrix,
         surplus_observations=_surplus(document),
         angle_rms=_in_si(document.noise.angle_rms, "rad", path),
@@ -446,7 +447,9 @@ def _in_si(quantity: Amount | _Level | _Nominal, like: str, path: Path) -> float
         raise CalibrationError(f"{path}: {error.message}", remedy="calibrate again") from None
 
 
-def _check(path: Path, document: _Document, records: tuple[RunRecord, ...]) -> Array:
+def _check(
+    path: Path, document: _Document, coefficients: tuple[Coefficient, ...], records: tuple[RunRecord, ...]
+) -> Array:
     """Check that the parts agree with each other, and return the covariance.
 
     Raises
@@ -454,7 +457,6 @@ def _check(path: Path, document: _Document, records: tuple[RunRecord, ...]) -> A
     CalibrationError
         Naming the file and the first part that contradicts another.
     """
-    coefficients = tuple(_coefficient(c) for c in document.coefficients)
     try:
         if document.instrument.serial:
             check_label(document.instrument.serial, "the serial")
