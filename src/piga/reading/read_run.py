@@ -37,7 +37,7 @@ from piga.reading.signal_checks import (
 from piga.records.calibration import Event, Quality, Tally
 from piga.records.run import Run, TimeBase, drop_repeats, examine_time
 from piga.records.run_file import RunFile, read_run_file
-from piga.records.spool import gathered, scaled, spans
+from piga.records.spool import gathered, scaled, scaled_rows, spans
 from piga.records.text_files import toml_bytes
 from piga.results import Array
 from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
@@ -237,12 +237,8 @@ class Assembly:
         """Three columns as an array (n, 3); each column is contiguous."""
         if group is None:
             return None
-        result: Array = self.raw.arrays.empty((3, self.raw.count))
-        for axis, name in enumerate(group.columns):
-            factor = conversion_factor(self._unit(name, group.unit), unit)
-            for part in spans(self.raw.count):
-                np.multiply(self.raw.numbers[name][part], factor, out=result[axis, part])
-        return result.T
+        factors = [conversion_factor(self._unit(name, group.unit), unit) for name in group.columns]
+        return scaled_rows([self.raw.numbers[name] for name in group.columns], factors[0]).T
 
     def _temperature(self) -> Array | None:
         column = self.run_file.data.temperature

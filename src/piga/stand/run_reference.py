@@ -162,27 +162,17 @@ def stand_reference(
     ArgumentError
         If the table is not valid or does not fit the record. The message names the key.
     """
-    followed, arrays = _known(table, folder, lambda: labels, segment), arrays_like(t)
-    force, rate = (arrays.empty((3, t.size)).T for _ in range(2))
-    for part in spans(t.size):
-        force[part], rate[part] = followed.motion(t[part], segment[part])
-    return force, rate
-
-
-def _known(
-    table: dict[str, Any],
-    folder: Path,
-    labels: Callable[[], tuple[str, ...]],
-    segment: NDArray[np.int32] | None = None,
-) -> FollowedStand:
-    """A stand whose motion is known. A vibration table is refused: the phase of its drive is unknown."""
     stand, names = _build(table, folder)
     if stand.kind == "vibration-table":
         raise ArgumentError(
             "[stand] kind 'vibration-table': the phase of the drive is not known to the run file",
             remedy="log the reference and give [data] reference",
         )
-    return _followed(stand, names, labels, segment)
+    followed, arrays = _followed(stand, names, labels, segment), arrays_like(t)
+    force, rate = (arrays.empty((3, t.size)).T for _ in range(2))
+    for part in spans(t.size):
+        force[part], rate[part] = followed.motion(t[part], segment[part])
+    return force, rate
 
 
 def stand_changes(run: Run) -> Iterator[StandChange]:
@@ -199,7 +189,7 @@ def stand_changes(run: Run) -> Iterator[StandChange]:
     try:
         stand, names = _build(run.stand or {}, Path(run.source).parent)
         _check_unchanged(run)
-        t = _all_times(_followed(stand, names, lambda: run.labels), run)
+        t = _all_times(_followed(stand, names, run.labels), run)
         for name, written in named.items():
             standard, shape = _standard(name, written)
             for text, errors in _components(name, standard):
@@ -250,7 +240,7 @@ def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] 
 def _followed(
     stand: Stand,
     names: tuple[str, ...] | None,
-    labels: Callable[[], tuple[str, ...]],
+    labels: tuple[str, ...],
     segment: NDArray[np.int32] | None = None,
 ) -> FollowedStand:
     """The stand, with the time of every segment of the record on its plan."""
@@ -258,10 +248,9 @@ def _followed(
         return FollowedStand(stand)
     planned = [part for part in stand.segments() if part.recorded]
     by_name = dict(zip(names or tuple(part.label for part in planned), planned, strict=True))
-    recorded = labels()
-    parts = [by_name.get(label.split("/")[0]) for label in recorded]
+    parts = [by_name.get(label.split("/")[0]) for label in labels]
     if None in parts:
-        parts = _in_order(planned, recorded, segment)
+        parts = _in_order(planned, labels, segment)
     starts, durations = np.array([(part.start, part.duration) for part in parts if part is not None]).T
     return FollowedStand(stand, starts, durations)
 
