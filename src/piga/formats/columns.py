@@ -269,11 +269,9 @@ def long_column(dtype: np.dtype) -> Growing:
 
 def as_label(values: Iterable[object]) -> Label:
     """Codes and names of a label column. Whole numbers are written without a decimal point. Empty cells have code -1."""
-    names: dict[str, int] = {}
-    codes = [
-        -1 if (text := label_text(value)) == "" else names.setdefault(text, len(names)) for value in values
-    ]
-    return np.array(codes, dtype=np.int32), tuple(names)
+    coded = LabelCodes([])
+    codes = [-1 if (text := label_text(value)) == "" else coded.code(text) for value in values]
+    return np.array(codes, dtype=np.int32), tuple(coded.names)
 
 
 def label_text(value: object) -> str:

@@ -151,18 +151,8 @@ TERM_WORDS = {
         ),
     }.items()
 } | {
-    "sn": TermWords(
-        "sn sin(n psi)",
-        "sine of n x output angle; with its partner cn",
-        "a position held for whole revolutions",
-        "",
-    ),
-    "cn": TermWords(
-        "cn cos(n psi)",
-        "cosine of n x output angle; with its partner sn",
-        "a position held for whole revolutions",
-        "",
-    ),
+    "sn": TermWords("sn sin(n psi)", "sine of n x output angle; with its partner cn", _HELD, ""),
+    "cn": TermWords("cn cos(n psi)", "cosine of n x output angle; with its partner sn", _HELD, ""),
 }
 """Every term in words, in the order of the docs. ``sn`` and ``cn`` stand for the harmonics s1 c1 s2 c2 and so on."""
 

@@ -22,10 +22,10 @@ from piga.records.run_file import (
     Columns,
     ColumnTable,
     Hertz,
+    InstrumentTable,
     Quantity,
     Radians,
     Seconds,
-    ServoTable,
     TomlTable,
     in_unit,
 )
@@ -53,14 +53,10 @@ Kelvins = Annotated[Quantity, in_unit("K")]
 Gravities = Annotated[Quantity, in_unit("g")]
 
 
-class SpecimenTable(TomlTable, frozen=True):
+class SpecimenTable(InstrumentTable, frozen=True):
     """``[instrument]``, as in a run file: nominal parameters and known servo parameters."""
 
-    serial: str
-    scale_factor: Quantity
     counts_per_revolution: float = 72000.0
-    counter_bits: int | None = None
-    servo: ServoTable | None = None
 
 
 class ElectronicsTable(TomlTable, frozen=True):

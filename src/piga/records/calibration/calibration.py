@@ -317,8 +317,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         MissingPackageError
             If the library is not installed.
         """
-        made: dict[str, Correlated] = above("correlated")(self, library, si=si)
-        return made
+        return above("correlated")(self, library, si=si)
 
     def __getitem__(self, key: str) -> Coefficient:
         for coefficient in self.coefficients:
@@ -350,8 +349,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         A scale factor that was not estimated is the nominal one. ``alpha0`` [rad] is the gimbal angle at the start. It belongs
         to a run, so a calibration does not know it.
         """
-        instrument: Instrument = above("instrument")(self, alpha0)
-        return instrument
+        return above("instrument")(self, alpha0)
 
     def error_model(self) -> ErrorModel:
         """The other coefficients as an error model (SI), to propagate or simulate with.
@@ -362,8 +360,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
             If a coefficient has no place in the exact motion and is left out: a harmonic from the second on, or a term of
             the servo. The message names it.
         """
-        model: ErrorModel = above("error_model")(self)
-        return model
+        return above("error_model")(self)
 
     @classmethod
     def from_coefficients(
