@@ -435,9 +435,9 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     def to_json(self, path: str | Path) -> None:
         """Write ``calibration.json`` (schema ``piga.calibration/1``)."""
-        from piga.records.calibration.document import write_calibration
+        from piga.records.calibration.document import calibration_to_bytes
 
-        write_calibration(self, Path(path))
+        Path(path).write_bytes(calibration_to_bytes(self))
 
     @staticmethod
     def from_json(path: str | Path) -> Calibration:

@@ -256,13 +256,8 @@ def _stated(c: Coefficient, name: str) -> dict[str, Any]:
     return stated | {"coverage_factor": covered.factor, name: covered.half_width}
 
 
-def write_calibration(calibration: Calibration, path: Path) -> None:
-    """Write the record as JSON (UTF-8, indented, every float with all its digits)."""
-    path.write_bytes(calibration_to_bytes(calibration))
-
-
 def calibration_to_bytes(calibration: Calibration) -> bytes:
-    """The bytes of ``calibration.json``."""
+    """The bytes of ``calibration.json``: UTF-8, indented, every float with all its digits."""
     text = json.dumps(to_document(calibration), indent=1, ensure_ascii=False, allow_nan=False)
     return f"{text}\n".encode()
 
