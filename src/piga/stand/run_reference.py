@@ -30,13 +30,12 @@ from piga.reading.raw_columns import SteadyFile, file_digest
 from piga.reading.read_run import read_record, read_stream
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run import Run
-from piga.records.run_file import REPEATED, Draw, ModelTable, RunFile, check_run_file, drawn_for
+from piga.records.run_file import REPEATED, Draw, RunFile, check_run_file, drawn_for
 from piga.records.spool import arrays_like, spans
 from piga.results import Array, Result
 from piga.stand.imperfections import GENERAL, Imperfections, imperfections
 from piga.stand.profile import Segment, Stand, force_change
 from piga.stand.scenario import CompositeTable, SimpleStand
-from piga.stand.simulate import SimulatedTest
 from piga.units import from_si
 
 TIMED = ("vibration-table", "profile", "composite")
@@ -415,29 +414,6 @@ def _data(columns: dict[str, Any], units: dict[str, str]) -> dict[str, Any]:
         if columns[name] is not None:
             data[name] = columns[name]
     return data
-
-
-def run_of_test(test: SimulatedTest, serial: str, model: ModelTable | dict[str, object] | None) -> Run:
-    """The log of a simulated test as a run: :meth:`piga.stand.SimulatedTest.to_run`."""
-    log, kind = test.log, test.electronics.kind
-    columns: dict[str, np.ndarray] = {"t": log.t, "output": log.output, "temperature": log.temperature}
-    columns |= {f"f{axis}": log.reference[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"w{axis}": log.base_rate[:, i] for i, axis in enumerate("xyz")}
-    columns["segment"] = np.array(log.labels, dtype=object)[log.segment]
-    counts = kind == "counts"
-    return Run.from_dataframe(
-        columns,
-        scale_factor=test.specimen.instrument.scale_factor,
-        output="output",
-        kind=kind,
-        base_rate=("wx", "wy", "wz"),
-        temperature="temperature",
-        segment="segment",
-        serial=serial,
-        counts_per_revolution=test.electronics.counts_per_revolution if counts else None,
-        counter_bits=test.electronics.counter_bits if counts else None,
-        model=model,
-    )
 
 
 def example_run() -> Run:
