@@ -16,10 +16,10 @@ from piga import output
 from piga.errors import ArgumentError, PigaError
 from piga.output import check_outputs, results, settle
 from piga.records.text_files import files_named_in
+from tests.cli.runner import outcome
 from tests.compensation.run_files import command as compensate
 from tests.compensation.run_files import write
 from tests.kills import kills
-from tests.reading.test_reading_damaged import command
 
 Capture = pytest.CaptureFixture[str]
 NAMES = ("a.txt", "b.txt", "figures/*")
@@ -66,7 +66,7 @@ def test_an_output_that_is_an_input_is_refused(
     }.items():
         if name == "convert" and (what == "calibration" or out.suffix != ".parquet"):
             continue
-        code, _, said[name] = command(monkeypatch, capsys, name, *words, "--force")
+        code, _, said[name] = outcome(capsys, name, *words, "--force")
         assert code == 2
         assert f"is the input {source}" in said[name]
     assert source.read_bytes() == before
@@ -346,14 +346,12 @@ def test_an_edited_run_file_is_not_simulated_over(
     scenario.write_text(SCENARIO.read_text())
     out.mkdir()
     (out / "run.toml").write_text("mine")
-    code, _, said = command(monkeypatch, capsys, "simulate", scenario, "--out", out)
+    code, _, said = outcome(capsys, "simulate", scenario, "--out", out)
     assert code == 2
     assert "run.toml: there already" in said
     assert (out / "run.toml").read_text() == "mine"
     (tmp_path / "run.toml").write_text(SCENARIO.read_text())
-    code, _, said = command(
-        monkeypatch, capsys, "simulate", tmp_path / "run.toml", "--out", tmp_path, "--force"
-    )
+    code, _, said = outcome(capsys, "simulate", tmp_path / "run.toml", "--out", tmp_path, "--force")
     assert code == 2
     assert "is the input" in said
 

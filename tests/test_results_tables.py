@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import replace
 
 import GTC
@@ -93,6 +94,8 @@ def test_a_rate_log_and_its_residuals_have_rates():
     assert run.table_columns()["output"].unit == "rad/s"
     calibration = piga.calibrate(run, TERMS)
     assert calibration.residuals.table_columns()["after"].unit == "rad/s"
+    joint = piga.calibrate([run, rate_log(harmonic=1e-9)], TERMS)
+    assert joint.residuals.table_columns()["after"].unit == "rad/s"
 
 
 def test_uncertainties_have_the_whole_covariance(cal):
@@ -133,9 +136,9 @@ def test_exact_coefficients_correlate_with_none():
 def test_without_a_library_the_extra_is_named(cal, monkeypatch):
     import piga.formats.tables as module
 
-    monkeypatch.setattr(module, "find_spec", lambda name: None if name == "uncertainties" else object())
+    monkeypatch.setitem(sys.modules, "uncertainties", None)
     assert "GTC" in type(next(iter(cal.correlated().values()))).__module__
-    monkeypatch.setattr(module, "find_spec", lambda _name: None)
+    monkeypatch.setitem(sys.modules, "GTC", None)
     with pytest.raises(piga.MissingPackageError, match=r"piga\[notebook\]"):
         cal.correlated()
     assert above("correlated") is module.correlated

@@ -10,7 +10,7 @@ import pytest
 import scipy.linalg  # noqa: F401 - brings a library of linear algebra of its own
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from piga.threads import one_thread, with_one_thread
+from piga.threads import one_thread
 
 
 def counts() -> set[int]:
@@ -29,7 +29,7 @@ def test_one_inside_and_the_former_number_outside() -> None:
 
 
 def test_after_an_error_too() -> None:
-    @with_one_thread
+    @one_thread()
     def fails() -> None:
         assert counts() == {1}
         raise ZeroDivisionError

@@ -96,45 +96,19 @@ from piga.errors import (
 )
 
 if TYPE_CHECKING:
-    from piga import (
-        calibration as calibration,
-    )
-    from piga import (
-        campaign as campaign,
-    )
-    from piga import (
-        certificate as certificate,
-    )
-    from piga import (
-        compensation as compensation,
-    )
-    from piga import (
-        instrument as instrument,
-    )
-    from piga import (
-        ledger as ledger,
-    )
-    from piga import (
-        planning as planning,
-    )
-    from piga import (
-        platform as platform,
-    )
-    from piga import (
-        records as records,
-    )
-    from piga import (
-        reports as reports,
-    )
-    from piga import (
-        stand as stand,
-    )
-    from piga import (
-        studies as studies,
-    )
-    from piga import (
-        trend as trend,
-    )
+    from piga import calibration as calibration
+    from piga import campaign as campaign
+    from piga import certificate as certificate
+    from piga import compensation as compensation
+    from piga import instrument as instrument
+    from piga import ledger as ledger
+    from piga import planning as planning
+    from piga import platform as platform
+    from piga import records as records
+    from piga import reports as reports
+    from piga import stand as stand
+    from piga import studies as studies
+    from piga import trend as trend
     from piga.calibration import RunSummary, allan_deviation, compare_models
     from piga.calibration.calibrate import calibrate
     from piga.compensation import (

@@ -7,6 +7,7 @@ The command line turns a :class:`PigaError` into one message on stderr and exit 
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 
@@ -118,3 +119,17 @@ def missing_package(package: str) -> MissingPackageError:
         f"this needs the package {package}, which the small core leaves out",
         remedy=f"pip install 'piga[{EXTRAS[package]}]'",
     )
+
+
+def needed(package: str) -> Any:
+    """A package of :data:`EXTRAS`, imported.
+
+    Raises
+    ------
+    MissingPackageError
+        If it is not installed.
+    """
+    try:
+        return import_module(package)
+    except ImportError:
+        raise missing_package(package) from None

@@ -31,7 +31,7 @@ SAMPLED = 64
 """Elements at each end of an array that its hash looks at."""
 
 DOORS = {
-    "arrow": "piga.formats.tables:arrow_table",
+    "arrow": "piga.formats.tables:arrow",
     "dataframe": "piga.formats.tables:dataframe",
     "dataset": "piga.formats.tables:dataset",
     "instrument": "piga.instrument.parameters:instrument_of",
@@ -177,13 +177,11 @@ class Reported:
 
     def summary(self) -> str:
         """The summary that the command prints, as plain text."""
-        text: str = above("summary")(self)
-        return text
+        return above("summary")(self)
 
     def report(self, path: str | Path) -> Path:
         """Write the report page: one HTML file that opens offline. Returns its path."""
-        written: Path = above("report")(self, path)
-        return written
+        return above("report")(self, path)
 
 
 class Plots:
@@ -199,8 +197,7 @@ class Plots:
         self._result = result
 
     def _draw(self, name: str, ax: Axes | Sequence[Axes] | None) -> Figure:
-        figure: Figure = above("draw")(above("figure")(self._result, name), ax)
-        return figure
+        return above("draw")(above("figure")(self._result, name), ax)
 
 
 def plotted(result: object, ax: Axes | Sequence[Axes] | None, name: str = "") -> Figure:
@@ -219,10 +216,9 @@ class Plotted:
 def html_of(result: object) -> str | None:
     """What a notebook shows. None without the packages of the report: the notebook then shows ``repr``."""
     try:
-        text: str = above("html")(result)
+        return above("html")(result)
     except ImportError:
         return None
-    return text
 
 
 def first_lines(lines: list[str], most: int, where: str = "") -> list[str]:

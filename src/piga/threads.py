@@ -6,14 +6,10 @@ the processor time. Needs the package ``threadpoolctl`` (extra ``lab``); without
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import wraps
 from threading import Lock
-from typing import Any, ParamSpec, TypeVar
-
-P = ParamSpec("P")
-R = TypeVar("R")
+from typing import Any
 
 _LOCK = Lock()
 _HELD: list[Any] = [0, None]
@@ -22,38 +18,22 @@ _HELD: list[Any] = [0, None]
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let NumPy and SciPy use one thread of linear algebra inside; the former number is restored at the end."""
-    _enter()
-    try:
-        yield
-    finally:
-        _leave()
+    """Let NumPy and SciPy use one thread of linear algebra inside; the former number is restored at the end.
 
-
-def with_one_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """The same function, run with one thread of linear algebra."""
-
-    @wraps(function)
-    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        with one_thread():
-            return function(*args, **kwargs)
-
-    return limited
-
-
-def _enter() -> None:
+    ``@one_thread()`` before a function does so whenever the function runs.
+    """
     with _LOCK:
         if _HELD[0] == 0:
             _HELD[1] = _limit()
         _HELD[0] += 1
-
-
-def _leave() -> None:
-    with _LOCK:
-        _HELD[0] -= 1
-        if _HELD[0] == 0 and _HELD[1] is not None:
-            limit, _HELD[1] = _HELD[1], None
-            limit.restore_original_limits()
+    try:
+        yield
+    finally:
+        with _LOCK:
+            _HELD[0] -= 1
+            if _HELD[0] == 0 and _HELD[1] is not None:
+                limit, _HELD[1] = _HELD[1], None
+                limit.restore_original_limits()
 
 
 def _limit() -> Any:

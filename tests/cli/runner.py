@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from unittest.mock import patch
 
+import pytest
+
 from piga.cli.main import main
 
 
@@ -16,3 +18,10 @@ def exit_code(*arguments: object) -> int:
         except SystemExit as stop:
             return int(stop.code or 0)
     return 0
+
+
+def outcome(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    """Run ``piga ARGUMENTS`` and give its exit code, and what it writes to stdout and stderr."""
+    code = exit_code(*arguments)
+    done = capsys.readouterr()
+    return code, done.out, done.err

@@ -4,12 +4,26 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
-from piga.formats.parquet_writer import label_column, number_column, text_column
+import piga
+from piga.formats.parquet_writer import label_column, number_column, text_column, write_residuals
+from tests.records.calibration.test_verdict import TERMS, rate_log
+
+
+def test_residuals_of_a_rate_log_are_rates_beside_an_angle(tmp_path: Path) -> None:
+    """The output ``psi`` is an angle for a rate log, too: its integral."""
+    calibration = piga.calibrate(rate_log(), TERMS)
+    write_residuals(calibration, tmp_path / "r.parquet")
+    schema = parquet.read_schema(tmp_path / "r.parquet")
+    units = {field.name: field.metadata[b"unit"].decode() for field in schema}
+    assert units == {name: column.unit for name, column in calibration.residuals.table_columns().items()}
+    assert (units["psi"], units["before"], units["after"]) == ("rad", "rad/s", "rad/s")
 
 
 @pytest.mark.parametrize("kind", ["float64", "int64", "int32"])

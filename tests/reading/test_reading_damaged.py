@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,9 +14,9 @@ import pytest
 from builders.build_damaged_files import HEADER, RUN, Case, cases, count, rows, text
 
 import piga
-from piga.cli.main import main
 from piga.reading import raw_columns
 from piga.units import G0
+from tests.cli.runner import outcome
 from tests.compensation.twin_data import K_G, calibration_of
 from tests.records.files import events
 
@@ -92,18 +91,7 @@ def as_long(monkeypatch: pytest.MonkeyPatch, length: str) -> None:
     monkeypatch.setattr("piga.records.spool.BLOCK", block)
 
 
-def command(monkeypatch: pytest.MonkeyPatch, capsys: Capture, *words: object) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["piga", *map(str, words)])
-    code = 0
-    try:
-        main()
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    done = capsys.readouterr()
-    return code, done.out, done.err
-
-
-def ends(monkeypatch: pytest.MonkeyPatch, capsys: Capture, run: Path) -> dict[str, object]:
+def ends(capsys: Capture, run: Path) -> dict[str, object]:
     """How each command ends: the message of its refusal, or how often it met what."""
     out = run.parent / "results"
     out.mkdir(exist_ok=True)
@@ -118,7 +106,7 @@ def ends(monkeypatch: pytest.MonkeyPatch, capsys: Capture, run: Path) -> dict[st
     }
     ended: dict[str, object] = {}
     for name, more in words.items():
-        code, said, complaint = command(monkeypatch, capsys, name, *more)
+        code, said, complaint = outcome(capsys, name, *more)
         if code:
             ended[name] = complaint.removeprefix("piga: ")
         elif name == "compensate":
@@ -156,7 +144,7 @@ def test_every_command_ends_alike_at_every_length(
     run, ended = CASES[name].write(tmp_path), []
     for length in LENGTHS:
         as_long(monkeypatch, length)
-        ended.append(ends(monkeypatch, capsys, run))
+        ended.append(ends(capsys, run))
         check_alike(CASES[name], ended[-1])
     assert ended[0] == ended[1] == ended[2]
 
@@ -183,7 +171,7 @@ def test_a_growing_file_is_refused_at_every_length(
         return result
 
     monkeypatch.setattr(raw_columns, "collect", grow)
-    result = ends(monkeypatch, capsys, run)
+    result = ends(capsys, run)
     assert all("changed while it was read" in str(end) for end in result.values()), result
 
 
@@ -227,6 +215,6 @@ def test_faults_of_a_counter_at_true_lengths(
     pa.csv.write_csv(pa.table(columns), tmp_path / "run.csv")
     run = tmp_path / "run.toml"
     run.write_text(RUN.format(file="run.csv", instrument="", data="", t="t", n="n"))
-    result = ends(monkeypatch, capsys, run)
+    result = ends(capsys, run)
     assert set(map(str, result.values())) == {str(result["check"])}
     assert any(part in str(result["check"]) for part in says)

@@ -7,10 +7,10 @@ from piga.stand import (
     DividingHead,
     SpinPlan,
 )
-from piga.stand.machines.turning import position_range
+from piga.stand.scenario import head_positions
 
 SITE = Site(math.radians(40.0), gravity=9.80166)
-HEAD = DividingHead(SITE, position_range(0.0, 2 * math.pi, math.radians(15.0)))
+HEAD = DividingHead(SITE, head_positions("0:360:15 deg"))
 SPIN = SpinPlan((1.0, 4.0, 2.0), 2.0, 1.0)
 
 

@@ -68,15 +68,14 @@ class RawTable:
     """Columns as read, before unit conversion.
 
     ``numbers`` maps column names to float64 or int64 arrays of equal length. Missing values are NaN.
-    ``labels`` maps the segment column to (codes, names). ``first_row`` is the 1-based file row of the
-    first data row (the header counts). Messages use it to name file rows.
+    ``labels`` maps the segment column to (codes, names). ``row_numbers`` are the 1-based file rows, if they are not those of
+    the data. Messages use them.
     """
 
     path: Path
     numbers: dict[str, NDArray[np.float64] | NDArray[np.int64]]
     labels: dict[str, tuple[NDArray[np.int32], tuple[str, ...]]]
     rows: int
-    first_row: int = 1
     units: dict[str, str] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     row_numbers: NDArray[np.int64] | None = None
@@ -85,7 +84,7 @@ class RawTable:
         """1-based file rows of some data rows (blank lines are counted, as an editor does)."""
         if self.row_numbers is not None:
             return np.array(self.row_numbers[part])
-        return np.arange(self.first_row + part.start, self.first_row + part.stop, dtype=np.int64)
+        return np.arange(1 + part.start, 1 + part.stop, dtype=np.int64)
 
 
 def column_letter(index: int) -> str:
@@ -168,10 +167,11 @@ class MissingCount:
 
     counts: dict[str, tuple[int, int]] = field(default_factory=dict)
 
-    def add(self, name: str, mask: NDArray[np.bool_], rows: NDArray[np.int64]) -> None:
-        """Count a chunk's missing values."""
-        count, first = self.counts.get(name, (0, int(rows[np.argmax(mask)])))
-        self.counts[name] = count + int(np.count_nonzero(mask)), first
+    def see(self, name: str, column: Any, rows: NDArray[np.int64]) -> None:
+        """Count the null entries of an Arrow array, whose entries stand in these file rows."""
+        if column.null_count:
+            count, first = self.counts.get(name, (0, int(rows[np.argmax(nulls_of(column))])))
+            self.counts[name] = count + column.null_count, first
 
     def events(self, order: tuple[str, ...]) -> list[Event]:
         """One event for each column with missing values."""
@@ -269,11 +269,9 @@ def long_column(dtype: np.dtype) -> Growing:
 
 def as_label(values: Iterable[object]) -> Label:
     """Codes and names of a label column. Whole numbers are written without a decimal point. Empty cells have code -1."""
-    names: dict[str, int] = {}
-    codes = [
-        -1 if (text := label_text(value)) == "" else names.setdefault(text, len(names)) for value in values
-    ]
-    return np.array(codes, dtype=np.int32), tuple(names)
+    coded = LabelCodes([])
+    codes = [-1 if (text := label_text(value)) == "" else coded.code(text) for value in values]
+    return np.array(codes, dtype=np.int32), tuple(coded.names)
 
 
 def label_text(value: object) -> str:
@@ -309,4 +307,4 @@ def make_table(
             )
     if rows == 0:
         raise DataError(f"{path}: no data row", remedy="check that the logger wrote data")
-    return RawTable(path, numbers, labels, rows, 1, units)
+    return RawTable(path, numbers, labels, rows, units)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -56,39 +56,36 @@ def write_run_parquet(run: Run, path: Path) -> None:
     The field of every column has ``unit``. The schema holds ``serial``, ``source``, ``input_sha256`` and
     ``quality`` (all detected and repaired faults, as JSON).
     """
-    import pyarrow as pa
     from pyarrow import parquet
 
-    fields = [
-        pa.field(name, array.type, metadata={"unit": unit})
-        for name, (array, unit) in _columns(run, slice(0, 0)).items()
-    ]
     metadata = {
         "serial": run.serial,
         "source": Path(run.source).name,
         "input_sha256": json.dumps(run.input_sha256),
         "quality": json.dumps(msgspec.to_builtins(run.quality)),
     }
-    schema = pa.schema(fields, metadata=metadata)
+    schema = arrow_table(run.table_columns(slice(0, 0)), metadata).schema
     with parquet.ParquetWriter(path, schema, compression="zstd", use_dictionary=_texts(schema)) as out:
         for start in range(0, run.size, GROUP_ROWS):
             trim()
-            columns = _columns(run, slice(start, start + GROUP_ROWS))
-            out.write_table(pa.Table.from_arrays([array for array, _ in columns.values()], schema=schema))
+            out.write_table(arrow_table(run.table_columns(slice(start, start + GROUP_ROWS)), metadata))
 
 
-def arrow_array(column: Column) -> pa.Array:
-    """A column as an Arrow array; numbers share their memory."""
+def arrow_table(columns: dict[str, Column], metadata: dict[str, str] | None = None) -> pa.Table:
+    """Columns as an Arrow table. The field of each has its ``unit``. Numbers share their memory."""
+    import pyarrow as pa
+
+    arrays = {name: _array(column) for name, column in columns.items()}
+    fields = [pa.field(name, arrays[name].type, metadata={"unit": columns[name].unit}) for name in columns]
+    return pa.Table.from_arrays(list(arrays.values()), schema=pa.schema(fields, metadata=metadata))
+
+
+def _array(column: Column) -> pa.Array:
     if column.labels is not None:
         return label_column(column.values.astype(np.int32), column.labels)
     if column.values.dtype.kind in "OU":
         return text_column([str(value) for value in column.values])
     return number_column(column.values)
-
-
-def _columns(run: Run, part: slice) -> dict[str, tuple[Any, str]]:
-    """Arrow arrays of a slice of rows with their units, by name."""
-    return {name: (arrow_array(column), column.unit) for name, column in run.table_columns(part).items()}
 
 
 def _texts(schema: pa.Schema) -> list[str]:
@@ -120,7 +117,6 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
     Columns: ``row`` (file row), ``segment``, ``t`` [s], ``psi``, ``a_x``, ``before``, ``after`` and
     ``innovation``; for a joint calibration also ``run``.
     """
-    import pyarrow as pa
     from pyarrow import parquet
 
     residuals = calibration.residuals
@@ -128,24 +124,11 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
         raise CalibrationError(
             "this calibration was read from a file and holds no residuals", remedy="calibrate again"
         )
-    rate = calibration.diagnostics.residual_kind == "rate"
-    angle = "rad/s" if rate else "rad"
+    columns = residuals.table_columns()
     labels = [segment.label for segment in calibration.segments]
-    columns = {
-        "row": (number_column(residuals.row), "1"),
-        "segment": (label_column(residuals.segment, labels), "1"),
-        "t": (number_column(residuals.t), "s"),
-        "psi": (number_column(residuals.psi), angle),
-        "a_x": (number_column(residuals.a_x), "m/s^2"),
-        "before": (number_column(residuals.before), angle),
-        "after": (number_column(residuals.after), angle),
-        "innovation": (number_column(residuals.innovation), "1"),
-    }
-    if residuals.run is not None:
-        columns["run"] = (label_column(residuals.run, [run.name for run in calibration.runs]), "1")
-    fields = [pa.field(name, array.type, metadata={"unit": unit}) for name, (array, unit) in columns.items()]
-    schema = pa.schema(
-        fields, metadata={"serial": calibration.serial, "software": calibration.provenance.software}
-    )
-    table = pa.Table.from_arrays([array for array, _ in columns.values()], schema=schema)
-    parquet.write_table(table, path, compression="zstd", use_dictionary=_texts(schema))
+    columns["segment"] = columns["segment"]._replace(labels=labels)
+    if "run" in columns:
+        columns["run"] = columns["run"]._replace(labels=[run.name for run in calibration.runs])
+    metadata = {"serial": calibration.serial, "software": calibration.provenance.software}
+    table = arrow_table(columns, metadata)
+    parquet.write_table(table, path, compression="zstd", use_dictionary=_texts(table.schema))

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import ArgumentError, missing_package
-from piga.formats.columns import CHUNK_ROWS, FileChunk, LabelCodes, MissingCount, nulls_of, numbers_of
-from piga.formats.containers.parquet_reader import check_columns, units_of
-from piga.formats.parquet_writer import arrow_array
-from piga.records.calibration import Calibration, Event
+from piga.errors import ArgumentError, needed
+from piga.formats.columns import CHUNK_ROWS, FileChunk, LabelCodes
+from piga.formats.containers.parquet_reader import ArrowStream
+from piga.formats.parquet_writer import arrow_table
+from piga.records.calibration import Calibration
 from piga.records.terms import si_factor
 from piga.results import Column, Tabular
 
@@ -31,27 +31,16 @@ REMEDIES = ("name a column of the table", "turn it into numbers first, e.g. with
 # -- out -----------------------------------------------------------------------------------------------
 
 
-def arrow_table(result: Tabular) -> Any:
+def arrow(result: Tabular) -> Any:
     """A result as a ``pyarrow.Table``: the unit of each column is in the metadata of its field."""
-    try:
-        import pyarrow as pa
-    except ImportError:
-        raise missing_package("pyarrow") from None
-    arrays = {name: (arrow_array(column), column.unit) for name, column in result.table_columns().items()}
-    fields = [pa.field(name, array.type, metadata={"unit": unit}) for name, (array, unit) in arrays.items()]
+    needed("pyarrow")
     notes = result.table_notes()
-    metadata = {"piga.notes": json.dumps(notes)} if notes else None
-    return pa.Table.from_arrays(
-        [array for array, _ in arrays.values()], schema=pa.schema(fields, metadata=metadata)
-    )
+    return arrow_table(result.table_columns(), {"piga.notes": json.dumps(notes)} if notes else None)
 
 
 def dataframe(result: Tabular) -> Any:
     """A result as a pandas data frame, units in ``attrs``."""
-    try:
-        import pandas as pd
-    except ImportError:
-        raise missing_package("pandas") from None
+    pd = needed("pandas")
     columns = result.table_columns()
     frame = pd.DataFrame({name: _plain(column) for name, column in columns.items()})
     for name, column in columns.items():
@@ -65,10 +54,7 @@ def dataframe(result: Tabular) -> Any:
 
 def dataset(result: Tabular) -> Any:
     """A result as an xarray data set: units in the attributes, the covariance of a calibration with labels."""
-    try:
-        import xarray as xr
-    except ImportError:
-        raise missing_package("xarray") from None
+    xr = needed("xarray")
     columns = result.table_columns()
     along = "coefficient" if isinstance(result, Calibration) else "row"
     variables = {
@@ -102,8 +88,7 @@ def correlated(calibration: Calibration, library: str | None, *, si: bool) -> di
     if library is not None and library not in LIBRARIES:
         raise ArgumentError(f"correlated: library '{library}'", remedy=f"one of {', '.join(LIBRARIES)}")
     chosen = library or next((name for name in LIBRARIES if find_spec(name) is not None), LIBRARIES[0])
-    if find_spec(chosen) is None:
-        raise missing_package(chosen)
+    needed(chosen)
     scale = np.array([si_factor(c.name) if si else 1.0 for c in calibration.coefficients])
     values = scale * np.array([c.value for c in calibration.coefficients])
     covariance = np.outer(scale, scale) * calibration.covariance
@@ -152,37 +137,18 @@ def correlation(covariance: np.ndarray) -> np.ndarray:
 # -- in ------------------------------------------------------------------------------------------------
 
 
-class TableStream:
-    """A table in memory as a record stream (:class:`piga.formats.columns.RecordStream`).
-
-    Parameters
-    ----------
-    table:
-        Anything that gives Arrow (``__arrow_c_stream__``): pandas, polars, pyarrow; or a mapping of arrays.
-    numeric, label:
-        Names of the number columns, and of the segment column.
+class TableStream(ArrowStream):
+    """A table in memory. ``table`` is an Arrow table (:func:`as_arrow`).
 
     Raises
     ------
-    ArgumentError
-        If the table does not give Arrow.
     DataError
         If a column is missing or holds no numbers.
     """
 
-    def __init__(self, table: object, numeric: list[str], label: str | None) -> None:
-        self._table = as_arrow(table)
-        self._numeric, self._label = tuple(numeric), label
-        wanted = [*numeric, *([label] if label else [])]
-        check_columns(WHERE, self._table.schema, wanted, self._numeric, remedies=REMEDIES)
-        self.units = units_of(self._table.schema, self._numeric)
-        self.label_names: list[str] = []
-        self._missed = MissingCount()
-
-    @property
-    def expected_rows(self) -> int:
-        """Number of rows."""
-        return int(self._table.num_rows)
+    def __init__(self, table: Any, numeric: list[str], label: str | None) -> None:
+        super().__init__(WHERE, table.schema, numeric, label, REMEDIES)
+        self._table, self.expected_rows = table, int(table.num_rows)
 
     def chunks(self) -> Iterator[FileChunk]:
         """The rows in order."""
@@ -191,17 +157,8 @@ class TableStream:
         for batch in self._table.select(wanted).to_batches(max_chunksize=CHUNK_ROWS):
             rows = np.arange(row, row + batch.num_rows, dtype=np.int64)
             row += batch.num_rows
-            numbers = {}
-            for name in self._numeric:
-                column = batch.column(name)
-                if column.null_count:
-                    self._missed.add(name, nulls_of(column), rows)
-                numbers[name] = numbers_of(column)
-            yield FileChunk(numbers, codes.of(batch.column(self._label)) if self._label else None, rows)
-
-    def events(self) -> list[Event]:
-        """Faults and omissions; complete after the last chunk."""
-        return self._missed.events(self._numeric)
+            part = codes.of(batch.column(self._label)) if self._label else None
+            yield FileChunk(self._numbers(batch, rows), part, rows)
 
 
 def stated_units(table: object) -> dict[str, str]:
@@ -213,10 +170,7 @@ def stated_units(table: object) -> dict[str, str]:
 
 def as_arrow(table: object) -> Any:
     """Any table as a ``pyarrow.Table``."""
-    try:
-        import pyarrow as pa
-    except ImportError:
-        raise missing_package("pyarrow") from None
+    pa = needed("pyarrow")
     try:
         if isinstance(table, np.ndarray) and table.dtype.names:
             table = {name: table[name] for name in table.dtype.names}
@@ -228,25 +182,3 @@ def as_arrow(table: object) -> Any:
             f"table: a {type(table).__name__} does not give Arrow columns ({str(error).splitlines()[0]})",
             remedy="pass a table of pandas, polars (a lazy one after collect()) or pyarrow, or a dict of arrays",
         ) from None
-
-
-def with_seconds(table: Any, name: str | None) -> tuple[Any, bool]:
-    """An Arrow table whose time column is in seconds, and whether it held dates or durations before.
-
-    Dates count from the first midnight, as time stamps of a file do; those with a time zone in UTC.
-    """
-    import pyarrow as pa
-
-    if name not in table.schema.names or table.schema.names.count(name) > 1:
-        return table, False
-    column = table[name].combine_chunks()
-    dated = pa.types.is_timestamp(column.type)
-    if not dated and not pa.types.is_duration(column.type):
-        return table, False
-    ticks = {"s": 1, "ms": 1000, "us": 1_000_000, "ns": 1_000_000_000}[column.type.unit]
-    missing = column.is_null().to_numpy(zero_copy_only=False)
-    count = column.cast(pa.int64()).fill_null(0).to_numpy(zero_copy_only=False)
-    if dated and not missing.all():
-        count = count - count[~missing][0] // (86_400 * ticks) * (86_400 * ticks)
-    seconds = pa.array(count / ticks, mask=missing)
-    return table.set_column(table.schema.names.index(name), name, seconds), True

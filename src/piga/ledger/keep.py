@@ -13,7 +13,7 @@ from piga.ledger.store import Draft, DraftFile, Record, Store
 from piga.ledger.store.documents import digest_of
 from piga.output import settle
 from piga.records import Calibration
-from piga.records.calibration.document import DOCUMENT, calibration_from_bytes
+from piga.records.calibration.document import DOCUMENT, calibration_from_bytes, calibration_to_bytes
 from piga.records.limits import read_whole
 from piga.records.run_file import read_run_file
 from piga.stand.run_reference import stand_files
@@ -145,7 +145,6 @@ def prepare_run(
         If the run cannot be calibrated.
     """
     from piga.calibration.calibrate import calibrate
-    from piga.records.calibration.document import calibration_to_bytes
     from piga.stand import read_run
 
     calibration = calibrate(read_run(run), terms, method, phases=phases, phase_source=phase_source)

@@ -10,6 +10,7 @@ on the scale of the angle turned. Own derivation, after the normwise bounds in a
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import os
 import platform
@@ -26,7 +27,9 @@ from piga._version import __version__
 from piga.errors import StoreError
 from piga.ledger.store import Record, Store
 from piga.records import Calibration
+from piga.records.calibration.document import to_document
 from piga.results import Result
+from piga.units import G0
 
 
 @dataclass(frozen=True)
@@ -113,19 +116,11 @@ def _of_the_same_inputs(stored: Calibration, recomputed: Calibration) -> Calibra
 
 def _numbers(calibration: Calibration) -> dict[str, Any]:
     """The content of ``calibration.json`` without :data:`UNCOMPARED`."""
-    from piga.records.calibration.document import to_document
-
     document = to_document(calibration)
     provenance = {key: value for key, value in document["provenance"].items() if key not in UNCOMPARED}
     options = {key: value for key, value in provenance["options"].items() if key not in UNCOMPARED}
-    return _listed({**document, "provenance": {**provenance, "options": options}})
-
-
-def _listed(value: Any) -> Any:
-    """Nested values with lists for tuples, as JSON has them."""
-    if isinstance(value, dict):
-        return {key: _listed(item) for key, item in value.items()}
-    return [_listed(item) for item in value] if isinstance(value, (list, tuple)) else value
+    numbers: dict[str, Any] = {**document, "provenance": {**provenance, "options": options}}
+    return json.loads(json.dumps(numbers))
 
 
 def _facts(a: Calibration, b: Calibration) -> dict[str, tuple[Any, Any]]:
@@ -140,7 +135,7 @@ def _facts(a: Calibration, b: Calibration) -> dict[str, tuple[Any, Any]]:
 def _coefficients(a: Calibration, b: Calibration) -> list[Compared]:
     kappa = a.condition if math.isfinite(a.condition) else 1.0
     plain = [c.value for c in a.coefficients if c.name != "phi"]
-    length = math.hypot(a.scale_factor_nominal * 9.80665, *plain)
+    length = math.hypot(a.scale_factor_nominal * G0, *plain)
     tangent = next((abs(c.value) for c in a.coefficients if c.name == "tan_beta"), 1.0)
     allowed = [
         ALLOWED.relative * kappa * length / (max(tangent, ALLOWED.relative) if c.name == "phi" else 1.0)
@@ -345,7 +340,6 @@ def software_identity() -> dict[str, str]:
     """Versions, digest of the numeric source, platform, processor and threads, as text."""
     import llvmlite.binding
     import numba
-    import numpy as np
     import pyarrow as pa
     import scipy
 

@@ -18,7 +18,7 @@ from piga.planning.plan_file import PlanRequest
 from piga.results import Array, Result
 from piga.stand.imperfections import NONE
 from piga.stand.machines.turning import angles_of_range
-from piga.threads import with_one_thread
+from piga.threads import one_thread
 from piga.units import to_si
 
 ROWS_AT_ONCE = 20000
@@ -64,7 +64,7 @@ class Mounting(Result):
         return self.skews[self.margins.max(axis=1) >= self.limit]
 
 
-@with_one_thread
+@one_thread()
 def plan_mounting(request: PlanRequest) -> Mounting | None:
     """Best skew for the profile of ``[mounting]``; None when the plan has none.
 

@@ -46,7 +46,7 @@ from piga.records.text_files import toml_text
 from piga.results import Array, Plotted, Reported, Result
 from piga.stand.scenario import DividingHeadTable
 from piga.stand.write_run import given_values
-from piga.threads import with_one_thread
+from piga.threads import one_thread
 from piga.units import G0
 
 
@@ -173,7 +173,7 @@ class _Search:
         return Criterion((rows / sizes[:, None])[chosen], 0.0 if kind == "D" else 1.0)
 
 
-@with_one_thread
+@one_thread()
 def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan:
     """Plan a test.
 

@@ -38,7 +38,7 @@ from piga.platform.scenario import Gyro, Place
 from piga.platform.simulate import Readouts
 from piga.progress import Progress, report
 from piga.results import Array, Plotted, Result
-from piga.threads import with_one_thread
+from piga.threads import one_thread
 from piga.units import ARCSEC
 
 UNKNOWN_PHASE = float(np.pi / np.sqrt(3.0))
@@ -195,7 +195,7 @@ _SETTLED = 0.01
 """The iteration ends if the step is below this share of the standard uncertainties."""
 
 
-@with_one_thread
+@one_thread()
 def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATIC_SOURCES, orders: int = 3,
              iterations: int = 6, progress: Progress | None = None) -> Identification:  # fmt: skip
     """Batch identification by weighted Gauss-Newton least squares on the exact geometry.
@@ -247,7 +247,7 @@ _PRIOR = 1e-9
 """Diagonal of the first factor for columns of unit length. It keeps the factor regular and does not affect the result."""
 
 
-@with_one_thread
+@one_thread()
 def identify_recursively(
     readouts: Readouts,
     place: Place,
@@ -331,7 +331,7 @@ class Observability(Result):
     sentence: str
 
 
-@with_one_thread
+@one_thread()
 def observability(readouts: Readouts, known: Identification) -> tuple[Observability, ...]:
     """Observability of the two misalignments from each source alone and together.
 

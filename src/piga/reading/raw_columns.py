@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.formats.columns import CHUNK_ROWS, FileChunk, RecordStream
+from piga.formats.columns import FileChunk, RecordStream
 from piga.records.calibration import Event, Tally
 from piga.records.limits import LARGEST_SAMPLE, MAX_SEGMENTS, open_regular, read_whole
 from piga.records.run_file import DataTable
@@ -93,11 +93,11 @@ def columns_stream(
     if kind in (".parquet", ".pq"):
         from piga.formats.containers.parquet_reader import ParquetStream
 
-        return ParquetStream(path, numeric, segment, CHUNK_ROWS)
+        return ParquetStream(path, numeric, segment)
     from piga.formats.containers.container import SUFFIXES, ContainerStream
 
     if kind in SUFFIXES:
-        return ContainerStream(path, kind, numeric, segment, sheet, CHUNK_ROWS)
+        return ContainerStream(path, kind, numeric, segment, sheet)
     spreadsheet = kind in (".xls", ".xlsm", ".xlsb", ".ods")
     raise DataError(
         f"{path}: piga does not read files of kind '{kind}'",
@@ -316,13 +316,9 @@ class Visits:
             index[at] = self._visit(int(codes[start]), count, int(rows[start]))
         return np.repeat(index, counts)
 
-    def finish(self) -> None:
-        """Close the last segment; called after the last row."""
-        self._close()
-
     def _visit(self, code: int, count: int, row: int) -> int:
         if code != self._code:
-            self._close()
+            self.finish()
             self._code = code
             if code >= 0:
                 self._seen[code] = self._seen.get(code, 0) + 1
@@ -333,7 +329,8 @@ class Visits:
         self._bare = [self._bare[0] + count, self._bare[1]] if self._bare else [count, row]
         return -1
 
-    def _close(self) -> None:
+    def finish(self) -> None:
+        """Report the rows without a label so far; called after the last row."""
         if self._bare:
             count, row = self._bare
             self.events.append(Event("no-segment", count, row, "rows without a segment are not used"))

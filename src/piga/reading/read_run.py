@@ -37,7 +37,7 @@ from piga.reading.signal_checks import (
 from piga.records.calibration import Event, Quality, Tally
 from piga.records.run import Run, TimeBase, drop_repeats, examine_time
 from piga.records.run_file import RunFile, read_run_file
-from piga.records.spool import gathered, scaled, spans
+from piga.records.spool import gathered, scaled, scaled_rows, spans
 from piga.records.text_files import toml_bytes
 from piga.results import Array
 from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
@@ -70,6 +70,7 @@ class Assembly:
         self.rows_read = self.raw.count
         self.events = self.raw.events
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def run(self, path: Path) -> Run:
         """Assemble the run. ``path`` is the run file."""
         t = self._used_rows()
@@ -236,12 +237,8 @@ class Assembly:
         """Three columns as an array (n, 3); each column is contiguous."""
         if group is None:
             return None
-        result: Array = self.raw.arrays.empty((3, self.raw.count))
-        for axis, name in enumerate(group.columns):
-            factor = conversion_factor(self._unit(name, group.unit), unit)
-            for part in spans(self.raw.count):
-                np.multiply(self.raw.numbers[name][part], factor, out=result[axis, part])
-        return result.T
+        factors = [conversion_factor(self._unit(name, group.unit), unit) for name in group.columns]
+        return scaled_rows([self.raw.numbers[name] for name in group.columns], factors[0]).T
 
     def _temperature(self) -> Array | None:
         column = self.run_file.data.temperature
@@ -324,32 +321,11 @@ def read_record(
     held: int | None = None,
     content: bytes | None = None,
 ) -> Run:
-    """Read a recorded test. :func:`piga.read_run` calls this with the stands of piga.
+    """Read a recorded test: :func:`piga.read_run`, which calls this with the stands of piga.
 
-    Parameters
-    ----------
-    path:
-        Run file (TOML). Its data file must lie beside it.
-    stand_reference:
-        Computes the reference if ``[data]`` has none and a ``[stand]`` table describes it.
-    need_reference:
-        False: a record without reference is read too, with ``f`` nan. A set of instruments needs no reference.
-    held:
-        Most rows whose arrays lie in memory; None: 4 194 304. It does not affect the result.
-    content:
-        Bytes of the run file, in place of those on disk.
-
-    Raises
-    ------
-    RunFileError
-        If the run file is not valid.
-    DataError
-        If the data file does not hold what the run file says. The message names file, row, column and remedy.
-
-    Notes
-    -----
-    The arrays of a record with more than ``held`` rows lie in unnamed files beside it, mapped into memory. The resident
-    memory is bounded for any length of the record.
+    ``stand_reference`` computes the reference if ``[data]`` has none and a ``[stand]`` table describes it. The arrays of a
+    record with more than ``held`` rows lie in unnamed files beside it, mapped into memory. The resident memory is bounded
+    for any length of the record.
     """
     path = Path(path)
     settle(path.parent)
@@ -358,8 +334,7 @@ def read_record(
     if need_reference:
         _check_reference(path, run_file)
     raw = read_columns(path.parent, run_file.data, held)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        run = Assembly(run_file, raw, stand_reference).run(path)
+    run = Assembly(run_file, raw, stand_reference).run(path)
     run.input_sha256.update({path.name: hashlib.sha256(content).hexdigest()} | raw.inputs)
     return run
 
@@ -374,8 +349,7 @@ def read_stream(path: Path, run_file: RunFile, stream: RecordStream, stand_refer
     """
     _check_reference(path, run_file)
     raw = collect(path, run_file.data, stream, stream.expected_rows + 1)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return Assembly(run_file, raw, stand_reference).run(path)
+    return Assembly(run_file, raw, stand_reference).run(path)
 
 
 def _check_reference(path: Path, run_file: RunFile) -> None:

@@ -327,8 +327,7 @@ class Run(Result, Plotted, Reported, Tabular):
             "uncertainty": msgspec.to_builtins(_table("uncertainty", uncertainty, UncertaintyTable)),
             "stand": stand,
         }
-        made: Run = above("run_from_table")(table, columns, tables, dict(units or {}))
-        return made
+        return above("run_from_table")(table, columns, tables, dict(units or {}))
 
     def between(self, start: float | str, stop: float | str) -> Run:
         """The samples with ``start <= t <= stop`` [s; or text, e.g. ``"8 min"``], as a run.

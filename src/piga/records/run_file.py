@@ -6,6 +6,7 @@ data: keys, types, units, names of terms, and options that contradict each other
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -19,6 +20,17 @@ from piga.records.text_files import read_toml
 from piga.units import conversion_factor, to_si
 
 Quantity = str | float | int
+"""Text with a unit, or a number in SI."""
+
+
+def in_unit(unit: str) -> msgspec.Meta:
+    """Mark of a key's type, ``Annotated[Quantity, in_unit("s")]``: its unit for :meth:`TomlTable.in_si`."""
+    return msgspec.Meta(extra={"unit": unit})
+
+
+Seconds = Annotated[Quantity, in_unit("s")]
+Radians = Annotated[Quantity, in_unit("rad")]
+Hertz = Annotated[Quantity, in_unit("Hz")]
 
 MOST_HEAD_ROWS = 10_000
 """Largest row number of the header or the units in a text file."""
@@ -59,6 +71,27 @@ METHOD_WORDS: dict[str, tuple[str, str]] = {
 
 class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Base of all tables: an unknown key is an error."""
+
+    def in_si(self, where: str) -> dict[str, float]:
+        """SI values of the keys whose type has a unit (:func:`in_unit`). Keys without a value are left out.
+
+        ``where`` stands before the key in messages, e.g. ``"[stand] "``.
+        """
+        given = ((key, unit, getattr(self, key)) for key, unit in _units_of(type(self)).items())
+        return {
+            key: to_si(value, unit, what=f"{where}{key}") for key, unit, value in given if value is not None
+        }
+
+
+@cache
+def _units_of(table: type[TomlTable]) -> dict[str, str]:
+    return {
+        entry.name: note.extra["unit"]
+        for entry in msgspec.structs.fields(table)
+        for part in (entry.type, *get_args(entry.type))
+        for note in getattr(part, "__metadata__", ())
+        if note.extra
+    }
 
 
 class ServoTable(TomlTable, frozen=True):

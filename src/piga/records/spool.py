@@ -15,7 +15,7 @@ import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -140,6 +140,15 @@ def scaled(values: NDArray, factor: float, offset: float = 0.0, arrays: Arrays |
     made = (arrays or arrays_like(values)).empty(values.size)
     for part in spans(values.size):
         made[part] = values[part] * factor + offset
+    return made
+
+
+def scaled_rows(columns: Sequence[NDArray], factor: float) -> NDArray[Any]:
+    """``factor`` times columns (n,), as rows of a new array; on disk if the columns are."""
+    made = arrays_like(columns[0]).empty((len(columns), columns[0].size))
+    for axis, column in enumerate(columns):
+        for part in spans(column.size):
+            made[axis, part] = column[part] * factor
     return made
 
 

@@ -151,18 +151,8 @@ TERM_WORDS = {
         ),
     }.items()
 } | {
-    "sn": TermWords(
-        "sn sin(n psi)",
-        "sine of n x output angle; with its partner cn",
-        "a position held for whole revolutions",
-        "",
-    ),
-    "cn": TermWords(
-        "cn cos(n psi)",
-        "cosine of n x output angle; with its partner sn",
-        "a position held for whole revolutions",
-        "",
-    ),
+    "sn": TermWords("sn sin(n psi)", "sine of n x output angle; with its partner cn", _HELD, ""),
+    "cn": TermWords("cn cos(n psi)", "cosine of n x output angle; with its partner sn", _HELD, ""),
 }
 """Every term in words, in the order of the docs. ``sn`` and ``cn`` stand for the harmonics s1 c1 s2 c2 and so on."""
 
@@ -268,7 +258,7 @@ def check_terms(terms: tuple[str, ...], *, where: str = "terms") -> None:
     for name in terms:
         if name == "phi":
             raise RunFileError(f"{where}: 'phi' comes with tan_beta", remedy="leave it out")
-        if name not in UNITS and harmonic(name) is None:
+        if not check_name(name):
             raise RunFileError(
                 f"{where}: unknown term '{name}'",
                 remedy=f"known terms: {' '.join(n for n in UNITS if n != 'phi')} s1 c1 s2 c2 ...",

@@ -17,15 +17,16 @@ from piga.frames import rotation_vector_to_matrix
 from piga.results import Array
 from piga.units import to_si
 
-Vector = tuple[float, ...]
 Harmonic = tuple[int, float, float]
 
 GENERAL = ("reference_scale", "reference_bias", "reference_misalignment", "timing", "temperature")
 """Imperfections that every stand has. They act on its reference, its clock and its thermometer."""
 
 
-def _about(unit: str, size: int, meaning: str) -> dict[str, str | int]:
-    return {"unit": unit, "size": size, "meaning": meaning}
+def _entry(unit: str, meaning: str, size: int = 1) -> Any:
+    """A field of :class:`Imperfections`: a number, or a vector of ``size`` numbers."""
+    default = 0.0 if size == 1 else (0.0,) * size
+    return field(default=default, metadata={"unit": unit, "size": size, "meaning": meaning})
 
 
 @dataclass(frozen=True)
@@ -35,49 +36,29 @@ class Imperfections:
     Fields are SI. Their ``metadata`` holds the unit for reports, the size and the meaning.
     """
 
-    reference_scale: float = field(
-        default=0.0, metadata=_about("ppm", 1, "relative error of the specific-force reference")
+    reference_scale: float = _entry("ppm", "relative error of the specific-force reference")
+    reference_bias: tuple[float, ...] = _entry(
+        "ug", "offset of the specific-force reference, base axes", size=3
     )
-    reference_bias: Vector = field(
-        default=(0.0, 0.0, 0.0), metadata=_about("ug", 3, "offset of the specific-force reference, base axes")
+    reference_misalignment: tuple[float, ...] = _entry(
+        "arcsec", "small turn of the instrument on the stand about X0, Y0, Z0", size=3
     )
-    reference_misalignment: Vector = field(
-        default=(0.0, 0.0, 0.0),
-        metadata=_about("arcsec", 3, "small turn of the instrument on the stand about X0, Y0, Z0"),
+    gravity: float = _entry("ug", "local gravity")
+    timing: float = _entry("ppm", "relative error of the clock's rate")
+    temperature: float = _entry("K", "offset of the thermometer")
+    levelling: tuple[float, ...] = _entry("arcsec", "tilt of the stand about its two levelling axes", size=2)
+    angle_error: float = _entry("arcsec", "index error of the dividing head")
+    angle_harmonics: tuple[tuple[int, float, float], ...] = _entry(
+        "arcsec", "dividing errors: order, amplitude, phase", size=0
     )
-    gravity: float = field(default=0.0, metadata=_about("ug", 1, "local gravity"))
-    timing: float = field(default=0.0, metadata=_about("ppm", 1, "relative error of the clock's rate"))
-    temperature: float = field(default=0.0, metadata=_about("K", 1, "offset of the thermometer"))
-    levelling: Vector = field(
-        default=(0.0, 0.0), metadata=_about("arcsec", 2, "tilt of the stand about its two levelling axes")
-    )
-    angle_error: float = field(default=0.0, metadata=_about("arcsec", 1, "index error of the dividing head"))
-    angle_harmonics: tuple[Harmonic, ...] = field(
-        default=(), metadata=_about("arcsec", 0, "dividing errors: order, amplitude, phase")
-    )
-    settling: float = field(
-        default=0.0, metadata=_about("arcsec", 1, "angle still to go when a position is reached")
-    )
-    arm_radius: float = field(
-        default=0.0, metadata=_about("um", 1, "effective radius of the centrifuge or lever arm on the table")
-    )
-    arm_stretch: float = field(
-        default=0.0, metadata=_about("s^2/rad^2", 1, "relative growth of the radius per squared rate")
-    )
-    rate_error: float = field(
-        default=0.0, metadata=_about("ppm", 1, "relative error of the centrifuge or table rate")
-    )
-    rate_ripple: float = field(
-        default=0.0, metadata=_about("ppm", 1, "relative ripple of the rate once a revolution")
-    )
-    transverse_motion: float = field(
-        default=0.0, metadata=_about("ppm", 1, "transverse over axial motion of the vibration table")
-    )
-    rocking: float = field(
-        default=0.0,
-        metadata=_about(
-            "arcsec", 1, "rotation of the vibration table at peak drive, about the horizontal axis across it"
-        ),
+    settling: float = _entry("arcsec", "angle still to go when a position is reached")
+    arm_radius: float = _entry("um", "effective radius of the centrifuge or lever arm on the table")
+    arm_stretch: float = _entry("s^2/rad^2", "relative growth of the radius per squared rate")
+    rate_error: float = _entry("ppm", "relative error of the centrifuge or table rate")
+    rate_ripple: float = _entry("ppm", "relative ripple of the rate once a revolution")
+    transverse_motion: float = _entry("ppm", "transverse over axial motion of the vibration table")
+    rocking: float = _entry(
+        "arcsec", "rotation of the vibration table at peak drive, about the horizontal axis across it"
     )
 
     def stand_specific(self) -> tuple[str, ...]:
@@ -113,15 +94,11 @@ NONE = Imperfections()
 """A perfect stand, as the lab's reference describes it."""
 
 
-def _scalar(value: Any, unit: str, what: str) -> float:
-    return to_si(value, unit, what=what)
-
-
 def _one(name: str, value: Any, unit: str, size: int, what: str, rng: np.random.Generator | None) -> Any:
     if name == "angle_harmonics":
         return tuple(_harmonic(item, what, rng) for item in _listed(value, what))
     if size == 1:
-        number = _scalar(value, unit, what)
+        number = to_si(value, unit, what=what)
         return number if rng is None else number * float(rng.standard_normal())
     if rng is not None and not isinstance(value, (list, tuple)):
         value = [value] * size
@@ -130,7 +107,7 @@ def _one(name: str, value: Any, unit: str, size: int, what: str, rng: np.random.
         raise ArgumentError(
             f"{what}: {len(items)} values given, {size} needed", remedy=f"give a list of {size}"
         )
-    numbers = np.array([_scalar(item, unit, what) for item in items])
+    numbers = np.array([to_si(item, unit, what=what) for item in items])
     return tuple(float(v) for v in (numbers if rng is None else numbers * rng.standard_normal(size)))
 
 

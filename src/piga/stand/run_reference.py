@@ -24,18 +24,18 @@ from numpy.typing import NDArray
 
 from piga.data import EXAMPLE, copy_example
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
-from piga.formats.tables import WHERE, TableStream, as_arrow, stated_units, with_seconds
+from piga.formats.containers.parquet_reader import is_time
+from piga.formats.tables import WHERE, TableStream, as_arrow, stated_units
 from piga.reading.raw_columns import SteadyFile, file_digest
 from piga.reading.read_run import read_record, read_stream
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run import Run
-from piga.records.run_file import REPEATED, Draw, ModelTable, RunFile, check_run_file, drawn_for
+from piga.records.run_file import REPEATED, Draw, RunFile, check_run_file, drawn_for
 from piga.records.spool import arrays_like, spans
 from piga.results import Array, Result
 from piga.stand.imperfections import GENERAL, Imperfections, imperfections
 from piga.stand.profile import Segment, Stand, force_change
 from piga.stand.scenario import CompositeTable, SimpleStand
-from piga.stand.simulate import SimulatedTest
 from piga.units import from_si
 
 TIMED = ("vibration-table", "profile", "composite")
@@ -161,27 +161,17 @@ def stand_reference(
     ArgumentError
         If the table is not valid or does not fit the record. The message names the key.
     """
-    followed, arrays = _known(table, folder, lambda: labels, segment), arrays_like(t)
-    force, rate = (arrays.empty((3, t.size)).T for _ in range(2))
-    for part in spans(t.size):
-        force[part], rate[part] = followed.motion(t[part], segment[part])
-    return force, rate
-
-
-def _known(
-    table: dict[str, Any],
-    folder: Path,
-    labels: Callable[[], tuple[str, ...]],
-    segment: NDArray[np.int32] | None = None,
-) -> FollowedStand:
-    """A stand whose motion is known. A vibration table is refused: the phase of its drive is unknown."""
     stand, names = _build(table, folder)
     if stand.kind == "vibration-table":
         raise ArgumentError(
             "[stand] kind 'vibration-table': the phase of the drive is not known to the run file",
             remedy="log the reference and give [data] reference",
         )
-    return _followed(stand, names, labels, segment)
+    followed, arrays = _followed(stand, names, labels, segment), arrays_like(t)
+    force, rate = (arrays.empty((3, t.size)).T for _ in range(2))
+    for part in spans(t.size):
+        force[part], rate[part] = followed.motion(t[part], segment[part])
+    return force, rate
 
 
 def stand_changes(run: Run) -> Iterator[StandChange]:
@@ -198,7 +188,7 @@ def stand_changes(run: Run) -> Iterator[StandChange]:
     try:
         stand, names = _build(run.stand or {}, Path(run.source).parent)
         _check_unchanged(run)
-        t = _all_times(_followed(stand, names, lambda: run.labels), run)
+        t = _all_times(_followed(stand, names, run.labels), run)
         for name, written in named.items():
             standard, shape = _standard(name, written)
             for text, errors in _components(name, standard):
@@ -249,7 +239,7 @@ def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] 
 def _followed(
     stand: Stand,
     names: tuple[str, ...] | None,
-    labels: Callable[[], tuple[str, ...]],
+    labels: tuple[str, ...],
     segment: NDArray[np.int32] | None = None,
 ) -> FollowedStand:
     """The stand, with the time of every segment of the record on its plan."""
@@ -257,10 +247,9 @@ def _followed(
         return FollowedStand(stand)
     planned = [part for part in stand.segments() if part.recorded]
     by_name = dict(zip(names or tuple(part.label for part in planned), planned, strict=True))
-    recorded = labels()
-    parts = [by_name.get(label.split("/")[0]) for label in recorded]
+    parts = [by_name.get(label.split("/")[0]) for label in labels]
     if None in parts:
-        parts = _in_order(planned, recorded, segment)
+        parts = _in_order(planned, labels, segment)
     starts, durations = np.array([(part.start, part.duration) for part in parts if part is not None]).T
     return FollowedStand(stand, starts, durations)
 
@@ -357,8 +346,9 @@ def run_from_table(
         If the columns do not hold what the description says.
     """
     _check_names(columns)
-    own = stated_units(table)
-    arrow, timed = with_seconds(as_arrow(table), columns["time"])
+    own, arrow = stated_units(table), as_arrow(table)
+    at = arrow.schema.get_field_index(columns["time"] or "")
+    timed = at >= 0 and is_time(arrow.schema.field(at).type)
     unknown = [name for name in units if name not in arrow.schema.names]
     if unknown:
         raise ArgumentError(
@@ -424,29 +414,6 @@ def _data(columns: dict[str, Any], units: dict[str, str]) -> dict[str, Any]:
         if columns[name] is not None:
             data[name] = columns[name]
     return data
-
-
-def run_of_test(test: SimulatedTest, serial: str, model: ModelTable | dict[str, object] | None) -> Run:
-    """The log of a simulated test as a run: :meth:`piga.stand.SimulatedTest.to_run`."""
-    log, kind = test.log, test.electronics.kind
-    columns: dict[str, np.ndarray] = {"t": log.t, "output": log.output, "temperature": log.temperature}
-    columns |= {f"f{axis}": log.reference[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"w{axis}": log.base_rate[:, i] for i, axis in enumerate("xyz")}
-    columns["segment"] = np.array(log.labels, dtype=object)[log.segment]
-    counts = kind == "counts"
-    return Run.from_dataframe(
-        columns,
-        scale_factor=test.specimen.instrument.scale_factor,
-        output="output",
-        kind=kind,
-        base_rate=("wx", "wy", "wz"),
-        temperature="temperature",
-        segment="segment",
-        serial=serial,
-        counts_per_revolution=test.electronics.counts_per_revolution if counts else None,
-        counter_bits=test.electronics.counter_bits if counts else None,
-        model=model,
-    )
 
 
 def example_run() -> Run:

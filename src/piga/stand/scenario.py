@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -18,8 +18,18 @@ from piga.instrument import ErrorModel, Instrument
 from piga.instrument.twin.electronics import Electronics, Temperature
 from piga.instrument.twin.parameters import twin_parameters
 from piga.progress import Progress
-from piga.records.run_file import Columns, ColumnTable, Quantity, ServoTable, TomlTable
-from piga.records.terms import UNITS, harmonic, unit_of
+from piga.records.run_file import (
+    Columns,
+    ColumnTable,
+    Hertz,
+    InstrumentTable,
+    Quantity,
+    Radians,
+    Seconds,
+    TomlTable,
+    in_unit,
+)
+from piga.records.terms import UNITS, check_name, harmonic, unit_of
 from piga.records.text_files import read_toml
 from piga.stand.imperfections import Imperfections, imperfections
 from piga.stand.machines.logged import read_profile
@@ -37,28 +47,29 @@ from piga.stand.simulate import Harmonics, Model, SimulatedTest, Specimen, simul
 from piga.stand.tide import EarthTide
 from piga.units import to_si
 
+Metres = Annotated[Quantity, in_unit("m")]
+Acceleration = Annotated[Quantity, in_unit("m/s^2")]
+Kelvins = Annotated[Quantity, in_unit("K")]
+Gravities = Annotated[Quantity, in_unit("g")]
 
-class SpecimenTable(TomlTable, frozen=True):
+
+class SpecimenTable(InstrumentTable, frozen=True):
     """``[instrument]``, as in a run file: nominal parameters and known servo parameters."""
 
-    serial: str
-    scale_factor: Quantity
     counts_per_revolution: float = 72000.0
-    counter_bits: int | None = None
-    servo: ServoTable | None = None
 
 
 class ElectronicsTable(TomlTable, frozen=True):
     """``[electronics]``: readout, clock and noise."""
 
-    sample_rate: Quantity
+    sample_rate: Hertz
     output: Literal["counts", "angle", "rate"] = "counts"
-    zero: Quantity = 0.0
-    angle_noise: Quantity = 0.0
-    angle_random_walk: Quantity = 0.0
-    bias_random_walk: Quantity = 0.0
-    clock_offset: Quantity = 0.0
-    clock_jitter: Quantity = 0.0
+    zero: Radians = 0.0
+    angle_noise: Radians = 0.0
+    angle_random_walk: Annotated[Quantity, in_unit("rad/sqrt(s)")] = 0.0
+    bias_random_walk: Annotated[Quantity, in_unit("g/sqrt(s)")] = 0.0
+    clock_offset: Seconds = 0.0
+    clock_jitter: Seconds = 0.0
 
 
 class NoiseTable(TomlTable, frozen=True):
@@ -68,18 +79,18 @@ class NoiseTable(TomlTable, frozen=True):
     first-order Markov process with the correlation time ``markov_time``.
     """
 
-    flicker: Quantity = 0.0
-    markov: Quantity = 0.0
-    markov_time: Quantity = 0.0
+    flicker: Gravities = 0.0
+    markov: Gravities = 0.0
+    markov_time: Seconds = 0.0
 
 
 class TemperatureTable(TomlTable, frozen=True):
     """``[temperature]`` of the instrument; constant 20 degC without this table."""
 
-    start: Quantity = "20 degC"
-    drift: Quantity = 0.0
-    swing: Quantity = 0.0
-    period: Quantity = "1 d"
+    start: Kelvins = "20 degC"
+    drift: Annotated[Quantity, in_unit("K/s")] = 0.0
+    swing: Kelvins = 0.0
+    period: Seconds = "1 d"
 
 
 class EarthTideTable(TomlTable, frozen=True):
@@ -95,7 +106,7 @@ class RunTable(TomlTable, frozen=True):
     model: Literal["quasi-steady", "twin"] = "quasi-steady"
     seed: int = 1
     start: Literal["slow-manifold", "transient"] = "slow-manifold"
-    step: Quantity | None = None
+    step: Seconds | None = None
     format: Literal["parquet", "csv"] = "parquet"
     imperfections: Literal["fixed", "drawn"] = "fixed"
     earth_tide: EarthTideTable | None = None
@@ -104,51 +115,35 @@ class RunTable(TomlTable, frozen=True):
 class SiteTable(TomlTable, frozen=True):
     """Place and gravity. All stands have these keys."""
 
-    latitude: Quantity
-    longitude: Quantity = 0.0
-    height: Quantity = 0.0
-    gravity: Quantity | None = None
+    latitude: Radians
+    longitude: Radians = 0.0
+    height: Metres = 0.0
+    gravity: Acceleration | None = None
 
-    def site(self) -> Site:
-        """The site in SI."""
-        given = None if self.gravity is None else _si(self.gravity, "m/s^2", "gravity")
-        return Site(
-            _si(self.latitude, "rad", "latitude"),
-            _si(self.longitude, "rad", "longitude"),
-            _si(self.height, "m", "height"),
-            given,
-        )
-
-
-def _si(value: Quantity, unit: str, key: str) -> float:
-    return to_si(value, unit, what=f"[stand] {key}")
+    def at_site(self) -> tuple[Site, dict[str, float]]:
+        """The site, and the other quantities of the stand by key, in SI."""
+        si = self.in_si("[stand] ")
+        return Site(si.pop("latitude"), si.pop("longitude"), si.pop("height"), si.pop("gravity", None)), si
 
 
 def _each(values: Sequence[Quantity], unit: str, key: str) -> tuple[float, ...]:
-    return tuple(_si(value, unit, f"{key}[{k}]") for k, value in enumerate(values))
+    return tuple(to_si(value, unit, what=f"[stand] {key}[{k}]") for k, value in enumerate(values))
 
 
 class DividingHeadTable(SiteTable, frozen=True, tag_field="kind", tag="dividing-head"):
     """``[stand] kind = "dividing-head"``."""
 
     positions: str | tuple[Quantity, ...] = "0:360:15 deg"
-    dwell: Quantity = "60 s"
-    move: Quantity = "30 s"
-    roll: Quantity = 0.0
-    azimuth: Quantity = 0.0
-    settling_time: Quantity = "5 s"
+    dwell: Seconds = "60 s"
+    move: Seconds = "30 s"
+    roll: Radians = 0.0
+    azimuth: Radians = 0.0
+    settling_time: Seconds = "5 s"
 
     def build(self, _folder: Path) -> Stand:
         """The stand."""
-        return DividingHead(
-            self.site(),
-            head_positions(self.positions),
-            _si(self.dwell, "s", "dwell"),
-            _si(self.move, "s", "move"),
-            _si(self.roll, "rad", "roll"),
-            _si(self.azimuth, "rad", "azimuth"),
-            _si(self.settling_time, "s", "settling_time"),
-        )
+        site, si = self.at_site()
+        return DividingHead(site, head_positions(self.positions), **si)
 
 
 def head_positions(value: str | Sequence[Quantity]) -> tuple[float, ...]:
@@ -161,78 +156,67 @@ def head_positions(value: str | Sequence[Quantity]) -> tuple[float, ...]:
 class CentrifugeTable(SiteTable, frozen=True, tag_field="kind", tag="centrifuge"):
     """``[stand] kind = "centrifuge"``: ``levels`` of specific force, or ``rates``."""
 
-    radius: Quantity = "1 m"
+    radius: Metres = "1 m"
     levels: tuple[Quantity, ...] | None = None
     rates: tuple[Quantity, ...] | None = None
     down: bool = True
-    dwell: Quantity = "60 s"
-    ramp: Quantity = "60 s"
-    stretch: Quantity = 0.0
+    dwell: Seconds = "60 s"
+    ramp: Seconds = "60 s"
+    stretch: Annotated[Quantity, in_unit("s^2/rad^2")] = 0.0
     counter_rotating: bool = False
     outward: bool = False
-    roll: Quantity = 0.0
+    roll: Radians = 0.0
 
     def build(self, _folder: Path) -> Stand:
         """The stand. With ``down`` the levels are run up and then down."""
-        radius, stretch = _si(self.radius, "m", "radius"), _si(self.stretch, "s^2/rad^2", "stretch")
+        site, si = self.at_site()
+        radius = si["radius"]
         if radius <= 0.0:
             raise ArgumentError(f"[stand] radius: {radius:g} m is not positive", remedy="e.g. '2.5 m'")
         if (self.levels is None) == (self.rates is None):
             raise ArgumentError("[stand] needs either levels or rates", remedy='e.g. levels = ["1 g", "2 g"]')
         if self.levels is not None:
-            rates = rates_for_levels(_each(self.levels, "m/s^2", "levels"), radius, stretch)
+            rates = rates_for_levels(_each(self.levels, "m/s^2", "levels"), radius, si["stretch"])
         else:
             rates = _each(self.rates or (), "rad/s", "rates")
         rates = rates + rates[-2::-1] if self.down else rates
-        spin = SpinPlan(rates, _si(self.dwell, "s", "dwell"), _si(self.ramp, "s", "ramp"))
-        roll = _si(self.roll, "rad", "roll")
-        return Centrifuge(self.site(), radius, spin, stretch, self.counter_rotating, self.outward, roll)
+        spin = SpinPlan(rates, si.pop("dwell"), si.pop("ramp"))
+        return Centrifuge(site, spin=spin, counter_rotating=self.counter_rotating, outward=self.outward, **si)
 
 
 class RateTableTable(SiteTable, frozen=True, tag_field="kind", tag="rate-table"):
     """``[stand] kind = "rate-table"``."""
 
     rates: tuple[Quantity, ...] = ("0 deg/s",)
-    dwell: Quantity = "60 s"
-    ramp: Quantity = "10 s"
+    dwell: Seconds = "60 s"
+    ramp: Seconds = "10 s"
     along: str = "X0"
     axis: Literal["vertical", "horizontal"] = "vertical"
-    azimuth: Quantity = 0.0
-    offset: Quantity = 0.0
+    azimuth: Radians = 0.0
+    offset: Metres = 0.0
 
     def build(self, _folder: Path) -> Stand:
         """The stand."""
-        spin = SpinPlan(
-            _each(self.rates, "rad/s", "rates"), _si(self.dwell, "s", "dwell"), _si(self.ramp, "s", "ramp")
-        )
-        azimuth, offset = _si(self.azimuth, "rad", "azimuth"), _si(self.offset, "m", "offset")
-        return RateTable(self.site(), spin, self.along, self.axis == "horizontal", azimuth, offset)
+        site, si = self.at_site()
+        spin = SpinPlan(_each(self.rates, "rad/s", "rates"), si.pop("dwell"), si.pop("ramp"))
+        return RateTable(site, spin, self.along, self.axis == "horizontal", **si)
 
 
 class DriveTable(TomlTable, frozen=True):
     """``[[stand.drives]]`` of a vibration table."""
 
     shape: Literal["rest", "sine", "sweep", "random"]
-    duration: Quantity
-    frequency: Quantity = "1 Hz"
-    last_frequency: Quantity | None = None
-    amplitude: Quantity = 0.0
-    taper: Quantity = "0.5 s"
+    duration: Seconds
+    frequency: Hertz = "1 Hz"
+    last_frequency: Hertz | None = None
+    amplitude: Acceleration = 0.0
+    taper: Seconds = "0.5 s"
     seed: int = 1
 
     def drive(self) -> Drive:
         """The drive in SI."""
-        first = _si(self.frequency, "Hz", "drives.frequency")
-        last = first if self.last_frequency is None else _si(self.last_frequency, "Hz", "drives.last_frequency")
-        return Drive(
-            self.shape,
-            _si(self.duration, "s", "drives.duration"),
-            first,
-            last,
-            _si(self.amplitude, "m/s^2", "drives.amplitude"),
-            _si(self.taper, "s", "drives.taper"),
-            self.seed,
-        )
+        si = self.in_si("[stand] drives.")
+        return Drive(self.shape, seed=self.seed, **({"last_frequency": si["frequency"]} | si))
 
 
 class VibrationTableTable(SiteTable, frozen=True, tag_field="kind", tag="vibration-table"):
@@ -244,7 +228,9 @@ class VibrationTableTable(SiteTable, frozen=True, tag_field="kind", tag="vibrati
 
     def build(self, _folder: Path) -> Stand:
         """The stand."""
-        return VibrationTable(self.site(), tuple(drive.drive() for drive in self.drives), self.axis, self.up)
+        return VibrationTable(
+            self.at_site()[0], tuple(drive.drive() for drive in self.drives), self.axis, self.up
+        )
 
 
 class ProfileTable(TomlTable, frozen=True, tag_field="kind", tag="profile"):
@@ -257,9 +243,7 @@ class ProfileTable(TomlTable, frozen=True, tag_field="kind", tag="profile"):
 
     def build(self, folder: Path) -> Stand:
         """The stand."""
-        rate = None if self.base_rate is None else (self.base_rate.columns, self.base_rate.unit)
-        time = (self.time.column, self.time.unit)
-        return read_profile(folder / self.file, time, (self.force.columns, self.force.unit), rate)
+        return read_profile(folder / self.file, self.time, self.force, self.base_rate)
 
 
 SimpleStand = DividingHeadTable | CentrifugeTable | RateTableTable | VibrationTableTable | ProfileTable
@@ -269,11 +253,11 @@ class CompositeTable(TomlTable, frozen=True, tag_field="kind", tag="composite"):
     """``[stand] kind = "composite"``: the stands in ``[[stand.parts]]``, in order."""
 
     parts: tuple[SimpleStand, ...]
-    pause: Quantity = "60 s"
+    pause: Seconds = "60 s"
 
     def build(self, folder: Path) -> Stand:
         """The stand."""
-        return Composite(tuple(part.build(folder) for part in self.parts), _si(self.pause, "s", "pause"))
+        return Composite(tuple(part.build(folder) for part in self.parts), **self.in_si("[stand] "))
 
 
 class ScenarioTable(TomlTable, frozen=True):
@@ -392,7 +376,7 @@ def run_scenario(
             temperature=scenario.temperature,
             model=model or run.model,
             seed=chosen,
-            step=None if run.step is None else to_si(run.step, "s", what="[run] step"),
+            step=run.in_si("[run] ").get("step"),
             force=force,
             tide=_tide(scenario),
             progress=progress,
@@ -419,7 +403,7 @@ def _tide(scenario: Scenario) -> EarthTide | None:
 def _specimen(table: ScenarioTable) -> Specimen:
     truth = table.truth
     for name in truth:
-        if name not in _MOTION and (name == "phi" or (name not in UNITS and harmonic(name) is None)):
+        if name not in _MOTION and (name == "phi" or not check_name(name)):
             known = [
                 *_MOTION,
                 *(term for term in UNITS if term not in ("phi", *_MOTION)),
@@ -466,48 +450,27 @@ def _harmonics(table: ScenarioTable) -> Harmonics:
 
 
 def _electronics(table: ScenarioTable) -> Electronics:
-    e, noise = table.electronics, table.noise
-
-    def si(key: str, unit: str) -> float:
-        return to_si(getattr(e, key), unit, what=f"[electronics] {key}")
-
-    def coloured(key: str, unit: str) -> float:
-        value = to_si(getattr(noise, key), unit, what=f"[noise] {key}")
+    kind, coloured = table.electronics.output, table.noise.in_si("[noise] ")
+    for key, value in coloured.items():
         if value < 0.0:
             raise ArgumentError(
-                f"[noise] {key}: {getattr(noise, key)} is negative",
+                f"[noise] {key}: {getattr(table.noise, key)} is negative",
                 remedy="give a standard deviation or a time, zero or more",
             )
-        return value
-
-    if coloured("markov", "g") > 0.0 and coloured("markov_time", "s") == 0.0:
+    if coloured["markov"] > 0.0 and coloured["markov_time"] == 0.0:
         raise ArgumentError(
             "[noise] markov: its correlation time is missing", remedy='set [noise] markov_time, e.g. "5 s"'
         )
     return Electronics(
-        sample_rate=si("sample_rate", "Hz"),
-        kind=e.output,
+        kind=kind,
         counts_per_revolution=table.instrument.counts_per_revolution,
-        counter_bits=table.instrument.counter_bits if e.output == "counts" else None,
-        zero=si("zero", "rad"),
-        angle_noise=si("angle_noise", "rad"),
-        angle_random_walk=si("angle_random_walk", "rad/sqrt(s)"),
-        bias_random_walk=si("bias_random_walk", "g/sqrt(s)"),
-        bias_flicker=coloured("flicker", "g"),
-        bias_markov=coloured("markov", "g"),
-        bias_markov_time=coloured("markov_time", "s"),
-        clock_offset=si("clock_offset", "s"),
-        clock_jitter=si("clock_jitter", "s"),
+        counter_bits=table.instrument.counter_bits if kind == "counts" else None,
+        bias_flicker=coloured["flicker"],
+        bias_markov=coloured["markov"],
+        bias_markov_time=coloured["markov_time"],
+        **table.electronics.in_si("[electronics] "),
     )
 
 
 def _temperature(table: ScenarioTable) -> Temperature | None:
-    t = table.temperature
-    if t is None:
-        return None
-    return Temperature(
-        to_si(t.start, "K", what="[temperature] start"),
-        to_si(t.drift, "K/s", what="[temperature] drift"),
-        to_si(t.swing, "K", what="[temperature] swing"),
-        to_si(t.period, "s", what="[temperature] period"),
-    )
+    return None if table.temperature is None else Temperature(**table.temperature.in_si("[temperature] "))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,15 +27,13 @@ from piga.instrument.twin.linear import analyse_loop, require_stable, servo_forc
 from piga.instrument.twin.parameters import TwinParameters
 from piga.instrument.twin.run import Start, TwinMotion, run_twin
 from piga.progress import Progress, Steps
+from piga.records.run import Run
+from piga.records.run_file import ModelTable
 from piga.results import Array, Plotted, Reported, Result
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.profile import Profile, Segment, Stand, sample_stand
 from piga.stand.tide import EarthTide
 from piga.units import G0
-
-if TYPE_CHECKING:
-    from piga.records.run import Run
-    from piga.records.run_file import ModelTable
 
 Model = Literal["quasi-steady", "twin"]
 Harmonics = Mapping[int, tuple[float, float]]
@@ -125,9 +123,25 @@ class SimulatedTest(Result, Plotted, Reported):
 
         ``model`` is the run file's ``[model]``.
         """
-        from piga.stand.run_reference import run_of_test
-
-        return run_of_test(self, serial, model)
+        log, kind = self.log, self.electronics.kind
+        columns: dict[str, NDArray] = {"t": log.t, "output": log.output, "temperature": log.temperature}
+        columns |= {f"f{axis}": log.reference[:, i] for i, axis in enumerate("xyz")}
+        columns |= {f"w{axis}": log.base_rate[:, i] for i, axis in enumerate("xyz")}
+        columns["segment"] = np.array(log.labels, dtype=object)[log.segment]
+        counts = kind == "counts"
+        return Run.from_dataframe(
+            columns,
+            scale_factor=self.specimen.instrument.scale_factor,
+            output="output",
+            kind=kind,
+            base_rate=("wx", "wy", "wz"),
+            temperature="temperature",
+            segment="segment",
+            serial=serial,
+            counts_per_revolution=self.electronics.counts_per_revolution if counts else None,
+            counter_bits=self.electronics.counter_bits if counts else None,
+            model=model,
+        )
 
 
 def simulate_test(

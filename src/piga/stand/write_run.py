@@ -216,7 +216,7 @@ def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> st
     }
     tables = {"instrument": instrument, "data": data, "model": _model(scenario, test)}
     tables |= {
-        "stand": _stand(scenario),
+        "stand": given_values(msgspec.to_builtins(scenario.table.stand)),
         "estimation": scenario.table.estimation,
         "uncertainty": _uncertainty(scenario),
     }
@@ -243,11 +243,6 @@ def _known_servo(scenario: Scenario) -> tuple[str, ...]:
     if servo is None:
         return ()
     return SERVO_TERMS if servo.damping is not None else SERVO_TERMS[:1]
-
-
-def _stand(scenario: Scenario) -> dict[str, Any]:
-    """``[stand]`` of the scenario. The budget of the calibration uses it."""
-    return given_values(msgspec.to_builtins(scenario.table.stand))
 
 
 def given_values(value: Any) -> Any:

@@ -25,7 +25,7 @@ from piga.records.calibration.coefficient import TYPE_A_ONLY, Coverage, coverage
 from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
 from piga.results import Array, Reported, Result, plotted
-from piga.threads import with_one_thread
+from piga.threads import one_thread
 from piga.trend.trend_line import (
     TREND,
     Forecast,
@@ -167,7 +167,7 @@ class Trend(Result, Reported):
         ]
 
 
-@with_one_thread
+@one_thread()
 def find_trend(history: Iterable[HistoryEntry], *, common: Common = 1.0) -> Trend:
     """Trend of every coefficient that all records hold.
 

@@ -34,6 +34,8 @@ def test_same_truth_with_larger_uncertainty() -> None:
 def test_positions_that_do_not_turn_once_are_named() -> None:
     run = record(np.random.default_rng(52), seconds=20.0)
     calibration = piga.calibrate(run, ["scale_factor", "k0", "m_Y"], "revolutions")
+    assert calibration.residuals is not None
+    assert calibration.residuals.unit == "rad/s"
     event = next(e for e in calibration.quality.events if e.kind == "no-whole-revolution")
     assert 0 < event.count == len(run.labels) - len(calibration.segments)
     assert "the output does not turn once" in event.detail

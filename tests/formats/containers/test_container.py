@@ -297,6 +297,8 @@ def test_the_reading_process_is_limited(tmp_path: Path, monkeypatch: pytest.Monk
             r"the reading library failed on it \(signal 11",
             30.0,
         ),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", r"took more than \d+ s of computing", 30.0),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGXCPU)", r"took more than \d+ s of computing", 30.0),
         ("raise MemoryError", "needs more than", 30.0),
         ("import sys; sys.exit('odd')", "failed on it .odd", 30.0),
     ):

@@ -130,21 +130,6 @@ def test_parquet_that_does_not_fit(tmp_path: Path) -> None:
         piga.read_run(write_run(tmp_path, "run.parquet"))
 
 
-def test_a_reader_that_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the system, when memory is short or the limit on computing time is reached."""
-    folder = tmp_path / "fake" / "piga"
-    room = folder / "formats" / "containers"
-    room.mkdir(parents=True)
-    for package in (folder, room.parent, room):
-        (package / "__init__.py").write_text("")
-    write_h5(tmp_path / "run.h5", columns())
-    monkeypatch.setattr(sys, "path", [str(tmp_path / "fake"), *sys.path])
-    for name in ("SIGKILL", "SIGXCPU"):
-        (room / "container.py").write_text(f"import os, signal\nos.kill(os.getpid(), signal.{name})\n")
-        with pytest.raises(piga.DataError, match=r"took more than \d+ s of computing time"):
-            piga.read_run(write_run(tmp_path, "run.h5"))
-
-
 NAMES = ("t", "n", "fx", "fy", "fz")
 
 

@@ -48,31 +48,6 @@ def test_schema_and_round_trip(calibration: piga.Calibration, tmp_path: Path) ->
     assert json.loads((tmp_path / "again.json").read_text()).keys() == document.keys()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda d: d.update(schema="piga.calibration/2"), "not known to this version"),
-        (lambda d: d.update(schema="other"), "not a calibration record"),
-        (lambda d: d.pop("noise"), "missing required field `noise`"),
-        (lambda d: d["coefficients"][0].update(unit="furlong"), "'rad/s/g' is needed"),
-        (lambda d: d["coefficients"][0].update(name="k99"), "unknown coefficient 'k99'"),
-        (lambda d: d["coefficients"][0].update(std=-1.0), "coefficients"),
-        (lambda d: d["covariance"]["names"].reverse(), "covariance names differ"),
-        (lambda d: d["covariance"]["matrix"].pop(), "not a full square"),
-        (lambda d: d["covariance"]["matrix"][0].__setitem__(1, 1.0), "not symmetric"),
-    ],
-)
-def test_damaged_records(calibration: piga.Calibration, tmp_path: Path, change, message: str) -> None:
-    path = tmp_path / "calibration.json"
-    calibration.to_json(path)
-    document = json.loads(path.read_text())
-    change(document)
-    path.write_text(json.dumps(document))
-    with pytest.raises(piga.CalibrationError, match=message) as caught:
-        piga.Calibration.from_json(path)
-    assert str(path) in str(caught.value)
-
-
 def _coefficient(document: dict, name: str) -> dict:
     return next(c for c in document["coefficients"] if c["name"] == name)
 
@@ -103,6 +78,15 @@ def _correlated(document: dict) -> None:
 
 
 IMPOSSIBLE = [
+    (lambda d: d.update(schema="piga.calibration/2"), "not known to this version"),
+    (lambda d: d.update(schema="other"), "not a calibration record"),
+    (lambda d: d.pop("noise"), "missing required field `noise`"),
+    (lambda d: d["coefficients"][0].update(unit="furlong"), "'rad/s/g' is needed"),
+    (lambda d: d["coefficients"][0].update(name="k99"), "unknown coefficient 'k99'"),
+    (lambda d: d["coefficients"][0].update(std=-1.0), "coefficients"),
+    (lambda d: d["covariance"]["names"].reverse(), "covariance names differ"),
+    (lambda d: d["covariance"]["matrix"].pop(), "not a full square"),
+    (lambda d: d["covariance"]["matrix"][0].__setitem__(1, 1.0), "not symmetric"),
     (_second_scale_factor, "the coefficient 'scale_factor' occurs twice"),
     (lambda d: _coefficient(d, "scale_factor").update(value=0.0), "scale_factor.*must be positive"),
     (lambda d: _coefficient(d, "scale_factor").update(value=-0.8884), "scale_factor.*must be positive"),

@@ -12,6 +12,7 @@ from pyarrow import csv, parquet
 
 from piga.errors import ArgumentError, DataError
 from piga.frames import axis_turn
+from piga.records.run_file import Columns, ColumnTable
 from piga.records.spool import arrays_like
 from piga.stand import (
     Centrifuge,
@@ -75,20 +76,23 @@ def test_composite_is_its_parts_in_order():
     assert only_arm[1, 0] == pytest.approx(1e-3, rel=1e-2)
 
 
+FORCE = Columns(("fx", "fy", "fz"), "g")
+
+
 def test_logged_profile_is_linear_between_samples(tmp_path):
     path = tmp_path / "profile.csv"
     path.write_text("t,fx,fy,fz,wx,wy,wz\n0,1,0,0,0,0,0\n1000,2,0,1,0.1,0,0\n3000,0,0,0,0,0,0\n")
-    stand = read_profile(path, ("t", "ms"), (("fx", "fy", "fz"), "g"), (("wx", "wy", "wz"), "rad/s"))
+    stand = read_profile(path, ColumnTable("t", "ms"), FORCE, Columns(("wx", "wy", "wz"), "rad/s"))
     f, omega = stand.motion(np.array([0.5, 2.0]), NONE)
     assert f / G0 == pytest.approx(np.array([[1.5, 0, 0.5], [1, 0, 0.5]]))
     assert omega[:, 0] == pytest.approx([0.05, 0.05])
     with pytest.raises(DataError, match="no column 'fq'"):
-        read_profile(path, ("t", "s"), (("fq", "fy", "fz"), "g"))
+        read_profile(path, ColumnTable("t", "s"), Columns(("fq", "fy", "fz"), "g"))
     with pytest.raises(DataError, match="cannot be read"):
-        read_profile(tmp_path / "none.csv", ("t", "s"), (("fx", "fy", "fz"), "g"))
+        read_profile(tmp_path / "none.csv", ColumnTable("t", "s"), FORCE)
     path.write_text("t,fx,fy,fz\n0,1,0,0\n1,,0,1\n")
     with pytest.raises(DataError, match="row 2"):
-        read_profile(path, ("t", "s"), (("fx", "fy", "fz"), "g"))
+        read_profile(path, ColumnTable("t", "s"), FORCE)
     with pytest.raises(ArgumentError, match="fewer than two, or do not increase"):
         LoggedProfile(np.array([0.0, 0.0]), np.zeros((2, 3)), np.zeros((2, 3)))
 
@@ -100,7 +104,7 @@ def test_a_long_profile_on_disk_is_the_same(tmp_path, monkeypatch, kind):
     table = pa.table({"t": t, "x": np.sin(t), "y": np.arange(3000), "z": 0.1 * t})
     path = tmp_path / f"profile.{kind}"
     (csv.write_csv if kind == "csv" else parquet.write_table)(table, path)
-    columns = ("t", "s"), (("x", "y", "z"), "g"), (("z", "z", "x"), "deg/s")
+    columns = ColumnTable("t", "s"), Columns(("x", "y", "z"), "g"), Columns(("z", "z", "x"), "deg/s")
     held = read_profile(path, *columns)
     monkeypatch.setattr(logged, "MOST_PROFILE_ROWS", 1000)
     mapped = read_profile(path, *columns)
@@ -153,4 +157,4 @@ def test_text_in_a_profile(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t,x,y,z\n0,one,0,0\n5,two,0,0\n")
     with pytest.raises(DataError, match="column 'x' does not hold numbers"):
-        read_profile(path, ("t", "s"), (("x", "y", "z"), "g"))
+        read_profile(path, ColumnTable("t", "s"), Columns(("x", "y", "z"), "g"))

@@ -20,7 +20,7 @@ from piga.stand import (
     sample_stand,
 )
 from piga.stand.imperfections import NONE
-from piga.stand.machines.turning import position_range, rates_for_levels
+from piga.stand.machines.turning import angles_of_range, rates_for_levels
 from piga.units import ARCSEC, G0
 from tests.stand.stands import HEAD, SITE, SPIN, derivative
 
@@ -108,7 +108,7 @@ def test_imperfections_of_the_head_to_first_order(errors, expected):
 
 def test_bad_positions_are_refused():
     with pytest.raises(ArgumentError, match="range is empty"):
-        position_range(0.0, 1.0, -0.1)
+        angles_of_range("0:10:-1 deg", "positions", "0:360:15 deg")
     with pytest.raises(ArgumentError, match="none given"):
         DividingHead(SITE, ())
     with pytest.raises(ArgumentError, match="must be positive"):

@@ -39,7 +39,7 @@ from piga.reading.signal_checks import largest_size
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_terms, term_names
-from piga.threads import with_one_thread
+from piga.threads import one_thread
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ PROBE = "k0"
 """Column that converts a prediction error to a mean specific force. It is reduced with every union."""
 
 
-@with_one_thread
+@one_thread()
 def compare_models(
     run: Run,
     term_sets: Sequence[str | Sequence[str]] | None = None,

@@ -16,7 +16,7 @@ from piga.calibration.model.request import make_request
 from piga.records.run import Run
 from piga.records.spool import extent
 from piga.records.terms import SERVO_TERMS, UNITS, check_terms, harmonic, shown_unit, term_names, unit_of
-from piga.threads import with_one_thread
+from piga.threads import one_thread
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class TermProspect:
         }
 
 
-@with_one_thread
+@one_thread()
 def term_prospects(run: Run, terms: str | Sequence[str] | None = None) -> tuple[TermProspect, ...]:
     """Say of every known term whether the record determines it together with the asked ones.
 

@@ -445,7 +445,7 @@ def revolutions_result(
     before += 0.0 if means.base_rate is None else means.base_rate[:, 0]
     residuals = Residuals(
         means.row, means.t, fit.design.phase_angle, means.f[:, 0], before, fit.rate, fit.rate / positions.std,
-        means.segment_index,
+        means.segment_index, unit="rad/s",
     )  # fmt: skip
     figures = residual_figures(residuals)
     quality = cleaned[0].quality

@@ -185,6 +185,7 @@ def _concatenated(pieces: list[Residuals], run_of: list[int]) -> Residuals:
         innovation=column("innovation"),
         segment=column("segment"),
         run=np.repeat(np.array(run_of, dtype=np.int32), [piece.t.size for piece in pieces]),
+        unit=pieces[0].unit,
     )
 
 

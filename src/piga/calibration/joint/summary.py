@@ -38,7 +38,7 @@ from piga.records.spool import spans
 from piga.records.terms import SERVO_TERMS, check_name, harmonic
 from piga.records.text_files import JsonError, decode_json, schema_of
 from piga.results import Array, Result
-from piga.threads import with_one_thread
+from piga.threads import one_thread
 
 STATIC_TERMS = (
     "scale_factor", "tan_beta", "k0", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t",
@@ -134,7 +134,7 @@ class RunSummary(Result):
     known_servo: tuple[tuple[str, float], ...] = ()
 
     @classmethod
-    @with_one_thread
+    @one_thread()
     def of(
         cls, run: Run, terms: str | list[str] | tuple[str, ...] | None = None, *, name: str = ""
     ) -> RunSummary:

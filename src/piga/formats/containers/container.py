@@ -29,19 +29,14 @@ from piga.records.calibration import Event
 from piga.records.limits import CPU_BASE, CPU_PER_MIB, FULL, MEMORY_LIMIT
 from piga.records.spool import mapped, trim
 
-SUFFIXES = (".h5", ".hdf5", ".hdf", ".mat", ".tdms", ".xlsx")
-"""File name endings of containers."""
-
 
 class ContainerStream:
     """A container. It is read whole in a separate process and given in chunks (:class:`piga.formats.columns.RecordStream`)."""
 
     def __init__(
-        self, path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None,
-        chunk_rows: int = CHUNK_ROWS,
-    ) -> None:  # fmt: skip
-        self._table = read_container(path, kind, numeric, label, sheet)
-        self._label, self._chunk_rows = label, chunk_rows
+        self, path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None
+    ) -> None:
+        self._table, self._label = read_container(path, kind, numeric, label, sheet), label
         self.units, self.expected_rows = self._table.units, self._table.rows
         self.label_names = list(self._table.labels[label][1]) if label else []
 
@@ -49,8 +44,8 @@ class ContainerStream:
         """The rows in order."""
         table = self._table
         codes = table.labels[self._label][0] if self._label else None
-        for start in range(0, table.rows, self._chunk_rows):
-            part = slice(start, min(start + self._chunk_rows, table.rows))
+        for start in range(0, table.rows, CHUNK_ROWS):
+            part = slice(start, min(start + CHUNK_ROWS, table.rows))
             numbers = {name: np.array(column[part], dtype=float) for name, column in table.numbers.items()}
             yield FileChunk(numbers, None if codes is None else np.array(codes[part]), table.file_rows(part))
             trim()
@@ -144,7 +139,7 @@ def _answer(path: Path, folder: Path) -> RawTable:
     numbers = {name: mapped(folder / f"{index}.npy") for index, name in enumerate(answer["numbers"])}
     labels = {name: (mapped(folder / "label.npy"), tuple(names)) for name, names in answer["labels"].items()}
     return RawTable(
-        path, numbers, labels, answer["rows"], answer["first_row"], answer["units"],
+        path, numbers, labels, answer["rows"], answer["units"],
         tuple(Event(*event) for event in answer["events"]),
         mapped(folder / "rows.npy") if answer["row_numbers"] else None,
     )  # fmt: skip
@@ -174,6 +169,8 @@ READERS: dict[str, Callable[..., RawTable]] = {
     ".parquet": read_labels,
 }
 """Reader of each format. Of Parquet only the labels are read here."""
+SUFFIXES = tuple(suffix for suffix in READERS if suffix != ".parquet")
+"""File name endings of containers."""
 
 
 def limit_resources(cpu: float) -> None:
@@ -214,7 +211,6 @@ def write(table: RawTable, folder: Path) -> dict[str, Any]:
         "numbers": list(table.numbers),
         "labels": {name: list(names) for name, (_, names) in table.labels.items()},
         "rows": table.rows,
-        "first_row": table.first_row,
         "units": table.units,
         "events": [[event.kind, event.count, event.first_row, event.detail] for event in table.events],
         "row_numbers": table.row_numbers is not None,

@@ -57,8 +57,64 @@ class TypedClock:
         return seconds
 
 
-class ParquetStream:
-    """The named columns of a Parquet file, chunk by chunk; see :class:`piga.formats.columns.RecordStream`.
+class ArrowStream:
+    """The named columns of an Arrow table, chunk by chunk: base of record streams (:class:`piga.formats.columns.RecordStream`).
+
+    Parameters
+    ----------
+    path:
+        Name of the table in messages.
+    schema:
+        Its Arrow schema. Units are those that its fields state, and seconds for times.
+    numeric, label:
+        Names of the number columns, and of the segment column.
+    remedies:
+        Remedies for a column that is not there, and for one that holds no numbers.
+
+    Raises
+    ------
+    DataError
+        If a column is missing or holds no numbers.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        schema: Any,
+        numeric: Sequence[str],
+        label: str | None,
+        remedies: tuple[str, str] = ("correct the column name in [data]", "store it as double or integer"),
+    ) -> None:
+        self._path, self._numeric, self._label = path, tuple(dict.fromkeys(numeric)), label
+        _check_columns(path, schema, self._numeric, label, remedies)
+        metadata = {name: schema.field(name).metadata or {} for name in self._numeric}
+        self.units = {
+            name: entries[b"unit"].decode("utf-8", errors="replace")
+            for name, entries in metadata.items()
+            if b"unit" in entries
+        }
+        times = [name for name in self._numeric if is_time(schema.field(name).type)]
+        self.units |= dict.fromkeys(times, "s")
+        self._clocks = {name: TypedClock() for name in times}
+        self.label_names: list[str] = []
+        self._missed = MissingCount()
+
+    def _numbers(self, batch: Any, rows: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
+        """The number columns of some rows. Missing values are counted."""
+        numbers = {}
+        for name in self._numeric:
+            column = batch.column(name)
+            self._missed.see(name, column, rows)
+            numbers[name] = self._clocks[name].seconds(column) if name in self._clocks else numbers_of(column)
+        return numbers
+
+    def events(self) -> list[Event]:
+        """Faults and omissions; complete after the last chunk."""
+        return self._missed.events(self._numeric)
+
+
+class ParquetStream(ArrowStream):
+    """The named columns of a Parquet file.
 
     Raises
     ------
@@ -66,21 +122,10 @@ class ParquetStream:
         If the file is not Parquet, lacks a column, or a column does not hold numbers.
     """
 
-    def __init__(
-        self, path: Path, numeric: tuple[str, ...], label: str | None, chunk_rows: int = CHUNK_ROWS
-    ) -> None:
-        self._path, self._numeric, self._label = path, tuple(dict.fromkeys(numeric)), label
-        self._chunk_rows = chunk_rows
+    def __init__(self, path: Path, numeric: tuple[str, ...], label: str | None) -> None:
         with _open(path) as source:
-            schema = source.schema_arrow
-            check_columns(path, schema, [*self._numeric, *([label] if label else [])], numeric)
+            super().__init__(path, source.schema_arrow, numeric, label)
             self.expected_rows = source.metadata.num_rows
-        self.units = units_of(schema, self._numeric)
-        times = [name for name in self._numeric if is_time(schema.field(name).type)]
-        self.units |= dict.fromkeys(times, "s")
-        self._clocks = {name: TypedClock() for name in times}
-        self.label_names: list[str] = []
-        self._missed = MissingCount()
 
     def chunks(self) -> Iterator[FileChunk]:
         """The rows in order."""
@@ -92,20 +137,18 @@ class ParquetStream:
             for batch in self._batches(source):
                 rows = np.arange(row, row + batch.num_rows, dtype=np.int64)
                 row += batch.num_rows
-                numbers = {name: self._column(batch.column(name), name, rows) for name in self._numeric}
-                yield FileChunk(
-                    numbers, None if codes is None else np.array(codes[rows[0] - 1 : row - 1]), rows
-                )
+                part = None if codes is None else np.array(codes[rows[0] - 1 : row - 1])
+                yield FileChunk(self._numbers(batch, rows), part, rows)
 
     def _batches(self, source: Any) -> Iterator[Any]:
         """Batches of the number columns. Without number columns: empty batches that only count rows."""
         import pyarrow as pa
 
         if self._numeric:
-            yield from source.iter_batches(self._chunk_rows, columns=list(self._numeric))
+            yield from source.iter_batches(CHUNK_ROWS, columns=list(self._numeric))
             return
-        for start in range(0, self.expected_rows, self._chunk_rows):
-            count = min(self._chunk_rows, self.expected_rows - start)
+        for start in range(0, self.expected_rows, CHUNK_ROWS):
+            count = min(CHUNK_ROWS, self.expected_rows - start)
             yield pa.record_batch({"": pa.nulls(count)})
 
     def _labels(self) -> NDArray[np.int32]:
@@ -120,15 +163,6 @@ class ParquetStream:
             )
         self.label_names.extend(names)
         return codes
-
-    def events(self) -> list[Event]:
-        """Faults and omissions; complete after the last chunk."""
-        return self._missed.events(self._numeric)
-
-    def _column(self, column: Any, name: str, rows: Any) -> Any:
-        if column.null_count:
-            self._missed.add(name, nulls_of(column), rows)
-        return self._clocks[name].seconds(column) if name in self._clocks else numbers_of(column)
 
 
 def read_labels(path: Path, _numeric: tuple[str, ...], label: str) -> RawTable:
@@ -156,7 +190,7 @@ def read_labels(path: Path, _numeric: tuple[str, ...], label: str) -> RawTable:
             remedy=f"use {MOST_NAME_LETTERS} or fewer",
         )
     whole = np.concatenate(parts) if parts else np.zeros(0, np.int32)
-    return RawTable(path, {}, {label: (whole, tuple(names))}, whole.size, 1, {})
+    return RawTable(path, {}, {label: (whole, tuple(names))}, whole.size)
 
 
 @contextmanager
@@ -178,25 +212,13 @@ def _open(path: Path, labels: Sequence[str] = ()) -> Iterator[Any]:
         ) from None
 
 
-REMEDIES = ("correct the column name in [data]", "store it as double or integer")
-"""Remedies for a column that is not in a file, and for one that holds no numbers."""
-
-
-def check_columns(
-    path: Path,
-    schema: Any,
-    wanted: list[str],
-    numeric: tuple[str, ...],
-    *,
-    remedies: tuple[str, str] = REMEDIES,
+def _check_columns(
+    path: Path, schema: Any, numeric: tuple[str, ...], label: str | None, remedies: tuple[str, str]
 ) -> None:
-    """Refuse a schema without a wanted column, or with a number column of another type.
-
-    ``remedies`` are those for a column that is not there, and for one that holds no numbers.
-    """
+    """Refuse a schema without a wanted column, or with a number column of another type."""
     import pyarrow as pa
 
-    for name in wanted:
+    for name in (*numeric, *([label] if label else [])):
         if name not in schema.names:
             raise DataError(
                 f"{path}: no column '{name}'; the columns are: {', '.join(schema.names)}",
@@ -207,13 +229,3 @@ def check_columns(
         kind = schema.field(name).type
         if name in numeric and not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or is_time(kind)):
             raise DataError(f"{path}: column '{name}' holds {kind}, not numbers", remedy=remedies[1])
-
-
-def units_of(schema: Any, numeric: tuple[str, ...]) -> dict[str, str]:
-    """Units that the fields of a schema state."""
-    metadata = {name: schema.field(name).metadata or {} for name in numeric}
-    return {
-        name: entries[b"unit"].decode("utf-8", errors="replace")
-        for name, entries in metadata.items()
-        if b"unit" in entries
-    }

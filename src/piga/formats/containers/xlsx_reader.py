@@ -26,7 +26,7 @@ from piga.formats.text.convention import (
     unit_text,
     units_in_names,
 )
-from piga.formats.text.faults import MAX_LISTED
+from piga.formats.text.faults import Faults
 from piga.records.calibration import Event
 from piga.records.limits import MAX_MEMBERS, check_unpacked, extra_missing, first_line, open_regular
 
@@ -157,9 +157,7 @@ class _Sheet:
 
     def __init__(self, path: Path, numeric: tuple[str, ...], label: str | None, events: list[Event]) -> None:
         self.path, self.numeric, self.label, self.events = path, tuple(dict.fromkeys(numeric)), label, events
-        self.bad: list[str] = []
-        self.total = 0
-        self.missing: dict[str, tuple[int, int]] = {}
+        self.faults = Faults()
         self.values: dict[str, list[float]] = {name: [] for name in self.numeric}
         self.labels: list[object] = []
         self.numbers: list[int] = []
@@ -229,15 +227,10 @@ class _Sheet:
             return self._seconds(cell)
         text = "" if cell is None else str(cell).strip()
         if cell is None or (isinstance(cell, str) and (text in MISSING or text in INFINITE)):
-            count, first = self.missing.get(name, (0, number))
-            self.missing[name] = count + 1, first
             return float("nan")
-        self.total += 1
-        if len(self.bad) < MAX_LISTED:
-            kind = "text" if isinstance(cell, str) else type(cell).__name__
-            self.bad.append(
-                f"row {number}, column '{name}' ({column_letter(place)}): '{text[:40]}' is {kind}, not a number"
-            )
+        kind = "text" if isinstance(cell, str) else type(cell).__name__
+        where = f"row {number}, column '{name}' ({column_letter(place)})"
+        self.faults.add(number, "not-a-number", f"{where}: '{text[:40]}' is {kind}, not a number")
         return float("nan")
 
     def _seconds(self, cell: datetime | time | timedelta) -> float:
@@ -251,24 +244,25 @@ class _Sheet:
         return (cell - self.first_day).total_seconds()
 
     def _table(self, units: dict[str, str]) -> RawTable:
-        if self.bad:
-            more = f"; and {self.total - len(self.bad)} more" if self.total > len(self.bad) else ""
+        if self.faults.total:
             raise DataError(
-                f"{self.path}: {'; '.join(self.bad)}{more}",
+                f"{self.path}: {self.faults.words}",
                 remedy="set the format of these cells to number and enter them again; dates: export seconds",
             )
         if not self.numbers:
             raise DataError(f"{self.path}: a header but no data", remedy="check that the logger wrote data")
-        for name in self.numeric:
-            if name in self.missing:
-                count, first = self.missing[name]
-                self.events.append(Event("missing-value", count, first, f"column '{name}'"))
+        for name, cells in self.values.items():
+            empty = np.isnan(cells)
+            if empty.any():
+                first = self.numbers[int(np.argmax(empty))]
+                self.events.append(
+                    Event("missing-value", int(np.count_nonzero(empty)), first, f"column '{name}'")
+                )
         return RawTable(
             self.path,
             {name: np.array(cells) for name, cells in self.values.items()},
             {} if self.label is None else {self.label: as_label(self.labels)},
             len(self.numbers),
-            self.numbers[0],
             {name: unit for name, unit in units.items() if name in self.numeric},
             tuple(self.events),
             np.array(self.numbers),

@@ -72,7 +72,7 @@ def find_format(
     encoding: str,
     separator: str | None,
     decimal: str | None,
-    rows: HeadRows | None = None,
+    rows: HeadRows,
 ) -> TextFormat:
     """Detect separator, decimal mark, header names, units row and number of lines to skip, from the head of a file.
 
@@ -88,7 +88,6 @@ def find_format(
     DataError
         If there is no header or no data, a column name is repeated, or two readings are possible.
     """
-    rows = rows or HeadRows()
     lines = LINE_END.split(text)
     header_at = _header_at(lines, rows, path)
     if rows.header is False:

@@ -41,11 +41,16 @@ class Faults:
             self.listed.append(words)
         self.hint = self.hint or hint
 
+    @property
+    def words(self) -> str:
+        """All faults in words."""
+        more = f"; and {self.total - len(self.listed)} more" if self.total > len(self.listed) else ""
+        return f"{'; '.join(self.listed)}{more}"
+
     def error(self, path: Path) -> DataError:
         """All faults as one error."""
-        more = f"; and {self.total - len(self.listed)} more" if self.total > len(self.listed) else ""
         return DataError(
-            f"{path}: {'; '.join(self.listed)}{more}",
+            f"{path}: {self.words}",
             remedy=f"repair or delete these rows, or leave them out with [data] damaged_rows = 'mask'{self.hint}",
         )
 
@@ -73,7 +78,7 @@ def find_faults(
     place: FilePlace,
     form: TextFormat,
     numeric: tuple[str, ...],
-    missing: tuple[str, ...] = (),
+    missing: tuple[str, ...],
 ) -> list[int]:
     """Check every needed cell of a piece. Adds to ``faults`` and returns the lines (0-based) with faults."""
     tokens = {*MISSING, *INFINITE, *missing}

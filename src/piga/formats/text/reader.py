@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.formats.columns import FileChunk, LabelCodes, MissingCount, nulls_of, numbers_of
+from piga.formats.columns import FileChunk, LabelCodes, MissingCount, numbers_of
 from piga.formats.text.convention import (
     INFINITE,
     LINE_END,
@@ -172,8 +173,7 @@ class TextStream:
             for name in self._numeric:
                 column = batch.column(name)
                 numbers[name] = numbers_of(column)
-                if column.null_count:
-                    self._missed.add(name, nulls_of(column), part)
+                self._missed.see(name, column, part)
             codes = self._codes.of(batch.column(self._label)) if self._label is not None else None
             yield FileChunk(numbers, codes, part)
 
@@ -275,7 +275,7 @@ class TextStream:
         if self._clock is None:
             return table, ""
         name = next(iter(self._form.stamps))
-        clock = self._clock.copy()
+        clock = copy(self._clock)
         seconds = clock.convert(table.column(name), {*MISSING, *self._missing})
         if seconds is None:
             return None, f"column '{name}' holds a cell that is not a time stamp"

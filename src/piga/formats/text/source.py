@@ -13,6 +13,8 @@ import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO, TypeVar, cast
 
@@ -241,26 +243,34 @@ class TextSource:
                 remedy="check that this is the log; export it again",
             )
 
-    def _plain(self) -> Iterator[Bytes]:
+    @contextmanager
+    def _opened(self) -> Iterator[BufferedReader]:
+        """The file. An error while it is read becomes one clear message."""
         try:
             with open_regular(self.path, wanted="the data file in [data] file") as stream:
-                size = SNIFF_BYTES
-                while count := stream.readinto(block := bytearray(size)):
-                    del block[count:]
-                    self._see(block)
-                    yield block
-                    size = self._piece
+                yield stream
         except FileNotFoundError:
-            raise _no_file(self.path) from None
-        except OSError as error:
+            raise DataError(
+                f"{self.path}: no such file", remedy="[data] file is relative to the run file"
+            ) from None
+        except (OSError, EOFError, zlib.error) as error:
             raise DataError(f"{self.path}: cannot be read ({error})", remedy="check the file") from None
+
+    def _plain(self) -> Iterator[Bytes]:
+        with self._opened() as stream:
+            size = SNIFF_BYTES
+            while count := stream.readinto(block := bytearray(size)):
+                del block[count:]
+                self._see(block)
+                yield block
+                size = self._piece
 
     def _packed(self) -> Iterator[Bytes]:
         total = 0
-        try:
-            packed = open_regular(self.path, wanted="the data file in [data] file")
+        with self._opened() as packed:
             limit = os.fstat(packed.fileno()).st_size * MAX_EXPANSION
-            with packed, _unpacking(_Seen(packed, self._see)) as stream:
+            seen = cast("BinaryIO", _Seen(packed, self._see))
+            with gzip.GzipFile(fileobj=seen, mode="rb") as stream:
                 while block := stream.read1(1 << 18):
                     total += len(block)
                     if total > limit:
@@ -269,10 +279,6 @@ class TextSource:
                             remedy="unpack it by hand",
                         )
                     yield block
-        except FileNotFoundError:
-            raise _no_file(self.path) from None
-        except (OSError, EOFError, zlib.error) as error:
-            raise DataError(f"{self.path}: cannot be read ({error})", remedy="check the file") from None
 
     def _decoded(self, blocks: Iterator[Bytes]) -> Iterator[Bytes]:
         """Convert text in another encoding to UTF-8. Valid text before a bad byte is given first."""
@@ -314,14 +320,6 @@ class _Seen:
         data = self._stream.read(size)
         self._see(data)
         return data
-
-
-def _unpacking(packed: _Seen) -> gzip.GzipFile:
-    return gzip.GzipFile(fileobj=cast("BinaryIO", packed), mode="rb")
-
-
-def _no_file(path: Path) -> DataError:
-    return DataError(f"{path}: no such file", remedy="[data] file is relative to the run file")
 
 
 def _shortable(block: Bytes) -> bytearray:

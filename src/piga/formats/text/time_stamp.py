@@ -130,12 +130,6 @@ class StampClock:
     _last: float = field(default=float("nan"), init=False)
     _added: float = field(default=0.0, init=False)
 
-    def copy(self) -> StampClock:
-        """A clock in the same state."""
-        other = StampClock(self.stamp)
-        other._first_day, other._last, other._added = self._first_day, self._last, self._added
-        return other
-
     def convert(self, column: Any, missing: set[str]) -> Any | None:
         """The stamps of an Arrow column as an Arrow array of seconds. None if a cell is neither a stamp nor ``missing``."""
         import pyarrow as pa
@@ -205,15 +199,9 @@ def _day_and_seconds(parts: dict[str, NDArray[Any]]) -> tuple[NDArray[np.float64
 def _days(
     year: NDArray[np.float64], month: NDArray[np.float64], day: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Days since 1970-01-01 of dates in the Gregorian calendar. The year begins in March here."""
-    shifted = year - (month <= 2)
-    era = np.floor(shifted / 400.0)
-    of_era = shifted - 400.0 * era
-    of_year = np.floor((153.0 * (month + np.where(month > 2, -3.0, 9.0)) + 2.0) / 5.0) + day - 1.0
-    days: NDArray[np.float64] = (
-        era * 146097.0 + 365.0 * of_era + np.floor(of_era / 4.0) - np.floor(of_era / 100.0) + of_year - 719468.0
-    )
-    return days
+    """Days since 1970-01-01 of dates in the Gregorian calendar. A day beyond the end of its month counts on."""
+    first = (12 * (year - 1970) + month - 1).astype(np.int64).astype("datetime64[M]").astype("datetime64[D]")
+    return first.astype(np.int64) + day - 1.0
 
 
 def _zone(text: str) -> float:

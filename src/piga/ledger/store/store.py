@@ -49,6 +49,7 @@ from piga.ledger.store.rows import (
     read_identity,
 )
 from piga.records.calibration import Calibration, CalibrationFigures
+from piga.records.calibration.document import DOCUMENT, calibration_from_bytes, figures_from_bytes
 
 ROWS = 500
 """Records fetched in one query."""
@@ -148,8 +149,6 @@ class Store:
 
     def calibration(self, name: str | int) -> Calibration:
         """The calibration of a record (without residuals)."""
-        from piga.records.calibration.document import calibration_from_bytes
-
         return calibration_from_bytes(self.read(name, "calibration"), Path(f"record {name}"))
 
     def history(self, serial: str) -> list[tuple[str, datetime, Calibration]]:
@@ -158,8 +157,6 @@ class Store:
         Superseded records are left out, because their successors replace them. For a trend over thousands of
         records use :meth:`figures`: it needs far less time and memory.
         """
-        from piga.records.calibration.document import calibration_from_bytes
-
         return list(self._calibrations(serial, calibration_from_bytes))
 
     def figures(self, serial: str) -> Iterator[tuple[str, datetime, CalibrationFigures]]:
@@ -167,8 +164,6 @@ class Store:
 
         A calibration that cannot be read is left out, and a :class:`piga.PigaWarning` names it.
         """
-        from piga.records.calibration.document import figures_from_bytes
-
         return self._calibrations(serial, figures_from_bytes)
 
     def _calibrations(self, serial: str, read: Callable[[bytes, Path], T]) -> Iterator[tuple[str, datetime, T]]:
@@ -299,8 +294,6 @@ class Store:
             self._check_superseded(connection, document, document.supersedes)
 
     def _check_calibration(self, connection: sa.Connection, document: RecordDocument) -> None:
-        from piga.records.calibration.document import DOCUMENT, calibration_from_bytes
-
         for file in document.files:
             if file.role != "calibration":
                 continue

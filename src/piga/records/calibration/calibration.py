@@ -317,8 +317,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         MissingPackageError
             If the library is not installed.
         """
-        made: dict[str, Correlated] = above("correlated")(self, library, si=si)
-        return made
+        return above("correlated")(self, library, si=si)
 
     def __getitem__(self, key: str) -> Coefficient:
         for coefficient in self.coefficients:
@@ -350,8 +349,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         A scale factor that was not estimated is the nominal one. ``alpha0`` [rad] is the gimbal angle at the start. It belongs
         to a run, so a calibration does not know it.
         """
-        instrument: Instrument = above("instrument")(self, alpha0)
-        return instrument
+        return above("instrument")(self, alpha0)
 
     def error_model(self) -> ErrorModel:
         """The other coefficients as an error model (SI), to propagate or simulate with.
@@ -362,8 +360,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
             If a coefficient has no place in the exact motion and is left out: a harmonic from the second on, or a term of
             the servo. The message names it.
         """
-        model: ErrorModel = above("error_model")(self)
-        return model
+        return above("error_model")(self)
 
     @classmethod
     def from_coefficients(
@@ -438,9 +435,9 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     def to_json(self, path: str | Path) -> None:
         """Write ``calibration.json`` (schema ``piga.calibration/1``)."""
-        from piga.records.calibration.document import write_calibration
+        from piga.records.calibration.document import calibration_to_bytes
 
-        write_calibration(self, Path(path))
+        Path(path).write_bytes(calibration_to_bytes(self))
 
     @staticmethod
     def from_json(path: str | Path) -> Calibration:

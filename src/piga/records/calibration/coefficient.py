@@ -1,8 +1,8 @@
 """A coefficient: value, uncertainty and unit, also in SI; its coverage factor k, expanded uncertainty U and limits; its budget.
 
 Every number for 95 % comes from this module. Terminal, report, calibration.json, certificate, DCC, decision rules,
-ledger and trend call :func:`coverage`. Only the joint region of a DCC uses another factor, :func:`joint_factor`. The budget
-has the sources of the uncertainty, and what each contributes to each coefficient.
+ledger and trend ask :attr:`Coefficient.coverage`. Only the joint region of a DCC uses another factor, :func:`joint_factor`.
+The budget has the sources of the uncertainty, and what each contributes to each coefficient.
 """
 
 from __future__ import annotations
@@ -96,20 +96,6 @@ def welch_satterthwaite(components: ArrayLike, degrees: ArrayLike) -> Any:
     certain = known == 0.0
     result = np.where(certain, math.inf, np.sum(share, axis=-1) ** 2 / np.where(certain, 1.0, known))
     return float(result) if result.ndim == 0 else result
-
-
-def coverage(coefficient: Coefficient) -> Coverage:
-    """Coverage factor, expanded uncertainty and limits of a coefficient for 95 %.
-
-    ``U = k u``, with k from Student's t for the coefficient's effective degrees of freedom (JCGM 100, G.4). If a Monte
-    Carlo propagation replaced the first order (``coefficient.interval``), its interval is used instead (JCGM 101, 8.1).
-    """
-    if coefficient.interval is not None:
-        low, high = coefficient.interval
-        return Coverage(math.nan, 0.5 * (high - low), low, high, monte_carlo=True)
-    factor = coverage_factor(coefficient.degrees_of_freedom)
-    half = factor * coefficient.std
-    return Coverage(factor, half, coefficient.value - half, coefficient.value + half, monte_carlo=False)
 
 
 def joint_factor(coefficients: Iterable[Coefficient]) -> float:
@@ -246,8 +232,17 @@ class Coefficient(ByValue):
 
     @property
     def coverage(self) -> Coverage:
-        """Coverage factor, half-width and limits for 95 %: :func:`piga.records.calibration.coefficient.coverage`."""
-        return coverage(self)
+        """Coverage factor, expanded uncertainty and limits for 95 %.
+
+        ``U = k u``, with k from Student's t for the effective degrees of freedom (JCGM 100, G.4). If a Monte Carlo
+        propagation replaced the first order (``interval``), its interval is used instead (JCGM 101, 8.1).
+        """
+        if self.interval is not None:
+            low, high = self.interval
+            return Coverage(math.nan, 0.5 * (high - low), low, high, monte_carlo=True)
+        factor = coverage_factor(self.degrees_of_freedom)
+        half = factor * self.std
+        return Coverage(factor, half, self.value - half, self.value + half, monte_carlo=False)
 
     @property
     def determined(self) -> bool:

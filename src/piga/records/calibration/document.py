@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -119,7 +119,7 @@ class _Coloured(msgspec.Struct, frozen=True):
     gain: Level
 
 
-class _Noise(msgspec.Struct, frozen=True):
+class _Noise(msgspec.Struct, frozen=True, omit_defaults=True):
     angle_rms: _Level
     angle_random_walk: _Level
     bias_drift: _Level | None = None
@@ -180,87 +180,57 @@ class _Figures(msgspec.Struct, frozen=True):
 def to_document(calibration: Calibration) -> dict[str, Any]:
     """The record as plain JSON values (file units)."""
     c = calibration
+    nominal = _Nominal(from_si(c.scale_factor_nominal, "rad/s/g"), "rad/s/g")
+    expanded = "half_width_95" if c.type_a_only else "expanded"
     document: dict[str, Any] = {
         "schema": SCHEMA,
-        **_subject(c),
-        **_estimates(c),
+        "instrument": _Instrument(c.serial, nominal),
+        "model": {
+            "terms": c.terms,
+            "phase": c.phases,
+            "phase_source": c.phase_source,
+            "method": c.method,
+            "temperature_reference": _Level(c.temperature_reference, "K"),
+            "time_reference": Amount(c.time_reference, "s"),
+        },
+        "coefficients": [_stated(k, expanded) for k in c.coefficients],
+        "covariance": {"names": [k.key for k in c.coefficients], "matrix": c.covariance.tolist()},
+        "noise": _noise(c),
         "residual": _residual(c),
         "surplus_observations": c.surplus_observations,
-        "quality": msgspec.to_builtins(c.quality),
-        "identifiability": {
-            "condition": c.condition if math.isfinite(c.condition) else None,
-            "notes": list(c.notes),
-            "remarks": list(c.remarks),
-        },
+        "quality": c.quality,
+        "identifiability": _Identifiability(
+            c.condition if math.isfinite(c.condition) else None, c.notes, c.remarks
+        ),
         "verdict": _verdict(c),
         "diagnostics": c.diagnostics.document(),
-        "segments": [msgspec.to_builtins(s) for s in c.segments],
+        "segments": c.segments,
         "uncertainty_budget": [row.document() for row in c.budget],
-        "provenance": msgspec.to_builtins(c.provenance),
+        "provenance": c.provenance,
     }
     if c.runs:
         document["runs"] = [_renamed(msgspec.to_builtins(run), "phases", "phase") for run in c.runs]
     if c.outliers:
-        document["outliers"] = [msgspec.to_builtins(outlier) for outlier in c.outliers[: DOCUMENT.outliers]]
-    return document
+        document["outliers"] = c.outliers[: DOCUMENT.outliers]
+    return cast("dict[str, Any]", msgspec.to_builtins(document, enc_hook=float))
 
 
-def _subject(c: Calibration) -> dict[str, Any]:
-    """The instrument that was calibrated, and the model."""
-    return {
-        "instrument": {
-            "serial": c.serial,
-            "scale_factor_nominal": {"value": from_si(c.scale_factor_nominal, "rad/s/g"), "unit": "rad/s/g"},
-        },
-        "model": {
-            "terms": list(c.terms),
-            "phase": c.phases,
-            "phase_source": c.phase_source,
-            "method": c.method,
-            "temperature_reference": {"value": c.temperature_reference, "unit": "K"},
-            "time_reference": {"value": c.time_reference, "unit": "s"},
-        },
-    }
+def _noise(c: Calibration) -> _Noise:
+    found: Any = c.coloured_noise
+    return _Noise(
+        _Level(c.angle_rms, "rad"),
+        _Level(c.angle_random_walk, "rad/sqrt(s)"),
+        _Level(c.bias_drift, "rad/s/sqrt(s)"),
+        _Level(c.segment_scatter, "rad/s"),
+        found and _Coloured(found.kind, _Level(found.rms, "rad/s"), _Level(found.time, "s"), found.gain),
+    )
 
 
-def _estimates(c: Calibration) -> dict[str, Any]:
-    """Coefficients, their covariance and the noise levels."""
-    return {
-        "coefficients": [
-            {"name": k.name, "value": k.value, "std": k.std, "unit": k.unit}
-            | ({"segment": k.segment} if k.name == "phi" else {})
-            | ({} if k.run is None else {"run": k.run})
-            | _expanded(k, "half_width_95" if c.type_a_only else "expanded")
-            for k in c.coefficients
-        ],
-        "covariance": {"names": [k.key for k in c.coefficients], "matrix": c.covariance.tolist()},
-        "noise": {
-            "angle_rms": {"value": c.angle_rms, "unit": "rad"},
-            "angle_random_walk": {"value": c.angle_random_walk, "unit": "rad/sqrt(s)"},
-            "bias_drift": {"value": c.bias_drift, "unit": "rad/s/sqrt(s)"},
-            "segment_scatter": {"value": c.segment_scatter, "unit": "rad/s"},
-        }
-        | _coloured(c.coloured_noise),
-    }
-
-
-def _coloured(noise: ColouredNoise | None) -> dict[str, Any]:
-    if noise is None:
-        return {}
-    rms, time = {"value": noise.rms, "unit": "rad/s"}, {"value": noise.time, "unit": "s"}
-    return {"coloured": {"kind": noise.kind, "rms": rms, "time": time, "gain": noise.gain}}
-
-
-def _residual(c: Calibration) -> dict[str, Any]:
+def _residual(c: Calibration) -> _Residual:
     """Residual figures, of angles or of rates."""
     unit = "rad/s" if c.diagnostics.residual_kind == "rate" else "rad"
-    figures = {
-        "rms": c.residual_rms,
-        "rms_before": c.residual_rms_before,
-        "max_before": c.residual_max_before,
-        "max_after": c.residual_max_after,
-    }
-    return {name: {"value": value, "unit": unit} for name, value in figures.items()}
+    figures = (c.residual_rms, c.residual_rms_before, c.residual_max_before, c.residual_max_after)
+    return _Residual(*(_Level(value, unit) for value in figures))
 
 
 def _verdict(c: Calibration) -> dict[str, Any]:
@@ -274,22 +244,20 @@ def _verdict(c: Calibration) -> dict[str, Any]:
     }
 
 
-def _expanded(coefficient: Coefficient, name: str) -> dict[str, Any]:
-    """Degrees of freedom (null: infinite), coverage factor or Monte Carlo interval, and half-width for 95 % under ``name``."""
-    nu, covered = coefficient.degrees_of_freedom, coefficient.coverage
-    stated: dict[str, Any] = {"degrees_of_freedom": nu if math.isfinite(nu) else None}
+def _stated(c: Coefficient, name: str) -> dict[str, Any]:
+    """A coefficient. Half-width for 95 % under ``name``; infinite degrees of freedom are null."""
+    stated: dict[str, Any] = {"name": c.name, "value": c.value, "std": c.std, "unit": c.unit}
+    stated |= {"segment": c.segment} if c.name == "phi" else {}
+    stated |= {} if c.run is None else {"run": c.run}
+    nu, covered = c.degrees_of_freedom, c.coverage
+    stated["degrees_of_freedom"] = nu if math.isfinite(nu) else None
     if covered.monte_carlo:
         return stated | {name: covered.half_width, "interval": [covered.low, covered.high]}
     return stated | {"coverage_factor": covered.factor, name: covered.half_width}
 
 
-def write_calibration(calibration: Calibration, path: Path) -> None:
-    """Write the record as JSON (UTF-8, indented, every float with all its digits)."""
-    path.write_bytes(calibration_to_bytes(calibration))
-
-
 def calibration_to_bytes(calibration: Calibration) -> bytes:
-    """The bytes of ``calibration.json``."""
+    """The bytes of ``calibration.json``: UTF-8, indented, every float with all its digits."""
     text = json.dumps(to_document(calibration), indent=1, ensure_ascii=False, allow_nan=False)
     return f"{text}\n".encode()
 
@@ -328,7 +296,8 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         As :func:`read_calibration`.
     """
     document, runs = _decode(raw, path)
-    matrix = _check(path, document, runs)
+    coefficients = tuple(_coefficient(c) for c in document.coefficients)
+    matrix = _check(path, document, coefficients, runs)
     condition = document.identifiability.condition
     return Calibration(
         serial=document.instrument.serial,
@@ -337,7 +306,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         phases=document.model.phase,
         phase_source=document.model.phase_source,
         method=document.model.method,
-        coefficients=tuple(_coefficient(c) for c in document.coefficients),
+        coefficients=coefficients,
         covariance=matrix,
         surplus_observations=_surplus(document),
         angle_rms=_in_si(document.noise.angle_rms, "rad", path),
@@ -473,7 +442,9 @@ def _in_si(quantity: Amount | _Level | _Nominal, like: str, path: Path) -> float
         raise CalibrationError(f"{path}: {error.message}", remedy="calibrate again") from None
 
 
-def _check(path: Path, document: _Document, records: tuple[RunRecord, ...]) -> Array:
+def _check(
+    path: Path, document: _Document, coefficients: tuple[Coefficient, ...], records: tuple[RunRecord, ...]
+) -> Array:
     """Check that the parts agree with each other, and return the covariance.
 
     Raises
@@ -481,7 +452,6 @@ def _check(path: Path, document: _Document, records: tuple[RunRecord, ...]) -> A
     CalibrationError
         Naming the file and the first part that contradicts another.
     """
-    coefficients = tuple(_coefficient(c) for c in document.coefficients)
     try:
         if document.instrument.serial:
             check_label(document.instrument.serial, "the serial")

@@ -138,14 +138,10 @@ def _scale(calibration: Calibration) -> Iterator[str | Doubt]:
     if 1.0 / THRESHOLDS.scale < ratio < THRESHOLDS.scale:
         return
     remedy = (
-        "; ".join(_advice(calibration)) or "check units and signs of reference, output, time and scale_factor"
+        "; ".join(calibration.diagnostics.advice)
+        or "check units and signs of reference, output, time and scale_factor"
     )
     yield Doubt(f"the scale factor is {ratio:.4g} times the nominal one", remedy, grave=True)
-
-
-def _advice(calibration: Calibration) -> tuple[str, ...]:
-    """Doubts about other interpretations of the data that fit far better."""
-    return calibration.diagnostics.advice
 
 
 def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:

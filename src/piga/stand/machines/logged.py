@@ -13,7 +13,8 @@ import numpy as np
 from piga.errors import ArgumentError, DataError
 from piga.formats.columns import numbers_of
 from piga.records.limits import open_regular
-from piga.records.spool import Arrays, arrays_like, spans, steps, trim
+from piga.records.run_file import Columns, ColumnTable
+from piga.records.spool import Arrays, scaled_rows, spans, steps, trim
 from piga.results import Array, Result
 from piga.stand.imperfections import Imperfections
 from piga.stand.profile import Segment, plan
@@ -80,36 +81,26 @@ class LoggedProfile(Result):
 
 
 def read_profile(
-    path: Path,
-    time: tuple[str, str],
-    force: tuple[tuple[str, str, str], str],
-    base_rate: tuple[tuple[str, str, str], str] | None = None,
+    path: Path, time: ColumnTable, force: Columns, base_rate: Columns | None = None
 ) -> LoggedProfile:
-    """Read a profile from CSV or Parquet. Columns are given with their unit, e.g. ``("t_s", "s")``.
+    """Read a profile from CSV or Parquet.
 
     Raises
     ------
     DataError
         If the file cannot be read, lacks a column, or a column holds text or gaps.
     """
-    per_second = conversion_factor(time[1], "s", what="[stand] time")
-    per_force = conversion_factor(force[1], "m/s^2", what="[stand] force")
-    rates, unit = base_rate or ((), "rad/s")
+    per_second = conversion_factor(time.unit, "s", what="[stand] time")
+    per_force = conversion_factor(force.unit, "m/s^2", what="[stand] force")
+    rates, unit = (base_rate.columns, base_rate.unit) if base_rate else ((), "rad/s")
     per_rate = conversion_factor(unit, "rad/s", what="[stand] base_rate")
-    columns = _read_columns(path, list(dict.fromkeys([time[0], *force[0], *rates])))
-    t = _scaled([columns[time[0]]], per_second)[0]
-    f = _scaled([columns[name] for name in force[0]], per_force).T
-    rate = _scaled([columns[name] for name in rates], per_rate).T if rates else np.broadcast_to(0.0, f.shape)
+    columns = _read_columns(path, list(dict.fromkeys([time.column, *force.columns, *rates])))
+    t = scaled_rows([columns[time.column]], per_second)[0]
+    f = scaled_rows([columns[name] for name in force.columns], per_force).T
+    rate = (
+        scaled_rows([columns[name] for name in rates], per_rate).T if rates else np.broadcast_to(0.0, f.shape)
+    )
     return LoggedProfile(t, f, rate)
-
-
-def _scaled(columns: list[Array], factor: float) -> Array:
-    """Columns multiplied by a factor, as rows."""
-    made: Array = arrays_like(columns[0]).empty((len(columns), columns[0].size))
-    for axis, column in enumerate(columns):
-        for part in spans(column.size):
-            made[axis, part] = column[part] * factor
-    return made
 
 
 def _read_columns(path: Path, wanted: list[str]) -> dict[str, Array]:

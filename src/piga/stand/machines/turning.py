@@ -17,17 +17,10 @@ from piga.units import to_si
 
 
 def turned(vector: Array, angle: Array) -> Array:
-    """Components of a constant ``vector`` (3,) in axes turned by ``angle`` (n,) [rad] about z, (n, 3)."""
+    """Components of ``vector``, (3,) or (3, n), in axes turned by ``angle`` (n,) [rad] about z, (n, 3)."""
     c, s = np.cos(angle), np.sin(angle)
     x, y, z = vector
     return np.column_stack([c * x + s * y, c * y - s * x, np.full(angle.shape, z)])
-
-
-def turned_back(vectors: Array, angle: Array) -> Array:
-    """Components in the fixed axes of ``vectors`` (n, 3) that are given in axes turned by ``angle`` about z."""
-    c, s = np.cos(angle), np.sin(angle)
-    x, y, z = vectors.T
-    return np.column_stack([c * x - s * y, c * y + s * x, z])
 
 
 def in_axes(matrix: Array, vectors: Array) -> Array:
@@ -169,24 +162,22 @@ class DividingHead:
         return in_axes(roll, force), in_axes(roll, base_rate)
 
 
-def position_range(first: float, last: float, step: float) -> tuple[float, ...]:
-    """Angles [rad] from ``first`` up to, without, ``last``. So a full circle does not repeat its start."""
+def angles_of_range(text: str, what: str, example: str) -> tuple[float, ...]:
+    """Angles [rad] of a text ``"start:stop:step unit"``, without ``stop``: a full circle does not repeat its start.
+
+    ``what`` and ``example`` are for messages.
+    """
+    numbers, _, unit = text.strip().partition(" ")
+    parts = numbers.split(":")
+    if len(parts) != 3:
+        raise ArgumentError(f"{what}: '{text}' is not a range", remedy=f"write e.g. '{example}'")
+    first, last, step = (to_si(f"{part} {unit}", "rad", what=what) for part in parts)
     count = round((last - first) / step) if step != 0.0 else 0
     if count < 1:
         raise ArgumentError(
             "positions: the range is empty", remedy="write start:stop:step, e.g. '0:360:15 deg'"
         )
     return tuple(first + step * k for k in range(count))
-
-
-def angles_of_range(text: str, what: str, example: str) -> tuple[float, ...]:
-    """Angles [rad] of a text ``"start:stop:step unit"``; ``what`` and ``example`` are for messages."""
-    numbers, _, unit = text.strip().partition(" ")
-    parts = numbers.split(":")
-    if len(parts) != 3:
-        raise ArgumentError(f"{what}: '{text}' is not a range", remedy=f"write e.g. '{example}'")
-    first, last, step = (to_si(f"{part} {unit}", "rad", what=what) for part in parts)
-    return position_range(first, last, step)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -320,7 +311,7 @@ class Centrifuge(Spinning):
         rate = earth_on_arm.copy()
         rate[:, 2] += spin.rate
         if self.counter_rotating:
-            force, rate = turned_back(force, spin.angle), np.tile(earth, (t.size, 1))
+            force, rate = turned(force.T, -spin.angle), np.tile(earth, (t.size, 1))
         turn = axis_turn(0, self.roll) @ axis_turn(2, math.pi if self.outward else 0.0)
         return in_axes(turn, force), in_axes(turn, rate)
 
