@@ -281,9 +281,9 @@ def test_archive_that_changed(archive, tmp_path):
     path = written(archive, TEXT)
     campaign = plan_campaign(path, tmp_path / "out")
     plan, listed = campaign.plan, campaign.archive
-    record = next(n for n, file in enumerate(listed.files) if file[0] == "runs/r0/run.toml")
-    other = next(file[4] for file in listed.files if file[0] == "runs/r1/run.toml")
-    wrong = [(*file[:4], other) if n == record else file for n, file in enumerate(listed.files)]
+    record = next(n for n, file in enumerate(listed.files) if file.run == "runs/r0/run.toml")
+    other = next(file.stored for file in listed.files if file.run == "runs/r1/run.toml")
+    wrong = [file._replace(stored=other) if n == record else file for n, file in enumerate(listed.files)]
     outcome = compute(plan, plan.record(record), Archive(listed.folder, tuple(wrong), listed.store))
     assert outcome.verdict == "other inputs"
     assert np.abs(outcome.error).max() > 0.0
