@@ -130,13 +130,14 @@ def test_the_server_is_killed_and_its_job_goes_on(tmp_path: Path) -> None:
 
 
 def test_progress_is_a_small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from piga.cli import job
+    from piga.cli import common, job
 
     monkeypatch.setattr(job, "BETWEEN", 0.0)
     note = job.Note(tmp_path / "progress", "reading", None)
     assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading", "share": None}
-    note(25, 100)
-    note(25)
+    advance = common.Advance(None, note.show)
+    advance(25, 100)
+    advance(25)
     assert json.loads((tmp_path / "progress").read_text())["share"] == 0.5
     note.show(3, 4, "draws")
     assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading: draws", "share": 0.75}

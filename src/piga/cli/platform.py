@@ -16,6 +16,7 @@ from piga.cli.common import (
     print_json,
     progress,
     say,
+    write_json,
     write_text,
 )
 from piga.output import results
@@ -121,7 +122,7 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
         _results(out, "align", scenario, force, "alignment.json") as folder,
         progress("writing data and report"),
     ):
-        _write_json(folder / "alignment.json", document)
+        write_json(folder / "alignment.json", document)
         _page(folder, alignment_page(run, aligned))
     worst = float(aligned.std[:3].max()) / ARCSEC
     _finish(
@@ -162,7 +163,7 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
         _results(out, "identify", scenario, force, "identification.json") as folder,
         progress("writing data and report"),
     ):
-        _write_json(folder / "identification.json", document)
+        write_json(folder / "identification.json", document)
         _page(folder, identification_page(run, identification, recursive, sources))
     numbers = [(p, rounded(p.value, p.std)) for p in identification.parameters]
     lines = [f"{p.name:<36}{n.value:>16} ± {n.uncertainty} {p.unit}" for p, n in numbers]
@@ -244,7 +245,7 @@ def compare(
             _results(out, "compare", scenario, force, "comparison.json", "capstone.html") as folder,
             progress("writing data and report") as advance,
         ):
-            _write_json(folder / "comparison.json", document)
+            write_json(folder / "comparison.json", document)
             _page(folder, comparison_page(comparison, rows, lines))
             if s.sensors.piga is not None:
                 _page(folder, capstone_page(capstone(s, progress=advance.show)), "capstone.html")
@@ -307,12 +308,6 @@ def _page(folder: Path, page: Any, name: str = "report.html") -> None:
     from piga.reports.render.page import page_html
 
     write_text(folder / name, page_html(page))
-
-
-def _write_json(path: Path, document: dict[str, Any]) -> None:
-    import json
-
-    write_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def _parquet(table: Any, path: Path) -> None:
