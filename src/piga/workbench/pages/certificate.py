@@ -29,26 +29,16 @@ TITLES = ("Preview of the certificate", "Certificate", "Verify the certificate")
 def administrative_parts(folder: Folder) -> list[str]:
     """Files of the folder that hold the administrative part of a certificate."""
     return [
-        folder.name(path)
-        for path in sorted(folder.root.glob("*.toml"))
-        if path.is_file()
-        and not path.is_symlink()
-        and not path.name.startswith((".", "-"))
-        and "[laboratory]" in path.read_text(encoding="utf-8", errors="replace")
-    ]
-
-
-def _named(folder: Folder, endings: tuple[str, ...], pattern: str = "*") -> list[str]:
-    paths = (path for path in sorted(folder.root.glob(pattern)) if path.suffix in endings and path.is_file())
-    return [
-        folder.name(path) for path in paths if not path.is_symlink() and not path.name.startswith((".", "-"))
+        name
+        for name in folder.listed("*.toml")
+        if "[laboratory]" in (folder.root / name).read_text(encoding="utf-8", errors="replace")
     ]
 
 
 def keys_and_certificates(folder: Folder) -> tuple[list[str], list[str]]:
     """Files of the folder that hold a private key, and those that hold an X.509 certificate. One may hold both."""
     keys, certificates = [], []
-    for name in _named(folder, PEM):
+    for name in (name for name in folder.listed("*") if name.endswith(PEM)):
         path = folder.file(name)
         text = b""
         with suppress(OSError):  # others cannot read the key of a careful person
@@ -83,7 +73,7 @@ def _page(
     return render(
         request, "certificate.html.jinja", code, form=form_of_text(text, "certificate", message), name=name,
         names=administrative_parts(bench.folder), calibration=calibration, calibrations=calibrations(bench.folder),
-        keys=keys, x509=x509, signed=_named(bench.folder, (".xml",), "**/*.xml"), jobs=jobs[:20],
+        keys=keys, x509=x509, signed=bench.folder.listed("**/*.xml"), jobs=jobs[:20],
     )  # fmt: skip
 
 
