@@ -24,6 +24,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import msgspec
+
 from piga.errors import ArgumentError
 from piga.output import write_whole
 
@@ -262,15 +264,11 @@ def _job(fields: dict[str, Any]) -> Job:
 
     Raises
     ------
-    ValueError, TypeError
+    ValueError
         If a value is not of its type.
     """
-    job = Job(**fields | {"command": tuple(fields.get("command", ()))})
-    texts = (*job.command, job.title, job.subject, job.result, job.born)
-    sizes = (job.pid, job.started)
-    if not job.command or not all(isinstance(text, str) for text in texts):
-        raise ValueError("the record of the job is damaged")
-    if not all(isinstance(size, int | float) and abs(size) < LARGEST for size in sizes):
+    job = msgspec.convert(fields, Job)
+    if not job.command or not all(abs(size) < LARGEST for size in (job.pid, job.started)):
         raise ValueError("the record of the job is damaged")
     return job
 

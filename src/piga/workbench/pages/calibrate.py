@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
@@ -21,7 +20,7 @@ from piga.records.text_files import files_named_in
 from piga.workbench.folder import OutsideError
 from piga.workbench.jobs import Job
 from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form, start_job
-from piga.workbench.pages.jobs import TERMS, TRIAL, ask, command_line, job_of, place_of
+from piga.workbench.pages.jobs import TERMS, TRIAL, ask, command_line, job_of, new_trial, place_of
 from piga.workbench.pages.records import calibrations
 
 SILENT = {
@@ -78,12 +77,19 @@ async def start(request: Request) -> Response:
     """Start a calibration as the form asks for it."""
     bench, name = bench_of(request), request.path_params["name"]
     fields = await sent_form(request)
-    run_file = read_run_file(bench.folder.toml(name))
-    terms = tuple(fields.get("term", []))
-    terms += tuple(word for word in _SEPARATORS.split(only(fields, "harmonics")) if word)
+    path = bench.folder.toml(name)
+    run_file = read_run_file(path)
+    terms = (*fields.get("term", []), *_words(only(fields, "harmonics")))
     check_terms(terms)
-    job = await run_in_threadpool(_start, bench, name, [*_options(run_file, terms, fields)])
-    return redirect(request, f"/result/{job.key}")
+    options = _options(run_file, terms, fields)
+    trial = new_trial(bench)
+    command = ("calibrate", name, *options, "--out", trial)
+    return await start_job(request, command, "Calibrate", name, trial, files_named_in(path), page="result")
+
+
+def _words(text: str) -> tuple[str, ...]:
+    """The names of terms in a field."""
+    return tuple(word for word in _SEPARATORS.split(text) if word)
 
 
 def _options(run_file: RunFile, terms: tuple[str, ...], fields: dict[str, list[str]]) -> list[str]:
@@ -98,26 +104,10 @@ def _options(run_file: RunFile, terms: tuple[str, ...], fields: dict[str, list[s
         if value and value not in allowed:
             raise ArgumentError(f"{option}: {value!r} is not known", remedy=f"one of {', '.join(allowed)}")
         options += [option, value] if value and value != written else []
-    sets = [" ".join(part.split()) for part in only(fields, "compare").split(";") if part.strip()]
+    sets = [_words(part) for part in only(fields, "compare").split(";") if part.strip()]
     for number, names in enumerate(sets, start=1):
-        check_terms(tuple(word for word in _SEPARATORS.split(names) if word), where=f"set {number} to compare")
-    options += (
-        [f"--compare={'; '.join(','.join(w for w in _SEPARATORS.split(s) if w) for s in sets)}"] if sets else []
-    )
-    return options
-
-
-def _start(bench: Workbench, name: str, options: list[str]) -> Job:
-    import secrets
-
-    trial = bench.folder.state_room("trials") / secrets.token_hex(6)
-    return bench.jobs.start(
-        ("calibrate", name, *options, "--out", bench.folder.name(trial)),
-        "Calibrate",
-        name,
-        bench.folder.name(trial),
-        files_named_in(bench.folder.toml(name)),
-    )
+        check_terms(names, where=f"set {number} to compare")
+    return options + ([f"--compare={'; '.join(map(','.join, sets))}"] if sets else [])
 
 
 def _trial(bench: Workbench, job: Job) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from contextlib import suppress
 from urllib.parse import quote
 
@@ -15,8 +14,9 @@ from piga.data import example_files
 from piga.errors import ArgumentError, PigaError
 from piga.records.text_files import toml_document
 from piga.workbench.folder import Folder
-from piga.workbench.forms import form_of_text, sent_text
+from piga.workbench.forms import form_of_text, sent_text, typed_text
 from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form, start_job
+from piga.workbench.pages.jobs import new_trial
 from piga.workbench.pages.records import calibrations, plain
 
 PEM = (".pem", ".crt", ".cer")
@@ -86,7 +86,7 @@ async def issue(request: Request) -> Response:
 def _issue(request: Request, fields: dict[str, list[str]]) -> Response:
     bench, word = bench_of(request), only(fields, "do")
     name, chosen = only(fields, "name"), only(fields, "calibration")
-    text = only(fields, "text").replace("\r\n", "\n")
+    text = typed_text(fields)
     if word not in ("save", "preview", "issue"):
         raise ArgumentError(f"{word!r}: is not a command of this page", remedy="use its buttons")
     try:
@@ -99,10 +99,7 @@ def _issue(request: Request, fields: dict[str, list[str]]) -> Response:
         return redirect(request, f"/certificate?data={quote(name)}&calibration={quote(chosen)}")
     calibration = bench.folder.file(chosen)
     subject = calibration.parent.name
-    if word == "preview":
-        out = f"{bench.folder.name(bench.folder.state_room('trials'))}/{secrets.token_hex(6)}"
-    else:
-        out = f"certificate-{plain(subject)}"
+    out = new_trial(bench) if word == "preview" else f"certificate-{plain(subject)}"
     command = ["certificate", "issue", bench.folder.name(calibration), "--data", name, "--out", out, "--force"]
     command += ["--dcc"] if only(fields, "dcc") else []
     for option in ("key", "certificate"):

@@ -191,10 +191,12 @@ async def start_job(
     subject: str,
     result: str = "",
     reads: Sequence[Path] | None = None,
+    *,
+    page: str = "jobs",
 ) -> Response:
-    """Start a job (:meth:`piga.workbench.jobs.Jobs.start`) and go to its page."""
+    """Start a job (:meth:`piga.workbench.jobs.Jobs.start`) and go to its page, below ``page``."""
     job = await run_in_threadpool(bench_of(request).jobs.start, command, title, subject, result, reads)
-    return redirect(request, f"/jobs/{job.key}")
+    return redirect(request, f"/{page}/{job.key}")
 
 
 def redirect(request: Request, to: str) -> Response:

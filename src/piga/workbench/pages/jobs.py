@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import secrets
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,11 @@ MARKS = ("signals", "check", "terms")
 """Jobs whose result begins so write no files for the user."""
 TRIAL = re.compile(rf"{re.escape(STATE_FOLDER)}/trials/[0-9a-f]{{12}}")
 """Results of a calibration that is not kept yet."""
+
+
+def new_trial(bench: Workbench) -> str:
+    """Name of a new folder for results that are not kept yet."""
+    return bench.folder.name(bench.folder.state_room("trials") / secrets.token_hex(6))
 
 
 def job_of(request: Request) -> tuple[Workbench, Job]:
@@ -125,16 +131,15 @@ LARGEST = 200_000_000
 
 @dataclass(frozen=True)
 class LogQuestion:
-    """A command that prints JSON about a run file: the mark of its jobs, their title, the command and its options."""
+    """A ``piga check`` that prints JSON about a run file: the mark of its jobs, their title and the options."""
 
     mark: str
     title: str
-    command: str
     options: tuple[str, ...]
 
 
-CHECK = LogQuestion("check", "Check", "check", ("--json",))
-TERMS = LogQuestion("terms", "Ask for each term", "check", ("--terms", "--json"))
+CHECK = LogQuestion("check", "Check", ("--json",))
+TERMS = LogQuestion("terms", "Ask for each term", ("--terms", "--json"))
 
 
 @dataclass(frozen=True)
@@ -172,8 +177,7 @@ def ask(bench: Workbench, name: str, question: LogQuestion, *, always: bool = Fa
         if size > LARGEST and not always:
             return None
         try:
-            command = (question.command, name, *question.options)
-            job = bench.jobs.start(command, question.title, name, mark)
+            job = bench.jobs.start(("check", name, *question.options), question.title, name, mark)
         except ArgumentError:
             return None
     status, document, message = bench.jobs.status(job), {}, ""
