@@ -249,7 +249,7 @@ class Folder:
                 raise ArgumentError(f"{log}: there is no such file beside the run file", remedy="copy it there")
         except (PigaError, OSError) as error:
             return FolderEntry(name, "faulty", serial, log, message=str(error))
-        result = path.with_name(f"{path.stem}-calibration")
+        result = results_of(path)
         done = (result / "calibration.json").is_file()
         state: State = "calibrated" if done else "ready"
         return FolderEntry(
@@ -274,6 +274,11 @@ class Folder:
         while path.exists() or path.is_symlink():
             path = path.with_name(f"{secrets.token_hex(2)}-{path.name}"[-110:])
         return path
+
+
+def results_of(run: Path) -> Path:
+    """The folder in which ``piga calibrate`` writes the results of a run file."""
+    return run.with_name(f"{run.stem}-calibration")
 
 
 def is_plain(name: str) -> bool:

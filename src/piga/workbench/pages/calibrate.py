@@ -17,7 +17,7 @@ from piga.output import CALIBRATION_RESULTS, results
 from piga.records.run_file import METHOD_WORDS, METHODS, PHASE_SOURCES, PHASES, RunFile, read_run_file
 from piga.records.terms import UNITS, check_terms, meaning_of
 from piga.records.text_files import files_named_in
-from piga.workbench.folder import OutsideError
+from piga.workbench.folder import OutsideError, results_of
 from piga.workbench.jobs import Job
 from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form, start_job
 from piga.workbench.pages.jobs import TERMS, TRIAL, ask, command_line, job_of, new_trial, place_of
@@ -36,14 +36,15 @@ _SEPARATORS = re.compile(r"[,;\s]+")
 def show(request: Request) -> Response:
     """The form of a record, and its calibrations so far."""
     bench, name = bench_of(request), request.path_params["name"]
-    run_file = read_run_file(bench.folder.toml(name))
+    path = bench.folder.toml(name)
+    run_file = read_run_file(path)
     known = _shown_terms()
     chosen = list(run_file.model.terms)
     tried = [
         (job, status, " ".join(_kept_options(job)))
         for job, status in bench.listed(lambda job: job.subject == name and job.command[0] == "calibrate")
     ]
-    adopted = _adopted_folder(bench, name)
+    adopted = results_of(path)
     return render(
         request,
         "calibrate/calibrate.html.jinja",
@@ -118,12 +119,6 @@ def _trial(bench: Workbench, job: Job) -> Path:
     return place
 
 
-def _adopted_folder(bench: Workbench, name: str) -> Path:
-    """Folder in which the command would have written the results."""
-    run = bench.folder.path(name)
-    return run.with_name(f"{run.stem}-calibration")
-
-
 def result(request: Request) -> Response:
     """The result of a calibration, or how far it is."""
     bench, job = job_of(request)
@@ -166,9 +161,8 @@ def adopt(request: Request) -> Response:
     trial = _trial(bench, job)
     if bench.jobs.status(job).state != "done" or not (trial / "calibration.json").is_file():
         raise CalibrationError("this calibration has no result", remedy="calibrate again")
-    target = _adopted_folder(bench, job.subject)
     run = bench.folder.toml(job.subject)
-    with results(target, "calibrate", CALIBRATION_RESULTS, files_named_in(run), force=True) as stage:
+    with results(results_of(run), "calibrate", CALIBRATION_RESULTS, files_named_in(run), force=True) as stage:
         for pattern in CALIBRATION_RESULTS:
             for path in trial.glob(pattern):
                 shutil.copyfile(path, stage / path.name)

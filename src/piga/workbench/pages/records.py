@@ -15,7 +15,7 @@ from starlette.routing import Route
 
 from piga.errors import ArgumentError
 from piga.output import put_in_place
-from piga.workbench.folder import Folder, is_plain
+from piga.workbench.folder import Folder, is_plain, results_of
 from piga.workbench.pages.common import TooLargeError, Workbench, bench_of, only, render, sent_form, start_job
 
 MOST_UPLOAD = 4 << 30
@@ -133,10 +133,11 @@ async def keep(request: Request) -> Response:
     """Keep a run, its results and its report in a ledger; it is made if there is none."""
     bench = bench_of(request)
     fields = await sent_form(request)
-    run = bench.folder.name(bench.folder.toml(only(fields, "run")))
+    path = bench.folder.toml(only(fields, "run"))
+    run, results = bench.folder.name(path), bench.folder.name(results_of(path))
     store = _store(bench, only(fields, "store"))
-    results = bench.folder.path(run.removesuffix(".toml") + "-calibration")
-    command = ["records", "add", run, "--store", store, "--results", bench.folder.name(results)]
+    bench.folder.path(results)
+    command = ["records", "add", run, "--store", store, "--results", results]
     for option in ("operator", "reason"):
         value = " ".join(only(fields, option).split())
         if not value:
