@@ -378,3 +378,48 @@ def test_state_folders_that_lead_out_are_refused(tmp_path: Path) -> None:
     with pytest.raises(OutsideError):
         Folder(lab).state_room("signals")
     assert not list(outside.iterdir())
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
+def test_results_are_not_written_through_a_link_that_leads_out(tmp_path: Path) -> None:
+    outside, lab = tmp_path / "outside", tmp_path / "lab"
+    outside.mkdir()
+    lab.mkdir()
+    shipped_record(lab)
+    kept = lab / "x-calibration"
+    kept.mkdir()
+    (kept / "calibration.json").write_text(json.dumps({"instrument": {"serial": "x"}}), encoding="utf-8")
+    for name in ("tumble-a-calibration", "reproduction", "trend-x", "certificate-x-calibration", "p-plan"):
+        (lab / name).symlink_to(outside)
+    trial = lab / ".piga-ui" / "trials" / "0123456789ab"
+    place = lab / ".piga-ui" / "jobs" / "20990101-000000-abcdef"
+    for folder in (trial, place):
+        folder.mkdir(parents=True)
+    (trial / "calibration.json").write_text("{}", encoding="utf-8")
+    job = {
+        "command": ["calibrate", "tumble-a.toml"],
+        "title": "Calibrate",
+        "subject": "tumble-a.toml",
+        "key": "x",
+    }
+    job |= {"result": ".piga-ui/trials/0123456789ab"}
+    (place / "job.json").write_text(json.dumps(job), encoding="utf-8")
+    (place / "end.json").write_text(json.dumps({"code": 0, "seconds": 1.0}), encoding="utf-8")
+    running = entered(lab)
+    try:
+        for path, fields in (
+            (f"/result/{place.name}/adopt", {}),
+            ("/explore/reproduce", {}),
+            ("/instrument/trend", {"serial": "x"}),
+            ("/plan", {"name": "p", "text": "a = 1", "do": "plan"}),
+            (
+                "/certificate",
+                {"name": "c", "text": "a = 1", "calibration": "x-calibration/calibration.json", "do": "issue"},
+            ),
+        ):
+            status, _, body = running.client.post(path, fields)
+            assert status == 404, (path, status)
+            assert b"is not a regular file of this folder" in body, path
+    finally:
+        assert running.end() == (0, "")
+    assert not list(outside.iterdir())

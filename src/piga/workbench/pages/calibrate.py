@@ -19,8 +19,8 @@ from piga.records.terms import UNITS, check_terms, meaning_of
 from piga.records.text_files import files_named_in
 from piga.workbench.folder import OutsideError, results_of
 from piga.workbench.jobs import Job
-from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form, start_job
-from piga.workbench.pages.jobs import TERMS, TRIAL, ask, command_line, job_of, new_trial, place_of
+from piga.workbench.pages.common import TRIAL, Workbench, bench_of, only, redirect, render, sent_form, start_job
+from piga.workbench.pages.jobs import TERMS, ask, command_line, job_of
 from piga.workbench.pages.records import calibrations
 
 SILENT = {
@@ -83,7 +83,7 @@ async def start(request: Request) -> Response:
     terms = (*fields.get("term", []), *_words(only(fields, "harmonics")))
     check_terms(terms)
     options = _options(run_file, terms, fields)
-    trial = new_trial(bench)
+    trial = bench.new_trial()
     command = ("calibrate", name, *options, "--out", trial)
     return await start_job(request, command, "Calibrate", name, trial, files_named_in(path), page="result")
 
@@ -113,7 +113,9 @@ def _options(run_file: RunFile, terms: tuple[str, ...], fields: dict[str, list[s
 
 def _trial(bench: Workbench, job: Job) -> Path:
     """Folder of a calibration's results."""
-    place = place_of(bench, job) if job.command[0] == "calibrate" and TRIAL.fullmatch(job.result) else None
+    place = (
+        bench.place_of(job.result) if job.command[0] == "calibrate" and TRIAL.fullmatch(job.result) else None
+    )
     if place is None:
         raise OutsideError("this job is not a calibration", remedy="choose a calibration")
     return place
@@ -162,7 +164,8 @@ def adopt(request: Request) -> Response:
     if bench.jobs.status(job).state != "done" or not (trial / "calibration.json").is_file():
         raise CalibrationError("this calibration has no result", remedy="calibrate again")
     run = bench.folder.toml(job.subject)
-    with results(results_of(run), "calibrate", CALIBRATION_RESULTS, files_named_in(run), force=True) as stage:
+    target = bench.folder.path(bench.folder.name(results_of(run)))
+    with results(target, "calibrate", CALIBRATION_RESULTS, files_named_in(run), force=True) as stage:
         for pattern in CALIBRATION_RESULTS:
             for path in trial.glob(pattern):
                 shutil.copyfile(path, stage / path.name)

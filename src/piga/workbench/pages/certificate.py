@@ -16,7 +16,6 @@ from piga.records.text_files import toml_document
 from piga.workbench.folder import Folder
 from piga.workbench.forms import form_of_text, sent_text, typed_text
 from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form, start_job
-from piga.workbench.pages.jobs import new_trial
 from piga.workbench.pages.records import calibrations, plain
 
 PEM = (".pem", ".crt", ".cer")
@@ -99,14 +98,14 @@ def _issue(request: Request, fields: dict[str, list[str]]) -> Response:
         return redirect(request, f"/certificate?data={quote(name)}&calibration={quote(chosen)}")
     calibration = bench.folder.file(chosen)
     subject = calibration.parent.name
-    out = new_trial(bench) if word == "preview" else f"certificate-{plain(subject)}"
+    out = bench.new_trial() if word == "preview" else f"certificate-{plain(subject)}"
     command = ["certificate", "issue", bench.folder.name(calibration), "--data", name, "--out", out, "--force"]
     command += ["--dcc"] if only(fields, "dcc") else []
     for option in ("key", "certificate"):
         value = only(fields, option)
         command += [f"--{option}={bench.folder.name(bench.folder.file(value))}"] if value else []
     title = TITLES[0] if word == "preview" else TITLES[1]
-    job = bench.jobs.start(command, title, subject, out, [bench.folder.path(name), calibration])
+    job = bench.start(command, title, subject, out, [bench.folder.path(name), calibration])
     return redirect(request, f"/jobs/{job.key}")
 
 

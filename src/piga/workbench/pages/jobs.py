@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import secrets
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,21 +13,11 @@ from starlette.routing import Route
 
 from piga.errors import ArgumentError
 from piga.records.text_files import files_named_in
-from piga.workbench.folder import STATE_FOLDER, OutsideError
+from piga.workbench.folder import OutsideError
 from piga.workbench.jobs import Job, Status
 from piga.workbench.pages.common import Workbench, bench_of, redirect, render
 from piga.workbench.security import REPORT_POLICY
 from piga.workbench.signals import cache_key
-
-MARKS = ("signals", "check", "terms")
-"""Jobs whose result begins so write no files for the user."""
-TRIAL = re.compile(rf"{re.escape(STATE_FOLDER)}/trials/[0-9a-f]{{12}}")
-"""Results of a calibration that is not kept yet."""
-
-
-def new_trial(bench: Workbench) -> str:
-    """Name of a new folder for results that are not kept yet."""
-    return bench.folder.name(bench.folder.state_room("trials") / secrets.token_hex(6))
 
 
 def job_of(request: Request) -> tuple[Workbench, Job]:
@@ -90,28 +78,10 @@ def file(request: Request) -> Response:
     return FileResponse(path, filename=name, media_type="application/octet-stream")
 
 
-def place_of(bench: Workbench, job: Job) -> Path | None:
-    """Where the results of a job lie; None if it writes none.
-
-    Raises
-    ------
-    OutsideError
-        If the record of the job names a place outside of the folder.
-    """
-    if not job.result or job.result.partition("/")[0] in MARKS:
-        return None
-    if not TRIAL.fullmatch(job.result):
-        return bench.folder.path(job.result)
-    place = bench.folder.state_room("trials") / job.result.rpartition("/")[2]
-    if place.is_symlink():
-        raise OutsideError("the results of this job are a link", remedy="discard the job")
-    return place
-
-
 def result_files(bench: Workbench, job: Job) -> list[Path]:
     """The files that a job wrote: those of its folder, or its file and the page beside it."""
     try:
-        place = place_of(bench, job)
+        place = bench.place_of(job.result)
     except OutsideError:
         return []
     if place is None:
