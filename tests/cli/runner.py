@@ -5,7 +5,9 @@ from __future__ import annotations
 import sys
 from unittest.mock import patch
 
-from piga.cli.main import main
+from typer.testing import CliRunner, Result
+
+from piga.cli.main import app, main
 
 
 def exit_code(*arguments: object) -> int:
@@ -16,3 +18,8 @@ def exit_code(*arguments: object) -> int:
         except SystemExit as stop:
             return int(stop.code or 0)
     return 0
+
+
+def invoked(*arguments: object) -> Result:
+    """Run ``piga ARGUMENTS`` and give its exit code, its output and the error that stopped it."""
+    return CliRunner().invoke(app, [str(one) for one in arguments])

@@ -10,9 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from piga.cli.main import app
+from tests.cli.runner import invoked
 
 LOGS = Path(__file__).resolve().parents[1] / "data" / "logs"
 SCALE = "instrument.scale_factor=0.8884 rad/s/g"
@@ -24,7 +23,7 @@ def log(tmp_path: Path) -> Path:
 
 
 def run(*arguments: object) -> tuple[int, str, str]:
-    done = CliRunner().invoke(app, [str(one) for one in arguments])
+    done = invoked(*arguments)
     message = "" if done.exception is None or isinstance(done.exception, SystemExit) else str(done.exception)
     return done.exit_code, done.stdout, message
 
