@@ -59,7 +59,7 @@ def test_examples_have_the_type_of_their_key() -> None:
         for field in msgspec.structs.fields(struct):
             inner = structs_in(field.type)
             words = words_of(struct.__name__, field.encode_name)
-            assert words is not None
+            assert words.example
             value = tomllib.loads(f"x = {words.example}")["x"]
             if not inner or value not in ({}, [{}]):
                 try:

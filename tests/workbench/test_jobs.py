@@ -13,14 +13,11 @@ import pytest
 
 from piga.errors import ArgumentError
 from piga.workbench.jobs import BusyError, Job, Jobs, Status
-from tests.workbench.conftest import Server, entered, shipped_record
+from tests.workbench.conftest import Server, entered, shipped_record, wait_until
 
 
 def ended(jobs: Jobs, job: Job, seconds: float = 120.0) -> Status:
-    limit = time.monotonic() + seconds
-    while jobs.status(job).state == "running":
-        assert time.monotonic() < limit
-        time.sleep(0.05)
+    wait_until(lambda: jobs.status(job).state != "running", seconds)
     return jobs.status(job)
 
 
@@ -204,10 +201,7 @@ def test_a_server_that_is_killed_in_an_upload_leaves_no_half_file(tmp_path: Path
             f"{head}Cookie: {first.client.cookie}\r\nContent-Length: 99999\r\n\r\nt,x\r\n0,1\r\n".encode()
         )
         parts = tmp_path / ".piga-ui" / "parts"
-        limit = time.monotonic() + 20.0
-        while not list(parts.iterdir()):
-            assert time.monotonic() < limit
-            time.sleep(0.02)
+        wait_until(lambda: list(parts.iterdir()))
         first.process.kill()
         first.process.communicate()
     assert list(parts.iterdir())

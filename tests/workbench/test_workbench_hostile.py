@@ -17,7 +17,7 @@ from piga.errors import ArgumentError
 from piga.workbench.app import MOST_CONNECTIONS
 from piga.workbench.folder import Folder, OutsideError
 from piga.workbench.jobs import MOST_RUNNING, Jobs
-from tests.workbench.conftest import Client, Server, entered, shipped_record
+from tests.workbench.conftest import Client, Server, entered, shipped_record, wait_until
 from tests.workbench.size import memory
 
 EVIL = "\"'><img src=x onerror=alert(1)></textarea><script>alert(1)</script>{{7*7}}"
@@ -70,10 +70,7 @@ def test_half_requests_keep_nobody_out(client: Client, server: Server) -> None:
     finally:
         for raw in held:
             raw.close()
-    limit = time.monotonic() + 20.0
-    while list((server.folder / ".piga-ui" / "parts").iterdir()):
-        assert time.monotonic() < limit, "a broken upload leaves its part"
-        time.sleep(0.1)
+    wait_until(lambda: not list((server.folder / ".piga-ui" / "parts").iterdir()))
     assert not list(server.folder.glob("*slow*"))
     assert "Records" in client.page("/")
 
@@ -146,10 +143,7 @@ def test_clients_that_read_nothing_take_no_memory(tmp_path: Path) -> None:
         assert memory(running.process.pid) - before < 150.0
         while held:
             held.pop().close()
-        limit = time.monotonic() + 20.0
-        while client.ask("/jobs")[0] == 503:  # until the server has seen that they left
-            assert time.monotonic() < limit
-            time.sleep(0.05)
+        wait_until(lambda: client.ask("/jobs")[0] != 503)  # the server sees that they left
         client.page("/jobs")
     finally:
         for raw in held:

@@ -123,24 +123,6 @@ def note(text: str) -> None:
         sys.stderr.flush()
 
 
-def output_directory(path: Path, option: str = "--out") -> Path:
-    """Create the output directory that ``option`` names.
-
-    Raises
-    ------
-    PigaError
-        If the path is a file or cannot be created.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise PigaError(
-            f"{option} {path}: the directory cannot be created ({error.strerror})",
-            remedy="name a directory you may write to",
-        ) from None
-    return path
-
-
 def files_named_in(path: Path) -> list[Path]:
     """A TOML file and all files that it names, directly or indirectly. A command may read them and must not overwrite them."""
     from piga.records.text_files import files_named_in

@@ -14,7 +14,6 @@ from piga.cli.common import (
     counted,
     names_in,
     note,
-    output_directory,
     print_json,
     print_json_list,
     progress,
@@ -358,7 +357,7 @@ def show(
         shown, head = kept.record(record), kept.head()
         calibration = kept.calibration(shown.id) if shown.file("calibration") else None
         if extract is not None:
-            kept.extract(shown.id, output_directory(extract, "--extract"))
+            kept.extract(shown.id, _made(extract))
     if as_json:
         result = None if calibration is None else to_document(calibration)
         print_json(
@@ -379,6 +378,17 @@ def show(
     if extract is not None:
         say(f"wrote {len(shown.document.files)} files to {extract}")
     say_head(head.number, head.sha256)
+
+
+def _made(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise PigaError(
+            f"--extract {folder}: the directory cannot be created ({error.strerror})",
+            remedy="name a directory you may write to",
+        ) from None
+    return folder
 
 
 @app.command()

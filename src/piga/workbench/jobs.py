@@ -174,9 +174,9 @@ class Jobs:
         """The job with this key, or None."""
         return next((job for job in self.all() if job.key == key), None)
 
-    def latest(self, subject: str) -> Job | None:
-        """The newest job for a record, or None."""
-        return next((job for job in self.all() if job.subject == subject), None)
+    def latest(self, subject: str, result: str) -> Job | None:
+        """The newest job for a record that makes this result, or None."""
+        return next((job for job in self.all() if (job.subject, job.result) == (subject, result)), None)
 
     def status(self, job: Job) -> Status:
         """What became of the job."""

@@ -40,7 +40,7 @@ def reading(bench: Workbench, name: str, *, again: bool = False) -> tuple[Signal
     if outline is not None:
         return outline, None
     mark = f"signals/{cache.name}"
-    last = next((job for job in bench.jobs.all() if job.result == mark), None)
+    last = bench.jobs.latest(name, mark)
     if last is not None and not again and bench.jobs.status(last).state in ("running", "failed", "stopped"):
         return None, last
     return None, bench.jobs.start((READ, name, str(cache)), "Read the record", name, mark)
