@@ -20,7 +20,7 @@ from piga.campaign.campaign_file import CampaignFile
 from piga.certificate.certificate_file import CertificateFile
 from piga.cli.main import app as command_line
 from piga.compensation.sets.set_files import TriadFile
-from piga.describe.draft import KeyWords, words_of
+from piga.describe.draft import words_of
 from piga.planning.plan_file import PlanTable
 from piga.platform.scenario import ScenarioFile
 from piga.records.run_file import METHOD_WORDS, RunFile
@@ -197,7 +197,7 @@ def struct_text(struct: type[msgspec.Struct]) -> str:
     if config.tag is not None:
         rows.append(f'| `{config.tag_field}` | Kind of the table. | `"{config.tag}"` | | needed | |')
     for field in msgspec.structs.fields(struct):
-        words = words_of(struct.__name__, field.encode_name) or KeyWords("", "", "")
+        words = words_of(struct.__name__, field.encode_name)
         unit = "" if words.unit == "own" else words.unit
         rows.append(
             f"| `{field.encode_name}` | {cell(words.sentence)} | {type_text(field.type)} | {unit} | {field_default(field)} "

@@ -1,8 +1,6 @@
 """Runs on a Dask cluster: two processes on loopback, with and without TLS; whichever is killed, the bits are the same."""
 
 import contextlib
-import datetime as dt
-import ipaddress
 import json
 import os
 import random
@@ -19,6 +17,7 @@ from piga.campaign import open_campaign, plan_campaign
 from piga.errors import PigaError
 from tests.campaign.small import ROOT, SMALL, call, collected, start, written
 from tests.campaign.test_run import LONG, whole
+from tests.certificate.certificate_data import key_pair
 
 pytest.importorskip("distributed")
 
@@ -101,32 +100,9 @@ class Cluster:
 @pytest.fixture(scope="module")
 def certificate(tmp_path_factory):
     """A folder with a certificate of its own authority, and its key."""
-    from cryptography import x509
-    from cryptography.hazmat.primitives import hashes, serialization
-    from cryptography.hazmat.primitives.asymmetric import ec
-    from cryptography.x509.oid import NameOID
-
     folder = tmp_path_factory.mktemp("tls")
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "piga-campaign")])
-    now = dt.datetime.now(dt.UTC)
-    alternative = x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))])
-    made = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - dt.timedelta(days=1))
-        .not_valid_after(now + dt.timedelta(days=2))
-        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
-        .add_extension(alternative, critical=False)
-        .sign(key, hashes.SHA256())
-    )
-    (folder / "cert.pem").write_bytes(made.public_bytes(serialization.Encoding.PEM))
-    plain = serialization.NoEncryption()
-    pem = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, plain)
-    (folder / "key.pem").write_bytes(pem)
+    for path in key_pair(folder, "node", start=-1, days=3, hosts=["127.0.0.1"]):
+        path.rename(folder / path.name.removeprefix("node-"))
     return folder
 
 

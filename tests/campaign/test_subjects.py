@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -136,14 +137,17 @@ terms = ["scale_factor", "tan_beta", "k0"]
 """
 
 
+def reported(folder, text):
+    """What the first record of a campaign reports."""
+    plan = read_campaign(written(folder, text))
+    return compute(plan, plan.find(0, 0)).seen
+
+
 @pytest.mark.only_compiled
 def test_what_a_calibration_reports_is_counted(tmp_path):
     """Kinds of noise, and terms that are suggested."""
 
-    def seen(text):
-        plan = read_campaign(written(tmp_path, text))
-        return compute(plan, plan.find(0, 0)).seen
-
+    seen = partial(reported, tmp_path)
     quiet = NOISY.replace('scatter = "1e-4 rad/s"\n', "")
     whole = ('"k0"]', '"k0", "m_Y"]')
     assert seen(quiet.replace(*whole)) == ()
@@ -257,10 +261,7 @@ terms = ["scale_factor", "tan_beta", "k0"]
 def test_seen_has_what_the_record_says_of_its_noise(tmp_path):
     """A sound short rate log has the remark, a loud one the doubt, a sound angle log neither."""
 
-    def seen(text):
-        plan = read_campaign(written(tmp_path, text))
-        return compute(plan, plan.find(0, 0)).seen
-
+    seen = partial(reported, tmp_path)
     assert NOISE_LEFT in seen(LOGGED)
     quiet = piga.calibrate(RATES.record(2), RATES.terms)
     assert NOISE_LEFT in of_calibration(quiet, np.full(len(quiet), np.nan)).seen
@@ -281,9 +282,9 @@ def test_archive_that_changed(archive, tmp_path):
     path = written(archive, TEXT)
     campaign = plan_campaign(path, tmp_path / "out")
     plan, listed = campaign.plan, campaign.archive
-    record = next(n for n, file in enumerate(listed.files) if file[0] == "runs/r0/run.toml")
-    other = next(file[4] for file in listed.files if file[0] == "runs/r1/run.toml")
-    wrong = [(*file[:4], other) if n == record else file for n, file in enumerate(listed.files)]
+    record = next(n for n, file in enumerate(listed.files) if file.run == "runs/r0/run.toml")
+    other = next(file.stored for file in listed.files if file.run == "runs/r1/run.toml")
+    wrong = [file._replace(stored=other) if n == record else file for n, file in enumerate(listed.files)]
     outcome = compute(plan, plan.record(record), Archive(listed.folder, tuple(wrong), listed.store))
     assert outcome.verdict == "other inputs"
     assert np.abs(outcome.error).max() > 0.0

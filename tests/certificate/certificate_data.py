@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
+import ipaddress
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,9 +44,13 @@ def budgeted(cal):
 
 
 def key_pair(
-    folder: Path, name: str, *, elliptic: bool = True, bits: int = 2048, start: int = -365, days: int = 730
-) -> tuple[Path, Path]:
-    """Private key and self-signed X.509 certificate, PEM; valid ``days`` from the day ``start`` days from now."""
+    folder: Path, name: str, *, elliptic: bool = True, bits: int = 2048, start: int = -365, days: int = 730,
+    hosts: Sequence[str] = (),
+) -> tuple[Path, Path]:  # fmt: skip
+    """Private key and self-signed X.509 certificate, PEM; valid ``days`` from the day ``start`` days from now.
+
+    ``hosts``: names and addresses of a TLS server that has it.
+    """
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
     from cryptography.hazmat.primitives.asymmetric import ec, rsa
@@ -54,16 +60,19 @@ def key_pair(
     key = ec.generate_private_key(curve) if elliptic else rsa.generate_private_key(65537, bits)
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     first = dt.datetime.now(dt.UTC).replace(microsecond=0) + dt.timedelta(days=start)
-    certificate = (
-        x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(subject)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
+    builder = (
+        x509.CertificateBuilder(subject, subject, key.public_key(), x509.random_serial_number())
         .not_valid_before(first)
         .not_valid_after(first + dt.timedelta(days=days))
-        .sign(key, hashes.SHA256())
     )
+    if hosts:
+        names = [
+            x509.IPAddress(ipaddress.ip_address(host)) if host[0].isdigit() else x509.DNSName(host)
+            for host in hosts
+        ]
+        builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
+        builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
+    certificate = builder.sign(key, hashes.SHA256())
     form = (serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
     paths = folder / f"{name}-key.pem", folder / f"{name}-cert.pem"
     paths[0].write_bytes(key.private_bytes(*form))

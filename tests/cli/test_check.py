@@ -8,16 +8,17 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
 
 import piga
-from piga.cli.main import app
 from piga.errors import PigaError
+from tests.cli.runner import invoked
 from tests.records.files import lines, write_log, write_run
 
 
 def run_command(*arguments: object) -> str:
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
+    done = invoked(*arguments)
+    if isinstance(done.exception, PigaError):
+        raise done.exception
     assert done.exit_code == 0, done.output
     return done.stdout
 
@@ -80,7 +81,7 @@ def test_suggestions(
     write_log(tmp_path, [change(row) for row in lines()], header=header)
     with pytest.raises(PigaError):
         run_command("check", write_run(tmp_path), "--fix-suggestions")
-    done = CliRunner().invoke(app, ["check", str(tmp_path / "run.toml"), "--fix-suggestions"])
+    done = invoked("check", tmp_path / "run.toml", "--fix-suggestions")
     assert line in done.stdout
     capsys.readouterr()
 

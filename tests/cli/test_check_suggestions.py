@@ -9,12 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import piga
-from piga.cli.main import app
 from piga.describe import suggestions
 from piga.records.text_files import toml_text
+from tests.cli.runner import invoked
 from tests.records.containers import columns, write_xlsx
 from tests.records.files import events, lines, psi_steps, write_log, write_run
 
@@ -35,7 +34,7 @@ terms = ["scale_factor", "k0"]
 
 def suggested(path: Path) -> list[tuple[str, str]]:
     """Table and line of each suggestion."""
-    done = CliRunner().invoke(app, ["check", str(path), "--fix-suggestions"])
+    done = invoked("check", path, "--fix-suggestions")
     seen = [line.split("    # in [") for line in done.stdout.splitlines() if "    # in [" in line]
     return [(table.removesuffix("]"), line) for line, table in seen]
 
@@ -143,10 +142,10 @@ def test_a_name_that_is_nearly_right(tmp_path: Path) -> None:
 def test_nothing_is_suggested_where_nothing_is_near(tmp_path: Path) -> None:
     write_log(tmp_path, lines(), header="t,what,fx,fy,fz")
     path = write_run(tmp_path)
-    done = CliRunner().invoke(app, ["check", str(path), "--fix-suggestions"])
+    done = invoked("check", path, "--fix-suggestions")
     assert "# no run-file line would change what was found" in done.stdout
     write_log(tmp_path, lines())
-    done = CliRunner().invoke(app, ["check", str(path), "--fix-suggestions"])
+    done = invoked("check", path, "--fix-suggestions")
     assert "# no run-file line would change what was found" in done.stdout
 
 
@@ -176,11 +175,8 @@ def test_convert_keeps_base_rate_and_temperature(tmp_path: Path, kind: str) -> N
         'base_rate = { columns = ["wx", "wy", "wz"], unit = "deg/s" }\ntemperature = { column = "temp", unit = "degC" }\n[model]',
     )
     (tmp_path / "run.toml").write_text(text)
-    done = CliRunner().invoke(
-        app,
-        ["convert", str(tmp_path / "run.toml"), "--out", str(tmp_path / "clean.parquet")],
-        catch_exceptions=False,
-    )
+    done = invoked("convert", tmp_path / "run.toml", "--out", tmp_path / "clean.parquet")
+    assert done.exit_code == 0, done.exception
     (tmp_path / "clean.toml").write_text(
         text.split("[data]")[0] + clean_table(done.stdout) + "\n[model]" + text.split("[model]")[1]
     )

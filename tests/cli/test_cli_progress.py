@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -14,44 +13,11 @@ import pytest
 from piga.cli.main import stopped_words
 from piga.data import copy_example
 from piga.output import results, write_whole
+from tests.cli.runner import ENVIRONMENT, on_terminal
 
-SOURCE = str(Path(__file__).resolve().parents[2] / "src")
-ENVIRONMENT = os.environ | {"PYTHONPATH": SOURCE, "NUMBA_DISABLE_JIT": "1", "TERM": "xterm", "COLUMNS": "100"}
 STOPPED = (130, -signal.SIGINT)
 """Exit by a stop. Python ends itself with the signal if the stop came while it made a class; shells show 130 for both."""
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
-
-
-def on_terminal(arguments: list[object], until: str, seconds: float = 60.0) -> tuple[str, int]:
-    """Run a command on a terminal, stop it with Ctrl-C when it has shown ``until``. Text and exit code."""
-    import pty
-
-    master, slave = pty.openpty()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "piga", *map(str, arguments)],
-        stdin=slave,
-        stdout=slave,
-        stderr=slave,
-        env=ENVIRONMENT,
-    )
-    os.close(slave)
-    text, sent, limit = "", False, time.monotonic() + seconds
-    while time.monotonic() < limit:
-        try:
-            part = os.read(master, 4096)
-        except OSError:
-            break
-        if not part:
-            break
-        text += part.decode("utf-8", errors="replace")
-        if until in text and not sent:
-            sent = True
-            time.sleep(0.3)
-            process.send_signal(signal.SIGINT)
-    process.kill() if process.poll() is None and time.monotonic() >= limit else None
-    code = process.wait(timeout=60)
-    os.close(master)
-    return text, code
 
 
 def test_calibrate_shows_what_it_does_and_what_a_stop_left(tmp_path: Path) -> None:
@@ -68,7 +34,7 @@ def test_calibrate_shows_what_it_does_and_what_a_stop_left(tmp_path: Path) -> No
 
 
 def test_platform_navigate_is_not_silent(tmp_path: Path) -> None:
-    scenario = Path(SOURCE).parent / "examples" / "platform-wobble.toml"
+    scenario = Path(__file__).parents[2] / "examples" / "platform-wobble.toml"
     text, code = on_terminal(["platform", "navigate", scenario, "--out", tmp_path / "out"], "simulating")
     assert code in STOPPED, text
     assert "stopped while simulating" in text
@@ -108,9 +74,10 @@ def test_words_of_a_stop(tmp_path: Path) -> None:
 
 def test_a_bar_follows_the_library(capsys: pytest.CaptureFixture[str]) -> None:
     from piga.cli.bar import Bar
+    from piga.cli.common import Advance
 
     with Bar("working", 10) as bar:
-        bar(3)
+        Advance(10, bar.show)(3)
         assert bar._bar.tasks[0].completed == 3
         bar.show(5, 20, "segment 5")
         assert (bar._bar.tasks[0].completed, bar._bar.tasks[0].total) == (5, 20)

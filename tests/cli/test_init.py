@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from piga.cli.main import app
+from tests.cli.runner import invoked, on_terminal
 
 LOGS = Path(__file__).resolve().parents[1] / "data" / "logs"
 SCALE = "instrument.scale_factor=0.8884 rad/s/g"
@@ -24,7 +21,7 @@ def log(tmp_path: Path) -> Path:
 
 
 def run(*arguments: object) -> tuple[int, str, str]:
-    done = CliRunner().invoke(app, [str(one) for one in arguments])
+    done = invoked(*arguments)
     message = "" if done.exception is None or isinstance(done.exception, SystemExit) else str(done.exception)
     return done.exit_code, done.stdout, message
 
@@ -143,31 +140,11 @@ def test_json(log: Path) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_in_a_terminal_it_asks(tmp_path: Path) -> None:
-    import pty
-
     log = Path(shutil.copy(LOGS / "labview.lvm", tmp_path))
-    master, slave = pty.openpty()
-    source = str(Path(__file__).resolve().parents[2] / "src")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "piga", "init", str(log)],
-        stdin=slave, stdout=slave, stderr=slave, close_fds=True,
-        env=os.environ | {"PYTHONPATH": source, "NUMBA_DISABLE_JIT": "1"},
-    )  # fmt: skip
-    os.close(slave)
-    os.write(master, b"0.8884 kg\n0.8884 rad/s/g\ninstrument.serial=Q-5\n\n")
-    text = b""
-    while True:
-        try:
-            part = os.read(master, 4096)
-        except OSError:
-            break
-        if not part:
-            break
-        text += part
-    os.close(master)
-    assert process.wait(timeout=60) == 0, text.decode()
-    assert "nominal scale factor" in text.decode()
-    assert "is given in 'kg'" in text.decode()
+    text, code = on_terminal(["init", log], typed=b"0.8884 kg\n0.8884 rad/s/g\ninstrument.serial=Q-5\n\n")
+    assert code == 0, text
+    assert "nominal scale factor" in text
+    assert "is given in 'kg'" in text
     written = log.with_suffix(".toml").read_text(encoding="utf-8")
     assert 'serial = "Q-5"' in written
     assert 'scale_factor = "0.8884 rad/s/g"' in written

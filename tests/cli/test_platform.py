@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
 
 from piga.cli import platform
-from piga.cli.main import app, main
+from tests.cli.runner import exit_code, invoked
 from tests.platform.conftest import INTERPRETED
 
 STEP = "8 s" if INTERPRETED else "2 s"
@@ -45,11 +43,8 @@ def scenario(tmp_path):
     return path
 
 
-def _run(capsys, monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["piga", "platform", *map(str, arguments)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    return ended.value.code, capsys.readouterr()
+def _run(capsys, *arguments):
+    return exit_code("platform", *arguments), capsys.readouterr()
 
 
 @pytest.mark.parametrize(
@@ -62,8 +57,8 @@ def _run(capsys, monkeypatch, *arguments):
         ("compare", {"comparison.json"}),
     ],
 )
-def test_a_command_leaves_its_files_and_a_page(capsys, monkeypatch, scenario, tmp_path, command, files):
-    code, streams = _run(capsys, monkeypatch, command, scenario, "--out", tmp_path / "out", "--json")
+def test_a_command_leaves_its_files_and_a_page(capsys, scenario, tmp_path, command, files):
+    code, streams = _run(capsys, command, scenario, "--out", tmp_path / "out", "--json")
     assert code == 0
     assert isinstance(json.loads(streams.out), dict)
     assert {p.name for p in (tmp_path / "out").glob("[!.]*")} == {*files, "report.html"}
@@ -71,8 +66,8 @@ def test_a_command_leaves_its_files_and_a_page(capsys, monkeypatch, scenario, tm
     assert "<svg" in page
 
 
-def test_comparison_json_is_as_promised(capsys, monkeypatch, scenario):
-    code, streams = _run(capsys, monkeypatch, "compare", scenario, "--json")
+def test_comparison_json_is_as_promised(capsys, scenario):
+    code, streams = _run(capsys, "compare", scenario, "--json")
     document = json.loads(streams.out)
     assert code == 0
     keys = {
@@ -90,27 +85,27 @@ def test_comparison_json_is_as_promised(capsys, monkeypatch, scenario):
             assert len({len(values) for values in model.values()}) == 1
 
 
-def test_budget_is_added_on_request(capsys, monkeypatch, scenario, tmp_path):
-    code, streams = _run(capsys, monkeypatch, "compare", scenario, "--out", tmp_path, "--json", "--budget")
+def test_budget_is_added_on_request(capsys, scenario, tmp_path):
+    code, streams = _run(capsys, "compare", scenario, "--out", tmp_path, "--json", "--budget")
     document = json.loads(streams.out)
     assert code == 0
     assert document["budget"][-1]["source"] == "all together"
 
 
 @pytest.mark.only_compiled
-def test_gyro_accelerometers_get_their_own_page(capsys, monkeypatch, scenario, tmp_path):
+def test_gyro_accelerometers_get_their_own_page(capsys, scenario, tmp_path):
     step = "1 s"
     text = SHORT.replace(STEP, step).replace("1 h", "20 min")
     text = text.replace("[sensors]", '[sensors]\naccelerometers = "piga"')
     models = '[compensation]\nmodels = ["B"]\nmisalignment = "true"\nattitude = "true"\n'
     scenario.write_text(text + models)
-    code, _ = _run(capsys, monkeypatch, "compare", scenario, "--out", tmp_path / "out")
+    code, _ = _run(capsys, "compare", scenario, "--out", tmp_path / "out")
     assert code == 0
     assert "Gyro accelerometers" in (tmp_path / "out" / "capstone.html").read_text(encoding="utf-8")
 
 
-def test_tables_carry_their_units(capsys, monkeypatch, scenario, tmp_path):
-    _run(capsys, monkeypatch, "simulate", scenario, "--out", tmp_path)
+def test_tables_carry_their_units(capsys, scenario, tmp_path):
+    _run(capsys, "simulate", scenario, "--out", tmp_path)
     schema = pq.read_schema(tmp_path / "readouts.parquet")
     assert schema.field("dvx").metadata == {b"unit": b"m/s"}
     assert schema.field("gimbal_outer").metadata == {b"unit": b"rad"}
@@ -128,7 +123,7 @@ def test_wrong_use_ends_with_two_and_one_message(capsys, monkeypatch, tmp_path, 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sway.toml").write_text(SHORT + '[motion]\nkind = "sway"\n')
     (tmp_path / "short.toml").write_text(SHORT.replace("1 h", "800 s"))
-    code, streams = _run(capsys, monkeypatch, *arguments)
+    code, streams = _run(capsys, *arguments)
     assert code == 2
     assert message in streams.err
     assert "Traceback" not in streams.err
@@ -149,7 +144,7 @@ def test_every_tenth_row(tmp_path: Path) -> None:
     for every, rows in ((1, 101), (10, 11)):
         out = tmp_path / f"out-{every}"
         arguments = ["platform", "simulate", str(tmp_path / "s.toml"), "--out", str(out), "--every", str(every)]
-        done = CliRunner().invoke(app, arguments)
+        done = invoked(*arguments)
         assert done.exit_code == 0, done.exception
         tables = {name: pq.read_table(out / f"{name}.parquet") for name in ("readouts", "truth")}
         assert tables["readouts"].num_rows == rows
@@ -189,13 +184,13 @@ def test_the_size_is_known_before_the_run(tmp_path: Path, monkeypatch: pytest.Mo
         platform, "_simulated", lambda _: pytest.fail("computed first") if not told else SIMULATED(_)
     )
     out = tmp_path / "out"
-    done = CliRunner().invoke(app, ["platform", "simulate", str(tmp_path / "s.toml"), "--out", str(out)])
+    done = invoked("platform", "simulate", tmp_path / "s.toml", "--out", out)
     assert done.exit_code == 0, done.exception
     tables = [pq.read_table(out / f"{name}.parquet") for name in ("readouts", "truth")]
     assert told == [(tables[0].num_rows, sum(table.num_columns for table in tables), 2, 1)]
     told.clear()
     out = tmp_path / "navigated"
-    done = CliRunner().invoke(app, ["platform", "navigate", str(tmp_path / "s.toml"), "--out", str(out)])
+    done = invoked("platform", "navigate", tmp_path / "s.toml", "--out", out)
     assert done.exit_code == 0, done.exception
     tables = [pq.read_table(path) for path in out.glob("navigation-*.parquet")]
     assert told == [(tables[0].num_rows, sum(table.num_columns for table in tables), len(tables), 1)]

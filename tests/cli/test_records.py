@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from piga.cli import main as entry
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.document import calibration_to_bytes
+from tests.cli.runner import exit_code
 from tests.ledger.store.drafts import add, filled
 from tests.ledger.test_reproduce import small_run
 from tests.reports.example import calibration
@@ -23,17 +22,12 @@ class Command:
     """Runs ``piga records ...`` in this process, in a folder, as the entry point does."""
 
     def __init__(self, folder: Path, patch: pytest.MonkeyPatch, capture: pytest.CaptureFixture[str]) -> None:
-        self.patch, self.capture = patch, capture
+        self.capture = capture
         patch.chdir(folder)
         patch.delenv("PIGA_STORE", raising=False)
 
     def __call__(self, *arguments: object) -> tuple[int, str, str]:
-        self.patch.setattr(sys, "argv", ["piga", "records", *map(str, arguments)])
-        code = 0
-        try:
-            entry.main()
-        except SystemExit as ended:
-            code = int(ended.code or 0)
+        code = exit_code("records", *arguments)
         output = self.capture.readouterr()
         return code, output.out, output.err
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 
 import pytest
-from typer.testing import CliRunner
 
 from piga.calibration.calibrate import calibrate
-from piga.cli.main import app
 from piga.stand import (
     read_run,
 )
+from tests.cli.runner import invoked
 from tests.stand.simulated import written
 
 pytestmark = pytest.mark.compiled
@@ -20,7 +19,7 @@ pytestmark = pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_command_writes_all_files_and_json(tmp_path):
     path = written(tmp_path)
-    result = CliRunner().invoke(app, ["simulate", str(path), "--out", str(tmp_path / "out"), "--json"])
+    result = invoked("simulate", path, "--out", tmp_path / "out", "--json")
     assert result.exit_code == 0
     assert json.loads(result.stdout)["schema"] == "piga.truth/1"
     names = {p.name for p in (tmp_path / "out").glob("[!.]*")}
@@ -29,9 +28,7 @@ def test_command_writes_all_files_and_json(tmp_path):
 
 
 def test_command_says_what_was_simulated(tmp_path):
-    result = CliRunner().invoke(
-        app, ["simulate", str(written(tmp_path)), "--out", str(tmp_path), "--seed", "7"]
-    )
+    result = invoked("simulate", written(tmp_path), "--out", tmp_path, "--seed", "7")
     assert result.exit_code == 0
     assert "tan_beta" in result.stdout
     assert "seed 7" in (tmp_path / "run.toml").read_text()

@@ -8,12 +8,10 @@ import subprocess
 import sys
 
 import pytest
-from typer.testing import CliRunner
 
-from piga.cli.main import app
 from piga.studies import reproduction
 from piga.studies.case import Case, Chapter
-from tests.cli.runner import exit_code
+from tests.cli.runner import exit_code, invoked
 
 KEYS = {
     "id",
@@ -86,11 +84,11 @@ def test_disagreement_ends_with_exit_code_1(monkeypatch):
     monkeypatch.setitem(
         reproduction.CHAPTERS, "mounting", lambda: Chapter("mounting", "Mounting", "", "", (wrong,), ())
     )
-    done = CliRunner().invoke(app, ["reproduce", "--only", "mounting"])
+    done = invoked("reproduce", "--only", "mounting")
     assert done.exit_code == 1
     assert "1 cases: 0 agree, 1 do not" in done.stdout
 
 
 @pytest.mark.parametrize("option", ["--out", "--only", "--json"])
 def test_help_names_the_options(option):
-    assert option in CliRunner().invoke(app, ["reproduce", "--help"]).stdout
+    assert option in invoked("reproduce", "--help").stdout

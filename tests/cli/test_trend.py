@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga.cli.trend import stored_history, trend
+from piga.cli.trend import history as records_of
+from piga.cli.trend import trend
 from piga.errors import PigaError
 from piga.records.calibration.document import calibration_to_bytes
 from tests.cli.test_cli_commands import piga
@@ -107,11 +108,11 @@ def test_records_of_a_store(tmp_path):
                 "G-0417", "A", f"test {i}", (file,), {}, {"piga": "0"}, measured=f"{time:%Y-%m-%dT%H:%M:%SZ}"
             )
             store.append(lambda _place, made=made: made)
-    entries = list(stored_history(str(path), "G-0417"))
+    entries = list(records_of([], str(path), "G-0417"))
     assert len(entries) == 4
     done = piga("records", "trend", "--store", path, "--serial", "G-0417", "--json")
     assert done.returncode == 0, done.stderr
     (trend_of_k0,) = json.loads(done.stdout)["coefficients"]
     assert trend_of_k0["drift_per_year"]["value"] == pytest.approx(2e-6, rel=1e-6)
     with pytest.raises(PigaError):
-        list(stored_history(str(tmp_path / "none.sqlite"), "G-0417"))
+        list(records_of([], str(tmp_path / "none.sqlite"), "G-0417"))

@@ -15,7 +15,6 @@ import msgspec
 import pytest
 from typer.core import TyperGroup
 from typer.main import get_command
-from typer.testing import CliRunner
 
 from piga.cli.main import app
 from piga.cli.words import explain
@@ -24,6 +23,7 @@ from piga.describe.draft import FILES, key_table, places_of
 from piga.records.run_file import METHOD_WORDS, METHODS
 from piga.records.terms import MEANING, TERM_WORDS, UNITS, term_words
 from piga.units import to_si
+from tests.cli.runner import invoked
 from tests.cli.test_cli_help import commands
 
 
@@ -59,7 +59,7 @@ def test_examples_have_the_type_of_their_key() -> None:
         for field in msgspec.structs.fields(struct):
             inner = structs_in(field.type)
             words = words_of(struct.__name__, field.encode_name)
-            assert words is not None
+            assert words.example
             value = tomllib.loads(f"x = {words.example}")["x"]
             if not inner or value not in ({}, [{}]):
                 try:
@@ -75,7 +75,7 @@ def test_examples_have_the_type_of_their_key() -> None:
 
 
 def test_explain() -> None:
-    done = CliRunner().invoke(app, ["check", "--explain", "data.time.stamp"])
+    done = invoked("check", "--explain", "data.time.stamp")
     assert done.exit_code == 0
     assert done.stdout == (
         'data.time.stamp (run file)\n  Form of time stamps, or "iso"; instead of a unit.\n  value    text\n'
@@ -83,28 +83,28 @@ def test_explain() -> None:
     )
     assert {place.file for place in explain("terms")} == {"run"}
     assert next(place.path for place in explain("[data] time")) == "data.time"
-    document = json.loads(CliRunner().invoke(app, ["check", "--explain", "criterion", "--json"]).stdout)
+    document = json.loads(invoked("check", "--explain", "criterion", "--json").stdout)
     assert document[0]["key"] == "plan.criterion"
-    wrong = CliRunner().invoke(app, ["check", "--explain", "data.tme"])
+    wrong = invoked("check", "--explain", "data.tme")
     assert "did you mean" in str(wrong.exception)
-    assert "no run file is named" in str(CliRunner().invoke(app, ["check"]).exception)
+    assert "no run file is named" in str(invoked("check").exception)
 
 
 def test_terms() -> None:
     assert set(TERM_WORDS) - {"sn", "cn"} == set(UNITS) == set(MEANING)
-    out = CliRunner().invoke(app, ["terms"]).stdout
+    out = invoked("terms").stdout
     for name in UNITS:
         assert f"{name}  [{UNITS[name]}]  {MEANING[name]}" in out
     assert term_words("s2").formula == "s2 sin(2 psi)"
-    assert "s3 sin(3 psi)" in CliRunner().invoke(app, ["terms", "s3"]).stdout
-    assert "is not a term" in str(CliRunner().invoke(app, ["terms", "k9"]).exception)
-    rows = json.loads(CliRunner().invoke(app, ["terms", "--json"]).stdout)
+    assert "s3 sin(3 psi)" in invoked("terms", "s3").stdout
+    assert "is not a term" in str(invoked("terms", "k9").exception)
+    rows = json.loads(invoked("terms", "--json").stdout)
     assert {row["name"] for row in rows} == set(TERM_WORDS)
 
 
 def test_methods() -> None:
     assert tuple(METHOD_WORDS) == METHODS
-    out = CliRunner().invoke(app, ["methods"]).stdout
+    out = invoked("methods").stdout
     assert all(f"{name}: " in out for name in METHODS)
 
 
@@ -126,8 +126,8 @@ def test_the_value_of_a_key_is_said_in_words() -> None:
         ("x0", "list of numbers"),
         ("compare", "list of lists of"),
     ):
-        assert f"value    {words}" in CliRunner().invoke(app, ["check", "--explain", key]).stdout
-    assert "e.g. in 1" not in CliRunner().invoke(app, ["check", "--explain", "seed"]).stdout
+        assert f"value    {words}" in invoked("check", "--explain", key).stdout
+    assert "e.g. in 1" not in invoked("check", "--explain", "seed").stdout
 
 
 def test_every_example_is_toml_and_in_its_unit() -> None:
@@ -148,7 +148,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_every_example_is_written(tmp_path: Path) -> None:
-    done = CliRunner().invoke(app, ["examples", "--out", str(tmp_path / "examples")])
+    done = invoked("examples", "--out", tmp_path / "examples")
     assert done.exit_code == 0
     for path in (ROOT / "examples").rglob("*.*"):
         if path.suffix in (".toml", ".py"):
@@ -166,10 +166,8 @@ def test_what_the_docs_name_is_there() -> None:
 
 
 def test_an_example_runs(tmp_path: Path) -> None:
-    CliRunner().invoke(app, ["examples", "--out", str(tmp_path / "examples")])
-    done = CliRunner().invoke(
-        app, ["simulate", str(tmp_path / "examples/dividing-head.toml"), "--out", str(tmp_path / "head")]
-    )
+    invoked("examples", "--out", tmp_path / "examples")
+    done = invoked("simulate", tmp_path / "examples/dividing-head.toml", "--out", tmp_path / "head")
     assert done.exit_code == 0, done.exception
     assert (tmp_path / "head" / "run.toml").exists()
 
@@ -206,7 +204,7 @@ def test_each_shell_gets_commands_and_options() -> None:
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_the_script_is_one_of_the_shell(shell: str) -> None:
-    done = CliRunner().invoke(app, ["completion", shell])
+    done = invoked("completion", shell)
     assert done.exit_code == 0
     assert "_PIGA_COMPLETE=complete_" + shell in done.stdout
     if shell == "zsh":
@@ -220,10 +218,8 @@ def test_bash_completes_with_the_script() -> None:
     bash = shutil.which("bash")
     if bash is None:
         pytest.skip("no bash here")
-    script = (
-        CliRunner()
-        .invoke(app, ["completion", "bash"])
-        .stdout.replace("complete_bash $1", f"complete_bash {sys.executable} -m piga")
+    script = invoked("completion", "bash").stdout.replace(
+        "complete_bash $1", f"complete_bash {sys.executable} -m piga"
     )
     code = script + '\nCOMP_WORDS=(piga rec); COMP_CWORD=1; _piga_completion piga; echo "${COMPREPLY[@]}"\n'
     done = subprocess.run([bash, "--norc"], input=code, text=True, capture_output=True, check=True)
@@ -231,13 +227,13 @@ def test_bash_completes_with_the_script() -> None:
 
 
 def test_another_shell_is_refused() -> None:
-    assert CliRunner().invoke(app, ["completion", "tcsh"]).exit_code == 2
+    assert invoked("completion", "tcsh").exit_code == 2
 
 
 def test_help_names_no_python_type() -> None:
     group = get_command(app)
     assert isinstance(group, TyperGroup)
     for words in commands(group):
-        text = CliRunner().invoke(app, [*words, "--help"]).stdout
+        text = invoked(*words, "--help").stdout
         wrong = re.findall(r"<(?:path|str|int|float|list)[^>]*>|\b(?:TEXT|PATH|INTEGER|FLOAT)\b", text)
         assert not wrong, (words, wrong)

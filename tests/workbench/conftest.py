@@ -86,6 +86,14 @@ class Client:
             time.sleep(0.2)
 
 
+def wait_until(holds: Callable[[], object], seconds: float = 20.0) -> None:
+    """Wait until something is so."""
+    limit = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < limit
+        time.sleep(0.05)
+
+
 def ends_with_parent() -> None:
     """Linux kills this process when its parent has ended, however that came."""
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG

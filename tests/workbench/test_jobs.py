@@ -13,14 +13,11 @@ import pytest
 
 from piga.errors import ArgumentError
 from piga.workbench.jobs import BusyError, Job, Jobs, Status
-from tests.workbench.conftest import Server, entered, shipped_record
+from tests.workbench.conftest import Server, entered, shipped_record, wait_until
 
 
 def ended(jobs: Jobs, job: Job, seconds: float = 120.0) -> Status:
-    limit = time.monotonic() + seconds
-    while jobs.status(job).state == "running":
-        assert time.monotonic() < limit
-        time.sleep(0.05)
+    wait_until(lambda: jobs.status(job).state != "running", seconds)
     return jobs.status(job)
 
 
@@ -130,13 +127,14 @@ def test_the_server_is_killed_and_its_job_goes_on(tmp_path: Path) -> None:
 
 
 def test_progress_is_a_small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from piga.cli import job
+    from piga.cli import common, job
 
     monkeypatch.setattr(job, "BETWEEN", 0.0)
     note = job.Note(tmp_path / "progress", "reading", None)
     assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading", "share": None}
-    note(25, 100)
-    note(25)
+    advance = common.Advance(None, note.show)
+    advance(25, 100)
+    advance(25)
     assert json.loads((tmp_path / "progress").read_text())["share"] == 0.5
     note.show(3, 4, "draws")
     assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading: draws", "share": 0.75}
@@ -203,10 +201,7 @@ def test_a_server_that_is_killed_in_an_upload_leaves_no_half_file(tmp_path: Path
             f"{head}Cookie: {first.client.cookie}\r\nContent-Length: 99999\r\n\r\nt,x\r\n0,1\r\n".encode()
         )
         parts = tmp_path / ".piga-ui" / "parts"
-        limit = time.monotonic() + 20.0
-        while not list(parts.iterdir()):
-            assert time.monotonic() < limit
-            time.sleep(0.02)
+        wait_until(lambda: list(parts.iterdir()))
         first.process.kill()
         first.process.communicate()
     assert list(parts.iterdir())

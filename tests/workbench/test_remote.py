@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import datetime as dt
 import http.client
-import ipaddress
 import os
 import secrets
 import select
@@ -33,6 +31,7 @@ from piga.workbench.remote import (
     tls_context,
 )
 from piga.workbench.security import MOST_SESSIONS, SESSION_AGE, Door
+from tests.certificate.certificate_data import key_pair
 from tests.cli.runner import exit_code
 from tests.workbench.conftest import Browser, Client, Server, shipped_record
 
@@ -64,36 +63,20 @@ class RemoteClient(Client):
 @pytest.fixture(scope="module")
 def tls(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a certificate for localhost, its key, that key encrypted, and another key."""
-    from cryptography import x509
-    from cryptography.hazmat.primitives import hashes
-    from cryptography.hazmat.primitives.asymmetric import ec
     from cryptography.hazmat.primitives.serialization import (
         BestAvailableEncryption,
         Encoding,
-        NoEncryption,
         PrivateFormat,
+        load_pem_private_key,
     )
 
     folder = tmp_path_factory.mktemp("tls")
-    key, other = (ec.generate_private_key(ec.SECP256R1()) for _ in range(2))
-    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "piga bench")])
-    names = [x509.DNSName("localhost"), x509.IPAddress(ipaddress.ip_address(LOOPBACK))]
-    now = dt.datetime.now(dt.UTC)
-    made = (
-        x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number())
-        .not_valid_before(now - dt.timedelta(days=1))
-        .not_valid_after(now + dt.timedelta(days=2))
-        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
-        .add_extension(x509.SubjectAlternativeName(names), critical=False)
-        .sign(key, hashes.SHA256())
-    )
-    (folder / "cert.pem").write_bytes(made.public_bytes(Encoding.PEM))
-    for file, which, how in (
-        ("key.pem", key, NoEncryption()),
-        ("other.pem", other, NoEncryption()),
-        ("encrypted.pem", key, BestAvailableEncryption(b"secret")),
-    ):
-        (folder / file).write_bytes(which.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, how))
+    for path in key_pair(folder, "bench", start=-1, days=3, hosts=["localhost", LOOPBACK]):
+        path.rename(folder / path.name.removeprefix("bench-"))
+    key_pair(folder, "other")[0].rename(folder / "other.pem")
+    key = load_pem_private_key((folder / "key.pem").read_bytes(), None)
+    encrypted = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, BestAvailableEncryption(b"secret"))
+    (folder / "encrypted.pem").write_bytes(encrypted)
     return folder
 
 

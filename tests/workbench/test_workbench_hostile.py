@@ -17,7 +17,7 @@ from piga.errors import ArgumentError
 from piga.workbench.app import MOST_CONNECTIONS
 from piga.workbench.folder import Folder, OutsideError
 from piga.workbench.jobs import MOST_RUNNING, Jobs
-from tests.workbench.conftest import Client, Server, entered, shipped_record
+from tests.workbench.conftest import Client, Server, entered, shipped_record, wait_until
 from tests.workbench.size import memory
 
 EVIL = "\"'><img src=x onerror=alert(1)></textarea><script>alert(1)</script>{{7*7}}"
@@ -70,10 +70,7 @@ def test_half_requests_keep_nobody_out(client: Client, server: Server) -> None:
     finally:
         for raw in held:
             raw.close()
-    limit = time.monotonic() + 20.0
-    while list((server.folder / ".piga-ui" / "parts").iterdir()):
-        assert time.monotonic() < limit, "a broken upload leaves its part"
-        time.sleep(0.1)
+    wait_until(lambda: not list((server.folder / ".piga-ui" / "parts").iterdir()))
     assert not list(server.folder.glob("*slow*"))
     assert "Records" in client.page("/")
 
@@ -146,10 +143,7 @@ def test_clients_that_read_nothing_take_no_memory(tmp_path: Path) -> None:
         assert memory(running.process.pid) - before < 150.0
         while held:
             held.pop().close()
-        limit = time.monotonic() + 20.0
-        while client.ask("/jobs")[0] == 503:  # until the server has seen that they left
-            assert time.monotonic() < limit
-            time.sleep(0.05)
+        wait_until(lambda: client.ask("/jobs")[0] != 503)  # the server sees that they left
         client.page("/jobs")
     finally:
         for raw in held:
@@ -377,4 +371,49 @@ def test_state_folders_that_lead_out_are_refused(tmp_path: Path) -> None:
     (lab / ".piga-ui" / "signals").symlink_to(outside)
     with pytest.raises(OutsideError):
         Folder(lab).state_room("signals")
+    assert not list(outside.iterdir())
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
+def test_results_are_not_written_through_a_link_that_leads_out(tmp_path: Path) -> None:
+    outside, lab = tmp_path / "outside", tmp_path / "lab"
+    outside.mkdir()
+    lab.mkdir()
+    shipped_record(lab)
+    kept = lab / "x-calibration"
+    kept.mkdir()
+    (kept / "calibration.json").write_text(json.dumps({"instrument": {"serial": "x"}}), encoding="utf-8")
+    for name in ("tumble-a-calibration", "reproduction", "trend-x", "certificate-x-calibration", "p-plan"):
+        (lab / name).symlink_to(outside)
+    trial = lab / ".piga-ui" / "trials" / "0123456789ab"
+    place = lab / ".piga-ui" / "jobs" / "20990101-000000-abcdef"
+    for folder in (trial, place):
+        folder.mkdir(parents=True)
+    (trial / "calibration.json").write_text("{}", encoding="utf-8")
+    job = {
+        "command": ["calibrate", "tumble-a.toml"],
+        "title": "Calibrate",
+        "subject": "tumble-a.toml",
+        "key": "x",
+    }
+    job |= {"result": ".piga-ui/trials/0123456789ab"}
+    (place / "job.json").write_text(json.dumps(job), encoding="utf-8")
+    (place / "end.json").write_text(json.dumps({"code": 0, "seconds": 1.0}), encoding="utf-8")
+    running = entered(lab)
+    try:
+        for path, fields in (
+            (f"/result/{place.name}/adopt", {}),
+            ("/explore/reproduce", {}),
+            ("/instrument/trend", {"serial": "x"}),
+            ("/plan", {"name": "p", "text": "a = 1", "do": "plan"}),
+            (
+                "/certificate",
+                {"name": "c", "text": "a = 1", "calibration": "x-calibration/calibration.json", "do": "issue"},
+            ),
+        ):
+            status, _, body = running.client.post(path, fields)
+            assert status == 404, (path, status)
+            assert b"is not a regular file of this folder" in body, path
+    finally:
+        assert running.end() == (0, "")
     assert not list(outside.iterdir())

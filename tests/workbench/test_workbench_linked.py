@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.workbench.conftest import Browser
+from tests.workbench.conftest import Browser, wait_until
 
 pytestmark = pytest.mark.only_compiled
 SELECTED = """key => document.getElementById(key).querySelector('.live').data
@@ -83,7 +83,7 @@ def test_a_segment_is_selected_everywhere(browser: Browser, report: tuple[str, A
            const at = meta.findIndex(segment => segment !== 3); return [at, meta[at]]; }"""
     )
     frame.locator("#segment-rms .trace.scatter").nth(1).locator("path.point").nth(index).click(force=True)
-    _until(lambda: frame.locator("#chosen").input_value() == str(other))
+    wait_until(lambda: frame.locator("#chosen").input_value() == str(other))
     assert frame.locator("tr.selected").first.get_attribute("data-segment") == str(other)
     assert button.get_attribute("aria-pressed") == "false"
     again = residuals[residuals["segment"] == other]
@@ -126,10 +126,3 @@ def test_the_report_alone_does_the_same_and_is_accessible(browser: Browser, repo
 
 def _alone(path: str) -> str:
     return path.replace("/result/", "/jobs/") + "/file/report.html"
-
-
-def _until(holds: Any) -> None:
-    limit = time.monotonic() + 20.0
-    while not holds():
-        assert time.monotonic() < limit
-        time.sleep(0.05)

@@ -23,7 +23,7 @@ from msgspec import Meta
 
 from piga.errors import RunFileError
 from piga.records.run_file import Quantity, TomlTable
-from piga.records.text_files import read_toml, toml_document
+from piga.records.text_files import read_toml, toml_bytes, toml_document
 
 Count = Annotated[int, Meta(ge=1, le=1_000_000_000)]
 Subject = Literal["constant-force", "stand", "platform", "archive"]
@@ -235,7 +235,8 @@ def replace_value(document: dict[str, Any], key: str, value: Any) -> None:
 # --- drawing -----------------------------------------------------------------------------------------
 
 
-_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)", re.DOTALL)
+NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)", re.DOTALL)
+"""Number and unit of a quantity."""
 _NEEDED = {
     "uniform": ("low", "high"),
     "log-uniform": ("low", "high"),
@@ -248,7 +249,7 @@ def _number(value: Quantity) -> tuple[float, str]:
     """Number and unit of a quantity."""
     if not isinstance(value, str):
         return float(value), ""
-    match = _NUMBER.fullmatch(value)
+    match = NUMBER.fullmatch(value)
     if match is None:
         raise ValueError(f"'{value}' does not begin with a number")
     return float(match[1]), match[2].strip()
@@ -313,17 +314,11 @@ def read_campaign(path: str | Path) -> CampaignPlan:
         scenario. The message names file and key.
     """
     path = Path(path)
-    texts = {"": _bytes(path)}
+    texts = {"": toml_bytes(path)}
     file = read_toml(path, CampaignFile, texts[""])
     for name in dict.fromkeys(n for n in (file.scenario, *(case.scenario for case in file.case)) if n):
-        texts[name] = _bytes(path.parent / name)
+        texts[name] = toml_bytes(path.parent / name)
     return plan_of(path, texts)
-
-
-def _bytes(path: Path) -> bytes:
-    from piga.records.text_files import toml_bytes
-
-    return toml_bytes(path)
 
 
 def plan_of(path: Path, texts: Mapping[str, bytes], archive: int | None = None) -> CampaignPlan:

@@ -11,7 +11,7 @@ import math
 import shlex
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -299,7 +299,7 @@ def collect(campaign: Campaign) -> Collected:
 def repeat_command(campaign: Campaign, record: RecordName) -> str:
     """The command that repeats one record."""
     if record.group.subject == "archive" and campaign.archive is not None:
-        return f"piga calibrate {shlex.quote(campaign.archive.files[record.number][0])}"
+        return f"piga calibrate {shlex.quote(campaign.archive.files[record.number].run)}"
     name = shlex.quote(campaign.plan.path.name)
     return f"piga campaign repeat {name} --case {record.case} --repeat {record.repeat} --out DIR"
 
@@ -472,14 +472,8 @@ def _coefficient(name: str, sums: Sums, subject: Subject) -> CampaignCoefficient
     bound2 = sums.bound2 / sums.bounded if sums.bounded else None
     share = sums.held / k
     truth = subject != "archive"
-    return CampaignCoefficient(
-        name,
-        sums.unit,
-        n,
-        plain.mean,
-        std,
-        sums.lowest,
-        sums.highest,
+    return replace(
+        plain,
         coverage=share if truth else None,
         coverage_std_error=_share_error(sums.held, k) if truth else None,
         bias=bias,
@@ -553,20 +547,15 @@ def coefficient_document(c: CampaignCoefficient) -> dict[str, Any]:
     return {name: finite(getattr(c, name)) for name in names}
 
 
-def table_rows(collected: Collected) -> list[dict[str, Any]]:
-    """One row per group and coefficient, for ``coefficients.csv``."""
-    return [
+def write_table(collected: Collected, path: Path) -> None:
+    """Write one row per group and coefficient as CSV."""
+    import csv
+
+    rows = [
         {"group": result.group.label} | coefficient_document(c)
         for result in collected.groups
         for c in result.coefficients
     ]
-
-
-def write_table(collected: Collected, path: Path) -> None:
-    """Write :func:`table_rows` as CSV."""
-    import csv
-
-    rows = table_rows(collected)
     with path.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.DictWriter(stream, list(rows[0]) if rows else ["group"], lineterminator="\n")
         writer.writeheader()

@@ -13,22 +13,18 @@ import json
 import math
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from piga.campaign.campaign_file import CampaignFile, CampaignPlan, plan_of, read_campaign
-from piga.campaign.subjects import Archive, compute
+from piga.campaign.subjects import Archive, ArchiveFile, compute
 from piga.errors import ArgumentError, PigaError, RunFileError
 from piga.output import write_whole
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 SCHEMA = "piga.campaign/1"
 MANIFEST, ARCHIVE, PARTS, ASIDE, LOCK = "manifest.json", "archive.parquet", "parts", "set-aside", "running.lock"
@@ -123,16 +119,12 @@ class Campaign:
         from pyarrow import parquet
 
         table = parquet.read_table(self.folder / ARCHIVE)
-        columns = [table.column(name).to_pylist() for name in _ARCHIVE_COLUMNS]
         store = self.plan.file.archive.store
         return Archive(
             self.plan.path.parent,
-            tuple(zip(*columns, strict=True)),
+            tuple(ArchiveFile(**row) for row in table.select(list(ArchiveFile._fields)).to_pylist()),
             None if store is None else where_is(self.plan.path.parent, store),
         )
-
-
-_ARCHIVE_COLUMNS = ("run", "size", "time_ns", "sha256", "stored")
 
 
 def where_is(folder: Path, store: str) -> str:
@@ -195,11 +187,12 @@ def plan_campaign(path: str | Path, folder: str | Path) -> Campaign:
     """
     path, folder = Path(os.path.abspath(path)), Path(folder)  # noqa: PTH100 - symbolic links stay as they are named
     plan = read_campaign(path)
-    files: list[tuple[str, int, int, str, str | None]] = []
+    files: list[ArchiveFile] = []
     digest = None
     if plan.file.archive is not None:
         files = _listed(path, plan.file)
-        digest = hashlib.sha256(json.dumps([(n, s, h, r) for n, s, _, h, r in files]).encode()).hexdigest()
+        told = [(one.run, one.size, one.sha256, one.stored) for one in files]
+        digest = hashlib.sha256(json.dumps(told).encode()).hexdigest()
         plan = plan_of(path, plan.texts, len(files))
     texts = {name: raw.decode("utf-8") for name, raw in plan.texts.items()}
     wanted = Manifest(SCHEMA, str(path), texts, plan.records, 1, software(), digest)
@@ -308,7 +301,7 @@ def shard_size(records: int, seconds: float) -> int:
 # --- archive -----------------------------------------------------------------------------------------
 
 
-def _listed(path: Path, file: CampaignFile) -> list[tuple[str, int, int, str, str | None]]:
+def _listed(path: Path, file: CampaignFile) -> list[ArchiveFile]:
     """Run files of an archive in the order of their names, with the stored record of each."""
     table = file.archive
     if table is None:
@@ -321,7 +314,7 @@ def _listed(path: Path, file: CampaignFile) -> list[tuple[str, int, int, str, st
             remedy="patterns are relative to the campaign file, e.g. '2024/**/*.toml'",
         )
     stored = {} if table.store is None else _stored(where_is(path.parent, table.store))
-    return [(*_facts(path.parent / name, name), stored.get(_digest(path.parent / name))) for name in names]
+    return [_facts(path.parent / name, name, stored) for name in names]
 
 
 def _matching(folder: Path, pattern: str) -> Iterator[str]:
@@ -330,17 +323,12 @@ def _matching(folder: Path, pattern: str) -> Iterator[str]:
             yield name.replace(os.sep, "/")
 
 
-def _facts(path: Path, name: str) -> tuple[str, int, int, str]:
-    status = path.stat()
-    return name, status.st_size, status.st_mtime_ns, _digest(path)
-
-
-def _digest(path: Path) -> str:
-    """SHA-256 of a file; empty if it cannot be read. Its record then holds the reason."""
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError:
-        return ""
+def _facts(path: Path, name: str, stored: dict[str, str]) -> ArchiveFile:
+    """A run file. Its SHA-256 is empty if it cannot be read; its record then holds the reason."""
+    status, digest = path.stat(), ""
+    with suppress(OSError):
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return ArchiveFile(name, status.st_size, status.st_mtime_ns, digest, stored.get(digest))
 
 
 def _stored(where: str) -> dict[str, str]:
@@ -352,16 +340,11 @@ def _stored(where: str) -> dict[str, str]:
     return {file.sha256: name for file, name in records if file is not None}
 
 
-def _write_archive(files: Sequence[tuple[str, int, int, str, str | None]], path: Path) -> None:
+def _write_archive(files: list[ArchiveFile], path: Path) -> None:
+    import pyarrow as pa
     from pyarrow import parquet
 
-    write_whole(path, lambda part: parquet.write_table(_archive_table(files), part, compression="zstd"))
-
-
-def _archive_table(files: Sequence[Any]) -> pa.Table:
-    import pyarrow as pa
-
     types = (pa.string(), pa.int64(), pa.int64(), pa.string(), pa.string())
-    columns = zip(*files, strict=True)
-    arrays = [pa.array(column, kind) for column, kind in zip(columns, types, strict=True)]
-    return pa.Table.from_arrays(arrays, names=list(_ARCHIVE_COLUMNS))
+    schema = pa.schema(zip(ArchiveFile._fields, types, strict=True))
+    table = pa.Table.from_pylist([file._asdict() for file in files], schema)
+    write_whole(path, lambda part: parquet.write_table(table, part, compression="zstd"))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from piga.campaign.campaign_file import NUMBER
 from piga.campaign.collect import EDGES, CampaignCoefficient, Collected, GroupResult
 from piga.records.terms import shown_unit
 from piga.reports.render.figure import Axis, Figure, Panel, Series
@@ -365,17 +366,19 @@ def _grid_figures(collected: Collected) -> list[Figure]:
     """For each coefficient a figure over the first numeric key of the grid, with a line for each value of the other keys."""
     results = [result for result in collected.groups if result.group.set]
     keys = list(results[0].group.set) if results else []
-    key = next((k for k in keys if len({_as_number(r.group.set.get(k)) for r in results} - {None}) > 1), None)
+    key = next(
+        (k for k in keys if len({_as_quantity(r.group.set.get(k))[0] for r in results} - {None}) > 1), None
+    )
     if key is None:
         return []
     names = dict.fromkeys(c.name for r in results for c in r.coefficients)
     return [_grid_figure(results, key, name) for name in list(names)[: SHOWN.figures]]
 
 
-def _as_number(value: object) -> float | None:
-    """The number of a quantity of the grid."""
-    match = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", str(value))
-    return float(match[0]) if match else None
+def _as_quantity(value: object) -> tuple[float | None, str]:
+    """Number and unit of a value of the grid. A text that is no quantity is all unit."""
+    match = NUMBER.fullmatch(str(value))
+    return (float(match[1]), match[2]) if match else (None, str(value))
 
 
 def _grid_figure(results: list[GroupResult], key: str, name: str) -> Figure:
@@ -383,7 +386,7 @@ def _grid_figure(results: list[GroupResult], key: str, name: str) -> Figure:
     unit, judged = "", False
     for result in results:
         c = next((one for one in result.coefficients if one.name == name), None)
-        x = _as_number(result.group.set.get(key))
+        x, _ = _as_quantity(result.group.set.get(key))
         if c is None or x is None:
             continue
         scale, unit = shown_unit(c.name, c.unit)
@@ -400,8 +403,7 @@ def _grid_figure(results: list[GroupResult], key: str, name: str) -> Figure:
     for index, (label, line) in enumerate(list(lines.items())[: len(roles)]):
         x, y, error = np.array(sorted(line)).T
         series.append(Series(x, y, label, mark="line+points", role=roles[index], error=error))  # type: ignore[arg-type]
-    text = str(next(iter(r.group.set[key] for r in results)))
-    shown = re.sub(r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", "", text)
+    _, shown = _as_quantity(results[0].group.set[key])
     quantity = f"error of {name}" if judged else name
     return Figure(
         f"grid-{re.sub('[^A-Za-z0-9]+', '-', name).strip('-')}",

@@ -71,15 +71,16 @@ def run_shard(folder: str, shard: int) -> ShardReport:
     PigaError
         If the worker has other software or does not see the folder, or if the part cannot be written.
     """
+    import numba
+
     campaign = _opened(folder, _stamp(folder))
     worker = f"{socket.gethostname()}:{os.getpid()}"
     if campaign.part(shard).exists():
         return ShardReport(shard, 0, 0, 0.0, worker)
-    _one_thread()
+    numba.set_num_threads(1)
     began = time.process_time()
     rows = [_row(campaign, number) for number in campaign.records_of(shard)]
-    table = _table(rows, campaign.key)
-    _write(table, campaign.part(shard))
+    _write(rows, campaign.key, campaign.part(shard))
     failed = sum(row["error_class"] is not None for row in rows)
     return ShardReport(shard, len(rows), failed, time.process_time() - began, worker)
 
@@ -112,12 +113,6 @@ def _opened(folder: str, _time: int) -> Campaign:
     return campaign
 
 
-def _one_thread() -> None:
-    import numba
-
-    numba.set_num_threads(1)
-
-
 def _row(campaign: Campaign, number: int) -> dict[str, Any]:
     """A row of the part. A record that fails is a row with its reason."""
     record = campaign.plan.record(number)
@@ -126,7 +121,7 @@ def _row(campaign: Campaign, number: int) -> dict[str, Any]:
         "record": number,
         "case": record.case,
         "repeat": record.repeat,
-        "source": None if archive is None else archive.files[number][0],
+        "source": None if archive is None else archive.files[number].run,
         "error_class": None,
         "error": None,
     }
@@ -194,17 +189,13 @@ def part_schema() -> pa.Schema:
     )
 
 
-def _table(rows: list[dict[str, Any]], key: str) -> pa.Table:
+def _write(rows: list[dict[str, Any]], key: str, path: Path) -> None:
     import pyarrow as pa
+    from pyarrow import parquet
 
     schema = part_schema()
     arrays = [pa.array([row.get(field.name) for row in rows], field.type) for field in schema]
-    return pa.Table.from_arrays(arrays, schema=schema.with_metadata({KEY: key.encode()}))
-
-
-def _write(table: pa.Table, path: Path) -> None:
-    from pyarrow import parquet
-
+    table = pa.Table.from_arrays(arrays, schema=schema.with_metadata({KEY: key.encode()}))
     write_whole(
         path,
         lambda part: parquet.write_table(table, part, compression="zstd"),

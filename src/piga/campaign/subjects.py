@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -65,12 +65,22 @@ class Outcome:
     verdict: str | None = None
 
 
+class ArchiveFile(NamedTuple):
+    """A run file of an archive: path as written, size, time, SHA-256, and the stored record (None: not in the store)."""
+
+    run: str
+    size: int
+    time_ns: int
+    sha256: str
+    stored: str | None
+
+
 @dataclass(frozen=True)
 class Archive:
-    """Run files of an archive: path as written, size, time, SHA-256, and the stored record (None: not in the store)."""
+    """The run files of an archive, and the store that holds their calibrations."""
 
     folder: Path
-    files: tuple[tuple[str, int, int, str, str | None], ...] = field(repr=False)
+    files: tuple[ArchiveFile, ...] = field(repr=False)
     store: str | None
 
 
@@ -341,9 +351,9 @@ def _recalibrated(plan: CampaignPlan, archive: Archive, number: int) -> Outcome:
     from piga.calibration.calibrate import calibrate
     from piga.stand import read_run
 
-    name, _, _, digest, stored = archive.files[number]
-    path = archive.folder / name
-    _check_unchanged(path, digest)
+    file = archive.files[number]
+    path, stored = archive.folder / file.run, file.stored
+    _check_unchanged(path, file.sha256)
     wish: Mapping[str, Any] = {}
     old: Calibration | None = None
     if stored is not None and archive.store is not None:

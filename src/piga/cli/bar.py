@@ -55,11 +55,7 @@ class Bar:
     ) -> None:
         self._bar.stop()
 
-    def __call__(self, count: int, total: int | None = None, /) -> None:
-        """``count`` more of ``total`` are done."""
-        self._bar.update(self._task, advance=count, total=total)
-
-    def show(self, done: float, total: float, what: str) -> None:
+    def show(self, done: float, total: float | None, what: str) -> None:
         """``done`` of ``total`` are done, and ``what`` comes now."""
         self._bar.update(
             self._task,

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import ForceOption, JsonOption, files_named_in, print_json, progress, say
+from piga.cli.common import ForceOption, JsonOption, files_named_in, names_in, print_json, progress, say
 from piga.data import EXAMPLE, copy_example
 from piga.output import CALIBRATION_RESULTS, results
 
 if TYPE_CHECKING:
     from piga.calibration.joint.summary import RunSummary
-    from piga.progress import Progress
     from piga.records import Calibration, Run
 
 RunFilesArgument = Annotated[
@@ -72,15 +71,18 @@ def calibrate(
 
     Writes calibration.json, residuals.parquet and report.html. Several runs of one instrument are calibrated together.
     """
+    from piga.calibration.calibrate import calibrate as estimate
+
     default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
     directory = out or runs[0].with_name(default)
     inputs = [path for run in runs for path in files_named_in(run)]
     with results(directory, "calibrate", CALIBRATION_RESULTS, inputs, force=force) as stage:
         items = read_items(runs) if compare is None else _with_sets(read_items(runs), compare)
         with progress("calibrating") as advance:
-            calibration = _estimate(
-                items, _names(terms), method, phases, phase_source, _names(per_run), advance.show
-            )
+            calibration = estimate(
+                items, names_in(terms), method, phases=phases, phase_source=phase_source,
+                per_run=names_in(per_run), progress=advance.show,
+            )  # fmt: skip
         with progress("writing the report" if report else "writing"):
             written = write_results(calibration, stage, report=report)
             written += write_summaries(items, stage) if summary else []
@@ -100,10 +102,6 @@ def calibrate(
         say(f"wrote {directory / path.name}")
 
 
-def _names(text: str | None) -> list[str] | None:
-    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
-
-
 def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummary]:
     """The run, with these sets of terms to compare. Only one run is allowed."""
     from dataclasses import replace
@@ -117,7 +115,7 @@ def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummar
     item = items[0]
     if len(items) > 1 or isinstance(item, RunSummary):
         raise ArgumentError("--compare: term sets are compared on one run", remedy="name one run file")
-    sets = tuple(tuple(_names(part) or ()) for part in text.split(";") if part.strip())
+    sets = tuple(tuple(names_in(part) or ()) for part in text.split(";") if part.strip())
     if not sets:
         raise ArgumentError("--compare: there is no set of terms", remedy="e.g. 'scale_factor,tan_beta; k0'")
     for index, terms in enumerate(sets, start=1):
@@ -132,31 +130,6 @@ def read_items(paths: list[Path]) -> list[Run | RunSummary]:
 
     with progress("reading"):
         return [RunSummary.from_json(path) if path.suffix == ".json" else read_run(path) for path in paths]
-
-
-def _estimate(
-    items: list[Run | RunSummary],
-    terms: list[str] | None,
-    method: str | None,
-    phases: str | None,
-    phase_source: str | None,
-    per_run: list[str] | None,
-    progress: Progress,
-) -> Calibration:
-    from piga.calibration.calibrate import calibrate as estimate
-
-    return estimate(
-        items, terms, method, phases=phases, phase_source=phase_source, per_run=per_run, progress=progress
-    )
-
-
-def run_calibration(
-    run: Path, terms: list[str] | None, method: str | None, phases: str | None, phase_source: str | None
-) -> Calibration:
-    """Read and calibrate one run, with progress."""
-    items = read_items([run])
-    with progress("calibrating") as advance:
-        return _estimate(items, terms, method, phases, phase_source, None, advance.show)
 
 
 def write_summaries(items: list[Run | RunSummary], directory: Path) -> list[Path]:
@@ -202,6 +175,7 @@ def demo(
     force: ForceOption = False,
 ) -> None:
     """Calibrate and compensate the shipped record, with a report."""
+    from piga.calibration.calibrate import calibrate as estimate
     from piga.compensation import compensate
     from piga.reports.calibration.page import calibration_text
     from piga.stand import read_run
@@ -209,11 +183,14 @@ def demo(
     names = (*CALIBRATION_RESULTS, "compensated.parquet", f"{EXAMPLE}.csv", f"{EXAMPLE}.toml")
     with results(out, "demo", names, (), force=force) as folder:
         run = copy_example(folder)
-        calibration = run_calibration(run, None, None, None, None)
+        with progress("reading"):
+            record = read_run(run)
+        with progress("calibrating") as advance:
+            calibration = estimate([record], progress=advance.show)
         with progress("writing the report"):
             written = [*write_results(calibration, folder), folder / "compensated.parquet"]
         with progress("compensating"):
-            compensate(read_run(run), calibration).to_parquet(written[-1])
+            compensate(record, calibration).to_parquet(written[-1])
     say(calibration_text(calibration))
     say("")
     run = out / run.name

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import App, ForceOption, JsonOption, note, print_json, say, write_text
+from piga.cli.common import App, ForceOption, JsonOption, note, print_json, say, write_json
 from piga.output import results
 
 if TYPE_CHECKING:
@@ -126,8 +126,6 @@ def collect(folder: Folder, force: ForceOption = False, as_json: JsonOption = Fa
 
     Writes collected/collect.json, coefficients.csv and report.html. Exit code 1 if shards were set aside.
     """
-    import json
-
     from piga.campaign.collect import collect as collect_campaign
     from piga.campaign.collect import document as json_document
     from piga.campaign.collect import write_table
@@ -140,7 +138,7 @@ def collect(folder: Folder, force: ForceOption = False, as_json: JsonOption = Fa
     names = ("collect.json", "coefficients.csv", "report.html")
     inputs = [folder / "manifest.json"]
     with results(folder / "collected", "campaign-collect", names, inputs, force=force, option="DIR") as stage:
-        write_text(stage / names[0], json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+        write_json(stage / names[0], document)
         write_table(collected, stage / names[1])
         write_campaign_report(collected, stage / names[2])
     if as_json:

@@ -7,9 +7,9 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Any, Protocol, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
@@ -123,24 +123,6 @@ def note(text: str) -> None:
         sys.stderr.flush()
 
 
-def output_directory(path: Path, option: str = "--out") -> Path:
-    """Create the output directory that ``option`` names.
-
-    Raises
-    ------
-    PigaError
-        If the path is a file or cannot be created.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise PigaError(
-            f"{option} {path}: the directory cannot be created ({error.strerror})",
-            remedy="name a directory you may write to",
-        ) from None
-    return path
-
-
 def files_named_in(path: Path) -> list[Path]:
     """A TOML file and all files that it names, directly or indirectly. A command may read them and must not overwrite them."""
     from piga.records.text_files import files_named_in
@@ -165,27 +147,35 @@ def write_text(path: Path, text: str) -> Path:
     return path
 
 
-class Advance(Protocol):
-    """Function that advances a progress bar: work done since the last call, and total work if known."""
+def write_json(path: Path, document: Any) -> Path:
+    """Write a document as indented JSON."""
+    return write_text(path, json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def names_in(text: str | None) -> list[str] | None:
+    """The names of an option ``A,B,...``; None if it is not given."""
+    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
+
+
+Show = Callable[[float, float | None, str], None]
+"""Function that shows progress: work done, the whole work if known, and what comes now."""
+
+
+class Advance:
+    """How far a command is. Library functions take ``show`` as ``progress``."""
+
+    def __init__(self, total: float | None, show: Show) -> None:
+        self.show = show
+        self._done, self._total = 0.0, total
 
     def __call__(self, count: int, total: int | None = None, /) -> None:
         """``count`` more of ``total`` are done."""
-
-    def show(self, done: float, total: float, what: str) -> None:
-        """``done`` of ``total`` are done, and ``what`` comes now. Library functions take it as ``progress``."""
-
-
-class _Silent:
-    """A bar that is not drawn: stderr is not a terminal."""
-
-    def __call__(self, _count: int, _total: int | None = None, /) -> None:
-        """Draw nothing."""
-
-    def show(self, _done: float, _total: float, _what: str) -> None:
-        """Draw nothing."""
+        self._done += count
+        self._total = total or self._total
+        self.show(self._done, self._total, "")
 
 
-outlet: Callable[[str, int | None], AbstractContextManager[Advance]] | None = None
+outlet: Callable[[str, int | None], Show] | None = None
 """Where progress goes instead of a bar; set by a process that runs a command for another program."""
 
 
@@ -198,16 +188,15 @@ def progress(title: str, total: int | None = None) -> Iterator[Advance]:
     """
     try:
         if outlet is not None:
-            with outlet(title, total) as bar:
-                yield bar
+            yield Advance(total, outlet(title, total))
             return
         if sys.stderr is None or not sys.stderr.isatty():
-            yield _Silent()
+            yield Advance(total, lambda _done, _total, _what: None)
             return
         from piga.cli.bar import Bar
 
         with Bar(title, total) as drawn:
-            yield drawn
+            yield Advance(total, drawn.show)
     except KeyboardInterrupt as stop:
         stop.add_note(f"{DOING}{title}")
         raise

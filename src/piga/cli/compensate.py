@@ -111,6 +111,7 @@ def compensate(
     check_outputs(
         [out, *([] if page is None else [page])], inputs, force=force, ours=lambda path: begun and path == out
     )
+    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # PyArrow's own keeps 30 MB of unused memory
     options = _Options(method, given, uncertainty, max_age, other_serial, period)
     if several:
         summary = _together(run, sources, calibrations, out, options, page)
@@ -131,7 +132,7 @@ def compensate(
 
 
 def _verdicts(calibrations: list[Calibration]) -> list[dict[str, Any]]:
-    """Print the doubts about the calibrations used."""
+    """What the calibrations used do not hold for, as JSON values."""
     return [
         {
             "serial": one.serial,
@@ -268,7 +269,6 @@ def _single(
     from piga.records.spool import give_back
     from piga.stand import read_run
 
-    _spare_memory()
     kind = format_of(target.out)
     with progress("reading"):
         record = read_run(run, held=HELD_ROWS)
@@ -323,11 +323,6 @@ def _with_phase(options: _Options, phase: Phase | None) -> _Options:
     return replace(options, phase=phase)
 
 
-def _spare_memory() -> None:
-    """Let PyArrow use the system allocator: its own allocator keeps 30 MB of unused memory."""
-    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
-
-
 def _together(
     runs: list[Path], sources: list[tuple[str, str]], calibrations: list[Calibration], out: Path, options: _Options,
     page: Path | None,
@@ -335,7 +330,6 @@ def _together(
     from piga.compensation.result import format_of
     from piga.compensation.sets.set_files import compensate_set_files, orthogonal_triad, read_triad
 
-    _spare_memory()
     kind = format_of(out)
     if len(runs) == 1:
         paths, mounted, inputs = read_triad(runs[0])

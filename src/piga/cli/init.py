@@ -135,17 +135,12 @@ def _answer(words: str) -> str:
 
 
 def _print_columns(described: LogDescription) -> None:
-    from piga.describe.columns import WORDS
-
     layout = described.layout
     if layout is not None:
         say(f"{described.path}: {layout.encoding.value} text; names in row {layout.header_row.value}")
     width = max((len(column.name) for column in described.columns), default=0)
     for column in described.columns:
-        axis = "" if column.axis is None else f" {'XYZ'[column.axis]}0"
-        unit = f" [{column.unit}]" if column.unit else f" ({column.stamp})" if column.stamp else ""
-        others = f"; or {', '.join(column.alternatives)}" if column.alternatives else ""
-        say(f"  {column.name:<{width}}  {WORDS[column.kind]}{axis}{unit}: {column.reason}{others}")
+        say(f"  {column.name:<{width}}  {column.words}")
 
 
 def _tried(draft: RunFileDraft, target: Path) -> Run | PigaError:

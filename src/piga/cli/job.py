@@ -9,7 +9,7 @@ import json
 import signal
 import sys
 import time
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,30 +21,20 @@ class Note:
     """Progress as a small file: what is done now, and which share of it is done, if known."""
 
     def __init__(self, path: Path, title: str, total: float | None) -> None:
-        self._path, self._title, self._total = path, title, total
-        self._done, self._last = 0.0, 0.0
-        self._write(title)
+        self._path, self._title, self._last = path, title, 0.0
+        self.show(0.0, total, "")
 
-    def __call__(self, count: int, total: int | None = None, /) -> None:
-        """``count`` more of ``total`` are done."""
-        self._done += count
-        self._total = total or self._total
-        self._write(self._title)
-
-    def show(self, done: float, total: float, what: str) -> None:
+    def show(self, done: float, total: float | None, what: str) -> None:
         """``done`` of ``total`` are done, and ``what`` comes now."""
-        self._done, self._total = done, total
-        self._write(f"{self._title}: {what}" if what else self._title)
-
-    def _write(self, what: str) -> None:
         now = time.monotonic()
         if self._last and now - self._last < BETWEEN:
             return
         self._last = now
-        share = min(self._done / self._total, 1.0) if self._total else None
+        share = min(done / total, 1.0) if total else None
+        words = f"{self._title}: {what}" if what else self._title
         part = self._path.with_suffix(".part")
         with suppress(OSError):
-            part.write_text(json.dumps({"what": what, "share": share}), encoding="utf-8")
+            part.write_text(json.dumps({"what": words, "share": share}), encoding="utf-8")
             part.replace(self._path)
 
 
@@ -67,7 +57,7 @@ def run(folder: Path, arguments: list[str]) -> None:
         from piga.cli import common
         from piga.cli.main import guarded, main
 
-        common.outlet = lambda title, total: nullcontext(Note(folder / "progress", title, total))
+        common.outlet = lambda title, total: Note(folder / "progress", title, total).show
         if arguments[:1] == ["envelopes"]:
             guarded(lambda: _envelopes(Path(arguments[1]), Path(arguments[2])))
         else:

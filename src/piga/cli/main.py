@@ -86,7 +86,7 @@ for command in (
     app.command()(command)
 app.add_typer(platform.app)
 app.add_typer(campaign.app)
-trend.register(records.app)
+records.app.command()(trend.trend)
 app.add_typer(records.app)
 app.add_typer(certificate.app)
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from piga.cli.common import (
+    Advance,
     App,
     ForceOption,
     files_named_in,
@@ -16,6 +18,7 @@ from piga.cli.common import (
     print_json,
     progress,
     say,
+    write_json,
     write_text,
 )
 from piga.output import results
@@ -63,10 +66,8 @@ def simulate(
     _announce(read.steps + 1, READOUT_COLUMNS + TRUTH_COLUMNS, 2, every)
     run = _simulated(read)
     readouts, truth = (_thinned(table, every) for table in (readouts_table(run.readouts), truth_table(run)))
-    with (
-        _results(out, "simulate", scenario, force, "readouts.parquet", "truth.parquet") as folder,
-        progress("writing data and report"),
-    ):
+    files = ("readouts.parquet", "truth.parquet")
+    with _results(out, "simulate", scenario, force, *files) as (folder, _):
         _parquet(readouts, folder / "readouts.parquet")
         _parquet(truth, folder / "truth.parquet")
         _page(folder, simulation_page(run))
@@ -74,18 +75,9 @@ def simulate(
         "rows": len(run.readouts.times),
         "duration_s": run.scenario.duration,
         "redundancy_deg": [_degrees(run.truth.eta[0]), _degrees(run.truth.eta[-1])],
-        "files": ["readouts.parquet", "truth.parquet", "report.html"],
+        "files": [*files, "report.html"],
     }
-    _finish(
-        document,
-        json,
-        "\n".join(
-            [
-                f"{len(run.readouts.times)} rows",
-                *_wrote(out, "readouts.parquet", "truth.parquet", "report.html"),
-            ]
-        ),
-    )
+    _finish(document, json, [f"{len(run.readouts.times)} rows"], out, *files, "report.html")
 
 
 @app.command()
@@ -117,18 +109,11 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
                 stretch, run.scenario.place, preparation.knowledge, orders=orders, progress=advance.show
             )
     document = alignment_document(aligned)
-    with (
-        _results(out, "align", scenario, force, "alignment.json") as folder,
-        progress("writing data and report"),
-    ):
-        _write_json(folder / "alignment.json", document)
+    with _results(out, "align", scenario, force, "alignment.json") as (folder, _):
+        write_json(folder / "alignment.json", document)
         _page(folder, alignment_page(run, aligned))
     worst = float(aligned.std[:3].max()) / ARCSEC
-    _finish(
-        document,
-        json,
-        "\n".join([f"triad attitude to {worst:.2g} arcsec", *_wrote(out, "alignment.json", "report.html")]),
-    )
+    _finish(document, json, [f"triad attitude to {worst:.2g} arcsec"], out, "alignment.json", "report.html")
 
 
 @app.command()
@@ -158,15 +143,12 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
         )
         sources = observability(stretch, identification)
     document = identification_document(identification, sources)
-    with (
-        _results(out, "identify", scenario, force, "identification.json") as folder,
-        progress("writing data and report"),
-    ):
-        _write_json(folder / "identification.json", document)
+    with _results(out, "identify", scenario, force, "identification.json") as (folder, _):
+        write_json(folder / "identification.json", document)
         _page(folder, identification_page(run, identification, recursive, sources))
     numbers = [(p, rounded(p.value, p.std)) for p in identification.parameters]
     lines = [f"{p.name:<36}{n.value:>16} ± {n.uncertainty} {p.unit}" for p, n in numbers]
-    _finish(document, json, "\n".join([*lines, *_wrote(out, "identification.json", "report.html")]))
+    _finish(document, json, lines, out, "identification.json", "report.html")
 
 
 @app.command()
@@ -187,24 +169,18 @@ def navigate(
     _announce(navigated_rows(read), models * NAVIGATION_COLUMNS, models, every)
     comparison = _compared(read)
     tables = {name: _thinned(navigation_table(run), every) for name, run in comparison.models.items()}
-    with (
-        _results(out, "navigate", scenario, force, "navigation-*.parquet") as folder,
-        progress("writing data and report"),
-    ):
+    files = {name: f"navigation-{name}.parquet" for name in tables}
+    with _results(out, "navigate", scenario, force, "navigation-*.parquet") as (folder, _):
         for name, table in tables.items():
-            _parquet(table, folder / f"navigation-{name}.parquet")
+            _parquet(table, folder / files[name])
         _page(folder, navigation_page(comparison))
     worst = {m: float(r.errors.horizontal.max()) for m, r in comparison.models.items()}
     document = {
-        "models": {m: {"position_error_m": v, "file": f"navigation-{m}.parquet"} for m, v in worst.items()},
+        "models": {m: {"position_error_m": v, "file": files[m]} for m, v in worst.items()},
         "notes": list(comparison.preparation.notes),
     }
     lines = [f"{m:<6}largest horizontal position error {v:.4g} m" for m, v in worst.items()]
-    _finish(
-        document,
-        json,
-        "\n".join([*lines, *_wrote(out, *(f"navigation-{name}.parquet" for name in tables), "report.html")]),
-    )
+    _finish(document, json, lines, out, *files.values(), "report.html")
 
 
 @app.command()
@@ -236,19 +212,20 @@ def compare(
         document["budget"] = budget_document(rows)
     if lines:
         document["line_budget"] = line_budget_document(lines)
-    if out is not None:
-        from piga.platform.chain import capstone
-        from piga.reports.platform.page import capstone_page, comparison_page
+    if out is None:
+        _finish(document, json, _comparison_lines(comparison), Path())
+        return
+    from piga.platform.chain import capstone
+    from piga.reports.platform.page import capstone_page, comparison_page
 
-        with (
-            _results(out, "compare", scenario, force, "comparison.json", "capstone.html") as folder,
-            progress("writing data and report") as advance,
-        ):
-            _write_json(folder / "comparison.json", document)
-            _page(folder, comparison_page(comparison, rows, lines))
-            if s.sensors.piga is not None:
-                _page(folder, capstone_page(capstone(s, progress=advance.show)), "capstone.html")
-    _finish(document, json, _lines_text(comparison, out))
+    files = ["comparison.json", "report.html"]
+    with _results(out, "compare", scenario, force, "comparison.json", "capstone.html") as (folder, advance):
+        write_json(folder / "comparison.json", document)
+        _page(folder, comparison_page(comparison, rows, lines))
+        if s.sensors.piga is not None:
+            _page(folder, capstone_page(capstone(s, progress=advance.show)), "capstone.html")
+            files.append("capstone.html")
+    _finish(document, json, _comparison_lines(comparison), out, *files)
 
 
 def _simulated(scenario: PlatformScenario) -> PlatformRun:
@@ -265,17 +242,13 @@ def _compared(scenario: PlatformScenario) -> ModelComparisonRun:
         return compare_models(scenario, progress=advance.show)
 
 
-def _lines_text(comparison: ModelComparisonRun, out: Path | None) -> str:
+def _comparison_lines(comparison: ModelComparisonRun) -> list[str]:
     runs = comparison.models
     lines = [_day_table({m: r.lines.amplitude for m, r in runs.items()}, "east velocity line [m/s]")]
     equatorial = {m: r.lines.equatorial for m, r in runs.items() if r.lines.equatorial}
     if equatorial:
         lines.append(_day_table(equatorial, "east velocity line of the equatorial gyro's case [m/s]"))
-    lines += [f"note: {text}" for text in comparison.preparation.notes]
-    if out is not None:
-        gyro = comparison.run.scenario.sensors.piga is not None
-        lines += _wrote(out, "comparison.json", "report.html", *(["capstone.html"] if gyro else []))
-    return "\n".join(lines)
+    return lines + [f"note: {text}" for text in comparison.preparation.notes]
 
 
 def _day_table(amplitudes: Mapping[Model, Mapping[str, Array]], heading: str) -> str:
@@ -286,33 +259,31 @@ def _day_table(amplitudes: Mapping[Model, Mapping[str, Array]], heading: str) ->
     return "\n".join(rows)
 
 
-def _wrote(out: Path, *names: str) -> list[str]:
-    """A line for every file that was made."""
-    return [f"wrote {out / name}" for name in names]
-
-
-def _finish(document: dict[str, Any], as_json: bool, text: str) -> None:
+def _finish(document: dict[str, Any], as_json: bool, lines: list[str], out: Path, *names: str) -> None:
+    """Print the document, or the lines and the files that were made."""
     if as_json:
         print_json(document)
     else:
-        say(text)
+        say("\n".join([*lines, *(f"wrote {out / name}" for name in names)]))
 
 
-def _results(out: Path, command: str, scenario: Path, force: bool, *names: str) -> AbstractContextManager[Path]:
-    """A folder for the results and the page of a command."""
-    return results(out, f"platform-{command}", (*names, "report.html"), files_named_in(scenario), force=force)
+@contextmanager
+def _results(
+    out: Path, command: str, scenario: Path, force: bool, *names: str
+) -> Iterator[tuple[Path, Advance]]:
+    """A folder for the results and the page of a command, and the progress of writing them."""
+    every, inputs = (*names, "report.html"), files_named_in(scenario)
+    with (
+        results(out, f"platform-{command}", every, inputs, force=force) as folder,
+        progress("writing data and report") as advance,
+    ):
+        yield folder, advance
 
 
 def _page(folder: Path, page: Any, name: str = "report.html") -> None:
     from piga.reports.render.page import page_html
 
     write_text(folder / name, page_html(page))
-
-
-def _write_json(path: Path, document: dict[str, Any]) -> None:
-    import json
-
-    write_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def _parquet(table: Any, path: Path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,8 +11,9 @@ from piga.cli.common import (
     App,
     JsonOption,
     RunFileArgument,
+    counted,
+    names_in,
     note,
-    output_directory,
     print_json,
     print_json_list,
     progress,
@@ -38,7 +37,7 @@ def store_name(where: str) -> str:
 
 def say_head(records: int, head: str) -> None:
     """Print the number of records and the head that proves them."""
-    say(f"{records} record{'' if records == 1 else 's'}, head {head}")
+    say(f"{counted(records, 'record')}, head {head}")
 
 
 def record_document(record: Record) -> dict[str, Any]:
@@ -236,13 +235,11 @@ OperatorOption = Annotated[str, typer.Option("--operator", metavar="NAME", help=
 ReasonOption = Annotated[str, typer.Option("--reason", metavar="WORDS", help="Why.")]
 
 
-@contextmanager
-def opened(where: str, *, create: bool = False) -> Iterator[Store]:
-    """Open the store of a command."""
+def opened(where: str, *, create: bool = False) -> Store:
+    """The store of a command."""
     from piga.ledger.store import open_store
 
-    with open_store(where, create=create) as store:
-        yield store
+    return open_store(where, create=create)
 
 
 @app.command()
@@ -277,7 +274,7 @@ def add(
     """Calibrate a run and keep inputs, result and report. Creates the store if there is none."""
     from piga.ledger import prepare_results, prepare_run
 
-    wanted = None if terms is None else [name.strip() for name in terms.split(",") if name.strip()]
+    wanted = names_in(terms)
     if results is not None and any(option is not None for option in (wanted, method, phases, phase_source)):
         raise PigaError(
             "--results keeps the result of an earlier piga calibrate unchanged; options of the calibration do not apply",
@@ -360,7 +357,7 @@ def show(
         shown, head = kept.record(record), kept.head()
         calibration = kept.calibration(shown.id) if shown.file("calibration") else None
         if extract is not None:
-            kept.extract(shown.id, output_directory(extract, "--extract"))
+            kept.extract(shown.id, _made(extract))
     if as_json:
         result = None if calibration is None else to_document(calibration)
         print_json(
@@ -381,6 +378,17 @@ def show(
     if extract is not None:
         say(f"wrote {len(shown.document.files)} files to {extract}")
     say_head(head.number, head.sha256)
+
+
+def _made(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise PigaError(
+            f"--extract {folder}: the directory cannot be created ({error.strerror})",
+            remedy="name a directory you may write to",
+        ) from None
+    return folder
 
 
 @app.command()

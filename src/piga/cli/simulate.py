@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from piga.cli.common import ForceOption, JsonOption, files_named_in, note, print_json, progress, say, write_text
+from piga.cli.common import (
+    ForceOption,
+    JsonOption,
+    files_named_in,
+    note,
+    print_json,
+    progress,
+    say,
+    write_json,
+    write_text,
+)
 from piga.output import results
 
 if TYPE_CHECKING:
@@ -32,8 +42,6 @@ def plan(
 
     Writes plan.json, report.html, program.csv for the stand, and scenario.toml for 'piga simulate'.
     """
-    import json
-
     from piga.planning.mounting import plan_mounting
     from piga.planning.plan import plan_document, plan_test, program_csv, scenario_text
     from piga.planning.plan_file import read_plan
@@ -46,11 +54,10 @@ def plan(
             mounting = plan_mounting(request)
             planned = plan_test(request, progress=advance.show)
         document = plan_document(planned, mounting)
-        text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
         written = [
             write_text(stage / "scenario.toml", scenario_text(planned)),
             write_text(stage / "program.csv", program_csv(planned)),
-            write_text(stage / "plan.json", text),
+            write_json(stage / "plan.json", document),
         ]
         written.append(stage / "report.html")
         with progress("writing the report"):

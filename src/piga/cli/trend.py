@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import datetime as dt
 import gc
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import ForceOption, JsonOption, print_json, progress, say, write_text
+from piga.cli.common import ForceOption, JsonOption, print_json, progress, say, write_json
 from piga.errors import PigaError
 from piga.output import is_staged, results
 
@@ -22,11 +21,6 @@ if TYPE_CHECKING:
 MOST_RECORDS = 10_000
 RARELY = (100_000, 50, 100)
 """Thresholds that make garbage collection rare: thousands of records are many small objects, and none is garbage."""
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command to a group of commands."""
-    app.command("trend")(trend)
 
 
 def trend(
@@ -73,7 +67,7 @@ def trend(
 
     gc.set_threshold(*RARELY)
     with progress("reading"):
-        drifts = find_trend(_history(sources or [], store, serial), common=_common(common or []))
+        drifts = find_trend(history(sources or [], store, serial), common=_common(common or []))
     date = _date(at) if at else drifts.times[-1] + dt.timedelta(days=365)
     written = [] if out is None else _written(out, _files(sources or []), drifts, date, force)
     if as_json:
@@ -90,28 +84,24 @@ def _written(out: Path, inputs: list[Path], drifts: Trend, date: dt.datetime, fo
     """Write trend.json and trend.html. Returns their paths."""
     from piga.reports.trend import trend_document, write_trend_report
 
-    text = json.dumps(trend_document(drifts, at=date), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    document = trend_document(drifts, at=date)
     with results(out, "trend", ("trend.json", "trend.html"), inputs, force=force) as folder:
-        paths = [write_text(folder / "trend.json", text)]
+        paths = [write_json(folder / "trend.json", document)]
         paths.append(folder / "trend.html")
         write_trend_report(drifts, paths[-1], at=date)
     return [out / path.name for path in paths]
 
 
-def _history(sources: list[Path], store: str | None, serial: str | None) -> Iterator[HistoryEntry]:
-    """Records from files, or from a store."""
+def history(sources: list[Path], store: str | None, serial: str | None) -> Iterator[HistoryEntry]:
+    """Records from files, or of an instrument in a store."""
     if sources:
         entries = (_entry(path) for path in _files(sources))
-        return (entry for entry in entries if serial is None or entry[2].serial == serial)
+        yield from (entry for entry in entries if serial is None or entry[2].serial == serial)
+        return
     if store is None:
         raise PigaError("no records are named", remedy="give calibration.json files, directories, or --store")
     if serial is None:
         raise PigaError("--store needs the instrument", remedy="add --serial")
-    return stored_history(store, serial)
-
-
-def stored_history(store: str, serial: str) -> Iterator[HistoryEntry]:
-    """Records of an instrument in a store."""
     from piga.ledger.store import open_store
 
     with open_store(store) as opened:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -101,24 +101,21 @@ def terms(
         raise ArgumentError(
             f"'{name}' is not a term", remedy=f"terms: {' '.join(TERM_WORDS)} (s1 c1 s2 c2 ...)"
         ) from None
+    units = {one: "g" if one in ("sn", "cn") else unit_of(one) for one in chosen}
     if as_json:
         keys = ("formula", "meaning", "shown_by", "known")
         rows = [
-            {"name": one, "unit": _unit(one, unit_of)} | {key: getattr(w, key) for key in keys}
+            {"name": one, "unit": units[one]} | {key: getattr(w, key) for key in keys}
             for one, w in chosen.items()
         ]
         print_json(rows)
         return
     for one, w in chosen.items():
-        say(f"{one}  [{_unit(one, unit_of)}]  {w.meaning}")
+        say(f"{one}  [{units[one]}]  {w.meaning}")
         say(f"  adds     {w.formula}")
         say(f"  shown by {w.shown_by}")
         if w.known:
             say(f"  e.g.     {w.known}")
-
-
-def _unit(name: str, unit_of: Any) -> str:
-    return "g" if name in ("sn", "cn") else str(unit_of(name))
 
 
 def methods(as_json: JsonOption = False) -> None:

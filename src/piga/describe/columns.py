@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -124,6 +125,11 @@ def kind_of_name(name: str) -> tuple[Kind, int | None]:
             if re.fullmatch("|".join(words), text):
                 return (kind, None) if not (kind == "segment" and unit) else ("other", None)
     return "other", None
+
+
+def known_names(names: Iterable[str]) -> int:
+    """How many of the names say what their column holds."""
+    return sum(kind_of_name(name)[0] != "other" for name in names)
 
 
 def _axis(text: str) -> tuple[Kind, int] | None:
@@ -259,6 +265,14 @@ class ColumnGuess:
     stamp: str = ""
     alternatives: tuple[str, ...] = ()
     example: str = ""
+
+    @property
+    def words(self) -> str:
+        """The guess in words."""
+        axis = "" if self.axis is None else f" {'XYZ'[self.axis]}0"
+        unit = f" [{self.unit}]" if self.unit else f" ({self.stamp})" if self.stamp else ""
+        others = f"; or {', '.join(self.alternatives)}" if self.alternatives else ""
+        return f"{WORDS[self.kind]}{axis}{unit}: {self.reason}{others}"
 
 
 @dataclass(frozen=True)

@@ -69,15 +69,15 @@ def key_table() -> dict[str, dict[str, KeyWords]]:
     return table
 
 
-def words_of(table: str, key: str) -> KeyWords | None:
-    """The words of a key of a table, by the name of its class."""
+def words_of(table: str, key: str) -> KeyWords:
+    """The words of a key of a table, by the name of its class; empty if it has none."""
     known = key_table()
     own = known.get(table, {})
     if table == "PlanTable" and key not in own:
         own = known["ScenarioTable"]
     if table == "SpecimenTable" and key not in own:
         own = known.get("InstrumentTable", {})
-    return own.get(key) or known["*"].get(key)
+    return own.get(key) or known["*"].get(key) or KeyWords("", "", "")
 
 
 @cache
@@ -107,8 +107,6 @@ def _below(file: str, struct: Any, path: str, depth: int) -> list[KeyPlace]:
     for entry in msgspec.structs.fields(struct):
         inner = structs_in(entry.type)
         words = words_of(struct.__name__, entry.encode_name)
-        if words is None:
-            words = KeyWords("", "", "")
         where = f"{path}{entry.encode_name}"
         result.append(KeyPlace(file, where, struct.__name__, type_words(entry.type), _default(entry), words))
         if depth < MOST_PARTS:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from piga.describe.columns import fact, kind_of_name, known_unit
+from piga.describe.columns import fact, known_names, known_unit
 from piga.errors import DataError
 from piga.formats.columns import column_letter
 from piga.formats.text.convention import (
@@ -83,19 +83,18 @@ def text_layout(path: Path) -> TextLayout:
             head = TextSource(path, encoding, len).head.decode("utf-8", errors="replace")
         except DataError:
             continue
-        layouts.append((encoding, _layout(head, path)))
-    encoding, best = max(
-        layouts, key=lambda one: sum(kind_of_name(name)[0] != "other" for name in one[1].names)
-    )
+        layouts.append(_layout(head, path, encoding))
+    best = max(layouts, key=lambda one: known_names(one.names))
+    encoding = best.encoding.value
     if len(tried) == 1:
         why = "the file has a byte-order mark" if encoding not in ("utf-8", "ascii") else "all bytes are UTF-8"
         guess = Guess(encoding, why)
     else:
-        others = tuple(one for one, _ in layouts if one != encoding)
+        others = tuple(one.encoding.value for one in layouts if one is not best)
         guess = Guess(
             encoding, "the bytes are not UTF-8, and the column names are words in this encoding", others
         )
-    return TextLayout(guess, *best.parts)
+    return replace(best, encoding=guess)
 
 
 @dataclass(frozen=True)
@@ -108,13 +107,7 @@ class _TextTable:
     rows: int
 
 
-@dataclass(frozen=True)
-class _Best:
-    names: tuple[str, ...]
-    parts: tuple
-
-
-def _layout(head: str, path: Path) -> _Best:
+def _layout(head: str, path: Path, encoding: str) -> TextLayout:
     lines = LINE_END.split(head)[:MOST_HEAD_LINES]
     tables = [table for separator in SEPARATORS if (table := _table(lines, separator)) is not None]
     if not tables:
@@ -163,8 +156,9 @@ def _layout(head: str, path: Path) -> _Best:
     decimal = _decimal(body, table.separator)
     marked = header is not None and _bare(lines[header]) != lines[header]
     skip = table.start if header is None else 0
-    return _Best(
-        names, (separator, decimal, head_guess, units_guess, names, units, sample, facts, marked, skip)
+    read_as = Guess(encoding, "")
+    return TextLayout(
+        read_as, separator, decimal, head_guess, units_guess, names, units, sample, facts, marked, skip
     )
 
 
@@ -227,7 +221,7 @@ def _heads(lines: list[str], table: _TextTable) -> tuple[int | None, int | None]
     last = _cells(lines[wide[-1]], table.separator)
     marks = [cell for cell in last if unit_text(cell) in NO_UNIT or known_unit(unit_text(cell))]
     bracketed = all(re.fullmatch(r"[\[(（].*[\])）]", cell) or cell in NO_UNIT for cell in last)
-    names = sum(kind_of_name(cell)[0] != "other" for cell in last)
+    names = known_names(last)
     if (
         len(wide) > 1
         and wide[-2] == above[-2]

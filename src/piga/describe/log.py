@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.describe.columns import ColumnGuess, guess_columns, kind_of_name, without_fills, without_spikes
+from piga.describe.columns import (
+    ColumnGuess,
+    guess_columns,
+    kind_of_name,
+    known_names,
+    without_fills,
+    without_spikes,
+)
 from piga.describe.layout import Guess, TextLayout, text_layout
 from piga.errors import DataError, PigaError
 from piga.formats.columns import RecordStream
@@ -182,7 +189,7 @@ def _describe_container(path: Path) -> LogDescription:
     """A log in another format than text: every column of numbers is read."""
     sheets = _sheets(path)
     listed = {sheet: _names_in(path, sheet) for sheet in sheets}
-    sheet = max(sheets, key=lambda one: sum(kind_of_name(name)[0] != "other" for name in listed[one]))
+    sheet = max(sheets, key=lambda one: known_names(listed[one]))
     known = _short_names(listed[sheet], file_kind(path))
     plain, units = units_in_names(tuple(known))
     known = dict(zip(plain, known.values(), strict=True))
@@ -235,7 +242,7 @@ def _short_names(names: tuple[str, ...], kind: str) -> dict[str, str]:
     groups: dict[str, dict[str, str]] = {}
     for name, one in short.items():
         groups.setdefault(name.removesuffix(one), {})[one] = name
-    return max(groups.values(), key=lambda group: sum(kind_of_name(one)[0] != "other" for one in group))
+    return max(groups.values(), key=known_names)
 
 
 def _numbers_of(path: Path, sheet: str | None, names: list[str]) -> tuple[dict[str, Array], dict[str, str]]:
@@ -263,10 +270,14 @@ def _sheets(path: Path) -> list[str | None]:
         try:
             open_stream(path.parent, DataTable(path.name, OutputColumn(NO_COLUMN, "counts")))
         except DataError as error:
-            titles = _TITLES.search(error.message)
-            if titles:
-                return list(re.findall(r"'([^']*)'", titles.group(1)))
+            return [*titles_in(error)] or [None]
     return [None]
+
+
+def titles_in(error: PigaError) -> list[str]:
+    """The sheets that a refusal lists; none if it is another refusal."""
+    titles = _TITLES.search(error.message)
+    return re.findall(r"'([^']*)'", titles.group(1)) if titles else []
 
 
 def _names_in(path: Path, sheet: str | None) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from piga.describe.columns import WORDS, ColumnGuess, Values
 from piga.describe.draft import RunFileDraft, number_in, quantity_text
 from piga.describe.layout import Guess
 from piga.describe.log import LogDescription
-from piga.describe.signals import one_of_each_axis, put_instrument, put_output, put_reference, put_terms
+from piga.describe.signals import put_instrument, put_output, put_reference, put_terms, triad
 from piga.errors import DataError
 from piga.records.run import Run
 from piga.records.text_files import toml_value
@@ -52,7 +52,7 @@ def draft_run_file(
         f"A run file for {log.path.name}, drafted by 'piga init'. Each guess says why, and what else it may be.",
         "Read it, correct it, then: piga check, piga calibrate.",
         "",
-        *(f"{_column_words(column)}" for column in log.columns),
+        *(f"  {column.name}: {column.words}" for column in log.columns),
     ]
     file = os.path.relpath(log.path, folder or log.path.parent)
     draft.put("data.file", Path(file).as_posix())
@@ -118,13 +118,6 @@ def _without_damage(draft: RunFileDraft, path: Path, error: DataError) -> Run:
         else:
             draft.document["data"][key.partition(".")[2]] = before
     raise error
-
-
-def _column_words(column: ColumnGuess) -> str:
-    axis = "" if column.axis is None else f" {'XYZ'[column.axis]}0"
-    unit = f" [{column.unit}]" if column.unit else f" ({column.stamp})" if column.stamp else ""
-    others = f"; or {', '.join(column.alternatives)}" if column.alternatives else ""
-    return f"  {column.name}: {WORDS[column.kind]}{axis}{unit}: {column.reason}{others}"
 
 
 def _layout(draft: RunFileDraft, log: LogDescription) -> None:
@@ -196,11 +189,10 @@ def _rate_of_rounded(t: Array, column: ColumnGuess) -> tuple[float, float] | Non
 
 
 def _optional(draft: RunFileDraft, log: LogDescription) -> None:
-    for kind, key in (("base-rate", "base_rate"),):
-        group = one_of_each_axis(log.of(kind))
-        if [column.axis for column in group] == [0, 1, 2] and len({column.unit for column in group}) == 1:
-            value = {"columns": [column.name for column in group], "unit": group[0].unit}
-            draft.put(f"data.{key}", value, group[0].reason)
+    group = triad(log.of("base-rate"))
+    if group:
+        value = {"columns": [column.name for column in group], "unit": group[0].unit}
+        draft.put("data.base_rate", value, group[0].reason)
     warm = log.of("temperature")
     if warm:
         draft.put("data.temperature", {"column": warm[0].name, "unit": warm[0].unit}, warm[0].reason)

@@ -148,9 +148,7 @@ def from_input_axis(
 def _related(draft: RunFileDraft, log: LogDescription, output: ColumnGuess, name: str) -> float:
     """Correlation of the output rate with a column of force; 0 where the force is the same everywhere."""
     read = _rate_and_level(draft, log, output, log.numbers.get(name))
-    if read is None:
-        return 0.0
-    return _correlation(*read)
+    return 0.0 if read is None else _correlation(*read)
 
 
 def _seconds(draft: RunFileDraft, log: LogDescription, count: int) -> Array | None:
@@ -205,23 +203,21 @@ def put_instrument(draft: RunFileDraft, log: LogDescription, output: ColumnGuess
     slope = _slope(draft, log, output)
     if slope is None:
         return
+    if "scale_factor" in own:
+        if output.kind == "counts" and "counts_per_revolution" not in own:
+            _counts_of(draft, slope)
+        return
     if output.kind != "counts":
-        if "scale_factor" not in own:
-            factor = parse_unit(output.unit).factor
-            draft.put(
-                "instrument.scale_factor",
-                f"{slope * factor * G0:.4g} rad/s/g",
-                "from the log: output rate over specific force along X0",
-            )
-    elif "scale_factor" in own and "counts_per_revolution" not in own:
-        _counts_of(draft, slope)
-    elif "counts_per_revolution" in own and "scale_factor" not in own:
-        per_count = 2.0 * math.pi / float(own["counts_per_revolution"])
-        draft.put(
-            "instrument.scale_factor",
-            f"{slope * per_count * G0:.4g} rad/s/g",
-            "from the log: output rate over specific force along X0",
-        )
+        factor = parse_unit(output.unit).factor
+    elif "counts_per_revolution" in own:
+        factor = 2.0 * math.pi / float(own["counts_per_revolution"])
+    else:
+        return
+    draft.put(
+        "instrument.scale_factor",
+        f"{slope * factor * G0:.4g} rad/s/g",
+        "from the log: output rate over specific force along X0",
+    )
 
 
 def _counts_of(draft: RunFileDraft, slope: float) -> None:
@@ -293,8 +289,8 @@ def put_reference(
     draft: RunFileDraft, log: LogDescription, output: ColumnGuess | None, settings: Mapping[str, Any]
 ) -> None:
     """The specific force: from its columns, or from the columns of the stand."""
-    group = one_of_each_axis(log.of("force"))
-    if [column.axis for column in group] == [0, 1, 2] and len({column.unit for column in group}) == 1:
+    group = triad(log.of("force"))
+    if group:
         names = [column.name for column in group]
         others = [f"  or: {other}" for other in group[0].alternatives]
         if output is not None and output.name in log.numbers:
@@ -317,12 +313,13 @@ def put_reference(
             return
 
 
-def one_of_each_axis(columns: list[ColumnGuess]) -> list[ColumnGuess]:
-    """The first column of each axis."""
+def triad(columns: list[ColumnGuess]) -> list[ColumnGuess]:
+    """The first column of each axis, X0 to Z0, if they have one unit; else none."""
     first: dict[int | None, ColumnGuess] = {}
     for column in columns:
         first.setdefault(column.axis, column)
-    return list(first.values())
+    whole = list(first) == [0, 1, 2] and len({column.unit for column in first.values()}) == 1
+    return list(first.values()) if whole else []
 
 
 def _holds(draft: RunFileDraft, log: LogDescription, column: ColumnGuess) -> list[tuple[str, float]] | None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from piga.describe.columns import kind_of_name
+from piga.describe.log import titles_in
 from piga.errors import PigaError
 from piga.records.run import Run
 from piga.records.text_files import toml_bytes, toml_document, toml_key, toml_text, toml_value, written_key
@@ -23,7 +24,6 @@ _FAULT_LINE = re.compile(
     r"\[(data|model|instrument)\] (\w+ = (?:'[^']*'|\[[^\]]*\]|\d+))(?:,? or (\w+ = '[^']*'))?"
 )
 _MISSING = re.compile(r"no column ((?:'[^']*'(?:, )?)+); the columns are: (.*)", re.DOTALL)
-_SHEETS = re.compile(r"there are \d+ sheets: (.*)")
 _STUCK = re.compile(r"column '([^']*)' stays at its (largest|smallest) value (\S+):")
 _STAMP = re.compile(r"time = \{ column = '[^']*', stamp = '[^']*' \}")
 
@@ -189,10 +189,7 @@ def _of_error(error: PigaError, document: Document) -> list[Change]:
         changes += _of_names(re.findall(r"'([^']*)'", missing.group(1)), missing.group(2).split(", "), document)
     if "encoding = '...'" in error.remedy:
         changes += [("data", "encoding", name, first) for name in _GUESSES]
-    sheets = _SHEETS.search(error.message)
-    if sheets:
-        titles = re.findall(r"'([^']*)'", sheets.group(1))
-        changes += [("data", "sheet", title, "one of the sheets") for title in titles]
+    changes += [("data", "sheet", title, "one of the sheets") for title in titles_in(error)]
     if "the output jumps" in error.message or "it was reset there" in error.message:
         changes += [
             ("instrument", "counter_bits", bits, "if the counter wraps at that width") for bits in (16, 24, 32)

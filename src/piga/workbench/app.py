@@ -107,9 +107,7 @@ GRACE = 2
 """Time [s] that open requests have when the server ends."""
 
 
-def application(
-    folder: Folder, door: Door, ready: Callable[[], None] = lambda: None, live: Live | None = None
-) -> Any:
+def application(folder: Folder, door: Door, ready: Callable[[], None], live: Live | None) -> Any:
     """The ASGI application for a folder.
 
     Parameters
@@ -153,12 +151,7 @@ def application(
 
 
 def serve(
-    folder: Path,
-    port: int = 0,
-    *,
-    ready: Callable[[Door], None],
-    live: Live | None = None,
-    entrance: Entrance | None = None,
+    folder: Path, port: int, *, ready: Callable[[Door], None], live: Live | None, entrance: Entrance
 ) -> None:
     """Serve the workbench of a folder until SIGINT or SIGTERM. Running jobs are then ended.
 
@@ -173,14 +166,13 @@ def serve(
     live:
         The stream of the page Live, or None.
     entrance:
-        Where to listen, and what to ask for. None: 127.0.0.1 and the token.
+        Where to listen, and what to ask for.
 
     Raises
     ------
     ArgumentError
         If ``folder`` is not a folder, or the name or port cannot be used.
     """
-    entrance = entrance or Entrance()
     opened = Folder(folder)
     sockets = listening(entrance, port)
     door = Door(sockets[0].getsockname()[1], entrance.host, entrance.login)

@@ -120,12 +120,10 @@ class Folder:
         OutsideError
             If it is hidden, begins as an option does, leads out of the folder, or is neither a regular file nor a folder.
         """
-        pure = PurePosixPath(name)
-        wrong = "\\" in name or "\0" in name or pure.is_absolute() or not pure.parts
-        if wrong or any(part.startswith((".", "-")) for part in pure.parts):
-            remedy = "rename it" if pure.name.startswith("-") else "choose a listed file"
+        if not is_plain(name):
+            remedy = "rename it" if PurePosixPath(name).name.startswith("-") else "choose a listed file"
             raise OutsideError(f"{name!r}: is not a file of this folder that can be opened", remedy=remedy)
-        path = self.root / pure
+        path = self.root / PurePosixPath(name)
         self._check(path, name)
         return path
 
@@ -139,6 +137,15 @@ class Folder:
     def name(self, path: Path) -> str:
         """The path below the folder, with ``/``."""
         return path.relative_to(self.root).as_posix()
+
+    def listed(self, *patterns: str) -> list[str]:
+        """The files that a page may offer, in the order of patterns and names: those that can be opened, and no links."""
+        return [
+            self.name(path)
+            for pattern in patterns
+            for path in sorted(self.root.glob(pattern))
+            if is_plain(self.name(path)) and path.is_file() and not path.is_symlink()
+        ]
 
     def toml(self, name: str) -> Path:
         """The path of a TOML file all of whose named files lie in this folder."""
@@ -242,7 +249,7 @@ class Folder:
                 raise ArgumentError(f"{log}: there is no such file beside the run file", remedy="copy it there")
         except (PigaError, OSError) as error:
             return FolderEntry(name, "faulty", serial, log, message=str(error))
-        result = path.with_name(f"{path.stem}-calibration")
+        result = results_of(path)
         done = (result / "calibration.json").is_file()
         state: State = "calibrated" if done else "ready"
         return FolderEntry(
@@ -267,6 +274,18 @@ class Folder:
         while path.exists() or path.is_symlink():
             path = path.with_name(f"{secrets.token_hex(2)}-{path.name}"[-110:])
         return path
+
+
+def results_of(run: Path) -> Path:
+    """The folder in which ``piga calibrate`` writes the results of a run file."""
+    return run.with_name(f"{run.stem}-calibration")
+
+
+def is_plain(name: str) -> bool:
+    """True for a path below the folder that is not hidden and does not begin as an option does."""
+    pure = PurePosixPath(name)
+    wrong = "\\" in name or "\0" in name or pure.is_absolute() or not pure.parts
+    return not wrong and not any(part.startswith((".", "-")) for part in pure.parts)
 
 
 def _is_run_file(path: Path) -> bool:

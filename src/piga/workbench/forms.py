@@ -166,13 +166,22 @@ def _toml(value: str) -> Any:
         return tomlkit.string(value)
 
 
+def typed_text(fields: Mapping[str, list[str]]) -> str:
+    """The text of a sent form as it was typed."""
+    return fields.get("text", [""])[-1].replace("\r\n", "\n")
+
+
+def form_values(fields: Mapping[str, list[str]]) -> dict[str, str]:
+    """The values of a sent form by ``table.key``."""
+    return {key.removeprefix("key:"): held[-1] for key, held in fields.items() if key.startswith("key:")}
+
+
 def sent_text(fields: Mapping[str, list[str]], file: str) -> str:
     """The text of a sent form.
 
     The values of the form are put in if the text was not edited after the form was drawn: somebody typed into a field
     and pressed a button at once. If it was edited, the text holds.
     """
-    text = fields.get("text", [""])[-1].replace("\r\n", "\n")
-    values = {key.removeprefix("key:"): held[-1] for key, held in fields.items() if key.startswith("key:")}
+    text, values = typed_text(fields), form_values(fields)
     drawn = fields.get("drawn", [""])[-1]
     return text_with(text, values, file) if values and digest(text) == drawn else text

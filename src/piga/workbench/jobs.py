@@ -24,6 +24,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import msgspec
+
 from piga.errors import ArgumentError
 from piga.output import write_whole
 
@@ -172,9 +174,9 @@ class Jobs:
         """The job with this key, or None."""
         return next((job for job in self.all() if job.key == key), None)
 
-    def latest(self, subject: str) -> Job | None:
-        """The newest job for a record, or None."""
-        return next((job for job in self.all() if job.subject == subject), None)
+    def latest(self, subject: str, result: str) -> Job | None:
+        """The newest job for a record that makes this result, or None."""
+        return next((job for job in self.all() if (job.subject, job.result) == (subject, result)), None)
 
     def status(self, job: Job) -> Status:
         """What became of the job."""
@@ -262,15 +264,11 @@ def _job(fields: dict[str, Any]) -> Job:
 
     Raises
     ------
-    ValueError, TypeError
+    ValueError
         If a value is not of its type.
     """
-    job = Job(**fields | {"command": tuple(fields.get("command", ()))})
-    texts = (*job.command, job.title, job.subject, job.result, job.born)
-    sizes = (job.pid, job.started)
-    if not job.command or not all(isinstance(text, str) for text in texts):
-        raise ValueError("the record of the job is damaged")
-    if not all(isinstance(size, int | float) and abs(size) < LARGEST for size in sizes):
+    job = msgspec.convert(fields, Job)
+    if not job.command or not all(abs(size) < LARGEST for size in (job.pid, job.started)):
         raise ValueError("the record of the job is damaged")
     return job
 

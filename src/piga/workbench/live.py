@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
@@ -24,8 +24,6 @@ Array = NDArray[np.float64]
 
 KEPT = 120_000
 """Rows that are kept: 20 minutes at 100 Hz."""
-ALARMS = 50
-"""Latest alarms that are kept."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class Live:
         self._scale_factor = named.get("scale_factor", record.scale_factor_nominal)
         self._stream = Compensator(record, phase=None if phase is None else Phase(phase))
         self._table = np.full((KEPT, 4), np.nan)  # time, indicated, compensated, u_ax
-        self._alarms: list[Alarm] = []
+        self._alarms: dict[str, Alarm] = {}
         self._lock = threading.Lock()
 
     def start(self, source: IO[str]) -> None:
@@ -91,19 +89,13 @@ class Live:
             self.rows += 1
             for name, bit in FLAGS.items():
                 if flags & bit and name != "no_increment":
-                    self._note(name, t)
-
-    def _note(self, name: str, t: float) -> None:
-        for index, alarm in enumerate(self._alarms):
-            if alarm.flag == name:
-                self._alarms[index] = Alarm(name, alarm.first, t, alarm.rows + 1)
-                return
-        self._alarms = [*self._alarms, Alarm(name, t, t, 1)][-ALARMS:]
+                    before = self._alarms.get(name, Alarm(name, t, t, 0))
+                    self._alarms[name] = replace(before, last=t, rows=before.rows + 1)
 
     def alarms(self) -> list[Alarm]:
         """Flags since the start."""
         with self._lock:
-            return list(self._alarms)
+            return list(self._alarms.values())
 
     def latest(self, seconds: float, width: int) -> Array:
         """The last seconds, thinned to about ``width`` columns of least and largest values.

@@ -11,10 +11,11 @@ import hashlib
 import json
 import shutil
 import tempfile
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,7 +83,6 @@ class SignalOutline:
     segments: tuple[tuple[str, float, float], ...]
     findings: tuple[Finding, ...]
     serial: str = ""
-    summary: dict[str, Any] = field(default_factory=dict)
 
 
 def cache_key(paths: list[Path]) -> str:
@@ -138,16 +138,9 @@ def _write_all(run: Run, folder: Path, temperature_unit: str) -> SignalOutline:
 def read_outline(folder: Path) -> SignalOutline | None:
     """The outline of a complete cache; None if there is none."""
     try:
-        document = json.loads((folder / "outline.json").read_text(encoding="utf-8"))
+        return msgspec.convert(json.loads((folder / "outline.json").read_text(encoding="utf-8")), SignalOutline)
     except (OSError, ValueError):
         return None
-    return SignalOutline(
-        tuple(Signal(**item) for item in document["signals"]),
-        document["duration"], document["samples"], document["rows"],
-        tuple((name, first, last) for name, first, last in document["segments"]),
-        tuple(Finding(**item) for item in document["findings"]),
-        document["serial"], document["summary"],
-    )  # fmt: skip
 
 
 def picture(folder: Path, key: str, first: float, last: float, width: int) -> Array:
@@ -352,6 +345,5 @@ def _outline(run: Run, t: Array, signals: tuple[Signal, ...]) -> SignalOutline:
             at = float(t[index])
         findings.append(Finding(event.kind, event.count, event.detail, at))
     return SignalOutline(
-        signals, float(t[-1]), run.size, run.quality.rows, segments, tuple(findings), run.serial,
-        {"interval": run.median_step, "kind": run.kind},
-    )  # fmt: skip
+        signals, float(t[-1]), run.size, run.quality.rows, segments, tuple(findings), run.serial
+    )

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
@@ -18,10 +17,10 @@ from piga.output import CALIBRATION_RESULTS, results
 from piga.records.run_file import METHOD_WORDS, METHODS, PHASE_SOURCES, PHASES, RunFile, read_run_file
 from piga.records.terms import UNITS, check_terms, meaning_of
 from piga.records.text_files import files_named_in
-from piga.workbench.folder import OutsideError
+from piga.workbench.folder import OutsideError, results_of
 from piga.workbench.jobs import Job
-from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form, start_job
-from piga.workbench.pages.jobs import TERMS, TRIAL, ask, command_line, job_of, place_of
+from piga.workbench.pages.common import TRIAL, Workbench, bench_of, only, redirect, render, sent_form, start_job
+from piga.workbench.pages.jobs import TERMS, ask, command_line, job_of
 from piga.workbench.pages.records import calibrations
 
 SILENT = {
@@ -37,14 +36,15 @@ _SEPARATORS = re.compile(r"[,;\s]+")
 def show(request: Request) -> Response:
     """The form of a record, and its calibrations so far."""
     bench, name = bench_of(request), request.path_params["name"]
-    run_file = read_run_file(bench.folder.toml(name))
+    path = bench.folder.toml(name)
+    run_file = read_run_file(path)
     known = _shown_terms()
     chosen = list(run_file.model.terms)
     tried = [
         (job, status, " ".join(_kept_options(job)))
         for job, status in bench.listed(lambda job: job.subject == name and job.command[0] == "calibrate")
     ]
-    adopted = _adopted_folder(bench, name)
+    adopted = results_of(path)
     return render(
         request,
         "calibrate/calibrate.html.jinja",
@@ -78,12 +78,19 @@ async def start(request: Request) -> Response:
     """Start a calibration as the form asks for it."""
     bench, name = bench_of(request), request.path_params["name"]
     fields = await sent_form(request)
-    run_file = read_run_file(bench.folder.toml(name))
-    terms = tuple(fields.get("term", []))
-    terms += tuple(word for word in _SEPARATORS.split(only(fields, "harmonics")) if word)
+    path = bench.folder.toml(name)
+    run_file = read_run_file(path)
+    terms = (*fields.get("term", []), *_words(only(fields, "harmonics")))
     check_terms(terms)
-    job = await run_in_threadpool(_start, bench, name, [*_options(run_file, terms, fields)])
-    return redirect(request, f"/result/{job.key}")
+    options = _options(run_file, terms, fields)
+    trial = bench.new_trial()
+    command = ("calibrate", name, *options, "--out", trial)
+    return await start_job(request, command, "Calibrate", name, trial, files_named_in(path), page="result")
+
+
+def _words(text: str) -> tuple[str, ...]:
+    """The names of terms in a field."""
+    return tuple(word for word in _SEPARATORS.split(text) if word)
 
 
 def _options(run_file: RunFile, terms: tuple[str, ...], fields: dict[str, list[str]]) -> list[str]:
@@ -98,40 +105,20 @@ def _options(run_file: RunFile, terms: tuple[str, ...], fields: dict[str, list[s
         if value and value not in allowed:
             raise ArgumentError(f"{option}: {value!r} is not known", remedy=f"one of {', '.join(allowed)}")
         options += [option, value] if value and value != written else []
-    sets = [" ".join(part.split()) for part in only(fields, "compare").split(";") if part.strip()]
+    sets = [_words(part) for part in only(fields, "compare").split(";") if part.strip()]
     for number, names in enumerate(sets, start=1):
-        check_terms(tuple(word for word in _SEPARATORS.split(names) if word), where=f"set {number} to compare")
-    options += (
-        [f"--compare={'; '.join(','.join(w for w in _SEPARATORS.split(s) if w) for s in sets)}"] if sets else []
-    )
-    return options
-
-
-def _start(bench: Workbench, name: str, options: list[str]) -> Job:
-    import secrets
-
-    trial = bench.folder.state_room("trials") / secrets.token_hex(6)
-    return bench.jobs.start(
-        ("calibrate", name, *options, "--out", bench.folder.name(trial)),
-        "Calibrate",
-        name,
-        bench.folder.name(trial),
-        files_named_in(bench.folder.toml(name)),
-    )
+        check_terms(names, where=f"set {number} to compare")
+    return options + ([f"--compare={'; '.join(map(','.join, sets))}"] if sets else [])
 
 
 def _trial(bench: Workbench, job: Job) -> Path:
     """Folder of a calibration's results."""
-    place = place_of(bench, job) if job.command[0] == "calibrate" and TRIAL.fullmatch(job.result) else None
+    place = (
+        bench.place_of(job.result) if job.command[0] == "calibrate" and TRIAL.fullmatch(job.result) else None
+    )
     if place is None:
         raise OutsideError("this job is not a calibration", remedy="choose a calibration")
     return place
-
-
-def _adopted_folder(bench: Workbench, name: str) -> Path:
-    """Folder in which the command would have written the results."""
-    run = bench.folder.path(name)
-    return run.with_name(f"{run.stem}-calibration")
 
 
 def result(request: Request) -> Response:
@@ -176,8 +163,8 @@ def adopt(request: Request) -> Response:
     trial = _trial(bench, job)
     if bench.jobs.status(job).state != "done" or not (trial / "calibration.json").is_file():
         raise CalibrationError("this calibration has no result", remedy="calibrate again")
-    target = _adopted_folder(bench, job.subject)
     run = bench.folder.toml(job.subject)
+    target = bench.folder.path(bench.folder.name(results_of(run)))
     with results(target, "calibrate", CALIBRATION_RESULTS, files_named_in(run), force=True) as stage:
         for pattern in CALIBRATION_RESULTS:
             for path in trial.glob(pattern):

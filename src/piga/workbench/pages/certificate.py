@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from contextlib import suppress
 from urllib.parse import quote
 
@@ -15,7 +14,7 @@ from piga.data import example_files
 from piga.errors import ArgumentError, PigaError
 from piga.records.text_files import toml_document
 from piga.workbench.folder import Folder
-from piga.workbench.forms import form_of_text, sent_text
+from piga.workbench.forms import form_of_text, sent_text, typed_text
 from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form, start_job
 from piga.workbench.pages.records import calibrations, plain
 
@@ -29,26 +28,16 @@ TITLES = ("Preview of the certificate", "Certificate", "Verify the certificate")
 def administrative_parts(folder: Folder) -> list[str]:
     """Files of the folder that hold the administrative part of a certificate."""
     return [
-        folder.name(path)
-        for path in sorted(folder.root.glob("*.toml"))
-        if path.is_file()
-        and not path.is_symlink()
-        and not path.name.startswith((".", "-"))
-        and "[laboratory]" in path.read_text(encoding="utf-8", errors="replace")
-    ]
-
-
-def _named(folder: Folder, endings: tuple[str, ...], pattern: str = "*") -> list[str]:
-    paths = (path for path in sorted(folder.root.glob(pattern)) if path.suffix in endings and path.is_file())
-    return [
-        folder.name(path) for path in paths if not path.is_symlink() and not path.name.startswith((".", "-"))
+        name
+        for name in folder.listed("*.toml")
+        if "[laboratory]" in (folder.root / name).read_text(encoding="utf-8", errors="replace")
     ]
 
 
 def keys_and_certificates(folder: Folder) -> tuple[list[str], list[str]]:
     """Files of the folder that hold a private key, and those that hold an X.509 certificate. One may hold both."""
     keys, certificates = [], []
-    for name in _named(folder, PEM):
+    for name in (name for name in folder.listed("*") if name.endswith(PEM)):
         path = folder.file(name)
         text = b""
         with suppress(OSError):  # others cannot read the key of a careful person
@@ -83,7 +72,7 @@ def _page(
     return render(
         request, "certificate.html.jinja", code, form=form_of_text(text, "certificate", message), name=name,
         names=administrative_parts(bench.folder), calibration=calibration, calibrations=calibrations(bench.folder),
-        keys=keys, x509=x509, signed=_named(bench.folder, (".xml",), "**/*.xml"), jobs=jobs[:20],
+        keys=keys, x509=x509, signed=bench.folder.listed("**/*.xml"), jobs=jobs[:20],
     )  # fmt: skip
 
 
@@ -96,7 +85,7 @@ async def issue(request: Request) -> Response:
 def _issue(request: Request, fields: dict[str, list[str]]) -> Response:
     bench, word = bench_of(request), only(fields, "do")
     name, chosen = only(fields, "name"), only(fields, "calibration")
-    text = only(fields, "text").replace("\r\n", "\n")
+    text = typed_text(fields)
     if word not in ("save", "preview", "issue"):
         raise ArgumentError(f"{word!r}: is not a command of this page", remedy="use its buttons")
     try:
@@ -109,17 +98,14 @@ def _issue(request: Request, fields: dict[str, list[str]]) -> Response:
         return redirect(request, f"/certificate?data={quote(name)}&calibration={quote(chosen)}")
     calibration = bench.folder.file(chosen)
     subject = calibration.parent.name
-    if word == "preview":
-        out = f"{bench.folder.name(bench.folder.state_room('trials'))}/{secrets.token_hex(6)}"
-    else:
-        out = f"certificate-{plain(subject)}"
+    out = bench.new_trial() if word == "preview" else f"certificate-{plain(subject)}"
     command = ["certificate", "issue", bench.folder.name(calibration), "--data", name, "--out", out, "--force"]
     command += ["--dcc"] if only(fields, "dcc") else []
     for option in ("key", "certificate"):
         value = only(fields, option)
         command += [f"--{option}={bench.folder.name(bench.folder.file(value))}"] if value else []
     title = TITLES[0] if word == "preview" else TITLES[1]
-    job = bench.jobs.start(command, title, subject, out, [bench.folder.path(name), calibration])
+    job = bench.start(command, title, subject, out, [bench.folder.path(name), calibration])
     return redirect(request, f"/jobs/{job.key}")
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import secrets
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +21,7 @@ from starlette.routing import Route
 
 from piga._version import __version__
 from piga.errors import ArgumentError, PigaError
-from piga.workbench.folder import Folder, OutsideError
+from piga.workbench.folder import STATE_FOLDER, Folder, OutsideError
 from piga.workbench.jobs import BusyError, Job, Jobs, Status
 from piga.workbench.live import Live
 from piga.workbench.security import Door
@@ -49,6 +51,11 @@ MENU = (
 )
 """Pages that need no record."""
 
+MARKS = ("signals", "check", "terms")
+"""Jobs whose result begins so write no files for the user."""
+TRIAL = re.compile(rf"{re.escape(STATE_FOLDER)}/trials/[0-9a-f]{{12}}")
+"""Results of a calibration that is not kept yet."""
+
 
 class TooLargeError(ArgumentError):
     """More was sent than is taken."""
@@ -66,6 +73,39 @@ class Workbench:
     jobs: Jobs
     live: Live | None
     door: Door
+
+    def new_trial(self) -> str:
+        """Name of a new folder for results that are not kept yet."""
+        return self.folder.name(self.folder.state_room("trials") / secrets.token_hex(6))
+
+    def place_of(self, result: str) -> Path | None:
+        """Where the results of a job lie, or will; None if it writes none.
+
+        Raises
+        ------
+        OutsideError
+            If this is outside of the folder.
+        """
+        if not result or result.partition("/")[0] in MARKS:
+            return None
+        if not TRIAL.fullmatch(result):
+            return self.folder.path(result)
+        place = self.folder.state_room("trials") / result.rpartition("/")[2]
+        if place.is_symlink():
+            raise OutsideError("the results of this job are a link", remedy="discard the job")
+        return place
+
+    def start(
+        self,
+        command: Sequence[str],
+        title: str,
+        subject: str,
+        result: str,
+        reads: Sequence[Path] | None = None,
+    ) -> Job:
+        """Start a job (:meth:`piga.workbench.jobs.Jobs.start`) whose results are written in the folder."""
+        self.place_of(result)
+        return self.jobs.start(command, title, subject, result, reads)
 
     def listed(self, wanted: Callable[[Job], bool] = lambda _job: True) -> list[tuple[Job, Status]]:
         """The wanted jobs, the newest first, and what became of them."""
@@ -191,10 +231,12 @@ async def start_job(
     subject: str,
     result: str = "",
     reads: Sequence[Path] | None = None,
+    *,
+    page: str = "jobs",
 ) -> Response:
-    """Start a job (:meth:`piga.workbench.jobs.Jobs.start`) and go to its page."""
-    job = await run_in_threadpool(bench_of(request).jobs.start, command, title, subject, result, reads)
-    return redirect(request, f"/jobs/{job.key}")
+    """Start a job (:meth:`Workbench.start`) and go to its page, below ``page``."""
+    job = await run_in_threadpool(bench_of(request).start, command, title, subject, result, reads)
+    return redirect(request, f"/{page}/{job.key}")
 
 
 def redirect(request: Request, to: str) -> Response:

@@ -18,7 +18,7 @@ from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
 from piga.records.text_files import toml_document, toml_value
 from piga.workbench.folder import Folder
-from piga.workbench.forms import digest, form_of_text, sent_text, text_with
+from piga.workbench.forms import digest, form_of_text, form_values, sent_text, text_with, typed_text
 from piga.workbench.pages.common import bench_of, only, redirect, render, sent_form
 from piga.workbench.pages.jobs import CHECK, ask
 
@@ -112,14 +112,13 @@ def _preview(described: LogDescription) -> list[list[str]]:
 async def sync(request: Request) -> Response:
     """Form and text after one of them was changed: the other one follows."""
     fields = await sent_form(request)
-    text, file = only(fields, "text").replace("\r\n", "\n"), only(fields, "file")
+    text, file = typed_text(fields), only(fields, "file")
     if file not in FILES:
         raise ArgumentError(f"{file!r}: is no kind of file", remedy="reload the page")
     message = ""
     if only(fields, "side") == "form":
-        values = {key.removeprefix("key:"): held[-1] for key, held in fields.items() if key.startswith("key:")}
         try:
-            text = text_with(text, values, file)
+            text = text_with(text, form_values(fields), file)
         except PigaError as error:
             message = str(error)
     return render(request, "describe/both.html.jinja", form=form_of_text(text, file, message))
@@ -138,7 +137,7 @@ async def change(request: Request) -> Response:
 
 def _change_run_file(request: Request, name: str, word: str, fields: dict[str, list[str]]) -> Response:
     folder = bench_of(request).folder
-    text = only(fields, "text").replace("\r\n", "\n")
+    text = typed_text(fields)
     try:
         text = sent_text(fields, "run")
         if word == "phase":

@@ -165,7 +165,7 @@ def _shown_step(
 
     The slowest pole may hardly be excited. So the time is halved as long as nothing is seen in its second half.
     """
-    time = min(max(6.0 / float(np.abs(poles.real).min()), 1e-3), 100.0)
+    time = min(max(6.0 / float(np.abs(poles.real).min()), SHORTEST_STEP), 100.0)
     while True:
         t = np.linspace(0.0, time, POINTS)
         response = step_response(twin, t)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,16 +13,11 @@ from starlette.routing import Route
 
 from piga.errors import ArgumentError
 from piga.records.text_files import files_named_in
-from piga.workbench.folder import STATE_FOLDER, OutsideError
+from piga.workbench.folder import OutsideError
 from piga.workbench.jobs import Job, Status
 from piga.workbench.pages.common import Workbench, bench_of, redirect, render
 from piga.workbench.security import REPORT_POLICY
 from piga.workbench.signals import cache_key
-
-MARKS = ("signals", "check", "terms")
-"""Jobs whose result begins so write no files for the user."""
-TRIAL = re.compile(rf"{re.escape(STATE_FOLDER)}/trials/[0-9a-f]{{12}}")
-"""Results of a calibration that is not kept yet."""
 
 
 def job_of(request: Request) -> tuple[Workbench, Job]:
@@ -84,28 +78,10 @@ def file(request: Request) -> Response:
     return FileResponse(path, filename=name, media_type="application/octet-stream")
 
 
-def place_of(bench: Workbench, job: Job) -> Path | None:
-    """Where the results of a job lie; None if it writes none.
-
-    Raises
-    ------
-    OutsideError
-        If the record of the job names a place outside of the folder.
-    """
-    if not job.result or job.result.partition("/")[0] in MARKS:
-        return None
-    if not TRIAL.fullmatch(job.result):
-        return bench.folder.path(job.result)
-    place = bench.folder.state_room("trials") / job.result.rpartition("/")[2]
-    if place.is_symlink():
-        raise OutsideError("the results of this job are a link", remedy="discard the job")
-    return place
-
-
 def result_files(bench: Workbench, job: Job) -> list[Path]:
     """The files that a job wrote: those of its folder, or its file and the page beside it."""
     try:
-        place = place_of(bench, job)
+        place = bench.place_of(job.result)
     except OutsideError:
         return []
     if place is None:
@@ -125,16 +101,15 @@ LARGEST = 200_000_000
 
 @dataclass(frozen=True)
 class LogQuestion:
-    """A command that prints JSON about a run file: the mark of its jobs, their title, the command and its options."""
+    """A ``piga check`` that prints JSON about a run file: the mark of its jobs, their title and the options."""
 
     mark: str
     title: str
-    command: str
     options: tuple[str, ...]
 
 
-CHECK = LogQuestion("check", "Check", "check", ("--json",))
-TERMS = LogQuestion("terms", "Ask for each term", "check", ("--terms", "--json"))
+CHECK = LogQuestion("check", "Check", ("--json",))
+TERMS = LogQuestion("terms", "Ask for each term", ("--terms", "--json"))
 
 
 @dataclass(frozen=True)
@@ -166,14 +141,13 @@ def ask(bench: Workbench, name: str, question: LogQuestion, *, always: bool = Fa
     """
     files = files_named_in(bench.folder.toml(name))
     mark = f"{question.mark}/{cache_key(files)}"
-    job = next((job for job in bench.jobs.all() if job.result == mark and job.subject == name), None)
+    job = bench.jobs.latest(name, mark)
     if job is None or bench.jobs.status(job).state == "lost":
         size = sum(path.stat().st_size for path in files if path.is_file())
         if size > LARGEST and not always:
             return None
         try:
-            command = (question.command, name, *question.options)
-            job = bench.jobs.start(command, question.title, name, mark)
+            job = bench.jobs.start(("check", name, *question.options), question.title, name, mark)
         except ArgumentError:
             return None
     status, document, message = bench.jobs.status(job), {}, ""

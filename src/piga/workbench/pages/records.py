@@ -15,7 +15,7 @@ from starlette.routing import Route
 
 from piga.errors import ArgumentError
 from piga.output import put_in_place
-from piga.workbench.folder import Folder
+from piga.workbench.folder import Folder, is_plain, results_of
 from piga.workbench.pages.common import TooLargeError, Workbench, bench_of, only, render, sent_form, start_job
 
 MOST_UPLOAD = 4 << 30
@@ -79,7 +79,7 @@ def calibrations(folder: Folder) -> list[tuple[str, str]]:
     items = []
     for path in sorted(folder.root.glob("**/calibration.json"))[:500]:
         name = folder.name(path)
-        if name.startswith(".") or "/." in name or not path.resolve().is_relative_to(folder.root):
+        if not is_plain(name) or not path.resolve().is_relative_to(folder.root):
             continue
         try:
             document = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
@@ -102,30 +102,16 @@ def show_instruments(request: Request) -> Response:
     """All instruments of the folder."""
     bench = bench_of(request)
     jobs = bench.listed(lambda job: job.title in TITLES)
+    kept = [entry.name for entry in bench.folder.entries() if entry.state == "calibrated"]
+    stores = bench.folder.listed(*(f"*{ending}" for ending in STORES))
     return render(
-        request, "instrument.html.jinja", instruments=_by_serial(bench), jobs=jobs,
-        stores=_stores(bench), runs=_runs(bench),
-    )  # fmt: skip
+        request, "instrument.html.jinja", instruments=_by_serial(bench), jobs=jobs, stores=stores, runs=kept
+    )
 
 
 def plain(name: str) -> str:
     """The letters and digits of a name, for a folder."""
     return "".join(letter if letter.isalnum() else "-" for letter in name).strip("-")[:60] or "instrument"
-
-
-def _stores(bench: Workbench) -> list[str]:
-    """The ledgers of the folder."""
-    return [
-        path.name
-        for ending in STORES
-        for path in sorted(bench.folder.root.glob(f"*{ending}"))
-        if path.is_file() and not path.is_symlink() and not path.name.startswith(".")
-    ]
-
-
-def _runs(bench: Workbench) -> list[str]:
-    """Run files whose results are kept."""
-    return [entry.name for entry in bench.folder.entries() if entry.state == "calibrated"]
 
 
 async def trend(request: Request) -> Response:
@@ -147,10 +133,11 @@ async def keep(request: Request) -> Response:
     """Keep a run, its results and its report in a ledger; it is made if there is none."""
     bench = bench_of(request)
     fields = await sent_form(request)
-    run = bench.folder.name(bench.folder.toml(only(fields, "run")))
+    path = bench.folder.toml(only(fields, "run"))
+    run, results = bench.folder.name(path), bench.folder.name(results_of(path))
     store = _store(bench, only(fields, "store"))
-    results = bench.folder.path(run.removesuffix(".toml") + "-calibration")
-    command = ["records", "add", run, "--store", store, "--results", bench.folder.name(results)]
+    bench.folder.path(results)
+    command = ["records", "add", run, "--store", store, "--results", results]
     for option in ("operator", "reason"):
         value = " ".join(only(fields, option).split())
         if not value:

@@ -40,10 +40,24 @@ def reading(bench: Workbench, name: str, *, again: bool = False) -> tuple[Signal
     if outline is not None:
         return outline, None
     mark = f"signals/{cache.name}"
-    last = next((job for job in bench.jobs.all() if job.result == mark), None)
+    last = bench.jobs.latest(name, mark)
     if last is not None and not again and bench.jobs.status(last).state in ("running", "failed", "stopped"):
         return None, last
     return None, bench.jobs.start((READ, name, str(cache)), "Read the record", name, mark)
+
+
+def _read(bench: Workbench, name: str) -> SignalOutline:
+    """The outline of a record that is read.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not read yet.
+    """
+    outline, _ = reading(bench, name)
+    if outline is None:
+        raise ArgumentError(f"{name}: is not read yet", remedy="reload the page")
+    return outline
 
 
 def show(request: Request) -> Response:
@@ -71,9 +85,7 @@ def read_again(request: Request) -> Response:
 def data(request: Request) -> Response:
     """Rows of time, then least and largest value of each asked signal, as 64-bit floats."""
     bench, name = bench_of(request), request.path_params["name"]
-    outline, _ = reading(bench, name)
-    if outline is None:
-        raise ArgumentError(f"{name}: is not read yet", remedy="reload the page")
+    outline = _read(bench, name)
     query = request.query_params
     try:
         first, last, width = float(query["from"]), float(query["to"]), int(query["width"])
@@ -101,15 +113,16 @@ async def leave_out(request: Request) -> Response:
     reason = " ".join(only(fields, "reason").split())
     if not reason:
         raise ArgumentError("a reason is needed", remedy="say why these rows are left out")
-    rows = rows_between(cache_of(bench, name), first, last)
-    await run_in_threadpool(_leave_out, bench, name, rows, reason)
+    await run_in_threadpool(_leave_out, bench, name, first, last, reason)
     return redirect(request, f"/signals/{quote(name)}")
 
 
-def _leave_out(bench: Workbench, name: str, rows: tuple[int, int], reason: str) -> None:
+def _leave_out(bench: Workbench, name: str, first: float, last: float, reason: str) -> None:
     """Add an entry to ``[data] leave_out``; everything else in the file, its comments too, stays as it is."""
     import tomlkit
 
+    _read(bench, name)
+    rows = rows_between(cache_of(bench, name), first, last)
     path = bench.folder.toml(name)
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
     data: Any = document["data"]
