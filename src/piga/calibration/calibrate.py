@@ -62,7 +62,7 @@ from piga.calibration.model.identifiability import (
 )
 from piga.calibration.model.reduction import beside
 from piga.calibration.model.request import Request, make_request
-from piga.calibration.model.solution import Solution, name_coefficients, solve
+from piga.calibration.model.solution import Solution, name_coefficients, principal, solve
 from piga.calibration.noise.weighting import weighting_mode
 from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
@@ -402,7 +402,7 @@ def _published_calibration(run: Run, request: Request, steps: Steps) -> Calibrat
         flip = np.ones(values.size)
         flip[0] = -1.0
         covariance = covariance * np.outer(flip, flip)
-    values[1] = np.pi - np.mod(np.pi - values[1], 2.0 * np.pi)
+    values[1] = principal(values[1])
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     coefficients = tuple(
         Coefficient(n, float(v), float(s), unit_of(n))

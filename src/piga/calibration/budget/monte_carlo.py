@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from piga.calibration.budget.uncertainty import Budget
 from piga.calibration.fit.one_run import Fit
 from piga.records.calibration import BudgetEntry, Coefficient, MonteCarlo, MonteCarloCheck
-from piga.records.calibration.coefficient import coverage_factor
+from piga.records.calibration.coefficient import coverage_factor, short_way
 from piga.records.terms import si_factor
 from piga.results import Array
 
@@ -319,7 +319,7 @@ def _results(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Callable[[Array
             p, q = linear[:, at["p"]], linear[:, at["q"]]
             phase = np.arctan2(q, p)
             columns["tan_beta"] = np.hypot(p, q) / scale
-            columns["phi"] = near["phi"] + np.angle(np.exp(1j * (phase - near["phi"])))
+            columns["phi"] = near["phi"] + short_way(phase - near["phi"])
         for order in design.request.harmonics:
             s, c = linear[:, at[f"s{order}"]], linear[:, at[f"c{order}"]]
             cosine, sine = np.cos(order * phase), np.sin(order * phase)

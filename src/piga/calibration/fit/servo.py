@@ -21,6 +21,7 @@ from piga.calibration.model.solution import Estimate, Layout, merged_groups, sol
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import reduce_segments
 from piga.errors import IdentifiabilityError
+from piga.records.calibration.coefficient import short_way
 from piga.records.terms import SERVO_TERMS
 from piga.results import Array
 
@@ -124,7 +125,7 @@ def find_state(
         ]
         estimate = solve_parts(layout, chosen)
         moved = _state_of(layout, estimate, given, sum(part.count for part in parts))
-        change = np.angle(np.exp(1j * (np.array(moved.phases) - np.array(state.phases))))
+        change = short_way(np.array(moved.phases) - np.array(state.phases))
         settled = np.abs(change).max() < SERVO_FIT.settled and (moved.inverse == 0.0) == (state.inverse == 0.0)
         sizes = np.array([state.stiffness, state.damping]), np.array([moved.stiffness, moved.damping])
         settled = settled and bool(np.all(np.abs(sizes[1] - sizes[0]) <= 1e-9 * np.abs(sizes[1])))

@@ -26,6 +26,7 @@ from piga.calibration.noise.settings import NOISE
 from piga.errors import ArgumentError, CalibrationError
 from piga.progress import Steps
 from piga.records.calibration import Coefficient
+from piga.records.calibration.coefficient import changes
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_terms, harmonic
 from piga.results import Array
@@ -452,13 +453,11 @@ def joint_contributions(fit: JointFit, steps: Steps) -> Iterator[tuple[SharedSou
     """
     layout, shared = layout_and_columns(fit.wish, fit.summaries)
     base = np.array([c.value for c in fit.coefficients])
-    turns = np.array([c.name == "phi" for c in fit.coefficients])
 
     def change(source: SharedSource, segment: int | None) -> Array:
         estimate = solve_parts(layout, _parts(layout, shared, fit.summaries, fit.servo, source, segment))
         named, _ = _named(fit.wish, fit.summaries, layout, estimate)
-        moved = np.array([c.value for c in named]) - base
-        return np.where(turns, np.angle(np.exp(1j * moved)), moved)
+        return changes(named, base, np.array([c.value for c in named]))
 
     for number, source in enumerate(joint_sources(fit.summaries)):
         steps.parts(number, f"adding up the budget: {source.name}")

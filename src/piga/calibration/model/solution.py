@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction, solve_upper
@@ -472,7 +472,12 @@ def _make_tangent_positive(layout: Layout, values: Array, jacobian: Array) -> No
         for index, (name, _) in enumerate(layout.keys, start=layout.head):
             if name == "servo_damping":
                 values[index], jacobian[index] = -values[index], -jacobian[index]
-    values[layout.size :] = np.pi - np.mod(np.pi - values[layout.size :], 2.0 * np.pi)
+    values[layout.size :] = principal(values[layout.size :])
+
+
+def principal(phase: ArrayLike) -> Array:
+    """Phases [rad] in (-pi, pi]."""
+    return np.pi - np.mod(np.pi - np.asarray(phase), 2.0 * np.pi)
 
 
 def _in_asked_order(

@@ -44,6 +44,7 @@ from piga.calibration.remarks.missing_terms import (
 )
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.records.calibration import BudgetEntry, Coefficient
+from piga.records.calibration.coefficient import changes
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 from piga.results import Array
 
@@ -230,7 +231,7 @@ def damped(
     size, std = abs(float(test.columns[0])), float(test.std[0])
     damping = float(test.columns[0]) / scale_factor / si_factor("servo_damping")
     reported = {c.key: c.value for c in coefficients if c.name in TURNED}
-    change = difference(coefficients, before | reported, after)
+    change = _difference(coefficients, before | reported, after)
     turned = ", ".join(
         f"{c.key} by {1e3 * step:.3g} mrad"
         for c, step in zip(coefficients, change, strict=True)
@@ -246,13 +247,12 @@ def damped(
     )
 
 
-def difference(
+def _difference(
     coefficients: tuple[Coefficient, ...], before: dict[str, float], after: dict[str, float]
 ) -> Array:
-    """Change of each coefficient between two results; for a phase, the shorter way round."""
-    change = np.array([after[c.key] - before[c.key] for c in coefficients])
-    turning = np.array([c.name == "phi" for c in coefficients])
-    return np.where(turning, np.angle(np.exp(1j * change)), change)
+    """Change of each coefficient between two results."""
+    values = (np.array([result[c.key] for c in coefficients]) for result in (before, after))
+    return changes(coefficients, *values)
 
 
 def odd_square(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ...]:
@@ -463,7 +463,7 @@ def _lacking(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
         return ()
     best = max(clear, key=lambda wider: wider.fall)
     coefficients, after = rows.fit.coefficients, _values(best.after)
-    change = difference(coefficients, {c.key: c.value for c in coefficients}, after)
+    change = _difference(coefficients, {c.key: c.value for c in coefficients}, after)
     words = _lacking_words(best.test.names, best.after.coefficients, coefficients, after)
     return (LeftOut(LACKING[best.test.names[0]], change, words),)
 

@@ -24,6 +24,7 @@ from piga.calibration.model.solution import (
 )
 from piga.calibration.noise.weighting import SegmentBasis
 from piga.records.calibration import Coefficient, SegmentLeverage
+from piga.records.calibration.coefficient import short_way
 
 
 @dataclass(frozen=True)
@@ -208,7 +209,7 @@ def _influence(
             share[c.name], shift[c.name] = 0.0, None
         else:
             change = left.values[c.name] - whole.values[c.name]
-            change = float(np.angle(np.exp(1j * change))) if c.name == "phi" else change
+            change = float(short_way(change)) if c.name == "phi" else change
             share[c.name] = max(0.0, 1.0 - (whole.std[c.name] / left.std[c.name]) ** 2)
             shift[c.name] = change / c.std
     return share, shift
