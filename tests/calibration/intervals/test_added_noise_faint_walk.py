@@ -26,7 +26,7 @@ SMALL = replace(WHITE, forces=tumble(6, (0.5, 1.0)), seconds=8.0, rate=5.0)
 def fitted(scenario: Scenario, seed: int) -> Fit:
     """A fit with the weights of white noise; a walk that was taken as real is none."""
     run = scenario.record(np.random.default_rng([seed, 78]))
-    request = make_request(run, scenario.terms, None, None, None)
+    request = make_request(run, scenario.terms)
     fit = fit_run(run, request)
     noise = replace(fit.noise, walk=0.0)
     solution = solve(fit.design, reduce_segments(fit.design, fit.mode, noise))
@@ -128,7 +128,7 @@ def test_a_calibration_has_it() -> None:
     """Standard uncertainties and degrees of freedom of the whole calibration are those of the fit with it."""
     run = SMALL.record(np.random.default_rng([3, 78]))
     calibration = SMALL.calibrate(run)
-    request = make_request(run, SMALL.terms, None, None, None)
+    request = make_request(run, SMALL.terms)
     plain = fit_run(run, request)
     assert plain.noise.walk == 0.0
     fit = include_faint_walk(plain)

@@ -34,7 +34,7 @@ assert isinstance(COUNTED, Scenario)
 
 def fitted(scenario: Scenario, seed: int, phase: str | None = None) -> Fit:
     run = scenario.record(np.random.default_rng([seed, 77]))
-    request = make_request(run, scenario.terms, None, phase, None)
+    request = make_request(run, scenario.terms, None, phase)
     return fit_run(run, request)
 
 

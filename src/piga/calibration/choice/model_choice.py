@@ -205,7 +205,7 @@ def compare_models(
     steps = Steps(progress, 1 + len(wanted))
     steps("finding the noise")
     union = union_of(wanted)
-    request = make_request(run, union, "information", phases, None, ())
+    request = make_request(run, union, "information", phases, per_run=())
     weighed = Weighed.of(run, request)
     rows = []
     for terms in wanted:
@@ -352,7 +352,7 @@ class Weighed:
             coefficients, alike = self._named(layout, estimate, terms, own)
         except (CalibrationError, IdentifiabilityError) as error:
             return TermSet(terms, error.message, error.remedy)
-        n, m = self.observations, len(estimate.amplitudes) + len(estimate.phases)
+        n, m = self.observations, estimate.parameters
         likelihood = -0.5 * (n * math.log(2.0 * math.pi) + self.log_determinant + estimate.cost)
         return TermSet(
             terms,
@@ -411,8 +411,9 @@ class Weighed:
         count = max(self.groups) + 1 if own else 1
         groups = []
         for group in range(count):
-            members = [i for i, g in enumerate(self.groups) if g == group or not own]
-            total = merged(self.parts, members)
+            total = merged(
+                [part for part, g in zip(self.parts, self.groups, strict=True) if g == group or not own]
+            )
             if self._fixed(shared) is not None:
                 total = total.less("scale_factor", self.design.run.scale_factor)
             held = total.select(tuple(self._held(name) for name in (*local, *shared)))

@@ -48,14 +48,8 @@ def recursive_history(design: Design, mode: str, noise: Noise) -> Iterator[tuple
         snapshots = np.empty((inside.size, size, size))
         absorb_rows(factor, columns, inside - block.start, snapshots)
         for mark, snapshot in zip(inside, snapshots, strict=True):
-            yield int(mark), [*summaries[:-1], _summary(design, snapshot)]
-        summaries[-1] = _summary(design, factor)
-
-
-def _summary(design: Design, factor: Array) -> Reduction:
-    summary = Reduction.empty(design.names)
-    summary.absorb(factor.T)
-    return summary
+            yield int(mark), [*summaries[:-1], Reduction.of_factor(design.names, snapshot, size)]
+        summaries[-1] = Reduction.of_factor(design.names, factor, size)
 
 
 X0 = (4.5e-3, 0.4)

@@ -174,7 +174,7 @@ def fit_run(
         If more than ``OUTLIERS.largest_share`` of the samples are bad.
     """
     fit = plain = _fit(run, request)
-    parameters = _parameters(fit.solution)
+    parameters = fit.solution.parameters
     if request.phase_source == "input" or not suspicious(fit.d, fit.h, fit.mode, fit.noise, run, parameters):
         return fit
     plain.design.forget()
@@ -230,7 +230,7 @@ def _fit(
             information = _information(design, mode, step)
         d, h = residual_increments(design, solution.values)
         levels = given or _levels(
-            design, d, h, _parameters(solution), mode, noise if refit else None, information
+            design, d, h, solution.parameters, mode, noise if refit else None, information
         )
         settled = refined is design and (mode != "increments" or levels.close_to(noise, step, design.rows))
         if settled:
@@ -264,7 +264,7 @@ def _noise_of_joined(design: Design, mode: str, noise: Noise) -> Noise:
         d = [one.columns[-1] - solution.values[one.segment] @ one.columns[:-1] for one in design.joined()]
         h = np.concatenate([one.h for one in design.joined()])
         step = float(np.median(h[h > 0.0]))
-        noise = find_noise(np.concatenate(d), h, step, _parameters(solution), rounding(design.run))
+        noise = find_noise(np.concatenate(d), h, step, solution.parameters, rounding(design.run))
     return noise
 
 
@@ -302,11 +302,7 @@ def log_determinant(solution: Solution) -> float:
 def noise_of(design: Design, solution: Solution, mode: str) -> Noise:
     """Noise levels of the residuals of a solution."""
     d, h = residual_increments(design, solution.values)
-    return _levels(design, d, h, _parameters(solution), mode)
-
-
-def _parameters(solution: Solution) -> int:
-    return len(solution.amplitudes) + len(solution.phases)
+    return _levels(design, d, h, solution.parameters, mode)
 
 
 def _levels(

@@ -16,7 +16,7 @@ import numpy as np
 
 from piga.calibration.fit.one_run import Colour, Fit
 from piga.calibration.intervals.slow_noise import means_of_bins, moved_by, slow_factor, triangle
-from piga.calibration.model.solution import name_coefficients
+from piga.calibration.model.solution import variances_of
 from piga.calibration.noise.components import RATES, RateBins, markov_times
 from piga.calibration.noise.likelihood import Contrasts, Levels, estimate
 from piga.calibration.noise.settings import NOISE
@@ -58,9 +58,8 @@ def include_coloured_noise(fit: Fit) -> Fit:
     ):
         return fit
     factor = slow_factor(fit, fit.noise, bins)
-    parameters = len(fit.solution.amplitudes) + len(fit.solution.phases)
     contrasts = contrasts_of(fit, factor, fit.design.rows, bins)
-    moved = moved_by(factor, bins, parameters)
+    moved = moved_by(factor, bins, fit.solution.parameters)
     if contrasts is None or moved is None or not _suspected(contrasts, bins, segments):
         return fit
     candidates = _candidates(contrasts, bins, segments)
@@ -129,18 +128,14 @@ def _estimated(
     contrasts: Contrasts, bins: RateBins, name: str, time: float = 0.0, start: Levels | None = None
 ) -> Levels | None:
     """Levels of white noise, walk (angle logs) and a component."""
-    units = [] if bins.point else [contrasts.turned(_rates("walk", bins, 0.0))]
+    units = [] if bins.point else [contrasts.turned(RATES["walk"](bins, 0.0))]
     if name:
-        units.append(contrasts.turned(_rates(name, bins, time)))
+        units.append(contrasts.turned(RATES[name](bins, time)))
     held = replace(contrasts, units=np.concatenate([contrasts.units, *(unit[None] for unit in units)]))
     first = np.zeros(len(held.units))
     known = np.ones(1) if start is None else start.values
     first[: known.size] = known
     return estimate(held, first)
-
-
-def _rates(name: str, bins: RateBins, time: float) -> Array:
-    return RATES[name](bins, time)
 
 
 def _candidates(contrasts: Contrasts, bins: RateBins, segments: int) -> list[_ColourCandidate]:
@@ -173,11 +168,11 @@ def _averaged(
     for candidate in candidates:
         parts = [white]
         if not bins.point:
-            parts.append(moved @ _rates("walk", bins, 0.0) @ moved.T)
+            parts.append(moved @ RATES["walk"](bins, 0.0) @ moved.T)
         if candidate.name:
-            parts.append(moved @ _rates(candidate.name, bins, candidate.time) @ moved.T)
+            parts.append(moved @ RATES[candidate.name](bins, candidate.time) @ moved.T)
         stack = np.array(parts)
-        shares = np.array([_named(fit, part) for part in stack])
+        shares = np.array([variances_of(fit.design, fit.solution, part) for part in stack])
         variance = candidate.levels.values @ shares
         uncertain = np.einsum("ik,ij,jk->k", shares, candidate.levels.covariance, shares)
         diagonal = candidate.levels.values @ np.einsum("kii->ki", stack)
@@ -205,7 +200,7 @@ def _averaged(
 def _colour(bins: RateBins, best: _ColourCandidate, degrees: Array) -> Colour:
     """The likeliest component."""
     level, deviation = float(best.levels.values[-1]), float(np.sqrt(best.levels.covariance[-1, -1]))
-    rms = float(np.sqrt(level * np.diag(_rates(best.name, bins, best.time)).mean()))
+    rms = float(np.sqrt(level * np.diag(RATES[best.name](bins, best.time)).mean()))
     colour = Colour(best.name, level, deviation, best.time, best.gain, 0.0, rms, degrees)
     if bins.point:
         return colour
@@ -216,8 +211,3 @@ def _colour(bins: RateBins, best: _ColourCandidate, degrees: Array) -> Colour:
         walk_deviation=float(np.sqrt(known[1, 1])),
         walk_shared=float(known[1, -1]),
     )
-
-
-def _named(fit: Fit, covariance: Array) -> Array:
-    """Variances of the coefficients (file units) for a covariance of the parameters."""
-    return np.diag(name_coefficients(fit.design, fit.solution, covariance)[1]).copy()

@@ -101,7 +101,7 @@ def include_slow_noise(fit: Fit, clear: float = NOISE.slow_in_weights) -> Fit:
     basis, plain = best.basis, _solved(fit, best.noise)
     factor = slow_factor(plain, best.noise, basis)
     level = likely_level(factor, basis)
-    moved = moved_by(factor, basis, len(fit.solution.amplitudes) + len(fit.solution.phases))
+    moved = moved_by(factor, basis, fit.solution.parameters)
     slow, deviation = basis.noise(best.noise, level.variance), level.deviation / basis.unit()
     limit = clear if isinstance(basis, DriftBasis) else NOISE.slow_in_weights
     if fit.counted is None and (best.gain >= limit or moved is None):
@@ -228,7 +228,7 @@ class _Deviances:
 
 def _deviances(fit: Fit, basis: SlowBasis, noise: Noise, below: float) -> _Deviances:
     step = fit.design.run.median_step
-    freedom = fit.design.rows - len(fit.solution.amplitudes) - len(fit.solution.phases)
+    freedom = fit.design.rows - fit.solution.parameters
     centre = math.log10(max(noise.walk * step / noise.white, 1e-9))
     grid = np.linspace(centre - below, centre + NOISE.slow_above, CANDIDATES)
     logarithms = deviance_sums(fit.d, fit.h, 10.0**grid / step)[0]

@@ -137,7 +137,7 @@ def fit_jointly(
             continue
         steps.within(index / len(items), f"fitting the model to {name}")
         own = wish.terms_of(index)
-        request = make_request(item, own, "information", phases, None, ())
+        request = make_request(item, own, "information", phases, per_run=())
         prepared = prepare(item, request, name)
         live.append(prepared)
         summaries.append(summarise(prepared, own))

@@ -154,7 +154,7 @@ class RunSummary(Result):
         CalibrationError, ArgumentError
             If the request does not fit the record.
         """
-        live = prepare(run, make_request(run, terms, "information", None, None), name or run_name(run, 0))
+        live = prepare(run, make_request(run, terms, "information"), name or run_name(run, 0))
         return summarise(live, all_columns(run, live.request))
 
     def to_json(self, path: str | Path) -> None:
@@ -338,7 +338,7 @@ def group_rows(summaries: list[Reduction], fit: Fit, groups: tuple[int, ...]) ->
 
 
 def _group(summaries: list[Reduction], fit: Fit, groups: tuple[int, ...], group: int) -> Reduction:
-    part = merged(summaries, [s for s, own in enumerate(groups) if own == group])
+    part = merged([one for one, own in zip(summaries, groups, strict=True) if own == group])
     if drift_columns(part):
         part = part.without(DRIFT_NAMES)
     return part.scaled(1.0 / fit.sample_variance) if fit.mode == "samples" else part

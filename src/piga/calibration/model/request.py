@@ -51,10 +51,10 @@ class Request:
 
 def make_request(
     run: Run,
-    terms: str | list[str] | tuple[str, ...] | None,
-    method: str | None,
-    phases: str | None,
-    phase_source: str | None,
+    terms: str | list[str] | tuple[str, ...] | None = None,
+    method: str | None = None,
+    phases: str | None = None,
+    phase_source: str | None = None,
     per_run: str | list[str] | tuple[str, ...] | None = None,
 ) -> Request:
     """Replace settings of the run file by call arguments and check the request against the record.

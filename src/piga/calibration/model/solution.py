@@ -178,6 +178,11 @@ class Estimate:
     cost: float
     jacobians: tuple[Array, ...]
 
+    @property
+    def parameters(self) -> int:
+        """Number of parameters: amplitudes and phases."""
+        return len(self.amplitudes) + len(self.phases)
+
 
 @dataclass(frozen=True)
 class Solution(Estimate):
@@ -191,19 +196,22 @@ def drift_columns(summary: Reduction) -> tuple[str, ...]:
     return summary.names[-KNOTS:] if summary.names[-KNOTS:] == DRIFT_NAMES else ()
 
 
-def merged(summaries: list[Reduction], indices: list[int]) -> Reduction:
+def merged(summaries: list[Reduction]) -> Reduction:
     """Merge several summaries into one."""
     if drift_columns(summaries[0]):
-        return Reduction.stacked([summaries[index] for index in indices])
+        return Reduction.stacked(summaries)
     total = Reduction.empty(summaries[0].names)
-    for index in indices:
-        total.merge(summaries[index])
+    for part in summaries:
+        total.merge(part)
     return total
 
 
 def merged_groups(summaries: list[Reduction], groups: tuple[int, ...]) -> list[Reduction]:
     """One summary per phase group, from summaries per segment."""
-    return [merged(summaries, [s for s, own in enumerate(groups) if own == g]) for g in range(max(groups) + 1)]
+    return [
+        merged([part for part, own in zip(summaries, groups, strict=True) if own == group])
+        for group in range(max(groups) + 1)
+    ]
 
 
 def solve(design: Design, summaries: list[Reduction]) -> Solution:
@@ -414,6 +422,11 @@ def name_coefficients(
     owners: list[Owner] = [(label if design.per_segment else None, None) for label in design.run.labels[:count]]
     layout = layout_of(design, max(count, 1))
     return name_parameters(layout, solution, covariance, design.run.scale_factor, design.request.terms, owners)
+
+
+def variances_of(design: Design, solution: Estimate, covariance: Array) -> Array:
+    """Variances of the coefficients of one run (file units) for a covariance of the internal parameters."""
+    return np.diag(name_coefficients(design, solution, covariance)[1]).copy()
 
 
 def name_parameters(

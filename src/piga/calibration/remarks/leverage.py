@@ -18,6 +18,7 @@ from piga.calibration.model.solution import (
     Estimate,
     Layout,
     layout_of,
+    merged,
     name_coefficients,
     parameter_rows,
     solve_parts,
@@ -98,7 +99,7 @@ def find_leverage(
     layout, linear = layout_of(fit.design), fit.design.has_phases
     parts = _amplitude_parts(layout, fit) if linear else fit.summaries
     common = [c for c in coefficients if c.segment is None]
-    whole = _named(fit, layout, _merged(parts), linear)
+    whole = _named(fit, layout, merged(parts), linear)
     size = 1.0 if fit.mode == "increments" else _residual_size(parts, fit)
     table: dict[str, SegmentLeverage] = {}
     for label, traced, rest in zip(labels, leverages(parts), all_but_one(parts), strict=True):
@@ -130,34 +131,26 @@ def _amplitude_parts(layout: Layout, fit: Fit) -> list[Reduction]:
     for segment, summary in enumerate(fit.summaries):
         rows = summary.factor
         rows[:, -1] -= rows[:, :-1] @ fit.solution.values[segment]
-        part = Reduction.empty(names)
-        part.absorb(parameter_rows(fit.design, fit.solution, segment, rows).T)
-        parts.append(part)
+        own = parameter_rows(fit.design, fit.solution, segment, rows)
+        parts.append(Reduction.of_factor(names, own, len(own)))
     return parts
-
-
-def _merged(parts: list[Reduction]) -> Reduction:
-    total = Reduction.empty(parts[0].names)
-    for part in parts:
-        total.merge(part)
-    return total
 
 
 def all_but_one(parts: list[Reduction]) -> list[Reduction]:
     """For each part, the merger of all other parts; running mergers from both ends."""
     before = [Reduction.empty(parts[0].names)]
     for part in parts[:-1]:
-        before.append(_merged([before[-1], part]))
+        before.append(merged([before[-1], part]))
     mergers, after = [], Reduction.empty(parts[0].names)
     for part, first in zip(reversed(parts), reversed(before), strict=True):
-        mergers.append(_merged([first, after]))
+        mergers.append(merged([first, after]))
         after.merge(part)
     return mergers[::-1]
 
 
 def leverages(parts: list[Reduction]) -> list[float]:
     """Trace of each part's information in the total."""
-    covariance = _merged(parts).solve()[1]
+    covariance = merged(parts).solve()[1]
     factors = [part.factor[:, :-1] for part in parts]
     return [float(np.einsum("ij,jk,ik->", f, covariance, f)) for f in factors]
 
@@ -217,7 +210,7 @@ def _influence(
 
 def _residual_size(parts: list[Reduction], fit: Fit) -> float:
     """Standard deviation of a weighted row, for methods whose weights do not use the noise levels."""
-    total = _merged(parts)
+    total = merged(parts)
     return float(np.sqrt(total.solve()[2] / max(fit.design.rows - len(total.names), 1)))
 
 

@@ -20,7 +20,7 @@ from scipy.special import ndtri
 from piga.calibration.fit.one_run import Fit
 from piga.calibration.intervals.coloured_noise import contrasts_of
 from piga.calibration.intervals.slow_noise import moved_by
-from piga.calibration.model.solution import name_coefficients
+from piga.calibration.model.solution import variances_of
 from piga.calibration.noise.components import RATES, RateBins, markov_times
 from piga.calibration.noise.likelihood import ProfileLikelihood
 from piga.calibration.noise.settings import NOISE
@@ -139,7 +139,7 @@ def unseen_noise(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) ->
         return None
     factor, rows = joined_factor(plain, bins)
     contrasts = contrasts_of(plain, factor, rows, bins)
-    moved = moved_by(factor, bins, len(plain.solution.amplitudes) + len(plain.solution.phases))
+    moved = moved_by(factor, bins, plain.solution.parameters)
     if contrasts is None or moved is None:
         return None
     walk = 0.0 if bins.point else plain.noise.walk
@@ -147,8 +147,14 @@ def unseen_noise(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) ->
         contrasts, contrasts.turned(walk * RATES["walk"](bins, 0.0)) if walk else None
     )
     expanded = np.array([c.expanded for c in coefficients]) / float(ndtri(0.5 + 0.5 * UNSEEN.confidence))
-    white = _variances(plain, plain.solution.covariance) * (plain.sample_variance if bins.point else 1.0)
-    without = np.array([c.std**2 for c in coefficients]) - _variances(fit, fit.covariance) + white
+    white = variances_of(plain.design, plain.solution, plain.solution.covariance) * (
+        plain.sample_variance if bins.point else 1.0
+    )
+    without = (
+        np.array([c.std**2 for c in coefficients])
+        - variances_of(fit.design, fit.solution, fit.covariance)
+        + white
+    )
     lost = walk * _shares(plain, moved, RATES["walk"](bins, 0.0))
     seconds = float(np.median(bins.edges[:, -1] - bins.edges[:, 0]))
     worst: UnseenNoise | None = None
@@ -182,14 +188,9 @@ def unseen_noise(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) ->
     return worst
 
 
-def _variances(fit: Fit, covariance: Array) -> Array:
-    """Variances of the coefficients (file units) for a covariance of the parameters."""
-    return np.diag(name_coefficients(fit.design, fit.solution, covariance)[1]).copy()
-
-
 def _shares(fit: Fit, moved: Array, rates: Array) -> Array:
     """Variances of the coefficients by a covariance of the slow rates."""
-    return _variances(fit, moved @ rates @ moved.T)
+    return variances_of(fit.design, fit.solution, moved @ rates @ moved.T)
 
 
 def _shuffled(bins: RateBins) -> NDArray[np.int64]:
