@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from piga._kernels.estimation.noise import innovation_weights
 from piga.calibration.choice.cross_validation import HeldOutPrediction, fold_of, predict, row_edges
 from piga.calibration.fit.one_run import Fit, refine_counted
-from piga.calibration.fit.servo import at_state, find_state, refuse_if_servo_confounded
+from piga.calibration.fit.servo import at_state, state_of
 from piga.calibration.joint.summary import prepare, run_name
 from piga.calibration.model.design import PHASELESS, Design, ServoState, phaseless_columns
 from piga.calibration.model.identifiability import (
@@ -340,9 +340,7 @@ class Weighed:
         local += tuple(f"{kind}{order}" for order in harmonics for kind in ("s", "c"))
         shared = replace(self.design.request, terms=terms).shared_terms
         own = self.per_segment and bool(local)
-        keys = tuple((name, None) for name in shared)
-        count = max(self.groups) + 1 if own else 1
-        layout = Layout("tan_beta" in terms, harmonics, keys, (np.arange(len(shared)),) * count)
+        layout = Layout.of_one("tan_beta" in terms, harmonics, shared, max(self.groups) + 1 if own else 1)
         state: ServoState | None = None
         try:
             _refuse_servo_alone(terms)
@@ -377,11 +375,7 @@ class Weighed:
         plain = tuple(name for name in shared if name not in SERVO_TERMS)
         held = self._chosen(local, (*plain, *phaseless_columns(terms)), own)
         wanted = [(*local, *shared)] * len(held)
-        if layout.coupled:
-            refuse_if_servo_confounded(layout, held, wanted, per_segment=own)
-            state = find_state(layout, held, wanted, known)
-        else:
-            state = ServoState((0.0,) * len(held), known.get("servo", 0.0), 0.0, 0.0, turning=False)
+        state = state_of(layout, held, wanted, known, per_segment=own)
         return state, [at_state(part, wanted[0], state, group, known) for group, part in enumerate(held)]
 
     def _predicted(

@@ -394,21 +394,18 @@ def revolutions_degrees(fit: RevolutionFit, request: Request) -> Array:
 
 def _named(fit: RevolutionFit, request: Request, covariance: Array) -> tuple[tuple[Coefficient, ...], Array]:
     """Coefficients and their covariance, if ``covariance`` is that of the parameters."""
-    keys: list[tuple[str, str | None]] = [(name, None) for name in fit.design.names]
-    amplitudes = fit.linear
+    names, amplitudes = fit.design.names, fit.linear
     if fit.shows_pulling:
-        amplitudes, covariance = _with_tangent(fit, keys, covariance)
+        names = (*names, "tan_beta")
+        amplitudes, covariance = _with_tangent(fit, covariance)
     elif fit.square is not None:
         covariance = covariance[:-1, :-1]
-    tail = np.arange(len(keys))
-    layout = Layout(False, (), tuple(keys), (tail,))
-    estimate = Estimate(amplitudes, np.zeros(0), covariance, 0.0, (np.eye(tail.size),))
+    layout = Layout.of_one(False, (), names)
+    estimate = Estimate(amplitudes, np.zeros(0), covariance, 0.0, (np.eye(len(names)),))
     return name_parameters(layout, estimate, covariance, fit.design.run.scale_factor, request.terms, [])
 
 
-def _with_tangent(
-    fit: RevolutionFit, keys: list[tuple[str, str | None]], covariance: Array
-) -> tuple[Array, Array]:
+def _with_tangent(fit: RevolutionFit, covariance: Array) -> tuple[Array, Array]:
     """Parameters with ``tan_beta^2`` converted to ``K tan_beta``."""
     tangent = float(np.sqrt(fit.square or 0.0))
     names = fit.design.names
@@ -418,7 +415,6 @@ def _with_tangent(
     jacobian[-1, -1] = K / (2.0 * tangent)
     if at is not None:
         jacobian[-1, at] = tangent
-    keys.append(("tan_beta", None))
     return np.append(fit.linear, K * tangent), jacobian @ covariance @ jacobian.T
 
 

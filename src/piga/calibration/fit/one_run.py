@@ -136,6 +136,11 @@ class Fit:
     colour: Colour | None = None
 
     @property
+    def seeks_noise(self) -> bool:
+        """True if noise of every kind is looked for: no level is given, and the method is whitened least squares in one go."""
+        return self.design.request.method == "information" and self.design.request.angle_rms is None
+
+    @property
     def weights(self) -> Noise:
         """The noise levels in the weights of the rows."""
         return self.noise if self.slow_part is None else self.noise.without_slow()

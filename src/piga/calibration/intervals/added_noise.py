@@ -184,9 +184,9 @@ def include_faint_walk(fit: Fit) -> Fit:
     Not done with slow noise, coarse counts, given noise levels, methods other than whitened least squares in one go,
     more than ``restricted_rows`` increments, or if the coefficients leave no slow values.
     """
-    request, noise = fit.design.request, fit.noise
-    able = fit.mode == "increments" and request.method == "information" and fit.counted is None
-    if not able or request.angle_rms is not None or noise.slow > 0.0 or fit.design.rows > NOISE.restricted_rows:
+    noise = fit.noise
+    able = fit.seeks_noise and fit.mode == "increments" and fit.counted is None
+    if not able or noise.slow > 0.0 or fit.design.rows > NOISE.restricted_rows:
         return fit
     unit = slowest(fit)
     if noise.white == 0.0 or noise.walk > NOISE.faint_unclear * unit * noise.white:

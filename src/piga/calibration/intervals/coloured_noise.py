@@ -44,14 +44,10 @@ def include_coloured_noise(fit: Fit) -> Fit:
     :func:`~piga.calibration.intervals.slow_noise.include_slow_noise`, which can weight by it. Not done with given noise
     levels and with methods other than whitened least squares in one go.
     """
-    run, request = fit.design.run, fit.design.request
+    run, bins = fit.design.run, bins_of(fit)
+    if not fit.seeks_noise or bins is None or fit.noise.stated:
+        return fit
     segments = len(run.labels)
-    able = fit.mode in ("increments", "samples") and request.method == "information"
-    if not able or request.angle_rms is not None or segments > NOISE.most_segments or fit.noise.stated:
-        return fit
-    bins = RateBins.of(run)
-    if fit.design.rows < NOISE.colour_least * bins.count or bins.widths.min() <= 0.0:
-        return fit
     coarse = RateBins.of(run, coarse=True)
     if fit.design.rows > NOISE.restricted_rows and not _suspected(
         _bin_contrasts(fit, coarse), coarse, segments
@@ -72,6 +68,15 @@ def include_coloured_noise(fit: Fit) -> Fit:
     if best.gain < NOISE.colour_in_covariance or (fit.mode == "increments" and left):
         return fit
     return _averaged(fit, bins, moved, candidates, best)
+
+
+def bins_of(fit: Fit, *, coarse: bool = False) -> RateBins | None:
+    """Parts of a record for its slow rates; None if it has too many segments, or too few increments in a part."""
+    if len(fit.design.run.labels) > NOISE.most_segments:
+        return None
+    bins = RateBins.of(fit.design.run, coarse=coarse)
+    few = fit.design.rows < NOISE.colour_least * bins.count
+    return None if few or bins.widths.min() <= 0.0 else bins
 
 
 def contrasts_of(fit: Fit, factor: Array, rows: int, bins: RateBins) -> Contrasts | None:

@@ -61,9 +61,8 @@ def include_stated_scatter(fit: Fit, variance: Array) -> Fit:
     A stated scatter is then not mistaken for noise of the record. The fit is unchanged if the scatter is below
     ``stated_lost`` of the noise of the mean rates, or if the noise levels are not estimated. Coarse counts keep their weights.
     """
-    request, count = fit.design.request, len(fit.design.run.labels)
-    able = fit.mode == "increments" and request.method == "information" and request.angle_rms is None
-    if not able or not variance.any() or count > NOISE.most_segments:
+    able = fit.seeks_noise and fit.mode == "increments"
+    if not able or not variance.any() or variance.size > NOISE.most_segments:
         return fit
     basis = SegmentBasis.of(fit.design.run)
     factor = slow_factor(fit, fit.noise, basis)
@@ -89,9 +88,7 @@ def include_slow_noise(fit: Fit, clear: float = NOISE.slow_in_weights) -> Fit:
     counts at any gain.
     Not done with given noise levels and with methods other than whitened least squares in one go.
     """
-    request = fit.design.request
-    able = fit.mode == "increments" and request.method == "information"
-    if not able or request.angle_rms is not None or fit.design.rows < 8 * KNOTS:
+    if not fit.seeks_noise or fit.mode != "increments" or fit.design.rows < 8 * KNOTS:
         return fit
     looked = _beside_counts if fit.counted is not None else _looked_for
     candidates = [candidate for basis in slow_bases(fit.design.run) if (candidate := looked(fit, basis))]

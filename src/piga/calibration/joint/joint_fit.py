@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piga.calibration.budget.uncertainty import SharedSource
-from piga.calibration.fit.servo import at_state, find_state, mixture, refuse_if_servo_confounded
+from piga.calibration.fit.servo import at_state, mixture, state_of
 from piga.calibration.intervals.added_noise import AddedNoise
 from piga.calibration.joint.summary import LiveRun, RunSummary, prepare, run_name, summarise
 from piga.calibration.model.design import ServoState, phaseless_columns
@@ -326,12 +326,8 @@ def _servo_state(
         for summary, own in zip(summaries, shared, strict=True)
         for _ in summary.parts
     ]
-    if not layout.coupled:
-        count = sum(len(summary.parts) for summary in summaries)
-        return ServoState((0.0,) * count, known[0].get("servo", 0.0), 0.0, 0.0, turning=False)
     parts = _parts(layout, shared, summaries, None)
-    refuse_if_servo_confounded(layout, parts, wanted, runs=len(summaries))
-    return find_state(layout, parts, wanted, known[0])
+    return state_of(layout, parts, wanted, known[0], runs=len(summaries))
 
 
 def merge_runs(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | None]) -> JointFit:

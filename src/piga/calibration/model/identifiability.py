@@ -329,12 +329,3 @@ def remarks_in_words(coefficients: tuple[Coefficient, ...], phases: str) -> tupl
             "every segment has its own phase: nothing is assumed about the counter between segments"
         )
     return tuple(sentences)
-
-
-def notes_on_runs(alone: dict[str, tuple[str, ...]]) -> tuple[str, ...]:
-    """Terms that each run alone could not determine; ``alone`` by run."""
-    return tuple(
-        f"run '{name}' alone cannot separate {', '.join(terms)}: the other runs do"
-        for name, terms in alone.items()
-        if terms
-    )

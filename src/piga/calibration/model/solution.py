@@ -7,6 +7,7 @@ solution. Names and file units are applied last.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +61,12 @@ class Layout:
     orders: tuple[int, ...]
     keys: tuple[tuple[str, str | None], ...]
     tails: tuple[NDArray[np.int64], ...]
+
+    @classmethod
+    def of_one(cls, coupled: bool, orders: tuple[int, ...], terms: Sequence[str], groups: int = 1) -> Layout:
+        """The layout of one run: every shared term is one parameter in all ``groups``."""
+        keys = tuple((name, None) for name in terms)
+        return cls(coupled, orders, keys, (np.arange(len(keys)),) * groups)
 
     @property
     def local(self) -> int:
@@ -157,9 +164,8 @@ def layout_of(design: Design, groups: int | None = None, extra: tuple[str, ...] 
     ``groups`` is the number of phase groups; default: that of the design.
     """
     count = len(set(design.groups)) if groups is None else groups
-    keys = tuple((name, None) for name in (*design.shared_names, *extra))
-    tail = np.arange(len(keys))
-    return Layout("p" in design.local_names, design.request.harmonics, keys, (tail,) * count)
+    shared = (*design.shared_names, *extra)
+    return Layout.of_one("p" in design.local_names, design.request.harmonics, shared, count)
 
 
 @dataclass(frozen=True)

@@ -34,13 +34,12 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from piga.calibration.fit.one_run import Fit
-from piga.calibration.intervals.coloured_noise import contrasts_of
+from piga.calibration.intervals.coloured_noise import bins_of, contrasts_of
 from piga.calibration.intervals.slow_noise import triangle
 from piga.calibration.model.design import Joined
 from piga.calibration.model.reduction import solve_upper
 from piga.calibration.model.solution import name_coefficients
 from piga.calibration.noise.components import RateBins
-from piga.calibration.noise.settings import NOISE
 from piga.calibration.remarks.missing_terms import Tested, after_change, joined_rows, pieces_of, tested
 from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.spool import extent, spans
@@ -101,15 +100,10 @@ def slow_wave(fit: Fit) -> SlowWave | None:
     fit:
         The fit without coloured noise.
     """
-    run = fit.design.run
-    if (
-        fit.mode != "samples"
-        or fit.design.request.angle_rms is not None
-        or len(run.labels) > NOISE.most_segments
-    ):
+    if fit.mode != "samples" or fit.design.request.angle_rms is not None:
         return None
-    bins = RateBins.of(run)
-    if fit.design.rows < NOISE.colour_least * bins.count or bins.widths.min() <= 0.0:
+    bins = bins_of(fit)
+    if bins is None:
         return None
     contrasts = contrasts_of(fit, *joined_factor(fit, bins), bins)
     if contrasts is None:

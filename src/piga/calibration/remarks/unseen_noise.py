@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from piga.calibration.fit.one_run import Fit
-from piga.calibration.intervals.coloured_noise import contrasts_of
+from piga.calibration.intervals.coloured_noise import bins_of, contrasts_of
 from piga.calibration.intervals.slow_noise import moved_by
 from piga.calibration.model.solution import variances_of
 from piga.calibration.noise.components import RATES, RateBins, markov_times
 from piga.calibration.noise.likelihood import ProfileLikelihood
-from piga.calibration.noise.settings import NOISE
 from piga.calibration.remarks.slow_changes import joined_factor
 from piga.records.calibration import Coefficient
 from piga.records.calibration.verdict import THRESHOLDS
@@ -127,15 +126,9 @@ def unseen_noise(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) ->
     coefficients:
         Those of the result, with combined uncertainties.
     """
-    run, request = fit.design.run, fit.design.request
-    able = fit.mode in ("increments", "samples") and request.method == "information" and fit.counted is None
     told = fit.noise.slow > 0.0 or (fit.colour is not None and fit.colour.gain > THRESHOLDS.coloured)
-    if not able or told or request.angle_rms is not None or fit.noise.stated:
-        return None
-    if len(run.labels) > NOISE.most_segments:
-        return None
-    bins = RateBins.of(run, coarse=True)
-    if fit.design.rows < NOISE.colour_least * bins.count or bins.widths.min() <= 0.0:
+    bins = bins_of(fit, coarse=True)
+    if not fit.seeks_noise or fit.counted is not None or told or fit.noise.stated or bins is None:
         return None
     factor, rows = joined_factor(plain, bins)
     contrasts = contrasts_of(plain, factor, rows, bins)
@@ -183,7 +176,7 @@ def unseen_noise(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) ->
                 shuffled=float(other[at]),
                 seconds=seconds,
                 longer=math.nan if kind == "markov" else (size / UNSEEN.size) ** 2,
-                positions=len(run.labels),
+                positions=len(fit.design.run.labels),
             )
     return worst
 
