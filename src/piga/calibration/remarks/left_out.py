@@ -22,13 +22,7 @@ from scipy.special import chdtrc
 from piga.calibration.budget.uncertainty import budget_row
 from piga.calibration.fit.one_run import Fit, without_slow
 from piga.calibration.fit.servo import at_state, settled_design
-from piga.calibration.joint.joint_fit import (
-    JointFit,
-    known_servo_of,
-    layout_and_columns,
-    merge_runs,
-    without_phase,
-)
+from piga.calibration.joint.joint_fit import JointFit, merge_runs
 from piga.calibration.joint.summary import LiveRun, RunSummary, group_rows
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
@@ -407,18 +401,15 @@ def _with_columns(
 
 def _pieces(rows: LeftOutRows, fit: JointFit, names: Names) -> list[Array]:
     """Factors ``[parameters | names | residual without them]`` of all segments, linear about a fit with them."""
-    layout, shared = layout_and_columns(fit.wish, rows.summaries)
-    local = layout.columns[: layout.local]
+    layout = fit.layout
     amplitudes, phases = fit.estimate.amplitudes, fit.estimate.phases
     keys = layout.amplitude_keys
     at = [keys.index((name, None)) for name in names]
     others = [i for i in range(layout.size + phases.size) if i not in at]
     factors = []
     for index, (summary, pieces) in enumerate(zip(rows.summaries, rows.pieces, strict=True)):
-        known = known_servo_of(summary, shared[index])
-        wanted = summary.columns(local, shared[index])
-        held = without_phase(shared[index], known)
-        chosen = summary.choose(tuple(piece for _, piece in pieces), local, held)
+        known, wanted = fit.known_servo(index), fit.wanted(index)
+        chosen = summary.choose(tuple(piece for _, piece in pieces), fit.local, fit.stored(index))
         for (own, _), piece in zip(pieces, chosen, strict=True):
             group = fit.first_group(index) + own
             part = piece if fit.servo is None else at_state(piece, wanted, fit.servo, group, known)
