@@ -29,34 +29,22 @@ Values = Any
 
 @dataclass(frozen=True)
 class TrendSettings:
-    """Limits of the trend line (own choices).
-
-    Attributes
-    ----------
-    low_sum:
-        Probability of the quantile that bounds the weighted residual sum from below; few values may agree by
-        chance.
-    doubt:
-        Probability below which a small or large scatter contradicts the stated uncertainties.
-    tiny:
-        Smallest standard uncertainty, relative to the largest value; prevents infinite weights.
-    least_days:
-        Fewest days for a line with uncertainty.
-    short:
-        Length of the history [years] below which a drift per year is an extrapolation and gets a remark.
-    smoothing:
-        Weight of the newest score in the moving average of the control chart.
-    control_limit:
-        Control limit of scores and of their moving average, in its standard deviations.
-    """
+    """Limits of the trend line (own choices)."""
 
     low_sum: float = 0.2
+    """Probability of the quantile that bounds the weighted residual sum from below; few values may agree by chance."""
     doubt: float = 0.01
+    """Probability below which a small or large scatter contradicts the stated uncertainties."""
     tiny: float = 1e-12
+    """Smallest standard uncertainty, relative to the largest value; prevents infinite weights."""
     least_days: int = 3
+    """Fewest days for a line with uncertainty."""
     short: float = 0.25
+    """Length of the history [years] below which a drift per year is an extrapolation and gets a remark."""
     smoothing: float = 0.2
+    """Weight of the newest score in the moving average of the control chart."""
     control_limit: float = 3.0
+    """Control limit of scores and of their moving average, in its standard deviations."""
 
 
 TREND = TrendSettings()

@@ -25,30 +25,20 @@ from piga.results import Array
 
 @dataclass(frozen=True)
 class MonteCarloSettings:
-    """Settings of the Monte Carlo propagation (JCGM 101; else own choices).
-
-    Attributes
-    ----------
-    block:
-        Trials per block. The adaptive procedure checks for convergence after each block (JCGM 101, 7.9.4).
-    most:
-        Most trials of the adaptive procedure.
-    seed:
-        Fixed seed: the same record gives the same digits.
-    doubtful:
-        Ratio of tan_beta to its standard uncertainty below which its interval is not linear (Rice-like).
-    far:
-        Search range of the upper limit [standard uncertainties above the estimate].
-    halvings:
-        Bisection steps of this search.
-    """
+    """Settings of the Monte Carlo propagation (JCGM 101; else own choices)."""
 
     block: int = 10_000
+    """Trials per block. The adaptive procedure checks for convergence after each block (JCGM 101, 7.9.4)."""
     most: int = 1_000_000
+    """Most trials of the adaptive procedure."""
     seed: int = 101
+    """Fixed seed: the same record gives the same digits."""
     doubtful: float = 6.0
+    """Ratio of tan_beta to its standard uncertainty below which its interval is not linear (Rice-like)."""
     far: float = 10.0
+    """Search range of the upper limit [standard uncertainties above the estimate]."""
     halvings: int = 60
+    """Bisection steps of this search."""
 
 
 MONTE_CARLO = MonteCarloSettings()

@@ -43,36 +43,24 @@ FULL_TURN = 2.0 * np.pi
 
 @dataclass(frozen=True)
 class RevolutionSettings:
-    """Settings of the method of whole turns (own choices).
-
-    Attributes
-    ----------
-    steady:
-        Largest change of the specific force in a position, relative to its size.
-    phases:
-        Parts of a turn whose durations give the amplification.
-    locking:
-        Amplification of the variance of a turn above which a position is left out: a/b below 1.08.
-    clear:
-        Ratio of the pulling to its standard uncertainty above which tan_beta is estimated.
-    least_freedom:
-        Fewest degrees of freedom of a result.
-    walk_shares:
-        Trial values for the share of the random walk in the scatter of turns.
-    steps:
-        Most Gauss-Newton steps.
-    settled:
-        Relative size of the step that ends them.
-    """
+    """Settings of the method of whole turns (own choices)."""
 
     steady: float = 2e-3
+    """Largest change of the specific force in a position, relative to its size."""
     phases: int = 32
+    """Parts of a turn whose durations give the amplification."""
     locking: float = 10.0
+    """Amplification of the variance of a turn above which a position is left out: a/b below 1.08."""
     clear: float = 4.0
+    """Ratio of the pulling to its standard uncertainty above which tan_beta is estimated."""
     least_freedom: int = 3
+    """Fewest degrees of freedom of a result."""
     walk_shares: int = 41
+    """Trial values for the share of the random walk in the scatter of turns."""
     steps: int = 50
+    """Most Gauss-Newton steps."""
     settled: float = 1e-12
+    """Relative size of the step that ends them."""
 
 
 REVOLUTIONS = RevolutionSettings()

@@ -53,21 +53,14 @@ from piga.results import Array
 
 @dataclass(frozen=True)
 class FitSettings:
-    """Settings of the fit of one run (own choices).
-
-    Attributes
-    ----------
-    refits:
-        Most fits; the noise levels are usually stable after two or three.
-    rounds:
-        Most rounds of leaving samples out and fitting again; two or three are usual.
-    joined_fits:
-        Fits of joined rows for the first weights of a long record.
-    """
+    """Settings of the fit of one run (own choices)."""
 
     refits: int = 4
+    """Most fits; the noise levels are usually stable after two or three."""
     rounds: int = 5
+    """Most rounds of leaving samples out and fitting again; two or three are usual."""
     joined_fits: int = 3
+    """Fits of joined rows for the first weights of a long record."""
 
 
 FIT = FitSettings()

@@ -29,24 +29,16 @@ LAG_PART = 8192
 
 @dataclass(frozen=True)
 class WhitenessSettings:
-    """Settings of the tests for white residuals (own choices).
-
-    Attributes
-    ----------
-    lags:
-        Lags of the portmanteau test.
-    white:
-        Probability below which whitened residuals are called not white.
-    draws:
-        Simulated countings for the correlations of a coarsely counted record.
-    drawn_rows:
-        First rows of the record used for this simulation: 0.2 s of processor time.
-    """
+    """Settings of the tests for white residuals (own choices)."""
 
     lags: int = 20
+    """Lags of the portmanteau test."""
     white: float = 1e-3
+    """Probability below which whitened residuals are called not white."""
     draws: int = 32
+    """Simulated countings for the correlations of a coarsely counted record."""
     drawn_rows: int = 1 << 16
+    """First rows of the record used for this simulation: 0.2 s of processor time."""
 
 
 WHITENESS = WhitenessSettings()

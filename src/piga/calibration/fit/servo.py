@@ -28,31 +28,20 @@ from piga.results import Array
 
 @dataclass(frozen=True)
 class ServoFitSettings:
-    """Settings of the search for the phase of the servo terms (own choices).
-
-    Attributes
-    ----------
-    iterations:
-        Most steps about the phase; four are usual.
-    settled:
-        Change of the phase [rad] that ends the iteration.
-    scan:
-        Trial phases before the first step, if one phase serves the whole record.
-    seen:
-        Least ratio of tan_beta to its uncertainty for a phase that depends on the coupling; below it the phase
-        is fixed.
-    separate:
-        Smallest independent part of a term's column, relative to its size, for the term to be determined.
-    named_share:
-        Least share of that column for which another term is named.
-    """
+    """Settings of the search for the phase of the servo terms (own choices)."""
 
     iterations: int = 40
+    """Most steps about the phase; four are usual."""
     settled: float = 1e-10
+    """Change of the phase [rad] that ends the iteration."""
     scan: int = 72
+    """Trial phases before the first step, if one phase serves the whole record."""
     seen: float = 4.0
+    """Least ratio of tan_beta to its uncertainty for a phase that depends on the coupling; below it the phase is fixed."""
     separate: float = 1e-3
+    """Smallest independent part of a term's column, relative to its size, for the term to be determined."""
     named_share: float = 0.05
+    """Least share of that column for which another term is named."""
 
 
 SERVO_FIT = ServoFitSettings()

@@ -34,22 +34,14 @@ from piga.results import Array
 
 @dataclass(frozen=True)
 class JointSettings:
-    """Limits and steps of a joint fit (own choices).
-
-    Attributes
-    ----------
-    inner_change:
-        Relative change of K above which the regressors of runs with base rotation are computed again.
-    same_servo:
-        Largest relative difference of a servo coefficient between runs that is accepted; different rates cause
-        it.
-    noise_step:
-        Finite-difference step of a run's noise for d(variance)/d(noise), relative.
-    """
+    """Limits and steps of a joint fit (own choices)."""
 
     inner_change: float = 1e-6
+    """Relative change of K above which the regressors of runs with base rotation are computed again."""
     same_servo: float = 0.02
+    """Largest relative difference of a servo coefficient between runs that is accepted; different rates cause it."""
     noise_step: float = 0.01
+    """Finite-difference step of a run's noise for d(variance)/d(noise), relative."""
 
 
 JOINT = JointSettings()

@@ -188,18 +188,12 @@ def check_servo(request: Request) -> None:
 
 @dataclass(frozen=True)
 class SpikeSettings:
-    """Limits for spikes of a recorded rate (own choices).
-
-    Attributes
-    ----------
-    plausible:
-        Largest difference of a sound rate from ``K a_x - Omega_x``, as a share of ``K |a|``.
-    gross:
-        Multiple of the median difference above which a rate is a spike.
-    """
+    """Limits for spikes of a recorded rate (own choices)."""
 
     plausible: float = 0.3
+    """Largest difference of a sound rate from ``K a_x - Omega_x``, as a share of ``K |a|``."""
     gross: float = 10.0
+    """Multiple of the median difference above which a rate is a spike."""
 
 
 SPIKES = SpikeSettings()

@@ -28,21 +28,14 @@ DRIFT_NAMES = tuple(f"drift step {k + 1}" for k in range(KNOTS))
 
 @dataclass(frozen=True)
 class SolutionSettings:
-    """Settings of the solution (own choices).
-
-    Attributes
-    ----------
-    unseen:
-        Size of a phase's column, relative to the largest column, below which no sample shows the phase.
-    iterations:
-        Most Gauss-Newton steps for a coupling that several phases share; a few are usual.
-    scan:
-        Phases tried for each group before refinement; the cost has at most two minima on the circle.
-    """
+    """Settings of the solution (own choices)."""
 
     unseen: float = 1e-12
+    """Size of a phase's column, relative to the largest column, below which no sample shows the phase."""
     iterations: int = 50
+    """Most Gauss-Newton steps for a coupling that several phases share; a few are usual."""
     scan: int = 72
+    """Phases tried for each group before refinement; the cost has at most two minima on the circle."""
 
 
 SOLUTION = SolutionSettings()

@@ -34,36 +34,24 @@ from piga.units import G0
 
 @dataclass(frozen=True)
 class AdviceSettings:
-    """Limits for advice on another reading of the data, and the samples used (own choices).
-
-    Attributes
-    ----------
-    far_better:
-        Ratio of residuals above which another reading is advised.
-    as_good:
-        Ratio of residuals up to which readings cannot be told apart.
-    off:
-        Ratio of the scale factor to the nominal one above which an error is reported, even if no reading explains it.
-    most_alike:
-        Most readings named that the record cannot tell from the best one.
-    snap:
-        Largest relative distance of the scale factor ratio from a known factor (nominal values are close).
-    samples:
-        Samples used.
-    window:
-        Most consecutive samples of a stretch.
-    turn:
-        Turn of the output between used samples [rad].
-    """
+    """Limits for advice on another reading of the data, and the samples used (own choices)."""
 
     far_better: float = 3.0
+    """Ratio of residuals above which another reading is advised."""
     as_good: float = 1.2
+    """Ratio of residuals up to which readings cannot be told apart."""
     off: float = 2.0
+    """Ratio of the scale factor to the nominal one above which an error is reported, even if no reading explains it."""
     most_alike: int = 3
+    """Most readings named that the record cannot tell from the best one."""
     snap: float = 0.1
+    """Largest relative distance of the scale factor ratio from a known factor (nominal values are close)."""
     samples: int = 2000
+    """Samples used."""
     window: int = 60
+    """Most consecutive samples of a stretch."""
     turn: float = 0.25
+    """Turn of the output between used samples [rad]."""
 
 
 ADVICE = AdviceSettings()

@@ -47,18 +47,12 @@ Names = tuple[str, ...]
 
 @dataclass(frozen=True)
 class LeftOutSettings:
-    """Limits for servo effects that enter the budget (own choices).
-
-    Attributes
-    ----------
-    clear:
-        Probability of such a signature by chance, below which it enters the budget.
-    seen:
-        Ratio of a requested k3 to its standard uncertainty above which its other meaning is reported.
-    """
+    """Limits for servo effects that enter the budget (own choices)."""
 
     clear: float = 0.01
+    """Probability of such a signature by chance, below which it enters the budget."""
     seen: float = 2.0
+    """Ratio of a requested k3 to its standard uncertainty above which its other meaning is reported."""
 
 
 LEFT_OUT = LeftOutSettings()

@@ -30,27 +30,18 @@ from piga.records.calibration.coefficient import short_way
 
 @dataclass(frozen=True)
 class LeverageSettings:
-    """Limits for naming a segment (own choices).
-
-    Attributes
-    ----------
-    determines:
-        Share of a coefficient's information above which one segment determines it: without it u is three times larger.
-    influential:
-        A segment is influential if it shifts a coefficient by more than this many standard uncertainties.
-    unlikely:
-        Least shift in standard deviations of such a shift by noise: 1 in 150 000.
-    most_segments:
-        Most segments for leaving out one at a time.
-    sentences:
-        Most sentences of a kind.
-    """
+    """Limits for naming a segment (own choices)."""
 
     determines: float = 0.9
+    """Share of a coefficient's information above which one segment determines it: without it u is three times larger."""
     influential: float = 3.0
+    """A segment is influential if it shifts a coefficient by more than this many standard uncertainties."""
     unlikely: float = 4.5
+    """Least shift in standard deviations of such a shift by noise: 1 in 150 000."""
     most_segments: int = 500
+    """Most segments for leaving out one at a time."""
     sentences: int = 4
+    """Most sentences of a kind."""
 
 
 LEVERAGE = LeverageSettings()

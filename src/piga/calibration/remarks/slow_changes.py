@@ -50,25 +50,18 @@ from piga.units import G0
 
 @dataclass(frozen=True)
 class WaveSettings:
-    """Settings of the search for a slow wave (own choices).
-
-    Attributes
-    ----------
-    fewest, most:
-        Cycles in the record from which and up to which a wave is slow.
-    spacing:
-        Distance of the waves that are tried [cycles in the record].
-    undetermined:
-        Smallest part of a wave that the model leaves for which the wave is tried.
-    chance:
-        Probability in a record of white noise below which a wave is a doubt.
-    """
+    """Settings of the search for a slow wave (own choices)."""
 
     fewest: float = 0.3
+    """Cycles in the record from which a wave is slow."""
     most: float = 6.0
+    """Cycles in the record up to which a wave is slow."""
     spacing: float = 0.1
+    """Distance of the waves that are tried [cycles in the record]."""
     undetermined: float = 1e-3
+    """Smallest part of a wave that the model leaves for which the wave is tried."""
     chance: float = 0.01
+    """Probability in a record of white noise below which a wave is a doubt."""
 
 
 WAVE = WaveSettings()
@@ -162,25 +155,18 @@ TERM = "k0_T"
 
 @dataclass(frozen=True)
 class TemperatureSettings:
-    """Limits for the remark on a bias that follows the temperature.
-
-    Attributes
-    ----------
-    confidence:
-        Probability [1] that the bound holds the change of the bias with temperature.
-    bias:
-        Largest change of the bias with temperature [g/K] that is taken to be possible (own choice). It keeps the remark
-        away from temperatures that are held to some thousandths of a kelvin.
-    shift:
-        Change of a coefficient in its standard uncertainties above which the remark is made.
-    growth:
-        Ratio [1] of the fit's standard uncertainties with ``k0_T`` and without it above which ``k0_T`` alone helps little.
-    """
+    """Limits for the remark on a bias that follows the temperature."""
 
     confidence: float = 0.95
+    """Probability [1] that the bound holds the change of the bias with temperature."""
     bias: float = 5e-5
+    """Largest change of the bias with temperature [g/K] that is taken to be possible (own choice). It keeps the remark
+    away from temperatures that are held to some thousandths of a kelvin."""
     shift: float = 1.0
+    """Change of a coefficient in its standard uncertainties above which the remark is made."""
     growth: float = 1.5
+    """Ratio [1] of the fit's standard uncertainties with ``k0_T`` and without it above which ``k0_T`` alone helps
+    little."""
 
 
 TEMPERATURE = TemperatureSettings()

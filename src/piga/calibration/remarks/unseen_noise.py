@@ -32,30 +32,21 @@ from piga.units import G0
 
 @dataclass(frozen=True)
 class UnseenSettings:
-    """Limits for the remark on coloured noise that the record does not exclude.
-
-    Attributes
-    ----------
-    confidence:
-        Probability [1] that the level is below its limit.
-    growth:
-        Ratio [1] of the expanded uncertainty with the noise to the reported one above which the remark is made. An interval that
-        is too narrow by this ratio holds in 92 % instead of 95 %, the least that is asked of coloured noise.
-    size:
-        Smallest noise [g] that is worth a remark (own choice: the tables of docs/accuracy have 3.4 micro-g). It is the noise
-        of a decade of frequency (flicker), of the rate (Markov) or of the whole test (drift). Without it the remark would stand
-        in records of any length: the limit of the noise falls with the length as the uncertainties do.
-    shuffled:
-        Largest share [1] of the excess of the growth that another order of the positions leaves for it to be named.
-    stride:
-        Step from one position to the next in that order, as a share [1] of the positions (the golden section).
-    """
+    """Limits for the remark on coloured noise that the record does not exclude."""
 
     confidence: float = 0.95
+    """Probability [1] that the level is below its limit."""
     growth: float = 1.12
+    """Ratio [1] of the expanded uncertainty with the noise to the reported one above which the remark is made. An
+    interval that is too narrow by this ratio holds in 92 % instead of 95 %, the least that is asked of coloured noise."""
     size: float = 3e-6
+    """Smallest noise [g] that is worth a remark (own choice: the tables of docs/accuracy have 3.4 micro-g). It is the
+    noise of a decade of frequency (flicker), of the rate (Markov) or of the whole test (drift). Without it the remark
+    would stand in records of any length: the limit of the noise falls with the length as the uncertainties do."""
     shuffled: float = 0.5
+    """Largest share [1] of the excess of the growth that another order of the positions leaves for it to be named."""
     stride: float = 0.381966
+    """Step from one position to the next in that order, as a share [1] of the positions (the golden section)."""
 
 
 UNSEEN = UnseenSettings()
