@@ -37,13 +37,12 @@ SOURCE = ROOT / "src" / "piga"
 
 
 def tests_named(module: str) -> list[str]:
-    """Tests named for a module, as ``calibration/fit/servo``, and for its room as a whole.
-
-    A single file is named as ``docs/equations`` or ``calibration/joint/joint_small_records``.
-    """
+    """Tests named for a module, as ``calibration/fit/servo``, and for its room as a whole; of a file of tests, itself."""
+    if module.endswith(".py"):
+        return [module]
     room, _, name = module.rpartition("/")
     folder = ROOT / "tests" / room
-    modules = {path.stem for path in (SOURCE / room).glob("*.py")} | {name, folder.name}
+    modules = {path.stem for path in (SOURCE / room).glob("*.py")} | {folder.name}
     owners: dict[str, list[str]] = {}
     for path in sorted(folder.glob("test_*.py")):
         subject = path.stem.removeprefix("test_")
@@ -58,9 +57,12 @@ LINEAR = (
 )
 SUMS = (
     "_kernels/estimation/regressors _kernels/estimation/noise calibration/model/reduction calibration/noise/levels "
-    "calibration/fit/residuals docs/equations calibration/calibrate"
+    "calibration/fit/residuals tests/docs/test_equations.py calibration/calibrate"
 )
-MOTION = "_kernels/motion/step _kernels/arithmetic instrument/motion/closed_form docs/equations instrument/motion/sampled_motion"
+MOTION = (
+    "_kernels/motion/step _kernels/arithmetic instrument/motion/closed_form tests/docs/test_equations.py "
+    "instrument/motion/sampled_motion"
+)
 COMPENSATED = "compensation/compensator compensation/sets/set_compensator _kernels/compensation/indication compensation/files/live"
 PLATFORM = "platform/geometry platform/simulate platform/scenario platform/navigator platform/budget"
 IDENTIFIED = "platform/identify platform/alignment"
@@ -97,17 +99,17 @@ ALSO = {
         f"compensation/phase compensation/result {COMPENSATED} compensation/files/file_to_file"
     ),
     "compensation/sets/set_compensator compensation/sets/set_files _kernels/compensation/set": (
-        "compensation/sets/set_compensator compensation/files/file_to_file_columns"
+        "compensation/sets/set_compensator tests/compensation/files/test_file_to_file_columns.py"
     ),
     "_kernels/compensation/indication _kernels/compensation/layout _kernels/compensation/record "
-    "_kernels/compensation/terms": f"{COMPENSATED} compensation/files/file_to_file_columns",
+    "_kernels/compensation/terms": f"{COMPENSATED} tests/compensation/files/test_file_to_file_columns.py",
     "platform/alignment platform/estimate platform/observation": IDENTIFIED,
     "platform/identify platform/geometry": f"{IDENTIFIED} {PLATFORM}",
     "platform/analysis platform/budget": "platform/budget platform/navigator",
     "platform/navigator platform/scenario _kernels/platform/navigation": PLATFORM,
     "platform/simulate platform/chain": f"platform/chain {PLATFORM}",
     "platform/output": "platform/chain platform/simulate",
-    "_kernels/platform/motion": "platform/geometry platform/simulate docs/equations platform/chain",
+    "_kernels/platform/motion": "platform/geometry platform/simulate tests/docs/test_equations.py platform/chain",
     "_kernels/estimation/noise": f"calibration/noise/stretches calibration/budget/uncertainty {SUMS}",
     "_kernels/arithmetic": f"{SUMS} compensation/phase compensation/result compensation/files/file_to_file",
     "_kernels/estimation/regressors": SUMS,

@@ -316,7 +316,7 @@ def _start(layout: Layout, parts: list[Reduction]) -> tuple[Array, float]:
     factors = [part.factor for part in parts]
     rest = [layout.embedded(factor, group)[local:, local:] for group, factor in enumerate(factors)]
     free = np.asarray(np.linalg.qr(np.vstack(rest), mode="r"))
-    shared = _least_squares(free) if layout.keys else np.zeros(0)
+    shared = least_squares(free[:, :-1], free[:, -1], 1e-12) if layout.keys else np.zeros(0)
     squares, weights = 0.0, 0.0
     for group, factor in enumerate(factors):
         right = factor[:local, -1] - factor[:local, local:-1] @ shared[layout.tails[group]]
@@ -330,11 +330,11 @@ def _start(layout: Layout, parts: list[Reduction]) -> tuple[Array, float]:
     return shared, squares / weights if weights else 0.0
 
 
-def _least_squares(factor: Array) -> Array:
-    """Minimum-norm solution of a triangular system; its columns are scaled to one."""
-    scale = np.linalg.norm(factor[:, :-1], axis=0)
+def least_squares(rows: Array, right: Array, rcond: float) -> Array:
+    """Solution of least norm of ``rows x = right``; the columns are scaled to one."""
+    scale = np.linalg.norm(rows, axis=0)
     scale[scale == 0.0] = 1.0
-    return np.linalg.lstsq(factor[:, :-1] / scale, factor[:, -1], rcond=1e-12)[0] / scale
+    return np.linalg.lstsq(rows / scale, right, rcond=rcond)[0] / scale
 
 
 def _scan(layout: Layout, amplitudes: Array, factor: Array, group: int) -> float:

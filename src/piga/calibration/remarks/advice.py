@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import Request
+from piga.calibration.model.solution import least_squares
 from piga.calibration.noise.levels import starting_noise
 from piga.calibration.noise.weighting import Whitener
 from piga.calibration.remarks.missing_terms import smooth_step, term_values
@@ -303,9 +304,7 @@ def _fit(run: Run, request: Request, sample: Sample, reading: AdviceReading) -> 
     if free:
         parts = [rows[:, sample.segment == segment] for segment in np.unique(sample.segment)]
         rows = np.hstack([_without(part, free) for part in parts])
-    size = np.linalg.norm(rows[:-1], axis=1)
-    size[size == 0.0] = 1.0
-    linear = np.linalg.lstsq(rows[:-1].T / size, rows[-1], rcond=1e-10)[0] / size
+    linear = least_squares(rows[:-1].T, rows[-1], 1e-10)
     miss = float(np.linalg.norm(rows[-1] - linear @ rows[:-1])) / math.sqrt(sample.t.size)
     return Trial(
         reading, abs(reading.output) * miss, float(linear[names.index("k1") - free]) / run.scale_factor
