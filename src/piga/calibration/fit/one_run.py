@@ -341,14 +341,7 @@ def refine_counted(fit: Fit) -> Fit:
     refined = fit_counted(fit.design, fit.mode, fit.noise, fit.solution)
     if refined is None:
         return fit
-    return replace(
-        fit,
-        noise=refined.noise,
-        summaries=refined.summaries,
-        solution=refined.solution,
-        covariance=refined.solution.covariance,
-        counted=refined.counted,
-    )
+    return replace(fit, **vars(refined), covariance=refined.solution.covariance)
 
 
 def whitened_rows(fit: Fit, design: Design, noise: Noise, basis: NoiseColumns) -> Iterator[tuple[int, Array]]:

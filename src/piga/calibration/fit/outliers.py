@@ -26,6 +26,9 @@ from piga.results import Array
 
 Flags = NDArray[np.int8]
 
+NORMAL_MEDIAN = 0.6745
+"""Median size of a normal deviate of one."""
+
 
 @dataclass(frozen=True)
 class OutlierSettings:
@@ -154,12 +157,13 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run, parameters
     if biggest <= OUTLIERS.least_miss or spread == 0.0:
         return False
     narrow = (
-        float(np.median(size)) / 0.6745 < OUTLIERS.narrow_core * spread and spread > 10.0 * OUTLIERS.least_miss
+        float(np.median(size)) / NORMAL_MEDIAN < OUTLIERS.narrow_core * spread
+        and spread > 10.0 * OUTLIERS.least_miss
     )
     if narrow and spread > 1.5 * resolution_of(run):
         return True
     unit = spread if mode == "samples" else 1.0
-    core = float(np.median(shown)) / 0.6745 / unit
+    core = float(np.median(shown)) / NORMAL_MEDIAN / unit
     return largest / unit > limit(d.size, parameters) * min(max(core, 0.5), 1.0)
 
 
@@ -268,7 +272,7 @@ def later_noise(misses: Misses, noise: Noise, flags: Flags, parameters: int) -> 
     widened = misses.small_sample(parameters)
     if misses.point:
         good = misses.sizes(flags)
-        return Noise(0.0, (float(np.median(good)) / 0.6745 * widened) ** 2)
+        return Noise(0.0, (float(np.median(good)) / NORMAL_MEDIAN * widened) ** 2)
     whitener = Whitener("increments", noise, 1)
     every = max(1, misses.d.size // OUTLIERS.median_samples)
     whitened = [np.zeros(0)]
@@ -278,7 +282,7 @@ def later_noise(misses: Misses, noise: Noise, flags: Flags, parameters: int) -> 
         merge_rows(d, h, flags[rows] == 1)
         whitened.append(np.abs(whitener.apply_columns(d, h)[0][h > 0.0][::every]))
     shown = np.concatenate(whitened)
-    core = float(np.median(shown)) / 0.6745 * widened if shown.size else 1.0
+    core = float(np.median(shown)) / NORMAL_MEDIAN * widened if shown.size else 1.0
     factor = min(max(core, 0.2), 1.0) ** 2
     return Noise(noise.white * factor, noise.walk * factor)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piga.calibration.fit.one_run import Colour, Fit
-from piga.calibration.intervals.slow_noise import means_of_bins, moved_by, slow_factor, triangle
+from piga.calibration.intervals.slow_noise import means_of_bins, moved_by, slow_factor, without_model
 from piga.calibration.model.solution import variances_of
 from piga.calibration.noise.components import RATES, RateBins, markov_times
 from piga.calibration.noise.likelihood import Contrasts, Levels, estimate
@@ -81,20 +81,14 @@ def bins_of(fit: Fit, *, coarse: bool = False) -> RateBins | None:
 
 def contrasts_of(fit: Fit, factor: Array, rows: int, bins: RateBins) -> Contrasts | None:
     """Slow values of a record without its model, from the triangular ``factor`` of ``rows`` rows ``[slow rates | model | y]``."""
-    size = factor.shape[1] - 1
-    model = size - bins.count
-    turned = triangle(factor[:, [*range(bins.count, size), *range(bins.count), size]])
-    if turned.shape[0] < size:
-        return None
-    rest = float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0
-    fast = rows - model - bins.count
+    block, y, rest, _ = without_model(factor, bins.count)
     scale = 1.0 / fit.sample_variance if fit.mode == "samples" else 1.0
     if fit.counted is not None:
         stretches = fit.counted.stretches
-        fast = stretches.rows.shape[0] * stretches.rows.shape[1] - model - bins.count
-    if fast <= 0:
+        rows = stretches.rows.shape[0] * stretches.rows.shape[1]
+    fast = rows - (factor.shape[1] - 1)
+    if len(block) < bins.count or fast <= 0:
         return None
-    block, y = turned[model:size, model:size], turned[model:size, -1]
     return _contrasts(block * np.sqrt(scale), y * np.sqrt(scale), rest * scale, fast)
 
 
@@ -106,10 +100,8 @@ def _contrasts(block: Array, y: Array, rest: float, fast: int) -> Contrasts:
 def _bin_contrasts(fit: Fit, bins: RateBins) -> Contrasts:
     """Contrasts of a long record from the means of the residual angle over a few parts of every stretch."""
     rows = means_of_bins(fit, bins, NOISE.colour_means * bins.size)
-    turned = triangle(rows)
-    size = bins.count
-    rest = float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0
-    return _contrasts(turned[:size, :size], turned[:size, -1], rest, max(len(rows) - size, 1))
+    block, y, rest, _ = without_model(rows, bins.count)
+    return _contrasts(block, y, rest, max(len(rows) - bins.count, 1))
 
 
 def _suspected(contrasts: Contrasts, bins: RateBins, segments: int) -> bool:

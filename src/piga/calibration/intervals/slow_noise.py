@@ -90,8 +90,7 @@ def include_slow_noise(fit: Fit, clear: float = NOISE.slow_in_weights) -> Fit:
     """
     if not fit.seeks_noise or fit.mode != "increments" or fit.design.rows < 8 * KNOTS:
         return fit
-    looked = _beside_counts if fit.counted is not None else _looked_for
-    candidates = [candidate for basis in slow_bases(fit.design.run) if (candidate := looked(fit, basis))]
+    candidates = [candidate for basis in slow_bases(fit.design.run) if (candidate := _looked_for(fit, basis))]
     best = max(candidates, key=lambda candidate: candidate.gain, default=None)
     if best is None or best.gain < NOISE.slow_in_covariance:
         return fit
@@ -125,18 +124,17 @@ def _solved(fit: Fit, noise: Noise) -> Fit:
 
 
 def _looked_for(fit: Fit, basis: SlowBasis) -> _SlowCandidate | None:
-    """A slow noise and the levels estimated with it; None if a quick test shows no slow noise."""
+    """A slow noise and the levels estimated with it; None if a quick test shows no slow noise.
+
+    Coarse counts keep their weights and random walk.
+    """
+    if fit.counted is not None:
+        return _SlowCandidate(basis, fit.noise, likely_level(slow_factor(fit, fit.noise, basis), basis).gain)
     if fit.design.rows > NOISE.restricted_rows and quick_look(fit, basis).gain < NOISE.slow_suspected:
         return None
     if likely_level(slow_factor(fit, fit.noise, basis), basis).gain < NOISE.slow_suspected:
         return None
     return _SlowCandidate(basis, *_levels_together(fit, basis))
-
-
-def _beside_counts(fit: Fit, basis: SlowBasis) -> _SlowCandidate | None:
-    """A slow noise beside coarse counts, which keep their weights and random walk."""
-    gain = likely_level(slow_factor(fit, fit.noise, basis), basis).gain
-    return _SlowCandidate(basis, fit.noise, gain)
 
 
 def slow_factor(fit: Fit, noise: Noise, basis: NoiseColumns) -> Array:
@@ -299,14 +297,22 @@ def projected(factor: Array, basis: SlowBasis) -> tuple[Array, Array, float, flo
     Then ``y = B s + e``. Components on the eigenvectors of ``B B'`` have variance ``1 + v lambda``. Directions that the model
     takes up are left out; for a scatter their number is that of the coefficients of mean rates.
     """
-    size = factor.shape[1] - 1
-    model = size - basis.count
-    order = [*range(basis.count, size), *range(basis.count), size]
-    turned = triangle(factor[:, order])
-    block, y = turned[model:size, model:size], turned[model:size, -1]
+    block, y, left, diagonal = without_model(factor, basis.count)
     vectors, values, _ = np.linalg.svd(block)
     square = (vectors.T @ y) ** 2
     seen = values > NOISE.slow_undetermined * math.sqrt(float(np.sum(factor[:, : basis.count] ** 2)))
-    rest = float(square[~seen].sum()) + (float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0)
-    diagonal = np.abs(np.diag(turned)[:model])
+    rest = float(square[~seen].sum()) + left
     return values[seen] ** 2, square[seen], rest, 2.0 * float(np.log(diagonal).sum())
+
+
+def without_model(factor: Array, count: int) -> tuple[Array, Array, float, Array]:
+    """Project out the model of rows ``[slow noise | model | y]`` with ``count`` columns of slow noise.
+
+    Returns the triangle that leads from the slow noise to the slow values, these values, the sum of squares that is left, and
+    the diagonal of the model.
+    """
+    size = factor.shape[1] - 1
+    model = size - count
+    turned = triangle(factor[:, [*range(count, size), *range(count), size]])
+    left = float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0
+    return turned[model:size, model:size], turned[model:size, -1], left, np.abs(np.diag(turned)[:model])

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piga.calibration.fit.one_run import Fit, whitened_rows
+from piga.calibration.fit.outliers import NORMAL_MEDIAN
 from piga.calibration.model.identifiability import SEPARATION, term_of
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import (
@@ -45,10 +46,6 @@ class LeverageSettings:
 
 
 LEVERAGE = LeverageSettings()
-
-
-NORMAL_MEDIAN = 0.6745
-"""Median size of a normal deviate of one."""
 
 
 @dataclass(frozen=True)
