@@ -16,6 +16,7 @@ from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import reduce_segments, residual_increments
+from tests.calibration.made.dense import increments_covariance
 from tests.calibration.made.scenarios import SCENARIOS, Scenario, tumble
 
 WHITE = SCENARIOS["white"]
@@ -32,13 +33,6 @@ def fitted(scenario: Scenario, seed: int) -> Fit:
     solution = solve(fit.design, reduce_segments(fit.design, fit.mode, noise))
     d, h = residual_increments(fit.design, solution.values)
     return replace(fit, noise=noise, solution=solution, covariance=solution.covariance, d=d, h=h)
-
-
-def increments_covariance(noise: Noise, steps: int, h: float) -> np.ndarray:
-    """Dense covariance (steps, steps) of the increments of one stretch."""
-    neighbours = np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1)
-    result: np.ndarray = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white)) - noise.white * neighbours
-    return result
 
 
 @pytest.mark.only_compiled
