@@ -104,18 +104,14 @@ class Criterion:
 class Mixture:
     """The best mixture: ``weights`` (n,) that sum to 1, ``information`` (m, m), criterion ``value``.
 
-    ``derivatives`` (n,) are ``tr(S A_j)``, at most ``1 + gap``: the certificate of the optimum.
+    ``derivatives`` (n,) are ``tr(S A_j)``, at most ``1 + gap``: the certificate of the optimum. The criterion
+    is at most the gap above it.
     """
 
     weights: Array
     information: Array
     value: float
     derivatives: Array
-
-    @property
-    def gap(self) -> float:
-        """Excess of the certificate; the criterion is at most this above the optimum."""
-        return float(self.derivatives.max()) - 1.0
 
 
 def best_mixture(candidates: Array, criterion: Criterion) -> Mixture:

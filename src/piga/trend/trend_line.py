@@ -215,15 +215,13 @@ def _combined(time: Values, value: Values, parts: tuple[tuple[Values, Values], .
 class Days:
     """Values merged by day: mean time, weighted mean and its variance, (days,) each.
 
-    ``within`` is the variance within days beyond the stated one (0 without repeats), ``spread`` the
-    pooled standard deviation within days (nan without repeats), ``freedom`` its degrees of freedom.
+    ``within`` is the variance within days beyond the stated one (0 without repeats), ``freedom`` its degrees of freedom.
     """
 
     time: Array
     means: Array
     variances: Array
     within: float
-    spread: float
     freedom: int
 
 
@@ -243,9 +241,7 @@ def merge_by_day(time: Array, values: Array, variances: Array, days: NDArray[np.
     within = inner_excess(y, v, first, count, freedom, 0.0) if freedom else 0.0
     merged = Points(np.empty(count), np.empty(count), np.empty(count))
     merge_days(Points(np.asarray(time, dtype=float), y, v), first, count, within, merged)
-    plain = np.add.reduceat(y, first[:-1]) / np.diff(first)
-    spread = float(np.sqrt(np.sum((y - plain[days]) ** 2) / freedom)) if freedom else math.nan
-    return Days(merged.t, merged.y, merged.v, within, spread, freedom)
+    return Days(merged.t, merged.y, merged.v, within, freedom)
 
 
 def day_starts(days: NDArray[np.int64]) -> NDArray[np.int64]:

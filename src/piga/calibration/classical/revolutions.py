@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._version import __version__
 from piga.calibration.fit.one_run import fit_run
 from piga.calibration.fit.servo import with_mean_servo
-from piga.calibration.joint.summary import now, residual_figures, validity_ranges
+from piga.calibration.joint.summary import provenance, residual_figures, validity_ranges
 from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import Examination, examine, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
@@ -31,7 +30,6 @@ from piga.records.calibration import (
     Coefficient,
     Diagnostics,
     Event,
-    Provenance,
     Residuals,
     SegmentSummary,
 )
@@ -467,7 +465,7 @@ def revolutions_result(
                 np.sign(means.output) * positions.turns, fit.rate, before, strict=True,
             )
         ),
-        provenance=Provenance(dict(run.input_sha256), f"piga {__version__}", now(), {"source": run.source}),
+        provenance=provenance(dict(run.input_sha256), {"source": run.source}),
         temperature_reference=request.temperature_reference,
         time_reference=fit.design.time_reference,
         residuals=residuals,

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._version import __version__
 from piga.calibration.budget.uncertainty import combined
 from piga.calibration.fit.residuals import (
     Products,
@@ -21,7 +20,7 @@ from piga.calibration.fit.residuals import (
     segment_table,
 )
 from piga.calibration.joint.joint_fit import JointFit
-from piga.calibration.joint.summary import LiveRun, now, residual_figures
+from piga.calibration.joint.summary import LiveRun, provenance, residual_figures
 from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import (
     notes_in_words,
@@ -250,4 +249,4 @@ def _provenance(fit: JointFit) -> Provenance:
         for name, digest in summary.input_sha256.items():
             hashes[name if hashes.get(name, digest) == digest else f"{summary.name}: {name}"] = digest
     options = {"runs": [s.source or s.name for s in fit.summaries], "per_run": list(fit.wish.per_run)}
-    return Provenance(hashes, f"piga {__version__}", now(), options)
+    return provenance(hashes, options)

@@ -30,7 +30,7 @@ from piga.calibration.noise.levels import Noise
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.output import settle
 from piga.reading.signal_checks import largest_size
-from piga.records.calibration import Outlier, Quality, Residuals, SegmentSummary
+from piga.records.calibration import Outlier, Provenance, Quality, Residuals, SegmentSummary
 from piga.records.limits import read_whole
 from piga.records.run import Run
 from piga.records.run_file import Draw
@@ -415,6 +415,11 @@ def validity_ranges(run: Run) -> dict[str, tuple[float, float]]:
     if run.temperature is not None:
         ranges["temperature"] = (float(run.temperature.min()), float(run.temperature.max()))
     return ranges
+
+
+def provenance(inputs: dict[str, str], options: dict[str, Any]) -> Provenance:
+    """Where a result comes from: hashes of its inputs, this version, the time (UTC), and options."""
+    return Provenance(inputs, f"piga {__version__}", now(), options)
 
 
 def now() -> str:
