@@ -184,9 +184,7 @@ def root_mean_square(values: Array) -> float:
     return math.sqrt(square_sum(values) / values.size)
 
 
-def segment_scatter(
-    design: Design, residuals: Residuals, noise: Noise, coloured: float = 0.0
-) -> SegmentScatter:
+def segment_scatter(design: Design, residuals: Residuals, noise: Noise, coloured: float) -> SegmentScatter:
     """Scatter of the mean rates of the segments, relative to the scatter expected from the noise.
 
     In a segment of duration T with n samples, the slope of the residual angle has the variance ``12 r/(n T^2) + q/T`` for
@@ -232,7 +230,7 @@ def _slope(t: Array, values: Array) -> float:
     return product / square
 
 
-def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...] = ()) -> Diagnostics:
+def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...]) -> Diagnostics:
     """``plain`` with tests of the whitened residual: variance, lag-1 correlation, portmanteau, shape.
 
     ``ljung_box`` is the Ljung-Box statistic over 20 lags with its probability. ``excess_kurtosis`` and ``skewness`` are

@@ -44,8 +44,9 @@ def include_coloured_noise(fit: Fit) -> Fit:
     :func:`~piga.calibration.intervals.slow_noise.include_slow_noise`, which can weight by it. Not done with given noise
     levels and with methods other than whitened least squares in one go.
     """
-    run, bins = fit.design.run, bins_of(fit)
-    if not fit.seeks_noise or bins is None or fit.noise.stated:
+    run = fit.design.run
+    bins = bins_of(fit) if fit.seeks_noise and not fit.noise.stated else None
+    if bins is None:
         return fit
     segments = len(run.labels)
     coarse = RateBins.of(run, coarse=True)

@@ -185,6 +185,8 @@ class MergedRuns:
     def added(self, plain: Estimate, state: ServoState | None) -> Iterator[tuple[AddedNoise, Array]]:
         """Noise that is not in the weights of the runs, and the covariance per unit of each."""
         for index, summary in enumerate(self.summaries):
+            if not summary.added:
+                continue
             first = self.first_group(index)
             groups = range(first, first + len(summary.parts))
             held, wanted = summary.columns(self.local, self.stored(index)), self.wanted(index)

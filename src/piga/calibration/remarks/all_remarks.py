@@ -62,9 +62,7 @@ def _in_reported_uncertainties(
                 row.shift[one.name] = shift * (one.std / reported.std)
 
 
-def with_remarks(
-    result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[LeftOut, ...] = ()
-) -> Calibration:
+def with_remarks(result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[LeftOut, ...]) -> Calibration:
     """The result with ``leverage``, ``missing_terms`` and ``advice`` in its diagnostics and in its notes.
 
     A slow wave is reported where nothing else explains it.

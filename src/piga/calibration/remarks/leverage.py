@@ -60,7 +60,7 @@ class Without:
 def find_leverage(
     fit: Fit,
     coefficients: tuple[Coefficient, ...],
-    slow: bool = False,
+    slow: bool,
 ) -> tuple[dict[str, SegmentLeverage], tuple[str, ...], tuple[str, ...]]:
     """Leverage of every segment for ``diagnostics``, and sentences about it.
 

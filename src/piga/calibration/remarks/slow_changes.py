@@ -217,7 +217,7 @@ class Unseen:
 
 
 def unseen_bias(
-    plain: Fit, coefficients: tuple[Coefficient, ...], suggestions: tuple[MissingTerm, ...] = ()
+    plain: Fit, coefficients: tuple[Coefficient, ...], suggestions: tuple[MissingTerm, ...]
 ) -> Unseen | None:
     """The bias that a record does not exclude; None if it moves nothing by more than its uncertainty.
 

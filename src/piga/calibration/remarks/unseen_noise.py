@@ -118,8 +118,10 @@ def unseen_noise(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) ->
         Those of the result, with combined uncertainties.
     """
     told = fit.noise.slow > 0.0 or (fit.colour is not None and fit.colour.gain > THRESHOLDS.coloured)
+    if not fit.seeks_noise or fit.counted is not None or told or fit.noise.stated:
+        return None
     bins = bins_of(fit, coarse=True)
-    if not fit.seeks_noise or fit.counted is not None or told or fit.noise.stated or bins is None:
+    if bins is None:
         return None
     factor, rows = joined_factor(plain, bins)
     contrasts = contrasts_of(plain, factor, rows, bins)
