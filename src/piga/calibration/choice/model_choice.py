@@ -28,7 +28,7 @@ from piga.calibration.model.identifiability import (
     refuse_useless,
 )
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.request import Request, make_request
+from piga.calibration.model.request import Request, harmonics_of, make_request, shared_of
 from piga.calibration.model.solution import Estimate, Layout, merged, name_parameters, solve_parts
 from piga.calibration.noise.counted import Counted
 from piga.calibration.noise.weighting import weighted_blocks
@@ -335,10 +335,9 @@ class Weighed:
 
     def compared(self, terms: tuple[str, ...], *, predict: bool = True) -> TermSet:
         """Figures of one set, or the reason why there are none; without ``predict`` no part is left out and predicted."""
-        harmonics = replace(self.design.request, terms=terms).harmonics
+        harmonics, shared = harmonics_of(terms), shared_of(terms)
         local: tuple[str, ...] = ("p", "q") if "tan_beta" in terms else ()
         local += tuple(f"{kind}{order}" for order in harmonics for kind in ("s", "c"))
-        shared = replace(self.design.request, terms=terms).shared_terms
         own = self.per_segment and bool(local)
         layout = Layout.of_one("tan_beta" in terms, harmonics, shared, max(self.groups) + 1 if own else 1)
         state: ServoState | None = None

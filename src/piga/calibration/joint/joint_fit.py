@@ -20,7 +20,7 @@ from piga.calibration.joint.summary import LiveRun, RunSummary, prepare, run_nam
 from piga.calibration.model.design import Names, ServoState, phaseless_columns
 from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.request import check_per_run, make_request
+from piga.calibration.model.request import check_per_run, harmonics_of, make_request, shared_of
 from piga.calibration.model.solution import Estimate, Layout, Owner, name_parameters, solve_parts
 from piga.calibration.noise.settings import NOISE
 from piga.errors import ArgumentError, CalibrationError
@@ -28,7 +28,7 @@ from piga.progress import Steps
 from piga.records.calibration import Coefficient
 from piga.records.calibration.coefficient import changes
 from piga.records.run import Run
-from piga.records.terms import SERVO_TERMS, check_terms, harmonic
+from piga.records.terms import SERVO_TERMS, check_terms
 from piga.results import Array
 
 
@@ -78,14 +78,9 @@ class MergedRuns:
     @classmethod
     def of(cls, wish: Wish, summaries: Sequence[RunSummary]) -> MergedRuns:
         """The runs with the layout of their request."""
-        shared = tuple(
-            tuple(t for t in wish.terms_of(i) if t != "tan_beta" and harmonic(t) is None)
-            for i in range(len(summaries))
-        )
+        shared = tuple(shared_of(wish.terms_of(index)) for index in range(len(summaries)))
         keys: list[tuple[str, str | None]] = []
-        for term in wish.terms:
-            if term == "tan_beta" or harmonic(term):
-                continue
+        for term in shared_of(wish.terms):
             if term in wish.per_run:
                 keys += [(term, s.name) for s, own in zip(summaries, shared, strict=True) if term in own]
             else:
@@ -94,8 +89,7 @@ class MergedRuns:
         for summary, own in zip(summaries, shared, strict=True):
             at = [keys.index((t, summary.name if t in wish.per_run else None)) for t in own]
             tails += [np.array(at, dtype=np.int64)] * len(summary.parts)
-        orders = tuple(sorted({wave[1] for t in wish.terms if (wave := harmonic(t))}))
-        layout = Layout("tan_beta" in wish.terms, orders, tuple(keys), tuple(tails))
+        layout = Layout("tan_beta" in wish.terms, harmonics_of(wish.terms), tuple(keys), tuple(tails))
         return cls(wish, tuple(summaries), layout, shared)
 
     @property

@@ -41,12 +41,22 @@ class Request:
     @property
     def harmonics(self) -> tuple[int, ...]:
         """Orders of the wanted harmonics of the output angle."""
-        return tuple(sorted({wave[1] for name in self.terms if (wave := harmonic(name))}))
+        return harmonics_of(self.terms)
 
     @property
     def shared_terms(self) -> tuple[str, ...]:
         """Terms whose regressor does not depend on the phase."""
-        return tuple(name for name in self.terms if name != "tan_beta" and harmonic(name) is None)
+        return shared_of(self.terms)
+
+
+def harmonics_of(terms: tuple[str, ...]) -> tuple[int, ...]:
+    """Orders of the harmonics of the output angle among terms."""
+    return tuple(sorted({wave[1] for name in terms if (wave := harmonic(name))}))
+
+
+def shared_of(terms: tuple[str, ...]) -> tuple[str, ...]:
+    """Those terms whose regressor does not depend on the phase."""
+    return tuple(name for name in terms if name != "tan_beta" and harmonic(name) is None)
 
 
 def make_request(
