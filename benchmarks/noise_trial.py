@@ -284,7 +284,7 @@ def trial(fit: Fit) -> dict[str, tuple[Array, Array, Array]]:
 def one(scenario: ConstantForce, run: piga.Run) -> dict[str, list]:
     """Errors and half widths by today's search and by each trial model."""
     result = scenario.calibrate(run)
-    fit = fit_run(run, make_request(run, scenario.terms, None, None, None, None))
+    fit = fit_run(run, make_request(run, scenario.terms))
     fit = refine_counted(fit)
     named = name_coefficients(fit.design, fit.solution, fit.covariance)[0]
     truth = np.array([scenario.true_value(c.name) for c in named])

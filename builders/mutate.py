@@ -36,148 +36,97 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "piga"
 
 
-def tests_of(room: str, *names: str) -> list[str]:
-    """Paths of test files of a room or of a room inside it."""
-    paths = {path.name: path for path in (ROOT / "tests" / room).rglob("test_*.py")}
-    return [str(paths[f"test_{name}.py"].relative_to(ROOT)) for name in names]
+def tests_named(module: str) -> list[str]:
+    """Tests named for a module, as ``calibration/fit/servo``, and for its room as a whole; of a file of tests, itself."""
+    if module.endswith(".py"):
+        return [module]
+    room, _, name = module.rpartition("/")
+    folder = ROOT / "tests" / room
+    modules = {path.stem for path in (SOURCE / room).glob("*.py")} | {folder.name}
+    owners: dict[str, list[str]] = {}
+    for path in sorted(folder.glob("test_*.py")):
+        subject = path.stem.removeprefix("test_")
+        owner = max((m for m in modules if f"{subject}_".startswith(f"{m}_")), key=len, default="")
+        owners.setdefault(owner, []).append(str(path.relative_to(ROOT)))
+    return owners.get(name, []) + owners.get(folder.name, [])
 
 
-EQUATIONS = ["tests/docs/test_equations.py"]
-MOTION = [
-    *tests_of("_kernels", "step", "arithmetic"),
-    *tests_of("instrument", "closed_form", "motion_input_forms"),
-    *EQUATIONS,
-]
-SAMPLES = [
-    *MOTION,
-    *tests_of("instrument", "sampled_motion_sensitivities", "motion_input_forms", "sampled_motion"),
-]
-ANALYSIS = [*tests_of("instrument", "regimes", "closed_form", "motion_input_forms"), *EQUATIONS]
-TWIN = tests_of("instrument", "linear", "twin")
-SUMS = [
-    *tests_of("_kernels", "regressors", "noise"),
-    *tests_of("calibration", "reduction", "levels", "residuals"),
-    *EQUATIONS,
-    *tests_of("calibration", "calibrate"),
-]
-FIT = tests_of(
-    "calibration",
-    "solution",
-    "identifiability",
-    "request",
-    "recursive",
-    "residuals",
-    "levels",
-    "calibrate",
-    "model_choice",
+LINEAR = (
+    "calibration/model/solution calibration/model/identifiability calibration/model/request calibration/classical/recursive "
+    "calibration/fit/residuals calibration/noise/levels calibration/calibrate calibration/choice/model_choice"
 )
-JOINT = tests_of("calibration", "joint_small_records", "joint")
-UNCERTAINTY = tests_of("calibration", "monte_carlo", "uncertainty", "calibrate", "joint_small_records")
-COUNTED = tests_of("calibration", "stretches", "uncertainty", "calibrate_shipped_record")
-PLANS = tests_of("planning", "planning", "plan_closed_forms", "plan")
-TREND = tests_of("trend", "trend_line", "history")
-CHOICE = tests_of("calibration", "model_choice")
-REVOLUTIONS = [*tests_of("calibration", "revolutions"), *JOINT]
-SIGNATURES = tests_of("calibration", "missing_terms", "all_remarks")
-COMPENSATED = [
-    *tests_of("compensation", "compensator", "set_compensator"),
-    *tests_of("_kernels", "indication"),
-    *tests_of("compensation", "compensator_stream", "compensation_refusals", "live"),
-]
-SETS = tests_of("compensation", "set_compensator", "file_to_file_columns")
-PHASES = tests_of("compensation", "phase", "result")
-GEOMETRY = tests_of("platform", "geometry", "simulate")
-PLATFORM = [*GEOMETRY, *tests_of("platform", "scenario", "navigator")]
-ERRORS = tests_of("platform", "budget", "navigator", "navigator_models")
-IDENTIFIED = tests_of("platform", "identify", "alignment", "identify_intervals")
-TRIADS = tests_of("platform", "chain", "simulate")
-CALIBRATION = {
-    "calibration/remarks/advice": tests_of("calibration", "advice"),
-    "calibration/allan": tests_of("calibration", "allan", "weighting_drift"),
-    "calibration/calibrate calibration/model/design "
-    "calibration/fit/one_run calibration/noise/levels calibration/fit/residuals "
-    "calibration/model/solution calibration/noise/weighting "
-    "calibration/model/identifiability": FIT,
-    "calibration/budget/uncertainty calibration/intervals/degrees_of_freedom "
-    "calibration/budget/monte_carlo": UNCERTAINTY,
-    "calibration/remarks/missing_terms calibration/remarks/all_remarks": SIGNATURES,
-    "planning/candidates planning/criterion planning/mounting planning/plan planning/plan_file": PLANS,
-    "calibration/fit/cleaning calibration/fit/outliers": tests_of("calibration", "cleaning", "outliers"),
-    "trend/history trend/trend_line": TREND,
-    "calibration/noise/counted calibration/noise/stretches": COUNTED,
-    "calibration/choice/cross_validation calibration/choice/model_choice": CHOICE,
-    "calibration/intervals/added_noise": tests_of("calibration", "added_noise", "added_noise_faint_walk"),
-    "calibration/fit/servo": tests_of("calibration", "servo"),
-    "calibration/remarks/left_out": tests_of("calibration", "servo", "left_out_runs"),
-    "calibration/intervals/slow_noise": tests_of(
-        "calibration", "slow_noise", "weighting_drift", "weighting_scatter"
+SUMS = (
+    "_kernels/estimation/regressors _kernels/estimation/noise calibration/model/reduction calibration/noise/levels "
+    "calibration/fit/residuals tests/docs/test_equations.py calibration/calibrate"
+)
+MOTION = (
+    "_kernels/motion/step _kernels/arithmetic instrument/motion/closed_form tests/docs/test_equations.py "
+    "instrument/motion/sampled_motion"
+)
+COMPENSATED = "compensation/compensator compensation/sets/set_compensator _kernels/compensation/indication compensation/files/live"
+PLATFORM = "platform/geometry platform/simulate platform/scenario platform/navigator platform/budget"
+IDENTIFIED = "platform/identify platform/alignment"
+ALSO = {
+    "calibration/allan calibration/intervals/slow_noise": "calibration/noise/weighting",
+    "calibration/calibrate calibration/model/design calibration/fit/one_run calibration/noise/levels "
+    "calibration/fit/residuals calibration/model/solution calibration/noise/weighting "
+    "calibration/model/identifiability calibration/classical/recursive calibration/model/request "
+    "calibration/model/reduction": LINEAR,
+    "calibration/budget/uncertainty calibration/budget/monte_carlo calibration/intervals/degrees_of_freedom": (
+        "calibration/budget/monte_carlo calibration/budget/uncertainty calibration/calibrate calibration/joint/joint"
     ),
-    "calibration/joint/joint_fit calibration/joint/joint_result calibration/joint/summary": JOINT,
-    "calibration/remarks/leverage": [
-        *tests_of("calibration", "leverage"),
-        *SIGNATURES,
-    ],
-    "calibration/classical/recursive calibration/model/request": FIT,
-    "calibration/model/reduction": [*tests_of("calibration", "reduction"), *FIT],
-    "calibration/classical/revolutions": REVOLUTIONS,
-}
-INSTRUMENT = {
-    "instrument/motion/closed_form instrument/regimes": [*MOTION, *ANALYSIS],
-    "instrument/twin/electronics": tests_of("instrument", "electronics"),
-    "instrument/motion/function_input instrument/motion/sampled_motion": SAMPLES,
-    "instrument/twin/run instrument/twin/linear instrument/twin/parameters": TWIN,
-}
-COMPENSATION = {
+    "calibration/remarks/missing_terms calibration/remarks/all_remarks calibration/remarks/leverage": (
+        "calibration/remarks/missing_terms calibration/remarks/all_remarks"
+    ),
+    "calibration/remarks/left_out": "calibration/fit/servo",
+    "calibration/fit/cleaning calibration/fit/outliers": "calibration/fit/cleaning calibration/fit/outliers",
+    "calibration/noise/counted calibration/noise/stretches": (
+        "calibration/noise/stretches calibration/budget/uncertainty calibration/calibrate"
+    ),
+    "calibration/choice/cross_validation": "calibration/choice/model_choice",
+    "calibration/choice/model_choice calibration/fit/servo calibration/intervals/added_noise "
+    "calibration/joint/joint_fit calibration/joint/joint_result calibration/joint/summary calibration/remarks/advice": "",
+    "calibration/classical/revolutions": "calibration/joint/joint",
+    "planning/candidates planning/criterion planning/mounting planning/plan planning/plan_file": "planning/plan",
+    "trend/history trend/trend_line _kernels/estimation/trend": "trend/trend_line trend/history",
+    "instrument/motion/closed_form instrument/regimes": f"{MOTION} instrument/regimes",
+    "instrument/motion/function_input instrument/motion/sampled_motion _kernels/motion/function_motion "
+    "_kernels/motion/step _kernels/motion/samples": MOTION,
+    "instrument/twin/electronics": "",
+    "instrument/twin/run instrument/twin/linear instrument/twin/parameters _kernels/motion/servo": "instrument/twin/linear",
     "compensation/compensator compensation/model": COMPENSATED,
-    "compensation/phase compensation/result": [
-        *PHASES,
-        *COMPENSATED,
-        *tests_of("compensation", "file_to_file"),
-    ],
-    "compensation/sets/set_compensator compensation/sets/set_files": SETS,
-}
-PLATFORM_ROOM = {
-    "platform/alignment platform/estimate platform/observation": IDENTIFIED,
-    "platform/identify": [*IDENTIFIED, *ERRORS, *PLATFORM],
-    "platform/analysis platform/budget": ERRORS,
-    "platform/navigator": [*PLATFORM, *ERRORS],
-    "platform/geometry": [*PLATFORM, *IDENTIFIED],
-    "platform/scenario": PLATFORM,
-    "platform/simulate": [*PLATFORM, *TRIADS],
-    "platform/chain": [*TRIADS, *ERRORS],
-    "platform/output": TRIADS,
-}
-KERNELS = {
+    "compensation/phase compensation/result": (
+        f"compensation/phase compensation/result {COMPENSATED} compensation/files/file_to_file"
+    ),
+    "compensation/sets/set_compensator compensation/sets/set_files _kernels/compensation/set": (
+        "compensation/sets/set_compensator tests/compensation/files/test_file_to_file_columns.py"
+    ),
     "_kernels/compensation/indication _kernels/compensation/layout _kernels/compensation/record "
-    "_kernels/compensation/terms": [*COMPENSATED, *SETS],
-    "_kernels/compensation/set": SETS,
-    "_kernels/estimation/noise": [*COUNTED, *SUMS],
-    "_kernels/arithmetic": [*SUMS, *PHASES, *tests_of("compensation", "file_to_file")],
+    "_kernels/compensation/terms": f"{COMPENSATED} tests/compensation/files/test_file_to_file_columns.py",
+    "platform/alignment platform/estimate platform/observation": IDENTIFIED,
+    "platform/identify platform/geometry": f"{IDENTIFIED} {PLATFORM}",
+    "platform/analysis platform/budget": "platform/budget platform/navigator",
+    "platform/navigator platform/scenario _kernels/platform/navigation": PLATFORM,
+    "platform/simulate platform/chain": f"platform/chain {PLATFORM}",
+    "platform/output": "platform/chain platform/simulate",
+    "_kernels/platform/motion": "platform/geometry platform/simulate tests/docs/test_equations.py platform/chain",
+    "_kernels/estimation/noise": f"calibration/noise/stretches calibration/budget/uncertainty {SUMS}",
+    "_kernels/arithmetic": f"{SUMS} compensation/phase compensation/result compensation/files/file_to_file",
     "_kernels/estimation/regressors": SUMS,
-    "_kernels/estimation/sequential": [*SUMS, *FIT],
-    "_kernels/motion/function_motion": SAMPLES,
-    "_kernels/motion/step": SAMPLES,
-    "_kernels/motion/samples": SAMPLES,
-    "_kernels/estimation/outliers": [
-        *tests_of("_kernels", "outliers"),
-        *tests_of("calibration", "outliers"),
-    ],
-    "_kernels/platform/navigation": [*PLATFORM, *ERRORS],
-    "_kernels/platform/motion": [*GEOMETRY, *EQUATIONS, *TRIADS],
-    "_kernels/motion/servo": TWIN,
-    "_kernels/estimation/trend": TREND,
+    "_kernels/estimation/sequential": f"{SUMS} {LINEAR}",
+    "_kernels/estimation/outliers": "calibration/fit/outliers",
+    "frames earth": "",
+    "units": "instrument/parameters",
 }
+"""Files that are changed, and the modules whose tests have to notice it beside those that are named for the file."""
 TESTS = {
-    f"{name}.py": tests
-    for table in (CALIBRATION, INSTRUMENT, COMPENSATION, PLATFORM_ROOM, KERNELS)
-    for names, tests in table.items()
-    for name in names.split()
-} | {
-    "frames.py": ["tests/test_frames.py"],
-    "earth.py": ["tests/test_earth.py"],
-    "units.py": ["tests/test_units.py", "tests/instrument/test_parameters.py"],
+    f"{file}.py": list(
+        dict.fromkeys(test for module in (file, *others.split()) for test in tests_named(module))
+    )
+    for files, others in ALSO.items()
+    for file in files.split()
 }
-"""Tests that have to notice a change of a file, the quickest first."""
+"""Tests that have to notice a change of a file, its own first."""
 
 OPERATORS: dict[type, type] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult,

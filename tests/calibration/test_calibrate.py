@@ -374,7 +374,7 @@ def test_too_short_a_record() -> None:
 @pytest.mark.only_compiled
 def test_blocks_cover_every_increment_once() -> None:
     run = record(np.random.default_rng(19), seconds=10.0)
-    design = Design(run, make_request(run, TERMS, None, None, None), run.scale_factor)
+    design = Design(run, make_request(run, TERMS), run.scale_factor)
     rows = np.concatenate([np.arange(b.start, b.stop)[b.h > 0.0] for b in design.blocks()])
     np.testing.assert_array_equal(rows, np.flatnonzero(~run.begins))
 

@@ -14,7 +14,7 @@ import pytest
 from pyarrow import parquet
 
 import piga
-from piga.calibration.joint.summary import read_summary
+from piga.calibration import RunSummary
 from piga.certificate.certificate_file import read_certificate_file
 from piga.certificate.dcc.xml_signature import load_certificate, read_xml
 from piga.compensation.sets.set_files import is_triad_file
@@ -28,7 +28,7 @@ from tests.records.files import lines, write_log, write_run
 
 READERS: dict[str, Callable[[Path], object]] = {
     "json": piga.Calibration.from_json,
-    "summary": read_summary,
+    "summary": RunSummary.from_json,
     "toml": read_run_file,
     "certificate": read_certificate_file,
     "xml": read_xml,

@@ -18,25 +18,17 @@ from piga.results import Array, Plotted, Result
 
 @dataclass(frozen=True)
 class AllanSettings:
-    """Settings of the Allan deviation (own choices).
-
-    Attributes
-    ----------
-    per_decade:
-        Averaging times per decade.
-    differences:
-        Most differences used per averaging time. A longer record uses every second, third, ... difference; the
-        deviation is then known to 0.2 %.
-    fewest_degrees:
-        Fewest degrees of freedom of an averaging time that is shown.
-    uneven:
-        Relative scatter of the sampling steps above which a stretch is interpolated to an even grid.
-    """
+    """Settings of the Allan deviation (own choices)."""
 
     per_decade: int = 8
+    """Averaging times per decade."""
     differences: int = 1 << 17
+    """Most differences used per averaging time. A longer record uses every second, third, ... difference; the deviation
+    is then known to 0.2 %."""
     fewest_degrees: float = 1.0
+    """Fewest degrees of freedom of an averaging time that is shown."""
     uneven: float = 0.01
+    """Relative scatter of the sampling steps above which a stretch is interpolated to an even grid."""
 
 
 ALLAN = AllanSettings()

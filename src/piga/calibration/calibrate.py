@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 
-from piga._version import __version__
 from piga.calibration.budget.monte_carlo import put_to_the_test
 from piga.calibration.budget.uncertainty import (
     Budget,
@@ -51,7 +50,7 @@ from piga.calibration.joint.joint_fit import (
     joint_sources,
 )
 from piga.calibration.joint.joint_result import joint_result
-from piga.calibration.joint.summary import RunSummary, now, residual_figures, validity_ranges
+from piga.calibration.joint.summary import RunSummary, provenance, residual_figures, validity_ranges
 from piga.calibration.model.design import Design, given_servo
 from piga.calibration.model.identifiability import (
     Examination,
@@ -62,7 +61,7 @@ from piga.calibration.model.identifiability import (
 )
 from piga.calibration.model.reduction import beside
 from piga.calibration.model.request import Request, make_request
-from piga.calibration.model.solution import Solution, name_coefficients, solve
+from piga.calibration.model.solution import Solution, name_coefficients, principal, solve
 from piga.calibration.noise.weighting import weighting_mode
 from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
@@ -80,7 +79,6 @@ from piga.records.calibration import (
     Coefficient,
     ColouredNoise,
     Diagnostics,
-    Provenance,
     Residuals,
     SegmentScatter,
     SegmentSummary,
@@ -314,17 +312,14 @@ def _assemble(
         budget=BudgetTable(budget),
         diagnostics=examined.diagnostics,
         segments=examined.segments,
-        provenance=_provenance(run, request),
+        provenance=provenance(
+            dict(run.input_sha256), {"source": run.source, "noise_given": request.angle_rms is not None}
+        ),
         temperature_reference=request.temperature_reference,
         time_reference=fit.design.time_reference,
         residuals=examined.residuals,
         history=history,
     )
-
-
-def _provenance(run: Run, request: Request) -> Provenance:
-    options = {"source": run.source, "noise_given": request.angle_rms is not None}
-    return Provenance(dict(run.input_sha256), f"piga {__version__}", now(), options)
 
 
 def _joint_calibration(
@@ -402,7 +397,7 @@ def _published_calibration(run: Run, request: Request, steps: Steps) -> Calibrat
         flip = np.ones(values.size)
         flip[0] = -1.0
         covariance = covariance * np.outer(flip, flip)
-    values[1] = np.pi - np.mod(np.pi - values[1], 2.0 * np.pi)
+    values[1] = principal(values[1])
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     coefficients = tuple(
         Coefficient(n, float(v), float(s), unit_of(n))

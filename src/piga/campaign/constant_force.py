@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 import piga
 from piga._kernels.motion.step import constant_steps
 from piga.errors import ArgumentError
+from piga.records.calibration.coefficient import changes
 from piga.records.run_file import Quantity, TomlTable
 from piga.units import G0, to_si
 
@@ -417,9 +418,7 @@ class ConstantForce:
 
 def errors(calibration: piga.Calibration, truth: Array) -> Array:
     """Errors in file units; those of phases to the nearest whole turn."""
-    off = np.array([c.value for c in calibration.coefficients]) - truth
-    angles = np.array([c.name == "phi" for c in calibration.coefficients])
-    return np.where(angles, np.angle(np.exp(1j * off)), off)
+    return changes(calibration.coefficients, truth, np.array([c.value for c in calibration.coefficients]))
 
 
 @dataclass(frozen=True)

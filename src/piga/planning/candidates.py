@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.budget.uncertainty import contributions
+from piga.calibration.budget.uncertainty import contributions, values_near
 from piga.calibration.fit.servo import settled_design, with_mean_servo
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.identifiability import examine, refuse_if_confounded
@@ -353,11 +353,7 @@ def predict(
 
     def estimate(moved: Run) -> Array:
         again = settled_design(Design(moved, wish, run.scale_factor), mode, noise)
-        moved_solution = solve(again, reduce_segments(again, mode, noise))
-        named, _ = name_coefficients(again, moved_solution, moved_solution.covariance)
-        values = np.array([c.value for c in named])
-        turns = np.array([c.name == "phi" for c in named])
-        return np.where(turns, base + np.angle(np.exp(1j * (values - base))), values)
+        return values_near(base, again, reduce_segments(again, mode, noise))
 
     squares = np.zeros(base.size)
     if type_b:

@@ -26,36 +26,24 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class CriterionSettings:
-    """Settings of the search for the best plan (own choices).
-
-    Attributes
-    ----------
-    gap:
-        Excess of the largest directional derivative over its value at the optimum that ends the search.
-    rounds:
-        Most rounds of the search.
-    mixed:
-        Share of the equal mixture in every candidate. It keeps the mixture regular if the optimum is singular.
-    ridge:
-        Information added to each scaled parameter, so that a singular plan has a finite, useless value.
-    guard:
-        Share of the D-criterion of all parameters in a guarded criterion.
-    largest_power:
-        Power that approximates the largest variance, within a factor r^(1/64).
-    improvement:
-        Smallest improvement of the criterion that counts.
-    jumps:
-        Dwell steps moved from one visit to another at a time.
-    """
+    """Settings of the search for the best plan (own choices)."""
 
     gap: float = 1e-6
+    """Excess of the largest directional derivative over its value at the optimum that ends the search."""
     rounds: int = 60
+    """Most rounds of the search."""
     mixed: float = 1e-6
+    """Share of the equal mixture in every candidate. It keeps the mixture regular if the optimum is singular."""
     ridge: float = 1e-13
+    """Information added to each scaled parameter, so that a singular plan has a finite, useless value."""
     guard: float = 0.02
+    """Share of the D-criterion of all parameters in a guarded criterion."""
     largest_power: float = 64.0
+    """Power that approximates the largest variance, within a factor r^(1/64)."""
     improvement: float = 1e-7
+    """Smallest improvement of the criterion that counts."""
     jumps: tuple[int, ...] = (1, 5)
+    """Dwell steps moved from one visit to another at a time."""
 
 
 SEARCH = CriterionSettings()
@@ -116,18 +104,14 @@ class Criterion:
 class Mixture:
     """The best mixture: ``weights`` (n,) that sum to 1, ``information`` (m, m), criterion ``value``.
 
-    ``derivatives`` (n,) are ``tr(S A_j)``, at most ``1 + gap``: the certificate of the optimum.
+    ``derivatives`` (n,) are ``tr(S A_j)``, at most ``1 + gap``: the certificate of the optimum. The criterion
+    is at most the gap above it.
     """
 
     weights: Array
     information: Array
     value: float
     derivatives: Array
-
-    @property
-    def gap(self) -> float:
-        """Excess of the certificate; the criterion is at most this above the optimum."""
-        return float(self.derivatives.max()) - 1.0
 
 
 def best_mixture(candidates: Array, criterion: Criterion) -> Mixture:

@@ -52,21 +52,14 @@ from piga.units import G0
 
 @dataclass(frozen=True)
 class StandardPlanSettings:
-    """Settings of a plan (own choices).
-
-    Attributes
-    ----------
-    standard:
-        Numbers of evenly spaced positions in the standard plans.
-    stretches:
-        Durations in the figure, relative to the planned duration.
-    attempts:
-        Most durations tried to reach a wanted uncertainty.
-    """
+    """Settings of a plan (own choices)."""
 
     standard: tuple[int, ...] = (4, 6, 12, 24)
+    """Numbers of evenly spaced positions in the standard plans."""
     stretches: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0, 4.0)
+    """Durations in the figure, relative to the planned duration."""
     attempts: int = 12
+    """Most durations tried to reach a wanted uncertainty."""
 
 
 STANDARD_PLANS = StandardPlanSettings()

@@ -374,9 +374,7 @@ def alarms_in_words(
     for trend in trends:
         for point, time in zip(trend.points, times, strict=True):
             if point.outside and point.forecast is not None:
-                sentences.append(
-                    _outside(trend, point.record, time, point.value, point.forecast.value, point.score)
-                )
+                sentences.append(_outside(trend, point, point.forecast.value, time))
         shifted = np.flatnonzero(trend.chart.shifted)
         if shifted.size:
             first = next(i for i, point in enumerate(trend.points) if point.day == shifted[0])
@@ -388,15 +386,13 @@ def alarms_in_words(
     return tuple(sentences)
 
 
-def _outside(
-    trend: CoefficientTrend, name: str, time: dt.datetime, value: float, expected: float, score: float
-) -> str:
+def _outside(trend: CoefficientTrend, point: Point, expected: float, time: dt.datetime) -> str:
     scale, unit = shown_unit(trend.key, trend.unit)
     shown = "" if unit == "1" else f" {unit}"
     return (
-        f"{trend.key}: record {name} of {time:%Y-%m-%d} shows {value * scale:.7g}{shown}, {abs(score):.1f} standard "
-        f"deviations {'above' if score > 0.0 else 'below'} the forecast from earlier records, "
-        f"{expected * scale:.7g}{shown} (limit 3)."
+        f"{trend.key}: record {point.record} of {time:%Y-%m-%d} shows {point.value * scale:.7g}{shown}, "
+        f"{abs(point.score):.1f} standard deviations {'above' if point.score > 0.0 else 'below'} the forecast from earlier "
+        f"records, {expected * scale:.7g}{shown} (limit 3)."
     )
 
 

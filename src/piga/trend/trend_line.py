@@ -29,34 +29,22 @@ Values = Any
 
 @dataclass(frozen=True)
 class TrendSettings:
-    """Limits of the trend line (own choices).
-
-    Attributes
-    ----------
-    low_sum:
-        Probability of the quantile that bounds the weighted residual sum from below; few values may agree by
-        chance.
-    doubt:
-        Probability below which a small or large scatter contradicts the stated uncertainties.
-    tiny:
-        Smallest standard uncertainty, relative to the largest value; prevents infinite weights.
-    least_days:
-        Fewest days for a line with uncertainty.
-    short:
-        Length of the history [years] below which a drift per year is an extrapolation and gets a remark.
-    smoothing:
-        Weight of the newest score in the moving average of the control chart.
-    control_limit:
-        Control limit of scores and of their moving average, in its standard deviations.
-    """
+    """Limits of the trend line (own choices)."""
 
     low_sum: float = 0.2
+    """Probability of the quantile that bounds the weighted residual sum from below; few values may agree by chance."""
     doubt: float = 0.01
+    """Probability below which a small or large scatter contradicts the stated uncertainties."""
     tiny: float = 1e-12
+    """Smallest standard uncertainty, relative to the largest value; prevents infinite weights."""
     least_days: int = 3
+    """Fewest days for a line with uncertainty."""
     short: float = 0.25
+    """Length of the history [years] below which a drift per year is an extrapolation and gets a remark."""
     smoothing: float = 0.2
+    """Weight of the newest score in the moving average of the control chart."""
     control_limit: float = 3.0
+    """Control limit of scores and of their moving average, in its standard deviations."""
 
 
 TREND = TrendSettings()
@@ -227,15 +215,13 @@ def _combined(time: Values, value: Values, parts: tuple[tuple[Values, Values], .
 class Days:
     """Values merged by day: mean time, weighted mean and its variance, (days,) each.
 
-    ``within`` is the variance within days beyond the stated one (0 without repeats), ``spread`` the
-    pooled standard deviation within days (nan without repeats), ``freedom`` its degrees of freedom.
+    ``within`` is the variance within days beyond the stated one (0 without repeats), ``freedom`` its degrees of freedom.
     """
 
     time: Array
     means: Array
     variances: Array
     within: float
-    spread: float
     freedom: int
 
 
@@ -255,9 +241,7 @@ def merge_by_day(time: Array, values: Array, variances: Array, days: NDArray[np.
     within = inner_excess(y, v, first, count, freedom, 0.0) if freedom else 0.0
     merged = Points(np.empty(count), np.empty(count), np.empty(count))
     merge_days(Points(np.asarray(time, dtype=float), y, v), first, count, within, merged)
-    plain = np.add.reduceat(y, first[:-1]) / np.diff(first)
-    spread = float(np.sqrt(np.sum((y - plain[days]) ** 2) / freedom)) if freedom else math.nan
-    return Days(merged.t, merged.y, merged.v, within, spread, freedom)
+    return Days(merged.t, merged.y, merged.v, within, freedom)
 
 
 def day_starts(days: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -13,10 +13,12 @@ import pytest
 import piga
 from piga.calibration.budget.monte_carlo import Contribution, source_draws
 from piga.calibration.joint.summary import RunSummary
+from piga.calibration.noise.levels import Noise
 from piga.errors import CalibrationError, RunFileError
 from piga.planning.plan import plan_test
 from piga.records.calibration import Amount
 from piga.records.run_file import EstimationTable, UncertaintyTable
+from tests.calibration.made.dense import increments_covariance
 from tests.calibration.made.repeated import ARCSEC, CASES, TERMS, Repeated, coverage, head
 from tests.calibration.made.scenarios import SCENARIOS, Array, Scenario
 from tests.chance import assert_variance
@@ -92,8 +94,7 @@ def dense(case: Repeated, run: piga.Run) -> np.ndarray:
     """Standard uncertainties of least squares with the whole covariance: noise, and a rate of each segment."""
     s = case.scenario
     steps, h = round(s.seconds * s.rate), 1.0 / s.rate
-    V = np.diag(np.full(steps, s.walk**2 * h + 2.0 * s.white**2))
-    V -= s.white**2 * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
+    V = increments_covariance(Noise(s.white**2, s.walk**2), steps, h)
     whole = np.zeros((len(s.names),) * 2)
     for k, force in enumerate(s.forces):
         rate = 0.8884 * force[1] * 2.0 * ARCSEC

@@ -47,7 +47,7 @@ def compared(run: piga.Run):
 
 def weighted_rows(run: piga.Run, terms, noise: Noise):
     """Whitened rows of a set by its own design, and their segment: (m, n), (n,), (n,)."""
-    design = Design(run, make_request(run, terms, "information", "shared", None), run.scale_factor)
+    design = Design(run, make_request(run, terms, "information", "shared"), run.scale_factor)
     blocks = list(weighted_blocks(design, "increments", noise))
     x = np.hstack([columns[:, block.h > 0.0] for block, columns in blocks])
     segment = np.concatenate([np.full(np.count_nonzero(b.h > 0.0), b.segment) for b, _ in blocks])

@@ -61,7 +61,7 @@ def test_published_recursion_depends_on_its_start() -> None:
         run, truth = problem(seed)
         rng = np.random.default_rng([seed, 72])
         start = (rng.uniform(*PUBLISHED_X0[0]), rng.uniform(*PUBLISHED_X0[1]))
-        request = make_request(run, ["tan_beta", "k0", "k1", "k2"], "published", None, None)
+        request = make_request(run, ["tan_beta", "k0", "k1", "k2"], "published")
         state = run_published(run, _with_start(request, start)).state
         size, phase = abs(state[0]), state[1] + (np.pi if state[0] < 0.0 else 0.0)
         near = abs(size / truth["tan_beta"] - 1.0) < 0.05

@@ -19,6 +19,7 @@ from piga.calibration.joint.joint_fit import evident_together
 from piga.calibration.joint.summary import RunSummary
 from piga.calibration.noise.settings import NOISE
 from piga.errors import CalibrationError
+from tests.calibration.made.dense import dense_sums
 from tests.calibration.made.scenarios import SCENARIOS, Scenario, tumble
 
 DRIFT = replace(SCENARIOS["drift"], drift=2e-7)
@@ -151,7 +152,7 @@ def test_joint_covariance_is_that_of_dense_matrices(monkeypatch: pytest.MonkeyPa
     bread, meat = np.zeros((2, len(keys), len(keys)))
     for index, (scenario, record, part) in enumerate(zip(runs, records, own, strict=True)):
         at = [keys.index(f"phi[run {index + 1}]" if name == "phi" else name) for name in scenario.names]
-        A, M = dense(scenario, record, part)
+        A, M = dense_sums(scenario, record, part.noise)
         bread[np.ix_(at, at)] += A
         meat[np.ix_(at, at)] += M
     inverse = np.linalg.inv(bread)
@@ -159,25 +160,6 @@ def test_joint_covariance_is_that_of_dense_matrices(monkeypatch: pytest.MonkeyPa
     std = np.array([c.std for c in calibration.coefficients])
     assert std == pytest.approx(expected, rel=0.06, abs=0.0)
     assert (std / np.sqrt(np.diag(inverse))).max() > 1.3
-
-
-def dense(scenario: Scenario, record: piga.Run, part: RunSummary) -> tuple[np.ndarray, np.ndarray]:
-    """``X'W X`` and ``X'W V W X`` of all increments of a run, W without the drift found and V with it."""
-    noise, steps, h = part.noise, round(scenario.seconds * scenario.rate), 1.0 / scenario.rate
-    one = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white))
-    one -= noise.white * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
-    count = len(scenario.forces)
-    X = np.concatenate(
-        [
-            scenario._derivatives(record.output[record.segment_index == s] + scenario.phi, s, h)
-            for s in range(count)
-        ]
-    )
-    white = np.kron(np.eye(count), np.linalg.inv(one)) @ X
-    t = scenario._times().ravel()
-    together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)
-    whole = np.kron(np.eye(count), one) + noise.drift * h**2 * together
-    return X.T @ white, white.T @ whole @ white
 
 
 @pytest.mark.only_compiled

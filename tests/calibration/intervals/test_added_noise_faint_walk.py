@@ -16,6 +16,7 @@ from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import reduce_segments, residual_increments
+from tests.calibration.made.dense import increments_covariance
 from tests.calibration.made.scenarios import SCENARIOS, Scenario, tumble
 
 WHITE = SCENARIOS["white"]
@@ -26,19 +27,12 @@ SMALL = replace(WHITE, forces=tumble(6, (0.5, 1.0)), seconds=8.0, rate=5.0)
 def fitted(scenario: Scenario, seed: int) -> Fit:
     """A fit with the weights of white noise; a walk that was taken as real is none."""
     run = scenario.record(np.random.default_rng([seed, 78]))
-    request = make_request(run, scenario.terms, None, None, None)
+    request = make_request(run, scenario.terms)
     fit = fit_run(run, request)
     noise = replace(fit.noise, walk=0.0)
     solution = solve(fit.design, reduce_segments(fit.design, fit.mode, noise))
     d, h = residual_increments(fit.design, solution.values)
     return replace(fit, noise=noise, solution=solution, covariance=solution.covariance, d=d, h=h)
-
-
-def increments_covariance(noise: Noise, steps: int, h: float) -> np.ndarray:
-    """Dense covariance (steps, steps) of the increments of one stretch."""
-    neighbours = np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1)
-    result: np.ndarray = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white)) - noise.white * neighbours
-    return result
 
 
 @pytest.mark.only_compiled
@@ -128,7 +122,7 @@ def test_a_calibration_has_it() -> None:
     """Standard uncertainties and degrees of freedom of the whole calibration are those of the fit with it."""
     run = SMALL.record(np.random.default_rng([3, 78]))
     calibration = SMALL.calibrate(run)
-    request = make_request(run, SMALL.terms, None, None, None)
+    request = make_request(run, SMALL.terms)
     plain = fit_run(run, request)
     assert plain.noise.walk == 0.0
     fit = include_faint_walk(plain)

@@ -122,7 +122,7 @@ def test_no_levels_where_the_start_is_no_covariance() -> None:
 
 def fitted(scenario: Scenario, seed: int):
     run = scenario.record(np.random.default_rng([seed, 24]))
-    return fit_run(run, make_request(run, scenario.terms, None, None, None, None))
+    return fit_run(run, make_request(run, scenario.terms))
 
 
 def test_covariance_of_one_component_is_the_dense_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,7 +189,7 @@ def test_not_with_given_levels_and_in_records_too_short() -> None:
             run.estimation, angle_rms="1e-5 rad", angle_random_walk="1e-5 rad/sqrt(s)"
         ),
     )
-    fit = fit_run(given, make_request(given, TERMS, None, None, None, None))
+    fit = fit_run(given, make_request(given, TERMS))
     assert include_coloured_noise(fit) is fit
     short = fitted(replace(RATES_LOG, rate=0.2), 1)
     assert include_coloured_noise(short) is short

@@ -26,7 +26,7 @@ def fit_with(size: int, noise: Noise, stretches: int = 1) -> Fit:
     run = piga.Run.from_arrays(
         t, piga.propagate(piga.Instrument(SCALE, BETA), t, f), f, scale_factor=SCALE, segment=segment
     )
-    return replace(fit_run(run, make_request(run, ["scale_factor"], None, None, None)), noise=noise)
+    return replace(fit_run(run, make_request(run, ["scale_factor"])), noise=noise)
 
 
 def test_means_of_bins_are_whitened_as_angle_noise_and_random_walk_say() -> None:

@@ -64,6 +64,6 @@ def test_one_text_is_a_list(tmp_path: Path) -> None:
     run = read(tmp_path, lines())
     for text in ("scale_factor,k0", "scale_factor k0", " scale_factor , k0 "):
         assert term_names(text) == ("scale_factor", "k0")
-        assert make_request(run, text, None, None, None).terms == ("scale_factor", "k0")
+        assert make_request(run, text).terms == ("scale_factor", "k0")
     with pytest.raises(piga.RunFileError, match="unknown term 'k99'"):
         piga.calibrate(run, "scale_factor, k99")

@@ -15,12 +15,12 @@ from piga.calibration.intervals import added_noise
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.intervals.slow_noise import include_slow_noise, quick_looks
 from piga.calibration.joint.summary import RunSummary
-from piga.calibration.model.design import Design
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import DriftBasis, reduce_segments
 from piga.units import G0, to_si
+from tests.calibration.made.dense import dense_sums, moved_by_turning
 from tests.calibration.made.scenarios import SCALE, SCENARIOS, Scenario
 from tests.chance import assert_variance
 
@@ -34,7 +34,7 @@ assert isinstance(COUNTED, Scenario)
 
 def fitted(scenario: Scenario, seed: int, phase: str | None = None) -> Fit:
     run = scenario.record(np.random.default_rng([seed, 77]))
-    request = make_request(run, scenario.terms, None, phase, None)
+    request = make_request(run, scenario.terms, None, phase)
     return fit_run(run, request)
 
 
@@ -98,18 +98,10 @@ def test_a_drift_that_is_not_weighted_by_is_in_the_covariance() -> None:
     """Weights of the other noise: the dense covariance of that estimate with the drift, for the levels found."""
     fit = fitted(DRIFT, 3)
     result = include_slow_noise(fit, clear=np.inf)
-    noise, steps, h = result.noise, round(DRIFT.seconds * DRIFT.rate), 1.0 / DRIFT.rate
-    V = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white))
-    V -= noise.white * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
-    run, count = result.design.run, len(DRIFT.forces)
-    X = np.concatenate(
-        [DRIFT._derivatives(run.output[run.segment_index == s] + DRIFT.phi, s, h) for s in range(count)]
-    )
-    white = np.kron(np.eye(count), np.linalg.inv(V)) @ X
-    gain = np.linalg.solve(X.T @ white, white.T)
-    t = DRIFT._times().ravel()
-    together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)
-    dense = gain @ (np.kron(np.eye(count), V) + noise.drift * h**2 * together) @ gain.T
+    noise = result.noise
+    information, scattered = dense_sums(DRIFT, result.design.run, noise)
+    inverse = np.linalg.inv(information)
+    dense = inverse @ scattered @ inverse
     std = np.sqrt(np.diag(name_coefficients(result.design, result.solution, result.covariance)[1]))
     assert noise.drift > 0.0
     assert result.weights == replace(noise, drift=0.0)
@@ -145,19 +137,9 @@ def test_what_a_drift_adds_beside_coarse_counts_is_that_of_records_moved_by_its_
     """With the weights as they are: the changes of the estimate by every step, one record each."""
     plain = fitted(COUNTED, 1)
     fit = include_slow_noise(refine_counted(plain))
-    assert fit.counted is not None
     assert fit.slow_part is not None
-    run, basis = fit.design.run, DriftBasis.of(fit.design.run)
-    scale = fit.design.scale_factor
-
-    def estimate(turned: np.ndarray) -> np.ndarray:
-        design = Design(replace(run, output=run.output + turned), fit.design.request, scale)
-        design.phase_angle = fit.design.phase_angle
-        solution = solve(design, fit.counted.reduce(design))
-        return np.append(solution.amplitudes, solution.phases)
-
-    start, size = estimate(np.zeros(run.size)), 1e-9
-    moved = np.array([(estimate(size * angle) - start) / size for angle in basis.angle(run.t)]).T
+    basis = DriftBasis.of(fit.design.run)
+    moved = moved_by_turning(fit, basis.angle(fit.design.run.t))
     assert fit.slow_part == pytest.approx(
         basis.spacing * moved @ moved.T, rel=0.02, abs=1e-4 * fit.slow_part.max()
     )

@@ -14,12 +14,12 @@ from piga.calibration.fit.one_run import Fit, fit_run, refine_counted
 from piga.calibration.intervals import slow_noise
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.intervals.slow_noise import include_slow_noise, likely_level, quick_looks, slow_factor
-from piga.calibration.model.design import Design
 from piga.calibration.model.request import make_request
-from piga.calibration.model.solution import name_coefficients, solve
+from piga.calibration.model.solution import name_coefficients
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.settings import NOISE
 from piga.calibration.noise.weighting import SegmentBasis, slow_bases
+from tests.calibration.made.dense import increments_covariance, moved_by_turning
 from tests.calibration.made.scenarios import SCENARIOS, Scenario, tumble
 from tests.chance import assert_variance
 
@@ -33,7 +33,7 @@ assert isinstance(COUNTED, Scenario)
 
 def fitted(scenario: Scenario, seed: int, phase: str | None = None) -> Fit:
     run = scenario.record(np.random.default_rng([seed, 78]))
-    request = make_request(run, scenario.terms, None, phase, None)
+    request = make_request(run, scenario.terms, None, phase)
     return fit_run(run, request)
 
 
@@ -57,8 +57,7 @@ def test_covariance_is_the_dense_one_of_these_weights(monkeypatch: pytest.Monkey
     fit = fitted(SCATTER, 3)
     result = include_slow_noise(fit)
     noise, steps, h = result.noise, round(SCATTER.seconds * SCATTER.rate), 1.0 / SCATTER.rate
-    V = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white))
-    V -= noise.white * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
+    V = increments_covariance(noise, steps, h)
     run, count = result.design.run, len(SCATTER.forces)
     columns = [
         SCATTER._derivatives(run.output[run.segment_index == s] + SCATTER.phi, s, h) for s in range(count)
@@ -95,20 +94,10 @@ def test_what_it_adds_beside_coarse_counts_is_that_of_records_whose_segments_tur
     """With the weights as they are: the changes of the estimate by the rate of every segment, one record each."""
     plain = fitted(COUNTED, 1)
     fit = include_slow_noise(refine_counted(plain))
-    assert fit.counted is not None
     assert fit.noise.scatter > 0.0
-    run, scale = fit.design.run, fit.design.scale_factor
+    run = fit.design.run
     since = SegmentBasis.of(run).angle(run.t)[0]
-
-    def estimate(turned: np.ndarray) -> np.ndarray:
-        design = Design(replace(run, output=run.output + turned), fit.design.request, scale)
-        design.phase_angle = fit.design.phase_angle
-        solution = solve(design, fit.counted.reduce(design))
-        return np.append(solution.amplitudes, solution.phases)
-
-    start, size = estimate(np.zeros(run.size)), 1e-9
-    own = [(run.segment_index == s) * since for s in range(len(run.labels))]
-    moved = np.array([(estimate(size * angle) - start) / size for angle in own]).T
+    moved = moved_by_turning(fit, [(run.segment_index == s) * since for s in range(len(run.labels))])
     assert fit.slow_part == pytest.approx(moved @ moved.T, rel=0.02, abs=1e-4 * fit.slow_part.max())
 
 

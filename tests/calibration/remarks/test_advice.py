@@ -36,7 +36,7 @@ def told(run, terms=TERMS):
 def advised(run, terms=TERMS):
     """The advice itself, whether or not a calibration would ask for it."""
     run = replace(run, source="run.csv")
-    return " | ".join(advice.advise(run, make_request(run, terms, None, None, None)))
+    return " | ".join(advice.advise(run, make_request(run, terms)))
 
 
 @pytest.fixture(scope="module")

@@ -177,7 +177,7 @@ SPAN = 12 * 30.0 - 10.0
 
 def waves(test: Coloured, seed: int) -> SlowWave | None:
     run = test.record(seed)
-    return slow_wave(fit_run(run, make_request(run, test.terms, None, None, None, None)))
+    return slow_wave(fit_run(run, make_request(run, test.terms)))
 
 
 def test_a_clear_wave_has_its_period_and_its_amplitude() -> None:

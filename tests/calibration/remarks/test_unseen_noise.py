@@ -48,7 +48,7 @@ class Drifting(Coloured):
 
 def fitted(test: Coloured, seed: int) -> Fit:
     run = test.record(seed)
-    return fit_run(run, make_request(run, test.terms, None, None, None, None))
+    return fit_run(run, make_request(run, test.terms))
 
 
 def remarks_of(calibration: piga.Calibration) -> list[str]:

@@ -48,7 +48,7 @@ def _growth() -> Iterator[Pair]:
     test = replace(LOG, forces=head(12), seconds=20.0, pause=10.0)
     run = test.record(2)
     coefficients = piga.calibrate(run, test.terms).coefficients
-    fit = fit_run(run, make_request(run, test.terms, None, None, None, None))
+    fit = fit_run(run, make_request(run, test.terms))
     found = unseen_noise(fit, fit, coefficients)
     assert found is not None
     assert found.kind == "drift"

@@ -18,37 +18,27 @@ from numpy.typing import NDArray
 from piga.calibration.budget.uncertainty import Budget
 from piga.calibration.fit.one_run import Fit
 from piga.records.calibration import BudgetEntry, Coefficient, MonteCarlo, MonteCarloCheck
-from piga.records.calibration.coefficient import coverage_factor
+from piga.records.calibration.coefficient import coverage_factor, short_way
 from piga.records.terms import si_factor
 from piga.results import Array
 
 
 @dataclass(frozen=True)
 class MonteCarloSettings:
-    """Settings of the Monte Carlo propagation (JCGM 101; else own choices).
-
-    Attributes
-    ----------
-    block:
-        Trials per block. The adaptive procedure checks for convergence after each block (JCGM 101, 7.9.4).
-    most:
-        Most trials of the adaptive procedure.
-    seed:
-        Fixed seed: the same record gives the same digits.
-    doubtful:
-        Ratio of tan_beta to its standard uncertainty below which its interval is not linear (Rice-like).
-    far:
-        Search range of the upper limit [standard uncertainties above the estimate].
-    halvings:
-        Bisection steps of this search.
-    """
+    """Settings of the Monte Carlo propagation (JCGM 101; else own choices)."""
 
     block: int = 10_000
+    """Trials per block. The adaptive procedure checks for convergence after each block (JCGM 101, 7.9.4)."""
     most: int = 1_000_000
+    """Most trials of the adaptive procedure."""
     seed: int = 101
+    """Fixed seed: the same record gives the same digits."""
     doubtful: float = 6.0
+    """Ratio of tan_beta to its standard uncertainty below which its interval is not linear (Rice-like)."""
     far: float = 10.0
+    """Search range of the upper limit [standard uncertainties above the estimate]."""
     halvings: int = 60
+    """Bisection steps of this search."""
 
 
 MONTE_CARLO = MonteCarloSettings()
@@ -319,7 +309,7 @@ def _results(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Callable[[Array
             p, q = linear[:, at["p"]], linear[:, at["q"]]
             phase = np.arctan2(q, p)
             columns["tan_beta"] = np.hypot(p, q) / scale
-            columns["phi"] = near["phi"] + np.angle(np.exp(1j * (phase - near["phi"])))
+            columns["phi"] = near["phi"] + short_way(phase - near["phi"])
         for order in design.request.harmonics:
             s, c = linear[:, at[f"s{order}"]], linear[:, at[f"c{order}"]]
             cosine, sine = np.cos(order * phase), np.sin(order * phase)

@@ -20,7 +20,7 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.progress import SILENT, Steps
 from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient
-from piga.records.calibration.coefficient import welch_satterthwaite
+from piga.records.calibration.coefficient import short_way, welch_satterthwaite
 from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import UNCERTAINTY_UNITS, Draw, drawn_for
@@ -32,6 +32,7 @@ from piga.units import G0, from_si
 
 if TYPE_CHECKING:
     from piga.calibration.fit.one_run import Fit
+    from piga.calibration.model.design import Design
 
 
 @dataclass(frozen=True)
@@ -249,16 +250,12 @@ def make_budget(
 ) -> Budget:
     """The budget of a fit: one row per source. ``covariance`` (n, n) is that of the coefficients."""
     base = np.array([coefficient.value for coefficient in coefficients])
-    turns = np.array([coefficient.name == "phi" for coefficient in coefficients])
 
     def reduced(run: Run) -> list[Reduction]:
         return fit.reduce(fit.design.of(run))
 
     def solved(summaries: list[Reduction]) -> Array:
-        solution = solve(fit.design, summaries)
-        named, _ = name_coefficients(fit.design, solution, solution.covariance)
-        values = np.array([coefficient.value for coefficient in named])
-        return np.where(turns, base + np.angle(np.exp(1j * (values - base))), values)
+        return values_near(base, fit.design, summaries)
 
     def one_by_one(run: Run) -> Iterator[Array]:
         moved, plain = reduced(run), reduced(fit.design.run)
@@ -274,6 +271,14 @@ def make_budget(
     type_a = Budget((), changes, in_fit).covariances(covariance)[0]
     rows = budget_rows(coefficients, type_a, changes_by_source)
     return Budget(rows, changes, in_fit)
+
+
+def values_near(base: Array, design: Design, summaries: list[Reduction]) -> Array:
+    """Coefficients (n,; file units) from one summary per segment; a phase is taken the short way round from ``base``."""
+    solution = solve(design, summaries)
+    named, _ = name_coefficients(design, solution, solution.covariance)
+    values = np.array([c.value for c in named])
+    return np.where([c.name == "phi" for c in named], base + short_way(values - base), values)
 
 
 def budget_rows(

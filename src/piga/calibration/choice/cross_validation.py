@@ -20,24 +20,16 @@ from piga.results import Array, Result
 
 @dataclass(frozen=True)
 class FoldSettings:
-    """Parts that cross-validation leaves out (own choices).
-
-    Attributes
-    ----------
-    fewest_segments:
-        Fewest segments for leaving out segments. A record with fewer segments is cut into blocks.
-    blocks:
-        Number of blocks for a record of fewer segments; each has about the same number of rows.
-    most:
-        Most parts that are left out one by one. With more parts, neighbours are left out together.
-    dependent:
-        Largest independent share of a column's length for which the column counts as dependent on the others.
-    """
+    """Parts that cross-validation leaves out (own choices)."""
 
     fewest_segments: int = 4
+    """Fewest segments for leaving out segments. A record with fewer segments is cut into blocks."""
     blocks: int = 10
+    """Number of blocks for a record of fewer segments; each has about the same number of rows."""
     most: int = 50
+    """Most parts that are left out one by one. With more parts, neighbours are left out together."""
     dependent: float = 1e-9
+    """Largest independent share of a column's length for which the column counts as dependent on the others."""
 
 
 FOLDS = FoldSettings()

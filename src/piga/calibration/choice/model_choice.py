@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from piga._kernels.estimation.noise import innovation_weights
 from piga.calibration.choice.cross_validation import HeldOutPrediction, fold_of, predict, row_edges
 from piga.calibration.fit.one_run import Fit
-from piga.calibration.fit.servo import at_state, find_state, refuse_if_servo_confounded
+from piga.calibration.fit.servo import at_state, state_of
 from piga.calibration.joint.summary import prepare, run_name
 from piga.calibration.model.design import PHASELESS, Design, ServoState, phaseless_columns
 from piga.calibration.model.identifiability import (
@@ -28,7 +28,7 @@ from piga.calibration.model.identifiability import (
     refuse_useless,
 )
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.request import Request, make_request
+from piga.calibration.model.request import Request, harmonics_of, make_request, shared_of
 from piga.calibration.model.solution import Estimate, Layout, merged, name_parameters, solve_parts
 from piga.calibration.noise.counted import Counted
 from piga.calibration.noise.weighting import weighted_blocks
@@ -205,7 +205,7 @@ def compare_models(
     steps = Steps(progress, 1 + len(wanted))
     steps("finding the noise")
     union = union_of(wanted)
-    request = make_request(run, union, "information", phases, None, ())
+    request = make_request(run, union, "information", phases, per_run=())
     weighed = Weighed.of(run, request)
     rows = []
     for terms in wanted:
@@ -335,14 +335,11 @@ class Weighed:
 
     def compared(self, terms: tuple[str, ...], *, predict: bool = True) -> TermSet:
         """Figures of one set, or the reason why there are none; without ``predict`` no part is left out and predicted."""
-        harmonics = replace(self.design.request, terms=terms).harmonics
+        harmonics, shared = harmonics_of(terms), shared_of(terms)
         local: tuple[str, ...] = ("p", "q") if "tan_beta" in terms else ()
         local += tuple(f"{kind}{order}" for order in harmonics for kind in ("s", "c"))
-        shared = replace(self.design.request, terms=terms).shared_terms
         own = self.per_segment and bool(local)
-        keys = tuple((name, None) for name in shared)
-        count = max(self.groups) + 1 if own else 1
-        layout = Layout("tan_beta" in terms, harmonics, keys, (np.arange(len(shared)),) * count)
+        layout = Layout.of_one("tan_beta" in terms, harmonics, shared, max(self.groups) + 1 if own else 1)
         state: ServoState | None = None
         try:
             _refuse_servo_alone(terms)
@@ -352,7 +349,7 @@ class Weighed:
             coefficients, alike = self._named(layout, estimate, terms, own)
         except (CalibrationError, IdentifiabilityError) as error:
             return TermSet(terms, error.message, error.remedy)
-        n, m = self.observations, len(estimate.amplitudes) + len(estimate.phases)
+        n, m = self.observations, estimate.parameters
         likelihood = -0.5 * (n * math.log(2.0 * math.pi) + self.log_determinant + estimate.cost)
         return TermSet(
             terms,
@@ -377,11 +374,7 @@ class Weighed:
         plain = tuple(name for name in shared if name not in SERVO_TERMS)
         held = self._chosen(local, (*plain, *phaseless_columns(terms)), own)
         wanted = [(*local, *shared)] * len(held)
-        if layout.coupled:
-            refuse_if_servo_confounded(layout, held, wanted, per_segment=own)
-            state = find_state(layout, held, wanted, known)
-        else:
-            state = ServoState((0.0,) * len(held), known.get("servo", 0.0), 0.0, 0.0, turning=False)
+        state = state_of(layout, held, wanted, known, per_segment=own)
         return state, [at_state(part, wanted[0], state, group, known) for group, part in enumerate(held)]
 
     def _predicted(
@@ -411,8 +404,9 @@ class Weighed:
         count = max(self.groups) + 1 if own else 1
         groups = []
         for group in range(count):
-            members = [i for i, g in enumerate(self.groups) if g == group or not own]
-            total = merged(self.parts, members)
+            total = merged(
+                [part for part, g in zip(self.parts, self.groups, strict=True) if g == group or not own]
+            )
             if self._fixed(shared) is not None:
                 total = total.less("scale_factor", self.design.run.scale_factor)
             held = total.select(tuple(self._held(name) for name in (*local, *shared)))

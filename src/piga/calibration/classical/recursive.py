@@ -48,14 +48,8 @@ def recursive_history(design: Design, mode: str, noise: Noise) -> Iterator[tuple
         snapshots = np.empty((inside.size, size, size))
         absorb_rows(factor, columns, inside - block.start, snapshots)
         for mark, snapshot in zip(inside, snapshots, strict=True):
-            yield int(mark), [*summaries[:-1], _summary(design, snapshot)]
-        summaries[-1] = _summary(design, factor)
-
-
-def _summary(design: Design, factor: Array) -> Reduction:
-    summary = Reduction.empty(design.names)
-    summary.absorb(factor.T)
-    return summary
+            yield int(mark), [*summaries[:-1], Reduction.of_factor(design.names, snapshot, size)]
+        summaries[-1] = Reduction.of_factor(design.names, factor, size)
 
 
 X0 = (4.5e-3, 0.4)
@@ -66,15 +60,13 @@ P0 = 1e10
 
 @dataclass(frozen=True)
 class PublishedResult:
-    """States ``[tan_beta, phi, k0, k1, k2]`` (g units; first two or all), covariance, history, residual [g]."""
+    """States ``[tan_beta, phi, k0, k1, k2]`` (g units; first two or all), covariance, history."""
 
     names: tuple[str, ...]
     state: Array
     covariance: Array
     samples: NDArray[np.int64]
     history: Array
-    rms: float
-    count: int
 
 
 def run_published(run: Run, request: Request) -> PublishedResult:
@@ -99,16 +91,8 @@ def run_published(run: Run, request: Request) -> PublishedResult:
     total = published_recursion(indicated / G0, force[0] / G0, a_t, s, state, covariance, marks, history)
     state[1] += gamma
     history[:, 1] += gamma
-    count = s.size - state.size
-    return PublishedResult(
-        names,
-        state,
-        0.5 * (covariance + covariance.T) * total / count,
-        marks,
-        history,
-        float(np.sqrt(total / s.size)),
-        count,
-    )
+    covariance = 0.5 * (covariance + covariance.T) * total / (s.size - state.size)
+    return PublishedResult(names, state, covariance, marks, history)
 
 
 def _series(run: Run) -> tuple[Array, Array, Array]:

@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._version import __version__
 from piga.calibration.fit.one_run import fit_run
 from piga.calibration.fit.servo import with_mean_servo
-from piga.calibration.joint.summary import now, residual_figures, validity_ranges
+from piga.calibration.joint.summary import provenance, residual_figures, validity_ranges
 from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import Examination, examine, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
@@ -31,7 +30,6 @@ from piga.records.calibration import (
     Coefficient,
     Diagnostics,
     Event,
-    Provenance,
     Residuals,
     SegmentSummary,
 )
@@ -43,36 +41,24 @@ FULL_TURN = 2.0 * np.pi
 
 @dataclass(frozen=True)
 class RevolutionSettings:
-    """Settings of the method of whole turns (own choices).
-
-    Attributes
-    ----------
-    steady:
-        Largest change of the specific force in a position, relative to its size.
-    phases:
-        Parts of a turn whose durations give the amplification.
-    locking:
-        Amplification of the variance of a turn above which a position is left out: a/b below 1.08.
-    clear:
-        Ratio of the pulling to its standard uncertainty above which tan_beta is estimated.
-    least_freedom:
-        Fewest degrees of freedom of a result.
-    walk_shares:
-        Trial values for the share of the random walk in the scatter of turns.
-    steps:
-        Most Gauss-Newton steps.
-    settled:
-        Relative size of the step that ends them.
-    """
+    """Settings of the method of whole turns (own choices)."""
 
     steady: float = 2e-3
+    """Largest change of the specific force in a position, relative to its size."""
     phases: int = 32
+    """Parts of a turn whose durations give the amplification."""
     locking: float = 10.0
+    """Amplification of the variance of a turn above which a position is left out: a/b below 1.08."""
     clear: float = 4.0
+    """Ratio of the pulling to its standard uncertainty above which tan_beta is estimated."""
     least_freedom: int = 3
+    """Fewest degrees of freedom of a result."""
     walk_shares: int = 41
+    """Trial values for the share of the random walk in the scatter of turns."""
     steps: int = 50
+    """Most Gauss-Newton steps."""
     settled: float = 1e-12
+    """Relative size of the step that ends them."""
 
 
 REVOLUTIONS = RevolutionSettings()
@@ -394,21 +380,18 @@ def revolutions_degrees(fit: RevolutionFit, request: Request) -> Array:
 
 def _named(fit: RevolutionFit, request: Request, covariance: Array) -> tuple[tuple[Coefficient, ...], Array]:
     """Coefficients and their covariance, if ``covariance`` is that of the parameters."""
-    keys: list[tuple[str, str | None]] = [(name, None) for name in fit.design.names]
-    amplitudes = fit.linear
+    names, amplitudes = fit.design.names, fit.linear
     if fit.shows_pulling:
-        amplitudes, covariance = _with_tangent(fit, keys, covariance)
+        names = (*names, "tan_beta")
+        amplitudes, covariance = _with_tangent(fit, covariance)
     elif fit.square is not None:
         covariance = covariance[:-1, :-1]
-    tail = np.arange(len(keys))
-    layout = Layout(False, (), tuple(keys), (tail,))
-    estimate = Estimate(amplitudes, np.zeros(0), covariance, 0.0, (np.eye(tail.size),))
+    layout = Layout.of_one(False, (), names)
+    estimate = Estimate(amplitudes, np.zeros(0), covariance, 0.0, (np.eye(len(names)),))
     return name_parameters(layout, estimate, covariance, fit.design.run.scale_factor, request.terms, [])
 
 
-def _with_tangent(
-    fit: RevolutionFit, keys: list[tuple[str, str | None]], covariance: Array
-) -> tuple[Array, Array]:
+def _with_tangent(fit: RevolutionFit, covariance: Array) -> tuple[Array, Array]:
     """Parameters with ``tan_beta^2`` converted to ``K tan_beta``."""
     tangent = float(np.sqrt(fit.square or 0.0))
     names = fit.design.names
@@ -418,7 +401,6 @@ def _with_tangent(
     jacobian[-1, -1] = K / (2.0 * tangent)
     if at is not None:
         jacobian[-1, at] = tangent
-    keys.append(("tan_beta", None))
     return np.append(fit.linear, K * tangent), jacobian @ covariance @ jacobian.T
 
 
@@ -483,7 +465,7 @@ def revolutions_result(
                 np.sign(means.output) * positions.turns, fit.rate, before, strict=True,
             )
         ),
-        provenance=Provenance(dict(run.input_sha256), f"piga {__version__}", now(), {"source": run.source}),
+        provenance=provenance(dict(run.input_sha256), {"source": run.source}),
         temperature_reference=request.temperature_reference,
         time_reference=fit.design.time_reference,
         residuals=residuals,

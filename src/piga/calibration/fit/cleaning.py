@@ -19,6 +19,7 @@ from piga._kernels.estimation.outliers import correct_samples
 from piga.calibration.fit.outliers import OUTLIERS, Flags, Misses, count_flags
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.solution import least_squares
 from piga.calibration.noise.levels import Noise, find_noise, rounding
 from piga.calibration.noise.weighting import reduce_segments, residual_increments, weighted_blocks
 from piga.records.calibration import Event, Outlier
@@ -230,10 +231,8 @@ def _without_phases(design: Design, noise: Noise) -> Noise:
         for k, factor in enumerate(factors):
             rows[k * m : (k + 1) * m, k * local : (k + 1) * local] = factor[:, :local]
             rows[k * m : (k + 1) * m, len(factors) * local :] = factor[:, local:m]
-        scale = np.linalg.norm(rows, axis=0)
-        scale[scale == 0.0] = 1.0
         right = np.concatenate([factor[:, -1] for factor in factors])
-        best = np.linalg.lstsq(rows / scale, right, rcond=1e-10)[0] / scale
+        best = least_squares(rows, right, 1e-10)
         own = best[: len(factors) * local].reshape(len(factors), local)
         values = np.hstack([own, np.tile(best[len(factors) * local :], (len(factors), 1))])
         d, h = residual_increments(design, values)

@@ -53,21 +53,14 @@ from piga.results import Array
 
 @dataclass(frozen=True)
 class FitSettings:
-    """Settings of the fit of one run (own choices).
-
-    Attributes
-    ----------
-    refits:
-        Most fits; the noise levels are usually stable after two or three.
-    rounds:
-        Most rounds of leaving samples out and fitting again; two or three are usual.
-    joined_fits:
-        Fits of joined rows for the first weights of a long record.
-    """
+    """Settings of the fit of one run (own choices)."""
 
     refits: int = 4
+    """Most fits; the noise levels are usually stable after two or three."""
     rounds: int = 5
+    """Most rounds of leaving samples out and fitting again; two or three are usual."""
     joined_fits: int = 3
+    """Fits of joined rows for the first weights of a long record."""
 
 
 FIT = FitSettings()
@@ -136,6 +129,11 @@ class Fit:
     colour: Colour | None = None
 
     @property
+    def seeks_noise(self) -> bool:
+        """True if noise of every kind is looked for: no level is given, and the method is whitened least squares in one go."""
+        return self.design.request.method == "information" and self.design.request.angle_rms is None
+
+    @property
     def weights(self) -> Noise:
         """The noise levels in the weights of the rows."""
         return self.noise if self.slow_part is None else self.noise.without_slow()
@@ -174,7 +172,7 @@ def fit_run(
         If more than ``OUTLIERS.largest_share`` of the samples are bad.
     """
     fit = plain = _fit(run, request)
-    parameters = _parameters(fit.solution)
+    parameters = fit.solution.parameters
     if request.phase_source == "input" or not suspicious(fit.d, fit.h, fit.mode, fit.noise, run, parameters):
         return fit
     plain.design.forget()
@@ -230,7 +228,7 @@ def _fit(
             information = _information(design, mode, step)
         d, h = residual_increments(design, solution.values)
         levels = given or _levels(
-            design, d, h, _parameters(solution), mode, noise if refit else None, information
+            design, d, h, solution.parameters, mode, noise if refit else None, information
         )
         settled = refined is design and (mode != "increments" or levels.close_to(noise, step, design.rows))
         if settled:
@@ -264,7 +262,7 @@ def _noise_of_joined(design: Design, mode: str, noise: Noise) -> Noise:
         d = [one.columns[-1] - solution.values[one.segment] @ one.columns[:-1] for one in design.joined()]
         h = np.concatenate([one.h for one in design.joined()])
         step = float(np.median(h[h > 0.0]))
-        noise = find_noise(np.concatenate(d), h, step, _parameters(solution), rounding(design.run))
+        noise = find_noise(np.concatenate(d), h, step, solution.parameters, rounding(design.run))
     return noise
 
 
@@ -302,11 +300,7 @@ def log_determinant(solution: Solution) -> float:
 def noise_of(design: Design, solution: Solution, mode: str) -> Noise:
     """Noise levels of the residuals of a solution."""
     d, h = residual_increments(design, solution.values)
-    return _levels(design, d, h, _parameters(solution), mode)
-
-
-def _parameters(solution: Solution) -> int:
-    return len(solution.amplitudes) + len(solution.phases)
+    return _levels(design, d, h, solution.parameters, mode)
 
 
 def _levels(
@@ -347,14 +341,7 @@ def refine_counted(fit: Fit) -> Fit:
     refined = fit_counted(fit.design, fit.mode, fit.noise, fit.solution, fit.d)
     if refined is None:
         return fit
-    return replace(
-        fit,
-        noise=refined.noise,
-        summaries=refined.summaries,
-        solution=refined.solution,
-        covariance=refined.solution.covariance,
-        counted=refined.counted,
-    )
+    return replace(fit, **vars(refined), covariance=refined.solution.covariance)
 
 
 def whitened_rows(fit: Fit, design: Design, noise: Noise, basis: NoiseColumns) -> Iterator[tuple[int, Array]]:

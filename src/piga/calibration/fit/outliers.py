@@ -27,86 +27,62 @@ from piga.results import Array
 
 Flags = NDArray[np.int8]
 
+NORMAL_MEDIAN = 0.6745
+"""Median size of a normal deviate of one."""
+
 
 @dataclass(frozen=True)
 class OutlierSettings:
-    """Limits for bad samples of the output, and settings of their search (own choices).
-
-    Attributes
-    ----------
-    false_alarms:
-        Expected number of good samples left out per record.
-    largest_share:
-        Share of bad samples above which a record is refused.
-    least_refused:
-        Fewest samples of a record that is refused. In a shorter one nothing is left out instead: there the robust fit
-        follows half of the samples too easily.
-    robust_rows:
-        Increments used by the robust fit.
-    narrow_core:
-        Ratio of core to spread of the residual increments below which bad samples are suspected; 1 for normal noise.
-    least_miss:
-        Smallest error [rad, or rad/s] of a bad sample: 0.02 arcsec, finer than any readout.
-    least_counts:
-        Smallest error of a bad sample in counts. A sample that toggles on a path known to half a count is not bad.
-    misfit_pairs:
-        Neighbouring bad increments above which the model is checked for misfit, in a long record.
-    misfit_part:
-        The same as a part of the samples, in a short record.
-    misfit_least:
-        Fewest of these pairs.
-    misfit_share:
-        Share of these pairs with errors of the same sign, above which the model is at fault.
-    moved_counts:
-        Least motion of the reading within an increment of the robust fit [counts].
-    parts_of_a_stretch:
-        Fewest such increments in a stretch.
-    samples_for_motion:
-        Samples used to measure this motion.
-    median_samples:
-        Most increments used for a median.
-    stuck:
-        Equal readings in a row, off the path, that count as stuck.
-    listed:
-        Most outliers listed one by one; all are counted.
-    named:
-        Most times named in an event.
-    slip_cost:
-        Chi-square that the choice of a counter slip must gain over wrong readings.
-    wrong_cost:
-        Chi-square that the choice of wrong readings must gain per share of their stretch. If the phases do not decide,
-        less than a quarter of a stretch is taken as wrong.
-    judged:
-        Most stretches with jumps for the comparison of phases, and most segments for its noise levels.
-    sweeps:
-        Rounds over all stretches.
-    refits:
-        Fits for the noise levels of this comparison.
-    """
+    """Limits for bad samples of the output, and settings of their search (own choices)."""
 
     false_alarms: float = 0.05
+    """Expected number of good samples left out per record."""
     largest_share: float = 0.4
+    """Share of bad samples above which a record is refused."""
     least_refused: int = 100
+    """Fewest samples of a record that is refused. In a shorter one nothing is left out instead: there the robust fit
+    follows half of the samples too easily."""
     robust_rows: int = 200_000
+    """Increments used by the robust fit."""
     narrow_core: float = 0.6
+    """Ratio of core to spread of the residual increments below which bad samples are suspected; 1 for normal noise."""
     least_miss: float = 1e-7
+    """Smallest error [rad, or rad/s] of a bad sample: 0.02 arcsec, finer than any readout."""
     least_counts: float = 1.5
+    """Smallest error of a bad sample in counts. A sample that toggles on a path known to half a count is not bad."""
     misfit_pairs: int = 100
+    """Neighbouring bad increments above which the model is checked for misfit, in a long record."""
     misfit_part: float = 0.1
+    """The same as a part of the samples, in a short record."""
     misfit_least: int = 20
+    """Fewest of these pairs."""
     misfit_share: float = 0.8
+    """Share of these pairs with errors of the same sign, above which the model is at fault."""
     moved_counts: float = 3.0
+    """Least motion of the reading within an increment of the robust fit [counts]."""
     parts_of_a_stretch: int = 8
+    """Fewest such increments in a stretch."""
     samples_for_motion: int = 4096
+    """Samples used to measure this motion."""
     median_samples: int = 500_000
+    """Most increments used for a median."""
     stuck: int = 4
+    """Equal readings in a row, off the path, that count as stuck."""
     listed: int = 200_000
+    """Most outliers listed one by one; all are counted."""
     named: int = 6
+    """Most times named in an event."""
     slip_cost: float = 5.0
+    """Chi-square that the choice of a counter slip must gain over wrong readings."""
     wrong_cost: float = 20.0
+    """Chi-square that the choice of wrong readings must gain per share of their stretch. If the phases do not decide,
+    less than a quarter of a stretch is taken as wrong."""
     judged: int = 100
+    """Most stretches with jumps for the comparison of phases, and most segments for its noise levels."""
     sweeps: int = 5
+    """Rounds over all stretches."""
     refits: int = 2
+    """Fits for the noise levels of this comparison."""
 
 
 OUTLIERS = OutlierSettings()
@@ -181,12 +157,13 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run, parameters
     if biggest <= OUTLIERS.least_miss or spread == 0.0:
         return False
     narrow = (
-        float(np.median(size)) / 0.6745 < OUTLIERS.narrow_core * spread and spread > 10.0 * OUTLIERS.least_miss
+        float(np.median(size)) / NORMAL_MEDIAN < OUTLIERS.narrow_core * spread
+        and spread > 10.0 * OUTLIERS.least_miss
     )
     if narrow and spread > 1.5 * resolution_of(run):
         return True
     unit = spread if mode == "samples" else 1.0
-    core = float(np.median(shown)) / 0.6745 / unit
+    core = float(np.median(shown)) / NORMAL_MEDIAN / unit
     return largest / unit > limit(d.size, parameters) * min(max(core, 0.5), 1.0)
 
 
@@ -295,7 +272,7 @@ def later_noise(misses: Misses, noise: Noise, flags: Flags, parameters: int) -> 
     widened = misses.small_sample(parameters)
     if misses.point:
         good = misses.sizes(flags)
-        return Noise(0.0, (float(np.median(good)) / 0.6745 * widened) ** 2)
+        return Noise(0.0, (float(np.median(good)) / NORMAL_MEDIAN * widened) ** 2)
     whitener = Whitener("increments", noise, 1)
     every = max(1, misses.d.size // OUTLIERS.median_samples)
     whitened = [np.zeros(0)]
@@ -305,7 +282,7 @@ def later_noise(misses: Misses, noise: Noise, flags: Flags, parameters: int) -> 
         merge_rows(d, h, flags[rows] == 1)
         whitened.append(np.abs(whitener.apply_columns(d, h)[0][h > 0.0][::every]))
     shown = np.concatenate(whitened)
-    core = float(np.median(shown)) / 0.6745 * widened if shown.size else 1.0
+    core = float(np.median(shown)) / NORMAL_MEDIAN * widened if shown.size else 1.0
     factor = min(max(core, 0.2), 1.0) ** 2
     return Noise(noise.white * factor, noise.walk * factor)
 

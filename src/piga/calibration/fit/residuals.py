@@ -29,24 +29,16 @@ LAG_PART = 8192
 
 @dataclass(frozen=True)
 class WhitenessSettings:
-    """Settings of the tests for white residuals (own choices).
-
-    Attributes
-    ----------
-    lags:
-        Lags of the portmanteau test.
-    white:
-        Probability below which whitened residuals are called not white.
-    draws:
-        Simulated countings for the correlations of a coarsely counted record.
-    drawn_rows:
-        First rows of the record used for this simulation: 0.2 s of processor time.
-    """
+    """Settings of the tests for white residuals (own choices)."""
 
     lags: int = 20
+    """Lags of the portmanteau test."""
     white: float = 1e-3
+    """Probability below which whitened residuals are called not white."""
     draws: int = 32
+    """Simulated countings for the correlations of a coarsely counted record."""
     drawn_rows: int = 1 << 16
+    """First rows of the record used for this simulation: 0.2 s of processor time."""
 
 
 WHITENESS = WhitenessSettings()
@@ -192,9 +184,7 @@ def root_mean_square(values: Array) -> float:
     return math.sqrt(square_sum(values) / values.size)
 
 
-def segment_scatter(
-    design: Design, residuals: Residuals, noise: Noise, coloured: float = 0.0
-) -> SegmentScatter:
+def segment_scatter(design: Design, residuals: Residuals, noise: Noise, coloured: float) -> SegmentScatter:
     """Scatter of the mean rates of the segments, relative to the scatter expected from the noise.
 
     In a segment of duration T with n samples, the slope of the residual angle has the variance ``12 r/(n T^2) + q/T`` for
@@ -240,7 +230,7 @@ def _slope(t: Array, values: Array) -> float:
     return product / square
 
 
-def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...] = ()) -> Diagnostics:
+def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...]) -> Diagnostics:
     """``plain`` with tests of the whitened residual: variance, lag-1 correlation, portmanteau, shape.
 
     ``ljung_box`` is the Ljung-Box statistic over 20 lags with its probability. ``excess_kurtosis`` and ``skewness`` are

@@ -21,37 +21,27 @@ from piga.calibration.model.solution import Estimate, Layout, merged_groups, sol
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import reduce_segments
 from piga.errors import IdentifiabilityError
+from piga.records.calibration.coefficient import short_way
 from piga.records.terms import SERVO_TERMS
 from piga.results import Array
 
 
 @dataclass(frozen=True)
 class ServoFitSettings:
-    """Settings of the search for the phase of the servo terms (own choices).
-
-    Attributes
-    ----------
-    iterations:
-        Most steps about the phase; four are usual.
-    settled:
-        Change of the phase [rad] that ends the iteration.
-    scan:
-        Trial phases before the first step, if one phase serves the whole record.
-    seen:
-        Least ratio of tan_beta to its uncertainty for a phase that depends on the coupling; below it the phase
-        is fixed.
-    separate:
-        Smallest independent part of a term's column, relative to its size, for the term to be determined.
-    named_share:
-        Least share of that column for which another term is named.
-    """
+    """Settings of the search for the phase of the servo terms (own choices)."""
 
     iterations: int = 40
+    """Most steps about the phase; four are usual."""
     settled: float = 1e-10
+    """Change of the phase [rad] that ends the iteration."""
     scan: int = 72
+    """Trial phases before the first step, if one phase serves the whole record."""
     seen: float = 4.0
+    """Least ratio of tan_beta to its uncertainty for a phase that depends on the coupling; below it the phase is fixed."""
     separate: float = 1e-3
+    """Smallest independent part of a term's column, relative to its size, for the term to be determined."""
     named_share: float = 0.05
+    """Least share of that column for which another term is named."""
 
 
 SERVO_FIT = ServoFitSettings()
@@ -101,7 +91,7 @@ def mixture(
 
 
 def find_state(
-    layout: Layout, parts: list[Reduction], wanted: Sequence[Names], known: dict[str, float] | None = None
+    layout: Layout, parts: list[Reduction], wanted: Sequence[Names], known: dict[str, float]
 ) -> ServoState:
     """The state that reproduces itself: the estimate at its phase gives the same phase.
 
@@ -114,17 +104,16 @@ def find_state(
     known:
         K times the given coefficients (SI).
     """
-    given = known or {}
-    state = ServoState((0.0,) * len(parts), given.get("servo", 0.0), given.get("servo_damping", 0.0), 0.0)
-    state = replace(state, phases=_first_phases(layout, parts, wanted, state, given))
+    state = ServoState((0.0,) * len(parts), known.get("servo", 0.0), known.get("servo_damping", 0.0), 0.0)
+    state = replace(state, phases=_first_phases(layout, parts, wanted, state, known))
     for _ in range(SERVO_FIT.iterations):
         chosen = [
-            at_state(part, names, state, g, given)
+            at_state(part, names, state, g, known)
             for g, (part, names) in enumerate(zip(parts, wanted, strict=True))
         ]
         estimate = solve_parts(layout, chosen)
-        moved = _state_of(layout, estimate, given, sum(part.count for part in parts))
-        change = np.angle(np.exp(1j * (np.array(moved.phases) - np.array(state.phases))))
+        moved = _moved_state(layout, estimate, known, sum(part.count for part in parts))
+        change = short_way(np.array(moved.phases) - np.array(state.phases))
         settled = np.abs(change).max() < SERVO_FIT.settled and (moved.inverse == 0.0) == (state.inverse == 0.0)
         sizes = np.array([state.stiffness, state.damping]), np.array([moved.stiffness, moved.damping])
         settled = settled and bool(np.all(np.abs(sizes[1] - sizes[0]) <= 1e-9 * np.abs(sizes[1])))
@@ -134,7 +123,7 @@ def find_state(
     return state
 
 
-def _state_of(layout: Layout, estimate: Estimate, known: dict[str, float], rows: int) -> ServoState:
+def _moved_state(layout: Layout, estimate: Estimate, known: dict[str, float], rows: int) -> ServoState:
     keys = layout.amplitude_keys
     sizes = {
         name: float(estimate.amplitudes[keys.index((name, None))])
@@ -203,12 +192,9 @@ def settled_design(design: Design, mode: str, noise: Noise) -> Design:
     parts = merged_groups(summaries, design.groups)
     count = len(parts)
     terms = design.request.shared_terms
-    layout = Layout(
-        True, design.request.harmonics, tuple((n, None) for n in terms), (np.arange(len(terms)),) * count
-    )
+    layout = Layout.of_one(True, design.request.harmonics, terms, count)
     wanted = (design.local_names + terms,) * count
-    refuse_if_servo_confounded(layout, parts, wanted, per_segment=count > 1)
-    state = find_state(layout, parts, wanted, design.known_servo)
+    state = state_of(layout, parts, wanted, design.known_servo, per_segment=count > 1)
     return design.with_servo(replace(state, phases=tuple(state.phases[group] for group in design.groups)))
 
 
@@ -220,8 +206,32 @@ def with_mean_servo(design: Design) -> Design:
     return design.with_servo(ServoState((0.0,) * len(design.run.labels), stiffness, 0.0, 0.0, turning=False))
 
 
-def refuse_if_servo_confounded(
-    layout: Layout, parts: list[Reduction], wanted: Sequence[Names], *, per_segment: bool = False, runs: int = 1
+def state_of(
+    layout: Layout,
+    parts: list[Reduction],
+    wanted: Sequence[Names],
+    known: dict[str, float],
+    *,
+    per_segment: bool = False,
+    runs: int = 1,
+) -> ServoState:
+    """State that combines the servo columns. Without a coupling there is no phase, and only the mean of a known stiffness remains.
+
+    Parameters as for :func:`find_state`; ``per_segment`` and ``runs`` are for the words of a refusal.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If the parts cannot tell a servo term from the other terms.
+    """
+    if not layout.coupled:
+        return ServoState((0.0,) * len(parts), known.get("servo", 0.0), 0.0, 0.0, turning=False)
+    _refuse_if_servo_alike(layout, parts, wanted, per_segment, runs)
+    return find_state(layout, parts, wanted, known)
+
+
+def _refuse_if_servo_alike(
+    layout: Layout, parts: list[Reduction], wanted: Sequence[Names], per_segment: bool, runs: int
 ) -> None:
     """Raise if the parts cannot tell a servo term from the other terms.
 

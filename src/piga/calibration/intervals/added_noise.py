@@ -184,9 +184,9 @@ def include_faint_walk(fit: Fit) -> Fit:
     Not done with slow noise, coarse counts, given noise levels, methods other than whitened least squares in one go,
     more than ``restricted_rows`` increments, or if the coefficients leave no slow values.
     """
-    request, noise = fit.design.request, fit.noise
-    able = fit.mode == "increments" and request.method == "information" and fit.counted is None
-    if not able or request.angle_rms is not None or noise.slow > 0.0 or fit.design.rows > NOISE.restricted_rows:
+    noise = fit.noise
+    able = fit.seeks_noise and fit.mode == "increments" and fit.counted is None
+    if not able or noise.slow > 0.0 or fit.design.rows > NOISE.restricted_rows:
         return fit
     unit = slowest(fit)
     if noise.white == 0.0 or noise.walk > NOISE.faint_unclear * unit * noise.white:
@@ -223,7 +223,9 @@ def _likely_share(fit: Fit) -> float:
     for _ in range(NOISE.faint_passes):
         grid = np.linspace(low, high, CANDIDATES)
         log, square = _sums(fit, unit * np.expm1(grid))
-        best = least_on_grid(grid, restricted(log, square, _freedom(fit)) + information(grid))
+        best = least_on_grid(
+            grid, restricted(log, square, fit.design.rows - fit.solution.parameters) + information(grid)
+        )
         spacing = (high - low) / (CANDIDATES - 1)
         low, high = (
             max(best - spacing, math.log(NOISE.faint_least)),
@@ -248,8 +250,8 @@ def _walk_information(fit: Fit, share: float) -> Array:
     )
     scale = slowest(fit) * math.exp(at)
     slope, bend = first / scale, (second - first) / scale**2
-    mixed = slope + ratio * bend
-    return 0.5 * np.array([[_freedom(fit) - 2.0 * ratio * slope - ratio**2 * bend, mixed], [mixed, -bend]])
+    mixed, freedom = slope + ratio * bend, fit.design.rows - fit.solution.parameters
+    return 0.5 * np.array([[freedom - 2.0 * ratio * slope - ratio**2 * bend, mixed], [mixed, -bend]])
 
 
 def _logarithms(fit: Fit, grid: Array) -> Array:
@@ -278,10 +280,6 @@ def _sums(fit: Fit, walks: Array) -> tuple[Array, Array]:
         log[k] += np.log(grown).sum()
         square[k] -= np.sum(variance * cross**2 / grown)
     return log, square
-
-
-def _freedom(fit: Fit) -> int:
-    return fit.design.rows - len(fit.solution.amplitudes) - len(fit.solution.phases)
 
 
 def _per_walk(fit: Fit, probe: float) -> Array:

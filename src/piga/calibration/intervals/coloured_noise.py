@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piga.calibration.fit.one_run import Colour, Fit
-from piga.calibration.intervals.slow_noise import means_of_bins, moved_by, slow_factor, triangle
-from piga.calibration.model.solution import name_coefficients
+from piga.calibration.intervals.slow_noise import means_of_bins, moved_by, slow_factor, without_model
+from piga.calibration.model.solution import variances_of
 from piga.calibration.noise.components import RATES, RateBins, markov_times
 from piga.calibration.noise.likelihood import Contrasts, Levels, estimate
 from piga.calibration.noise.settings import NOISE
@@ -44,23 +44,19 @@ def include_coloured_noise(fit: Fit) -> Fit:
     :func:`~piga.calibration.intervals.slow_noise.include_slow_noise`, which can weight by it. Not done with given noise
     levels and with methods other than whitened least squares in one go.
     """
-    run, request = fit.design.run, fit.design.request
+    run = fit.design.run
+    bins = bins_of(fit) if fit.seeks_noise and not fit.noise.stated else None
+    if bins is None:
+        return fit
     segments = len(run.labels)
-    able = fit.mode in ("increments", "samples") and request.method == "information"
-    if not able or request.angle_rms is not None or segments > NOISE.most_segments or fit.noise.stated:
-        return fit
-    bins = RateBins.of(run)
-    if fit.design.rows < NOISE.colour_least * bins.count or bins.widths.min() <= 0.0:
-        return fit
     coarse = RateBins.of(run, coarse=True)
     if fit.design.rows > NOISE.restricted_rows and not _suspected(
         _bin_contrasts(fit, coarse), coarse, segments
     ):
         return fit
     factor = slow_factor(fit, fit.noise, bins)
-    parameters = len(fit.solution.amplitudes) + len(fit.solution.phases)
     contrasts = contrasts_of(fit, factor, fit.design.rows, bins)
-    moved = moved_by(factor, bins, parameters)
+    moved = moved_by(factor, bins, fit.solution.parameters)
     if contrasts is None or moved is None or not _suspected(contrasts, bins, segments):
         return fit
     candidates = _candidates(contrasts, bins, segments)
@@ -75,22 +71,25 @@ def include_coloured_noise(fit: Fit) -> Fit:
     return _averaged(fit, bins, moved, candidates, best)
 
 
+def bins_of(fit: Fit, *, coarse: bool = False) -> RateBins | None:
+    """Parts of a record for its slow rates; None if it has too many segments, or too few increments in a part."""
+    if len(fit.design.run.labels) > NOISE.most_segments:
+        return None
+    bins = RateBins.of(fit.design.run, coarse=coarse)
+    few = fit.design.rows < NOISE.colour_least * bins.count
+    return None if few or bins.widths.min() <= 0.0 else bins
+
+
 def contrasts_of(fit: Fit, factor: Array, rows: int, bins: RateBins) -> Contrasts | None:
     """Slow values of a record without its model, from the triangular ``factor`` of ``rows`` rows ``[slow rates | model | y]``."""
-    size = factor.shape[1] - 1
-    model = size - bins.count
-    turned = triangle(factor[:, [*range(bins.count, size), *range(bins.count), size]])
-    if turned.shape[0] < size:
-        return None
-    rest = float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0
-    fast = rows - model - bins.count
+    block, y, rest, _ = without_model(factor, bins.count)
     scale = 1.0 / fit.sample_variance if fit.mode == "samples" else 1.0
     if fit.counted is not None:
         stretches = fit.counted.stretches
-        fast = stretches.rows.shape[0] * stretches.rows.shape[1] - model - bins.count
-    if fast <= 0:
+        rows = stretches.rows.shape[0] * stretches.rows.shape[1]
+    fast = rows - (factor.shape[1] - 1)
+    if len(block) < bins.count or fast <= 0:
         return None
-    block, y = turned[model:size, model:size], turned[model:size, -1]
     return _contrasts(block * np.sqrt(scale), y * np.sqrt(scale), rest * scale, fast)
 
 
@@ -102,10 +101,8 @@ def _contrasts(block: Array, y: Array, rest: float, fast: int) -> Contrasts:
 def _bin_contrasts(fit: Fit, bins: RateBins) -> Contrasts:
     """Contrasts of a long record from the means of the residual angle over a few parts of every stretch."""
     (rows,) = means_of_bins(fit, [bins], NOISE.colour_means * bins.size)
-    turned = triangle(rows)
-    size = bins.count
-    rest = float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0
-    return _contrasts(turned[:size, :size], turned[:size, -1], rest, max(len(rows) - size, 1))
+    block, y, rest, _ = without_model(rows, bins.count)
+    return _contrasts(block, y, rest, max(len(rows) - bins.count, 1))
 
 
 def _suspected(contrasts: Contrasts, bins: RateBins, segments: int) -> bool:
@@ -129,18 +126,14 @@ def _estimated(
     contrasts: Contrasts, bins: RateBins, name: str, time: float = 0.0, start: Levels | None = None
 ) -> Levels | None:
     """Levels of white noise, walk (angle logs) and a component."""
-    units = [] if bins.point else [contrasts.turned(_rates("walk", bins, 0.0))]
+    units = [] if bins.point else [contrasts.turned(RATES["walk"](bins, 0.0))]
     if name:
-        units.append(contrasts.turned(_rates(name, bins, time)))
+        units.append(contrasts.turned(RATES[name](bins, time)))
     held = replace(contrasts, units=np.concatenate([contrasts.units, *(unit[None] for unit in units)]))
     first = np.zeros(len(held.units))
     known = np.ones(1) if start is None else start.values
     first[: known.size] = known
     return estimate(held, first)
-
-
-def _rates(name: str, bins: RateBins, time: float) -> Array:
-    return RATES[name](bins, time)
 
 
 def _candidates(contrasts: Contrasts, bins: RateBins, segments: int) -> list[_ColourCandidate]:
@@ -173,11 +166,11 @@ def _averaged(
     for candidate in candidates:
         parts = [white]
         if not bins.point:
-            parts.append(moved @ _rates("walk", bins, 0.0) @ moved.T)
+            parts.append(moved @ RATES["walk"](bins, 0.0) @ moved.T)
         if candidate.name:
-            parts.append(moved @ _rates(candidate.name, bins, candidate.time) @ moved.T)
+            parts.append(moved @ RATES[candidate.name](bins, candidate.time) @ moved.T)
         stack = np.array(parts)
-        shares = np.array([_named(fit, part) for part in stack])
+        shares = np.array([variances_of(fit.design, fit.solution, part) for part in stack])
         variance = candidate.levels.values @ shares
         uncertain = np.einsum("ik,ij,jk->k", shares, candidate.levels.covariance, shares)
         diagonal = candidate.levels.values @ np.einsum("kii->ki", stack)
@@ -205,7 +198,7 @@ def _averaged(
 def _colour(bins: RateBins, best: _ColourCandidate, degrees: Array) -> Colour:
     """The likeliest component."""
     level, deviation = float(best.levels.values[-1]), float(np.sqrt(best.levels.covariance[-1, -1]))
-    rms = float(np.sqrt(level * np.diag(_rates(best.name, bins, best.time)).mean()))
+    rms = float(np.sqrt(level * np.diag(RATES[best.name](bins, best.time)).mean()))
     colour = Colour(best.name, level, deviation, best.time, best.gain, 0.0, rms, degrees)
     if bins.point:
         return colour
@@ -216,8 +209,3 @@ def _colour(bins: RateBins, best: _ColourCandidate, degrees: Array) -> Colour:
         walk_deviation=float(np.sqrt(known[1, 1])),
         walk_shared=float(known[1, -1]),
     )
-
-
-def _named(fit: Fit, covariance: Array) -> Array:
-    """Variances of the coefficients (file units) for a covariance of the parameters."""
-    return np.diag(name_coefficients(fit.design, fit.solution, covariance)[1]).copy()

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga.calibration.model.solution import name_coefficients, solve
+from piga.calibration.model.solution import name_coefficients, solve, variances_of
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.likelihood import information
 from piga.calibration.noise.settings import NOISE
@@ -149,6 +149,6 @@ def _variances(
             added += noise.slow * fit.slow_part
         if fit.faint is not None:
             added += (noise.walk - fit.noise.walk) * fit.faint.part
-        return np.diag(name_coefficients(fit.design, solution, solution.covariance + added)[1]).copy()
+        return variances_of(fit.design, solution, solution.covariance + added)
 
     return variances

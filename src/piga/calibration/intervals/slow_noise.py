@@ -62,9 +62,8 @@ def include_stated_scatter(fit: Fit, variance: Array) -> Fit:
     A stated scatter is then not mistaken for noise of the record. The fit is unchanged if the scatter is below
     ``stated_lost`` of the noise of the mean rates, or if the noise levels are not estimated. Coarse counts keep their weights.
     """
-    request, count = fit.design.request, len(fit.design.run.labels)
-    able = fit.mode == "increments" and request.method == "information" and request.angle_rms is None
-    if not able or not variance.any() or count > NOISE.most_segments:
+    able = fit.seeks_noise and fit.mode == "increments"
+    if not able or not variance.any() or variance.size > NOISE.most_segments:
         return fit
     basis = SegmentBasis.of(fit.design.run)
     factor = slow_factor(fit, fit.noise, basis)
@@ -90,24 +89,20 @@ def include_slow_noise(fit: Fit, clear: float = NOISE.slow_in_weights) -> Fit:
     counts at any gain.
     Not done with given noise levels and with methods other than whitened least squares in one go.
     """
-    request = fit.design.request
-    able = fit.mode == "increments" and request.method == "information"
-    if not able or request.angle_rms is not None or fit.design.rows < 8 * KNOTS:
+    if not fit.seeks_noise or fit.mode != "increments" or fit.design.rows < 8 * KNOTS:
         return fit
-    looked, bases = _looked_for, slow_bases(fit.design.run)
-    if fit.counted is not None:
-        looked = _beside_counts
-    elif fit.design.rows > NOISE.restricted_rows:
+    bases = slow_bases(fit.design.run)
+    if fit.counted is None and fit.design.rows > NOISE.restricted_rows:
         levels = quick_looks(fit, bases)
         bases = tuple(b for b, level in zip(bases, levels, strict=True) if level.gain >= NOISE.slow_suspected)
-    candidates = [candidate for basis in bases if (candidate := looked(fit, basis))]
+    candidates = [candidate for basis in bases if (candidate := _looked_for(fit, basis))]
     best = max(candidates, key=lambda candidate: candidate.gain, default=None)
     if best is None or best.gain < NOISE.slow_in_covariance:
         return fit
     basis, plain = best.basis, _solved(fit, best.noise)
     factor = slow_factor(plain, best.noise, basis)
     level = likely_level(factor, basis)
-    moved = moved_by(factor, basis, len(fit.solution.amplitudes) + len(fit.solution.phases))
+    moved = moved_by(factor, basis, fit.solution.parameters)
     slow, deviation = basis.noise(best.noise, level.variance), level.deviation / basis.unit()
     limit = clear if isinstance(basis, DriftBasis) else NOISE.slow_in_weights
     if fit.counted is None and (best.gain >= limit or moved is None):
@@ -134,16 +129,15 @@ def _solved(fit: Fit, noise: Noise) -> Fit:
 
 
 def _looked_for(fit: Fit, basis: SlowBasis) -> _SlowCandidate | None:
-    """A slow noise and the levels estimated with it; None if there is hardly any."""
+    """A slow noise and the levels estimated with it; None if there is hardly any.
+
+    Coarse counts keep their weights and random walk.
+    """
+    if fit.counted is not None:
+        return _SlowCandidate(basis, fit.noise, likely_level(slow_factor(fit, fit.noise, basis), basis).gain)
     if likely_level(slow_factor(fit, fit.noise, basis), basis).gain < NOISE.slow_suspected:
         return None
     return _SlowCandidate(basis, *_levels_together(fit, basis))
-
-
-def _beside_counts(fit: Fit, basis: SlowBasis) -> _SlowCandidate | None:
-    """A slow noise beside coarse counts, which keep their weights and random walk."""
-    gain = likely_level(slow_factor(fit, fit.noise, basis), basis).gain
-    return _SlowCandidate(basis, fit.noise, gain)
 
 
 def slow_factor(fit: Fit, noise: Noise, basis: NoiseColumns) -> Array:
@@ -232,7 +226,7 @@ class _Deviances:
 
 def _deviances(fit: Fit, basis: SlowBasis, noise: Noise, below: float) -> _Deviances:
     step = fit.design.run.median_step
-    freedom = fit.design.rows - len(fit.solution.amplitudes) - len(fit.solution.phases)
+    freedom = fit.design.rows - fit.solution.parameters
     centre = math.log10(max(noise.walk * step / noise.white, 1e-9))
     grid = np.linspace(centre - below, centre + NOISE.slow_above, CANDIDATES)
     logarithms = deviance_sums(fit.d, fit.h, 10.0**grid / step)[0]
@@ -314,14 +308,22 @@ def projected(factor: Array, basis: SlowBasis) -> tuple[Array, Array, float, flo
     Then ``y = B s + e``. Components on the eigenvectors of ``B B'`` have variance ``1 + v lambda``. Directions that the model
     takes up are left out; for a scatter their number is that of the coefficients of mean rates.
     """
-    size = factor.shape[1] - 1
-    model = size - basis.count
-    order = [*range(basis.count, size), *range(basis.count), size]
-    turned = triangle(factor[:, order])
-    block, y = turned[model:size, model:size], turned[model:size, -1]
+    block, y, left, diagonal = without_model(factor, basis.count)
     vectors, values, _ = np.linalg.svd(block)
     square = (vectors.T @ y) ** 2
     seen = values > NOISE.slow_undetermined * math.sqrt(float(np.sum(factor[:, : basis.count] ** 2)))
-    rest = float(square[~seen].sum()) + (float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0)
-    diagonal = np.abs(np.diag(turned)[:model])
+    rest = float(square[~seen].sum()) + left
     return values[seen] ** 2, square[seen], rest, 2.0 * float(np.log(diagonal).sum())
+
+
+def without_model(factor: Array, count: int) -> tuple[Array, Array, float, Array]:
+    """Project out the model of rows ``[slow noise | model | y]`` with ``count`` columns of slow noise.
+
+    Returns the triangle that leads from the slow noise to the slow values, these values, the sum of squares that is left, and
+    the diagonal of the model.
+    """
+    size = factor.shape[1] - 1
+    model = size - count
+    turned = triangle(factor[:, [*range(count, size), *range(count), size]])
+    left = float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0
+    return turned[model:size, model:size], turned[model:size, -1], left, np.abs(np.diag(turned)[:model])

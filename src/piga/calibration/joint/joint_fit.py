@@ -8,47 +8,40 @@ no longer exist therefore takes part like any other.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piga.calibration.budget.uncertainty import SharedSource
-from piga.calibration.fit.servo import at_state, find_state, mixture, refuse_if_servo_confounded
+from piga.calibration.fit.servo import at_state, mixture, state_of
 from piga.calibration.intervals.added_noise import AddedNoise
 from piga.calibration.joint.summary import LiveRun, RunSummary, prepare, run_name, summarise
-from piga.calibration.model.design import ServoState, phaseless_columns
+from piga.calibration.model.design import Names, ServoState, phaseless_columns
 from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.request import check_per_run, make_request
+from piga.calibration.model.request import check_per_run, harmonics_of, make_request, shared_of
 from piga.calibration.model.solution import Estimate, Layout, Owner, name_parameters, solve_parts
 from piga.calibration.noise.settings import NOISE
 from piga.errors import ArgumentError, CalibrationError
 from piga.progress import Steps
 from piga.records.calibration import Coefficient
+from piga.records.calibration.coefficient import changes
 from piga.records.run import Run
-from piga.records.terms import SERVO_TERMS, check_terms, harmonic
+from piga.records.terms import SERVO_TERMS, check_terms
 from piga.results import Array
 
 
 @dataclass(frozen=True)
 class JointSettings:
-    """Limits and steps of a joint fit (own choices).
-
-    Attributes
-    ----------
-    inner_change:
-        Relative change of K above which the regressors of runs with base rotation are computed again.
-    same_servo:
-        Largest relative difference of a servo coefficient between runs that is accepted; different rates cause
-        it.
-    noise_step:
-        Finite-difference step of a run's noise for d(variance)/d(noise), relative.
-    """
+    """Limits and steps of a joint fit (own choices)."""
 
     inner_change: float = 1e-6
+    """Relative change of K above which the regressors of runs with base rotation are computed again."""
     same_servo: float = 0.02
+    """Largest relative difference of a servo coefficient between runs that is accepted; different rates cause it."""
     noise_step: float = 0.01
+    """Finite-difference step of a run's noise for d(variance)/d(noise), relative."""
 
 
 JOINT = JointSettings()
@@ -74,22 +67,150 @@ class Wish:
 
 
 @dataclass(frozen=True)
-class JointFit:
-    """Result of merging: summaries, positions of their phase groups, estimate and named coefficients."""
+class MergedRuns:
+    """Runs to solve together: their request and summaries, the common layout, and the shared columns of every run."""
 
     wish: Wish
     summaries: tuple[RunSummary, ...]
-    live: tuple[LiveRun | None, ...]
     layout: Layout
-    estimate: Estimate
-    coefficients: tuple[Coefficient, ...]
-    covariance: Array
-    examination: Examination
-    servo: ServoState | None = None
+    shared: tuple[Names, ...]
+
+    @classmethod
+    def of(cls, wish: Wish, summaries: Sequence[RunSummary]) -> MergedRuns:
+        """The runs with the layout of their request."""
+        shared = tuple(shared_of(wish.terms_of(index)) for index in range(len(summaries)))
+        keys: list[tuple[str, str | None]] = []
+        for term in shared_of(wish.terms):
+            if term in wish.per_run:
+                keys += [(term, s.name) for s, own in zip(summaries, shared, strict=True) if term in own]
+            else:
+                keys.append((term, None))
+        tails = []
+        for summary, own in zip(summaries, shared, strict=True):
+            at = [keys.index((t, summary.name if t in wish.per_run else None)) for t in own]
+            tails += [np.array(at, dtype=np.int64)] * len(summary.parts)
+        layout = Layout("tan_beta" in wish.terms, harmonics_of(wish.terms), tuple(keys), tuple(tails))
+        return cls(wish, tuple(summaries), layout, shared)
+
+    @property
+    def local(self) -> Names:
+        """Columns that turn with the phase of a group."""
+        return self.layout.columns[: self.layout.local]
 
     def first_group(self, index: int) -> int:
         """Number of the first phase group of a run."""
         return sum(len(summary.parts) for summary in self.summaries[:index])
+
+    def wanted(self, index: int) -> Names:
+        """Columns of a run in the fit."""
+        return self.summaries[index].columns(self.local, self.shared[index])
+
+    def stored(self, index: int) -> Names:
+        """Shared columns of a run as its summary holds them: those of the servo without a phase."""
+        shared = self.shared[index]
+        plain = tuple(name for name in shared if name not in SERVO_TERMS)
+        return plain + phaseless_columns((*shared, *self.known_servo(index)))
+
+    def known_servo(self, index: int, given: tuple[tuple[str, float], ...] = ()) -> dict[str, float]:
+        """K times the servo coefficients that a run gives and that are not estimated; ``given`` in place of its own."""
+        summary = self.summaries[index]
+        return {
+            name: summary.inner_scale_factor * size
+            for name, size in given or summary.known_servo
+            if name not in self.shared[index]
+        }
+
+    def parts(
+        self, state: ServoState | None, source: SharedSource | None = None, segment: int | None = None
+    ) -> list[Reduction]:
+        """Summaries of all phase groups. Those that a source moves are in their moved form; with a state, combined at it.
+
+        ``segment``: the only moved segment; default: all segments are moved.
+        """
+        parts: list[Reduction] = []
+        for index, summary in enumerate(self.summaries):
+            chosen, known = summary.parts, self.known_servo(index)
+            if source is not None and index in source.moved:
+                moved = summary.sources[source.moved[index]]
+                chosen = moved.parts
+                if segment is not None:
+                    group, part = moved.segments[segment]
+                    chosen = (*summary.parts[:group], part, *summary.parts[group + 1 :])
+                known = self.known_servo(index, moved.known_servo)
+            held = summary.choose(chosen, self.local, self.stored(index))
+            if state is not None:
+                wanted, first = self.wanted(index), len(parts)
+                held = [at_state(part, wanted, state, group, known) for group, part in enumerate(held, first)]
+            parts += held
+        return parts
+
+    def servo_state(self) -> ServoState | None:
+        """State that combines the servo columns in all phase groups; None without servo terms.
+
+        Raises
+        ------
+        CalibrationError
+            If the runs give different parameters of the servo.
+        """
+        known = [self.known_servo(index) for index in range(len(self.summaries))]
+        if not any(known) and not any(name in SERVO_TERMS for names in self.shared for name in names):
+            return None
+        for index, given in enumerate(known):
+            alike = given.keys() == known[0].keys() and all(
+                abs(size - known[0][name]) <= JOINT.same_servo * abs(size) for name, size in given.items()
+            )
+            if not alike:
+                first, other = self.summaries[0].name, self.summaries[index].name
+                raise CalibrationError(
+                    f"run '{first}' and run '{other}' give different parameters of the servo",
+                    remedy="write the same [instrument] servo in all run files of an instrument, or in none",
+                )
+        wanted = [self.wanted(index) for index, summary in enumerate(self.summaries) for _ in summary.parts]
+        return state_of(self.layout, self.parts(None), wanted, known[0], runs=len(self.summaries))
+
+    def estimated(self, parts: list[Reduction], state: ServoState | None) -> Estimate:
+        """Estimate. Its covariance includes the noise that is not in the weights of the runs."""
+        plain = solve_parts(self.layout, parts)
+        added = np.zeros_like(plain.covariance)
+        for noise, per_unit in self.added(plain, state):
+            added += noise.variance * per_unit
+        return replace(plain, covariance=plain.covariance + added)
+
+    def added(self, plain: Estimate, state: ServoState | None) -> Iterator[tuple[AddedNoise, Array]]:
+        """Noise that is not in the weights of the runs, and the covariance per unit of each."""
+        for index, summary in enumerate(self.summaries):
+            if not summary.added:
+                continue
+            first = self.first_group(index)
+            groups = range(first, first + len(summary.parts))
+            held, wanted = summary.columns(self.local, self.stored(index)), self.wanted(index)
+            jacobians = [self.layout.jacobian(plain.amplitudes, plain.phases, group) for group in groups]
+            for noise in summary.added:
+                own = noise.select(summary.parts[0].names, held)
+                if state is not None:
+                    own = own.mixed([mixture(held, wanted, state, state.phases[g])[:-1, :-1] for g in groups])
+                meat = own.per_unit(jacobians)
+                yield noise, plain.covariance @ meat @ plain.covariance
+
+    def named(self, estimate: Estimate) -> tuple[tuple[Coefficient, ...], Array]:
+        """Coefficients of all runs in file units, and their covariance."""
+        owners: list[Owner] = []
+        if self.layout.coupled:
+            owners = [(label, summary.name) for summary in self.summaries for label in summary.labels]
+        nominal = self.summaries[0].scale_factor
+        return name_parameters(self.layout, estimate, estimate.covariance, nominal, self.wish.terms, owners)
+
+
+@dataclass(frozen=True)
+class JointFit(MergedRuns):
+    """The solution of merged runs: those with raw data, estimate, named coefficients, state of the servo columns."""
+
+    live: tuple[LiveRun | None, ...]
+    estimate: Estimate
+    coefficients: tuple[Coefficient, ...]
+    covariance: Array
+    examination: Examination
+    servo: ServoState | None
 
     def servo_of(self, index: int, segments: int) -> ServoState | None:
         """State that combines the servo columns in the segments of a run; None without servo terms."""
@@ -136,7 +257,7 @@ def fit_jointly(
             continue
         steps.within(index / len(items), f"fitting the model to {name}")
         own = wish.terms_of(index)
-        request = make_request(item, own, "information", phases, None, ())
+        request = make_request(item, own, "information", phases, per_run=())
         prepared = prepare(item, request, name)
         live.append(prepared)
         summaries.append(summarise(prepared, own))
@@ -232,107 +353,6 @@ def _check_temperature(wish: Wish, summaries: list[RunSummary]) -> None:
         )
 
 
-def layout_and_columns(wish: Wish, summaries: Sequence[RunSummary]) -> tuple[Layout, list[tuple[str, ...]]]:
-    """The common layout, and the shared columns of every run."""
-    shared = [
-        tuple(t for t in wish.terms_of(i) if t != "tan_beta" and harmonic(t) is None)
-        for i in range(len(summaries))
-    ]
-    keys: list[tuple[str, str | None]] = []
-    for term in wish.terms:
-        if term == "tan_beta" or harmonic(term):
-            continue
-        if term in wish.per_run:
-            keys += [(term, s.name) for s, own in zip(summaries, shared, strict=True) if term in own]
-        else:
-            keys.append((term, None))
-    tails = []
-    for summary, own in zip(summaries, shared, strict=True):
-        at = [keys.index((t, summary.name if t in wish.per_run else None)) for t in own]
-        tails += [np.array(at, dtype=np.int64)] * len(summary.parts)
-    orders = tuple(sorted({wave[1] for t in wish.terms if (wave := harmonic(t))}))
-    return Layout("tan_beta" in wish.terms, orders, tuple(keys), tuple(tails)), shared
-
-
-def _parts(
-    layout: Layout,
-    shared: list[tuple[str, ...]],
-    summaries: Sequence[RunSummary],
-    state: ServoState | None,
-    source: SharedSource | None = None,
-    segment: int | None = None,
-) -> list[Reduction]:
-    """Summaries of all phase groups. Those that a source moves are in their moved form; with a state, combined at it.
-
-    ``segment``: the only moved segment; default: all segments are moved.
-    """
-    local = layout.columns[: layout.local]
-    parts: list[Reduction] = []
-    for index, summary in enumerate(summaries):
-        chosen, known = summary.parts, known_servo_of(summary, shared[index])
-        if source is not None and index in source.moved:
-            moved = summary.sources[source.moved[index]]
-            chosen = moved.parts
-            if segment is not None:
-                group, part = moved.segments[segment]
-                chosen = (*summary.parts[:group], part, *summary.parts[group + 1 :])
-            known = known_servo_of(
-                replace(summary, known_servo=moved.known_servo or summary.known_servo), shared[index]
-            )
-        held = summary.choose(chosen, local, without_phase(shared[index], known))
-        wanted = summary.columns(local, shared[index])
-        if state is not None:
-            held = [at_state(part, wanted, state, len(parts) + group, known) for group, part in enumerate(held)]
-        parts += held
-    return parts
-
-
-def known_servo_of(summary: RunSummary, shared: tuple[str, ...]) -> dict[str, float]:
-    """K times the servo coefficients that a run gives and that are not estimated."""
-    return {name: summary.inner_scale_factor * size for name, size in summary.known_servo if name not in shared}
-
-
-def without_phase(shared: tuple[str, ...], known: Iterable[str]) -> tuple[str, ...]:
-    """Shared columns as they are stored in summaries."""
-    return tuple(name for name in shared if name not in SERVO_TERMS) + phaseless_columns((*shared, *known))
-
-
-def _servo_state(
-    layout: Layout, shared: list[tuple[str, ...]], summaries: Sequence[RunSummary]
-) -> ServoState | None:
-    """State that combines the servo columns in all phase groups; None without servo terms.
-
-    Raises
-    ------
-    CalibrationError
-        If the runs give different parameters of the servo.
-    """
-    known = [known_servo_of(summary, own) for summary, own in zip(summaries, shared, strict=True)]
-    if not any(known) and not any(name in SERVO_TERMS for names in shared for name in names):
-        return None
-    for index, given in enumerate(known):
-        alike = given.keys() == known[0].keys() and all(
-            abs(size - known[0][name]) <= JOINT.same_servo * abs(size) for name, size in given.items()
-        )
-        if not alike:
-            raise CalibrationError(
-                f"run '{summaries[0].name}' and run '{summaries[index].name}' give different parameters of the servo",
-                remedy="write the same [instrument] servo in all run files of an instrument, or in none",
-            )
-    local = layout.columns[: layout.local]
-    wanted = [
-        summary.columns(local, own)
-        for summary, own in zip(summaries, shared, strict=True)
-        for _ in summary.parts
-    ]
-    if not layout.coupled:
-        count = sum(len(summary.parts) for summary in summaries)
-        return ServoState((0.0,) * count, known[0].get("servo", 0.0), 0.0, 0.0, turning=False)
-    parts = _parts(layout, shared, summaries, None)
-    refuse_if_servo_confounded(layout, parts, wanted, runs=len(summaries))
-    return find_state(layout, parts, wanted, known[0])
-
-
 def merge_runs(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | None]) -> JointFit:
     """Merge summaries that hold the requested columns, and solve.
 
@@ -343,76 +363,25 @@ def merge_runs(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | Non
     IdentifiabilityError
         If the runs together cannot separate what is asked.
     """
-    layout, shared = layout_and_columns(wish, summaries)
-    state = _servo_state(layout, shared, summaries)
-    parts = _parts(layout, shared, summaries, state)
-    examination = examine_parts(layout, parts)
+    runs = MergedRuns.of(wish, summaries)
+    state = runs.servo_state()
+    parts = runs.parts(state)
+    examination = examine_parts(runs.layout, parts)
     refuse_if_confounded(examination, len(summaries))
-    estimate = _estimate(layout, shared, summaries, parts, state)
-    coefficients, covariance = _named(wish, summaries, layout, estimate)
+    estimate = runs.estimated(parts, state)
+    coefficients, covariance = runs.named(estimate)
     return JointFit(
         wish=wish,
-        summaries=tuple(summaries),
+        summaries=runs.summaries,
+        layout=runs.layout,
+        shared=runs.shared,
         live=tuple(live),
-        layout=layout,
         estimate=estimate,
         coefficients=coefficients,
         covariance=covariance,
         examination=examination,
         servo=state,
     )
-
-
-def _estimate(
-    layout: Layout,
-    shared: list[tuple[str, ...]],
-    summaries: Sequence[RunSummary],
-    parts: list[Reduction],
-    state: ServoState | None,
-) -> Estimate:
-    """Estimate. Its covariance includes the noise that is not in the weights of the runs."""
-    plain = solve_parts(layout, parts)
-    added = np.zeros_like(plain.covariance)
-    for noise, per_unit in _added(layout, shared, summaries, plain, state):
-        added += noise.variance * per_unit
-    return replace(plain, covariance=plain.covariance + added)
-
-
-def _added(
-    layout: Layout,
-    shared: list[tuple[str, ...]],
-    summaries: Sequence[RunSummary],
-    plain: Estimate,
-    state: ServoState | None,
-) -> Iterator[tuple[AddedNoise, Array]]:
-    """Noise that is not in the weights of the runs, and the covariance per unit of each."""
-    local = layout.columns[: layout.local]
-    first = 0
-    for index, summary in enumerate(summaries):
-        groups = range(first, first + len(summary.parts))
-        first = groups.stop
-        if not summary.added:
-            continue
-        known = known_servo_of(summary, shared[index])
-        held = summary.columns(local, without_phase(shared[index], known))
-        wanted = summary.columns(local, shared[index])
-        jacobians = [layout.jacobian(plain.amplitudes, plain.phases, group) for group in groups]
-        for noise in summary.added:
-            own = noise.select(summary.parts[0].names, held)
-            if state is not None:
-                own = own.mixed([mixture(held, wanted, state, state.phases[g])[:-1, :-1] for g in groups])
-            meat = own.per_unit(jacobians)
-            yield noise, plain.covariance @ meat @ plain.covariance
-
-
-def _named(
-    wish: Wish, summaries: Sequence[RunSummary], layout: Layout, estimate: Estimate
-) -> tuple[tuple[Coefficient, ...], Array]:
-    owners: list[Owner] = []
-    if layout.coupled:
-        owners = [(label, summary.name) for summary in summaries for label in summary.labels]
-    nominal = summaries[0].scale_factor
-    return name_parameters(layout, estimate, estimate.covariance, nominal, wish.terms, owners)
 
 
 def _scale_factor(fit: JointFit) -> float:
@@ -450,15 +419,11 @@ def joint_contributions(fit: JointFit, steps: Steps) -> Iterator[tuple[SharedSou
 
     ``steps`` hears of each source.
     """
-    layout, shared = layout_and_columns(fit.wish, fit.summaries)
     base = np.array([c.value for c in fit.coefficients])
-    turns = np.array([c.name == "phi" for c in fit.coefficients])
 
     def change(source: SharedSource, segment: int | None) -> Array:
-        estimate = solve_parts(layout, _parts(layout, shared, fit.summaries, fit.servo, source, segment))
-        named, _ = _named(fit.wish, fit.summaries, layout, estimate)
-        moved = np.array([c.value for c in named]) - base
-        return np.where(turns, np.angle(np.exp(1j * moved)), moved)
+        named, _ = fit.named(solve_parts(fit.layout, fit.parts(fit.servo, source, segment)))
+        return changes(named, base, np.array([c.value for c in named]))
 
     for number, source in enumerate(joint_sources(fit.summaries)):
         steps.parts(number, f"adding up the budget: {source.name}")
@@ -472,11 +437,10 @@ def joint_degrees(fit: JointFit) -> Array:
     The variance is a sum of shares of the runs. Each share is as well known as the noise levels of its run. It is
     the derivative of the variance by the scale of that noise. Noise that is not in the weights is a share of its own.
     """
-    layout, shared = layout_and_columns(fit.wish, fit.summaries)
     now = np.diag(fit.covariance)
     known = np.zeros(now.size)
     for index, summary in enumerate(fit.summaries):
-        parts = _parts(layout, shared, fit.summaries, fit.servo)
+        parts = fit.parts(fit.servo)
         first = fit.first_group(index)
         for group in range(first, first + len(summary.parts)):
             parts[group] = parts[group].scaled(1.0 / (1.0 + JOINT.noise_step))
@@ -484,13 +448,12 @@ def joint_degrees(fit: JointFit) -> Array:
         summaries[index] = replace(
             summary, added=tuple(noise.scaled(1.0 / (1.0 + JOINT.noise_step)) for noise in summary.added)
         )
-        estimate = _estimate(layout, shared, summaries, parts, fit.servo)
-        _, covariance = _named(fit.wish, fit.summaries, layout, estimate)
+        _, covariance = fit.named(replace(fit, summaries=tuple(summaries)).estimated(parts, fit.servo))
         known += ((np.diag(covariance) - now) / JOINT.noise_step) ** 2 / summary.degrees_of_freedom
-    plain = solve_parts(layout, _parts(layout, shared, fit.summaries, fit.servo))
+    plain = solve_parts(fit.layout, fit.parts(fit.servo))
     before = np.zeros(now.size)
-    for noise, per_unit in _added(layout, shared, fit.summaries, plain, fit.servo):
-        _, covariance = _named(fit.wish, fit.summaries, layout, replace(plain, covariance=per_unit))
+    for noise, per_unit in fit.added(plain, fit.servo):
+        _, covariance = fit.named(replace(plain, covariance=per_unit))
         share = np.diag(covariance)
         known += 0.5 * (noise.deviation * share) ** 2 + noise.shared * share * before
         before = share

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._version import __version__
 from piga.calibration.budget.uncertainty import combined
 from piga.calibration.fit.residuals import (
     Products,
@@ -20,11 +20,10 @@ from piga.calibration.fit.residuals import (
     segment_table,
 )
 from piga.calibration.joint.joint_fit import JointFit
-from piga.calibration.joint.summary import LiveRun, now, residual_figures
+from piga.calibration.joint.summary import LiveRun, provenance, residual_figures
 from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import (
     notes_in_words,
-    notes_on_runs,
     refuse_useless,
     remarks_in_words,
 )
@@ -43,8 +42,14 @@ from piga.records.calibration import (
 )
 from piga.results import Array
 
-_LivePart = tuple[Residuals, tuple[SegmentSummary, ...], SegmentScatter, Products]
-"""Residuals of a run under the joint estimate, its segments, their scatter, and its lagged products."""
+
+class _LivePart(NamedTuple):
+    """Residuals of a run under the joint estimate, its segments, their scatter, and its lagged products."""
+
+    residuals: Residuals
+    segments: tuple[SegmentSummary, ...]
+    scatter: SegmentScatter
+    products: Products
 
 
 def joint_result(
@@ -65,8 +70,9 @@ def joint_result(
         records.append(_record(fit, index, part))
         segments += [replace(row, label=f"{fit.summaries[index].name}:{row.label}") for row in own]
     residuals = _all_residuals(fit, parts)
-    alone = {summary.name: summary.undetermined for summary in fit.summaries}
-    scatter = _worst_scatter(parts)
+    held = [part for part in parts if part is not None]
+    scatter = max((part.scatter for part in held), key=lambda one: one.worst, default=SegmentScatter())
+    products = tuple(part.products for part in held)
     notes = notes_in_words(coefficients, covariance, scatter)
     plain = Diagnostics(residual_kind="rate" if kind == "rate" else "angle", range=_ranges(fit))
     weights = np.array([record.rows for record in records], dtype=float)
@@ -92,13 +98,12 @@ def joint_result(
         notes=notes,
         remarks=(
             *remarks_in_words(coefficients, "shared"),
-            *notes_on_runs(alone),
-            *_notes_on_summaries(records),
+            *_notes_on_runs(records),
         ),
         budget=BudgetTable(budget),
-        diagnostics=(
-            diagnose(residuals, plain, _products(parts)) if residuals is not None else plain
-        ).with_scatter(scatter),
+        diagnostics=(diagnose(residuals, plain, products) if residuals is not None else plain).with_scatter(
+            scatter
+        ),
         segments=tuple(segments),
         provenance=_provenance(fit),
         temperature_reference=first.temperature_reference,
@@ -126,21 +131,16 @@ def _live_part(fit: JointFit, index: int, live: LiveRun, kind: str) -> _LivePart
     products = partial(counted_products, design, live.fit.noise, live.fit.mode, residuals)
     if summary.kind != kind:
         residuals = _as_angles(residuals)
-    return residuals, segment_table(design, residuals), scatter, products
-
-
-def _products(parts: list[_LivePart | None]) -> tuple[Products, ...]:
-    """Lagged products of the runs with raw data."""
-    return tuple(part[3] for part in parts if part is not None)
+    return _LivePart(residuals, segment_table(design, residuals), scatter, products)
 
 
 def _own_segments(fit: JointFit, index: int, part: _LivePart | None) -> tuple[SegmentSummary, ...]:
-    return fit.summaries[index].segments if part is None else part[1]
+    return fit.summaries[index].segments if part is None else part.segments
 
 
 def _record(fit: JointFit, index: int, part: _LivePart | None) -> RunRecord:
     summary = fit.summaries[index]
-    figures = summary.figures if part is None else residual_figures(part[0])
+    figures = summary.figures if part is None else residual_figures(part.residuals)
     return RunRecord(
         name=summary.name,
         source=summary.source,
@@ -165,7 +165,7 @@ def _all_residuals(fit: JointFit, parts: list[_LivePart | None]) -> Residuals | 
     for index, part in enumerate(parts):
         own = _own_segments(fit, index, part)
         if part is not None:
-            pieces.append(replace(part[0], segment=part[0].segment + np.int32(offset)))
+            pieces.append(replace(part.residuals, segment=part.residuals.segment + np.int32(offset)))
             run_of.append(index)
         offset += len(own)
     return _concatenated(pieces, run_of) if pieces else None
@@ -196,12 +196,6 @@ def _as_angles(rates: Residuals) -> Residuals:
     return replace(rates, before=before, after=after, unit="rad")
 
 
-def _worst_scatter(parts: list[_LivePart | None]) -> SegmentScatter:
-    """The largest scatter of segments among the runs."""
-    scatters = [part[2] for part in parts if part is not None]
-    return max(scatters, key=lambda scatter: scatter.worst, default=SegmentScatter())
-
-
 def _mean_square(values: list[float], weights: Array) -> float:
     return float(np.sqrt(np.average(np.square(values), weights=weights)))
 
@@ -220,12 +214,15 @@ def _joint_quality(records: list[RunRecord]) -> Quality:
     )
 
 
-def _notes_on_summaries(records: list[RunRecord]) -> tuple[str, ...]:
-    return tuple(
-        f"run '{record.name}' is a summary: its residual figures are those of its own fit"
-        for record in records
-        if not record.raw
-    )
+def _notes_on_runs(records: list[RunRecord]) -> Iterator[str]:
+    """Terms that each run alone could not determine, and which runs are summaries."""
+    for record in records:
+        if record.undetermined:
+            listed = ", ".join(record.undetermined)
+            yield f"run '{record.name}' alone cannot separate {listed}: the other runs do"
+    for record in records:
+        if not record.raw:
+            yield f"run '{record.name}' is a summary: its residual figures are those of its own fit"
 
 
 def _ranges(fit: JointFit) -> dict[str, tuple[float, float]]:
@@ -253,4 +250,4 @@ def _provenance(fit: JointFit) -> Provenance:
         for name, digest in summary.input_sha256.items():
             hashes[name if hashes.get(name, digest) == digest else f"{summary.name}: {name}"] = digest
     options = {"runs": [s.source or s.name for s in fit.summaries], "per_run": list(fit.wish.per_run)}
-    return Provenance(hashes, f"piga {__version__}", now(), options)
+    return provenance(hashes, options)

@@ -30,7 +30,7 @@ from piga.calibration.noise.levels import Noise
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.output import settle
 from piga.reading.signal_checks import largest_size
-from piga.records.calibration import Outlier, Quality, Residuals, SegmentSummary
+from piga.records.calibration import Outlier, Provenance, Quality, Residuals, SegmentSummary
 from piga.records.limits import read_whole
 from piga.records.run import Run
 from piga.records.run_file import Draw
@@ -45,6 +45,8 @@ STATIC_TERMS = (
     *SERVO_TERMS,
 )  # fmt: skip
 """Columns of a stored summary besides the requested harmonics; with temperature also the temperature columns."""
+SCHEMA = "piga.run-summary/1"
+MOST_SUMMARY_BYTES = 256 << 20
 LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
 """Terms that the fit for the noise levels leaves out last."""
 
@@ -154,12 +156,23 @@ class RunSummary(Result):
         CalibrationError, ArgumentError
             If the request does not fit the record.
         """
-        live = prepare(run, make_request(run, terms, "information", None, None), name or run_name(run, 0))
+        live = prepare(run, make_request(run, terms, "information"), name or run_name(run, 0))
         return summarise(live, all_columns(run, live.request))
 
     def to_json(self, path: str | Path) -> None:
-        """Write the summary (schema ``piga.run-summary/1``): exact, all digits of the double-double sums."""
-        write_summary(self, Path(path))
+        """Write the summary (schema ``piga.run-summary/1``): exact, all digits of the double-double sums.
+
+        Infinite degrees of freedom are null.
+        """
+        document = {"schema": SCHEMA} | msgspec.to_builtins(self, enc_hook=_plain)
+        document["phase"] = document.pop("phases")
+        document["noise"] = [self.noise.white, self.noise.walk, self.noise.drift, self.noise.scatter]
+        for part in (document, *document["sources"]):
+            if math.isinf(part["degrees_of_freedom"]):
+                part["degrees_of_freedom"] = None
+        Path(path).write_text(
+            json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
+        )
 
     @staticmethod
     def from_json(path: str | Path) -> RunSummary:
@@ -168,9 +181,29 @@ class RunSummary(Result):
         Raises
         ------
         CalibrationError
-            If the file is not a summary of a known schema.
+            If the file is missing, damaged, or no summary of a known schema; also if its parts do not fit together.
         """
-        return read_summary(Path(path))
+        path = Path(path)
+        settle(path.parent)
+        raw = read_whole(path, MOST_SUMMARY_BYTES, "a run summary", CalibrationError)
+        try:
+            kind = schema_of(raw)
+            if kind != SCHEMA:
+                raise CalibrationError(
+                    f"{path}: no run summary of schema '{SCHEMA}' (it says: {kind})",
+                    remedy="name a run file (.toml), or a summary that --summary wrote",
+                )
+            document = decode_json(raw, dict[str, Any])
+            _restore(document)
+            summary = msgspec.convert(document, RunSummary, dec_hook=_array)
+        except (JsonError, msgspec.ValidationError) as error:
+            raise CalibrationError(
+                f"{path}: not a valid run summary: {error}", remedy="summarise the run again"
+            ) from None
+        damaged = next(_damages(summary), None)
+        if damaged is not None:
+            raise CalibrationError(f"{path}: its {damaged} damaged", remedy="summarise the run again")
+        return summary
 
     @property
     def count(self) -> int:
@@ -338,7 +371,7 @@ def group_rows(summaries: list[Reduction], fit: Fit, groups: tuple[int, ...]) ->
 
 
 def _group(summaries: list[Reduction], fit: Fit, groups: tuple[int, ...], group: int) -> Reduction:
-    part = merged(summaries, [s for s, own in enumerate(groups) if own == group])
+    part = merged([one for one, own in zip(summaries, groups, strict=True) if own == group])
     if drift_columns(part):
         part = part.without(DRIFT_NAMES)
     return part.scaled(1.0 / fit.sample_variance) if fit.mode == "samples" else part
@@ -384,25 +417,14 @@ def validity_ranges(run: Run) -> dict[str, tuple[float, float]]:
     return ranges
 
 
+def provenance(inputs: dict[str, str], options: dict[str, Any]) -> Provenance:
+    """Where a result comes from: hashes of its inputs, this version, the time (UTC), and options."""
+    return Provenance(inputs, f"piga {__version__}", now(), options)
+
+
 def now() -> str:
     """Creation time for results (UTC)."""
     return dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-SCHEMA = "piga.run-summary/1"
-MOST_SUMMARY_BYTES = 256 << 20
-
-
-def write_summary(summary: RunSummary, path: Path) -> None:
-    """Write a summary as JSON with all digits of every float; infinite degrees of freedom are null."""
-    document = {"schema": SCHEMA} | msgspec.to_builtins(summary, enc_hook=_plain)
-    document["phase"] = document.pop("phases")
-    noise = summary.noise
-    document["noise"] = [noise.white, noise.walk, noise.drift, noise.scatter]
-    for part in (document, *document["sources"]):
-        if math.isinf(part["degrees_of_freedom"]):
-            part["degrees_of_freedom"] = None
-    path.write_text(json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _plain(value: Any) -> Any:
@@ -417,36 +439,6 @@ def _array(_kind: type, value: Any) -> Array:
     except ValueError:
         return np.zeros(0)
     return numbers.astype(np.float64) if numbers.dtype.kind in "fi" else np.zeros(0)
-
-
-def read_summary(path: Path) -> RunSummary:
-    """Read a summary and check that its parts fit together.
-
-    Raises
-    ------
-    CalibrationError
-        If the file is missing, damaged, or of another schema.
-    """
-    settle(path.parent)
-    raw = read_whole(path, MOST_SUMMARY_BYTES, "a run summary", CalibrationError)
-    try:
-        kind = schema_of(raw)
-        if kind != SCHEMA:
-            raise CalibrationError(
-                f"{path}: no run summary of schema '{SCHEMA}' (it says: {kind})",
-                remedy="name a run file (.toml), or a summary that --summary wrote",
-            )
-        document = decode_json(raw, dict[str, Any])
-        _restore(document)
-        summary = msgspec.convert(document, RunSummary, dec_hook=_array)
-    except (JsonError, msgspec.ValidationError) as error:
-        raise CalibrationError(
-            f"{path}: not a valid run summary: {error}", remedy="summarise the run again"
-        ) from None
-    damaged = next(_damages(summary), None)
-    if damaged is not None:
-        raise CalibrationError(f"{path}: its {damaged} damaged", remedy="summarise the run again")
-    return summary
 
 
 def _restore(document: dict[str, Any]) -> None:

@@ -18,27 +18,18 @@ from piga.units import G0
 
 @dataclass(frozen=True)
 class SeparationSettings:
-    """Limits for separated and determined coefficients (own choices).
-
-    Attributes
-    ----------
-    rank:
-        Smallest singular value of the column-scaled factor, relative to the largest, that counts as information.
-    named_weight:
-        Weight in a null direction, relative to the largest, above which a term is named.
-    useless:
-        Uncertainty, as a fraction of the record's largest specific force, above which an estimate is no result.
-    scatter:
-        Ratio of the scatter of the segments' mean rates to the expected scatter above which it is reported.
-    alike:
-        Correlation above which coefficients are reported as hard to tell apart.
-    """
+    """Limits for separated and determined coefficients (own choices)."""
 
     rank: float = 1e-9
+    """Smallest singular value of the column-scaled factor, relative to the largest, that counts as information."""
     named_weight: float = 0.3
+    """Weight in a null direction, relative to the largest, above which a term is named."""
     useless: float = 0.05
+    """Uncertainty, as a fraction of the record's largest specific force, above which an estimate is no result."""
     scatter: float = 2.0
+    """Ratio of the scatter of the segments' mean rates to the expected scatter above which it is reported."""
     alike: float = 0.95
+    """Correlation above which coefficients are reported as hard to tell apart."""
 
 
 SEPARATION = SeparationSettings()
@@ -329,12 +320,3 @@ def remarks_in_words(coefficients: tuple[Coefficient, ...], phases: str) -> tupl
             "every segment has its own phase: nothing is assumed about the counter between segments"
         )
     return tuple(sentences)
-
-
-def notes_on_runs(alone: dict[str, tuple[str, ...]]) -> tuple[str, ...]:
-    """Terms that each run alone could not determine; ``alone`` by run."""
-    return tuple(
-        f"run '{name}' alone cannot separate {', '.join(terms)}: the other runs do"
-        for name, terms in alone.items()
-        if terms
-    )

@@ -41,20 +41,30 @@ class Request:
     @property
     def harmonics(self) -> tuple[int, ...]:
         """Orders of the wanted harmonics of the output angle."""
-        return tuple(sorted({wave[1] for name in self.terms if (wave := harmonic(name))}))
+        return harmonics_of(self.terms)
 
     @property
     def shared_terms(self) -> tuple[str, ...]:
         """Terms whose regressor does not depend on the phase."""
-        return tuple(name for name in self.terms if name != "tan_beta" and harmonic(name) is None)
+        return shared_of(self.terms)
+
+
+def harmonics_of(terms: tuple[str, ...]) -> tuple[int, ...]:
+    """Orders of the harmonics of the output angle among terms."""
+    return tuple(sorted({wave[1] for name in terms if (wave := harmonic(name))}))
+
+
+def shared_of(terms: tuple[str, ...]) -> tuple[str, ...]:
+    """Those terms whose regressor does not depend on the phase."""
+    return tuple(name for name in terms if name != "tan_beta" and harmonic(name) is None)
 
 
 def make_request(
     run: Run,
-    terms: str | list[str] | tuple[str, ...] | None,
-    method: str | None,
-    phases: str | None,
-    phase_source: str | None,
+    terms: str | list[str] | tuple[str, ...] | None = None,
+    method: str | None = None,
+    phases: str | None = None,
+    phase_source: str | None = None,
     per_run: str | list[str] | tuple[str, ...] | None = None,
 ) -> Request:
     """Replace settings of the run file by call arguments and check the request against the record.
@@ -188,18 +198,12 @@ def check_servo(request: Request) -> None:
 
 @dataclass(frozen=True)
 class SpikeSettings:
-    """Limits for spikes of a recorded rate (own choices).
-
-    Attributes
-    ----------
-    plausible:
-        Largest difference of a sound rate from ``K a_x - Omega_x``, as a share of ``K |a|``.
-    gross:
-        Multiple of the median difference above which a rate is a spike.
-    """
+    """Limits for spikes of a recorded rate (own choices)."""
 
     plausible: float = 0.3
+    """Largest difference of a sound rate from ``K a_x - Omega_x``, as a share of ``K |a|``."""
     gross: float = 10.0
+    """Multiple of the median difference above which a rate is a spike."""
 
 
 SPIKES = SpikeSettings()

@@ -7,10 +7,11 @@ solution. Names and file units are applied last.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction, solve_upper
@@ -27,21 +28,14 @@ DRIFT_NAMES = tuple(f"drift step {k + 1}" for k in range(KNOTS))
 
 @dataclass(frozen=True)
 class SolutionSettings:
-    """Settings of the solution (own choices).
-
-    Attributes
-    ----------
-    unseen:
-        Size of a phase's column, relative to the largest column, below which no sample shows the phase.
-    iterations:
-        Most Gauss-Newton steps for a coupling that several phases share; a few are usual.
-    scan:
-        Phases tried for each group before refinement; the cost has at most two minima on the circle.
-    """
+    """Settings of the solution (own choices)."""
 
     unseen: float = 1e-12
+    """Size of a phase's column, relative to the largest column, below which no sample shows the phase."""
     iterations: int = 50
+    """Most Gauss-Newton steps for a coupling that several phases share; a few are usual."""
     scan: int = 72
+    """Phases tried for each group before refinement; the cost has at most two minima on the circle."""
 
 
 SOLUTION = SolutionSettings()
@@ -60,6 +54,12 @@ class Layout:
     orders: tuple[int, ...]
     keys: tuple[tuple[str, str | None], ...]
     tails: tuple[NDArray[np.int64], ...]
+
+    @classmethod
+    def of_one(cls, coupled: bool, orders: tuple[int, ...], terms: Sequence[str], groups: int = 1) -> Layout:
+        """The layout of one run: every shared term is one parameter in all ``groups``."""
+        keys = tuple((name, None) for name in terms)
+        return cls(coupled, orders, keys, (np.arange(len(keys)),) * groups)
 
     @property
     def local(self) -> int:
@@ -157,9 +157,8 @@ def layout_of(design: Design, groups: int | None = None, extra: tuple[str, ...] 
     ``groups`` is the number of phase groups; default: that of the design.
     """
     count = len(set(design.groups)) if groups is None else groups
-    keys = tuple((name, None) for name in (*design.shared_names, *extra))
-    tail = np.arange(len(keys))
-    return Layout("p" in design.local_names, design.request.harmonics, keys, (tail,) * count)
+    shared = (*design.shared_names, *extra)
+    return Layout.of_one("p" in design.local_names, design.request.harmonics, shared, count)
 
 
 @dataclass(frozen=True)
@@ -178,6 +177,11 @@ class Estimate:
     cost: float
     jacobians: tuple[Array, ...]
 
+    @property
+    def parameters(self) -> int:
+        """Number of parameters: amplitudes and phases."""
+        return len(self.amplitudes) + len(self.phases)
+
 
 @dataclass(frozen=True)
 class Solution(Estimate):
@@ -191,19 +195,22 @@ def drift_columns(summary: Reduction) -> tuple[str, ...]:
     return summary.names[-KNOTS:] if summary.names[-KNOTS:] == DRIFT_NAMES else ()
 
 
-def merged(summaries: list[Reduction], indices: list[int]) -> Reduction:
+def merged(summaries: list[Reduction]) -> Reduction:
     """Merge several summaries into one."""
     if drift_columns(summaries[0]):
-        return Reduction.stacked([summaries[index] for index in indices])
+        return Reduction.stacked(summaries)
     total = Reduction.empty(summaries[0].names)
-    for index in indices:
-        total.merge(summaries[index])
+    for part in summaries:
+        total.merge(part)
     return total
 
 
 def merged_groups(summaries: list[Reduction], groups: tuple[int, ...]) -> list[Reduction]:
     """One summary per phase group, from summaries per segment."""
-    return [merged(summaries, [s for s, own in enumerate(groups) if own == g]) for g in range(max(groups) + 1)]
+    return [
+        merged([part for part, own in zip(summaries, groups, strict=True) if own == group])
+        for group in range(max(groups) + 1)
+    ]
 
 
 def solve(design: Design, summaries: list[Reduction]) -> Solution:
@@ -309,7 +316,7 @@ def _start(layout: Layout, parts: list[Reduction]) -> tuple[Array, float]:
     factors = [part.factor for part in parts]
     rest = [layout.embedded(factor, group)[local:, local:] for group, factor in enumerate(factors)]
     free = np.asarray(np.linalg.qr(np.vstack(rest), mode="r"))
-    shared = _least_squares(free) if layout.keys else np.zeros(0)
+    shared = least_squares(free[:, :-1], free[:, -1], 1e-12) if layout.keys else np.zeros(0)
     squares, weights = 0.0, 0.0
     for group, factor in enumerate(factors):
         right = factor[:local, -1] - factor[:local, local:-1] @ shared[layout.tails[group]]
@@ -323,11 +330,11 @@ def _start(layout: Layout, parts: list[Reduction]) -> tuple[Array, float]:
     return shared, squares / weights if weights else 0.0
 
 
-def _least_squares(factor: Array) -> Array:
-    """Minimum-norm solution of a triangular system; its columns are scaled to one."""
-    scale = np.linalg.norm(factor[:, :-1], axis=0)
+def least_squares(rows: Array, right: Array, rcond: float) -> Array:
+    """Solution of least norm of ``rows x = right``; the columns are scaled to one."""
+    scale = np.linalg.norm(rows, axis=0)
     scale[scale == 0.0] = 1.0
-    return np.linalg.lstsq(factor[:, :-1] / scale, factor[:, -1], rcond=1e-12)[0] / scale
+    return np.linalg.lstsq(rows / scale, right, rcond=rcond)[0] / scale
 
 
 def _scan(layout: Layout, amplitudes: Array, factor: Array, group: int) -> float:
@@ -416,6 +423,11 @@ def name_coefficients(
     return name_parameters(layout, solution, covariance, design.run.scale_factor, design.request.terms, owners)
 
 
+def variances_of(design: Design, solution: Estimate, covariance: Array) -> Array:
+    """Variances of the coefficients of one run (file units) for a covariance of the internal parameters."""
+    return np.diag(name_coefficients(design, solution, covariance)[1]).copy()
+
+
 def name_parameters(
     layout: Layout,
     estimate: Estimate,
@@ -472,7 +484,12 @@ def _make_tangent_positive(layout: Layout, values: Array, jacobian: Array) -> No
         for index, (name, _) in enumerate(layout.keys, start=layout.head):
             if name == "servo_damping":
                 values[index], jacobian[index] = -values[index], -jacobian[index]
-    values[layout.size :] = np.pi - np.mod(np.pi - values[layout.size :], 2.0 * np.pi)
+    values[layout.size :] = principal(values[layout.size :])
+
+
+def principal(phase: ArrayLike) -> Array:
+    """Phases [rad] in (-pi, pi]."""
+    return np.pi - np.mod(np.pi - np.asarray(phase), 2.0 * np.pi)
 
 
 def _in_asked_order(

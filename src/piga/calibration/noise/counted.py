@@ -185,7 +185,7 @@ def count_of(run: Run) -> float:
 
 @dataclass(frozen=True)
 class CountedFit:
-    """A fit whose rows have the covariance of their coarse counts."""
+    """What the covariance of coarse counts changes in a fit of one run, under the names it has there."""
 
     counted: Counted
     noise: Noise

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import Request
+from piga.calibration.model.solution import least_squares
 from piga.calibration.noise.levels import starting_noise
 from piga.calibration.noise.weighting import Whitener
 from piga.calibration.remarks.missing_terms import smooth_step, term_values
@@ -34,36 +35,24 @@ from piga.units import G0
 
 @dataclass(frozen=True)
 class AdviceSettings:
-    """Limits for advice on another reading of the data, and the samples used (own choices).
-
-    Attributes
-    ----------
-    far_better:
-        Ratio of residuals above which another reading is advised.
-    as_good:
-        Ratio of residuals up to which readings cannot be told apart.
-    off:
-        Ratio of the scale factor to the nominal one above which an error is reported, even if no reading explains it.
-    most_alike:
-        Most readings named that the record cannot tell from the best one.
-    snap:
-        Largest relative distance of the scale factor ratio from a known factor (nominal values are close).
-    samples:
-        Samples used.
-    window:
-        Most consecutive samples of a stretch.
-    turn:
-        Turn of the output between used samples [rad].
-    """
+    """Limits for advice on another reading of the data, and the samples used (own choices)."""
 
     far_better: float = 3.0
+    """Ratio of residuals above which another reading is advised."""
     as_good: float = 1.2
+    """Ratio of residuals up to which readings cannot be told apart."""
     off: float = 2.0
+    """Ratio of the scale factor to the nominal one above which an error is reported, even if no reading explains it."""
     most_alike: int = 3
+    """Most readings named that the record cannot tell from the best one."""
     snap: float = 0.1
+    """Largest relative distance of the scale factor ratio from a known factor (nominal values are close)."""
     samples: int = 2000
+    """Samples used."""
     window: int = 60
+    """Most consecutive samples of a stretch."""
     turn: float = 0.25
+    """Turn of the output between used samples [rad]."""
 
 
 ADVICE = AdviceSettings()
@@ -315,9 +304,7 @@ def _fit(run: Run, request: Request, sample: Sample, reading: AdviceReading) -> 
     if free:
         parts = [rows[:, sample.segment == segment] for segment in np.unique(sample.segment)]
         rows = np.hstack([_without(part, free) for part in parts])
-    size = np.linalg.norm(rows[:-1], axis=1)
-    size[size == 0.0] = 1.0
-    linear = np.linalg.lstsq(rows[:-1].T / size, rows[-1], rcond=1e-10)[0] / size
+    linear = least_squares(rows[:-1].T, rows[-1], 1e-10)
     miss = float(np.linalg.norm(rows[-1] - linear @ rows[:-1])) / math.sqrt(sample.t.size)
     return Trial(
         reading, abs(reading.output) * miss, float(linear[names.index("k1") - free]) / run.scale_factor

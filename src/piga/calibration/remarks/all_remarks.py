@@ -11,10 +11,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from piga.calibration.fit.one_run import Fit
-from piga.calibration.model.solution import name_coefficients
+from piga.calibration.model.solution import variances_of
 from piga.calibration.remarks.advice import advise, looks_wrong
 from piga.calibration.remarks.left_out import CUBIC_SOURCE, DAMPING_SOURCE, LeftOut
 from piga.calibration.remarks.leverage import find_leverage
@@ -64,9 +62,7 @@ def _in_reported_uncertainties(
                 row.shift[one.name] = shift * (one.std / reported.std)
 
 
-def with_remarks(
-    result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[LeftOut, ...] = ()
-) -> Calibration:
+def with_remarks(result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[LeftOut, ...]) -> Calibration:
     """The result with ``leverage``, ``missing_terms`` and ``advice`` in its diagnostics and in its notes.
 
     A slow wave is reported where nothing else explains it.
@@ -102,7 +98,7 @@ def _slow_words(fit: Fit) -> str:
 
 def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:
     """Coefficients with standard uncertainties without slow noise."""
-    named = [np.diag(name_coefficients(one.design, one.solution, one.covariance)[1]) for one in (fit, plain)]
+    named = [variances_of(one.design, one.solution, one.covariance) for one in (fit, plain)]
     return tuple(
         replace(c, std=math.sqrt(max(c.std**2 - noisy + quiet, quiet)))
         for c, noisy, quiet in zip(coefficients, *named, strict=True)

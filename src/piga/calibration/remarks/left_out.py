@@ -22,15 +22,9 @@ from scipy.special import chdtrc
 from piga.calibration.budget.uncertainty import budget_row
 from piga.calibration.fit.one_run import Fit, without_slow
 from piga.calibration.fit.servo import at_state, settled_design
-from piga.calibration.joint.joint_fit import (
-    JointFit,
-    known_servo_of,
-    layout_and_columns,
-    merge_runs,
-    without_phase,
-)
+from piga.calibration.joint.joint_fit import JointFit, merge_runs
 from piga.calibration.joint.summary import LiveRun, RunSummary, group_rows
-from piga.calibration.model.design import Design
+from piga.calibration.model.design import Design, Names
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.remarks.missing_terms import (
@@ -44,26 +38,19 @@ from piga.calibration.remarks.missing_terms import (
 )
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.records.calibration import BudgetEntry, Coefficient
+from piga.records.calibration.coefficient import changes
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 from piga.results import Array
-
-Names = tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class LeftOutSettings:
-    """Limits for servo effects that enter the budget (own choices).
-
-    Attributes
-    ----------
-    clear:
-        Probability of such a signature by chance, below which it enters the budget.
-    seen:
-        Ratio of a requested k3 to its standard uncertainty above which its other meaning is reported.
-    """
+    """Limits for servo effects that enter the budget (own choices)."""
 
     clear: float = 0.01
+    """Probability of such a signature by chance, below which it enters the budget."""
     seen: float = 2.0
+    """Ratio of a requested k3 to its standard uncertainty above which its other meaning is reported."""
 
 
 LEFT_OUT = LeftOutSettings()
@@ -127,7 +114,8 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
         if test is not None and test.probability <= LEFT_OUT.clear:
             after = after_change(plain, test.change)
             k3 = float(test.columns[0]) / design.scale_factor
-            doubts.append(_both_meanings(coefficients, before, after, k3, square))
+            cube_with = {"servo": after["scale_factor"] * (1.0 + k3 * square), "k3": after["scale_factor"]}
+            doubts.append(cubic_doubt(coefficients, before, after, cube_with, k3 / si_factor("k3")))
             pieces = [with_term(piece, order, ("k3",)) for piece in pieces]
             order = [name for name in order if name != "k3"]
     test = tested(pieces, order, ("servo_damping",), rows) if damping else None
@@ -157,29 +145,19 @@ def _with_terms(plain: Fit, extra: tuple[str, ...]) -> dict[str, float] | None:
     return {c.key: c.value for c in named}
 
 
-def _both_meanings(
+def cubic_doubt(
     coefficients: tuple[Coefficient, ...],
     before: dict[str, float],
     after: dict[str, float],
-    k3: float,
-    square: float,
+    under: dict[str, float],
+    size: float,
 ) -> LeftOut:
-    """A cube that neither ``servo`` nor ``k3`` takes up; ``k3`` [1/(m/s^2)^2] comes with the coefficients ``after``."""
-    cube = after["scale_factor"]
-    under = {"servo": cube * (1.0 + k3 * square), "k3": cube}
-    change = np.array([0.0 if c.name == "phi" else after[c.key] - before[c.key] for c in coefficients])
-    return cubic_doubt(coefficients, change, under, k3 / si_factor("k3"))
+    """A clear cube of ``size`` (file unit) for which the stand cannot tell servo from k3, and that no term takes up.
 
-
-def cubic_doubt(
-    coefficients: tuple[Coefficient, ...], change: Array, under: dict[str, float], size: float
-) -> LeftOut:
-    """A clear cube of ``size`` (file unit) for which the stand cannot tell servo from k3.
-
-    ``change`` is the change of the coefficients if a cube is added; ``under`` is K with each term (file unit).
+    ``before`` and ``after`` are the coefficients without and with a cube; ``under`` is K with each term (file unit).
     """
     at = next(i for i, c in enumerate(coefficients) if c.name == "scale_factor")
-    change = change.copy()
+    change = np.array([0.0 if c.name == "phi" else after[c.key] - before[c.key] for c in coefficients])
     change[at] = max((value - coefficients[at].value for value in under.values()), key=abs)
     named = ", ".join(f"{value:.8g} with {name}" for name, value in under.items())
     words = (
@@ -198,20 +176,19 @@ def asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[Le
     scale, k3 = named.get("scale_factor"), named.get("k3")
     if scale is None or k3 is None or abs(k3.value) <= LEFT_OUT.seen * k3.std:
         return ()
-    shift = scale.value * k3.value * si_factor("k3") * square
-    change = np.array([shift if c is scale else 0.0 for c in coefficients])
-    return (LeftOut(CUBIC_SOURCE, change, asked_words(scale, shift)),)
+    return (_other_meaning(coefficients, scale, scale.value * k3.value * si_factor("k3") * square),)
 
 
-def asked_words(scale: Coefficient, shift: float) -> str:
-    """The note on a requested ``k3``; with ``servo`` in its place the scale factor changes by ``shift``."""
-    return (
+def _other_meaning(coefficients: tuple[Coefficient, ...], scale: Coefficient, shift: float) -> LeftOut:
+    """A requested ``k3`` that may be the servo; with ``servo`` in its place the scale factor changes by ``shift``."""
+    words = (
         "k3 may be the effect of the servo: a_x^2 + a_t^2 never changes here, and with 'servo' "
         f"instead of 'k3' the fit is the same; scale_factor is then {scale.value + shift:.8g} instead "
         f"of {scale.value:.8g} {scale.unit}, {1e6 * shift / scale.value:+.3g} ppm. The uncertainty of "
         "scale_factor covers both. A run on a centrifuge, calibrated together with this one, or "
         "[instrument] servo decides"
     )
+    return LeftOut(CUBIC_SOURCE, np.array([shift if c is scale else 0.0 for c in coefficients]), words)
 
 
 def damped(
@@ -230,7 +207,7 @@ def damped(
     size, std = abs(float(test.columns[0])), float(test.std[0])
     damping = float(test.columns[0]) / scale_factor / si_factor("servo_damping")
     reported = {c.key: c.value for c in coefficients if c.name in TURNED}
-    change = difference(coefficients, before | reported, after)
+    change = _difference(coefficients, before | reported, after)
     turned = ", ".join(
         f"{c.key} by {1e3 * step:.3g} mrad"
         for c, step in zip(coefficients, change, strict=True)
@@ -246,13 +223,12 @@ def damped(
     )
 
 
-def difference(
+def _difference(
     coefficients: tuple[Coefficient, ...], before: dict[str, float], after: dict[str, float]
 ) -> Array:
-    """Change of each coefficient between two results; for a phase, the shorter way round."""
-    change = np.array([after[c.key] - before[c.key] for c in coefficients])
-    turning = np.array([c.name == "phi" for c in coefficients])
-    return np.where(turning, np.angle(np.exp(1j * change)), change)
+    """Change of each coefficient between two results."""
+    values = (np.array([result[c.key] for c in coefficients]) for result in (before, after))
+    return changes(coefficients, *values)
 
 
 def odd_square(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ...]:
@@ -333,7 +309,9 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
     if cube and not set(CUBIC) & held:
         by_k3, by_servo = _clear(rows, base, ("k3",)), rows.refit((*terms, "servo"))
         if by_k3 and by_servo:
-            doubts.append(_both_meanings_of_runs(fit.coefficients, base, by_k3.after, by_servo))
+            after = _values(by_k3.after)
+            under = {"servo": _values(by_servo)["scale_factor"], "k3": after["scale_factor"]}
+            doubts.append(cubic_doubt(fit.coefficients, _values(base), after, under, after["k3"]))
             base = by_k3.after
     limit = 1.0 if any(doubt.source == CUBIC_SOURCE for doubt in doubts) else LEFT_OUT.clear
     wave = _clear(rows, base, ("servo_damping",), limit) if "servo_damping" not in held else None
@@ -407,18 +385,15 @@ def _with_columns(
 
 def _pieces(rows: LeftOutRows, fit: JointFit, names: Names) -> list[Array]:
     """Factors ``[parameters | names | residual without them]`` of all segments, linear about a fit with them."""
-    layout, shared = layout_and_columns(fit.wish, rows.summaries)
-    local = layout.columns[: layout.local]
+    layout = fit.layout
     amplitudes, phases = fit.estimate.amplitudes, fit.estimate.phases
     keys = layout.amplitude_keys
     at = [keys.index((name, None)) for name in names]
     others = [i for i in range(layout.size + phases.size) if i not in at]
     factors = []
     for index, (summary, pieces) in enumerate(zip(rows.summaries, rows.pieces, strict=True)):
-        known = known_servo_of(summary, shared[index])
-        wanted = summary.columns(local, shared[index])
-        held = without_phase(shared[index], known)
-        chosen = summary.choose(tuple(piece for _, piece in pieces), local, held)
+        known, wanted = fit.known_servo(index), fit.wanted(index)
+        chosen = summary.choose(tuple(piece for _, piece in pieces), fit.local, fit.stored(index))
         for (own, _), piece in zip(pieces, chosen, strict=True):
             group = fit.first_group(index) + own
             part = piece if fit.servo is None else at_state(piece, wanted, fit.servo, group, known)
@@ -431,16 +406,6 @@ def _pieces(rows: LeftOutRows, fit: JointFit, names: Names) -> list[Array]:
     return factors
 
 
-def _both_meanings_of_runs(
-    coefficients: tuple[Coefficient, ...], base: JointFit, by_k3: JointFit, by_servo: JointFit
-) -> LeftOut:
-    """A cube of a_x that runs on stands with one common ``a_x^2 + a_t^2`` cannot attribute."""
-    before, after = _values(base), _values(by_k3)
-    change = np.array([0.0 if c.name == "phi" else after[c.key] - before[c.key] for c in coefficients])
-    under = {"servo": _values(by_servo)["scale_factor"], "k3": after["scale_factor"]}
-    return cubic_doubt(coefficients, change, under, after["k3"])
-
-
 def _asked(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     """The other meaning of a requested ``k3``, if the runs cannot tell it from the servo."""
     terms, coefficients = base.wish.terms, rows.fit.coefficients
@@ -450,8 +415,7 @@ def _asked(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     if abs(k3.value) <= LEFT_OUT.seen * k3.std or swapped is None or rows.refit((*terms, "servo")):
         return ()
     shift = _values(swapped)["scale_factor"] - _values(base)["scale_factor"]
-    change = np.array([shift if c is scale else 0.0 for c in coefficients])
-    return (LeftOut(CUBIC_SOURCE, change, asked_words(scale, shift)),)
+    return (_other_meaning(coefficients, scale, shift),)
 
 
 def _lacking(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
@@ -463,7 +427,7 @@ def _lacking(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
         return ()
     best = max(clear, key=lambda wider: wider.fall)
     coefficients, after = rows.fit.coefficients, _values(best.after)
-    change = difference(coefficients, {c.key: c.value for c in coefficients}, after)
+    change = _difference(coefficients, {c.key: c.value for c in coefficients}, after)
     words = _lacking_words(best.test.names, best.after.coefficients, coefficients, after)
     return (LeftOut(LACKING[best.test.names[0]], change, words),)
 

@@ -12,50 +12,40 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piga.calibration.fit.one_run import Fit, whitened_rows
+from piga.calibration.fit.outliers import NORMAL_MEDIAN
 from piga.calibration.model.identifiability import SEPARATION, term_of
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import (
     Estimate,
     Layout,
     layout_of,
+    merged,
     name_coefficients,
     parameter_rows,
     solve_parts,
 )
 from piga.calibration.noise.weighting import SegmentBasis
 from piga.records.calibration import Coefficient, SegmentLeverage
+from piga.records.calibration.coefficient import short_way
 
 
 @dataclass(frozen=True)
 class LeverageSettings:
-    """Limits for naming a segment (own choices).
-
-    Attributes
-    ----------
-    determines:
-        Share of a coefficient's information above which one segment determines it: without it u is three times larger.
-    influential:
-        A segment is influential if it shifts a coefficient by more than this many standard uncertainties.
-    unlikely:
-        Least shift in standard deviations of such a shift by noise: 1 in 150 000.
-    most_segments:
-        Most segments for leaving out one at a time.
-    sentences:
-        Most sentences of a kind.
-    """
+    """Limits for naming a segment (own choices)."""
 
     determines: float = 0.9
+    """Share of a coefficient's information above which one segment determines it: without it u is three times larger."""
     influential: float = 3.0
+    """A segment is influential if it shifts a coefficient by more than this many standard uncertainties."""
     unlikely: float = 4.5
+    """Least shift in standard deviations of such a shift by noise: 1 in 150 000."""
     most_segments: int = 500
+    """Most segments for leaving out one at a time."""
     sentences: int = 4
+    """Most sentences of a kind."""
 
 
 LEVERAGE = LeverageSettings()
-
-
-NORMAL_MEDIAN = 0.6745
-"""Median size of a normal deviate of one."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +60,7 @@ class Without:
 def find_leverage(
     fit: Fit,
     coefficients: tuple[Coefficient, ...],
-    slow: bool = False,
+    slow: bool,
 ) -> tuple[dict[str, SegmentLeverage], tuple[str, ...], tuple[str, ...]]:
     """Leverage of every segment for ``diagnostics``, and sentences about it.
 
@@ -97,7 +87,7 @@ def find_leverage(
     layout, linear = layout_of(fit.design), fit.design.has_phases
     parts = _amplitude_parts(layout, fit) if linear else fit.summaries
     common = [c for c in coefficients if c.segment is None]
-    whole = _named(fit, layout, _merged(parts), linear)
+    whole = _named(fit, layout, merged(parts), linear)
     size = 1.0 if fit.mode == "increments" else _residual_size(parts, fit)
     table: dict[str, SegmentLeverage] = {}
     for label, traced, rest in zip(labels, leverages(parts), all_but_one(parts), strict=True):
@@ -129,34 +119,26 @@ def _amplitude_parts(layout: Layout, fit: Fit) -> list[Reduction]:
     for segment, summary in enumerate(fit.summaries):
         rows = summary.factor
         rows[:, -1] -= rows[:, :-1] @ fit.solution.values[segment]
-        part = Reduction.empty(names)
-        part.absorb(parameter_rows(fit.design, fit.solution, segment, rows).T)
-        parts.append(part)
+        own = parameter_rows(fit.design, fit.solution, segment, rows)
+        parts.append(Reduction.of_factor(names, own, len(own)))
     return parts
-
-
-def _merged(parts: list[Reduction]) -> Reduction:
-    total = Reduction.empty(parts[0].names)
-    for part in parts:
-        total.merge(part)
-    return total
 
 
 def all_but_one(parts: list[Reduction]) -> list[Reduction]:
     """For each part, the merger of all other parts; running mergers from both ends."""
     before = [Reduction.empty(parts[0].names)]
     for part in parts[:-1]:
-        before.append(_merged([before[-1], part]))
+        before.append(merged([before[-1], part]))
     mergers, after = [], Reduction.empty(parts[0].names)
     for part, first in zip(reversed(parts), reversed(before), strict=True):
-        mergers.append(_merged([first, after]))
+        mergers.append(merged([first, after]))
         after.merge(part)
     return mergers[::-1]
 
 
 def leverages(parts: list[Reduction]) -> list[float]:
     """Trace of each part's information in the total."""
-    covariance = _merged(parts).solve()[1]
+    covariance = merged(parts).solve()[1]
     factors = [part.factor[:, :-1] for part in parts]
     return [float(np.einsum("ij,jk,ik->", f, covariance, f)) for f in factors]
 
@@ -208,7 +190,7 @@ def _influence(
             share[c.name], shift[c.name] = 0.0, None
         else:
             change = left.values[c.name] - whole.values[c.name]
-            change = float(np.angle(np.exp(1j * change))) if c.name == "phi" else change
+            change = float(short_way(change)) if c.name == "phi" else change
             share[c.name] = max(0.0, 1.0 - (whole.std[c.name] / left.std[c.name]) ** 2)
             shift[c.name] = change / c.std
     return share, shift
@@ -216,7 +198,7 @@ def _influence(
 
 def _residual_size(parts: list[Reduction], fit: Fit) -> float:
     """Standard deviation of a weighted row, for methods whose weights do not use the noise levels."""
-    total = _merged(parts)
+    total = merged(parts)
     return float(np.sqrt(total.solve()[2] / max(fit.design.rows - len(total.names), 1)))
 
 

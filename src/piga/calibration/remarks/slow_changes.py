@@ -34,13 +34,12 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from piga.calibration.fit.one_run import Fit
-from piga.calibration.intervals.coloured_noise import contrasts_of
+from piga.calibration.intervals.coloured_noise import bins_of, contrasts_of
 from piga.calibration.intervals.slow_noise import triangle
 from piga.calibration.model.design import Joined
 from piga.calibration.model.reduction import solve_upper
 from piga.calibration.model.solution import name_coefficients
 from piga.calibration.noise.components import RateBins
-from piga.calibration.noise.settings import NOISE
 from piga.calibration.remarks.missing_terms import Tested, after_change, joined_rows, pieces_of, tested
 from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.spool import extent, spans
@@ -51,25 +50,18 @@ from piga.units import G0
 
 @dataclass(frozen=True)
 class WaveSettings:
-    """Settings of the search for a slow wave (own choices).
-
-    Attributes
-    ----------
-    fewest, most:
-        Cycles in the record from which and up to which a wave is slow.
-    spacing:
-        Distance of the waves that are tried [cycles in the record].
-    undetermined:
-        Smallest part of a wave that the model leaves for which the wave is tried.
-    chance:
-        Probability in a record of white noise below which a wave is a doubt.
-    """
+    """Settings of the search for a slow wave (own choices)."""
 
     fewest: float = 0.3
+    """Cycles in the record from which a wave is slow."""
     most: float = 6.0
+    """Cycles in the record up to which a wave is slow."""
     spacing: float = 0.1
+    """Distance of the waves that are tried [cycles in the record]."""
     undetermined: float = 1e-3
+    """Smallest part of a wave that the model leaves for which the wave is tried."""
     chance: float = 0.01
+    """Probability in a record of white noise below which a wave is a doubt."""
 
 
 WAVE = WaveSettings()
@@ -101,15 +93,10 @@ def slow_wave(fit: Fit) -> SlowWave | None:
     fit:
         The fit without coloured noise.
     """
-    run = fit.design.run
-    if (
-        fit.mode != "samples"
-        or fit.design.request.angle_rms is not None
-        or len(run.labels) > NOISE.most_segments
-    ):
+    if fit.mode != "samples" or fit.design.request.angle_rms is not None:
         return None
-    bins = RateBins.of(run)
-    if fit.design.rows < NOISE.colour_least * bins.count or bins.widths.min() <= 0.0:
+    bins = bins_of(fit)
+    if bins is None:
         return None
     contrasts = contrasts_of(fit, *joined_factor(fit, bins), bins)
     if contrasts is None:
@@ -168,25 +155,18 @@ TERM = "k0_T"
 
 @dataclass(frozen=True)
 class TemperatureSettings:
-    """Limits for the remark on a bias that follows the temperature.
-
-    Attributes
-    ----------
-    confidence:
-        Probability [1] that the bound holds the change of the bias with temperature.
-    bias:
-        Largest change of the bias with temperature [g/K] that is taken to be possible (own choice). It keeps the remark
-        away from temperatures that are held to some thousandths of a kelvin.
-    shift:
-        Change of a coefficient in its standard uncertainties above which the remark is made.
-    growth:
-        Ratio [1] of the fit's standard uncertainties with ``k0_T`` and without it above which ``k0_T`` alone helps little.
-    """
+    """Limits for the remark on a bias that follows the temperature."""
 
     confidence: float = 0.95
+    """Probability [1] that the bound holds the change of the bias with temperature."""
     bias: float = 5e-5
+    """Largest change of the bias with temperature [g/K] that is taken to be possible (own choice). It keeps the remark
+    away from temperatures that are held to some thousandths of a kelvin."""
     shift: float = 1.0
+    """Change of a coefficient in its standard uncertainties above which the remark is made."""
     growth: float = 1.5
+    """Ratio [1] of the fit's standard uncertainties with ``k0_T`` and without it above which ``k0_T`` alone helps
+    little."""
 
 
 TEMPERATURE = TemperatureSettings()
@@ -237,7 +217,7 @@ class Unseen:
 
 
 def unseen_bias(
-    plain: Fit, coefficients: tuple[Coefficient, ...], suggestions: tuple[MissingTerm, ...] = ()
+    plain: Fit, coefficients: tuple[Coefficient, ...], suggestions: tuple[MissingTerm, ...]
 ) -> Unseen | None:
     """The bias that a record does not exclude; None if it moves nothing by more than its uncertainty.
 

@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from piga.calibration.fit.one_run import Fit
-from piga.calibration.intervals.coloured_noise import contrasts_of
+from piga.calibration.intervals.coloured_noise import bins_of, contrasts_of
 from piga.calibration.intervals.slow_noise import moved_by
-from piga.calibration.model.solution import name_coefficients
+from piga.calibration.model.solution import variances_of
 from piga.calibration.noise.components import RATES, RateBins, markov_times
 from piga.calibration.noise.likelihood import ProfileLikelihood
-from piga.calibration.noise.settings import NOISE
 from piga.calibration.remarks.slow_changes import joined_factor
 from piga.records.calibration import Coefficient
 from piga.records.calibration.verdict import THRESHOLDS
@@ -33,30 +32,21 @@ from piga.units import G0
 
 @dataclass(frozen=True)
 class UnseenSettings:
-    """Limits for the remark on coloured noise that the record does not exclude.
-
-    Attributes
-    ----------
-    confidence:
-        Probability [1] that the level is below its limit.
-    growth:
-        Ratio [1] of the expanded uncertainty with the noise to the reported one above which the remark is made. An interval that
-        is too narrow by this ratio holds in 92 % instead of 95 %, the least that is asked of coloured noise.
-    size:
-        Smallest noise [g] that is worth a remark (own choice: the tables of docs/accuracy have 3.4 micro-g). It is the noise
-        of a decade of frequency (flicker), of the rate (Markov) or of the whole test (drift). Without it the remark would stand
-        in records of any length: the limit of the noise falls with the length as the uncertainties do.
-    shuffled:
-        Largest share [1] of the excess of the growth that another order of the positions leaves for it to be named.
-    stride:
-        Step from one position to the next in that order, as a share [1] of the positions (the golden section).
-    """
+    """Limits for the remark on coloured noise that the record does not exclude."""
 
     confidence: float = 0.95
+    """Probability [1] that the level is below its limit."""
     growth: float = 1.12
+    """Ratio [1] of the expanded uncertainty with the noise to the reported one above which the remark is made. An
+    interval that is too narrow by this ratio holds in 92 % instead of 95 %, the least that is asked of coloured noise."""
     size: float = 3e-6
+    """Smallest noise [g] that is worth a remark (own choice: the tables of docs/accuracy have 3.4 micro-g). It is the
+    noise of a decade of frequency (flicker), of the rate (Markov) or of the whole test (drift). Without it the remark
+    would stand in records of any length: the limit of the noise falls with the length as the uncertainties do."""
     shuffled: float = 0.5
+    """Largest share [1] of the excess of the growth that another order of the positions leaves for it to be named."""
     stride: float = 0.381966
+    """Step from one position to the next in that order, as a share [1] of the positions (the golden section)."""
 
 
 UNSEEN = UnseenSettings()
@@ -127,19 +117,15 @@ def unseen_noise(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) ->
     coefficients:
         Those of the result, with combined uncertainties.
     """
-    run, request = fit.design.run, fit.design.request
-    able = fit.mode in ("increments", "samples") and request.method == "information" and fit.counted is None
     told = fit.noise.slow > 0.0 or (fit.colour is not None and fit.colour.gain > THRESHOLDS.coloured)
-    if not able or told or request.angle_rms is not None or fit.noise.stated:
+    if not fit.seeks_noise or fit.counted is not None or told or fit.noise.stated:
         return None
-    if len(run.labels) > NOISE.most_segments:
-        return None
-    bins = RateBins.of(run, coarse=True)
-    if fit.design.rows < NOISE.colour_least * bins.count or bins.widths.min() <= 0.0:
+    bins = bins_of(fit, coarse=True)
+    if bins is None:
         return None
     factor, rows = joined_factor(plain, bins)
     contrasts = contrasts_of(plain, factor, rows, bins)
-    moved = moved_by(factor, bins, len(plain.solution.amplitudes) + len(plain.solution.phases))
+    moved = moved_by(factor, bins, plain.solution.parameters)
     if contrasts is None or moved is None:
         return None
     walk = 0.0 if bins.point else plain.noise.walk
@@ -147,8 +133,14 @@ def unseen_noise(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) ->
         contrasts, contrasts.turned(walk * RATES["walk"](bins, 0.0)) if walk else None
     )
     expanded = np.array([c.expanded for c in coefficients]) / float(ndtri(0.5 + 0.5 * UNSEEN.confidence))
-    white = _variances(plain, plain.solution.covariance) * (plain.sample_variance if bins.point else 1.0)
-    without = np.array([c.std**2 for c in coefficients]) - _variances(fit, fit.covariance) + white
+    white = variances_of(plain.design, plain.solution, plain.solution.covariance) * (
+        plain.sample_variance if bins.point else 1.0
+    )
+    without = (
+        np.array([c.std**2 for c in coefficients])
+        - variances_of(fit.design, fit.solution, fit.covariance)
+        + white
+    )
     lost = walk * _shares(plain, moved, RATES["walk"](bins, 0.0))
     seconds = float(np.median(bins.edges[:, -1] - bins.edges[:, 0]))
     worst: UnseenNoise | None = None
@@ -177,19 +169,14 @@ def unseen_noise(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) ->
                 shuffled=float(other[at]),
                 seconds=seconds,
                 longer=math.nan if kind == "markov" else (size / UNSEEN.size) ** 2,
-                positions=len(run.labels),
+                positions=len(fit.design.run.labels),
             )
     return worst
 
 
-def _variances(fit: Fit, covariance: Array) -> Array:
-    """Variances of the coefficients (file units) for a covariance of the parameters."""
-    return np.diag(name_coefficients(fit.design, fit.solution, covariance)[1]).copy()
-
-
 def _shares(fit: Fit, moved: Array, rates: Array) -> Array:
     """Variances of the coefficients by a covariance of the slow rates."""
-    return _variances(fit, moved @ rates @ moved.T)
+    return variances_of(fit.design, fit.solution, moved @ rates @ moved.T)
 
 
 def _shuffled(bins: RateBins) -> NDArray[np.int64]:

@@ -268,6 +268,19 @@ class Coefficient(ByValue):
         return html_of(self)
 
 
+def short_way(turn: ArrayLike) -> NDArray[np.float64]:
+    """A change of an angle [rad] the short way round, in (-pi, pi]."""
+    return np.angle(np.exp(1j * np.asarray(turn)))
+
+
+def changes(
+    coefficients: Iterable[Coefficient], before: NDArray[np.float64], after: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Changes of coefficients from one set of values (n,) to another; that of a phase is the short way round."""
+    moved = after - before
+    return np.where([c.name == "phi" for c in coefficients], short_way(moved), moved)
+
+
 def rounded(c: Coefficient) -> str:
     """The value, rounded to the last digit of its uncertainty."""
     if not (math.isfinite(c.std) and c.std > 0.0):
