@@ -6,10 +6,19 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 import piga
-from piga.calibration.model.solution import Estimate, Layout, name_parameters
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.solution import (
+    Estimate,
+    Layout,
+    _best_phases,
+    _Profile,
+    name_parameters,
+    solve_parts,
+)
 from piga.units import G0
 from tests.calibration.made.random_plans import problem
 
@@ -70,3 +79,75 @@ def test_a_negative_coupling_is_a_positive_one_half_a_turn_away() -> None:
     # d tan_beta = -(d A - tan dK)/K: the sign of its covariance with the phase turns with its own
     tangent = amplitudes[0] / K
     assert covariance[at] == pytest.approx(-(plain[0, 7] - tangent * plain[5, 7]) / K, rel=1e-9)
+
+
+GROUPS = 5
+
+
+def grouped(seed: int, orders: tuple[int, ...], uneven: float) -> tuple[Layout, list[np.ndarray], np.ndarray]:
+    """Layout, factors and true amplitudes; groups show one direction up to ``10**uneven`` times as well as the other."""
+    rng = np.random.default_rng(seed)
+    layout = Layout.of_one(True, orders, ("scale_factor", "k0"), GROUPS)
+    size, factors = layout.local + 3, []
+    truth = rng.standard_normal(layout.size)
+    truth[: layout.head] = np.append(1.0, 0.05 * truth[1 : layout.head])
+    for group in range(GROUPS):
+        factor = np.triu(rng.standard_normal((size, size)), 1) + np.diag(rng.uniform(1.0, 2.0, size))
+        factor[0] *= 10.0 ** rng.uniform(0.0, uneven)
+        factor[:-1, -1] = factor[:-1, :-1] @ layout.linear(truth, rng.uniform(-3.0, 3.0), group)
+        factor[:-1, -1] += 0.02 * rng.standard_normal(size - 1)
+        factors.append(factor)
+    return layout, factors, truth
+
+
+@pytest.mark.parametrize("orders", [(), (1,), (1, 2)])
+def test_the_best_phase_is_that_of_a_fine_grid(orders: tuple[int, ...]) -> None:
+    """The cost has several minima, as narrow as a hundredth of a radian."""
+    grid = np.linspace(-np.pi, np.pi, 20_001)
+    for seed in range(20):
+        layout, factors, _ = grouped(seed, orders, 3.0)
+        amplitudes = np.random.default_rng(100 + seed).standard_normal(layout.size)
+        best = _best_phases(layout, amplitudes, factors)
+        for group, factor in enumerate(factors):
+            tried = [layout.linear(amplitudes, phase, group) for phase in (*grid[::20], best[group])]
+            cost = np.sum((factor[:-1, -1] - np.array(tried) @ factor[:-1, :-1].T) ** 2, axis=1)
+            near = grid[20 * int(np.argmin(cost[:-1])) :][:1] + np.linspace(-0.01, 0.01, 401)
+            fine = np.array([layout.linear(amplitudes, phase, group) for phase in near])
+            least = np.min(np.sum((factor[:-1, -1] - fine @ factor[:-1, :-1].T) ** 2, axis=1))
+            assert cost[-1] <= least * (1.0 + 1e-9)
+
+
+def test_derivatives_where_the_phases_follow() -> None:
+    layout, factors, _ = grouped(3, (1,), 3.0)
+    amplitudes = np.random.default_rng(4).standard_normal(layout.size)
+    here, h = _Profile.of(layout, amplitudes, factors), 1e-5
+    for k, step in enumerate(h * np.eye(layout.size)):
+        low, high = (_Profile.of(layout, amplitudes + sign * step, factors) for sign in (-1.0, 1.0))
+        assert here.slope[k] == pytest.approx((high.cost - low.cost) / (2.0 * h), rel=1e-6)
+        change = (high.slope - low.slope) / (2.0 * h)
+        np.testing.assert_allclose(here.curvature[k], change, atol=1e-6 * np.abs(here.curvature).max())
+
+
+@pytest.mark.parametrize(("orders", "uneven"), [((), 0.5), ((2,), 0.5), ((), 3.0), ((2,), 3.0)])
+def test_common_amplitudes_have_the_least_sum_of_squares(orders: tuple[int, ...], uneven: float) -> None:
+    """SciPy stays where it is; where both directions show, it finds nothing better from the truth."""
+    for seed in range(12):
+        layout, factors, truth = grouped(seed, orders, uneven)
+        names = layout.columns
+        parts = [Reduction.of_factor(names, factor, 100) for factor in factors]
+        estimate = solve_parts(layout, parts)
+
+        def residual(x: np.ndarray, layout: Layout = layout, factors: list[np.ndarray] = factors) -> np.ndarray:
+            rows = [
+                factor[:-1, -1] - factor[:-1, :-1] @ layout.linear(x[: layout.size], x[layout.size + g], g)
+                for g, factor in enumerate(factors)
+            ]
+            return np.concatenate(rows)
+
+        reached = np.append(estimate.amplitudes, estimate.phases)
+        if uneven < 1.0:
+            start = np.append(truth, estimate.phases)
+            other = least_squares(residual, start, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-12)
+            assert np.sum(residual(reached) ** 2) <= 2.0 * other.cost * (1.0 + 1e-9)
+        moved = least_squares(residual, reached, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-12).x - reached
+        assert np.abs(moved / np.sqrt(np.diag(estimate.covariance))).max() < 1e-4

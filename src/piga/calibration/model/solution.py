@@ -1,7 +1,7 @@
 """Solve the summaries: linear estimate, one phase or one per phase group, covariance, named coefficients.
 
 Without the phase, the linear parameters are ``[local of group 0, local of group 1, ..., shared]``. If several groups share
-tan_beta and the harmonics, Gauss-Newton on the stacked triangular factors imposes this, starting from the linear
+tan_beta and the harmonics, separable least squares on the triangular factors imposes this, starting from the linear
 solution. Names and file units are applied last.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,10 +33,14 @@ class SolutionSettings:
 
     unseen: float = 1e-12
     """Size of a phase's column, relative to the largest column, below which no sample shows the phase."""
-    iterations: int = 50
-    """Most Gauss-Newton steps for a coupling that several phases share; a few are usual."""
-    scan: int = 72
-    """Phases tried for each group before refinement; the cost has at most two minima on the circle."""
+    settled: float = 1e-6
+    """Step of the common amplitudes, in their standard uncertainties, at which they are settled."""
+    reach: float = 1e6
+    """Largest first step of them, in their standard uncertainties."""
+    scan: int = 180
+    """Phases tried for each group before refinement; the cost has at most twice the highest order of minima."""
+    refinements: int = 8
+    """Newton steps from each of these minima; four are enough unless two of them lie close together."""
 
 
 SOLUTION = SolutionSettings()
@@ -83,20 +88,26 @@ class Layout:
         head += [(f"{kind}{order}", None) for order in self.orders for kind in ("s", "c")]
         return (*head, *self.keys)
 
+    def turned(self, amplitudes: Array, phases: Array, derivative: int = 0) -> Array:
+        """Coefficients of the local columns (.., local) at phases (..), or a derivative of them by the phase."""
+        columns: list[Array] = []
+        for order in (*((1,) if self.coupled else ()), *self.orders):
+            cosine, sine = np.cos(order * phases), np.sin(order * phases)
+            for _ in range(derivative):
+                cosine, sine = -order * sine, order * cosine
+            at = len(columns)
+            if self.coupled and at == 0:
+                columns += [amplitudes[0] * cosine, amplitudes[0] * sine]
+                continue
+            s, c = amplitudes[at - self.coupled : at - self.coupled + 2]
+            # the column named s_n is int(y sin - z cos) with y = 1, z = 0; c_n is int(y cos + z sin)
+            columns += [s * cosine - c * sine, s * sine + c * cosine]
+        return np.stack(columns, axis=-1) if columns else np.zeros((*phases.shape, 0))
+
     def linear(self, amplitudes: Array, phase: float, group: int) -> Array:
         """Column coefficients of a group at this phase."""
-        parts: list[float] = []
-        at = 0
-        if self.coupled:
-            parts += [amplitudes[0] * np.cos(phase), amplitudes[0] * np.sin(phase)]
-            at = 1
-        for order in self.orders:
-            s, c = amplitudes[at], amplitudes[at + 1]
-            cosine, sine = np.cos(order * phase), np.sin(order * phase)
-            # the column named s_n is int(y sin - z cos) with y = 1, z = 0; c_n is int(y cos + z sin)
-            parts += [s * cosine - c * sine, s * sine + c * cosine]
-            at += 2
-        return np.concatenate([parts, amplitudes[at:][self.tails[group]]])
+        local = self.turned(amplitudes, np.array([phase]))[0]
+        return np.concatenate([local, amplitudes[self.head :][self.tails[group]]])
 
     def from_linear(self, linear: Array, phase: float) -> Array:
         """Amplitudes from the column coefficients of the only group."""
@@ -120,19 +131,14 @@ class Layout:
         row = at = 0
         if self.coupled:
             result[0, 0], result[1, 0] = np.cos(phase), np.sin(phase)
-            result[0, self.size + group] = -amplitudes[0] * np.sin(phase)
-            result[1, self.size + group] = amplitudes[0] * np.cos(phase)
             row, at = 2, 1
         for order in self.orders:
             cosine, sine = np.cos(order * phase), np.sin(order * phase)
             result[row : row + 2, at : at + 2] = [[cosine, -sine], [sine, cosine]]
-            s, c = amplitudes[at], amplitudes[at + 1]
-            result[row : row + 2, self.size + group] = [
-                -order * (s * sine + c * cosine),
-                order * (s * cosine - c * sine),
-            ]
             row, at = row + 2, at + 2
         result[row + np.arange(tail.size), at + tail] = 1.0
+        if phases.size:
+            result[: self.local, self.size + group] = self.turned(amplitudes, phases[group : group + 1], 1)[0]
         return result
 
     def embedded(self, factor: Array, group: int) -> Array:
@@ -251,8 +257,8 @@ def _without_last(estimate: Estimate, size: int, extra: int) -> Estimate:
 def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
     """Estimate from one summary per phase group; the groups may be of different runs.
 
-    Linear, and exact, for one group or without local columns; otherwise Gauss-Newton on the stacked
-    triangular factors, from the linear solution.
+    Linear, and exact, for one group or without local columns; otherwise separable least squares on the triangular
+    factors, from the linear solution.
     """
     if len(parts) > 1 and layout.local:
         return _solve_groups(layout, parts)
@@ -274,40 +280,101 @@ def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
 
 
 def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
-    """Solve with one phase per group and common amplitudes."""
+    """Solve with one phase per group and common amplitudes: separable least squares [Golub2003].
+
+    The best phases for given amplitudes are found group by group. What is left is a function of the amplitudes alone, whose
+    first and second derivatives are known.
+    """
     if not layout.coupled:
         raise CalibrationError(
             "harmonics with more than one phase (phase 'per-segment', or several runs) need 'tan_beta' among the "
             "terms: it carries the phase",
             remedy="add 'tan_beta'",
         )
+    from scipy.optimize import minimize
+
     factors = [part.factor for part in parts]
     shared, amplitude = _start(layout, parts)
-    amplitudes = np.concatenate([[amplitude], np.zeros(2 * len(layout.orders)), shared])
-    phases = np.array([_scan(layout, amplitudes, factor, g) for g, factor in enumerate(factors)])
-    amplitudes = _amplitudes_given(layout, phases, factors)
-    cost = _cost(layout, amplitudes, phases, factors)
-    damping = 0.0
-    for _ in range(SOLUTION.iterations):
-        R, residual = _linearised(layout, amplitudes, phases, factors)
-        step = _damped_step(R, residual, damping)
-        new_amplitudes, new_phases = amplitudes + step[: layout.size], phases + step[layout.size :]
-        new_cost = _cost(layout, new_amplitudes, new_phases, factors)
-        if new_cost <= cost * (1.0 + 1e-13):
-            done = cost - new_cost <= 1e-14 * cost and damping == 0.0
-            amplitudes, phases, cost = new_amplitudes, new_phases, new_cost
-            damping = 0.0 if damping < 1e-6 else damping / 10.0
-            if done:
-                break
-        else:
-            damping = max(10.0 * damping, 1e-6)
-            if damping > 1e6:
-                break
-    R, _ = _linearised(layout, amplitudes, phases, factors)
-    covariance = _inverse_information(R, layout.size)
-    rss = cost + sum(float(part.weight[0, -1]) for part in parts)
-    jacobians = tuple(layout.jacobian(amplitudes, phases, g) for g in range(len(parts)))
-    return Estimate(amplitudes, phases, covariance, rss, jacobians)
+    first = np.concatenate([[amplitude], np.zeros(2 * len(layout.orders)), shared])
+    first = _amplitudes_given(layout, _best_phases(layout, first, factors), factors)
+    beyond, count = sum(float(part.weight[0, -1]) for part in parts), sum(part.count for part in parts)
+
+    @lru_cache(maxsize=1)
+    def at(amplitudes: bytes) -> _Profile:
+        return _Profile.of(layout, np.frombuffer(amplitudes), factors)
+
+    start = at(first.tobytes())
+    variance = (start.cost + beyond) / count or 1.0
+    scale = np.linalg.norm(np.vstack(start.rows), axis=0)[: layout.size] / np.sqrt(variance)
+    scale[scale == 0.0] = 1.0
+    reach = {"initial_trust_radius": SOLUTION.reach, "max_trust_radius": 1e3 * SOLUTION.reach}
+    result = minimize(
+        lambda x: at((x / scale).tobytes()).cost / variance,
+        first * scale,
+        jac=lambda x: at((x / scale).tobytes()).slope / scale / variance,
+        hess=lambda x: at((x / scale).tobytes()).curvature / np.outer(scale, scale) / variance,
+        method="trust-exact",
+        options={"gtol": SOLUTION.settled, **reach},
+    )
+    best = at((result.x / scale).tobytes())
+    covariance = _inverse_information(np.linalg.qr(np.vstack(best.rows), mode="r"), layout.size)
+    jacobians = tuple(layout.jacobian(best.amplitudes, best.phases, g) for g in range(len(parts)))
+    return Estimate(best.amplitudes, best.phases, covariance, best.cost + beyond, jacobians)
+
+
+@dataclass(frozen=True)
+class _Profile:
+    """Least sum of squares that the phases of the groups allow, as a function of the common amplitudes.
+
+    ``phases`` are the best ones for ``amplitudes``; ``rows`` (m, size + groups) and ``residuals`` (m,) are those of each group.
+    """
+
+    layout: Layout
+    factors: list[Array]
+    amplitudes: Array
+    phases: Array
+    rows: list[Array]
+    residuals: list[Array]
+
+    @classmethod
+    def of(cls, layout: Layout, amplitudes: Array, factors: list[Array]) -> _Profile:
+        phases = _best_phases(layout, amplitudes, factors)
+        rows = [f[:-1, :-1] @ layout.jacobian(amplitudes, phases, g) for g, f in enumerate(factors)]
+        residuals = [
+            f[:-1, -1] - f[:-1, :-1] @ layout.linear(amplitudes, phases[g], g) for g, f in enumerate(factors)
+        ]
+        return cls(layout, factors, amplitudes, phases, rows, residuals)
+
+    @property
+    def cost(self) -> float:
+        """The sum of squares."""
+        return float(sum(residual @ residual for residual in self.residuals))
+
+    @property
+    def slope(self) -> Array:
+        """Its derivative by the amplitudes; at the best phases their change has no effect."""
+        slope: Array = -2.0 * np.concatenate(self.residuals) @ np.vstack(self.rows)[:, : self.layout.size]
+        return slope
+
+    @property
+    def curvature(self) -> Array:
+        """Its second derivatives by the amplitudes. The phases follow the amplitudes."""
+        layout, local = self.layout, self.layout.local
+        head, size = layout.head, layout.size
+        bends = layout.turned(self.amplitudes, self.phases, 2)
+        turns = np.stack([layout.turned(unit, self.phases, 1) for unit in np.eye(head)], axis=2)
+        total = np.zeros((size, size))
+        for group, (factor, rows, residual) in enumerate(
+            zip(self.factors, self.rows, self.residuals, strict=True)
+        ):
+            own, along, top = rows[:, :size], rows[:, size + group], factor[:local, :local]
+            mixed = own.T @ along
+            mixed[:head] -= (top @ turns[group]).T @ residual[:local]
+            own_curvature = float(along @ along - residual[:local] @ (top @ bends[group]))
+            total += own.T @ own
+            if own_curvature > 0.0:
+                total -= np.outer(mixed, mixed) / own_curvature
+        return 2.0 * total
 
 
 def _start(layout: Layout, parts: list[Reduction]) -> tuple[Array, float]:
@@ -337,12 +404,41 @@ def least_squares(rows: Array, right: Array, rcond: float) -> Array:
     return np.linalg.lstsq(rows / scale, right, rcond=rcond)[0] / scale
 
 
-def _scan(layout: Layout, amplitudes: Array, factor: Array, group: int) -> float:
-    """Best of ``SOLUTION.scan`` phases for one group."""
-    m = factor.shape[0] - 1
-    trial = 2.0 * np.pi * np.arange(SOLUTION.scan) / SOLUTION.scan - np.pi
-    costs = [np.sum((factor[:m, :m] @ layout.linear(amplitudes, p, group) - factor[:m, m]) ** 2) for p in trial]
-    return float(trial[int(np.argmin(costs))])
+def _best_phases(layout: Layout, amplitudes: Array, factors: list[Array]) -> Array:
+    """Phase of least cost of each group, for these amplitudes.
+
+    The cost is a trigonometric polynomial of twice the highest order. Each of its minima on a grid is refined by Newton's method,
+    and the least is taken: where a group shows one direction much better than the other, its minima are narrow and the grid
+    alone does not tell which is deeper. Only the first rows of a triangular factor have local columns.
+    """
+    local = layout.local
+    top = np.stack([factor[:local, :local] for factor in factors])
+    shared = [amplitudes[layout.head :][tail] for tail in layout.tails]
+    right = np.stack(
+        [f[:local, -1] - f[:local, local:-1] @ own for f, own in zip(factors, shared, strict=True)]
+    )
+
+    def modelled(phases: Array, derivative: int = 0) -> Array:
+        return np.einsum("gij,gkj->gki", top, layout.turned(amplitudes, phases, derivative))
+
+    spacing = 2.0 * np.pi / SOLUTION.scan
+    trial = np.tile(spacing * np.arange(SOLUTION.scan) - np.pi, (len(factors), 1))
+    cost = np.sum((right[:, None] - modelled(trial)) ** 2, axis=2)
+    lowest = (cost <= np.roll(cost, 1, axis=1)) & (cost <= np.roll(cost, -1, axis=1))
+    order = np.argsort(np.where(lowest, cost, np.inf), axis=1)[:, : 2 * max((1, *layout.orders))]
+    first = phases = np.take_along_axis(trial, order, axis=1)
+    for _ in range(SOLUTION.refinements):
+        slope, missed = modelled(phases, 1), right[:, None] - modelled(phases)
+        square = np.sum(slope**2, axis=2)
+        curvature = square - np.sum(modelled(phases, 2) * missed, axis=2)
+        curvature = np.where(curvature > 0.0, curvature, square)
+        step = np.divide(
+            np.sum(slope * missed, axis=2), curvature, out=np.zeros_like(phases), where=curvature > 0.0
+        )
+        phases = np.clip(phases + step, first - spacing, first + spacing)
+    cost = np.sum((right[:, None] - modelled(phases)) ** 2, axis=2)
+    best: Array = phases[np.arange(len(factors)), np.argmin(cost, axis=1)]
+    return best
 
 
 def _amplitudes_given(layout: Layout, phases: Array, factors: list[Array]) -> Array:
@@ -356,31 +452,6 @@ def _amplitudes_given(layout: Layout, phases: Array, factors: list[Array]) -> Ar
     total = Reduction.empty(tuple(str(i) for i in range(layout.size)))
     total.add(np.vstack(rows), np.concatenate(right))
     return total.solve()[0]
-
-
-def _residuals(layout: Layout, amplitudes: Array, phases: Array, factors: list[Array]) -> list[Array]:
-    return [f[:-1, -1] - f[:-1, :-1] @ layout.linear(amplitudes, phases[g], g) for g, f in enumerate(factors)]
-
-
-def _cost(layout: Layout, amplitudes: Array, phases: Array, factors: list[Array]) -> float:
-    return float(sum(np.sum(r**2) for r in _residuals(layout, amplitudes, phases, factors)))
-
-
-def _linearised(layout: Layout, amplitudes: Array, phases: Array, factors: list[Array]) -> tuple[Array, Array]:
-    """Triangular factor of the Jacobian and the rotated residual."""
-    rows = np.vstack([f[:-1, :-1] @ layout.jacobian(amplitudes, phases, g) for g, f in enumerate(factors)])
-    residual = np.concatenate(_residuals(layout, amplitudes, phases, factors))
-    q, r = np.linalg.qr(rows)
-    return r, q.T @ residual
-
-
-def _damped_step(R: Array, residual: Array, damping: float) -> Array:
-    scale = np.linalg.norm(R, axis=0)
-    scale[scale == 0.0] = 1.0
-    if damping == 0.0 and np.abs(np.diag(R) / scale).min() > 1e-12:
-        return solve_upper(R, residual)
-    stacked = np.vstack([R, np.diag(scale * np.sqrt(max(damping, 1e-14)))])
-    return np.linalg.lstsq(stacked, np.concatenate([residual, np.zeros(R.shape[1])]), rcond=None)[0]
 
 
 def _inverse_information(R: Array, first_phase: int) -> Array:
