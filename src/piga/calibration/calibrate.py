@@ -68,7 +68,7 @@ from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
 from piga.calibration.remarks.missing_terms import Candidates
 from piga.calibration.remarks.slow_changes import unseen_bias
-from piga.calibration.remarks.unseen_noise import unseen_noise
+from piga.calibration.remarks.unseen_noise import slow_rates, unseen_noise
 from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.progress import Progress, Steps
 from piga.reading.signal_checks import largest_size
@@ -188,22 +188,22 @@ def _calibration(
     except (IdentifiabilityError, DataError) as error:
         raise with_advice(error, advise(run, request)) from None
     with beside(run.size) as other:
-        type_a_freedom = other.submit(type_a_degrees, fit)
         residuals = other.submit(find_residuals, fit.design, fit.solution.values, fit.noise, fit.mode)
+        candidates = Candidates(without_slow(fit))
+        seen = other.submit(slow_rates, fit, candidates.fit)
         steps("adding up the budget")
         budget = make_budget(fit, coefficients, covariance, steps)
-        candidates = Candidates(without_slow(fit))
         doubts = left_out_terms(candidates, coefficients)
         for doubt in doubts:
             budget = budget.with_row(doubt.row(coefficients))
         type_a, whole = budget.covariances(covariance)
-        degrees = type_a_freedom.result() * share_of_type_a(type_a, covariance)
+        degrees = type_a_degrees(fit) * share_of_type_a(type_a, covariance)
         covariance = whole
         coefficients = combined(coefficients, covariance, budget.rows, degrees)
         steps("checking the intervals")
         coefficients, monte_carlo = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
         steps("looking for missing terms")
-        not_excluded = other.submit(unseen_noise, fit, candidates.fit, coefficients)
+        not_excluded = other.submit(lambda: unseen_noise(seen.result(), coefficients))
         said = find_remarks(fit, candidates, coefficients)
         history = _history(fit) if request.method == "recursive" else None
         examined = _examined(fit, residuals.result())

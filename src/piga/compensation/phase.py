@@ -104,7 +104,7 @@ class PhaseFinder:
         coupling_columns(psi, *twice, bows, h, straight, 2.0, rows[3:5])
         carry, scale, white = np.empty(h.size), np.empty(h.size), np.empty_like(rows)
         self._variance = innovation_weights(h, self._white, self._walk, self._variance, carry, scale)
-        whiten(rows, 0, carry, scale, self._whitener, white)
+        whiten(rows, carry, scale, self._whitener, white)
         self._normal += white @ white.T
 
     def phase(self) -> Phase | None:

@@ -25,8 +25,8 @@ def test_whitening_is_the_inverse_cholesky_factor() -> None:
     carry, scale, out, state = np.empty(40), np.empty(40), np.empty((3, 40)), np.zeros(3)
     last = innovation_weights(h[:17], white, walk, 0.0, carry[:17], scale[:17])
     innovation_weights(h[17:], white, walk, last, carry[17:], scale[17:])
-    whiten(columns[:, :17].copy(), 0, carry[:17], scale[:17], state, out[:, :17])
-    whiten(columns, 17, carry, scale, state, out[:, 17:])
+    whiten(columns[:, :17].copy(), carry[:17], scale[:17], state, out[:, :17])
+    whiten(columns[:, 17:].copy(), carry[17:], scale[17:], state, out[:, 17:])
     wanted = np.linalg.solve(np.linalg.cholesky(dense_covariance(h, white, walk)), columns.T).T
     np.testing.assert_allclose(out, wanted, rtol=1e-12, atol=1e-13)
 

@@ -225,15 +225,17 @@ def test_where_it_is_not_needed() -> None:
     assert remarks_of(piga.calibrate(run, SMALL.terms, "rate" if run.kind == "angle" else "recursive")) == []
     fit = fitted(SMALL, 2)
     coefficients = piga.calibrate(run, SMALL.terms).coefficients
-    alone = unseen_noise.unseen_noise(fit, fit, coefficients)
+    alone = unseen_noise.unseen_noise(unseen_noise.slow_rates(fit, fit), coefficients)
     assert alone is not None
-    twice = unseen_noise.unseen_noise(fit, fit, tuple(replace(c, std=2.0 * c.std) for c in coefficients))
+    twice = unseen_noise.unseen_noise(
+        unseen_noise.slow_rates(fit, fit), tuple(replace(c, std=2.0 * c.std) for c in coefficients)
+    )
     assert twice is not None
     assert twice.growth == pytest.approx(math.sqrt(3.0 + alone.growth**2) / 2.0, rel=1e-3), (
         "as much again of Type B"
     )
     vague = tuple(replace(c, std=20.0 * c.std) for c in coefficients)
-    assert unseen_noise.unseen_noise(fit, fit, vague) is None
+    assert unseen_noise.unseen_noise(unseen_noise.slow_rates(fit, fit), vague) is None
 
 
 @pytest.mark.only_compiled
@@ -255,7 +257,7 @@ def test_what_the_noise_takes_the_place_of_is_subtracted(monkeypatch: pytest.Mon
         limit = UpperLimit(1e-10, share)
         monkeypatch.setattr(ProfileLikelihood, "limit", lambda *_, limit=limit: limit)
         monkeypatch.setattr(ProfileLikelihood, "excludes", lambda *_: False)
-        found = unseen_noise.unseen_noise(fit, fit, coefficients)
+        found = unseen_noise.unseen_noise(unseen_noise.slow_rates(fit, fit), coefficients)
         assert found is not None
         grown.append(found.growth)
     assert grown[0] ** 2 - grown[1] ** 2 == pytest.approx(0.9, rel=0.1)

@@ -71,7 +71,7 @@ def _whitening() -> Iterator[Pair]:
         literal.append(i / np.sqrt(v))
     carry, scale, out = np.empty(20), np.empty(20), np.empty((1, 20))
     innovation_weights(h, r, q_w, 0.0, carry, scale)
-    whiten(d[None], 0, carry, scale, np.zeros(1), out)
+    whiten(d[None], carry, scale, np.zeros(1), out)
     yield literal, out[0], 1e-14
 
 

@@ -14,7 +14,7 @@ from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients
 from piga.calibration.noise.components import RATES, RateBins
 from piga.calibration.noise.likelihood import Contrasts, ProfileLikelihood
-from piga.calibration.remarks.unseen_noise import unseen_noise
+from piga.calibration.remarks.unseen_noise import slow_rates, unseen_noise
 from piga.units import G0
 from tests.calibration.made.coloured_truth import LOG
 from tests.calibration.made.independent import head
@@ -49,7 +49,7 @@ def _growth() -> Iterator[Pair]:
     run = test.record(2)
     coefficients = piga.calibrate(run, test.terms).coefficients
     fit = fit_run(run, make_request(run, test.terms))
-    found = unseen_noise(fit, fit, coefficients)
+    found = unseen_noise(slow_rates(fit, fit), coefficients)
     assert found is not None
     assert found.kind == "drift"
     bins = RateBins.of(run, coarse=True)

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.arithmetic import fast_sine_cosine
-from piga._kernels.estimation.sequential import absorb
 from piga._kernels.jit import Array, kernel, reducing_kernel
 
 LARGE, SMALL = 2.0**300, 2.0**-300
@@ -62,39 +61,25 @@ def innovation_weights(
 
 
 @kernel
-def whiten(columns: Array, start: int, carry: Array, scale: Array, state: Array, out: Array) -> None:
-    """Run the recursion over every row of ``columns`` (m, n) from ``start`` on, as far as ``out`` (m, k) reaches.
+def whiten(columns: Array, carry: Array, scale: Array, state: Array, out: Array) -> None:
+    """Run the recursion over every row of ``columns`` (m, n); ``state`` (m,) holds the last innovations.
 
-    ``state`` (m,) holds the last innovations. Each step waits for the one before, so four rows go side by side. The last
-    row stands in where rows lack.
+    Each step waits for the one before, so four rows go side by side. The last row stands in where rows lack.
     """
-    m, n = out.shape
+    m, n = columns.shape
     for j in range(0, m, 4):
         k, p, q = min(j + 1, m - 1), min(j + 2, m - 1), min(j + 3, m - 1)
         first, second, third, fourth = state[j], state[k], state[p], state[q]
         for i in range(n):
-            at = start + i
-            first = columns[j, at] + carry[at] * first
-            second = columns[k, at] + carry[at] * second
-            third = columns[p, at] + carry[at] * third
-            fourth = columns[q, at] + carry[at] * fourth
-            out[j, i] = first * scale[at]
-            out[k, i] = second * scale[at]
-            out[p, i] = third * scale[at]
-            out[q, i] = fourth * scale[at]
+            first = columns[j, i] + carry[i] * first
+            second = columns[k, i] + carry[i] * second
+            third = columns[p, i] + carry[i] * third
+            fourth = columns[q, i] + carry[i] * fourth
+            out[j, i] = first * scale[i]
+            out[k, i] = second * scale[i]
+            out[p, i] = third * scale[i]
+            out[q, i] = fourth * scale[i]
         state[j], state[k], state[p], state[q] = first, second, third, fourth
-
-
-@kernel
-def absorb_whitened(R: Array, columns: Array, carry: Array, scale: Array, state: Array, rows: int) -> None:
-    """Whiten ``columns`` (m, n) and reduce them into ``R`` (m, m), so many ``rows`` at a time that they stay in the cache."""
-    m, n = columns.shape
-    block = np.empty((m, min(rows, n)))
-    for start in range(0, n, rows):
-        if n - start < rows:
-            block = np.empty((m, n - start))
-        whiten(columns, start, carry, scale, state, block)
-        absorb(R, block)
 
 
 @kernel

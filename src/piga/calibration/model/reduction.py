@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga._kernels.estimation.noise import absorb_whitened, whiten
-from piga._kernels.estimation.sequential import back_substitute, gather
+from piga._kernels.estimation.noise import whiten
+from piga._kernels.estimation.sequential import absorb_columns, back_substitute, gather
 from piga.errors import ArgumentError
 from piga.results import Array
 
@@ -34,16 +34,10 @@ class Whitening(NamedTuple):
     scale: Array
     state: Array
 
-    @classmethod
-    def plain(cls, columns: Array) -> Whitening:
-        """Weights that leave ``columns`` (m + 1, n) as they are."""
-        size, rows = columns.shape
-        return cls(np.zeros(rows), np.ones(rows), np.zeros(size))
-
     def apply(self, columns: Array) -> Array:
         """Whitened columns (m + 1, n), a new array; the state moves on."""
         out = np.empty(columns.shape)
-        whiten(columns, 0, self.carry, self.scale, self.state, out)
+        whiten(columns, self.carry, self.scale, self.state, out)
         return out
 
 
@@ -80,8 +74,8 @@ class Reduction:
         """Upper triangular factor R, shape (m + 1, m + 1), last column for y."""
         return np.sqrt(self.weight[0])[:, None] * self.unit[0]
 
-    def absorb(self, columns: Array, *, count: int | None = None, whitening: Whitening | None = None) -> None:
-        """Absorb rows given as ``columns`` (m + 1, n), last one y, whitened first by ``whitening``.
+    def absorb(self, columns: Array, *, count: int | None = None) -> None:
+        """Absorb rows given as ``columns`` (m + 1, n), last one y.
 
         ``count`` is the number of rows that carry information (n unless some are all zero).
         """
@@ -90,15 +84,12 @@ class Reduction:
             raise ArgumentError(
                 f"columns: {columns.shape[0]} given, {size} needed", remedy="give one row for each name, then y"
             )
-        if columns.shape[1] <= SHORT:
-            rows = np.zeros((2, columns.shape[1], size))
-            rows[0] = (columns if whitening is None else whitening.apply(columns)).T
-        else:
-            rows = np.zeros((2, size, size))
-            whitening = Whitening.plain(columns) if whitening is None else whitening
-            absorb_whitened(rows[0], np.ascontiguousarray(columns), *whitening, BLOCK)
+        self.absorb_few(few_rows(columns), columns.shape[1] if count is None else count)
+
+    def absorb_few(self, rows: Array, count: int) -> None:
+        """Absorb the rows that :func:`few_rows` made of ``count`` rows."""
         gather(self.weight, self.unit, rows, _ones(rows.shape[1]))
-        self.count += columns.shape[1] if count is None else count
+        self.count += count
 
     def add(self, x: ArrayLike, y: ArrayLike) -> None:
         """Absorb rows ``x`` (n, m) and ``y`` (n,)."""
@@ -192,6 +183,18 @@ class Reduction:
         estimate = solution[0]
         covariance = inverse @ inverse.T / np.outer(scale, scale)
         return estimate, covariance, float(self.weight[0, m])
+
+
+def few_rows(columns: Array) -> Array:
+    """Rows (2, k, m + 1), high and low parts, with the information of ``columns`` (m + 1, n): of many rows a triangle."""
+    size, count = columns.shape
+    if count <= SHORT:
+        rows = np.zeros((2, count, size))
+        rows[0] = columns.T
+    else:
+        rows = np.zeros((2, size, size))
+        absorb_columns(rows[0], np.ascontiguousarray(columns), BLOCK)
+    return rows
 
 
 def _ones(count: int) -> Array:

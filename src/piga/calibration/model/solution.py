@@ -317,7 +317,7 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
         options={"gtol": SOLUTION.settled, **reach},
     )
     best = at((result.x / scale).tobytes())
-    covariance = _inverse_information(np.linalg.qr(np.vstack(best.rows), mode="r"), layout.size)
+    covariance = _inverse_information(np.asarray(np.linalg.qr(np.vstack(best.rows), mode="r")), layout.size)
     jacobians = tuple(layout.jacobian(best.amplitudes, best.phases, g) for g in range(len(parts)))
     return Estimate(best.amplitudes, best.phases, covariance, best.cost + beyond, jacobians)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from piga._kernels.estimation.noise import innovation_weights
 from piga.calibration.model.design import Block, Design
-from piga.calibration.model.reduction import Reduction, Whitening, workers
+from piga.calibration.model.reduction import Reduction, Whitening, few_rows, workers
 from piga.calibration.model.solution import DRIFT_NAMES, KNOTS
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.settings import NOISE
@@ -308,12 +309,39 @@ def _reduce_scattered(
 def _absorbed(
     design: Design, names: tuple[str, ...], blocks: Iterator[tuple[Block, Array, Whitening]]
 ) -> list[Reduction]:
-    """One summary of the weighted columns per segment."""
+    """One summary of the weighted columns per segment.
+
+    Two threads take blocks in turn. Blocks are whitened in order, because the recursion goes through all of them, but
+    reduced side by side.
+    """
     summaries = [Reduction.empty(names) for _ in design.run.labels]
-    for block, columns, weights in blocks:
-        count = int(np.count_nonzero(block.h > 0.0))
-        summaries[block.segment].absorb(columns, count=count, whitening=weights)
+    before: Future[None] = Future()
+    before.set_result(None)
+
+    def add(block: Block, rows: Future[Array]) -> None:
+        summaries[block.segment].absorb_few(rows.result(), int(np.count_nonzero(block.h > 0.0)))
+
+    with workers(design.run.size, 2) as pool:
+        jobs: list[tuple[Block, Future[Array]]] = []
+        for block, columns, weights in blocks:
+            whitened: Future[None] = Future()
+            jobs.append((block, pool.submit(_whitened_rows, columns, weights, before, whitened)))
+            before = whitened
+            if len(jobs) > 4:
+                add(*jobs.pop(0))
+        for job in jobs:
+            add(*job)
     return summaries
+
+
+def _whitened_rows(columns: Array, weights: Whitening, before: Future[None], whitened: Future[None]) -> Array:
+    """Whiten a block when the one before is whitened, tell the next, and reduce it to few rows."""
+    before.result()
+    try:
+        result = weights.apply(columns)
+    finally:
+        whitened.set_result(None)
+    return few_rows(result)
 
 
 def _steps_known(names: tuple[str, ...], variance: float) -> Reduction:

@@ -22,7 +22,7 @@ from piga.calibration.intervals.coloured_noise import bins_of, contrasts_of
 from piga.calibration.intervals.slow_noise import moved_by
 from piga.calibration.model.solution import variances_of
 from piga.calibration.noise.components import RATES, RateBins, markov_times
-from piga.calibration.noise.likelihood import ProfileLikelihood
+from piga.calibration.noise.likelihood import Contrasts, ProfileLikelihood
 from piga.calibration.remarks.slow_changes import joined_factor
 from piga.records.calibration import Coefficient
 from piga.records.calibration.verdict import THRESHOLDS
@@ -104,18 +104,25 @@ class UnseenNoise:
         )
 
 
-def unseen_noise(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) -> UnseenNoise | None:
-    """The coloured noise that a record does not exclude; None if it is small or would not widen an interval much.
+@dataclass(frozen=True)
+class SlowRates:
+    """What a record says of slow rates: the finished ``fit``, that without slow noise, and the parts of the record.
 
-    Not for records with a doubt about coloured noise, or with a drift or scatter in the uncertainties; not with given noise
-    levels, a stated scatter or coarse counts, nor with methods other than whitened least squares in one go.
+    ``moved`` is the change of each parameter by a rate of one in each part.
+    """
 
-    Parameters
-    ----------
-    fit, plain:
-        The finished fit, and the fit without slow noise.
-    coefficients:
-        Those of the result, with combined uncertainties.
+    fit: Fit
+    plain: Fit
+    bins: RateBins
+    contrasts: Contrasts
+    moved: Array
+
+
+def slow_rates(fit: Fit, plain: Fit) -> SlowRates | None:
+    """What the joined rows of a record say of slow rates; None for records that :func:`unseen_noise` is not made for.
+
+    Those are records with a doubt about coloured noise, or with a drift or scatter in the uncertainties, given noise levels, a
+    stated scatter or coarse counts, and methods other than whitened least squares in one go.
     """
     told = fit.noise.slow > 0.0 or (fit.colour is not None and fit.colour.gain > THRESHOLDS.coloured)
     if not fit.seeks_noise or fit.counted is not None or told or fit.noise.stated:
@@ -126,8 +133,22 @@ def unseen_noise(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) ->
     factor, rows = joined_factor(plain, bins)
     contrasts = contrasts_of(plain, factor, rows, bins)
     moved = moved_by(factor, bins, plain.solution.parameters)
-    if contrasts is None or moved is None:
+    return None if contrasts is None or moved is None else SlowRates(fit, plain, bins, contrasts, moved)
+
+
+def unseen_noise(seen: SlowRates | None, coefficients: tuple[Coefficient, ...]) -> UnseenNoise | None:
+    """The coloured noise that a record does not exclude; None if it is small or would not widen an interval much.
+
+    Parameters
+    ----------
+    seen:
+        What the record says of slow rates.
+    coefficients:
+        Those of the result, with combined uncertainties.
+    """
+    if seen is None:
         return None
+    fit, plain, bins, contrasts, moved = seen.fit, seen.plain, seen.bins, seen.contrasts, seen.moved
     walk = 0.0 if bins.point else plain.noise.walk
     profile = ProfileLikelihood.of(
         contrasts, contrasts.turned(walk * RATES["walk"](bins, 0.0)) if walk else None
