@@ -33,21 +33,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CollectSettings:
-    """Settings of the collection of a campaign (own choices).
-
-    Attributes
-    ----------
-    rows:
-        Records that are read together.
-    worst:
-        Number of worst cases that are kept.
-    messages:
-        Most different failures that are kept with an example.
-    """
+    """Settings of the collection of a campaign (own choices)."""
 
     rows: int = 4096
+    """Records that are read together."""
     worst: int = 12
+    """Number of worst cases that are kept."""
     messages: int = 20
+    """Most different failures that are kept with an example."""
 
 
 COLLECT = CollectSettings()

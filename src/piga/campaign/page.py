@@ -35,24 +35,16 @@ from piga.reports.render.page import (
 
 @dataclass(frozen=True)
 class CampaignPageSettings:
-    """What the page of a campaign shows (own choices).
-
-    Attributes
-    ----------
-    probability:
-        Probability of the intervals.
-    sure:
-        Standard errors beyond which a coverage is marked: 99.9 % of sound ones lie within.
-    groups:
-        Most groups whose tables are on the page; ``coefficients.csv`` has all.
-    figures:
-        Most coefficients with a figure over the grid.
-    """
+    """What the page of a campaign shows (own choices)."""
 
     probability: float = 0.95
+    """Probability of the intervals."""
     sure: float = 3.29
+    """Standard errors beyond which a coverage is marked: 99.9 % of sound ones lie within."""
     groups: int = 60
+    """Most groups whose tables are on the page; ``coefficients.csv`` has all."""
     figures: int = 8
+    """Most coefficients with a figure over the grid."""
 
 
 SHOWN = CampaignPageSettings()

@@ -23,22 +23,15 @@ from piga.results import Array
 
 @dataclass(frozen=True)
 class PowerUpSettings:
-    """Limits for a phase identified at power-up (own choices).
-
-    Attributes
-    ----------
-    least_turn:
-        Least turn of the output [rad] before a phase is given.
-    servo_rounds:
-        Iterations for the servo's stiffness. Each reduces the error of the phase by the ratio of stiffness to
-        coupling, 1e-2 at most.
-    useless:
-        Largest standard uncertainty [rad] of a phase that is given.
-    """
+    """Limits for a phase identified at power-up (own choices)."""
 
     least_turn: float = 2.0 * math.pi
+    """Least turn of the output [rad] before a phase is given."""
     servo_rounds: int = 4
+    """Iterations for the servo's stiffness. Each reduces the error of the phase by the ratio of stiffness to
+    coupling, 1e-2 at most."""
     useless: float = 0.5
+    """Largest standard uncertainty [rad] of a phase that is given."""
 
 
 POWER_UP = PowerUpSettings()

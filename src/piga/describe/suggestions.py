@@ -30,21 +30,14 @@ _STAMP = re.compile(r"time = \{ column = '[^']*', stamp = '[^']*' \}")
 
 @dataclass(frozen=True)
 class SuggestionSettings:
-    """Settings of the suggested lines (own choices).
-
-    Attributes
-    ----------
-    problems:
-        Most problems that are solved one after the other.
-    rows:
-        Rows on which a unit is judged.
-    ratio:
-        Largest ratio of the output to that of the nominal scale factor.
-    """
+    """Settings of the suggested lines (own choices)."""
 
     problems: int = 8
+    """Most problems that are solved one after the other."""
     rows: int = 100_000
+    """Rows on which a unit is judged."""
     ratio: float = 1.5
+    """Largest ratio of the output to that of the nominal scale factor."""
 
 
 SUGGESTION = SuggestionSettings()

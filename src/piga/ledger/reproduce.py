@@ -34,18 +34,12 @@ from piga.units import G0
 
 @dataclass(frozen=True)
 class CompareSettings:
-    """Differences of two calculations that count as none (own choices).
-
-    Attributes
-    ----------
-    relative:
-        Relative difference allowed on another platform, per unit of the condition number.
-    noise:
-        Relative difference allowed for noise levels. They come from a search for an optimum, which is flat.
-    """
+    """Differences of two calculations that count as none (own choices)."""
 
     relative: float = 1e-12
+    """Relative difference allowed on another platform, per unit of the condition number."""
     noise: float = 1e-8
+    """Relative difference allowed for noise levels. They come from a search for an optimum, which is flat."""
 
 
 ALLOWED = CompareSettings()

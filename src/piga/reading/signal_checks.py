@@ -23,24 +23,16 @@ from piga.units import G0
 
 @dataclass(frozen=True)
 class SignalCheckSettings:
-    """Limits for doubtful signals (own choices).
-
-    Attributes
-    ----------
-    stuck:
-        Fewest equal extreme values in a row that are reported.
-    resting:
-        Steps that a run of equal extreme values may hide because of rounding.
-    shoulder:
-        Most rows beside such a run that are examined.
-    sampled:
-        Rows of a long record that are examined for wrong units.
-    """
+    """Limits for doubtful signals (own choices)."""
 
     stuck: int = 8
+    """Fewest equal extreme values in a row that are reported."""
     resting: float = 2.0
+    """Steps that a run of equal extreme values may hide because of rounding."""
     shoulder: int = 1 << 16
+    """Most rows beside such a run that are examined."""
     sampled: int = 1 << 17
+    """Rows of a long record that are examined for wrong units."""
 
 
 SIGNAL_CHECKS = SignalCheckSettings()

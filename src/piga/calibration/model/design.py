@@ -109,34 +109,23 @@ def given_servo(run: Run) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class DesignSettings:
-    """Settings of the columns of a record (own choices).
-
-    Attributes
-    ----------
-    chunk:
-        Rows per block.
-    cache_bytes:
-        Memory for blocks that are kept for the next pass [bytes].
-    most_bend:
-        Largest sag of the output angle between samples [rad] that the product integration may correct to first
-        order. Its error is then below ``bend^2/4`` of tan_beta.
-    most_change:
-        Largest relative change of K inside the regressors. Above it the model does not fit the record.
-    threads:
-        Threads that fill blocks.
-    joined_rows:
-        Most joined intervals, about (:meth:`Design.joined`).
-    joined_turn:
-        Largest turn of the output in a joined interval [rad]; a larger turn would average its harmonics out.
-    """
+    """Settings of the columns of a record (own choices)."""
 
     chunk: int = 1 << 16
+    """Rows per block."""
     cache_bytes: int = 256 << 20
+    """Memory for blocks that are kept for the next pass [bytes]."""
     most_bend: float = 0.3
+    """Largest sag of the output angle between samples [rad] that the product integration may correct to first
+    order. Its error is then below ``bend^2/4`` of tan_beta."""
     most_change: float = 0.5
+    """Largest relative change of K inside the regressors. Above it the model does not fit the record."""
     threads: int = 2
+    """Threads that fill blocks."""
     joined_rows: int = 4096
+    """Most joined intervals, about (:meth:`Design.joined`)."""
     joined_turn: float = 0.3
+    """Largest turn of the output in a joined interval [rad]; a larger turn would average its harmonics out."""
 
 
 DESIGN = DesignSettings()

@@ -32,60 +32,41 @@ Names = tuple[str, ...]
 
 @dataclass(frozen=True)
 class CandidateSettings:
-    """Limits for suggesting a missing term, and rows used for the test (own choices).
-
-    Attributes
-    ----------
-    false_alarms:
-        Probability that a record of a right model gets any suggestion, Bonferroni over the candidates.
-    thermal_alarms:
-        The same for a bias that follows a recorded temperature: one candidate, expected in advance.
-    sample_turn:
-        Turn of the output between the samples of a candidate [rad]: the error of the trapezoid is 1e-3.
-    confounded:
-        Smallest independent part of a candidate, relative to its size, for the candidate to be determined.
-    notable:
-        Chi-square reduction (relative) above which a term is always reported.
-    like_a_cube:
-        Share of the best candidate's decrease above which the servo's stiffness is suggested instead of a cube of a_x.
-    alike:
-        Share of the best candidate's decrease above which another candidate is called similar.
-    suggestions:
-        Most terms suggested.
-    pieces:
-        Parts of a record of few segments, for the scatter between parts.
-    spare:
-        Segments beyond the number of parameters above which the scatter between segments is used.
-    constant:
-        Largest relative change of a squared force that counts as constant.
-    force_samples:
-        Samples used for this.
-    windows:
-        Windows of the record in which its smoothness is tested.
-    window_samples:
-        Samples of such a window.
-    longest_step:
-        Most samples spanned by a step.
-    straight:
-        Largest distance of the force from a straight line, over the largest force, that counts as none.
-    """
+    """Limits for suggesting a missing term, and rows used for the test (own choices)."""
 
     false_alarms: float = 0.002
+    """Probability that a record of a right model gets any suggestion, Bonferroni over the candidates."""
     thermal_alarms: float = 0.005
+    """The same for a bias that follows a recorded temperature: one candidate, expected in advance."""
     sample_turn: float = 0.1
+    """Turn of the output between the samples of a candidate [rad]: the error of the trapezoid is 1e-3."""
     confounded: float = 1e-3
+    """Smallest independent part of a candidate, relative to its size, for the candidate to be determined."""
     notable: float = 0.01
+    """Chi-square reduction (relative) above which a term is always reported."""
     like_a_cube: float = 0.5
+    """Share of the best candidate's decrease above which the servo's stiffness is suggested instead of a cube
+    of a_x."""
     alike: float = 0.9
+    """Share of the best candidate's decrease above which another candidate is called similar."""
     suggestions: int = 3
+    """Most terms suggested."""
     pieces: int = 24
+    """Parts of a record of few segments, for the scatter between parts."""
     spare: int = 3
+    """Segments beyond the number of parameters above which the scatter between segments is used."""
     constant: float = 1e-3
+    """Largest relative change of a squared force that counts as constant."""
     force_samples: int = 4096
+    """Samples used for this."""
     windows: int = 8
+    """Windows of the record in which its smoothness is tested."""
     window_samples: int = 1024
+    """Samples of such a window."""
     longest_step: int = 64
+    """Most samples spanned by a step."""
     straight: float = 1e-3
+    """Largest distance of the force from a straight line, over the largest force, that counts as none."""
 
 
 CANDIDATES = CandidateSettings()

@@ -24,18 +24,12 @@ from piga.results import Array, Result
 
 @dataclass(frozen=True)
 class SetSettings:
-    """Settings of sets of instruments (own choices).
-
-    Attributes
-    ----------
-    orthogonal:
-        Largest deviation from a rotation that an axes matrix may have.
-    fault_probability:
-        Probability of the flag ``fault`` in a row of a sound set.
-    """
+    """Settings of sets of instruments (own choices)."""
 
     orthogonal: float = 1e-6
+    """Largest deviation from a rotation that an axes matrix may have."""
     fault_probability: float = 1e-6
+    """Probability of the flag ``fault`` in a row of a sound set."""
 
 
 SET = SetSettings()

@@ -48,25 +48,18 @@ SCHEMA = "piga.calibration/1"
 
 @dataclass(frozen=True)
 class DocumentSettings:
-    """What a calibration record may hold (own choices).
-
-    Attributes
-    ----------
-    most_bytes:
-        Largest file [bytes].
-    rounding:
-        Largest rounding error of a correlation. The smallest eigenvalue may be this, times the matrix size,
-        below zero.
-    same:
-        Largest relative difference allowed between a standard uncertainty and the square root of its variance.
-    outliers:
-        Most outliers that are listed one by one. The events of the quality section count all of them.
-    """
+    """What a calibration record may hold (own choices)."""
 
     most_bytes: int = 256 << 20
+    """Largest file [bytes]."""
     rounding: float = 1e-9
+    """Largest rounding error of a correlation. The smallest eigenvalue may be this, times the matrix size,
+    below zero."""
     same: float = 1e-6
+    """Largest relative difference allowed between a standard uncertainty and the square root of its
+    variance."""
     outliers: int = 10_000
+    """Most outliers that are listed one by one. The events of the quality section count all of them."""
 
 
 DOCUMENT = DocumentSettings()

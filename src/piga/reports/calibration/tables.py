@@ -19,43 +19,29 @@ from piga.units import ARCSEC, G0
 
 @dataclass(frozen=True)
 class TableSettings:
-    """What the tables of a calibration show (own choices).
-
-    Attributes
-    ----------
-    segments:
-        Segments with a row.
-    coefficients:
-        Coefficients with columns in a table.
-    outliers:
-        Outliers with a row.
-    many:
-        Above this number, degrees of freedom are shown as ``> 1000``.
-    across:
-        Coefficients beside each other in a table of the page: they fit the screen and A4.
-    sensitivities_across:
-        Coefficients beside each other in a table of short numbers.
-    negligible:
-        Contributions below this, in standard uncertainties of the coefficient, are not shown (0.0001 % of the
-        variance).
-    slight:
-        Share of the variance below which a source is left out on the terminal.
-    leverage:
-        Segments in the table of leverage, those with the most first.
-    selectable:
-        Most segments of a page on which the reader can select one.
-    """
+    """What the tables of a calibration show (own choices)."""
 
     segments: int = 60
+    """Segments with a row."""
     coefficients: int = 14
+    """Coefficients with columns in a table."""
     outliers: int = 30
+    """Outliers with a row."""
     many: int = 1000
+    """Above this number, degrees of freedom are shown as ``> 1000``."""
     across: int = 4
+    """Coefficients beside each other in a table of the page: they fit the screen and A4."""
     sensitivities_across: int = 6
+    """Coefficients beside each other in a table of short numbers."""
     negligible: float = 1e-3
+    """Contributions below this, in standard uncertainties of the coefficient, are not shown (0.0001 % of the
+    variance)."""
     slight: float = 0.01
+    """Share of the variance below which a source is left out on the terminal."""
     leverage: int = 24
+    """Segments in the table of leverage, those with the most first."""
     selectable: int = 1000
+    """Most segments of a page on which the reader can select one."""
 
 
 TABLES = TableSettings()
