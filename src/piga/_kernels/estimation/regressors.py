@@ -96,25 +96,25 @@ def coupling_columns(
         for i in range(h.size):
             moments = small_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
             turned = fast_sine_cosine(0.5 * order * (psi[i] + psi[i + 1]))
-            columns[0, i], columns[1, i] = _coupled(y, z, bows, h, bend, order, i, moments, turned)
+            columns[0, i], columns[1, i] = _coupled(y, z, bows, h, i, order * bend[i], moments, turned)
     else:
         for i in range(h.size):
             moments = half_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
             turned = sine_cosine(0.5 * order * (psi[i] + psi[i + 1]))
-            columns[0, i], columns[1, i] = _coupled(y, z, bows, h, bend, order, i, moments, turned)
+            columns[0, i], columns[1, i] = _coupled(y, z, bows, h, i, order * bend[i], moments, turned)
 
 
 @inline
 def _coupled(
-    y: Array, z: Array, bows: Array, h: Array, bend: Array, order: float, i: int,
+    y: Array, z: Array, bows: Array, h: Array, i: int, bend: float,
     moments: tuple[float, float, float], turned: tuple[float, float],
 ) -> tuple[float, float]:  # fmt: skip
-    """Both product integrals of interval ``i``, from the moments of half its turn and the sine and cosine at its middle."""
+    """Both product integrals of interval ``i``: moments of half its turn, sag ``bend``, sine and cosine at its middle."""
     j0, j1, sag = moments
     s, c = turned
     ym, yd = 0.5 * (y[i] + y[i + 1]), 0.5 * (y[i + 1] - y[i])
     zm, zd = 0.5 * (z[i] + z[i + 1]), 0.5 * (z[i + 1] - z[i])
-    bent = order * bend[i] * sag
+    bent = bend * sag
     # even part j0, odd part j1 and sag of psi turn by +90 deg; the bow of the input does not
     ye, ze = ym * j0 + 1.5 * sag * bows[0, i], zm * j0 + 1.5 * sag * bows[1, i]
     yo, zo = yd * j1 + ym * bent, zd * j1 + zm * bent
