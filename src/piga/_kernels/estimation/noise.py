@@ -21,8 +21,8 @@ from piga._kernels.jit import Array, kernel, reducing_kernel
 
 LARGE, SMALL = 2.0**300, 2.0**-300
 """Size above which the recurrence of the variances is scaled down, and the scale factor."""
-UNCHECKED = 8
-"""Rows between two looks at that size: a row may be a gap of 1e10 sample intervals without an overflow."""
+UNCHECKED = 16
+"""Rows between two looks at that size: each may be a gap of 1e9 sample intervals without an overflow."""
 CANDIDATES = 8
 """Candidates of kappa whose likelihood is computed in one pass over the residuals."""
 
@@ -97,16 +97,20 @@ def likelihoods(d: Array, h: Array, kappas: Array, out_log: Array, out_square: A
         before[k] = total[k] = square[k] = 0.0
         product[k] = 1.0
     count = 0
-    for i in range(d.size):
-        step, increment = h[i], d[i]
-        if step < 0.0:
-            continue
-        if step == 0.0:
+    for i in range(d.size + 1):
+        begins = i == d.size or h[i] == 0.0
+        if begins or count == UNCHECKED:
+            count = 0
             for k in range(candidates):
-                out_log[k] += math.log(product[k])
-                before[k] = total[k] = 0.0
-                product[k] = 1.0
+                if begins or product[k] > LARGE:
+                    out_log[k] += math.log(product[k])
+                    kept = 0.0 if begins else 1.0 / product[k]
+                    before[k] *= kept
+                    total[k] *= kept
+                    product[k] = 1.0
+        if begins or h[i] < 0.0:
             continue
+        step, increment = h[i], d[i]
         for k in range(candidates):
             following = (kappas[k] * step + 2.0) * product[k] - before[k]
             gathered = total[k] + product[k] * increment
@@ -115,16 +119,7 @@ def likelihoods(d: Array, h: Array, kappas: Array, out_log: Array, out_square: A
             product[k] = following
             total[k] = gathered
         count += 1
-        if count == UNCHECKED:
-            count = 0
-            for k in range(candidates):
-                if product[k] > LARGE:
-                    before[k] *= SMALL
-                    product[k] *= SMALL
-                    total[k] *= SMALL
-                    out_log[k] -= math.log(SMALL)
     for k in range(candidates):
-        out_log[k] += math.log(product[k])
         out_square[k] += square[k]
 
 

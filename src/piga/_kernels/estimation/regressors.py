@@ -282,32 +282,23 @@ def smooth_bows(x: Array, h: Array, work: Array, out: Array) -> bool:
             out[i] = bow_of(h[i], limited(work[i] + share * (work[i + 1] - work[i]), work[i], work[i + 1]))
         else:
             out[i] = 0.0
-    out[0], out[n - 1] = bow_of(h[0], _at_an_end(x, h, 0)), bow_of(h[n - 1], _at_an_end(x, h, n - 1))
-    for i in range(n):
-        if h[i] == 0.0:
-            for k in range(max(i - 1, 0), min(i + 2, n)):
-                out[k] = bow_of(h[k], _at_an_end(x, h, k))
     bent = False
     for i in range(n):
+        before, after = i > 0 and h[i - 1] != 0.0, i < n - 1 and h[i + 1] != 0.0
+        if not (before and after):
+            out[i] = 0.0
+            if h[i] != 0.0 and before and i > 1 and h[i - 2] != 0.0:
+                out[i] = bow_of(h[i], _carried_on(work[i - 1], work[i], h[i - 2], h[i - 1], h[i]))
+            elif h[i] != 0.0 and after and i < n - 2 and h[i + 2] != 0.0:
+                out[i] = bow_of(h[i], _carried_on(work[i + 2], work[i + 1], h[i + 2], h[i + 1], h[i]))
         bent |= out[i] != 0.0
     return bent
 
 
-@exact
-def _at_an_end(x: Array, h: Array, i: int) -> float:
-    """Second derivative of ``x`` in the first or last interval ``i`` of a stretch; 0 where it has too few samples."""
-    n = h.size
-    if h[i] == 0.0:
-        return 0.0
-    if i > 1 and h[i - 1] != 0.0 and h[i - 2] != 0.0:
-        first, before = curvature(x, h, i), curvature(x, h, i - 1)
-        further = (first - before) * (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i] + h[i - 1] + h[i - 2]))
-        return limited(first + further, first, before)
-    if i < n - 2 and h[i + 1] != 0.0 and h[i + 2] != 0.0:
-        second, after = curvature(x, h, i + 1), curvature(x, h, i + 2)
-        further = (second - after) * (h[i] + 2.0 * h[i + 1]) / (2.0 * (h[i] + h[i + 1] + h[i + 2]))
-        return limited(second + further, second, after)
-    return 0.0
+@inline
+def _carried_on(far: float, near: float, h_far: float, h_near: float, h: float) -> float:
+    """Second derivative in an interval h at an end of a stretch, from those at the next two samples."""
+    return limited(near + (near - far) * (h + 2.0 * h_near) / (2.0 * (h + h_near + h_far)), near, far)
 
 
 def add_product_bows(code: int, f: Array, bows: Array, temperature: Array, h: Array, out: Array) -> None:

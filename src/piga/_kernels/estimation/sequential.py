@@ -66,20 +66,6 @@ def absorb(R: Array, block: Array) -> None:
 
 
 @kernel
-def absorb_columns(R: Array, columns: Array, rows: int) -> None:
-    """Reduce ``columns`` (m, n) into ``R`` (m, m), so many ``rows`` at a time that they stay in the cache."""
-    m, n = columns.shape
-    block = np.empty((m, min(rows, n)))
-    for start in range(0, n, rows):
-        if n - start < rows:
-            block = np.empty((m, n - start))
-        for j in range(m):
-            for i in range(block.shape[1]):
-                block[j, i] = columns[j, start + i]
-        absorb(R, block)
-
-
-@kernel
 def absorb_row(R: Array, row: Array) -> None:
     """Reduce one row (m,) into ``R`` (m, m) by Givens rotations; the row is used as workspace."""
     m = row.size

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piga._kernels.estimation.noise import whiten
-from piga._kernels.estimation.sequential import absorb_columns, back_substitute, gather
+from piga._kernels.estimation.sequential import absorb, back_substitute, gather
 from piga.errors import ArgumentError
 from piga.results import Array
 
@@ -193,7 +193,8 @@ def few_rows(columns: Array) -> Array:
         rows[0] = columns.T
     else:
         rows = np.zeros((2, size, size))
-        absorb_columns(rows[0], np.ascontiguousarray(columns), BLOCK)
+        for start in range(0, count, BLOCK):
+            absorb(rows[0], np.array(columns[:, start : start + BLOCK], order="C"))
     return rows
 
 
