@@ -1,6 +1,6 @@
-"""Which terms a record can tell apart, before it is calibrated with them.
+"""Which terms a record can separate, before it is calibrated with them.
 
-Every known term is added to the asked ones, and the estimator says whether the record determines it then. All these sets
+Every known term is added to the terms asked for. The estimator then says whether the record determines it. All these sets
 share one reduction of the record, as in the comparison of models.
 """
 
@@ -35,7 +35,7 @@ class TermProspect:
     reason, remedy:
         Why it does not, and what to do; empty if it does.
     doubt:
-        Which other terms are hard to tell from it; empty if none is.
+        Which other terms are hard to separate from it; empty if there is none.
     """
 
     term: str
@@ -110,7 +110,7 @@ def term_prospects(run: Run, terms: str | Sequence[str] | None = None) -> tuple[
 
 
 def _known(run: Run, asked: tuple[str, ...]) -> tuple[str, ...]:
-    """All terms that may be asked for beside the asked ones; ``k1`` and ``scale_factor`` exclude each other."""
+    """All terms that may be added to the terms asked for; ``k1`` and ``scale_factor`` exclude each other."""
     names = [name for name in UNITS if name != "phi"]
     if {"scale_factor", "k1"} & set(asked):
         names = [name for name in names if name not in ("scale_factor", "k1")]

@@ -1,8 +1,8 @@
 """Remove bad samples from a record: the error of every reading, and a list of the findings.
 
 A jump of the output has three possible causes. The counter slipped, and all later readings are shifted; or the few
-readings before the jump are wrong; or the few readings after it are wrong. The jump itself looks the same. The phase
-of the coupling in the other segments tells the causes apart (:func:`settle_jumps`).
+readings before the jump are wrong; or the few readings after it are wrong. The jump looks the same in all three cases. The
+phase of the coupling in the other segments separates the causes (:func:`settle_jumps`).
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Slow noise of the rate, estimated by restricted likelihood and added to the covariance: a bias drift or a scatter.
 
-A bias drift is a walk of the rate over the whole record; positions are then not independent. A scatter is a rate of its
-own in every segment, for example when stand and servo are set anew at each position. The likelier one is taken. Its
-columns (:mod:`~piga.calibration.noise.weighting`) are whitened and reduced with those of the model. After the model is
-projected out, only independent numbers and unit white noise remain. The likelihood of their variance is then a sum
-over eigenvalues (own derivation, docs/theory). Long records are first tested with the means of the residual angle
-over a few bins of every stretch. A record without slow noise needs nothing else.
+A bias drift is a walk of the rate over the whole record. Positions are then not independent. A scatter is an independent
+rate error in every segment, for example when stand and servo are set again at each position. The noise with the larger
+likelihood is chosen. Its columns (:mod:`~piga.calibration.noise.weighting`) are whitened and reduced with those of the
+model. After the model is projected out, only independent numbers and unit white noise remain. The likelihood of their
+variance is then a sum over eigenvalues (own derivation, docs/theory). Long records are first tested with the means of the
+residual angle over a few bins of every stretch. If this test shows no slow noise, the search ends.
 """
 
 from __future__ import annotations
@@ -85,9 +85,9 @@ def include_slow_noise(fit: Fit, clear: float = NOISE.slow_in_weights) -> Fit:
     """Include a slow noise in the covariance of a fit, if the record shows one: drift or scatter, whichever is likelier.
 
     It enters the weights from a gain of ``slow_in_weights`` on, a drift from ``clear``. Below this gain the weights stay
-    those of the other noise, and its effect on the estimates is added to their covariance. This also holds for coarse
-    counts at any gain.
-    Not done with given noise levels and with methods other than whitened least squares in one go.
+    those of the other noise, and its effect on the estimates is added to their covariance. With coarse counts the weights
+    stay at any gain.
+    The search is not done with given noise levels, nor with methods other than whitened least squares in one pass.
     """
     if not fit.seeks_noise or fit.mode != "increments" or fit.design.rows < 8 * KNOTS:
         return fit

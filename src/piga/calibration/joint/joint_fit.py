@@ -1,8 +1,8 @@
 """Several runs of one instrument, calibrated together from their summaries.
 
 Coefficients belong to the instrument, except phases (each power-up has its own zero of the output angle) and
-the terms named in ``per_run``. Every run is weighted by its own noise levels. Summaries add. A run whose raw data
-no longer exist therefore takes part like any other.
+the terms named in ``per_run``. Every run is weighted by its own noise levels. Summaries can be added. Therefore the raw
+data of a run are not needed: its summary is enough.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ Integrated over a sample interval the error model (docs/theory/calibration) is l
     K, K tan_beta cos(phi), K tan_beta sin(phi), K k0, K k2, ...
 
 The two columns of the coupling and those of the harmonics turn with the unknown phase. They are *local* to a phase
-group. All others are *shared*. Column order: local, shared, observation. The servo terms turn too. At a known phase
-each is one column; otherwise five columns without a phase follow the others.
+group. All others are *shared*. Column order: local, shared, observation. The servo terms turn with the phase, too. At a
+known phase each servo term is one column. If the phase is not known, five columns without a phase follow the others.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Mergeable linear least squares: rows in chunks of any size are reduced to one triangular factor.
 
 ``Reduction`` is the only solver of the calibration. Batch, recursive, per-segment and joint estimates all use it.
-Long records are worked on by threads, short ones at once.
+Threads reduce long records. Short records are reduced in one piece.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""The components of the noise of a record: what each is, when it is looked for, and its covariance on the slow rates.
+"""The components of the noise of a record: their meaning, their rules, and their covariance on the slow rates.
 
 The slow rates are the means of the rate over a few parts of every segment (:class:`RateBins`). A component is a
-covariance of these rates; :mod:`piga.calibration.noise.likelihood` estimates its level. Only this table knows how
-components differ. To add one, add a row with its covariance.
+covariance of these rates; :mod:`piga.calibration.noise.likelihood` estimates its level. All differences between the
+components are in this table. To add a component, add a row with its covariance.
 
-The rules say when each component is looked for, and from which gain it enters covariance and weights.
+The rules say when the program searches for a component, and from which gain it enters covariance and weights.
 ``python -m piga.calibration.noise.components`` prints the table of docs/theory/noise.
 """
 

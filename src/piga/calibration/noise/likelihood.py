@@ -1,9 +1,9 @@
 """The restricted likelihood of noise levels: the one formula, its information matrix, and the search for the levels.
 
 A record is ``y = X theta + noise`` with covariance ``V = sum_k level_k unit_k``. All components of the noise, from
-white noise to coloured noise, are estimated by this likelihood; they differ in the ``unit`` covariances only
-(:mod:`piga.calibration.noise.components`). Levels have no lower bound as long as V is a covariance: only then is the
-average right. Their uncertainty is the inverse information matrix, from which the degrees of freedom follow
+white noise to coloured noise, are estimated by this likelihood. They differ in the ``unit`` covariances only
+(:mod:`piga.calibration.noise.components`). Levels have no lower bound as long as V is a covariance: only then is their
+average over records right. The inverse information matrix is the covariance of the levels. It gives the degrees of freedom
 [Kenward1997].
 """
 

@@ -1,4 +1,4 @@
-"""Settings of noise and intervals: every threshold, with what it decides (own choices, by the campaigns of docs/accuracy)."""
+"""Settings of noise and intervals: each threshold and the decision it controls (own choices, by the campaigns of docs/accuracy)."""
 
 from __future__ import annotations
 

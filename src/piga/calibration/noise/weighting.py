@@ -1,8 +1,8 @@
-"""Weight rows: from blocks to summaries per segment by whitening, and the residuals of an estimate.
+"""Weight rows: whiten blocks and reduce them to summaries per segment; residuals of an estimate.
 
-Slow noise of the rate enters as a few angle columns: a random walk, or a rate of its own in every segment. A segment has
-``size`` such columns, which are whitened with its rows. The factor of a record has ``count`` columns; ``placed`` puts the
-columns of a segment there. Own derivation, docs/theory.
+Slow noise of the rate enters as a few angle columns: a random walk, or an independent rate error in every segment. A segment
+has ``size`` such columns, which are whitened with its rows. The factor of a record has ``count`` columns. ``placed`` puts the
+columns of a segment into this factor. Own derivation, docs/theory.
 """
 
 from __future__ import annotations

@@ -2,12 +2,12 @@
 
 If ``a_x^2 + a_t^2 = N`` is constant, ``a_x a_t^2 = N a_x - a_x^3``. A servo of finite stiffness and a third-order
 coefficient then fit the record alike. The scale factor of one model is ``1 + k3 N`` times that of the other. Data of
-such a stand cannot decide. A suggestion therefore gives the scale factor of both models. If the signature is clear and
+such a stand cannot separate them. A suggestion therefore gives the scale factor of both models. If the signature is clear and
 neither term is requested, or only ``k3``, the difference is a source of Type B. The damping of the float under the
 servo turns the phase. If its wave is clear and ``servo_damping`` is not requested, the change by this term is a source
 too (docs/theory/servo).
 
-Several runs may decide what one stand cannot. If they tell ``servo`` from ``k3``, the better one is suggested, and its
+Several runs may separate what one stand cannot. If they separate ``servo`` from ``k3``, the better term is suggested, and its
 effect is in the budget.
 """
 

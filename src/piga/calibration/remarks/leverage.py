@@ -1,7 +1,7 @@
 """Leverage: how strongly each segment (position, level) determines the coefficients, and how it moves them.
 
-Summaries of segments add. The estimate without one segment is the merger of the others. It is exact and needs no
-second reading of the record. (With a phase per segment the step is linear about the estimate.)
+Summaries of segments can be added. To get the estimate without one segment, the others are merged. This is exact and needs
+no second reading of the record. (With a phase per segment the step is linear about the estimate.)
 """
 
 from __future__ import annotations

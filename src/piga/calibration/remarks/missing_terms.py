@@ -1,10 +1,10 @@
-"""Terms that the model lacks and the residuals suggest: an added-variable test of every candidate.
+"""Terms that are missing in the model and that the residuals suggest: an added-variable test of every candidate.
 
 All candidates are reduced together with the model in one square-root reduction. The factor then gives the decrease of
 the sum of squares by a candidate and its estimate: ``(x.e)^2/(x.x)`` and ``(x.e)/(x.x)``. Here x and e are candidate
 and residual after the model is projected out (own derivation, docs/theory). A candidate must pass two tests: against
-the noise, and against the scatter between segments. Errors of single positions are then not taken for a term. Where
-the record is smooth over a few samples, the columns of candidates are integrated by the trapezoid.
+the noise, and against the scatter between segments. Errors of single positions are then not mistaken for a term. If
+the record is smooth over a few samples, the trapezoidal rule integrates the columns of candidates.
 """
 
 from __future__ import annotations
