@@ -92,7 +92,7 @@ def phaseless_columns(terms: Sequence[str]) -> Names:
 def given_servo(run: Run) -> dict[str, float]:
     """Servo coefficients [1/(m/s^2)^2] predicted from ``[instrument] servo`` of the run file; empty without it.
 
-    They hold at the root-mean-square rate of the record. ``servo_damping`` is included if the damping is given.
+    They are valid at the root-mean-square rate of the record. ``servo_damping`` is included if the damping is given.
     """
     if not run.servo:
         return {}
@@ -347,7 +347,7 @@ class Design:
         return 0.0 if self.estimates_scale_factor else float(self.run.scale_factor)
 
     def _bows(self, first: int, stop: int) -> Array | None:
-        """Bows of force and base rate (6, n) in the intervals from sample ``first`` to ``stop - 1``; None without bows.
+        """Curvature corrections ("bows") of force and base rate (6, n), intervals ``first`` to ``stop - 1``; None if all are zero.
 
         They do not depend on which output samples are left out.
         """

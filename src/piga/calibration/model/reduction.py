@@ -77,7 +77,7 @@ class Reduction:
     def absorb(self, columns: Array, *, count: int | None = None) -> None:
         """Absorb rows given as ``columns`` (m + 1, n), last one y.
 
-        ``count`` is the number of rows that carry information (n unless some are all zero).
+        ``count`` is the number of rows that contain information (n unless some are all zero).
         """
         size = len(self.names) + 1
         if columns.shape[0] != size:

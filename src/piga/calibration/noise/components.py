@@ -102,7 +102,7 @@ class RateBins:
 class Component:
     """A component of the noise.
 
-    ``unit`` is that of its level. When it is looked for: :mod:`piga.calibration.noise.components`.
+    ``unit`` is the unit of its level. The rules of the search: :mod:`piga.calibration.noise.components`.
     """
 
     name: str
@@ -191,10 +191,10 @@ ALWAYS, NEVER = "always", "never"
 
 @dataclass(frozen=True)
 class Rule:
-    """What is done with a component. Gains are those of twice the log-likelihood.
+    """When a component is searched for and used. Gains are those of twice the log-likelihood.
 
-    ``looked_for``: the records in which it is looked for. ``covariance``, ``weights``: the gain from which it enters them.
-    ``evidence``: where the numbers come from.
+    ``looked_for``: the records in which it is searched for. ``covariance``, ``weights``: the gain from which it enters them.
+    ``evidence``: the source of the numbers.
     """
 
     component: str

@@ -269,7 +269,7 @@ def rate_share(variance: ArrayLike, square: ArrayLike) -> Array:
 def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
     """One summary per segment of the weighted rows.
 
-    A bias drift adds its columns after those of the model. The first summary also holds the prior of its steps;
+    A bias drift adds its columns after those of the model. The first summary also contains the prior of its steps;
     :func:`~piga.calibration.model.solution.solve` integrates the drift out. A scatter of the segments, stated or
     estimated, is integrated out of each summary.
     """

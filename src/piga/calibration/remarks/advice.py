@@ -148,7 +148,7 @@ def factor_near(ratio: float) -> Factor | None:
 
 
 def better_words(ratio: float, reading: AdviceReading, alike: list[AdviceReading], run: Run) -> str:
-    """Advice for a reading that fits far better; ``alike`` are readings that the record cannot tell from it."""
+    """Advice for a reading that fits far better; ``alike`` are readings that the record cannot separate from it."""
     others = "; ".join(other.words() for other in alike)
     equal = f" (this record cannot tell it from: {others})" if others else ""
     times = f"{float(f'{ratio:.1g}'):.0f}"

@@ -176,7 +176,7 @@ TEMPERATURE = TemperatureSettings()
 class Unseen:
     """A bias that follows the temperature and that the record does not exclude.
 
-    ``bias`` is its bound [g/K] and ``assumed`` is True if it is the largest that is taken to be possible. It would move
+    ``bias`` is its bound [g/K] and ``assumed`` is True if it is the largest that is assumed to be possible. It would move
     ``coefficient`` by ``shift`` standard uncertainties. ``growth`` is the ratio of the fit's standard uncertainties of
     this coefficient with ``k0_T`` and without it, inf where the record cannot tell them apart.
     """
@@ -278,7 +278,7 @@ def _about_the_mean(piece: Array, offset: float) -> Array:
 
 
 def moved_by_one(pieces: list[Array]) -> Array | None:
-    """Change of the parameters by a candidate of size one that the model lacks; None if they are not determined."""
+    """Change of the parameters by a missing candidate of size one; None if they are not determined."""
     rows = np.vstack(pieces)[:, :-1]
     scale = np.linalg.norm(rows, axis=0)
     if not scale.all():
