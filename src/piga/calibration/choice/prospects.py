@@ -121,12 +121,12 @@ def _known(run: Run, asked: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _needed(term: str, base: tuple[str, ...]) -> tuple[str, ...]:
-    """Terms that must come with a term and are not there."""
+    """Terms that a term requires and that are missing."""
     return ("tan_beta",) if term in SERVO_TERMS and "tan_beta" not in base else ()
 
 
 def _base(weighed: Weighed, asked: tuple[str, ...]) -> tuple[tuple[str, ...], list[TermProspect]]:
-    """The asked terms that the record determines together, and what it says of each asked one."""
+    """The asked terms that the record determines together, and the prospect of each asked term."""
     whole = weighed.compared(asked, predict=False)
     if not whole.reason:
         return asked, [_prospect(term, whole, asked=True) for term in asked]
@@ -134,7 +134,7 @@ def _base(weighed: Weighed, asked: tuple[str, ...]) -> tuple[tuple[str, ...], li
     rows: dict[str, TermProspect] = {}
     for term in asked:
         if harmonic(term) and term[0] == "c":
-            continue  # comes with its partner
+            continue  # is added with its partner
         pair = (term, f"c{term[1:]}") if harmonic(term) else (term,)
         tried = weighed.compared((*base, *pair), predict=False)
         base = base if tried.reason else (*base, *pair)

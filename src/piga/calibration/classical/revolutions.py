@@ -89,7 +89,7 @@ class TurnScatter:
 class Positions:
     """Mean rates over whole turns: one point per position, with its turns and their scatter.
 
-    ``run`` holds the means as a log of rates. ``short``, ``unsteady`` and ``locking`` are labels of positions that
+    ``run`` contains the means as a rate log. ``short``, ``unsteady`` and ``locking`` are labels of positions that
     are left out: less than one turn, specific force not constant, or too near to lock.
     """
 

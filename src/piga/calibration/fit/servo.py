@@ -182,7 +182,7 @@ def settled_design(design: Design, mode: str, noise: Noise) -> Design:
     Raises
     ------
     IdentifiabilityError
-        If the record cannot tell a servo term from other terms; names the terms and a test that can.
+        If the record cannot separate a servo term from other terms; names the terms and a test that can.
     """
     if not design.turning_servo:
         return design

@@ -47,7 +47,7 @@ from piga.results import Array
 
 @dataclass(frozen=True)
 class AddedNoise:
-    """A noise that is in the covariance only: its variance (may be negative), the uncertainty of that, and its scores.
+    """A noise that is in the covariance only: its variance (may be negative), the uncertainty of this variance, and its scores.
 
     ``scores`` (m, K) per phase group, for unit variance. ``together``: True if one noise acts on all groups, False if each
     group has its own. ``shared`` is the covariance of its variance with that of the noise before it. ``gain`` is the gain of
@@ -115,7 +115,7 @@ def _faint(fit: Fit, design: Design) -> list[AddedNoise]:
 
 
 def _coloured(fit: Fit, colour: Colour, design: Design) -> list[AddedNoise]:
-    """The likeliest coloured noise, and what it changes in the random walk."""
+    """The likeliest coloured noise, and its effect on the random walk."""
     bins = RateBins.of(design.run)
     root = positive_root(RATES[colour.name](bins, colour.time))
     weight = 1.0 / fit.sample_variance if fit.mode == "samples" else 1.0
@@ -137,7 +137,7 @@ def _grouped(parts: list[Array], groups: tuple[int, ...]) -> tuple[Array, ...]:
 
 
 def _slow_scores(fit: Fit, design: Design, basis: NoiseColumns, root: Array) -> list[Array]:
-    """``X'W B`` (m, k) of every segment for unit slow noise; ``root`` (count, k) is that of the covariance of its numbers.
+    """``X'W B`` (m, k) of every segment for unit slow noise; ``root`` (count, k) is a root of the covariance of its numbers.
 
     If the weights include a stated scatter ``d b b'`` of a segment, ``W = V^-1 - V^-1 b b' V^-1 / (1/d + b' V^-1 b)``.
     """

@@ -106,7 +106,7 @@ def _bin_contrasts(fit: Fit, bins: RateBins) -> Contrasts:
 
 
 def _suspected(contrasts: Contrasts, bins: RateBins, segments: int) -> bool:
-    """True if a component gains something beside white noise and walk; of the Markov processes the one of a part is tried."""
+    """True if a component gains beyond white noise and walk. One Markov process is tried: with the time of one part."""
     base = _estimated(contrasts, bins, "")
     if base is None:
         return False

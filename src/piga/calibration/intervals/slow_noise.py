@@ -189,7 +189,7 @@ def moved_by(factor: Array, basis: NoiseColumns, parameters: int) -> Array | Non
 
 
 def _levels_together(fit: Fit, basis: SlowBasis) -> tuple[Noise, float]:
-    """White noise and random walk beside a slow noise, and the gain by it: restricted likelihood of all three.
+    """White noise and random walk with a slow noise, and the gain by it: restricted likelihood of all three.
 
     The search uses a grid of ``log10(q h/r)``, concentrated over the scale. Each point has its best slow noise.
     """
@@ -198,7 +198,7 @@ def _levels_together(fit: Fit, basis: SlowBasis) -> tuple[Noise, float]:
 
 
 def _levels_beside_stated(fit: Fit, noise: Noise, below: float) -> Noise:
-    """White noise and random walk beside a stated scatter, searched down to ``below`` decades under ``noise``."""
+    """White noise and random walk with a stated scatter, searched down to ``below`` decades under ``noise``."""
     table = _deviances(fit, SegmentBasis.of(fit.design.run), noise, below)
     return table.levels(noise, table.without)
 
@@ -306,7 +306,7 @@ def projected(factor: Array, basis: SlowBasis) -> tuple[Array, Array, float, flo
     """Project out the model: eigenvalues of the slow noise, squared component of y on each, the rest, ``log|X'X|``.
 
     Then ``y = B s + e``. Components on the eigenvectors of ``B B'`` have variance ``1 + v lambda``. Directions that the model
-    takes up are left out; for a scatter their number is that of the coefficients of mean rates.
+    absorbs are left out; for a scatter their number is that of the coefficients of mean rates.
     """
     block, y, left, diagonal = without_model(factor, basis.count)
     vectors, values, _ = np.linalg.svd(block)

@@ -55,7 +55,7 @@ LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
 class SourceSummary:
     """One source of Type B: the summaries of the record moved by its standard uncertainty.
 
-    A source with a new value in each segment has no ``parts``. For each segment, ``segments`` then holds the changed phase
+    A source with a new value in each segment has no ``parts``. For each segment, ``segments`` then contains the changed phase
     group and its summary when only that segment is moved. ``in_fit``: True if the weights include the source. ``draw``
     as in the run file.
     """
