@@ -58,16 +58,18 @@ NEAR_COUPLING = 1e-3
 EVEN = 1e-4
 """Half the relative change of the interval up to which a series replaces a division (error 1e-8 of the rise)."""
 LIMITED, NEXT_ORDER = 0.5, 0.15
-"""Standard uncertainty of a second derivative, as parts of what the limit took and of its last term: oscillations at seven
-samples a period and more come back with mean squares of error over uncertainty of 0.1 to 1.1."""
+"""Standard uncertainty of a second derivative, as shares of the part that the limit cut off and of its last term. For
+oscillations at seven samples a period and more the mean square of error over uncertainty is 0.1 to 1.1."""
 SERIES = 9.0
 """Largest square of half the angle turned for which a bow is weighted with the angle."""
 BEGUN, TURNED = 1.0, 7e-4
-"""Standard uncertainty of a second derivative times ``h^2`` in the first interval of a stretch, where two samples tell none:
-as parts of the change (the input began to move at the first sample) and of the mean (at a turning point of an
-oscillation with 170 samples a period, where the change is small, twice the uncertainty holds what is missing)."""
+"""Standard uncertainty of a second derivative times ``h^2`` in the first interval of a stretch. Two samples give no second
+derivative. The uncertainty is a share of the change (as if the input began to move at the first sample) and of the mean. The
+share of the mean is for a turning point of an oscillation with 170 samples a period, where the change is small: there twice
+the uncertainty covers the missing second derivative."""
 FADING = 0.6
-"""Share of an uncertainty kept for the next interval: an oscillation's estimate passes through zero, its error does not."""
+"""Share of an uncertainty kept for the next interval. During an oscillation the estimate passes through zero, the error does
+not."""
 
 
 @exact

@@ -40,7 +40,7 @@ class AdviceSettings:
     far_better: float = 3.0
     """Ratio of residuals above which another reading is advised."""
     as_good: float = 1.2
-    """Ratio of residuals up to which readings cannot be told apart."""
+    """Ratio of residuals up to which readings cannot be separated."""
     off: float = 2.0
     """Ratio of the scale factor to the nominal one above which an error is reported, even if no reading explains it."""
     most_alike: int = 3
