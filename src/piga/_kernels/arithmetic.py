@@ -1,20 +1,22 @@
-"""Arithmetic of the kernels: double-double numbers, what samples tell of the time between them, sine and arctangent.
+"""Arithmetic of the kernels: double-double numbers, smooth inputs between samples, sine and arctangent.
 
-**Double-double.** A number is the unevaluated sum ``high + low`` of two float64, with about 31 significant digits. Used where
-a phase grows over many revolutions or where two nearly equal squares are subtracted, and where triangular factors are
-gathered. Dekker's and Knuth's error-free transformations, valid while products stay below 1e300 and above 1e-290.
+**Double-double.** A number is the unevaluated sum ``high + low`` of two float64, with about 31 significant digits. It is used
+where a phase grows over many revolutions, where two nearly equal squares are subtracted, and where triangular factors are
+merged. The error-free transformations are those of Dekker and Knuth. They are valid while products stay below 1e300 and
+above 1e-290.
 
 **Between samples.** The mean of a smooth input over an interval is the mean of both ends less ``h^2/12`` of its second
 derivative in the middle. At a step, a kink or a bad sample, second differences change their sign or size from sample to
-sample. If the sign changes, the second derivative is taken as zero. It is never more than twice the smaller of two
-neighbours, so that nothing rings. A running velocity is linear within each interval, where only the mean force is known.
+sample. If the sign changes, the second derivative is set to zero. It is limited to twice the smaller of two
+neighbours. So the result does not ring. A running velocity is linear within each interval, because only the mean force is
+known there.
 
-**Sine with cosine, and the arctangent of a half-angle pair**, without branches or table: they run on whole vectors. The
-argument of sine and cosine is reduced by a three-part pi/2 [Cody1980], exact for quotients below 2^20; larger angles are
-worked off by the library's functions one by one. Polynomials and parts are printed by ``builders/build_sine_cosine.py``.
-Nothing is contracted, so a value does not depend on its neighbours. The arctangent is a Chebyshev fit of
-``(atan(u)/u - 1)/u^2`` over ``|u| <= tan(pi/8)``, made with ``mpmath.chebyfit`` at 50 digits, eleven coefficients: relative
-error 6e-18, half an ulp in float64.
+**Sine with cosine, and the arctangent of a half-angle pair** have no branches and no table, so they run on whole vectors. The
+argument of sine and cosine is reduced by a three-part pi/2 [Cody1980], which is exact for quotients below 2^20. The library's
+functions compute larger angles one by one. ``builders/build_sine_cosine.py`` prints the polynomials and the parts.
+Multiply-adds are not contracted, so a value does not depend on its neighbours. The arctangent is a Chebyshev fit of
+``(atan(u)/u - 1)/u^2`` over ``|u| <= tan(pi/8)``, made with ``mpmath.chebyfit`` at 50 digits. It has eleven coefficients. The
+relative error is 6e-18, half an ulp in float64.
 """
 
 from __future__ import annotations
@@ -146,8 +148,8 @@ class Increments(NamedTuple):
 def resample(given: Increments, period: float, state: Array, marks: NDArray[np.int32], out: Increments) -> int:
     """Resample increments to ``out`` at ``start + k period``; returns the number of its rows. State in and out.
 
-    A new increment is the running velocity at its time less the sum of the increments already given out. Its flags
-    are those of all rows that overlap it; ``marks`` holds those of the unfinished row.
+    A new increment is the running velocity at its time less the sum of the increments already returned. Its flags
+    are those of all rows that overlap it; ``marks`` contains those of the unfinished row.
     """
     t, dv, flags = given
     times, rows, row_flags = out

@@ -1,8 +1,8 @@
 """Decorators that compile the kernels.
 
-Kernels take floats and float64 arrays, raise nothing a user should read, and run unchanged with
-``NUMBA_DISABLE_JIT=1``. ``nogil`` lets plain threads run them on all cores; ``cache`` keeps the
-compiled code between processes. Contraction of multiply-add is allowed, reordering is not, so that
+Kernels take floats and float64 arrays. They raise no messages for users. They run unchanged with
+``NUMBA_DISABLE_JIT=1``. With ``nogil`` plain threads run them on all cores. ``cache`` keeps the
+compiled code between processes. Contraction of multiply-add is allowed. Reordering is not, so the
 results do not depend on how a record is split.
 """
 
@@ -43,10 +43,10 @@ RECENT = 2.0
 
 
 class _SoundCacheFile(IndexDataCacheFile):
-    """Files of compiled kernels that hold what was written, or are compiled again.
+    """Files of compiled kernels. A file that does not contain the bytes that were written is compiled again.
 
-    A power cut leaves files that are empty, short or full of zeros. Numba reads them as they are: the command ends
-    in its exceptions. Here every file begins with the SHA-256 of the rest, and a damaged one is removed. Files that
+    A power cut leaves files that are empty, short or full of zeros. Numba does not check them, so the command would end
+    with an exception of Numba. Here every file begins with the SHA-256 of the rest, and a damaged one is removed. Files that
     cannot be read or written (a full disk, another user's) cost only the time to compile.
     """
 

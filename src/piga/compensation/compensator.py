@@ -1,6 +1,6 @@
-"""Compensation step by step: state and chunk in, state and result out. Live streams and whole records both use it.
+"""Compensation of live streams and of whole records, step by step: state and chunk in, state and result out.
 
-Compensate a whole record. It runs the same step as a live stream, piece by piece.
+A whole record is compensated piece by piece, by the same step as a live stream.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def init_state() -> Array:
 def find_begins(state: Array, t: Array) -> NDArray[np.bool_]:
     """Mark the samples of a stream that begin a stretch; ``t`` (n,) [s] are the times after ``state``.
 
-    If ``state`` holds no nominal interval yet, the first positive interval is stored in it.
+    If ``state`` contains no nominal interval yet, the first positive interval is stored in it.
     """
     steps = np.empty_like(t)
     steps[:1] = t[:1] - state[at.S_TIME] if state[at.S_VALID] else 0.0
@@ -187,7 +187,7 @@ class Compensator:
     Raises
     ------
     CalibrationError
-        If the calibration does not hold the phase.
+        If the calibration does not contain the phase.
     """
 
     def __init__(
@@ -244,7 +244,7 @@ class Compensator:
         Raises
         ------
         ArgumentError
-            If a column is missing, has another length, or holds a number that is not finite.
+            If a column is missing, has another length, or contains a number that is not finite.
         """
         before = self._state.copy()
         samples = chunk if isinstance(chunk, Chunk) else self._samples(self._columns(chunk))
@@ -378,7 +378,7 @@ def compensate(
     Raises
     ------
     CalibrationError
-        If the calibration is of another instrument, or lacks the phase of a segment.
+        If the calibration is of another instrument, or if the phase of a segment is missing.
     """
     plan = _plan(record, calibration, method, phase, limits, max_age_days, force)
     result = empty_step(record.size, uncertainty, flags)

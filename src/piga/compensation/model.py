@@ -102,7 +102,7 @@ class Phase:
 
 @dataclass(frozen=True)
 class Model:
-    """One instrument for one phase: its arrays for the kernels, the formula, and the flags that hold for all rows."""
+    """One instrument for one phase: its arrays for the kernels, the formula, and the flags that are valid for all rows."""
 
     instrument: InstrumentArrays
     has_terms: bool

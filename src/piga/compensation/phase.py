@@ -104,7 +104,7 @@ class PhaseFinder:
         """The phase from all samples so far; None before one full revolution."""
         if self._turned < POWER_UP.least_turn:
             return None
-        # The rate column is h itself; the coupling columns carry K tan_beta a_t, so p and q are cos and sin.
+        # The rate column is h itself; the coupling columns contain the factor K tan_beta a_t, so p and q are cos and sin.
         matrix = self._normal[:3, :3]
         size = np.sqrt(np.diag(matrix))
         if not size.min() > 0.0:

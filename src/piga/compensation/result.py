@@ -168,7 +168,7 @@ class TableWriter:
         if error is None:
             self.close()
         elif self._writer is not None:
-            with suppress(Exception):  # the error that ended the writing is the one to be told
+            with suppress(Exception):  # the error that ended the writing is the one to report
                 self._writer.close()
             self._writer = self._held = None
 
@@ -205,7 +205,7 @@ class Compensated(Result, Plotted, Reported, Tabular):
     serial, method:
         Serial number of the instrument, and ``"exact"`` or ``"published"``.
     notes:
-        Notes that every display of ``u_ax`` must show, from :func:`notes_on`; files hold them too.
+        Notes that every display of ``u_ax`` must show, from :func:`notes_on`; files contain them too.
     made_from:
         The record and the calibration, for :meth:`plot` and :meth:`report`. A pickle leaves them out.
     """
@@ -270,7 +270,7 @@ class Compensated(Result, Plotted, Reported, Tabular):
         return self.notes
 
     def to_parquet(self, path: str | Path) -> None:
-        """Write a Parquet file; its metadata hold units, flag names and notes."""
+        """Write a Parquet file; its metadata contain units, flag names and notes."""
         write_table(Path(path), self.columns(), "parquet", self.notes)
 
     def to_csv(self, path: str | Path) -> None:
@@ -377,7 +377,7 @@ class Resampler:
     def push(self, t: ArrayLike, dv: ArrayLike) -> tuple[Array, Array]:
         """Add increments ``dv`` (n,) or (n, 3) [m/s] since the previous sample, at the times ``t`` (n,) [s].
 
-        The first sample only sets the start. Its increment is held back.
+        The first sample only sets the start. Its increment is added to the first new row.
 
         Returns
         -------

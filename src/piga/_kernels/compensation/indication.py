@@ -8,34 +8,34 @@ motion [own derivation, docs/theory/compensation] says, without approximation,
 .. math:: A \cos\delta = 2 q\cot q\,\sin\delta - (Y \sin\alpha_m - Z \cos\alpha_m), \qquad
           q^2 = (A^2 - Y^2 - Z^2)/4 .
 
-``Y, Z`` are known from the reference; ``A`` is wanted. The equation is solved for the small ``e = A - 2 delta``, so
+``Y, Z`` are known from the reference. ``A`` is the unknown. The equation is solved for the small ``e = A - 2 delta``, so
 that no digit of the angle is lost. Input that is linear between samples is converted to constant increments by the
 fourth-order Magnus terms. The slope of ``a_x`` is taken from earlier intervals.
 
 **Near.** Angle records that turn little between samples: the coupling integrated from its values at the samples.
 
 Over an interval the mean of ``u_x`` is the output rate less the mean of the coupling
-``g = tan_beta (u_Y sin(alpha) - u_Z cos(alpha))``, whose integral follows from its values and derivatives at both
-ends, where the angle is known (Euler-Maclaurin [own derivation, docs/theory/compensation]):
+``g = tan_beta (u_Y sin(alpha) - u_Z cos(alpha))``. The angle is known at both ends. The values and derivatives of g at the
+ends give the integral of g (Euler-Maclaurin [own derivation, docs/theory/compensation]):
 
 .. math:: \bar g = \tfrac12 (g_0 + g_1) + \tfrac{h}{12} (g_0' - g_1') - \tfrac{h^3}{720} (g_0''' - g_1''') .
 
-Transverse input is linear between samples. ``u_x`` is linear too; its change follows from backward differences of its
-means (three intervals; fewer at the beginning of a stretch). The derivatives contain ``u_x`` itself, and the equation is
+Transverse input is linear between samples. ``u_x`` is linear, too. Backward differences of its means give its change
+(three intervals; fewer at the beginning of a stretch). The derivatives contain ``u_x`` itself, and the equation is
 linear in it. No angle between samples is needed, so one sine and cosine per sample is enough.
 
 **Between.** Motion of the known inputs between samples: base rate and reference, smooth through these and earlier samples.
 
 The mean of a smooth input over an interval is the mean of both ends less ``h^2/12`` of its second derivative in the
 middle. The second derivative is that of the cubic through the last four samples. It is causal, and exact for a cubic with
-any intervals; for even intervals it is the formula of Adams and Moulton:
+any intervals. For equal intervals it is the formula of Adams and Moulton:
 
 .. math:: \bar x = \tfrac12 (x_0 + x_1) - \tfrac{h^2}{12} \ddot x, \qquad
           \ddot x = D_0 + \varrho (D_0 - D_1), \quad
           \varrho = \frac{h_0 + 2 h_1}{2 (h_0 + h_1 + h_2)} ,
 
 ``D_0`` is the second derivative from the last three samples, ``D_1`` that from one sample earlier. They are limited so that
-nothing rings (:mod:`piga._kernels.arithmetic`). The remaining error is estimated for ``u_ax``.
+the result does not ring (:mod:`piga._kernels.arithmetic`). The remaining error is estimated for ``u_ax``.
 """
 
 from __future__ import annotations
@@ -58,16 +58,18 @@ NEAR_COUPLING = 1e-3
 EVEN = 1e-4
 """Half the relative change of the interval up to which a series replaces a division (error 1e-8 of the rise)."""
 LIMITED, NEXT_ORDER = 0.5, 0.15
-"""Standard uncertainty of a second derivative, as parts of what the limit took and of its last term: oscillations at seven
-samples a period and more come back with mean squares of error over uncertainty of 0.1 to 1.1."""
+"""Standard uncertainty of a second derivative, as shares of the part that the limit cut off and of its last term. For
+oscillations at seven samples a period and more the mean square of error over uncertainty is 0.1 to 1.1."""
 SERIES = 9.0
 """Largest square of half the angle turned for which a bow is weighted with the angle."""
 BEGUN, TURNED = 1.0, 7e-4
-"""Standard uncertainty of a second derivative times ``h^2`` in the first interval of a stretch, where two samples tell none:
-as parts of the change (the input began to move at the first sample) and of the mean (at a turning point of an
-oscillation with 170 samples a period, where the change is small, twice the uncertainty holds what is missing)."""
+"""Standard uncertainty of a second derivative times ``h^2`` in the first interval of a stretch. Two samples give no second
+derivative. The uncertainty is a share of the change (as if the input began to move at the first sample) and of the mean. The
+share of the mean is for a turning point of an oscillation with 170 samples a period, where the change is small: there twice
+the uncertainty covers the missing second derivative."""
 FADING = 0.6
-"""Share of an uncertainty kept for the next interval: an oscillation's estimate passes through zero, its error does not."""
+"""Share of an uncertainty kept for the next interval. During an oscillation the estimate passes through zero, the error does
+not."""
 
 
 @exact
@@ -188,7 +190,7 @@ def curved(bend: float, j: int, w: Array) -> float:
 
 @exact
 def is_odd(j: int, w: Array) -> bool:
-    """True for an interval that differs from the one before, or stands near the beginning of a stretch."""
+    """True for an interval that differs from the one before, or is near the beginning of a stretch."""
     x = 0.5 * (w[at.STEP + j - 1] * w[at.INVERSE + j] - 1.0)
     return abs(x) > EVEN or w[at.STEP + j - 2] == 0.0 or w[at.STEP + j - 3] == 0.0
 
@@ -345,8 +347,8 @@ def solve_far(delta: float, square: float, coupling: float) -> float:
 def invert_motion(stop: int, K: float, w: Array) -> None:
     """Indicated mean specific force along X0 of every interval [m/s^2], and the slope used.
 
-    The Magnus terms of input that is linear in the interval are small beside its mean: the equation is
-    solved for the mean and corrected for them to first order (their square is below rounding).
+    The Magnus terms of input that is linear in the interval are small compared with its mean. The equation is
+    solved for the mean and corrected for these terms to first order (their square is below rounding).
     """
     inverse_K = 1.0 / K
     for j in range(1, stop):
@@ -442,9 +444,9 @@ def find_bows(n: int, turning: bool, straight: bool, state: Array, w: Array) -> 
 def add_bows(n: int, K: float, w: Array) -> None:
     """Subtract the bows of the transverse input from the indicated mean force, and add the base rate about X0.
 
-    ``alpha' + Omega_x = K a_x + ...``. A parabola weighs with the angle by ``3 j_1(x)/x``, ``x`` half the angle turned, here
-    by its series (3e-4 at x = 3, where the interval is called coarse). What the change of ``a_x`` over the interval has
-    of the base rate's is added, too.
+    ``alpha' + Omega_x = K a_x + ...``. Over the angle a parabola has the weight ``3 j_1(x)/x``, with ``x`` half the angle turned.
+    The series of this weight is used (3e-4 at x = 3, where the interval is called coarse). The part of the change of ``a_x``
+    over the interval that comes from the base rate is added, too.
     """
     inverse = 1.0 / K
     for j in range(1, n + 1):
@@ -463,9 +465,9 @@ def find_doubt(n: int, K: float, state: Array, w: Array) -> None:
     """Uncertainty of the mean force of every interval by the motion between samples [m/s^2], without the base rate.
 
     It includes the uncertainties of the bows, and the bend of the angle between samples beyond the change of ``u_x``
-    predicted from earlier intervals. The first interval of a stretch passes nothing on, because its neighbour has a
-    second derivative. It shows no change of ``u_x``: where the sampled input changes, a change by the mean of ``u_x`` is
-    assumed. In the second interval the change itself is taken.
+    predicted from earlier intervals. The first interval of a stretch adds nothing to the next one, because the next one has a
+    second derivative. It shows no change of ``u_x``. Where the sampled input changes, a change by the mean of ``u_x`` is
+    assumed. In the second interval the change itself is used.
     """
     inverse, before, slope = 1.0 / K, state[at.S_DOUBT], state[at.S_SLOPE]
     for j in range(1, n + 1):
@@ -491,10 +493,10 @@ def find_doubt(n: int, K: float, state: Array, w: Array) -> None:
 def find_set_doubt(n: int, K: float, tangent: float, bend: Array, state: Array, w: Array) -> None:
     """Like :func:`find_doubt`, for an instrument of a set. Its transverse force is an unknown of the solution.
 
-    ``bend`` (3, rows) is what the change of the force over an interval may be off by, in the instrument's axes [m/s^2].
-    The rows RATE hold all of the transverse input. In the first interval of a stretch nothing shows a change: twice the
-    uncertainty holds one as large as the force itself, in any direction. In the second one the parts of the bend are
-    added by their sizes.
+    ``bend`` (3, rows) is the possible error of the change of the force over an interval, in the instrument's axes [m/s^2].
+    The rows RATE contain all of the transverse input. In the first interval of a stretch no sample shows a change: twice the
+    uncertainty covers a change as large as the force itself, in any direction. In the second interval the sizes of the parts
+    of the bend are added.
     """
     before = state[at.S_DOUBT]
     for j in range(1, n + 1):
@@ -523,7 +525,7 @@ def find_set_doubt(n: int, K: float, tangent: float, bend: Array, state: Array, 
 def find_samples(rows: int, phi: float, w: Array) -> None:
     """Angle, its sine and cosine, and ``u_x`` at samples whose angle and rate are both recorded.
 
-    The angle stands in the row PSI, the rate in FIRST.
+    The angle is in the row PSI, the rate in FIRST.
     """
     far = 0
     for j in range(1, rows + 1):

@@ -1,8 +1,8 @@
 """Positions in the flat arrays of the compensation kernels.
 
-One flat work array with rows of ``STRIDE`` numbers: all rows have one base, so the compiler sees that they
-do not overlap. Entry 0 of a row is the last sample (or interval) of what came before, entry ``j`` belongs
-to sample ``j - 1`` of the block, or to the interval that ends there.
+The kernels use one flat work array with rows of ``STRIDE`` numbers. All rows have one base, so the compiler sees that they
+do not overlap. Entry 0 of a row is the last sample (or interval) before the block. Entry ``j`` belongs
+to sample ``j - 1`` of the block, or to the interval that ends at this sample.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ ERROR_RISE = 53 * STRIDE  # sets: change of ERROR over the interval [m/s^2]
 BOW_X, BOW_Y, BOW_Z = 54 * STRIDE, 55 * STRIDE, 56 * STRIDE
 # standard uncertainty of the bows [rad/s]
 LEFT_X, LEFT_Y, LEFT_Z = 57 * STRIDE, 58 * STRIDE, 59 * STRIDE
-DOUBT = 60 * STRIDE  # what the samples do not tell of the mean force of the interval [m/s^2]
+DOUBT = 60 * STRIDE  # uncertainty of the mean force of the interval by changes between samples [m/s^2]
 OMEGA_Y, OMEGA_Z = 61 * STRIDE, 62 * STRIDE  # base rate across [rad/s]
 CURVED = 63 * STRIDE  # second derivative of an input by the sample of a row and the two before it
 WEIGHT_CURVED = 64 * STRIDE  # 2 over the time of two intervals [1/s]; 0 where they do not belong together
@@ -112,8 +112,8 @@ S_FORCE = 11
 S_TURNS = 12  # rate logs: whole turns and rest of alpha
 S_REST = 13
 S_START = 14  # published formula: psi of the first sample
-S_PHI = 15  # phase that S_REST holds
-S_NOMINAL = 16  # nominal interval [s] to tell gaps; 0 until known
+S_PHI = 15  # phase that is contained in S_REST
+S_NOMINAL = 16  # nominal interval [s] to detect gaps; 0 until known
 S_PSI_BEFORE = 17  # angle one sample before the last
 S_SLOPE = 18  # change of a_x over the last interval
 S_DOUBT = 19

@@ -1,6 +1,6 @@
 """Compensate a chunk of any size of one instrument, block by block; state in, state out.
 
-Angles and rates use the same kernel. A missing angle or rate is None; the compiler then omits its code. Any other
+Angles and rates use the same kernel. A missing angle or rate is None. The compiler then omits the code for it. Any other
 missing input is an empty array.
 """
 
@@ -264,7 +264,7 @@ def describe_intervals(n: int, K: float, full: bool, w: Array) -> None:
 
 @exact
 def write_intervals(start: int, n: int, w: Array, rows: RowArrays) -> None:
-    """Results of a block; rows without an increment hold no force, no uncertainty and no velocity."""
+    """Results of a block; rows without an increment contain no force, no uncertainty and no velocity."""
     stop = start + n
     ax, dv, u, flags = rows.ax[start:stop], rows.dv[start:stop], rows.u[start:stop], rows.flags[start:stop]
     for j in range(n):

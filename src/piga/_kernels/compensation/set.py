@@ -5,7 +5,7 @@ docs/theory/compensation], with ``g = sin(delta)/delta`` to leading order:
 
 .. math:: a_x + e(f) + g \tan\beta (a_Y \sin\alpha_m - a_Z \cos\alpha_m) = \text{known} ,
 
-at a sample with recorded rate the same with ``g = 1``. The effective axes stand in a normal matrix; the exact
+At a sample with recorded rate the equation is the same with ``g = 1``. The effective axes form a normal matrix. The exact
 (nonlinear) equations are satisfied by iteration with that matrix, so its condition costs no digits.
 """
 
@@ -244,9 +244,9 @@ def turn_force(rows: int, axes: Array, w: Array, c: Array) -> None:
 
 @kernel
 def model_errors(rows: int, p: Array, has_terms: bool, sampled: bool, w: Array) -> None:
-    """Error model at the force and its change over the interval: what the indicated force has beyond ``a_x``.
+    """Error model at the force and its change over the interval: the difference of the indicated force and ``a_x``.
 
-    The row HALF holds the rate where the set is ``sampled``.
+    The row HALF contains the rate if the set is ``sampled``.
     """
     reference = p[at.P_TIME_REFERENCE]
     for j in range(1, rows + 1):
@@ -350,9 +350,9 @@ def find_rise(rows: int, early: int, rise: int, bend: int, w: Array, c: Array) -
     """Change of a component of the force over every interval, from its early estimates there and before.
 
     ``d + d^2/2 + d^3/4`` of backward differences ``d``, as for one instrument
-    (:func:`piga._kernels.compensation.indication.invert_near`); the differences there are behind the beginning of a stretch, the
-    first one where intervals differ. The last term of this series is what the change may be off by (row ``bend``); the first
-    interval of a stretch tells nothing.
+    (:func:`piga._kernels.compensation.indication.invert_near`). Near the beginning of a stretch the
+    differences that exist are used. Where intervals differ, only the first difference is used. The last term of this series is
+    the possible error of the change (row ``bend``). The first interval of a stretch gives no estimate.
     """
     for j in range(1, rows + 1):
         h0, h1 = w[at.STEP + j], w[at.STEP + j - 1]
@@ -570,7 +570,7 @@ def invert_weighted(n: int, set_of: SetModels, work: SetWork) -> None:
 
 @exact
 def write_set(start: int, n: int, sampled: bool, w: Array, c: Array, rows: SetRows) -> None:
-    """Results of a block; an interval that begins a stretch holds no force."""
+    """Results of a block; an interval that begins a stretch contains no force."""
     stop = start + n
     force, dv, u, residual = (
         rows.force[start:stop],

@@ -1,7 +1,7 @@
 """Inverse of the error model, with uncertainty and validity of the result, on rows of interval means (or samples).
 
-A triangular factor ``R`` holds the covariance ``R'R`` of the coefficients. The variance ``|R x|^2`` for the regressors
-``x`` of a row is then a sum of squares. The dead zone is rare. It is computed row by row, and only in blocks where it
+A triangular factor ``R`` represents the covariance ``R'R`` of the coefficients. The variance ``|R x|^2`` for the regressors
+``x`` of a row is then a sum of squares. The dead zone is rare. It is computed row by row, and only in blocks in which it
 occurs.
 """
 
@@ -217,7 +217,7 @@ def fill_product(code: int, n: int, p: Array, w: Array, x: Array) -> None:
 
 @exact
 def needs_time(codes: NDArray[np.int64]) -> bool:
-    """True when a regressor holds time or temperature."""
+    """True if a regressor contains time or temperature."""
     needed = False
     for code in codes:
         needed |= (code == K0_T) | (code == K0_TEMP) | (code == K1_TEMP)
@@ -281,7 +281,7 @@ def find_uncertainty(n: int, per: int, scaled: bool, p: Array, w: Array) -> None
 
     Noise and the unknown between samples are added.
 
-    ``per`` is the row that holds 1 over the time of a row in the noise. ``scaled``: by the row DERIVATIVE.
+    ``per`` is the row that contains 1 over the time of a row in the noise. ``scaled``: by the row DERIVATIVE.
     """
     tangent, inverse = p[at.P_TAN_BETA], 1.0 / (p[at.P_K] * p[at.P_K])
     white, walk = 2.0 * p[at.P_WHITE] * inverse, p[at.P_WALK] * inverse

@@ -1,8 +1,8 @@
 """Noise of angle increments: whitening of a first-order moving average, and the saw-tooth error of counting.
 
-The increment of an output angle with white angle noise (variance r) and angle random walk (q per
-second) has noise ``w_n + e_n - e_(n-1)``: variance ``q h_n + 2 r`` and covariance ``-r`` between
-neighbours. In units of r, with ``kappa = q/r``, the innovations algorithm is a one-pole recursion:
+An output angle has white angle noise (variance r) and angle random walk (q per second). The noise of its increment
+is ``w_n + e_n - e_(n-1)``. The variance is ``q h_n + 2 r``. The covariance of neighbours is ``-r``.
+In units of r, with ``kappa = q/r``, the innovations algorithm is a one-pole recursion:
 ``v_n = kappa h_n + 2 - 1/v_(n-1)``, ``i_n = d_n + i_(n-1)/v_(n-1)``, variance of ``i_n`` is ``r v_n``.
 It restarts where a stretch begins (``h = 0``).
 
@@ -64,7 +64,8 @@ def innovation_weights(
 def whiten(columns: Array, carry: Array, scale: Array, state: Array, out: Array) -> None:
     """Run the recursion over every row of ``columns`` (m, n); ``state`` (m,) holds the last innovations.
 
-    Each step waits for the one before, so four rows go side by side. The last row stands in where rows lack.
+    Each step waits for the step before, so four rows are computed side by side. If fewer than four remain, the last one is
+    repeated.
     """
     m, n = columns.shape
     for j in range(0, m, 4):

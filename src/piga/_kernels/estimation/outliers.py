@@ -24,7 +24,7 @@ def scan_samples(
     ``d`` (n,) are residual increments over intervals ``h`` (0 where a stretch begins). The residual angle
     is a random walk (``walk`` per second) read with white noise (``white``): a Kalman filter of its level
     predicts every sample. One that misses by more than ``limit`` standard deviations, and ``floor`` [rad], is
-    left out and does not move the filter. A second filter follows what the missing samples agree on; when
+    left out and does not move the filter. A second filter follows the samples that are left out; when
     CONFIRM of them do, the angle has jumped and the second filter becomes the first. In a stretch shorter than that,
     the majority decides: if more samples agree on the second level than on the first, the first ones are left out.
     """

@@ -1,8 +1,8 @@
 """Regressors of the calibration: integrals of the error-model terms over each sample interval.
 
-All inputs are linear between samples; the bow of a smooth one (:func:`smooth_bows`) is added to first order. Row ``i`` of
-a block is the interval from sample ``lo + i`` to ``lo + i + 1``; rows that begin a stretch are written as zeros. With
-``step = 0`` the regressors are instead evaluated at the samples themselves (for logs that hold a rate).
+All inputs are linear between samples. The curvature of a smooth input, its bow (:func:`smooth_bows`), is added to first order.
+Row ``i`` of a block is the interval from sample ``lo + i`` to ``lo + i + 1``. Rows that begin a stretch are written as zeros.
+With ``step = 0`` the regressors are evaluated at the samples themselves (for rate logs).
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Estimates that take a record row by row: orthogonal (square-root) reduction, and recursions one sample at a time.
 
-The factor ``R`` of the augmented matrix ``[X | y]`` is a fixed-size summary: the last column holds
-``Q'y`` and its last diagonal element the norm of the residual.
+The factor ``R`` of the augmented matrix ``[X | y]`` is a fixed-size summary. The last column contains
+``Q'y``, and its last diagonal element is the norm of the residual.
 
-Long blocks are reduced by Householder reflections in double precision. The results and short blocks are combined by
-square-root-free rotations (Gentleman 1973, AS 75) in double-double, so that the result does not depend on how the
-rows were split. The recursions are that of the literature, and least squares by Givens rotations.
+Long blocks are reduced by Householder reflections in double precision. Square-root-free rotations (Gentleman 1973, AS 75)
+combine the results and short blocks in double-double. So the result does not depend on how the rows were split. There are
+two recursions: that of the literature, and least squares by Givens rotations.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def absorb_rows(R: Array, columns: Array, marks: NDArray[np.int64], snapshots: A
 def gather(weight: Array, unit: Array, rows: Array, row_weight: Array) -> None:
     """Gather ``rows`` (2, n, m) of weights ``row_weight`` (2, n) into ``U' W U``, all in double-double.
 
-    Numbers are high and low parts; the rows are used as workspace. ``weight`` (2, m) holds W, ``unit``
+    Numbers are high and low parts; the rows are used as workspace. ``weight`` (2, m) is W, ``unit``
     (2, m, m) the unit upper triangular U; ``R = sqrt(W) U`` is the triangular factor. For each row x of
     weight w and each pivot j: ``W' = W + w x_j^2``, ``x_k -= x_j U_jk``, ``U_jk += (w x_j / W') x_k``, ``w' = w W / W'``.
     A remainder below the carried digits is set to zero. As a pivot it would spread over the later columns.

@@ -1,4 +1,4 @@
-"""A straight line through values with an excess variance, and that line for every day of a history.
+"""A straight line through values with an excess variance, and this line for every day of a history.
 
 Both variances solve Paule and Mandel's condition: the weighted residual sum equals its degrees of freedom. Newton's
 method is applied to the reciprocal of the sum, which is nearly linear in the variance.
@@ -179,7 +179,7 @@ def days_so_far(
             before = within
             within = inner_excess(y, v, first, count, freedom, within)
             if within != before:
-                done = 0  # another variance inside days: every day is merged anew
+                done = 0  # another variance inside days: every day is merged again
         merge_days(values, first, count, within, means_of_days, done)
         merge_shared(v, first, count, within, shared, merged, done)
         insert_sorted(variances, ordered, count, done)

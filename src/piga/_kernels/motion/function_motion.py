@@ -1,7 +1,7 @@
 r"""Exact motion under a force that is a polynomial on each panel of time.
 
-A panel holds Chebyshev coefficients of the rates ``a, y, z`` [rad/s], so the force is known at any time on it. The
-steps of the sixth-order Magnus expansion with Gauss nodes [Blanes2009] are as fine as needed and are cut at the
+A panel contains Chebyshev coefficients of the rates ``a, y, z`` [rad/s], so the force is known at any time on it. The
+steps are those of the sixth-order Magnus expansion with Gauss nodes [Blanes2009]. They are as fine as needed and end at the
 output times. The user's function is not called again.
 """
 

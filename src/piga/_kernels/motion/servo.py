@@ -1,11 +1,11 @@
 """Rigid-body servo twin: right-hand side and error-controlled integration, on scalars and arrays.
 
-State ``(alpha, beta, w, v, z)``: outer-gimbal angle, rotor tilt, their rates, integral of the pick-off
+The state is ``(alpha, beta, w, v, z)``: outer-gimbal angle, rotor tilt, their rates, integral of the pick-off
 signal. The equations are derived in ``docs/twin.md`` (own derivation from the angular momentum of the
-outer gimbal and float); with equal float inertias, no product of inertia and a base that does not turn
+outer gimbal and float). With equal float inertias, no product of inertia and a base that does not turn
 they are the twin equations of the theory page.
 
-Force and base rate are linear between nodes; noise is held from a node to the next.
+Force and base rate are linear between nodes. Noise is constant from a node to the next.
 """
 
 from __future__ import annotations

@@ -68,10 +68,10 @@ def transfer(w: Array, j: int, p: float, q: float) -> tuple[float, float]:
 def chain(w: Array, m: int, p: float, q: float, t: Array, f: Array, out: Array) -> None:
     """Pairs at all samples of a block that starts with ``(p, q)``, not normalised.
 
-    The second half of a full block is multiplied up as a matrix while the first half is worked off as
-    a vector: two chains at once, each half as long. Its multiply-adds wait for each other; meanwhile
-    the memory fetches what the next block will read and write, a line of 64 bytes at a time: ``t``,
-    ``f``, ``out`` begin where that block does. Fetched in one go they would add 2 ns a sample.
+    The second half of a full block is multiplied up as a matrix while the first half is applied to
+    a vector: two chains at once, each half as long. The multiply-adds of a chain wait for each other. Meanwhile
+    the data that the next block reads and writes are fetched from memory, a line of 64 bytes at a time: ``t``,
+    ``f``, ``out`` begin where that block does. Fetched all at once they would add 2 ns a sample.
     """
     w[PAIR_P], w[PAIR_Q] = p, q
     if m < BLOCK:
@@ -170,7 +170,7 @@ def close_block(w: Array, m: int, turns: float, alpha: Array) -> tuple[float, fl
 def run_block(
     w: Array, m: int, start: tuple[float, float, float], alpha: Array, ahead: tuple[Array, Array, Array]
 ) -> tuple[bool, float, float, float]:
-    """Pairs and angles (unless ``alpha`` is empty) of a block whose increments stand in ``w``.
+    """Pairs and angles (unless ``alpha`` is empty) of a block whose increments are in ``w``.
 
     ``start``: turns, P, Q. The times, inputs and outputs ``ahead`` begin where the next block does, to be fetched
     meanwhile.

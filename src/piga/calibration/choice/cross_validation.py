@@ -79,7 +79,7 @@ class HeldOutPrediction(Result):
 
 
 def row_edges(run: Run, per_segment: bool) -> tuple[NDArray[np.int64], str]:
-    """First row of every part and the end row; what the parts are (segments or blocks)."""
+    """First row of every part and the end row; the kind of the parts (segments or blocks)."""
     edges = run.segment_edges()
     if per_segment or edges.size > FOLDS.fewest_segments:
         return edges, "segment"

@@ -55,7 +55,7 @@ class TermSet:
     remedy:
         What to do about that.
     alike:
-        Coefficients that are hard to tell apart, one sentence each.
+        Coefficients that are hard to separate, one sentence each.
     parameters:
         Number of coefficients, including phases.
     chi_square, log_likelihood, bic, aic:
@@ -89,7 +89,7 @@ class ModelComparison:
 
     ``best`` has the least BIC. ``best_prediction`` has the fewest coefficients of all sets whose prediction is
     within one standard error of the best one. ``noise_terms`` is the set used for the common noise levels.
-    ``parted_by`` says what was left out: segments or blocks. ``notes`` say what the choice of a set means for K
+    ``parted_by`` says what was left out: segments or blocks. ``notes`` say how the choice of a set changes K
     if the record cannot decide between sets.
     """
 
@@ -416,7 +416,7 @@ class Weighed:
     def _named(
         self, layout: Layout, estimate: Estimate, terms: tuple[str, ...], own: bool
     ) -> tuple[tuple[Coefficient, ...], tuple[str, ...]]:
-        """The coefficients, and which of them are hard to tell apart."""
+        """The coefficients, and those of them that are hard to separate."""
         run = self.design.run
         owners: list[tuple[str | None, str | None]] = [
             (label if own else None, None) for label in run.labels[: estimate.phases.size]
@@ -430,7 +430,7 @@ class Weighed:
 
 
 def _refuse_servo_alone(terms: tuple[str, ...]) -> None:
-    """Raise if terms of the servo come without the coupling, whose phase they need."""
+    """Raise if terms of the servo are requested without the coupling, whose phase they need."""
     if set(SERVO_TERMS) & set(terms) and "tan_beta" not in terms:
         raise CalibrationError(
             "the terms of the servo need the phase of tan_beta", remedy="add 'tan_beta' to the terms"

@@ -1,6 +1,6 @@
-"""Which terms a record can tell apart, before it is calibrated with them.
+"""Which terms a record can separate, before it is calibrated with them.
 
-Every known term is added to the asked ones, and the estimator says whether the record determines it then. All these sets
+Every known term is added to the terms asked for. The estimator then says whether the record determines it. All these sets
 share one reduction of the record, as in the comparison of models.
 """
 
@@ -35,7 +35,7 @@ class TermProspect:
     reason, remedy:
         Why it does not, and what to do; empty if it does.
     doubt:
-        Which other terms are hard to tell from it; empty if none is.
+        Which other terms are hard to separate from it; empty if there is none.
     """
 
     term: str
@@ -110,7 +110,7 @@ def term_prospects(run: Run, terms: str | Sequence[str] | None = None) -> tuple[
 
 
 def _known(run: Run, asked: tuple[str, ...]) -> tuple[str, ...]:
-    """All terms that may be asked for beside the asked ones; ``k1`` and ``scale_factor`` exclude each other."""
+    """All terms that may be added to the terms asked for; ``k1`` and ``scale_factor`` exclude each other."""
     names = [name for name in UNITS if name != "phi"]
     if {"scale_factor", "k1"} & set(asked):
         names = [name for name in names if name not in ("scale_factor", "k1")]
@@ -121,12 +121,12 @@ def _known(run: Run, asked: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _needed(term: str, base: tuple[str, ...]) -> tuple[str, ...]:
-    """Terms that must come with a term and are not there."""
+    """Terms that a term requires and that are missing."""
     return ("tan_beta",) if term in SERVO_TERMS and "tan_beta" not in base else ()
 
 
 def _base(weighed: Weighed, asked: tuple[str, ...]) -> tuple[tuple[str, ...], list[TermProspect]]:
-    """The asked terms that the record determines together, and what it says of each asked one."""
+    """The asked terms that the record determines together, and the prospect of each asked term."""
     whole = weighed.compared(asked, predict=False)
     if not whole.reason:
         return asked, [_prospect(term, whole, asked=True) for term in asked]
@@ -134,7 +134,7 @@ def _base(weighed: Weighed, asked: tuple[str, ...]) -> tuple[tuple[str, ...], li
     rows: dict[str, TermProspect] = {}
     for term in asked:
         if harmonic(term) and term[0] == "c":
-            continue  # comes with its partner
+            continue  # is added with its partner
         pair = (term, f"c{term[1:]}") if harmonic(term) else (term,)
         tried = weighed.compared((*base, *pair), predict=False)
         base = base if tried.reason else (*base, *pair)

@@ -30,7 +30,7 @@ HISTORY = 400
 def recursive_history(design: Design, mode: str, noise: Noise) -> Iterator[tuple[int, list[Reduction]]]:
     """Summaries of the rows so far, at ``HISTORY`` samples spread over the record.
 
-    Yields the number of samples and one summary for each segment begun. The last item holds the whole record: there
+    Yields the number of samples and one summary for each segment begun. The last item is that of the whole record: there
     the recursive estimate equals the batch estimate.
     """
     total = design.run.size

@@ -2,9 +2,9 @@
 
 This is common laboratory practice. The average over whole turns removes the ripple of the cross-coupling but not
 its pulling: the mean rate is ``sign(u) sqrt(u^2 - tan(beta)^2 u_t^2)`` (docs/theory/locking). The uncertainty
-comes from the scatter of single turns. Near lock the output stays long at one angle. Small disturbances there
-change the time of a turn strongly. The scatter is weighted by this amplification, which the output shows.
-The method is kept for comparison. It does not use the angle within the turns and is less certain.
+comes from the scatter of single turns. Near lock the output stays long at one angle. Small disturbances at this
+angle change the time of a turn strongly. The scatter is weighted by this amplification, which is computed from the output.
+The method is kept for comparison. It does not use the angle within the turns, so its uncertainty is larger.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class TurnScatter:
 class Positions:
     """Mean rates over whole turns: one point per position, with its turns and their scatter.
 
-    ``run`` holds the means as a log of rates. ``short``, ``unsteady`` and ``locking`` are labels of positions that
+    ``run`` contains the means as a rate log. ``short``, ``unsteady`` and ``locking`` are labels of positions that
     are left out: less than one turn, specific force not constant, or too near to lock.
     """
 

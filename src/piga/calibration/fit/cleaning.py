@@ -1,8 +1,8 @@
 """Remove bad samples from a record: the error of every reading, and a list of the findings.
 
 A jump of the output has three possible causes. The counter slipped, and all later readings are shifted; or the few
-readings before the jump are wrong; or the few readings after it are wrong. The jump itself looks the same. The phase
-of the coupling in the other segments tells the causes apart (:func:`settle_jumps`).
+readings before the jump are wrong; or the few readings after it are wrong. The jump looks the same in all three cases. The
+phase of the coupling in the other segments separates the causes (:func:`settle_jumps`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class JumpStretch:
     """A part of the record without a gap: one stretch with jumps, or several stretches without jumps.
 
     ``edges`` are the first rows of its pieces and the end row. ``levels`` are the assumed errors of the readings of each
-    piece (reading minus truth); ``good`` is the number of used readings. ``anew`` is True if a new phase begins here.
+    piece (reading minus truth); ``good`` is the number of used readings. ``anew`` is True if a new phase begins at this part.
     """
 
     edges: tuple[int, ...]
@@ -98,12 +98,12 @@ def leave_out(
 def settle_jumps(
     run: Run, begins: NDArray[np.bool_], wrong: Array, flags: Flags, design: Design, noise: Noise
 ) -> dict[int, str]:
-    """Decide for every jump which readings carry the phase on; correct the output of ``run`` and ``wrong`` in place.
+    """Decide for every jump which readings continue the phase; correct the output of ``run`` and ``wrong`` in place.
 
-    Readings between two jumps are tied to each other. The open question is by which piece of a stretch the phase enters
-    from the readings before, and by which piece it leaves to the readings after. A choice turns the columns of the
-    coupling of whole stretches. The sum of squares of every choice therefore follows from one summary per stretch. The
-    least sum wins after the costs of a slip and of wrong readings are added. At the start of a phase there are no
+    The readings between two jumps have one common error. For each stretch two pieces are unknown: the piece that continues the
+    phase of the readings before, and the piece from which the readings after it continue. A choice turns the columns of the
+    coupling of whole stretches. So one summary per stretch gives the sum of squares of every choice. The costs of a slip
+    and of wrong readings are added. The choice with the least sum wins. At the start of a phase there are no
     readings before, and the longest piece gives the phase.
 
     Parameters

@@ -130,7 +130,7 @@ class Fit:
 
     @property
     def seeks_noise(self) -> bool:
-        """True if noise of every kind is looked for: no level is given, and the method is whitened least squares in one go."""
+        """True if every kind of noise is searched for: no level is given; the method is whitened least squares in one pass."""
         return self.design.request.method == "information" and self.design.request.angle_rms is None
 
     @property

@@ -1,7 +1,7 @@
 """Gross errors of the output. They are detected against a robust fit and left out, sample by sample.
 
-One bad angle sample spoils two increments; a jump spoils only one. Therefore samples are judged, not increments. A
-spike is left out, and the increment reaches across it. A jump begins a new stretch. A stuck reading is left out
+One bad angle sample spoils two increments. A jump spoils only one. Therefore samples are judged, not increments. A
+spike is left out, and the increment spans it. A jump begins a new stretch. A stuck reading is left out
 for its whole length. The reference is assumed to be right.
 """
 
@@ -193,7 +193,7 @@ def robust_values(design: Design) -> Array:
 def _thinned(design: Design) -> list[tuple[int, Array]]:
     """Columns of about ``robust_rows`` increments at most, each divided by the root of its interval; with segments.
 
-    If a reading mostly stands still, its increments are joined first. Otherwise their median would be zero.
+    If a reading mostly stays constant, its increments are joined first. Otherwise their median would be zero.
     """
     count = 1 if design.point else _joined(design.run)
     every = max(1, design.rows // count // OUTLIERS.robust_rows)
@@ -305,7 +305,7 @@ def is_misfit(run: Run, misses: Misses, flags: Flags) -> bool:
     """True if the marked samples are errors of the model, not of the reading: smooth waves.
 
     A bad reading changes the sign of the residual from increment to increment, or not at all. If the residuals keep one
-    sign while the reading moves, the model lacks a motion.
+    sign while the reading moves, a motion is missing in the model.
     """
     count = alike = 0
     for part in spans(flags.size):

@@ -52,7 +52,7 @@ def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Re
     """Residual angle of every sample before and after calibration, and the whitened residual.
 
     'Before' is the nominal instrument: ``alpha' = K a_x - Omega_x`` with the nominal K. The residual angle of every
-    stretch has zero mean, because the zero of a stretch carries no information. For a rate log the residuals are rates
+    stretch has zero mean, because the zero of a stretch contains no information. For a rate log the residuals are rates
     [rad/s].
     """
     run = design.run

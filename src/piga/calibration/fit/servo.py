@@ -2,8 +2,8 @@
 
 The regressors of ``servo`` and ``servo_damping`` turn with the output angle. Five columns without a phase span them. At
 a phase ``phi`` they combine to one column per term. The model is then not linear in the phase. A Gauss-Newton
-step about the phase changes only the two columns of the coupling: ``p = K tan_beta cos(phi)`` and ``q = K tan_beta
-sin(phi)`` carry the phase, which does not depend on their common size. The observation stays as it is
+step about the phase changes only the two columns of the coupling, because ``p = K tan_beta cos(phi)`` and ``q = K
+tan_beta sin(phi)`` determine the phase. The phase does not depend on their common size, so the observation does not change
 (docs/theory/servo). When a step returns the same phase, the linear fit is the fit of the model.
 """
 
@@ -182,7 +182,7 @@ def settled_design(design: Design, mode: str, noise: Noise) -> Design:
     Raises
     ------
     IdentifiabilityError
-        If the record cannot tell a servo term from other terms; names the terms and a test that can.
+        If the record cannot separate a servo term from other terms; names the terms and a test that can.
     """
     if not design.turning_servo:
         return design
@@ -217,12 +217,12 @@ def state_of(
 ) -> ServoState:
     """State that combines the servo columns. Without a coupling there is no phase, and only the mean of a known stiffness remains.
 
-    Parameters as for :func:`find_state`; ``per_segment`` and ``runs`` are for the words of a refusal.
+    Parameters as for :func:`find_state`; ``per_segment`` and ``runs`` are for the message of a refusal.
 
     Raises
     ------
     IdentifiabilityError
-        If the parts cannot tell a servo term from the other terms.
+        If the parts cannot separate a servo term from the other terms.
     """
     if not layout.coupled:
         return ServoState((0.0,) * len(parts), known.get("servo", 0.0), 0.0, 0.0, turning=False)
@@ -233,7 +233,7 @@ def state_of(
 def _refuse_if_servo_alike(
     layout: Layout, parts: list[Reduction], wanted: Sequence[Names], per_segment: bool, runs: int
 ) -> None:
-    """Raise if the parts cannot tell a servo term from the other terms.
+    """Raise if the parts cannot separate a servo term from the other terms.
 
     The mean of ``servo`` is tested without its second harmonic. The harmonic exists, but an error of the read-out at
     twice the turn would look like it.
@@ -267,7 +267,7 @@ def _refuse_if_servo_alike(
 
 
 def _stiffness_alike(plain: Layout, parts: list[Reduction], names: Sequence[Names]) -> Names:
-    """Terms that combine to the mean part of ``servo``; empty if the parts can tell it apart."""
+    """Terms that combine to the mean part of ``servo``; empty if the parts can separate it."""
     local, last = plain.local, len(plain.keys)
     rows, square = [], 0.0
     for group, (part, own) in enumerate(zip(parts, names, strict=True)):

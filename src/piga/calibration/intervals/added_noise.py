@@ -1,18 +1,18 @@
 """Noise that is in the covariance of a run but not in its weights.
 
-**All noise of a fit**, in the order in which it is looked for (the rules: docs/theory/noise): :func:`include_noise`.
+**All noise of a fit.** :func:`include_noise` searches for each kind of noise in turn (the rules: docs/theory/noise).
 
 **A random walk that is not significant.** Its estimated variance, which may be negative, enters the covariance only.
-If it is unclear whether a record holds a random walk beside white noise, the weights stay those of white noise; they
-lose little. The walk adds its likely variance times the covariance per unit walk. A variance that must not be
+If it is unclear whether a record contains a random walk in addition to white noise, the weights stay those of white
+noise. They lose little. The walk adds its likely variance times the covariance per unit walk. A variance that must not be
 negative is too large on average if there is no walk. A variance that is set to zero below a limit is too small if
 there is a small walk. The restricted likelihood is therefore searched wherever the covariance of the record is
-positive definite, down to a negative variance (``faint_least``): the slow values of a record scatter less than its white
-noise says as often as they scatter more. The uncertainty of that variance enters the degrees of freedom. The
+positive definite, down to a negative variance (``faint_least``). The reason: the slow values of a record scatter less than
+its white noise says as often as they scatter more. The uncertainty of that variance enters the degrees of freedom. The
 intervals are then valid for any walk, after [Kenward1997]; own derivation, docs/theory.
 
 **Scores, for a joint calibration.**
-The weights W are those of the significant noise; the estimate is ``A^-1 X'W y``. Further noise of covariance ``v B B'``
+The weights W are those of the significant noise. The estimate is ``A^-1 X'W y``. Further noise of covariance ``v B B'``
 adds ``v A^-1 (X'W B)(X'W B)' A^-1`` to the covariance, where A is the information of all runs together. ``X'W B`` of
 a run, its *scores*, is a small matrix. It does not depend on the other runs (own derivation, docs/theory).
 """
@@ -47,7 +47,7 @@ from piga.results import Array
 
 @dataclass(frozen=True)
 class AddedNoise:
-    """A noise that is in the covariance only: its variance (may be negative), the uncertainty of that, and its scores.
+    """A noise that is in the covariance only: its variance (may be negative), the uncertainty of this variance, and its scores.
 
     ``scores`` (m, K) per phase group, for unit variance. ``together``: True if one noise acts on all groups, False if each
     group has its own. ``shared`` is the covariance of its variance with that of the noise before it. ``gain`` is the gain of
@@ -115,7 +115,7 @@ def _faint(fit: Fit, design: Design) -> list[AddedNoise]:
 
 
 def _coloured(fit: Fit, colour: Colour, design: Design) -> list[AddedNoise]:
-    """The likeliest coloured noise, and what it changes in the random walk."""
+    """The likeliest coloured noise, and its effect on the random walk."""
     bins = RateBins.of(design.run)
     root = positive_root(RATES[colour.name](bins, colour.time))
     weight = 1.0 / fit.sample_variance if fit.mode == "samples" else 1.0
@@ -137,7 +137,7 @@ def _grouped(parts: list[Array], groups: tuple[int, ...]) -> tuple[Array, ...]:
 
 
 def _slow_scores(fit: Fit, design: Design, basis: NoiseColumns, root: Array) -> list[Array]:
-    """``X'W B`` (m, k) of every segment for unit slow noise; ``root`` (count, k) is that of the covariance of its numbers.
+    """``X'W B`` (m, k) of every segment for unit slow noise; ``root`` (count, k) is a root of the covariance of its numbers.
 
     If the weights include a stated scatter ``d b b'`` of a segment, ``W = V^-1 - V^-1 b b' V^-1 / (1/d + b' V^-1 b)``.
     """

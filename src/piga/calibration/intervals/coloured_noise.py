@@ -3,9 +3,9 @@
 The weights stay those of white noise and random walk. On the slow rates of the record
 (:class:`~piga.calibration.noise.components.RateBins`), whitened and without the model, every component is a known
 covariance. The restricted likelihood gives the levels of white noise, walk and one component at a time. A record of a
-few positions seldom tells the components apart, and they differ in what they do to a coefficient. So the precision of
-each coefficient is averaged over the components by their likelihood, and what they differ by is in the degrees of
-freedom (own derivation, docs/theory/noise).
+few positions can seldom separate the components, and their effects on a coefficient differ. So the precision of
+each coefficient is averaged over the components, weighted by their likelihood. The degrees of freedom include the
+difference between the components (own derivation, docs/theory/noise).
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def _bin_contrasts(fit: Fit, bins: RateBins) -> Contrasts:
 
 
 def _suspected(contrasts: Contrasts, bins: RateBins, segments: int) -> bool:
-    """True if a component gains something beside white noise and walk; of the Markov processes the one of a part is tried."""
+    """True if a component gains beyond white noise and walk. One Markov process is tried: with the time of one part."""
     base = _estimated(contrasts, bins, "")
     if base is None:
         return False

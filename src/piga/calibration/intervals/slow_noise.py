@@ -1,11 +1,11 @@
 """Slow noise of the rate, estimated by restricted likelihood and added to the covariance: a bias drift or a scatter.
 
-A bias drift is a walk of the rate over the whole record; positions are then not independent. A scatter is a rate of its
-own in every segment, for example when stand and servo are set anew at each position. The likelier one is taken. Its
-columns (:mod:`~piga.calibration.noise.weighting`) are whitened and reduced with those of the model. After the model is
-projected out, only independent numbers and unit white noise remain. The likelihood of their variance is then a sum
-over eigenvalues (own derivation, docs/theory). Long records are first tested with the means of the residual angle
-over a few bins of every stretch. A record without slow noise needs nothing else.
+A bias drift is a walk of the rate over the whole record. Positions are then not independent. A scatter is an independent
+rate error in every segment, for example when stand and servo are set again at each position. The noise with the larger
+likelihood is chosen. Its columns (:mod:`~piga.calibration.noise.weighting`) are whitened and reduced with those of the
+model. After the model is projected out, only independent numbers and unit white noise remain. The likelihood of their
+variance is then a sum over eigenvalues (own derivation, docs/theory). Long records are first tested with the means of the
+residual angle over a few bins of every stretch. If this test shows no slow noise, the search ends.
 """
 
 from __future__ import annotations
@@ -85,9 +85,9 @@ def include_slow_noise(fit: Fit, clear: float = NOISE.slow_in_weights) -> Fit:
     """Include a slow noise in the covariance of a fit, if the record shows one: drift or scatter, whichever is likelier.
 
     It enters the weights from a gain of ``slow_in_weights`` on, a drift from ``clear``. Below this gain the weights stay
-    those of the other noise, and its effect on the estimates is added to their covariance. This also holds for coarse
-    counts at any gain.
-    Not done with given noise levels and with methods other than whitened least squares in one go.
+    those of the other noise, and its effect on the estimates is added to their covariance. With coarse counts the weights
+    stay at any gain.
+    The search is not done with given noise levels, nor with methods other than whitened least squares in one pass.
     """
     if not fit.seeks_noise or fit.mode != "increments" or fit.design.rows < 8 * KNOTS:
         return fit
@@ -189,7 +189,7 @@ def moved_by(factor: Array, basis: NoiseColumns, parameters: int) -> Array | Non
 
 
 def _levels_together(fit: Fit, basis: SlowBasis) -> tuple[Noise, float]:
-    """White noise and random walk beside a slow noise, and the gain by it: restricted likelihood of all three.
+    """White noise and random walk with a slow noise, and the gain by it: restricted likelihood of all three.
 
     The search uses a grid of ``log10(q h/r)``, concentrated over the scale. Each point has its best slow noise.
     """
@@ -198,7 +198,7 @@ def _levels_together(fit: Fit, basis: SlowBasis) -> tuple[Noise, float]:
 
 
 def _levels_beside_stated(fit: Fit, noise: Noise, below: float) -> Noise:
-    """White noise and random walk beside a stated scatter, searched down to ``below`` decades under ``noise``."""
+    """White noise and random walk with a stated scatter, searched down to ``below`` decades under ``noise``."""
     table = _deviances(fit, SegmentBasis.of(fit.design.run), noise, below)
     return table.levels(noise, table.without)
 
@@ -306,7 +306,7 @@ def projected(factor: Array, basis: SlowBasis) -> tuple[Array, Array, float, flo
     """Project out the model: eigenvalues of the slow noise, squared component of y on each, the rest, ``log|X'X|``.
 
     Then ``y = B s + e``. Components on the eigenvectors of ``B B'`` have variance ``1 + v lambda``. Directions that the model
-    takes up are left out; for a scatter their number is that of the coefficients of mean rates.
+    absorbs are left out; for a scatter their number is that of the coefficients of mean rates.
     """
     block, y, left, diagonal = without_model(factor, basis.count)
     vectors, values, _ = np.linalg.svd(block)

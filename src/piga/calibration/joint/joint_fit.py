@@ -1,8 +1,8 @@
 """Several runs of one instrument, calibrated together from their summaries.
 
 Coefficients belong to the instrument, except phases (each power-up has its own zero of the output angle) and
-the terms named in ``per_run``. Every run is weighted by its own noise levels. Summaries add. A run whose raw data
-no longer exist therefore takes part like any other.
+the terms named in ``per_run``. Every run is weighted by its own noise levels. Summaries can be added. Therefore the raw
+data of a run are not needed: its summary is enough.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class MergedRuns:
         return self.summaries[index].columns(self.local, self.shared[index])
 
     def stored(self, index: int) -> Names:
-        """Shared columns of a run as its summary holds them: those of the servo without a phase."""
+        """Shared columns of a run as its summary contains them: those of the servo without a phase."""
         shared = self.shared[index]
         plain = tuple(name for name in shared if name not in SERVO_TERMS)
         return plain + phaseless_columns((*shared, *self.known_servo(index)))
@@ -236,7 +236,7 @@ def fit_jointly(
     per_run: Sequence[str] | None,
     steps: Steps,
 ) -> JointFit:
-    """Reduce the runs that have raw data, merge all summaries and solve. ``steps`` hears of each run.
+    """Reduce the runs that have raw data, merge all summaries and solve. Each run is reported to ``steps``.
 
     Raises
     ------
@@ -354,12 +354,12 @@ def _check_temperature(wish: Wish, summaries: list[RunSummary]) -> None:
 
 
 def merge_runs(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | None]) -> JointFit:
-    """Merge summaries that hold the requested columns, and solve.
+    """Merge summaries that contain the requested columns, and solve.
 
     Raises
     ------
     CalibrationError
-        If a summary lacks a column, or the runs give different parameters of the servo.
+        If a column of a summary is missing, or the runs give different parameters of the servo.
     IdentifiabilityError
         If the runs together cannot separate what is asked.
     """
@@ -417,7 +417,7 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[SharedSource]:
 def joint_contributions(fit: JointFit, steps: Steps) -> Iterator[tuple[SharedSource, Array]]:
     """Changes of the coefficients (draws, n; file units) by one standard uncertainty of each source.
 
-    ``steps`` hears of each source.
+    Each source is reported to ``steps``.
     """
     base = np.array([c.value for c in fit.coefficients])
 

@@ -55,7 +55,7 @@ LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
 class SourceSummary:
     """One source of Type B: the summaries of the record moved by its standard uncertainty.
 
-    A source with a new value in each segment has no ``parts``. For each segment, ``segments`` then holds the changed phase
+    A source with a new value in each segment has no ``parts``. For each segment, ``segments`` then contains the changed phase
     group and its summary when only that segment is moved. ``in_fit``: True if the weights include the source. ``draw``
     as in the run file.
     """
@@ -140,7 +140,7 @@ class RunSummary(Result):
     def of(
         cls, run: Run, terms: str | list[str] | tuple[str, ...] | None = None, *, name: str = ""
     ) -> RunSummary:
-        """Reduce a run to a summary that holds the columns of all terms.
+        """Reduce a run to a summary that contains the columns of all terms.
 
         Parameters
         ----------
@@ -277,7 +277,7 @@ def prepare(run: Run, request: Request, name: str) -> LiveRun:
 
 
 def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str, ...]:
-    """Terms to leave out of a fit that cannot tell these terms apart: one of them, with its partner."""
+    """Terms to leave out of a fit that cannot separate these terms: one of them, with its partner."""
     if not confounded or len(terms) == 1:
         raise ArgumentError("the run determines no coefficient", remedy="check its reference and its output")
     order = {term: LAST_TO_GO.index(term) + 1 if term in LAST_TO_GO else 0 for term in confounded}

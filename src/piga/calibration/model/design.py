@@ -5,8 +5,8 @@ Integrated over a sample interval the error model (docs/theory/calibration) is l
     K, K tan_beta cos(phi), K tan_beta sin(phi), K k0, K k2, ...
 
 The two columns of the coupling and those of the harmonics turn with the unknown phase. They are *local* to a phase
-group. All others are *shared*. Column order: local, shared, observation. The servo terms turn too. At a known phase
-each is one column; otherwise five columns without a phase follow the others.
+group. All others are *shared*. Column order: local, shared, observation. The servo terms turn with the phase, too. At a
+known phase each servo term is one column. If the phase is not known, five columns without a phase follow the others.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def phaseless_columns(terms: Sequence[str]) -> Names:
 def given_servo(run: Run) -> dict[str, float]:
     """Servo coefficients [1/(m/s^2)^2] predicted from ``[instrument] servo`` of the run file; empty without it.
 
-    They hold at the root-mean-square rate of the record. ``servo_damping`` is included if the damping is given.
+    They are valid at the root-mean-square rate of the record. ``servo_damping`` is included if the damping is given.
     """
     if not run.servo:
         return {}
@@ -347,7 +347,7 @@ class Design:
         return 0.0 if self.estimates_scale_factor else float(self.run.scale_factor)
 
     def _bows(self, first: int, stop: int) -> Array | None:
-        """Bows of force and base rate (6, n) in the intervals from sample ``first`` to ``stop - 1``; None without bows.
+        """Curvature corrections ("bows") of force and base rate (6, n), intervals ``first`` to ``stop - 1``; None if all are zero.
 
         They do not depend on which output samples are left out.
         """

@@ -150,7 +150,7 @@ def refuse_if_confounded(examination: Examination, runs: int = 1) -> None:
     Raises
     ------
     IdentifiabilityError
-        Names the terms and a test or run that would tell them apart.
+        Names the terms and a test or run that would separate them.
     """
     if examination.null_terms:
         terms, asked = (
@@ -166,7 +166,7 @@ def refuse_if_confounded(examination: Examination, runs: int = 1) -> None:
 
 
 def _remedy(terms: set[str], asked: set[str], runs: int = 1) -> str:
-    """Remedy for ``terms`` that cannot be told apart; ``asked`` are all requested terms."""
+    """Remedy for ``terms`` that cannot be separated; ``asked`` are all requested terms."""
     helping = next((text for members, text in _HELPING_RUNS if members <= terms), None)
     if runs > 1:
         return f"add {helping}" if helping else "leave one of these terms out, or add a run of another kind"
@@ -217,7 +217,7 @@ def refuse_useless(
 
 
 def _useless_remedy(terms: set[str], asked: set[str]) -> str:
-    """Remedy for terms that the record can hardly tell apart."""
+    """Remedy for terms that the record can hardly separate."""
     text = _remedy(terms, asked - {"phi"})
     return text.replace("never changes", "hardly changes").replace(
         "too few values", "too few or too close values"
@@ -276,7 +276,7 @@ def notes_in_words(
 
 
 def alike_in_words(coefficients: tuple[Coefficient, ...], covariance: Array) -> list[str]:
-    """Groups of coefficients that are hard to tell apart, one sentence each."""
+    """Groups of coefficients that are hard to separate, one sentence each."""
     plain = [i for i, c in enumerate(coefficients) if c.name != "phi"]
     std = np.sqrt(np.diag(covariance))
     correlation = np.abs(covariance / np.outer(std, std))

@@ -1,7 +1,7 @@
 """Mergeable linear least squares: rows in chunks of any size are reduced to one triangular factor.
 
 ``Reduction`` is the only solver of the calibration. Batch, recursive, per-segment and joint estimates all use it.
-Long records are worked on by threads, short ones at once.
+Threads reduce long records. Short records are reduced in one piece.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Reduction:
     def absorb(self, columns: Array, *, count: int | None = None) -> None:
         """Absorb rows given as ``columns`` (m + 1, n), last one y.
 
-        ``count`` is the number of rows that carry information (n unless some are all zero).
+        ``count`` is the number of rows that contain information (n unless some are all zero).
         """
         size = len(self.names) + 1
         if columns.shape[0] != size:

@@ -408,8 +408,8 @@ def _best_phases(layout: Layout, amplitudes: Array, factors: list[Array]) -> Arr
     """Phase of least cost of each group, for these amplitudes.
 
     The cost is a trigonometric polynomial of twice the highest order. Each of its minima on a grid is refined by Newton's method,
-    and the least is taken: where a group shows one direction much better than the other, its minima are narrow and the grid
-    alone does not tell which is deeper. Only the first rows of a triangular factor have local columns.
+    and the least is used. If a group shows one direction much better than the other, its minima are narrow, and the grid
+    alone does not show which is deeper. Only the first rows of a triangular factor have local columns.
     """
     local = layout.local
     top = np.stack([factor[:local, :local] for factor in factors])

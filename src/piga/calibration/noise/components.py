@@ -1,10 +1,10 @@
-"""The components of the noise of a record: what each is, when it is looked for, and its covariance on the slow rates.
+"""The components of the noise of a record: their meaning, their rules, and their covariance on the slow rates.
 
 The slow rates are the means of the rate over a few parts of every segment (:class:`RateBins`). A component is a
-covariance of these rates; :mod:`piga.calibration.noise.likelihood` estimates its level. Only this table knows how
-components differ. To add one, add a row with its covariance.
+covariance of these rates; :mod:`piga.calibration.noise.likelihood` estimates its level. All differences between the
+components are in this table. To add a component, add a row with its covariance.
 
-The rules say when each component is looked for, and from which gain it enters covariance and weights.
+The rules say when the program searches for a component, and from which gain it enters covariance and weights.
 ``python -m piga.calibration.noise.components`` prints the table of docs/theory/noise.
 """
 
@@ -102,7 +102,7 @@ class RateBins:
 class Component:
     """A component of the noise.
 
-    ``unit`` is that of its level. When it is looked for: :mod:`piga.calibration.noise.components`.
+    ``unit`` is the unit of its level. The rules of the search: :mod:`piga.calibration.noise.components`.
     """
 
     name: str
@@ -191,10 +191,10 @@ ALWAYS, NEVER = "always", "never"
 
 @dataclass(frozen=True)
 class Rule:
-    """What is done with a component. Gains are those of twice the log-likelihood.
+    """When a component is searched for and used. Gains are those of twice the log-likelihood.
 
-    ``looked_for``: the records in which it is looked for. ``covariance``, ``weights``: the gain from which it enters them.
-    ``evidence``: where the numbers come from.
+    ``looked_for``: the records in which it is searched for. ``covariance``, ``weights``: the gain from which it enters them.
+    ``evidence``: the source of the numbers.
     """
 
     component: str

@@ -1,17 +1,17 @@
 """Coarse counts: the exact covariance of quantisation instead of white noise (own derivation, docs/theory).
 
 A reading is ``c round(alpha/c)``. Its error is a saw-tooth of the angle, ``sum_m c/(pi m) sin(2 pi m
-alpha/c + ..)``: white only where the angle is dithered by much more than a count. Otherwise its covariance
-follows from the path, which the fit knows to a fraction of a count, with the phase of the saw-tooth
-unknown and uniform in every stretch:
+alpha/c + ..)``. The error is white only where the noise moves the angle by much more than a count. Otherwise its
+covariance follows from the path. The fit gives the path to a fraction of a count. The phase of the saw-tooth is
+unknown and assumed uniform in every stretch:
 
     cov(e_j, e_k) = sum_m c^2/(2 pi^2 m^2) cos(2 pi m (psi_j - psi_k)/c) exp(-2 pi^2 m^2 v_jk/c^2)
 
 v_jk is the variance of the path from j to k: by the uncertainty of its estimated rate, and by the random walk.
 
-Each stretch is projected on its slowest cosines, which hold all its information on rates and ripple. There random
-walk, white noise and quantisation have small full covariance matrices. Generalised least squares then gives a
-stretch with few count changes its right weight.
+Each stretch is projected on its slowest cosines, which contain all its information on rates and ripple. In this
+projection random walk, white noise and quantisation have small full covariance matrices. Generalised least squares then
+gives a stretch with few count changes its correct weight.
 """
 
 from __future__ import annotations

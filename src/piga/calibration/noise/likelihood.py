@@ -1,9 +1,9 @@
 """The restricted likelihood of noise levels: the one formula, its information matrix, and the search for the levels.
 
 A record is ``y = X theta + noise`` with covariance ``V = sum_k level_k unit_k``. All components of the noise, from
-white noise to coloured noise, are estimated by this likelihood; they differ in the ``unit`` covariances only
-(:mod:`piga.calibration.noise.components`). Levels have no lower bound as long as V is a covariance: only then is the
-average right. Their uncertainty is the inverse information matrix, from which the degrees of freedom follow
+white noise to coloured noise, are estimated by this likelihood. They differ in the ``unit`` covariances only
+(:mod:`piga.calibration.noise.components`). Levels have no lower bound as long as V is a covariance: only then is their
+average over records right. The inverse information matrix is the covariance of the levels. It gives the degrees of freedom
 [Kenward1997].
 """
 
@@ -50,7 +50,7 @@ class Contrasts:
     """Slow values of a record without its model, and the fast rest.
 
     ``y`` (n,) are the slow values. ``units`` (k, n, n) are their covariances by a unit of each component. The first
-    component is white noise; ``fast`` more values with the sum of squares ``rest`` hold nothing else. ``block`` (n, count)
+    component is white noise; ``fast`` more values with the sum of squares ``rest`` contain nothing else. ``block`` (n, count)
     leads from the slow rates to the slow values.
     """
 
@@ -93,7 +93,7 @@ class Levels:
 
 
 def estimate(contrasts: Contrasts, start: Array) -> Levels | None:
-    """Levels of greatest restricted likelihood, of either sign, by scoring; None if V is no covariance at ``start``.
+    """Levels of greatest restricted likelihood, of either sign, by scoring; None if V is not a covariance at ``start``.
 
     A step that leaves the covariances or lowers the likelihood is halved.
     """
@@ -155,7 +155,7 @@ class ProfileLikelihood:
         return cls(inverses @ contrasts.y, inverses, logarithms, contrasts.rest, size + contrasts.fast)
 
     def excludes(self, unit: Array, level: float, confidence: float) -> bool:
-        """True if a level is excluded beside none at all; cheaper than the limit."""
+        """True if a level is excluded in comparison with a level of zero; cheaper than the limit."""
         ratio = level * self.freedom / (self.rest + float((self.y[0] ** 2).sum()))
         none, there = [], []
         for y, inverse, logarithm in zip(self.y, self.inverses, self.logarithms, strict=True):

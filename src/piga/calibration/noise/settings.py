@@ -1,4 +1,4 @@
-"""Settings of noise and intervals: every threshold, with what it decides (own choices, by the campaigns of docs/accuracy)."""
+"""Settings of noise and intervals: each threshold and the decision it controls (own choices, by the campaigns of docs/accuracy)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class NoiseSettings:
     negligible: float = 1e-3
     """Gain below which a level does not affect the weights and is left as it is."""
     restricted_rows: int = 200_000
-    """Most increments for the restricted likelihood. In a longer record the few parameters take up no noticeable part
+    """Most increments for the restricted likelihood. In a longer record the few parameters absorb no noticeable part
     of the slow noise."""
     information_ratios: tuple[float, ...] = (-9.0, -7.5, -6.0, -4.5, -3.0, -1.5, 0.0, 1.5, 3.0)
     """Values of ``log10(q h/r)`` at which the information term of the restricted likelihood is computed."""
@@ -70,7 +70,7 @@ class NoiseSettings:
     """Gain above which it also enters the weights. Weights for a drift that does not exist may cost six times the
     variance."""
     slow_below: float = 0.7
-    """Search range of the random walk beside slow noise: decades below the walk estimated without it."""
+    """Search range of the random walk if there is slow noise: decades below the walk estimated without slow noise."""
     slow_above: float = 0.35
     """Decades above that walk."""
     slow_levels: int = 41
@@ -93,7 +93,7 @@ class NoiseSettings:
     """Largest variance of a mean rate by a stated scatter, relative to the noise, for which the scatter is ignored in
     levels and weights."""
     stated_below: float = 4.0
-    """Search range of the random walk beside a stated scatter: decades below the walk estimated without it."""
+    """Search range of the random walk if a scatter is stated: decades below the walk estimated without the scatter."""
     fixed_rate: float = 1e-12
     """Variance of the rate of a segment without scatter, relative to the largest scatter."""
 
@@ -116,20 +116,20 @@ class NoiseSettings:
     counting_passes: int = 9
     """Most alternations between path, noise levels and estimate."""
     counting_trusted: int = 3
-    """Passes before the estimated random walk may dither the counting. Earlier, errors of the path look like a random
-    walk; if their dither were used, the iteration would end without a random walk."""
+    """Passes before the estimated random walk may dither the counting. In earlier passes errors of the path look like a
+    random walk. If their dither were used, the iteration would end without a random walk."""
     counting_levels: int = 6
     """Levels of white noise tried, over three decades."""
     counting_in_covariance: float = 0.5
     """Gain above which white noise besides the counting is accepted."""
     counting_settled: float = 0.03
-    """Relative change of the variance of the random walk that ends the alternation."""
+    """Relative change of the variance of the random walk below which the alternation ends."""
     counting_walks: int = 13
     """Trial random walks in each of three rounds, in ever narrower ranges."""
     counting_unlikely: float = 18.0
     """Loss in twice the log-probability above which a random walk is dropped."""
     counting_long: int = 1 << 16
-    """Rows above which the saw-tooth along the path is tested first. If it is white, no more is computed."""
+    """Rows above which the saw-tooth along the path is tested first. If it is white, plain whitening stays."""
     counting_same: float = 0.05
     """Largest motion of the path, in counts over the number of harmonics, before it is followed again."""
     counting_spreads: tuple[float, ...] = (0.5, 0.2)
@@ -167,12 +167,12 @@ class NoiseSettings:
 
     # Coloured noise
     colour_bins: int = 96
-    """Parts of all segments together in which the rate has a value of its own."""
+    """Parts of all segments together. Each part has its own value of the rate."""
     colour_part: float = 15.0
     """Length of a part [s] above which there are more of them."""
     colour_bins_long: int = 192
     """Most parts of all segments together in such a record. In a record of 40 positions and 96 parts flicker noise was
-    taken for a scatter, in one of positions of 180 s for a drift."""
+    mistaken for a scatter, in a record with positions of 180 s for a drift."""
     colour_most: int = 32
     """Most such parts of a segment."""
     colour_least: int = 8
@@ -180,12 +180,12 @@ class NoiseSettings:
     colour_means: int = 2
     """Means of the residual angle per part in the quick test of a long record."""
     colour_suspected: float = 1.5
-    """Gain of one component, beside white noise and walk, above which all components are tried."""
+    """Gain of one component, added to white noise and walk, above which all components are tried."""
     colour_in_covariance: float = 4.0
     """Gain of the likeliest component above which coloured noise enters the covariance."""
     colour_ahead: float = 2.0
-    """Gain by which coloured noise must be ahead of a drift or a scatter in an angle log. Below, those are included:
-    their weights lose less."""
+    """Gain by which coloured noise must exceed a drift or a scatter in an angle log. Below it, drift or scatter is
+    included, because its weights lose less."""
     colour_prior: float = 1.0 / 3.0
     """Prior weight of drift, scatter and Markov noise (all times together), relative to flicker noise and to none.
     Flicker noise lies between the others, and most instruments have it."""
@@ -200,15 +200,15 @@ class NoiseSettings:
     limit_step: float = 0.1
     """Step of the logarithm of the levels that are tried for an upper limit [decades]."""
     limit_shares: tuple[float, ...] = (0.0, 0.5, 0.9)
-    """Shares of the random walk of the weights that a component may take the place of, for its upper limit."""
+    """Shares of the random walk of the weights that a component may replace, for the upper limit of the component."""
     iterations: int = 12
     """Most steps of the search for the levels."""
     halvings: int = 12
     """Most halvings of a step that lowers the likelihood."""
     converged: float = 1e-3
-    """Change of twice the log-likelihood that ends the search."""
+    """Change of twice the log-likelihood below which the search ends."""
     separable: float = 1e-9
-    """Smallest eigenvalue of the scaled information for which two levels are told apart."""
+    """Smallest eigenvalue of the scaled information for which two levels can be separated."""
 
 
 NOISE = NoiseSettings()

@@ -94,7 +94,7 @@ def modes_of(design: Design) -> int:
 
 
 def most_modes(run: Run) -> int:
-    """Most contrasts for all stretches, except the shortest ones that hold a hundredth of the samples."""
+    """Most contrasts for all stretches, except the shortest ones that together contain a hundredth of the samples."""
     sizes = np.sort(_limits(run)[2])
     usable = sizes[(np.cumsum(sizes) > NOISE.stretch_lost * sizes.sum()) & (sizes >= NOISE.stretch_least)]
     return int(usable.min()) - 2 if usable.size else 0

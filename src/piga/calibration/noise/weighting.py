@@ -1,8 +1,8 @@
-"""Weight rows: from blocks to summaries per segment by whitening, and the residuals of an estimate.
+"""Weight rows: whiten blocks and reduce them to summaries per segment; residuals of an estimate.
 
-Slow noise of the rate enters as a few angle columns: a random walk, or a rate of its own in every segment. A segment has
-``size`` such columns, which are whitened with its rows. The factor of a record has ``count`` columns; ``placed`` puts the
-columns of a segment there. Own derivation, docs/theory.
+Slow noise of the rate enters as a few angle columns: a random walk, or an independent rate error in every segment. A segment
+has ``size`` such columns, which are whitened with its rows. The factor of a record has ``count`` columns. ``placed`` puts the
+columns of a segment into this factor. Own derivation, docs/theory.
 """
 
 from __future__ import annotations
@@ -269,7 +269,7 @@ def rate_share(variance: ArrayLike, square: ArrayLike) -> Array:
 def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
     """One summary per segment of the weighted rows.
 
-    A bias drift adds its columns after those of the model. The first summary also holds the prior of its steps;
+    A bias drift adds its columns after those of the model. The first summary also contains the prior of its steps;
     :func:`~piga.calibration.model.solution.solve` integrates the drift out. A scatter of the segments, stated or
     estimated, is integrated out of each summary.
     """

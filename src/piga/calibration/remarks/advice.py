@@ -40,7 +40,7 @@ class AdviceSettings:
     far_better: float = 3.0
     """Ratio of residuals above which another reading is advised."""
     as_good: float = 1.2
-    """Ratio of residuals up to which readings cannot be told apart."""
+    """Ratio of residuals up to which readings cannot be separated."""
     off: float = 2.0
     """Ratio of the scale factor to the nominal one above which an error is reported, even if no reading explains it."""
     most_alike: int = 3
@@ -148,7 +148,7 @@ def factor_near(ratio: float) -> Factor | None:
 
 
 def better_words(ratio: float, reading: AdviceReading, alike: list[AdviceReading], run: Run) -> str:
-    """Advice for a reading that fits far better; ``alike`` are readings that the record cannot tell from it."""
+    """Advice for a reading that fits far better; ``alike`` are readings that the record cannot separate from it."""
     others = "; ".join(other.words() for other in alike)
     equal = f" (this record cannot tell it from: {others})" if others else ""
     times = f"{float(f'{ratio:.1g}'):.0f}"

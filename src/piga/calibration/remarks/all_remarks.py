@@ -2,8 +2,8 @@
 
 One cause gets one remark. Data that were read wrongly look as if terms were missing, and a missing term affects single
 segments. Advice on the data therefore suppresses suggestions of terms, and both suppress remarks on segments that
-move a coefficient. Nothing is changed. All remarks use a fit without slow noise, because slow noise joins the segments and
-takes up the signature of a missing term; a suggestion says so.
+move a coefficient. Remarks change no result. All remarks use a fit without slow noise, because slow noise joins the segments
+and absorbs the signature of a missing term. A suggestion states this.
 """
 
 from __future__ import annotations

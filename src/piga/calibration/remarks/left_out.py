@@ -2,12 +2,12 @@
 
 If ``a_x^2 + a_t^2 = N`` is constant, ``a_x a_t^2 = N a_x - a_x^3``. A servo of finite stiffness and a third-order
 coefficient then fit the record alike. The scale factor of one model is ``1 + k3 N`` times that of the other. Data of
-such a stand cannot decide. A suggestion therefore gives the scale factor of both models. If the signature is clear and
+such a stand cannot separate them. A suggestion therefore gives the scale factor of both models. If the signature is clear and
 neither term is requested, or only ``k3``, the difference is a source of Type B. The damping of the float under the
 servo turns the phase. If its wave is clear and ``servo_damping`` is not requested, the change by this term is a source
 too (docs/theory/servo).
 
-Several runs may decide what one stand cannot. If they tell ``servo`` from ``k3``, the better one is suggested, and its
+Several runs may separate what one stand cannot. If they separate ``servo`` from ``k3``, the better term is suggested, and its
 effect is in the budget.
 """
 
@@ -65,7 +65,7 @@ TURNED = ("phi", "tan_beta")
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A clear signature of the servo that no term of the model takes up.
+    """A clear signature of the servo that no term of the model absorbs.
 
     ``change`` is the half-width of its effect on each coefficient of the result (file units). ``words`` are its note;
     empty if the signature is not clear by itself.
@@ -86,7 +86,7 @@ class LeftOut:
 
 
 def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]) -> tuple[LeftOut, ...]:
-    """Servo signatures in a record; empty if none is clear, or terms take them up, or the stand can decide.
+    """Servo signatures in a record; empty if none is clear, if terms absorb them, or if the stand separates them.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
 
 
 def _with_terms(plain: Fit, extra: tuple[str, ...]) -> dict[str, float] | None:
-    """Coefficients (file units) by key of the fit with more terms; None if the record cannot tell them apart.
+    """Coefficients (file units) by key of the fit with more terms; None if the record cannot separate them.
 
     The change by a term depends on the weights of every row. The coarse rows for testing candidates are not enough.
     """
@@ -152,7 +152,7 @@ def cubic_doubt(
     under: dict[str, float],
     size: float,
 ) -> LeftOut:
-    """A clear cube of ``size`` (file unit) for which the stand cannot tell servo from k3, and that no term takes up.
+    """A clear cube of ``size`` (file unit) that no term absorbs, on a stand that cannot separate servo from k3.
 
     ``before`` and ``after`` are the coefficients without and with a cube; ``under`` is K with each term (file unit).
     """
@@ -198,9 +198,9 @@ def damped(
     test: Tested,
     scale_factor: float,
 ) -> LeftOut:
-    """A wave of ``servo_damping`` that the model lacks.
+    """A wave of ``servo_damping`` that is missing in the model.
 
-    It is examined if it is clear, or if a clear cube shows that the servo yields; a damping is then expected. ``before``
+    It is examined if it is clear, or if a clear cube shows that the servo yields. A damping is then expected. ``before``
     and ``after`` are the coefficients without and with it. The changes of phi and tan_beta are counted from the reported
     values, which may have other weights. One standard uncertainty of the damping is added to its size.
     """
@@ -232,7 +232,7 @@ def _difference(
 
 
 def odd_square(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ...]:
-    """Remark on a scale factor beside a requested ``k2o``, if the record can hardly tell ``k2o`` from the servo."""
+    """Remark on the scale factor if ``k2o`` is requested and the record can hardly separate ``k2o`` from the servo."""
     odd = next((c for c in coefficients if c.name == "k2o"), None)
     scaled = any(c.name == "scale_factor" for c in coefficients)
     if odd is None or not scaled or fit.design.turning_servo or constant_squares(fit.design.run)[0] is None:
@@ -265,7 +265,7 @@ class LeftOutRows:
     pieces: tuple[tuple[tuple[int, Reduction], ...], ...]
 
     def refit(self, terms: Names) -> JointFit | None:
-        """The runs with these terms; None where they cannot tell the terms apart."""
+        """The runs with these terms; None if they cannot separate the terms."""
         wish = replace(self.fit.wish, terms=terms)
         try:
             return merge_runs(wish, list(self.summaries), [None] * len(self.summaries))
@@ -322,7 +322,7 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
 
 
 def _clear(rows: LeftOutRows, base: JointFit, names: Names, limit: float = LEFT_OUT.clear) -> Wider | None:
-    """The runs with additional terms; None if they cannot tell them apart, or the effect may be chance."""
+    """The runs with additional terms; None if they cannot separate them, or if the effect may be chance."""
     after = rows.refit((*base.wish.terms, *names))
     if after is None:
         return None
@@ -336,8 +336,8 @@ def _clear(rows: LeftOutRows, base: JointFit, names: Names, limit: float = LEFT_
 def _beside_slow_noise(fit: JointFit, names: Names) -> float:
     """Probability of terms as large as these by chance, where a stored run has a slow noise; 0 where none has.
 
-    The factors of a stored run hold no segments: a scatter of segments is not in them, but in its added noise, and so in
-    the covariance of the fit.
+    The factors of a stored run contain no segments. They do not include a scatter of segments. Its added noise includes it, and so
+    does the covariance of the fit.
     """
     if not any(summary.added for summary in fit.summaries):
         return 0.0
@@ -407,7 +407,7 @@ def _pieces(rows: LeftOutRows, fit: JointFit, names: Names) -> list[Array]:
 
 
 def _asked(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
-    """The other meaning of a requested ``k3``, if the runs cannot tell it from the servo."""
+    """The other meaning of a requested ``k3``, if the runs cannot separate it from the servo."""
     terms, coefficients = base.wish.terms, rows.fit.coefficients
     named = {c.key: c for c in coefficients}
     k3, scale = named["k3"], named["scale_factor"]
@@ -419,7 +419,7 @@ def _asked(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
 
 
 def _lacking(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
-    """Missing terms that the runs can tell apart: those of the servo, or ``k3``."""
+    """Missing terms that the runs can separate: those of the servo, or ``k3``."""
     servo = tuple(name for name in SERVO_TERMS if name not in base.wish.terms)
     tried = [_clear(rows, base, names) for names in dict.fromkeys((servo, ("servo",), ("k3",)))]
     clear = [wider for wider in tried if wider]

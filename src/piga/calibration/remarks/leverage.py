@@ -1,7 +1,7 @@
 """Leverage: how strongly each segment (position, level) determines the coefficients, and how it moves them.
 
-Summaries of segments add. The estimate without one segment is the merger of the others. It is exact and needs no
-second reading of the record. (With a phase per segment the step is linear about the estimate.)
+Summaries of segments can be added. To get the estimate without one segment, the others are merged. This is exact and needs
+no second reading of the record. (With a phase per segment the step is linear about the estimate.)
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def find_leverage(
         The result, with combined standard uncertainties without slow noise.
     slow:
         True if there is slow noise. All segments then move coefficients by more than the angle noise explains. A
-        segment is named only if its rate stands out among the others.
+        segment is named only if its rate is an outlier among the others.
 
     Returns
     -------
@@ -144,7 +144,7 @@ def leverages(parts: list[Reduction]) -> list[float]:
 
 
 def _lost(total: Reduction) -> frozenset[str]:
-    """Terms of the directions in which a summary holds no information."""
+    """Terms of the directions in which a summary contains no information."""
     factor = total.factor[:-1, :-1]
     norms = np.linalg.norm(factor, axis=0)
     lost = {term_of(name) for name, norm in zip(total.names, norms, strict=True) if norm == 0.0}
@@ -159,7 +159,7 @@ def _lost(total: Reduction) -> frozenset[str]:
 
 
 def _named(fit: Fit, layout: Layout, total: Reduction, linear: bool) -> Without:
-    """Coefficients of a merger; ``linear``: it holds corrections of the amplitudes."""
+    """Coefficients of a merger; ``linear``: the merger contains corrections of the amplitudes."""
     lost = _lost(total)
     if lost:
         return Without({}, {}, lost)

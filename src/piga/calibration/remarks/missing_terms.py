@@ -1,10 +1,10 @@
-"""Terms that the model lacks and the residuals suggest: an added-variable test of every candidate.
+"""Terms that are missing in the model and that the residuals suggest: an added-variable test of every candidate.
 
 All candidates are reduced together with the model in one square-root reduction. The factor then gives the decrease of
 the sum of squares by a candidate and its estimate: ``(x.e)^2/(x.x)`` and ``(x.e)/(x.x)``. Here x and e are candidate
 and residual after the model is projected out (own derivation, docs/theory). A candidate must pass two tests: against
-the noise, and against the scatter between segments. Errors of single positions are then not taken for a term. Where
-the record is smooth over a few samples, the columns of candidates are integrated by the trapezoid.
+the noise, and against the scatter between segments. Errors of single positions are then not mistaken for a term. If
+the record is smooth over a few samples, the trapezoidal rule integrates the columns of candidates.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ PAIRS = (("tan_beta", ("p", "q")), ("s1", ("s1", "c1")), ("s2", ("s2", "c2")))
 
 
 def candidate_terms(design: Design) -> list[tuple[str, ...]]:
-    """Columns of every candidate that the model lacks and the record can determine.
+    """Columns of every candidate that is missing in the model and that the record can determine.
 
     Candidates that turn with the output are skipped unless the zero of its angle is known in all segments.
     """
@@ -124,7 +124,7 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
 
 
 def servo_out_of_reach(design: Design) -> set[str]:
-    """Terms that a record cannot tell from the servo terms of the model, and servo terms that it cannot determine."""
+    """Terms that a record cannot separate from the servo terms of the model, and servo terms that it cannot determine."""
     total, across = constant_squares(design.run)
     terms = design.request.terms
     scaled = "scale_factor" in terms or "k1" in terms
@@ -259,9 +259,9 @@ class Tested:
 
 @dataclass(frozen=True)
 class Candidates:
-    """A fit without slow noise, and the columns of all terms that it may lack.
+    """A fit without slow noise, and the columns of all terms that may be missing in it.
 
-    Slow noise would take up the signature of a missing term. The columns are made when they are first asked for.
+    Slow noise would absorb the signature of a missing term. The columns are computed when they are first used.
     """
 
     fit: Fit
@@ -342,7 +342,7 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
 def _servo_first(
     best: Tested, shift: tuple[float, str], worth: list[tuple[Tested, tuple[float, str]]], square: float | None
 ) -> tuple[Tested, tuple[float, str]]:
-    """The servo's stiffness in place of a cube of a_x with a similar fit, if the record cannot tell them apart."""
+    """The servo's stiffness in place of a cube of a_x with a similar fit, if the record cannot separate them."""
     if square is None or best.names[0] not in CUBIC:
         return best, shift
     servo = [(t, s) for t, s in worth if t.names == ("servo",) and t.fall > CANDIDATES.like_a_cube * best.fall]

@@ -2,22 +2,22 @@
 
 **A slow wave in a rate log.**
 A bias that changes in a slow wave over a test of positions in the order of their angle looks like ``scale_factor``,
-``m_Y`` and ``k0``. Only what the model leaves of the wave is in the residuals. In an angle log that is seen as a drift or as
-coloured noise. A rate log has more white noise, and noise of any shape explains one wave badly. So the mean rates of the parts
-of the segments, without the model, are compared with waves of each period (docs/theory/noise).
+``m_Y`` and ``k0``. The residuals contain only the part of the wave that the model does not absorb. In an angle log this part
+is seen as a drift or as coloured noise. A rate log has more white noise, and noise of any shape explains one wave badly. So the
+mean rates of the parts of the segments, without the model, are compared with waves of each period (docs/theory/noise).
 
 The gain in chi-square by cosine and sine together is exponentially distributed for white noise, with mean two. About two
 periods per cycle in the record are independent.
 
 The slow rates come from joined rows, so a long record costs no more than a short one.
 
-What the model takes up of a wave is in no residual, so a wave is often not seen. Where it is seen, coloured noise is mostly in the
-covariance as well.
+The part of a wave that the model absorbs is in no residual, so a wave is often not seen. Where it is seen, the covariance
+mostly includes coloured noise as well.
 
 **A bias that follows the temperature.**
-The record has a temperature, and the model has no ``k0_T``. Let g be the true ``k0_T``, u_g its standard uncertainty
-beside the model, and c a coefficient with the standard uncertainty u without ``k0_T`` and u' with it. The missing term
-then moves c by ``|g|/u_g sqrt(u'^2/u^2 - 1) u`` (docs/theory/calibration). A bias of less than four u_g is often not
+The record has a temperature, and the model has no ``k0_T``. Let g be the true ``k0_T`` and u_g its standard uncertainty
+if it is added to the model. Let c be a coefficient with the standard uncertainty u without ``k0_T`` and u' with it. The
+missing term then moves c by ``|g|/u_g sqrt(u'^2/u^2 - 1) u`` (docs/theory/calibration). A bias of less than four u_g is often not
 seen in the residuals, and where ``u'`` is much larger than ``u`` it still moves c by more than u. No test can see it.
 The remark therefore states the largest bias that the record does not exclude, and how far it would move c.
 
@@ -176,7 +176,7 @@ TEMPERATURE = TemperatureSettings()
 class Unseen:
     """A bias that follows the temperature and that the record does not exclude.
 
-    ``bias`` is its bound [g/K] and ``assumed`` is True if it is the largest that is taken to be possible. It would move
+    ``bias`` is its bound [g/K] and ``assumed`` is True if it is the largest that is assumed to be possible. It would move
     ``coefficient`` by ``shift`` standard uncertainties. ``growth`` is the ratio of the fit's standard uncertainties of
     this coefficient with ``k0_T`` and without it, inf where the record cannot tell them apart.
     """
@@ -278,7 +278,7 @@ def _about_the_mean(piece: Array, offset: float) -> Array:
 
 
 def moved_by_one(pieces: list[Array]) -> Array | None:
-    """Change of the parameters by a candidate of size one that the model lacks; None if they are not determined."""
+    """Change of the parameters by a missing candidate of size one; None if they are not determined."""
     rows = np.vstack(pieces)[:, :-1]
     scale = np.linalg.norm(rows, axis=0)
     if not scale.all():

@@ -1,9 +1,10 @@
 """Remark on coloured noise of the rate that the record does not exclude.
 
-Coloured noise is in the uncertainties where the record shows it (:mod:`~piga.calibration.intervals.coloured_noise`). Below, it
-is not, and a record of a few positions cannot show much of it: most of what flicker noise or a drift does to a coefficient is in
-the few slowest shapes of the record, which the model takes up. The remark therefore states the largest noise that the record does
-not exclude, and how much larger it would make an expanded uncertainty. It changes no number (own derivation, docs/theory/noise).
+If the record shows coloured noise, the uncertainties include it (:mod:`~piga.calibration.intervals.coloured_noise`). If the
+noise is too small to be seen, they do not. A record of a few positions cannot show much of it: flicker noise or a drift moves a
+coefficient mostly by the few slowest shapes of the record, and the model absorbs these. The remark therefore states the largest
+noise that the record does not exclude, and how much larger it would make an expanded uncertainty. The remark changes no number
+(own derivation, docs/theory/noise).
 
 The slow rates of the record come from joined rows, so a long record costs no more than a short one.
 """

@@ -241,7 +241,7 @@ def compensate_to_file(
         Resamples the rows to its rate.
     progress:
         Called as ``progress(done, total, what)`` with the rows of the record that are done; it returns False to stop
-        (:mod:`piga.progress`). ``out`` is then not complete; ``parts`` keep what is done.
+        (:mod:`piga.progress`). ``out`` is then not complete; ``parts`` keep the rows that are done.
     parts:
         Intermediate parts. The rows are written there first, and complete parts are not computed again. The result is
         identical to the bit.

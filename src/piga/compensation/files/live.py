@@ -67,7 +67,7 @@ def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int
 
 
 def answered_lines(source: IO[str], stream: Compensator) -> Iterator[tuple[dict[str, float], Compensated]]:
-    """Each row of a stream of comma-separated lines, with its compensated values, as soon as it comes.
+    """Each row of a stream of comma-separated lines, with its compensated values, as soon as it arrives.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def compensate_arrow(source: IO[bytes], sink: IO[bytes], stream: Compensator) ->
     Raises
     ------
     DataError
-        If the stream is not an Arrow stream, is cut off or damaged, lacks a column, or a column holds no numbers.
+        If the stream is not an Arrow stream, is cut off or damaged, if a column is missing, or if a column contains no numbers.
     """
     import pyarrow as pa
 
@@ -205,7 +205,7 @@ class Bounded(io.RawIOBase):
         self._source = source
 
     def readable(self) -> bool:
-        """Always True; Arrow asks for it."""
+        """Always True; Arrow calls this method."""
         return True
 
     def read(self, size: int = -1) -> bytes:

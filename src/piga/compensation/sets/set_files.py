@@ -1,6 +1,6 @@
-"""Records of a set of three or more instruments on one base: whole in memory, and from file to file.
+"""Records of a set of three or more instruments on one base: whole in memory, or from file to file.
 
-From file to file: the set file (TOML) and its runs, block by block.
+From file to file, the set file (TOML) and its runs are read block by block.
 """
 
 from __future__ import annotations
