@@ -133,8 +133,10 @@ def test_a_time_of_dates_counts_from_the_first_midnight(run, zone, resolution):
         piga.Run.from_dataframe(table, **LAB)
 
 
-def test_a_time_of_durations_is_in_seconds(run):
-    table = pl.DataFrame(a_table(run)).with_columns(ms=pl.Series((run.t * 1e6).round()).cast(pl.Duration("us")))
+@pytest.mark.parametrize(("kind", "per_second"), [(pl.Duration("us"), 1e6), (pl.Time, 1e9)])
+def test_a_time_of_durations_or_times_of_day_is_in_seconds(run, kind, per_second):
+    ticks = pl.Series((run.t * per_second).round()).cast(pl.Int64)
+    table = pl.DataFrame(a_table(run)).with_columns(ms=ticks.cast(kind))
     units = {name: unit for name, unit in UNITS.items() if name != "ms"}
     made = piga.Run.from_dataframe(table, **(LAB | {"units": units}))
     assert np.allclose(made.t, run.t, rtol=0, atol=1e-12)

@@ -237,8 +237,10 @@ class Assembly:
         """Three columns as an array (n, 3); each column is contiguous."""
         if group is None:
             return None
-        factors = [conversion_factor(self._unit(name, group.unit), unit) for name in group.columns]
-        return scaled_rows([self.raw.numbers[name] for name in group.columns], factors[0]).T
+        for name in group.columns:
+            self._unit(name, group.unit)
+        factor = conversion_factor(group.unit, unit)
+        return scaled_rows([self.raw.numbers[name] for name in group.columns], factor).T
 
     def _temperature(self) -> Array | None:
         column = self.run_file.data.temperature

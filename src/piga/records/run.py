@@ -278,7 +278,7 @@ class Run(Result, Plotted, Reported, Tabular):
             Nominal K: SI, or text such as ``"0.8884 rad/s/g"``.
         time, output, reference, base_rate, temperature, segment:
             Names of the columns. ``reference=None`` with ``stand``: the stand gives it. ``time=None`` with ``sample_rate``.
-            The time may be a column of dates (``datetime64``) or durations; dates count from the first midnight.
+            The time may be a column of dates (``datetime64``), times of day or durations; dates count from the first midnight.
         kind:
             What the output is: ``"angle"``, ``"rate"`` or ``"counts"``.
         units:

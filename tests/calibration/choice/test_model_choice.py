@@ -124,6 +124,7 @@ def test_noise_of_counts_is_that_of_the_calibration():
     assert choice.angle_rms == result.angle_rms
 
 
+@pytest.mark.only_compiled
 def test_truth_is_best_and_ranked(compared):
     assert compared.sets[compared.best].terms == TRUE
     assert compared.sets[compared.best_prediction].terms == TRUE

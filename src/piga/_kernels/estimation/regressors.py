@@ -268,7 +268,7 @@ def smooth_bows(x: Array, h: Array, work: Array, out: Array) -> bool:
     Parameters
     ----------
     x, h, out:
-        (n + 1,) samples; (n,) intervals [s], 0 where samples do not belong together; (n,) results.
+        (n + 1,) samples; (n,) intervals [s], 0 where samples do not belong together; (n,) results. n is at least 1.
     work:
         (n,) scratch space: the second derivative at the samples.
     """
