@@ -76,3 +76,9 @@ def test_site() -> None:
     assert site.local_gravity == normal_gravity(math.radians(40.0), 100.0)
     assert Site(0.3, gravity=9.8) == Site(0.3, 0.0, 0.0, 9.8)
     assert Site(0.3, gravity=9.8).local_gravity == 9.8
+    north, east, down = site.earth_rate_ned
+    assert math.hypot(north, down) == pytest.approx(7.292115e-5, rel=1e-15)
+    assert east == 0.0
+    assert (north, down) == pytest.approx(
+        (7.292115e-5 * math.cos(math.radians(40)), -7.292115e-5 * math.sin(math.radians(40))), rel=1e-15
+    )

@@ -5,6 +5,7 @@ Constants are those of NIMA TR8350.2 (WGS-84, third edition). All angles in radi
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,3 +61,8 @@ class Site:
     def local_gravity(self) -> float:
         """Gravity at the site [m/s^2]: as given, else WGS-84 normal gravity."""
         return float(normal_gravity(self.latitude, self.height)) if self.gravity is None else self.gravity
+
+    @property
+    def earth_rate_ned(self) -> NDArray[np.float64]:
+        """Earth rate in local north-east-down axes [rad/s], shape (3,)."""
+        return EARTH_RATE * np.array([math.cos(self.latitude), 0.0, -math.sin(self.latitude)])

@@ -54,6 +54,23 @@ def test_the_main_job(tmp_path: Path) -> None:
     assert compensated.column_names == ["t", "ax", "dv", "u_ax", "flags"]
 
 
+def test_a_refusal_of_calibrate_loads_no_estimator(tmp_path: Path) -> None:
+    """It comes at once; the estimator alone takes longer."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "report.html").touch()
+    script = (
+        "import sys; from pathlib import Path; from piga.cli.calibrate import calibrate; from piga.errors import PigaError\n"
+        "try: calibrate([Path(sys.argv[1])], out=Path(sys.argv[2]))\n"
+        "except PigaError as refusal: print(refusal, 'piga.calibration.calibrate' in sys.modules)"
+    )
+    run = copy_example(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", script, run, tmp_path / "out"], capture_output=True, text=True, check=True
+    )
+    assert "report.html: there already" in done.stdout
+    assert done.stdout.endswith("False\n")
+
+
 def test_check_prints_findings_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = lines()
     del rows[10:12]

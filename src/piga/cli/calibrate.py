@@ -71,14 +71,14 @@ def calibrate(
 
     Writes calibration.json, residuals.parquet and report.html. Several runs of one instrument are calibrated together.
     """
-    from piga.calibration.calibrate import calibrate as estimate
-
     default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
     directory = out or runs[0].with_name(default)
     inputs = [path for run in runs for path in files_named_in(run)]
     with results(directory, "calibrate", CALIBRATION_RESULTS, inputs, force=force) as stage:
         items = read_items(runs) if compare is None else _with_sets(read_items(runs), compare)
         with progress("calibrating") as advance:
+            from piga.calibration.calibrate import calibrate as estimate
+
             calibration = estimate(
                 items, names_in(terms), method, phases=phases, phase_source=phase_source,
                 per_run=names_in(per_run), progress=advance.show,
@@ -175,7 +175,6 @@ def demo(
     force: ForceOption = False,
 ) -> None:
     """Calibrate and compensate the shipped record, with a report."""
-    from piga.calibration.calibrate import calibrate as estimate
     from piga.compensation import compensate
     from piga.reports.calibration.page import calibration_text
     from piga.stand import read_run
@@ -186,6 +185,8 @@ def demo(
         with progress("reading"):
             record = read_run(run)
         with progress("calibrating") as advance:
+            from piga.calibration.calibrate import calibrate as estimate
+
             calibration = estimate([record], progress=advance.show)
         with progress("writing the report"):
             written = [*write_results(calibration, folder), folder / "compensated.parquet"]

@@ -51,8 +51,8 @@ MENU = (
 )
 """Pages that need no record."""
 
-MARKS = ("signals", "check", "terms")
-"""Jobs whose result begins so write no files for the user."""
+MARK = re.compile(r"(?:signals/[0-9a-f]{12}-|check/|terms/)[0-9a-f]{24}")
+"""Jobs with such a result write no files for the user."""
 TRIAL = re.compile(rf"{re.escape(STATE_FOLDER)}/trials/[0-9a-f]{{12}}")
 """Results of a calibration that is not kept yet."""
 
@@ -86,7 +86,7 @@ class Workbench:
         OutsideError
             If this is outside of the folder.
         """
-        if not result or result.partition("/")[0] in MARKS:
+        if not result or MARK.fullmatch(result):
             return None
         if not TRIAL.fullmatch(result):
             return self.folder.path(result)
