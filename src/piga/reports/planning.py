@@ -365,7 +365,9 @@ def mounting_text(mounting: Mounting) -> str:
     )
     if not kept:
         return f"{text}; no skew keeps it at the wanted {mounting.limit:g} or more"
-    return f"{text}; {len(kept)} of {mounting.skews.size} skews keep it at the wanted {mounting.limit:g} or more"
+    return (
+        f"{text}; {len(kept)} of {mounting.skews.size} skews keep it at the wanted {mounting.limit:g} or more"
+    )
 
 
 def plan_text(plan: Plan, mounting: Mounting | None) -> str:
