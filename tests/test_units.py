@@ -49,6 +49,7 @@ def test_values(text: str | float, like: str, value: float) -> None:
         ("5 g/(s", "g", "not closed"),
         ("5 rad^x", "rad", "number must follow"),
         ("5 m$", "m", "cannot be read at"),
+        ("0,8884 rad/s/g", "rad/s/g", "has a comma in the number"),
         ("5 /s", "Hz", "unknown unit"),
         ("1e999 m", "m", "not a finite"),
         (float("nan"), "m", "not a finite"),

@@ -110,6 +110,7 @@ _ALIASES = {
     "pulses": "count", "pulse": "count", "impulsions": "count", "LSB": "count",
 }  # fmt: skip
 _TOKEN = re.compile(r"\s*(sqrt|[A-Za-z%µμ°′″℃][A-Za-z%]*|1|[*/()^·]|-?[0-9]+(?:\.[0-9]+)?)")
+_DECIMAL_COMMA = re.compile(r"\s*[-+]?[0-9.]*,[0-9]")
 _QUANTITY = re.compile(r"^\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*$")
 
 
@@ -286,6 +287,11 @@ def to_si(value: str | float, like: str, *, what: str = "quantity") -> float:
     if match is None:
         raise UnitError(f"{what}: '{value}' is not a number with a unit", remedy=f"write e.g. '1 {like}'")
     number, unit_text = float(match.group(1)), match.group(2)
+    if _DECIMAL_COMMA.match(value):
+        raise UnitError(
+            f"{what}: '{value[:40]}' has a comma in the number",
+            remedy=f"write a decimal point, e.g. '1.5 {like}'",
+        )
     if not abs(number) <= LARGEST:
         raise _too_large(what, f"'{value[:40]}'")
     if not unit_text:

@@ -105,6 +105,10 @@ def test_calibrate_json_and_files(tmp_path: Path) -> None:
         (["calibrate"], "Missing argument"),
         (["nonsense"], "No such command"),
         (["check", "run.csv"], "not valid TOML"),
+        (
+            ["check", "run.csv"],
+            "remedy: give a TOML file; for the log of a test 'piga init' drafts the run file",
+        ),
     ],
 )
 def test_wrong_use_is_exit_2_with_one_message(

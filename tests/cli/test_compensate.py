@@ -110,6 +110,8 @@ def test_triad_file(tmp_path, monkeypatch, capsys):
     (tmp_path / "triad.toml").write_text("\n".join(lines))
     code, _, text = command(monkeypatch, capsys, tmp_path / "triad.toml", "--out", tmp_path / "o.parquet")
     assert code == 0, text
+    assert "no_increment: 1 row\n" in text
+    assert text.count("piga: calibration of A: Type A only") == 3
     table = pa.parquet.read_table(tmp_path / "o.parquet")
     assert table.column_names == [
         "t", "fx", "fy", "fz", "dvx", "dvy", "dvz", "u_fx", "u_fy", "u_fz", "residual", "flags",

@@ -101,6 +101,7 @@ def test_a_counter_that_folds_and_a_gap(tmp_path: Path) -> None:
 @pytest.mark.only_compiled
 def test_the_angle_of_a_head_gives_the_reference(tmp_path: Path) -> None:
     path, run = drafted(tmp_path, "head-angle.csv")
+    assert "azimuth = '90 deg'" in path.read_text(encoding="utf-8")
     stand = tomllib.loads(path.read_text(encoding="utf-8"))["stand"]
     assert stand["kind"] == "dividing-head"
     assert stand["positions"][:3] == ["0 Grad", "30 Grad", "60 Grad"]

@@ -117,6 +117,7 @@ def test_names_in_four_languages() -> None:
 
 def test_facts_of_a_preamble() -> None:
     assert fact("# Serial number: A7") == ("instrument.serial", "A7")
+    assert fact("Prüfling;A7") == ("instrument.serial", "A7")
     assert fact("Skalenfaktor [rad/s/g];0,8884") == ("instrument.scale_factor", "0,8884 rad/s/g")
     assert fact("每转脉冲数：72000") == ("instrument.counts_per_revolution", "72000")
     assert fact("Operator: A7") is None

@@ -65,7 +65,11 @@ def test_positions_by_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("stand", "uncertainty", "message"),
     [
-        (STAND.replace("0:360:15", "0:360:45"), "", r"8 positions or levels, the record has 24 segments"),
+        (
+            STAND.replace("0:360:15", "0:360:45"),
+            "",
+            r"8 positions or levels, the record has 24 segments \(.+, .+\)",
+        ),
         (STAND.replace("dividing-head", "swing"), "", "invalid value 'swing'"),
         (STAND.replace("latitude", "lattitude"), "", "lattitude|latitude"),
         (STAND.replace("40 deg", "40 g"), "", r"\[stand\] latitude.*quantity in 'rad'"),

@@ -114,7 +114,7 @@ def compensate(
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # PyArrow's own keeps 30 MB of unused memory
     options = _Options(method, given, uncertainty, max_age, other_serial, period)
     if several:
-        summary = _together(run, sources, calibrations, out, options, page)
+        summary, calibrations = _together(run, sources, calibrations, out, options, page)
     else:
         summary = _single(run[0], _one(calibrations), sources, _Target(out, page, resume, force), options, rest)
     if json:
@@ -123,9 +123,10 @@ def compensate(
     say(f"wrote {out}: {summary['rows']} rows")
     if page is not None:
         say(f"wrote {page}")
-    for title in ("flags", "repairs"):
-        for name, count in summary.get(title, {}).items():
-            note(f"{name}: {count} rows")
+    for name, count in summary.get("flags", {}).items():
+        note(f"{name}: {count} {'row' if count == 1 else 'rows'}")
+    for name, count in summary.get("repairs", {}).items():
+        note(f"{count} x {name}")
     for one in calibrations:
         for doubt in one.verdict.doubts:
             note(f"piga: calibration of {one.serial}: {doubt.words}")
@@ -326,7 +327,8 @@ def _with_phase(options: _Options, phase: Phase | None) -> _Options:
 def _together(
     runs: list[Path], sources: list[tuple[str, str]], calibrations: list[Calibration], out: Path, options: _Options,
     page: Path | None,
-) -> dict[str, Any]:  # fmt: skip
+) -> tuple[dict[str, Any], list[Calibration]]:  # fmt: skip
+    """Summary and the calibrations used: those given, or those that the triad file names."""
     from piga.compensation.result import format_of
     from piga.compensation.sets.set_files import compensate_set_files, orthogonal_triad, read_triad
 
@@ -358,7 +360,7 @@ def _together(
     write_by_rename(out, write)
     if report is not None:
         report.write({"method": options.method or "exact"} | options.common(), summary["inputs"])
-    return summary
+    return summary, [one.calibration for one in mounted]
 
 
 class _Report:

@@ -166,7 +166,7 @@ def measures(unit: str, like: str) -> bool:
 _FACTS: dict[str, tuple[str, ...]] = {
     "instrument.serial": (
         "serial(?: ?(?:number|no|nr))?|s ?n",
-        "serien ?(?:nummer|nr)|ger[äa]e?t(?: ?nr)?",
+        "serien ?(?:nummer|nr)|ger[äa]e?t(?: ?nr)?|pr[üu]e?fling(?: ?nr)?",
         "numéro de série|n° ?(?:de )?série",
         "编号|序列号|产品编号|仪表编号",
     ),

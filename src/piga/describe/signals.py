@@ -374,6 +374,7 @@ def _head(
         angles,
         f"mean of {column.name} in each of {len(held)} segments, in order",
         "0 deg has X0 up; change the signs if the head turns the other way",
+        "the axis of the head points north; if not, add azimuth = '90 deg' (from north over east)",
     )
 
 

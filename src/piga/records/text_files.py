@@ -73,7 +73,7 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
         text = (toml_bytes(path) if raw is None else raw).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise RunFileError(
-            f"{path}: byte {error.start} is not UTF-8", remedy="save the file as UTF-8"
+            f"{path}: byte {error.start} is not UTF-8", remedy=_wrong_file(path) or "save the file as UTF-8"
         ) from None
     deep = _DEEP.search(text)
     if deep is not None:
@@ -85,10 +85,18 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
         document = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise RunFileError(
-            f"{path}: not valid TOML: {str(error)[:300]}", remedy="see https://toml.io for the syntax"
+            f"{path}: not valid TOML: {str(error)[:300]}",
+            remedy=_wrong_file(path) or "see https://toml.io for the syntax",
         ) from None
     _check_values(path, document, "")
     return _with_new_names(path, document)
+
+
+def _wrong_file(path: Path) -> str:
+    """Remedy if a file with another ending than ``.toml`` is no TOML; otherwise empty."""
+    if path.suffix.lower() in (".toml", ""):
+        return ""
+    return "give a TOML file; for the log of a test 'piga init' drafts the run file"
 
 
 RENAMED = {("model", "phase"): "phases"}

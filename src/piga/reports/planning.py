@@ -364,8 +364,10 @@ def mounting_text(mounting: Mounting) -> str:
         f"least |a_x| is {short(mounting.margin)} of a_t tan(beta)"
     )
     if not kept:
-        return f"{text}; no skew keeps the wanted {mounting.limit:g}"
-    return f"{text}; {len(kept)} of {mounting.skews.size} skews keep the wanted {mounting.limit:g}"
+        return f"{text}; no skew keeps it at the wanted {mounting.limit:g} or more"
+    return (
+        f"{text}; {len(kept)} of {mounting.skews.size} skews keep it at the wanted {mounting.limit:g} or more"
+    )
 
 
 def plan_text(plan: Plan, mounting: Mounting | None) -> str:

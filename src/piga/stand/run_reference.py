@@ -38,6 +38,8 @@ from piga.stand.profile import Segment, Stand, force_change
 from piga.stand.scenario import CompositeTable, SimpleStand
 from piga.units import from_si
 
+MOST_NAMED = 24
+"""Most segments that a message names."""
 TIMED = ("vibration-table", "profile", "composite")
 """Stands that are matched to a record by time."""
 
@@ -275,8 +277,10 @@ def _in_order(
         order = dict(zip(used.tolist(), planned, strict=True))
         return [order.get(k, planned[0]) for k in range(len(labels))]
     if len(planned) != len(labels):
+        more = ", ..." if len(labels) > MOST_NAMED else ""
         raise ArgumentError(
-            f"[stand] has {len(planned)} positions or levels, the record has {len(labels)} segments",
+            f"[stand] has {len(planned)} positions or levels, the record has {len(labels)} segments "
+            f"({', '.join(labels[:MOST_NAMED])}{more})",
             remedy="name them: positions = { 'label' = 'angle', ... }",
         )
     return list(planned)

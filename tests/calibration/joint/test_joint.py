@@ -37,7 +37,11 @@ def together(runs: list[piga.Run]) -> piga.Calibration:
 def test_two_runs_separate_what_one_cannot(runs: list[piga.Run], together: piga.Calibration) -> None:
     with pytest.raises(piga.IdentifiabilityError, match="cannot separate k0, k2, k_YY") as caught:
         piga.calibrate(runs[0], TERMS)
-    assert "a centrifuge or a vibration table" in str(caught.value)
+    assert (
+        str(caught.value).count("a centrifuge or a vibration table")
+        == str(caught.value).count("centrifuge")
+        == 1
+    )
     with pytest.raises(piga.IdentifiabilityError, match=r"cannot separate k0, (m_Y, k_YY|k_YY, m_Y)") as caught:
         piga.calibrate(runs[1], TERMS)
     assert "dividing head" in str(caught.value)

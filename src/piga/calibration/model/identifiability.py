@@ -49,7 +49,7 @@ _PAIRS: tuple[tuple[frozenset[str], str], ...] = (
 _REMEDIES: tuple[tuple[frozenset[str], str], ...] = (
     (
         frozenset({"k0", "k2", "k_YY"}),
-        "a one-plane tumble has a_x^2 + a_Y^2 = g^2: leave k_YY out, or add a centrifuge or vibration run",
+        "a one-plane tumble has a_x^2 + a_Y^2 = g^2: leave k_YY out",
     ),
     (
         frozenset({"tan_beta"}),

@@ -17,7 +17,9 @@ from piga.formats.text.time_stamp import forms_of
 from piga.records.calibration import Event
 
 MAX_LISTED = 100
-"""Most faults listed in one message. The rest is counted."""
+"""Most faults that one message lists all."""
+FIRST_LISTED = 20
+"""Faults listed of a file that has more: most often one cause, such as the decimal mark. The rest is counted."""
 _NUMBER = re.compile(r"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|inf|infinity|nan)", re.IGNORECASE | re.ASCII)
 
 
@@ -44,8 +46,9 @@ class Faults:
     @property
     def words(self) -> str:
         """All faults in words."""
-        more = f"; and {self.total - len(self.listed)} more" if self.total > len(self.listed) else ""
-        return f"{'; '.join(self.listed)}{more}"
+        if self.total <= MAX_LISTED:
+            return "; ".join(self.listed)
+        return f"{'; '.join(self.listed[:FIRST_LISTED])}; and {self.total - FIRST_LISTED} more"
 
     def error(self, path: Path) -> DataError:
         """All faults as one error."""
