@@ -81,6 +81,15 @@ def test_terms_that_do_not_go_together(terms: tuple[str, ...], message: str) -> 
     assert caught.value.remedy
 
 
+@pytest.mark.parametrize(
+    ("name", "near"), [("k_1", "k1"), ("k2k", "k2"), ("tanbeta", "tan_beta"), ("k_xy", "k_XY")]
+)
+def test_a_mistyped_term_is_answered_with_the_nearest(name: str, near: str) -> None:
+    with pytest.raises(piga.RunFileError) as caught:
+        check_terms((name,))
+    assert caught.value.remedy.startswith(f"did you mean '{near}'? known terms: scale_factor")
+
+
 def test_coefficients_in_words() -> None:
     assert meaning_of("s2") == "sine of 2 x output angle"
     assert meaning_of("c12[3]") == "cosine of 12 x output angle"

@@ -92,15 +92,13 @@ def terms(
 
     For each: what it multiplies, its unit, its meaning, the test that shows it, and a size from the literature where there is one.
     """
-    from piga.records.terms import TERM_WORDS, term_words, unit_of
+    from piga.records.terms import TERM_WORDS, known_terms, term_words, unit_of
 
     names = list(TERM_WORDS) if name is None else [name]
     try:
         chosen = {one: term_words(one) for one in names}
     except KeyError:
-        raise ArgumentError(
-            f"'{name}' is not a term", remedy=f"terms: {' '.join(TERM_WORDS)} (s1 c1 s2 c2 ...)"
-        ) from None
+        raise ArgumentError(f"'{name}' is not a term", remedy=known_terms(str(name))) from None
     units = {one: "g" if one in ("sn", "cn") else unit_of(one) for one in chosen}
     if as_json:
         keys = ("formula", "meaning", "shown_by", "known")

@@ -14,6 +14,7 @@ both is 1/(m/s^2)^2. Without base rate ``u/K`` is the specific force. Derived in
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -245,6 +246,15 @@ def term_names(terms: str | Iterable[str]) -> tuple[str, ...]:
     return tuple(terms.replace(",", " ").split()) if isinstance(terms, str) else tuple(terms)
 
 
+def known_terms(name: str) -> str:
+    """Remedy for a name that is not a term: the nearest one, and all there are."""
+    known = [term for term in UNITS if term != "phi"]
+    near = difflib.get_close_matches(name, known, n=1)
+    return (
+        "".join(f"did you mean '{term}'? " for term in near) + f"known terms: {' '.join(known)} s1 c1 s2 c2 ..."
+    )
+
+
 def check_terms(terms: tuple[str, ...], *, where: str = "terms") -> None:
     """Check the names of the wanted terms and their combination.
 
@@ -259,10 +269,7 @@ def check_terms(terms: tuple[str, ...], *, where: str = "terms") -> None:
         if name == "phi":
             raise RunFileError(f"{where}: 'phi' comes with tan_beta", remedy="leave it out")
         if not check_name(name):
-            raise RunFileError(
-                f"{where}: unknown term '{name}'",
-                remedy=f"known terms: {' '.join(n for n in UNITS if n != 'phi')} s1 c1 s2 c2 ...",
-            )
+            raise RunFileError(f"{where}: unknown term '{name}'", remedy=known_terms(name))
         if terms.count(name) > 1:
             raise RunFileError(f"{where}: '{name}' is named twice", remedy="name it once")
         wave = harmonic(name)
