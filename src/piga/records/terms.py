@@ -249,10 +249,10 @@ def term_names(terms: str | Iterable[str]) -> tuple[str, ...]:
 def known_terms(name: str) -> str:
     """Remedy for a name that is not a term: the nearest one, and all there are."""
     known = [term for term in UNITS if term != "phi"]
-    near = difflib.get_close_matches(name, known, n=1)
-    return (
-        "".join(f"did you mean '{term}'? " for term in near) + f"known terms: {' '.join(known)} s1 c1 s2 c2 ..."
-    )
+    small = {term.lower(): term for term in known}
+    near = difflib.get_close_matches(name.lower(), small, n=1)
+    guess = "".join(f"did you mean '{small[term]}'? " for term in near)
+    return f"{guess}known terms: {' '.join(known)} s1 c1 s2 c2 ..."
 
 
 def check_terms(terms: tuple[str, ...], *, where: str = "terms") -> None:
