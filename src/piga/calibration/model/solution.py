@@ -7,6 +7,7 @@ solution. Names and file units are applied last.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -39,6 +40,8 @@ class SolutionSettings:
     """Largest first step of them, in their standard uncertainties."""
     scan: int = 180
     """Phases tried for each group before refinement; the cost has at most twice the highest order of minima."""
+    integrations: int = 50
+    """Steps to the coupling with the phases integrated out; few are needed unless it is below its noise."""
     refinements: int = 8
     """Newton steps from each of these minima; four are enough unless two of them lie close together."""
 
@@ -318,8 +321,37 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
     )
     best = at((result.x / scale).tobytes())
     covariance = _inverse_information(np.asarray(np.linalg.qr(np.vstack(best.rows), mode="r")), layout.size)
-    jacobians = tuple(layout.jacobian(best.amplitudes, best.phases, g) for g in range(len(parts)))
-    return Estimate(best.amplitudes, best.phases, covariance, best.cost + beyond, jacobians)
+    variance = (best.cost + beyond) / max(count - len(covariance), 1)
+    amplitudes, phases = best.amplitudes, best.phases
+    if variance > 0.0:
+        shift = _fitted_noise(best, covariance, variance)
+        amplitudes, phases = amplitudes - shift[: layout.size], phases - shift[layout.size :]
+        covariance = covariance + np.outer(shift, shift) / variance
+    jacobians = tuple(layout.jacobian(amplitudes, phases, g) for g in range(len(parts)))
+    return Estimate(amplitudes, phases, covariance, best.cost + beyond, jacobians)
+
+
+def _fitted_noise(best: _Profile, covariance: Array, variance: float) -> Array:
+    """By how much the parameters are wrong because each phase fits noise, and the coupling takes that noise up.
+
+    If the phases are integrated out instead, each with equal probability over the circle, the likelihood of the coupling A
+    has its maximum at ``A = A_0 - u^2 sum_g s_g (1 - I_1(s_g A)/I_0(s_g A))``. Here A_0 is the estimate with fitted phases, u its
+    standard uncertainty, and ``s_g A_0`` the information on the phase of group g (own derivation, docs/theory/calibration).
+    The other parameters follow by their correlation with A.
+    """
+    from scipy.special import i0e, i1e
+
+    fitted = float(best.amplitudes[0])
+    if fitted == 0.0:
+        return np.zeros(len(covariance))
+    known = np.maximum(best.phase_curvatures, 0.0) / variance / abs(fitted)
+    coupling, square = abs(fitted), float(covariance[0, 0]) * variance
+    for _ in range(SOLUTION.integrations):
+        coupling = max(
+            abs(fitted) - square * float(known @ (1.0 - i1e(known * coupling) / i0e(known * coupling))), 0.0
+        )
+    shift: Array = (fitted - math.copysign(coupling, fitted)) * covariance[:, 0] / covariance[0, 0]
+    return shift
 
 
 @dataclass(frozen=True)
@@ -357,11 +389,24 @@ class _Profile:
         return slope
 
     @property
+    def phase_curvatures(self) -> Array:
+        """Half the second derivative of the sum of squares by the phase of each group (groups,)."""
+        local, size = self.layout.local, self.layout.size
+        bends = self.layout.turned(self.amplitudes, self.phases, 2)
+        groups = enumerate(zip(self.factors, self.rows, self.residuals, strict=True))
+        return np.array(
+            [
+                rows[:, size + g] @ rows[:, size + g] - residual[:local] @ (factor[:local, :local] @ bends[g])
+                for g, (factor, rows, residual) in groups
+            ]
+        )
+
+    @property
     def curvature(self) -> Array:
         """Its second derivatives by the amplitudes. The phases follow the amplitudes."""
         layout, local = self.layout, self.layout.local
         head, size = layout.head, layout.size
-        bends = layout.turned(self.amplitudes, self.phases, 2)
+        curvatures = self.phase_curvatures
         turns = np.stack([layout.turned(unit, self.phases, 1) for unit in np.eye(head)], axis=2)
         total = np.zeros((size, size))
         for group, (factor, rows, residual) in enumerate(
@@ -370,10 +415,9 @@ class _Profile:
             own, along, top = rows[:, :size], rows[:, size + group], factor[:local, :local]
             mixed = own.T @ along
             mixed[:head] -= (top @ turns[group]).T @ residual[:local]
-            own_curvature = float(along @ along - residual[:local] @ (top @ bends[group]))
             total += own.T @ own
-            if own_curvature > 0.0:
-                total -= np.outer(mixed, mixed) / own_curvature
+            if curvatures[group] > 0.0:
+                total -= np.outer(mixed, mixed) / curvatures[group]
         return 2.0 * total
 
 
