@@ -21,6 +21,7 @@ from piga.calibration.model.solution import (
     solve_parts,
 )
 from piga.units import G0
+from tests.calibration.made import phases
 from tests.calibration.made.random_plans import problem
 
 PROBLEMS = 10_000
@@ -190,54 +191,11 @@ def test_phases_of_groups_do_not_make_the_coupling_larger(size: float, mean: flo
     assert np.mean(np.abs(errors) < 1.96) > covered
 
 
-def independent(seed: int, tangent: float) -> tuple[piga.Run, dict[str, float]]:
-    """Record of 12 to 16 positions with a counter that starts anew at each; the motion by Runge and Kutta, nothing of piga."""
-    rng = np.random.default_rng(seed)
-    positions, rate, inner = int(rng.integers(12, 17)), 10.0, 8
-    seconds = rng.integers(20, 41, positions)
-    angle = np.linspace(0.1, np.pi - 0.1, positions) + rng.uniform(-0.05, 0.05, positions)
-    x, y = G0 * np.cos(angle), G0 * np.sin(angle) * rng.choice([-1.0, 1.0], positions)
-    K, k0, m_Y = 0.0906 * (1.0 + 1e-4 * rng.standard_normal()), 1e-4 * G0 * rng.standard_normal(), 2e-4
-    n, h = int(seconds.max() * rate) + 1, 1.0 / rate / inner
-    alpha = np.empty((n, positions))
-    alpha[0] = rng.uniform(-np.pi, np.pi, positions)
-
-    def slope(at: np.ndarray) -> np.ndarray:
-        return K * (x + k0 + m_Y * y + tangent * y * np.sin(at))
-
-    for i in range(1, n):
-        at = alpha[i - 1]
-        for _ in range(inner):
-            a = slope(at)
-            b = slope(at + 0.5 * h * a)
-            c = slope(at + 0.5 * h * b)
-            at = at + h / 6.0 * (a + 2.0 * b + 2.0 * c + slope(at + h * c))
-            at = at + 2e-5 * np.sqrt(h) * rng.standard_normal(positions)
-        alpha[i] = at
-    t, output, f, segment, start = [], [], [], [], 0.0
-    for k, size in enumerate((seconds * rate + 1).astype(int)):
-        t.append(start + np.arange(size) / rate)
-        start = t[-1][-1] + 15.0
-        output.append(alpha[:size, k] + rng.uniform(-50.0, 50.0) + 2.5e-5 * rng.standard_normal(size))
-        f.append(np.tile([x[k], y[k], 0.0], (size, 1)))
-        segment.append(np.full(size, k, dtype=np.int32))
-    run = piga.Run.from_arrays(
-        *map(np.concatenate, (t, output, f)), scale_factor="0.8884 rad/s/g", segment=np.concatenate(segment)
-    )
-    return run, {"scale_factor": K * G0, "tan_beta": tangent, "k0": k0 / G0, "m_Y": m_Y}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("tangent", [0.0, 1e-5, 3e-5, 1e-3])
+@pytest.mark.parametrize("tangent", phases.TANGENTS)
 def test_intervals_with_a_phase_in_each_segment(tangent: float) -> None:
     """Not even a coupling that is not there is found: its interval contains the truth."""
-    records, terms = 150, ["scale_factor", "tan_beta", "k0", "m_Y"]
-    errors: dict[str, list[float]] = {name: [] for name in terms}
-    for seed in range(records):
-        run, truth = independent(seed, tangent)
-        result = piga.calibrate(run, terms, phases="per-segment")
-        for name in terms:
-            errors[name].append((result[name].value - truth[name]) / result[name].expanded)
-    held = {name: np.mean(np.abs(one) < 1.0) for name, one in errors.items()}
+    found = phases.errors(tangent, 150)
+    held = {name: np.mean(np.abs(one) < 1.0) for name, one in found.items()}
     assert min(held.values()) > 0.89  # 0.95 of 150 records less three standard deviations
-    assert abs(np.mean(errors["tan_beta"])) < 0.3
+    assert abs(np.mean(found["tan_beta"])) < 0.3
