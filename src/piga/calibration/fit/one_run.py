@@ -333,7 +333,11 @@ def _covariance(design: Design, mode: str, noise: Noise, solution: Solution) -> 
         cross = (x[:, :-1] * inverse[:-1]) @ (x[:, 1:] * inverse[1:]).T * noise.white
         jacobian = solution.jacobians[design.groups[block.segment]]
         meat += jacobian.T @ ((x * variance) @ x.T - cross - cross.T) @ jacobian
-    return solution.covariance @ meat @ solution.covariance
+    covariance: Array = solution.inverse @ meat @ solution.inverse
+    if solution.shift is not None:
+        variance = solution.cost / max(design.rows - solution.parameters, 1)
+        covariance = covariance + variance * np.outer(solution.shift, solution.shift)
+    return covariance
 
 
 def refine_counted(fit: Fit) -> Fit:

@@ -295,7 +295,7 @@ def _per_walk(fit: Fit, probe: float) -> Array:
 def _at_the_fit(fit: Fit, solution: Solution) -> Array:
     """Covariance of a solution, linearised at the fit: near tan_beta = 0 each solution has another phase."""
     if fit.solution.phases.size != 1:
-        return solution.covariance
+        return solution.inverse
     turn = np.linalg.solve(fit.solution.jacobians[0], solution.jacobians[0])
     moved: Array = turn @ solution.covariance @ turn.T
     return moved

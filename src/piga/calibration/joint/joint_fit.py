@@ -190,7 +190,7 @@ class MergedRuns:
                 if state is not None:
                     own = own.mixed([mixture(held, wanted, state, state.phases[g])[:-1, :-1] for g in groups])
                 meat = own.per_unit(jacobians)
-                yield noise, plain.covariance @ meat @ plain.covariance
+                yield noise, plain.inverse @ meat @ plain.inverse
 
     def named(self, estimate: Estimate) -> tuple[tuple[Coefficient, ...], Array]:
         """Coefficients of all runs in file units, and their covariance."""

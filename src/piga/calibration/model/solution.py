@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -177,7 +177,8 @@ class Estimate:
     ``amplitudes`` are, in this order, the coupling amplitude ``K tan_beta`` (if requested),
     ``K s_n, K c_n`` per harmonic in the frame of alpha, and the shared linear parameters. ``phases`` holds one
     phi per group. ``covariance`` is that of ``[amplitudes, phases]`` for unit noise. ``jacobians`` hold, for each
-    phase group, the derivative of its column coefficients by ``[amplitudes, phases]``.
+    phase group, the derivative of its column coefficients by ``[amplitudes, phases]``. ``shift`` is the change of the parameters by
+    integrating out the phases, for unit noise; its square is in the covariance.
     """
 
     amplitudes: Array
@@ -185,6 +186,12 @@ class Estimate:
     covariance: Array
     cost: float
     jacobians: tuple[Array, ...]
+    shift: Array | None = field(default=None, kw_only=True)
+
+    @property
+    def inverse(self) -> Array:
+        """Inverse of the information matrix: the covariance without the square of ``shift``."""
+        return self.covariance if self.shift is None else self.covariance - np.outer(self.shift, self.shift)
 
     @property
     def parameters(self) -> int:
@@ -241,7 +248,13 @@ def solve(design: Design, summaries: list[Reduction]) -> Solution:
     else:
         values = np.array([layout.linear(estimate.amplitudes, estimate.phases[g], g) for g in groups])
     return Solution(
-        estimate.amplitudes, estimate.phases, estimate.covariance, estimate.cost, estimate.jacobians, values
+        estimate.amplitudes,
+        estimate.phases,
+        estimate.covariance,
+        estimate.cost,
+        estimate.jacobians,
+        values,
+        shift=estimate.shift,
     )
 
 
@@ -254,6 +267,7 @@ def _without_last(estimate: Estimate, size: int, extra: int) -> Estimate:
         np.delete(np.delete(estimate.covariance, behind, axis=0), behind, axis=1),
         estimate.cost,
         tuple(np.delete(jacobian[:-extra], behind, axis=1) for jacobian in estimate.jacobians),
+        shift=None if estimate.shift is None else np.delete(estimate.shift, behind),
     )
 
 
@@ -320,15 +334,25 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
         options={"gtol": SOLUTION.settled, **reach},
     )
     best = at((result.x / scale).tobytes())
-    covariance = _inverse_information(np.asarray(np.linalg.qr(np.vstack(best.rows), mode="r")), layout.size)
-    variance = (best.cost + beyond) / max(count - len(covariance), 1)
     amplitudes, phases = best.amplitudes, best.phases
+    covariance, shift = (
+        _unit_covariance(layout, amplitudes, phases, factors),
+        np.zeros(layout.size + phases.size),
+    )
+    variance = (best.cost + beyond) / max(count - len(covariance), 1)
     if variance > 0.0:
-        shift = _fitted_noise(best, covariance, variance)
-        amplitudes, phases = amplitudes - shift[: layout.size], phases - shift[layout.size :]
-        covariance = covariance + np.outer(shift, shift) / variance
+        moved = _fitted_noise(best, covariance, variance)
+        amplitudes, phases = amplitudes - moved[: layout.size], phases - moved[layout.size :]
+        shift = moved / np.sqrt(variance)
+        covariance = _unit_covariance(layout, amplitudes, phases, factors) + np.outer(shift, shift)
     jacobians = tuple(layout.jacobian(amplitudes, phases, g) for g in range(len(parts)))
-    return Estimate(amplitudes, phases, covariance, best.cost + beyond, jacobians)
+    return Estimate(amplitudes, phases, covariance, best.cost + beyond, jacobians, shift=shift)
+
+
+def _unit_covariance(layout: Layout, amplitudes: Array, phases: Array, factors: list[Array]) -> Array:
+    """Covariance of ``[amplitudes, phases]`` for unit noise, linearised at them."""
+    rows = np.vstack([f[:-1, :-1] @ layout.jacobian(amplitudes, phases, g) for g, f in enumerate(factors)])
+    return _inverse_information(np.asarray(np.linalg.qr(rows, mode="r")), layout.size)
 
 
 def _fitted_noise(best: _Profile, covariance: Array, variance: float) -> Array:
