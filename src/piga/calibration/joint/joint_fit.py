@@ -184,7 +184,12 @@ class MergedRuns:
             first = self.first_group(index)
             groups = range(first, first + len(summary.parts))
             held, wanted = summary.columns(self.local, self.stored(index)), self.wanted(index)
-            jacobians = [self.layout.jacobian(plain.amplitudes, plain.phases, group) for group in groups]
+            jacobians = [
+                self.layout.jacobian(plain.amplitudes, plain.phases, group)
+                if plain.shift is None
+                else plain.jacobians[group]
+                for group in groups
+            ]
             for noise in summary.added:
                 own = noise.select(summary.parts[0].names, held)
                 if state is not None:

@@ -178,7 +178,7 @@ class Estimate:
     ``K s_n, K c_n`` per harmonic in the frame of alpha, and the shared linear parameters. ``phases`` holds one
     phi per group. ``covariance`` is that of ``[amplitudes, phases]`` for unit noise. ``jacobians`` hold, for each
     phase group, the derivative of its column coefficients by ``[amplitudes, phases]``. ``shift`` is the change of the parameters by
-    integrating out the phases, for unit noise; its square is in the covariance.
+    integrating out the phases, for unit noise. Its square is in the covariance; the rest and the derivatives are those before it.
     """
 
     amplitudes: Array
@@ -334,25 +334,16 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
         options={"gtol": SOLUTION.settled, **reach},
     )
     best = at((result.x / scale).tobytes())
-    amplitudes, phases = best.amplitudes, best.phases
-    covariance, shift = (
-        _unit_covariance(layout, amplitudes, phases, factors),
-        np.zeros(layout.size + phases.size),
-    )
+    amplitudes, phases, shift = best.amplitudes, best.phases, np.zeros(layout.size + len(parts))
+    covariance = _inverse_information(np.asarray(np.linalg.qr(np.vstack(best.rows), mode="r")), layout.size)
+    jacobians = tuple(layout.jacobian(amplitudes, phases, g) for g in range(len(parts)))
     variance = (best.cost + beyond) / max(count - len(covariance), 1)
     if variance > 0.0:
         moved = _fitted_noise(best, covariance, variance)
         amplitudes, phases = amplitudes - moved[: layout.size], phases - moved[layout.size :]
         shift = moved / np.sqrt(variance)
-        covariance = _unit_covariance(layout, amplitudes, phases, factors) + np.outer(shift, shift)
-    jacobians = tuple(layout.jacobian(amplitudes, phases, g) for g in range(len(parts)))
+    covariance = covariance + np.outer(shift, shift)
     return Estimate(amplitudes, phases, covariance, best.cost + beyond, jacobians, shift=shift)
-
-
-def _unit_covariance(layout: Layout, amplitudes: Array, phases: Array, factors: list[Array]) -> Array:
-    """Covariance of ``[amplitudes, phases]`` for unit noise, linearised at them."""
-    rows = np.vstack([f[:-1, :-1] @ layout.jacobian(amplitudes, phases, g) for g, f in enumerate(factors)])
-    return _inverse_information(np.asarray(np.linalg.qr(rows, mode="r")), layout.size)
 
 
 def _fitted_noise(best: _Profile, covariance: Array, variance: float) -> Array:
