@@ -290,7 +290,7 @@ def test_the_reading_process_is_limited(tmp_path: Path, monkeypatch: pytest.Monk
     path = tmp_path / "run.h5"
     path.write_bytes(b"x")
     monkeypatch.setattr(sys, "path", [str(tmp_path / "fake"), *sys.path])
-    for code, message, seconds in (
+    cases = (
         ("while True: pass", "took more than", 0.3),
         (
             "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
@@ -301,9 +301,11 @@ def test_the_reading_process_is_limited(tmp_path: Path, monkeypatch: pytest.Monk
         ("import os, signal; os.kill(os.getpid(), signal.SIGXCPU)", r"took more than \d+ s of computing", 30.0),
         ("raise MemoryError", "needs more than", 30.0),
         ("import sys; sys.exit('odd')", "failed on it .odd", 30.0),
-    ):
+    )
+    for number, (code, message, seconds) in enumerate(cases):
         monkeypatch.setattr(container, "CPU_BASE", seconds)
-        child.write_text(code + "\n")
+        # of another size each time: compiled code of the same size and second would be used again
+        child.write_text(code + "\n" * (number + 1))
         with pytest.raises(piga.DataError, match=message):
             container.read_container(path, ".h5", ("t",), None)
 
