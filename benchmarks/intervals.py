@@ -14,7 +14,7 @@ from typing import Any
 
 from benchmarks import measured
 
-from piga.campaign.subjects import NOISE_DOUBTED, NOISE_LEFT
+from piga.campaign.subjects import NOISE_DOUBTED
 
 TABLES = {"coverage.toml": "intervals", "interval-cases.toml": "interval-cases"}
 COLOURED = {
@@ -84,17 +84,12 @@ def put_down(collected: dict[str, Any], folder: Path = measured.FOLDER) -> list[
 def coloured_row(group: dict[str, Any]) -> dict[str, measured.Value]:
     """The columns of a row of coloured noise; shares in percent, of the misses 100 if there are none."""
     share = [100.0 * c["coverage"] for c in group["coefficients"]]
-    warned, told = (
-        sum(group["seen_where_missed"].get(name, 0.0) for name in names) if group["missed"] else 1.0
-        for names in ((NOISE_DOUBTED,), (NOISE_DOUBTED, NOISE_LEFT))
-    )
+    warned = group["seen_where_missed"].get(NOISE_DOUBTED, 0.0) if group["missed"] else 1.0
     return {
         "records": group["records"],
         "intervals hold": (round(min(share), 1), round(max(share), 1)),
         "misses": group["missed"],
         "misses with a warning": round(100.0 * warned),
-        "with a warning or the remark": round(100.0 * told),
-        "remark": round(100.0 * group["seen"].get(NOISE_LEFT, 0.0)),
     }
 
 

@@ -7,7 +7,7 @@ from benchmarks import intervals, measured
 
 from piga.campaign import collect, document, open_campaign, read_campaign
 from piga.campaign.page import campaign_page, collected_text
-from piga.campaign.subjects import NOISE_DOUBTED, NOISE_LEFT
+from piga.campaign.subjects import NOISE_DOUBTED
 from piga.reports.render.page import FigureBlock, Notice, Table, page_html
 from tests.campaign.small import COVERAGE, SMALL, computed, one_case, written
 
@@ -103,13 +103,13 @@ def test_rows_of_the_accuracy_page_are_never_replaced_by_fewer_tests(tmp_path):
 
 
 def test_the_table_of_coloured_noise_is_written_as_a_whole(tmp_path):
-    """Shares of the records with a miss: a doubt, and a doubt or the remark. Too few tests or kinds leave the table."""
+    """Shares of the records with a miss: a doubt. Too few tests or kinds leave the table."""
     kept = (measured.FOLDER / "coloured-intervals.json").read_text(encoding="utf-8")
     (tmp_path / "coloured-intervals.json").write_text(kept, encoding="utf-8")
     cases = [group.name for group in read_campaign(COVERAGE.parent / "coloured.toml").groups]
     group = {
         "records": 2000, "planned": 2000, "failed": {}, "coefficients": [{"coverage": 0.95}, {"coverage": 0.57}],
-        "seen": {NOISE_LEFT: 0.6}, "missed": 40, "seen_where_missed": {NOISE_DOUBTED: 0.25, NOISE_LEFT: 0.63},
+        "seen": {}, "missed": 40, "seen_where_missed": {NOISE_DOUBTED: 0.25},
     }  # fmt: skip
     collected = {"campaign": "coloured.toml", "groups": [{"name": name} | group for name in cases]}
     few = {"groups": [{"name": name} | group | {"records": 9, "planned": 9} for name in cases]}
@@ -119,14 +119,12 @@ def test_the_table_of_coloured_noise_is_written_as_a_whole(tmp_path):
     assert (tmp_path / "coloured-intervals.json").read_text(encoding="utf-8") == kept
     assert len(intervals.put_down_coloured(collected, tmp_path)) == 6
     table, figures = measured.load("coloured-intervals", tmp_path)
-    assert [f["row"] for f in figures][::6] == list(intervals.COLOURED.values())
-    assert {f["column"]: f["value"] for f in figures[:6]} == {
+    assert [f["row"] for f in figures][::4] == list(intervals.COLOURED.values())
+    assert {f["column"]: f["value"] for f in figures[:4]} == {
         "records": 2000,
         "intervals hold": [57.0, 95.0],
         "misses": 40,
         "misses with a warning": 25,
-        "with a warning or the remark": 88,
-        "remark": 60,
     }
     assert {f["unit"] for f in figures if f["column"] in ("records", "misses")} == {"1"}
     assert table["rows"] == "record"

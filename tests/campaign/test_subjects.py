@@ -13,7 +13,7 @@ import piga
 from piga.campaign import collect, document, open_campaign, plan_campaign, read_campaign
 from piga.campaign.manifest import Archive
 from piga.campaign.shard import run_shard
-from piga.campaign.subjects import NOISE_DOUBTED, NOISE_LEFT, compute, of_calibration, seed_of
+from piga.campaign.subjects import NOISE_DOUBTED, compute, of_calibration, seed_of
 from piga.cli.main import app
 from tests.calibration.made.coloured_truth import LOG
 from tests.calibration.made.independent import head
@@ -259,21 +259,16 @@ terms = ["scale_factor", "tan_beta", "k0"]
 
 @pytest.mark.only_compiled
 def test_seen_has_what_the_record_says_of_its_noise(tmp_path):
-    """A sound short rate log has the remark, a loud one the doubt, a sound angle log neither."""
-
+    """A loud rate log has the doubt about the noise, a sound one does not."""
     seen = partial(reported, tmp_path)
-    assert NOISE_LEFT in seen(LOGGED)
+    assert NOISE_DOUBTED not in seen(LOGGED)
     quiet = piga.calibrate(RATES.record(2), RATES.terms)
-    assert NOISE_LEFT in of_calibration(quiet, np.full(len(quiet), np.nan)).seen
-    doubted = replace(quiet, notes=(*quiet.notes, "the rates have a slow wave"))
-    said = of_calibration(doubted, np.full(len(quiet), np.nan)).seen
-    assert NOISE_DOUBTED in said
-    assert NOISE_LEFT not in said
+    doubted = replace(quiet, notes=(*quiet.notes, "the residuals are not white"))
+    assert NOISE_DOUBTED in of_calibration(doubted, np.full(len(quiet), np.nan)).seen
     loud = seen(LOGGED.replace("truth =", 'flicker = "6e-5 rad/s"\ntruth ='))
     assert NOISE_DOUBTED in loud
-    assert NOISE_LEFT not in loud
     angles = LOGGED.replace('kind = "rate"', 'white = "2.5e-5 rad"').replace("2e-5 rad/sqrt", "1e-6 rad/sqrt")
-    assert not {NOISE_LEFT, NOISE_DOUBTED} & set(seen(angles))
+    assert NOISE_DOUBTED not in seen(angles)
 
 
 @pytest.mark.only_compiled

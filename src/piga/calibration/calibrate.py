@@ -67,8 +67,6 @@ from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
 from piga.calibration.remarks.missing_terms import Candidates
-from piga.calibration.remarks.slow_changes import unseen_bias
-from piga.calibration.remarks.unseen_noise import slow_rates, unseen_noise
 from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.progress import Progress, Steps
 from piga.reading.signal_checks import largest_size
@@ -190,7 +188,6 @@ def _calibration(
     with beside(run.size) as other:
         residuals = other.submit(find_residuals, fit.design, fit.solution.values, fit.noise, fit.mode)
         candidates = Candidates(without_slow(fit))
-        seen = other.submit(slow_rates, fit, candidates.fit)
         steps("adding up the budget")
         budget = make_budget(fit, coefficients, covariance, steps)
         doubts = left_out_terms(candidates, coefficients)
@@ -203,15 +200,12 @@ def _calibration(
         steps("checking the intervals")
         coefficients, monte_carlo = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
         steps("looking for missing terms")
-        not_excluded = other.submit(lambda: unseen_noise(seen.result(), coefficients))
         said = find_remarks(fit, candidates, coefficients)
         history = _history(fit) if request.method == "recursive" else None
         examined = _examined(fit, residuals.result())
     notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, examined.scatter)
     result = _assemble(run, fit, coefficients, covariance, budget.rows, examined, notes, history)
-    unseen = unseen_bias(candidates.fit, coefficients, said.missing)
-    unexcluded = tuple(one.words for one in (unseen, not_excluded.result()) if one)
-    result = replace(result, remarks=(*unexcluded, *remarks_in_words(coefficients, request.phases)))
+    result = replace(result, remarks=remarks_in_words(coefficients, request.phases))
     result = with_remarks(result, fit, said, doubts)
     result = with_given_servo(result, given_servo(run), _moved_servo(run))
     compared = compare_models(run).document() if run.model.compare else None

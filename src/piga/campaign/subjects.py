@@ -230,14 +230,11 @@ def of_calibration(calibration: Calibration, truth: Array, bound: Array | None =
 
 
 NOISE_DOUBTED = "doubt about the noise"
-NOISE_LEFT = "no doubt, but noise not excluded"
-"""Entries of ``seen``: a record has one of them or none."""
+"""Entry of ``seen``."""
 
 
 def _seen(calibration: Calibration) -> tuple[str, ...]:
     """Kinds of noise that a calibration reports, terms that it suggests, and what it says of the noise."""
-    from piga.calibration.remarks.unseen_noise import NOT_EXCLUDED
-
     coloured = calibration.coloured_noise
     levels = {
         "random walk": calibration.angle_random_walk,
@@ -250,8 +247,6 @@ def _seen(calibration: Calibration) -> tuple[str, ...]:
     missing = calibration.diagnostics.missing_terms
     if calibration.verdict.warns_of_noise:
         noise.append(NOISE_DOUBTED)
-    elif any(remark.startswith(NOT_EXCLUDED) for remark in calibration.remarks):
-        noise.append(NOISE_LEFT)
     return (*noise, *dict.fromkeys(f"suggested: {' '.join(entry.terms)}" for entry in missing))
 
 

@@ -21,11 +21,10 @@ import numpy as np
 from benchmarks import measured
 
 import piga
-from piga.calibration.remarks.unseen_noise import NOT_EXCLUDED
 from piga.units import G0
 from tests.calibration.made.independent import Array, K, head
 
-WARNED, TOLD = "misses with a warning", "with a warning or the remark"
+WARNED = "misses with a warning"
 POINTS = 4
 """Points of the noise in an interval."""
 PASSES = 4
@@ -181,7 +180,7 @@ def cases() -> dict[str, Coloured]:
 
 def judged(test: Coloured, tests: int, first: int = 0) -> dict[str, Any]:
     """Records, share with coloured noise, drift or scatter, share of intervals that hold (worst, best), what the records say."""
-    held, seen, warned, remarked, degrees = [], 0, [], [], []
+    held, seen, warned, degrees = [], 0, [], []
     for seed in range(first, first + tests):
         calibration = piga.calibrate(test.record(seed), test.terms)
         errors = np.array([c.value - test.true(c.name) for c in calibration.coefficients])
@@ -195,17 +194,13 @@ def judged(test: Coloured, tests: int, first: int = 0) -> dict[str, Any]:
             or calibration.segment_scatter > 0.0
         )
         warned.append(calibration.verdict.warns_of_noise)
-        remarked.append(any(remark.startswith(NOT_EXCLUDED) for remark in calibration.remarks))
     share, missed = 100.0 * np.mean(held, axis=0), ~np.all(held, axis=1)
-    told = np.logical_or(warned, remarked)
     return {
         "records": tests,
         "seen": round(100.0 * seen / tests),
         "intervals hold": (round(float(share.min()), 1), round(float(share.max()), 1)),
         "misses": int(missed.sum()),
         WARNED: percent(np.array(warned)[missed]),
-        TOLD: percent(told[missed]),
-        "remark": percent(np.array(remarked)),
         "degrees of freedom": round(float(np.median(degrees))),
         "worst": calibration.coefficients[int(share.argmin())].name,
     }
@@ -219,7 +214,7 @@ def percent(said: Array) -> int:
 def put_down(rows: dict[str, dict[str, Any]], command: str) -> None:
     """These rows in the table of the page 'Accuracy and limits'; its other rows stay as they are."""
     columns = (
-        "records", "seen", "intervals hold", "misses", WARNED, TOLD, "remark", "degrees of freedom"
+        "records", "seen", "intervals hold", "misses", WARNED, "degrees of freedom"
     )  # fmt: skip
     table: dict[str, dict[str, Any]] = {}
     for figure in measured.load("coloured-shapes")[1]:
@@ -233,12 +228,12 @@ def put_down(rows: dict[str, dict[str, Any]], command: str) -> None:
         "coloured-shapes",
         "record",
         {name: {c: table[name][c] for c in columns if c in table[name]} for name in cases() if name in table},
-        dict.fromkeys(("seen", "intervals hold", WARNED, TOLD, "remark"), "%"),
+        dict.fromkeys(("seen", "intervals hold", WARNED), "%"),
         command="python -m tests.calibration.made.coloured_truth --tests 100 --first 1000 --record 'NAME OF THE ROW'",
         conditions="independent motion and noise (NumPy): dividing head in the order of its angle, pauses of 30 s, 5 Hz; "
         "angle logs: 2.5e-5 rad, walk 1e-6 rad/√s; rate logs: walk 2e-5 rad/√s; colour of 3e-6 rad/s. Seen: coloured "
         "noise, drift or scatter in the covariance. Intervals: worst and best coefficient. Misses: records in which "
-        "the interval of any coefficient misses. Warning: a doubt about the noise. Remark: noise that is not excluded",
+        "the interval of any coefficient misses. Warning: a doubt about the noise",
     )
 
 
@@ -257,7 +252,7 @@ def main() -> None:
         low, high = row["intervals hold"]
         sys.stdout.write(
             f"{name}: {row['records']} records, seen {row['seen']} %, hold {low} ({row['worst']}) to {high} %, "
-            f"{row['misses']} misses, warned {row[WARNED]} %, told {row[TOLD]} %, remark {row['remark']} %, "
+            f"{row['misses']} misses, warned {row[WARNED]} %, "
             f"degrees of freedom {row['degrees of freedom']}\n"
         )
         sys.stdout.flush()

@@ -4,7 +4,7 @@ An entry returns pairs ``(literal, library, tolerance)``; both sides are arrays 
 literal side is the formula as it is printed, in plain NumPy or SciPy.
 """
 
-from . import axis_and_locking, calibration, compensation, motion, noise, platform, servo, twin
+from . import axis_and_locking, calibration, compensation, motion, platform, servo, twin
 from .registry import EQUATIONS
 
 __all__ = [
@@ -13,7 +13,6 @@ __all__ = [
     "calibration",
     "compensation",
     "motion",
-    "noise",
     "platform",
     "servo",
     "twin",

@@ -21,7 +21,6 @@ from piga.calibration.noise.levels import find_noise
 from piga.calibration.noise.weighting import DriftBasis
 from piga.calibration.remarks.leverage import all_but_one, leverages
 from piga.calibration.remarks.missing_terms import tested
-from piga.calibration.remarks.slow_changes import moved_by_one
 from piga.instrument.parameters import ErrorModel
 from piga.units import G0
 from tests.compensation.twin_data import TAN_BETA, instrument
@@ -110,25 +109,6 @@ def _added_variable() -> Iterator[Pair]:
     candidates = tested(pieces, ["k2"], ("k2",), 60)
     yield fall / (e @ e), candidates.fall, 1e-12
     yield estimate, candidates.columns[0], 1e-12
-
-
-@equation("calibration-shift-and-signature")
-def _shift_and_signature() -> Iterator[Pair]:
-    """Shift of a coefficient by a column left out, from two least squares and from the library's test of the column."""
-    random = np.random.default_rng(19)
-    X, z = random.standard_normal((60, 3)), random.standard_normal(60)
-    z = z + 2.0 * X[:, 0]
-    y = X @ [1.0, -2.0, 0.5] + 0.3 * z + random.standard_normal(60)
-    long = np.column_stack([X, z])
-    short, wide = np.linalg.lstsq(X, y, rcond=None)[0], np.linalg.lstsq(long, y, rcond=None)[0]
-    s = np.sqrt(np.sum((y - long @ wide) ** 2) / 56)
-    u, wider = (s * np.sqrt(np.linalg.inv(C.T @ C)[0, 0]) for C in (X, long))
-    rows = np.column_stack([long, y])
-    pieces = [np.linalg.qr(rows[at : at + 12], mode="r") for at in range(0, 60, 12)]
-    test = tested(pieces, ["k0_T"], ("k0_T",), 60)
-    t, r = test.columns[0] / test.std[0], np.sqrt((wider / u) ** 2 - 1.0)
-    yield abs(short[0] - wide[0]) / u, abs(t) * r, 1e-12
-    yield short[0] - wide[0], moved_by_one(pieces)[0] * test.columns[0], 1e-12
 
 
 @equation("calibration-leverage")

@@ -17,20 +17,17 @@ from piga.calibration.remarks.advice import advise, looks_wrong
 from piga.calibration.remarks.left_out import CUBIC_SOURCE, DAMPING_SOURCE, LeftOut
 from piga.calibration.remarks.leverage import find_leverage
 from piga.calibration.remarks.missing_terms import Candidates, suggest_terms, suggestions_in_words
-from piga.calibration.remarks.slow_changes import SlowWave, slow_wave
 from piga.records.calibration import Calibration, Coefficient, MissingTerm, SegmentLeverage
-from piga.records.calibration.verdict import THRESHOLDS
 
 
 @dataclass(frozen=True)
 class Remarks:
-    """Leverage by segment, its remarks on single segments and on moved coefficients, terms suggested, a slow wave if any."""
+    """Leverage by segment, its remarks on single segments and on moved coefficients, terms suggested."""
 
     leverage: dict[str, SegmentLeverage]
     alone: tuple[str, ...]
     moved: tuple[str, ...]
     missing: tuple[MissingTerm, ...]
-    wave: SlowWave | None = None
 
 
 def find_remarks(fit: Fit, candidates: Candidates, coefficients: tuple[Coefficient, ...]) -> Remarks:
@@ -48,7 +45,7 @@ def find_remarks(fit: Fit, candidates: Candidates, coefficients: tuple[Coefficie
     known = _known_without_slow(fit, plain, coefficients) if slow else coefficients
     leverage, alone, moved = find_leverage(plain, known, slow)
     _in_reported_uncertainties(leverage, known, coefficients)
-    return Remarks(leverage, alone, moved, suggest_terms(candidates, coefficients), slow_wave(plain))
+    return Remarks(leverage, alone, moved, suggest_terms(candidates, coefficients))
 
 
 def _in_reported_uncertainties(
@@ -65,8 +62,6 @@ def _in_reported_uncertainties(
 def with_remarks(result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[LeftOut, ...]) -> Calibration:
     """The result with ``leverage``, ``missing_terms`` and ``advice`` in its diagnostics and in its notes.
 
-    A slow wave is reported where nothing else explains it.
-
     A signature of the servo is reported by the suggestion of its term or by a sentence of its own.
     """
     advice = advise(fit.design.run, fit.design.request) if looks_wrong(result) else ()
@@ -82,9 +77,7 @@ def with_remarks(result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[
         *(doubt.words for doubt in doubts if doubt.words and doubt.source not in said),
     )
     cause = (*advice, *suggested) or remarks.moved
-    coloured = result.coloured_noise is not None and result.coloured_noise.gain > THRESHOLDS.coloured
-    wave = () if remarks.wave is None or advice or suggested or coloured else (remarks.wave.words,)
-    return replace(result, notes=(*cause, *wave, *result.notes, *remarks.alone), diagnostics=diagnostics)
+    return replace(result, notes=(*cause, *result.notes, *remarks.alone), diagnostics=diagnostics)
 
 
 def _slow_words(fit: Fit) -> str:

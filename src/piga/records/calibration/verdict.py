@@ -54,7 +54,7 @@ class Thresholds:
 
 THRESHOLDS = Thresholds()
 
-NOISE_WORDS = ("coloured noise", "drift", "scatter", "slow wave", "not white")
+NOISE_WORDS = ("coloured noise", "drift", "scatter", "not white")
 """A doubt with one of these words warns of the noise of the record."""
 
 
