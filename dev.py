@@ -2,7 +2,7 @@
 
 Each task makes its own virtual environment, installs the pinned requirements with their hashes, and runs. Further tasks:
 ui (the workbench on the shipped record), compiled (all tests of compiled kernels), slow (long statistical tests), docs (the
-site, in site/), coverage (by room, JIT off), mutation (of the numerics), package (wheel and sdist, installed and run on
+site, in site/), coverage (JIT off), package (wheel and sdist, installed and run on
 every Python there is).
 """
 
@@ -191,7 +191,7 @@ def docs(arguments: list[str]) -> None:
 
 
 def coverage(arguments: list[str]) -> None:
-    """Branch coverage by room: all tests with the JIT off, then those that only run compiled."""
+    """Branch coverage: all tests with the JIT off, then those that only run compiled."""
     programs = environment(".venv-test", "requirements-dev.txt")
     measured = [str(programs / "python"), "-m", "coverage", "run", "-m", "pytest", "-n", "2", *arguments]
     call([str(programs / "coverage"), "erase"])
@@ -199,13 +199,7 @@ def coverage(arguments: list[str]) -> None:
     call([*measured, "-m", "not slow"], NUMBA_DISABLE_JIT="1", PYTHONPATH=source)
     call([*measured, "-m", "only_compiled and not slow"], PYTHONPATH=source)
     call([str(programs / "coverage"), "combine", "--quiet"])
-    call([str(programs / "python"), "builders/coverage_by_room.py"])
-
-
-def mutation(arguments: list[str]) -> None:
-    """Mutation testing of the numerics: which small changes would no test notice."""
-    programs = environment(".venv-test", "requirements-dev.txt")
-    call([str(programs / "python"), "builders/mutate.py", *arguments])
+    call([str(programs / "coverage"), "report", "--fail-under", "95"])
 
 
 def package(arguments: list[str]) -> None:
@@ -252,7 +246,6 @@ def main() -> None:
         "slow": slow,
         "docs": docs,
         "coverage": coverage,
-        "mutation": mutation,
         "package": package,
     }
     parser = argparse.ArgumentParser(description=__doc__)

@@ -79,7 +79,7 @@ def interrupted(path, out, rng, count, kills):
 
 @pytest.mark.only_compiled
 def test_killed_at_random_times(tmp_path):
-    rng = random.Random(3)  # noqa: S311
+    rng = random.Random(3)
     path = written(tmp_path, LONG)
     assert plan_campaign(path, tmp_path / "out").shards == 12
     interrupted(path, tmp_path / "out", rng, 2, 2)
@@ -94,7 +94,7 @@ def test_killed_at_random_times(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2])
 def test_killed_many_times(tmp_path, count):
-    rng = random.Random(count)  # noqa: S311
+    rng = random.Random(count)
     expected = whole(tmp_path / "one", LONG)
     path = written(tmp_path, LONG)
     for k in range(8):

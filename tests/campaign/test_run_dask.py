@@ -207,7 +207,7 @@ def killed(tmp_path, rng, count, who):
 @pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.parametrize("who", ["scheduler", "worker", "parent"])
 def test_killed_at_random_times(tmp_path, who, count):
-    rng = random.Random(f"{who} {count}")  # noqa: S311
+    rng = random.Random(f"{who} {count}")
     expected = whole(tmp_path / "one", LONG)
     for _ in range(2):
         assert collected(killed(tmp_path, rng, count, who)) == expected

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import build_lab_logs
 
 import piga
 from piga.describe import describe_log, draft_run_file, try_run_file
 from piga.earth import Site
 from piga.records.run_file import read_run_file
+from tests.describe import lab_logs
 
 LOGS = Path(__file__).resolve().parent.parent / "data" / "logs"
 SCALE = {"instrument.scale_factor": "0.8884 rad/s/g"}
-ROWS = build_lab_logs.rows()
+ROWS = lab_logs.rows()
 TUMBLES = ("german.csv", "labview.lvm", "chinese.csv", "french.csv", "iso.csv")
 STAND = {
     "centrifuge.csv": {
@@ -178,8 +178,8 @@ def test_a_stand_is_given_for_a_log_without_force(tmp_path: Path) -> None:
         assert terms == ["scale_factor", "tan_beta", "k0", "m_Y"]
 
 
-def test_the_logs_are_those_of_the_builder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(build_lab_logs, "TARGET", tmp_path)
-    build_lab_logs.main()
+def test_the_logs_are_those_that_are_made(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(lab_logs, "TARGET", tmp_path)
+    lab_logs.main()
     for path in tmp_path.iterdir():
         assert path.read_bytes() == (LOGS / path.name).read_bytes(), path.name

@@ -9,7 +9,6 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from builders import mutate
 
 from .pages import DOCS, ROOT, pages
 
@@ -129,18 +128,12 @@ def groups() -> frozenset[tuple[str, ...]]:
     return frozenset(words[:-1] for words in commands() if len(words) > 1)
 
 
-def test_the_mutation_builder_names_files_that_are_there() -> None:
-    sources = [ROOT / "src" / "piga" / name for name in mutate.TESTS]
-    tests = [ROOT / name for names in mutate.TESTS.values() for name in names]
-    assert not [relative(path) for path in (*sources, *tests) if not path.exists()]
-
-
 def test_it_can_fail() -> None:
     assert not resolves("piga.calibration.nothing_of_that_name")
     assert resolves("piga.Calibration.from_json")
     assert ("records", "trend") in commands()
     assert _PAGE.findall("see ``nowhere" + ".md`` eq. 4") == ["nowhere" + ".md"]
-    assert _PATH.findall("run `python builders/mutate.py`") == ["builders/mutate.py"]
+    assert _PATH.findall("run `python builders/fuzz_readers.py`") == ["builders/fuzz_readers.py"]
     assert _COMMAND.findall("`piga calibrate RUN.toml`, `piga records trend --store`") == [
         "calibrate",
         "records trend",

@@ -7,23 +7,10 @@ import re
 from pathlib import Path
 
 import pytest
-from builders import build_architecture
 
 from .pages import DOCS, ROOT, name_of, pages
 
 _TEST = re.compile(r"`(tests/[\w/]+\.py)(?:::(\w+))?[^`]*`|`(test_\w+)`")
-
-
-def test_the_picture_of_the_rooms_is_that_of_the_code() -> None:
-    assert build_architecture.drawn() == build_architecture.shown(), (
-        "run: python builders/build_architecture.py"
-    )
-
-
-def test_imports_go_one_way() -> None:
-    level = {room: k for k, row in enumerate(build_architecture.layers()) for room in row}
-    for room, below in build_architecture.graph().items():
-        assert all(level[other] > level[room] or room == "units" for other in below), room
 
 
 def functions(path: Path) -> set[str]:

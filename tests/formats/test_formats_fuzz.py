@@ -50,7 +50,7 @@ def outcome(work: Callable[[], object]) -> bool:
 
 def seeded(seed: int) -> random.Random:
     """The same mutations every time."""
-    return random.Random(seed)  # noqa: S311 - no cryptography
+    return random.Random(seed)
 
 
 def mutated(source: bytes, draw: random.Random) -> bytes:

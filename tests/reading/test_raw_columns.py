@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from builders.build_damaged_files import cases
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
@@ -26,6 +25,7 @@ from piga.records import spool
 from piga.records.run_file import read_run_file
 from piga.records.spool import exact_median
 from tests.formats.test_formats_fuzz import LOG, NAMES, mutated, seeded
+from tests.reading.damaged_files import cases
 from tests.records.files import lines, write_log, write_run
 
 QUICK = settings(deadline=None, database=None, suppress_health_check=list(HealthCheck))
@@ -72,7 +72,7 @@ def test_any_size_of_pieces(
 ) -> None:
     folder = tmp_path_factory.getbasetemp() / "pieces"
     folder.mkdir(exist_ok=True)
-    draw = random.Random(seed)  # noqa: S311 - no cryptography
+    draw = random.Random(seed)
     rows = [line + f",{'AB'[i // 12 % 2]}" for i, line in enumerate(lines(60))]
     for _ in range(draw.randint(0, 4)):
         edit(rows, draw)

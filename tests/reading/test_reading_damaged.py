@@ -11,13 +11,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pytest
-from builders.build_damaged_files import HEADER, RUN, Case, cases, count, rows, text
 
 import piga
 from piga.reading import raw_columns
 from piga.units import G0
 from tests.cli.runner import outcome
 from tests.compensation.twin_data import K_G, calibration_of
+from tests.reading.damaged_files import HEADER, RUN, Case, cases, count, rows, text
 from tests.records.files import events
 
 CATALOGUE = cases()
@@ -60,7 +60,7 @@ def test_the_corpus_is_large_and_names_places(tmp_path: Path) -> None:
             piga.read_run(case.write(tmp_path / case.name))
         named += bool(re.search(r"row \d+", caught.value.message))
     assert named >= 0.95 * len(placed)
-    print(f"{len(CATALOGUE)} files; {named} of {len(placed)} errors with a place name it")  # noqa: T201
+    print(f"{len(CATALOGUE)} files; {named} of {len(placed)} errors with a place name it")
 
 
 Capture = pytest.CaptureFixture[str]

@@ -74,7 +74,7 @@ def main():
             column: {"value": round(100 * float(share), 1), "decimals": 1, "unit": "%"}
             for column, share in zip(COLUMNS, shares, strict=True)
         }
-        print(scenario, *(cell["value"] for cell in rows[scenario].values()), flush=True)  # noqa: T201
+        print(scenario, *(cell["value"] for cell in rows[scenario].values()), flush=True)
     if arguments.record:
         conditions = (
             f"coverage of 95 % intervals over {arguments.tests} simulated histories each, seed 11; "

@@ -13,7 +13,7 @@ known there.
 
 **Sine with cosine, and the arctangent of a half-angle pair** have no branches and no table, so they run on whole vectors. The
 argument of sine and cosine is reduced by a three-part pi/2 [Cody1980], which is exact for quotients below 2^20. The library's
-functions compute larger angles one by one. ``builders/build_sine_cosine.py`` prints the polynomials and the parts.
+functions compute larger angles one by one. The polynomials are Chebyshev fits at 50 digits (``mpmath.chebyfit``).
 Multiply-adds are not contracted, so a value does not depend on its neighbours. The arctangent is a Chebyshev fit of
 ``(atan(u)/u - 1)/u^2`` over ``|u| <= tan(pi/8)``, made with ``mpmath.chebyfit`` at 50 digits. It has eleven coefficients. The
 relative error is 6e-18, half an ulp in float64.

@@ -220,7 +220,7 @@ def test_truth_is_found_again():
         second += comparison.sets[comparison.best_prediction].terms == TRUE
         assert comparison.sets[2].prediction.force_error < comparison.sets[1].prediction.force_error
         assert comparison.sets[2].prediction.force_error / G0 < 5e-6
-    print(f"true set: least BIC {first}, prediction {second} of 200")  # noqa: T201
+    print(f"true set: least BIC {first}, prediction {second} of 200")
     assert first >= 195
     assert second >= 178
 

@@ -198,7 +198,7 @@ def test_force_at_a_time(signed, keys, tmp_path):
 
 
 def mutations(raw, count, seed):
-    rng = random.Random(seed)  # noqa: S311
+    rng = random.Random(seed)
     for _ in range(count):
         at = rng.randrange(len(raw))
         kind = rng.randrange(4)

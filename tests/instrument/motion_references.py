@@ -1,6 +1,6 @@
 """Write tests/instrument/data/{constant,linear}.csv: the exact motion in 70-digit arithmetic.
 
-Run: python builders/build_motion_references.py
+Run: python tests/instrument/motion_references.py
 
 The reference is not the formula that the product computes with. Constant input: the Riccati equation
 of tan(theta/2), solved from its starting point (locked) or by the tangent (running), revolutions
@@ -19,10 +19,10 @@ from pathlib import Path
 import mpmath as mp
 
 mp.mp.dps = 70
-DATA = Path(__file__).parent.parent / "tests" / "instrument" / "data"
+DATA = Path(__file__).parent / "data"
 G0 = 9.80665
 HEADER = (
-    "# made by builders/build_motion_references.py (mpmath, 70 digits); SI, float64 inputs in hexadecimal\n"
+    "# made by tests/instrument/motion_references.py (mpmath, 70 digits); SI, float64 inputs in hexadecimal\n"
 )
 
 Input = tuple[float, float, float, float, float, float, float, float]  # K, beta, tan_beta, alpha0, force, t

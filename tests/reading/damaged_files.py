@@ -1,4 +1,4 @@
-"""Damaged data files with the outcome each must have: ``python builders/build_damaged_files.py DIR``.
+"""Damaged data files with the outcome each must have: ``python -m tests.reading.damaged_files DIR``.
 
 The clean log rests along X0: counts ``round(10179 t)`` of a counter with 72000 counts per revolution, 20 Hz,
 reference (1, 0.1, 0) g. Each case damages it in one way of the fault catalogue and says what is to happen:

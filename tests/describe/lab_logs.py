@@ -1,7 +1,7 @@
 """Write small logs as other programs write them: LabVIEW, spreadsheets and data loggers, in four languages.
 
 The numbers are those of the shipped record: twelve positions of eight seconds at 10 Hz. The logs of a centrifuge and of
-a dividing head without reference columns come from simulated tests. ``python builders/build_lab_logs.py`` writes them to
+a dividing head without reference columns come from simulated tests. ``python -m tests.describe.lab_logs`` writes them to
 ``tests/data/logs``.
 """
 
@@ -18,7 +18,7 @@ from pathlib import Path
 from piga.stand.scenario import read_scenario, run_scenario
 from piga.stand.write_run import write_data
 
-TARGET = Path(__file__).resolve().parent.parent / "tests" / "data" / "logs"
+TARGET = Path(__file__).resolve().parents[1] / "data" / "logs"
 START = dt.datetime(2026, 3, 12, 23, 59, 0)
 Row = tuple[float, str, int, str, str, str]
 

@@ -1,6 +1,6 @@
 """Reference values of the nulled platform at 50 digits: the four null conditions solved as equations.
 
-Run: python builders/build_platform_geometry.py > tests/platform/data/geometry.json
+Run: python tests/platform/geometry_references.py > tests/platform/data/geometry.json
 
 Unknown are a rotation vector of P against G and the ring angle; the conditions say that each momentum
 lies along its tip. Nothing of the closed solution of the package is used.
@@ -66,7 +66,7 @@ def main() -> None:
                 "ring": float(ring),
             }
         )
-    header = "build_platform_geometry.py: null conditions at 50 digits; input m1, c1, m2, c2, eta [rad]"
+    header = "geometry_references.py: null conditions at 50 digits; input m1, c1, m2, c2, eta [rad]"
     print(json.dumps({"header": header, "cases": cases}, indent=1))
 
 
