@@ -21,15 +21,19 @@ from urllib.parse import urlencode
 
 import pytest
 
-READY = re.compile(r"piga ui: (\S+:(\d+))/(?:\?token=(\S+))?\n")
+import piga
+
+os.environ["PYTHONPATH"] = str(Path(piga.__file__).resolve().parent.parent)
+"""Servers and jobs have other working folders. They run the piga that is tested."""
+READY = re.compile(r"piga ui: (\S+:(\d+))/\?token=(\S+)\n")
 
 
 class Client:
     """Requests as a browser sends them, with the session's cookie."""
 
-    def __init__(self, port: int, token: str, home: str = "") -> None:
+    def __init__(self, port: int, token: str) -> None:
         self.port, self.token, self.cookie = port, token, ""
-        self.home = home or f"http://127.0.0.1:{port}"
+        self.home = f"http://127.0.0.1:{port}"
 
     def connection(self) -> http.client.HTTPConnection:
         """A new connection to the server."""
@@ -121,7 +125,7 @@ class Server:
         if match is None:
             self.process.kill()
             assert match is not None, line + (self.process.stderr.read() if self.process.stderr else "")
-        self.client = Client(int(match[2]), match[3] or "", match[1])
+        self.client = Client(int(match[2]), match[3])
 
     def end(self, number: int = signal.SIGTERM) -> tuple[int, str]:
         """Exit code and messages."""

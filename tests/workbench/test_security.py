@@ -14,6 +14,7 @@ from piga.errors import ArgumentError
 from piga.workbench.folder import Folder, OutsideError
 from piga.workbench.security import SESSION_AGE, Door
 from tests.workbench.conftest import Client, Server, entered
+from tests.workbench.test_jobs import jobs_in
 
 
 def test_a_foreign_host_name_is_refused(client: Client) -> None:
@@ -79,10 +80,7 @@ def test_the_token_is_good_once_and_the_cookie_is_out_of_reach(server: Server) -
     assert stranger.ask("/?token=wrong")[0] == 403
     assert stranger.ask("/?token=%FF%C3%A9")[0] == 403
     assert stranger.ask("/healthz")[::2] == (200, b"ok\n")
-    for path in ("/login", "/assets/workbench.css"):  # of a server with a password
-        assert stranger.ask(path)[0] == 403
-    assert server.client.ask("/login")[0] == 404
-    assert server.client.post("/logout")[0] == 404
+    assert stranger.ask("/assets/workbench.css")[0] == 403
     stranger.cookie = f"other=a b; piga-{stranger.port}=wrong"
     assert stranger.ask("/")[0] == 403
 
@@ -196,7 +194,7 @@ def test_a_module_in_the_folder_is_not_imported(tmp_path: Path) -> None:
     assert running.end()[0] == 0
     from piga.workbench.jobs import Jobs
 
-    jobs = Jobs(tmp_path / "jobs", tmp_path)
+    jobs = Jobs(tmp_path)
     job = jobs.start(("calibrate", "run.toml"), "Calibrate", "run.toml")
     while jobs.status(job).state == "running":
         pass
@@ -233,10 +231,7 @@ def test_signals_end_the_server_and_its_jobs(tmp_path: Path, number: int) -> Non
     running.client.post("/calibrate/tumble-a.toml", {"term": ["scale_factor", "tan_beta", "k0"]})
     code, errors = running.end(number)
     assert (code, errors) == (0, "")
-    from piga.workbench.jobs import Jobs
-
-    jobs = Jobs(tmp_path / ".piga-ui" / "jobs", tmp_path)
-    assert [jobs.status(job).state for job in jobs.all()] in (["stopped"], ["done"])
+    assert not jobs_in(tmp_path)
     assert not list(tmp_path.glob("*-calibration"))
 
 
@@ -246,3 +241,29 @@ def test_what_is_no_folder_or_port(tmp_path: Path) -> None:
     (tmp_path / ".piga-ui").symlink_to(tmp_path.parent)
     with pytest.raises(OutsideError, match="piga-ui"):
         _ = Folder(tmp_path).state
+
+
+@pytest.mark.parametrize(
+    ("options", "instead"),
+    [
+        (("--host", "bench.example.org"), "ssh -L"),
+        (("--tls", "cert.pem", "key.pem"), "reverse proxy"),
+        (("--password-file", "secret"), "ssh -L"),
+        (("--live", "calibration.json"), "piga compensate -"),
+        (("--phase", "1 rad"), "piga compensate -"),
+    ],
+)
+def test_what_is_gone_names_what_to_do_instead(
+    tmp_path: Path,
+    options: tuple[str, ...],
+    instead: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from piga.cli.main import main
+
+    monkeypatch.setattr("sys.argv", ["piga", "ui", str(tmp_path), "--no-browser", *options])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert instead in capsys.readouterr().err

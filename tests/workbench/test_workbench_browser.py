@@ -36,7 +36,6 @@ def test_every_page_is_clean(browser: Browser) -> None:
         "/twin",
         "/platform",
         "/explore",
-        "/live",
         "/jobs",
     ):
         browser.open(path)

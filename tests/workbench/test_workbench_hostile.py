@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import socket
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -13,10 +12,8 @@ from urllib.parse import quote
 
 import pytest
 
-from piga.errors import ArgumentError
-from piga.workbench.app import MOST_CONNECTIONS
 from piga.workbench.folder import Folder, OutsideError
-from piga.workbench.jobs import MOST_RUNNING, Jobs
+from piga.workbench.jobs import MOST_RUNNING
 from tests.workbench.conftest import Client, Server, entered, shipped_record, wait_until
 from tests.workbench.size import memory
 
@@ -96,59 +93,9 @@ def test_fifty_jobs_at_once(tmp_path: Path) -> None:
         assert all(
             f"{MOST_RUNNING} jobs are running".encode() in body for status, _, body in answers if status == 429
         )
-        started_jobs = list((tmp_path / ".piga-ui" / "jobs").glob("*/job.json"))
-        kinds = [json.loads(path.read_text(encoding="utf-8"))["command"][0] for path in started_jobs]
-        assert kinds == ["calibrate"] * MOST_RUNNING
     finally:
         assert running.end() == (0, "")
     assert not list(tmp_path.glob(".piga-ui/trials/*"))
-
-
-@pytest.mark.only_compiled
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
-def test_clients_that_read_nothing_take_no_memory(tmp_path: Path) -> None:
-    place = tmp_path / ".piga-ui" / "jobs" / "20990101-000000-abcdef"
-    place.mkdir(parents=True)
-    job = {"command": ["plan"], "title": "Plan", "subject": "x", "key": "x", "result": "large"}
-    (place / "job.json").write_text(json.dumps(job), encoding="utf-8")
-    (place / "end.json").write_text(json.dumps({"code": 0, "seconds": 1.0}), encoding="utf-8")
-    (tmp_path / "large").mkdir()
-    with (tmp_path / "large" / "large.bin").open("wb") as stream:
-        stream.truncate(1 << 30)
-    running = Server(tmp_path)
-    client = running.client
-    client.enter()
-    client.page(f"/jobs/{place.name}")
-    before, held = memory(running.process.pid), []
-    try:
-        head = f"GET /jobs/{place.name}/file/large.bin HTTP/1.1\r\nHost: 127.0.0.1:{client.port}\r\n"
-
-        def one_more() -> bytes:
-            raw = socket.create_connection(("127.0.0.1", client.port), timeout=20)
-            held.append(raw)
-            raw.sendall(f"{head}Cookie: {client.cookie}\r\n\r\n".encode())
-            return raw.recv(12)
-
-        assert {one_more() for _ in range(200)} == {b"HTTP/1.1 200"}
-        for page in ("/healthz", "/", "/jobs"):
-            started = time.monotonic()
-            client.page(page)
-            assert time.monotonic() - started < 5.0
-        while len(held) < MOST_CONNECTIONS - 1:
-            assert one_more() == b"HTTP/1.1 200"
-        held += [socket.create_connection(("127.0.0.1", client.port), timeout=20) for _ in range(600)]
-        for raw in held[-600:]:
-            raw.sendall(f"{head}\r\n".encode())
-        assert held[-1].recv(12) == b"HTTP/1.1 503"
-        assert memory(running.process.pid) - before < 150.0
-        while held:
-            held.pop().close()
-        wait_until(lambda: client.ask("/jobs")[0] != 503)  # the server sees that they left
-        client.page("/jobs")
-    finally:
-        for raw in held:
-            raw.close()
-        assert running.end() == (0, "")
 
 
 SMALL = "from piga.workbench.pages import records; records.MOST_UPLOAD = 4 << 20; from piga.cli.main import main; main()"
@@ -234,33 +181,13 @@ def test_every_page_escapes_what_files_say(tmp_path: Path) -> None:
     kept = tmp_path / "x-calibration"
     kept.mkdir()
     (kept / "calibration.json").write_text(json.dumps({"instrument": {"serial": EVIL}}), encoding="utf-8")
-    jobs = tmp_path / ".piga-ui" / "jobs"
-    for number, extra in enumerate(
-        ({}, {"result": EVIL}, {"started": EVIL}, {"pid": EVIL}, {"command": [EVIL, 3]})
-    ):
-        place = jobs / f"20990101-00000{number}-abcdef"
-        place.mkdir(parents=True)
-        job = {
-            "command": ["trend", EVIL],
-            "title": "Trend",
-            "subject": EVIL,
-            "key": "x",
-            "started": 1.0,
-        } | extra
-        (place / "job.json").write_text(json.dumps(job), encoding="utf-8")
-        (place / "out").write_text(EVIL, encoding="utf-8")
-        (place / "err").write_text(EVIL, encoding="utf-8")
-        (place / "end.json").write_text(
-            json.dumps({"code": 0, "seconds": EVIL if number == 0 else 1.0}), encoding="utf-8"
-        )
     running = entered(tmp_path)
     try:
-        pages = ["/", "/jobs", "/instrument", "/plan", "/twin", "/platform", "/live", "/describe/tumble-a.toml"]
+        pages = ["/", "/jobs", "/instrument", "/plan", "/twin", "/platform", "/describe/tumble-a.toml"]
         pages += [
             "/describe/open.csv",
             "/calibrate/tumble-a.toml",
             "/compensate/tumble-a.toml",
-            "/jobs/20990101-000001-abcdef",
         ]
         pages += [
             f"/explore?a_x={quote(EVIL)}",
@@ -286,88 +213,12 @@ def test_every_page_escapes_what_files_say(tmp_path: Path) -> None:
         assert running.end() == (0, "")
 
 
-@pytest.mark.only_compiled
-@pytest.mark.skipif(os.name == "nt", reason="links and signals of POSIX")
-def test_a_strangers_folder_cannot_remove_or_signal_anything(tmp_path: Path) -> None:
-    victim = tmp_path / "victim"
-    victim.mkdir()
-    (victim / "calibration.json").write_text("{}", encoding="utf-8")
-    lab = tmp_path / "lab"
-    lab.mkdir()
-    shipped_record(lab)
-    jobs = lab / ".piga-ui" / "jobs"
-    own = (
-        Path(f"/proc/{os.getpid()}/stat").read_text().rpartition(")")[2].split()[19]
-        if Path("/proc").exists()
-        else ""
-    )
-    for number, result in enumerate(
-        (
-            "../victim",
-            str(victim),
-            ".piga-ui/trials/../../../victim",
-            "tumble-a.csv",
-            ".piga-ui/trials/link",
-            ".piga-ui/jobs",
-        )
-    ):
-        place = jobs / f"20990101-00000{number}-abcdef"
-        place.mkdir(parents=True)
-        job = {
-            "command": ["calibrate", "tumble-a.toml", "--out", "x"],
-            "title": "Calibrate",
-            "subject": "tumble-a.toml",
-        }
-        job |= {"key": "x", "result": result, "pid": os.getpid(), "born": own, "started": 1.0}
-        (place / "job.json").write_text(json.dumps(job), encoding="utf-8")
-        (place / "end.json").write_text(json.dumps({"code": 0, "seconds": 1.0}), encoding="utf-8")
-    (lab / ".piga-ui" / "trials").mkdir()
-    (lab / ".piga-ui" / "trials" / "link").symlink_to(victim)
-    alive = jobs / "20990101-000009-abcdef"
-    alive.mkdir()
-    (alive / "job.json").write_text(
-        json.dumps(
-            {
-                "command": ["check"],
-                "title": "Check",
-                "subject": "x",
-                "key": "x",
-                "pid": os.getpid(),
-                "born": own,
-            }
-        ),
-        encoding="utf-8",
-    )
-    running = entered(lab)
-    asked = []
-    old = signal.signal(signal.SIGINT, lambda *_: asked.append("SIGINT"))
-    try:
-        for number in range(6):
-            key = f"20990101-00000{number}-abcdef"
-            running.client.post(f"/result/{key}/discard")
-            running.client.post(f"/result/{key}/adopt")
-            running.client.ask(f"/jobs/{key}/file/calibration.json")
-            running.client.post(f"/jobs/{key}/stop")
-        running.client.post("/jobs/20990101-000009-abcdef/stop")
-        assert running.end() == (0, "")
-        time.sleep(0.2)
-    finally:
-        signal.signal(signal.SIGINT, old)
-    assert (victim / "calibration.json").is_file()
-    assert (lab / "tumble-a.csv").is_file()
-    assert jobs.is_dir()
-    assert not asked, "a process that is no job was signalled"
-
-
 @pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
 def test_state_folders_that_lead_out_are_refused(tmp_path: Path) -> None:
     outside = tmp_path / "outside"
     outside.mkdir()
     lab = tmp_path / "lab"
     (lab / ".piga-ui").mkdir(parents=True)
-    (lab / ".piga-ui" / "jobs").symlink_to(outside)
-    with pytest.raises((OutsideError, ArgumentError)):
-        Jobs(Folder(lab).state_room("jobs"), lab)
     (lab / ".piga-ui" / "signals").symlink_to(outside)
     with pytest.raises(OutsideError):
         Folder(lab).state_room("signals")
@@ -385,24 +236,9 @@ def test_results_are_not_written_through_a_link_that_leads_out(tmp_path: Path) -
     (kept / "calibration.json").write_text(json.dumps({"instrument": {"serial": "x"}}), encoding="utf-8")
     for name in ("tumble-a-calibration", "reproduction", "trend-x", "certificate-x-calibration", "p-plan"):
         (lab / name).symlink_to(outside)
-    trial = lab / ".piga-ui" / "trials" / "0123456789ab"
-    place = lab / ".piga-ui" / "jobs" / "20990101-000000-abcdef"
-    for folder in (trial, place):
-        folder.mkdir(parents=True)
-    (trial / "calibration.json").write_text("{}", encoding="utf-8")
-    job = {
-        "command": ["calibrate", "tumble-a.toml"],
-        "title": "Calibrate",
-        "subject": "tumble-a.toml",
-        "key": "x",
-    }
-    job |= {"result": ".piga-ui/trials/0123456789ab"}
-    (place / "job.json").write_text(json.dumps(job), encoding="utf-8")
-    (place / "end.json").write_text(json.dumps({"code": 0, "seconds": 1.0}), encoding="utf-8")
     running = entered(lab)
     try:
         for path, fields in (
-            (f"/result/{place.name}/adopt", {}),
             ("/explore/reproduce", {}),
             ("/instrument/trend", {"serial": "x"}),
             ("/plan", {"name": "p", "text": "a = 1", "do": "plan"}),

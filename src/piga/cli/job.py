@@ -1,20 +1,23 @@
 """Run one command of ``piga`` for the workbench: ``python -m piga.cli.job FOLDER ARGUMENT...``.
 
-The exit code goes into ``FOLDER/end.json``, so that it is known even if the server is gone by then.
+Its progress is a small file in ``FOLDER``. It ends when its standard input ends.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
+import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 BETWEEN = 0.2
 """Least time [s] between two notes."""
+PATIENCE = 10.0
+"""Time [s] that a command has to end by itself when its server is gone."""
 
 
 class Note:
@@ -39,37 +42,27 @@ class Note:
 
 
 def run(folder: Path, arguments: list[str]) -> None:
-    """Run the command and note how it ended."""
-    from piga.output import write_whole
+    """Run the command. It ends as after Ctrl-C when the server stops it or is gone: standard input then ends."""
+    threading.Thread(target=_end_with_server, daemon=True).start()
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    from piga.cli import common
+    from piga.cli.main import guarded, main
 
-    started = time.time()
-    stopped = False
+    common.outlet = lambda title, total: Note(folder / "progress", title, total).show
+    if arguments[:1] == ["envelopes"]:
+        guarded(lambda: _envelopes(Path(arguments[1]), Path(arguments[2])))
+        return
+    sys.argv = ["piga", *arguments]
+    main()
 
-    def stop(number: int, frame: Any) -> None:
-        nonlocal stopped
-        stopped = True
-        signal.default_int_handler(number, frame)
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
-    code: object = 1
-    try:
-        from piga.cli import common
-        from piga.cli.main import guarded, main
-
-        common.outlet = lambda title, total: Note(folder / "progress", title, total).show
-        if arguments[:1] == ["envelopes"]:
-            guarded(lambda: _envelopes(Path(arguments[1]), Path(arguments[2])))
-        else:
-            sys.argv = ["piga", *arguments]
-            main()
-        code = 0
-    except SystemExit as end:
-        code = end.code
-    finally:
-        exit_code = code if isinstance(code, int) else 0 if code is None else 1
-        document = json.dumps({"code": exit_code, "stopped": stopped, "seconds": time.time() - started})
-        write_whole(folder / "end.json", lambda path: path.write_text(document, encoding="utf-8"))
+def _end_with_server() -> None:
+    """Wait for the end of standard input; then Ctrl-C, and the hard end for a command that does not listen."""
+    while os.read(0, 1):
+        pass
+    signal.raise_signal(signal.SIGINT) if os.name == "nt" else os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(PATIENCE)
+    os._exit(130)
 
 
 def _envelopes(run: Path, folder: Path) -> None:

@@ -10,8 +10,9 @@ import typer
 from piga.cli.common import say
 
 if TYPE_CHECKING:
-    from piga.workbench.live import Live
     from piga.workbench.security import Door
+
+_Gone = typer.Option(hidden=True, metavar="...")
 
 
 def ui(
@@ -19,61 +20,34 @@ def ui(
         Path, typer.Argument(metavar="FOLDER", help="Folder of records [default: this one].")
     ] = Path(),
     port: Annotated[int, typer.Option(metavar="N", help="Port on this machine [default: a free one].")] = 0,
-    host: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Let other computers in: the name of this machine that their browsers use. "
-            "Needs --tls and --password-file.",
-        ),
-    ] = None,
-    tls: Annotated[
-        tuple[Path, Path] | None,
-        typer.Option(metavar="CERT KEY", help="TLS certificate of that name and its private key (PEM)."),
-    ] = None,
-    password_file: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="File with the password (12 characters or more) that only you can read."
-        ),
-    ] = None,
-    live: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="CALIBRATION.json",
-            help="Compensate the lines of standard input on the page Live, with this.",
-        ),
-    ] = None,
-    phase: Annotated[str | None, typer.Option(help="Live: phase of the output zero, e.g. '0.48 rad'.")] = None,
     browser: Annotated[bool, typer.Option(help="Open the browser.")] = True,
+    host: Annotated[str | None, _Gone] = None,
+    tls: Annotated[tuple[str, str] | None, _Gone] = None,
+    password_file: Annotated[str | None, _Gone] = None,
+    live: Annotated[str | None, _Gone] = None,
+    phase: Annotated[str | None, _Gone] = None,
 ) -> None:
     """Open the workbench in the browser.
 
-    It answers on this machine only, to the browser that opens the printed address. With --host it answers other
-    computers, too, and asks for the password. Ctrl-C ends it.
+    It answers on this machine only, to the browser that opens the printed address. Ctrl-C ends it.
     """
+    from piga.errors import ArgumentError
     from piga.workbench.app import open_browser, serve
-    from piga.workbench.remote import entrance
 
-    way = entrance(host, tls, password_file)
+    if host is not None or tls is not None or password_file is not None:
+        raise ArgumentError(
+            "piga ui answers on this machine only: --host, --tls and --password-file are gone",
+            remedy="from another computer: ssh -L 8443:127.0.0.1:8443 BENCH with --port 8443, or a reverse proxy",
+        )
+    if live is not None or phase is not None:
+        raise ArgumentError(
+            "piga ui shows no stream any more: --live and --phase are gone",
+            remedy="compensate the stream with: logger | piga compensate - --calibration CALIBRATION.json",
+        )
 
     def ready(door: Door) -> None:
         say(f"piga ui: {door.address}")
         if browser:
             open_browser(door.address)
 
-    serve(folder, port, ready=ready, live=None if live is None else _live(live, phase), entrance=way)
-
-
-def _live(calibration: Path, phase: str | None) -> Live:
-    """The stream on standard input."""
-    import sys
-
-    from piga.cli.common import check_pipes
-    from piga.units import to_si
-    from piga.workbench.live import Live
-
-    check_pipes()
-    stream = Live(calibration, None if phase is None else to_si(phase, "rad"))
-    stream.start(sys.stdin)
-    return stream
+    serve(folder, port, ready=ready)

@@ -1,9 +1,8 @@
 """Jobs: commands of piga that run beside the server, each in a process of its own.
 
 A job is a command line. Its results are identical to those of the command, and the page shows how to repeat it in a
-terminal. The folder of a job holds ``job.json`` (what it is), ``out`` and ``err`` (what it printed), ``progress``
-(how far it is), ``stop`` if it was asked to end and, once it has ended, ``end.json`` (its exit code). These files
-hold the state of the job, even if the server ends.
+terminal. Jobs are known to this server alone. A job whose server is gone ends as after Ctrl-C: it reads the end of its
+standard input then.
 """
 
 from __future__ import annotations
@@ -16,29 +15,23 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import msgspec
-
 from piga.errors import ArgumentError
-from piga.output import write_whole
 
 MOST_RUNNING = 4
 """Jobs that may run at the same time."""
 MOST_KEPT = 200
-"""Jobs that are kept. The oldest that have ended are removed."""
-PATIENCE = 5.0
+"""Jobs that are remembered. The oldest that have ended are forgotten."""
+PATIENCE = 2.0
 """Time [s] that a stopped job has to end by itself."""
-_NUMBERS_ONLY = not Path("/proc/self/stat").exists()
-"""Without ``/proc`` a number does not tell a job from another process; only the server that started a job knows it runs."""
-LARGEST = 1e12
-"""Largest number in the record of a job."""
 MOST_DOCUMENT = 20_000_000
 """Bytes of printed JSON that are read."""
 MOST_TEXT = 200_000
@@ -49,7 +42,7 @@ class BusyError(ArgumentError):
     """As many jobs run as may run."""
 
 
-State = Literal["running", "done", "failed", "stopped", "lost"]
+State = Literal["running", "done", "failed", "stopped"]
 
 
 @dataclass(frozen=True)
@@ -66,8 +59,6 @@ class Job:
         What it does, and the record it is for.
     result:
         Folder or file of the results below the opened folder, or "".
-    pid, born:
-        Process number, and the time at which that process began, which tells it from a later one of the same number.
     started:
         Time of the start [s since 1970].
     """
@@ -77,8 +68,6 @@ class Job:
     title: str
     subject: str
     result: str = ""
-    pid: int = 0
-    born: str = ""
     started: float = 0.0
 
 
@@ -93,14 +82,23 @@ class Status:
     doing: str = ""
 
 
-class Jobs:
-    """The jobs of one folder."""
+@dataclass
+class _Process:
+    """The process of a job, and when and how it ended."""
 
-    def __init__(self, folder: Path, root: Path) -> None:
-        self._folder, self._root = folder, root
-        folder.mkdir(exist_ok=True)
-        self._children: dict[str, subprocess.Popen[bytes]] = {}
-        self._starting = threading.Lock()
+    child: subprocess.Popen[bytes]
+    was_stopped: bool = False
+    ended: float = field(default=math.nan)
+
+
+class Jobs:
+    """The jobs of one folder. What they print is kept in a private temporary folder until the server ends."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._folder = Path(tempfile.mkdtemp(prefix="piga-ui-"))
+        self._jobs: dict[str, tuple[Job, _Process]] = {}
+        self._lock = threading.Lock()
 
     def start(
         self,
@@ -121,7 +119,7 @@ class Jobs:
         BusyError
             If too many jobs run, or one makes the same results from something else.
         """
-        with self._starting:  # many requests may ask at the same time
+        with self._lock:  # many requests may ask at the same time
             return self._start(command, title, subject, result, reads)
 
     def _start(
@@ -138,41 +136,33 @@ class Jobs:
         if here:
             raise BusyError(
                 f"{result} is just being made from another input or with other options",
-                remedy="wait until that job has ended, or stop it on the page Jobs",
+                remedy="wait until that job has ended, or stop it",
             )
         if len(running) >= MOST_RUNNING:
             raise BusyError(f"{MOST_RUNNING} jobs are running", remedy="wait for one, or stop one")
         key = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
         place = self._folder / key
-        place.mkdir(parents=True)
+        place.mkdir()
         environment = os.environ | {"PYTHONUTF8": "1", "PYTHONSAFEPATH": "1", "NO_COLOR": "1"}
+        job = Job(key, tuple(command), title, subject, result, time.time())
         with (place / "out").open("wb") as out, (place / "err").open("wb") as err:
             child = subprocess.Popen(  # noqa: S603  piga's own command line, as a list
                 [sys.executable, "-P", "-m", "piga.cli.job", str(place), *command],
-                cwd=self._root, stdin=subprocess.DEVNULL, stdout=out, stderr=err, env=environment,
+                cwd=self._root, stdin=subprocess.PIPE, stdout=out, stderr=err, env=environment,
                 start_new_session=True,
             )  # fmt: skip
-        self._children[key] = child
-        job = Job(key, tuple(command), title, subject, result, child.pid, _born(child.pid), time.time())
-        text = json.dumps(asdict(job))
-        write_whole(place / "job.json", lambda path: path.write_text(text, encoding="utf-8"))
-        self._tidy()
+        self._jobs[key] = (job, _Process(child))
+        for old in self.all()[MOST_KEPT:]:
+            self.forget(old)
         return job
 
     def all(self) -> list[Job]:
         """All jobs, the newest first."""
-        jobs: list[Job] = []
-        if not self._folder.is_dir():  # a user may remove it
-            return jobs
-        for place in sorted(self._folder.iterdir(), reverse=True):
-            with suppress(OSError, ValueError, TypeError):
-                fields = json.loads((place / "job.json").read_text(encoding="utf-8"))
-                jobs.append(_job(fields | {"key": place.name}))
-        return jobs
+        return [job for job, _ in reversed(list(self._jobs.values()))]
 
     def get(self, key: str) -> Job | None:
         """The job with this key, or None."""
-        return next((job for job in self.all() if job.key == key), None)
+        return self._jobs[key][0] if key in self._jobs else None
 
     def latest(self, subject: str, result: str) -> Job | None:
         """The newest job for a record that makes this result, or None."""
@@ -180,30 +170,20 @@ class Jobs:
 
     def status(self, job: Job) -> Status:
         """What became of the job."""
-        child = self._children.get(job.key)
-        place = self._folder / job.key
-        there = (
-            child is not None if _NUMBERS_ONLY else _alive(job, place)
-        )  # asked before: a job writes its end and goes
-        end = _document(place / "end.json")
-        if child is not None:
-            with suppress(subprocess.TimeoutExpired):
-                child.wait(PATIENCE if end is not None or not there else 0.0)
-                self._children.pop(job.key, None)  # two pages may ask at the same time
-        if end is not None:
-            code = int(end["code"]) if isinstance(end.get("code"), int) else 1
-            state: State = "stopped" if end.get("stopped") else "failed" if code else "done"
-            seconds = end.get("seconds")
-            return Status(state, code, float(seconds) if isinstance(seconds, int | float) else 0.0)
-        if not there:
-            asked = (place / "stop").exists()  # it ended before it could say so
-            return Status("stopped" if asked else "lost", None, 0.0)
-        progress = _document(place / "progress") or {}
-        share = progress.get("share")
-        return Status(
-            "running", None, time.time() - job.started,
-            share if isinstance(share, float) else None, str(progress.get("what", "")),
-        )  # fmt: skip
+        process = self._jobs[job.key][1]
+        code = process.child.poll()
+        if code is None:
+            progress = _document(self._folder / job.key / "progress")
+            share = progress.get("share")
+            return Status(
+                "running", None, time.time() - job.started,
+                share if isinstance(share, float) else None, str(progress.get("what", "")),
+            )  # fmt: skip
+        if math.isnan(process.ended):
+            process.ended = time.time()
+            _close(process.child)
+        state: State = "done" if code == 0 else "stopped" if process.was_stopped else "failed"
+        return Status(state, code, process.ended - job.started)
 
     def text(self, job: Job, name: Literal["out", "err"]) -> str:
         """What the job printed on standard output or standard error (the last part of a long text)."""
@@ -228,49 +208,46 @@ class Jobs:
             raise ValueError("no table was printed")
         return document
 
-    def stop(self, job: Job) -> None:
-        """End a running job. Its results are then absent, as after Ctrl-C in a terminal."""
-        if self.status(job).state != "running":
-            return
-        (self._folder / job.key / "stop").touch()
-        _signal(job, signal.SIGINT)
+    def stop(self, *jobs: Job) -> None:
+        """End running jobs. Their results are then absent, as after Ctrl-C in a terminal."""
+        processes = [process for _, process in map(self._jobs.__getitem__, {job.key for job in jobs})]
+        for process in processes:
+            if process.child.poll() is None:
+                process.was_stopped = True
+            _close(process.child)
         limit = time.monotonic() + PATIENCE
-        while time.monotonic() < limit and self.status(job).state == "running":
-            time.sleep(0.05)
-        if self.status(job).state == "running":
-            _signal(job, signal.SIGKILL if hasattr(signal, "SIGKILL") else signal.SIGTERM)
+        for process in processes:
+            with suppress(subprocess.TimeoutExpired):
+                process.child.wait(max(limit - time.monotonic(), 0.0))
+            _kill(process.child)
 
     def stop_all(self) -> None:
-        """End all running jobs (when the server ends)."""
-        running = [job for job in self.all() if self.status(job).state == "running"]
-        for job in running:
-            (self._folder / job.key / "stop").touch()
-            _signal(job, signal.SIGINT)
-        for job in running:
-            self.stop(job)
+        """End all running jobs and remove what they printed (when the server ends)."""
+        self.stop(*self.all())
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     def forget(self, job: Job) -> None:
         """Remove a job that has ended."""
         if self.status(job).state != "running":
+            self._jobs.pop(job.key, None)
             shutil.rmtree(self._folder / job.key, ignore_errors=True)
 
-    def _tidy(self) -> None:
-        for job in self.all()[MOST_KEPT:]:
-            self.forget(job)
+
+def _close(child: subprocess.Popen[bytes]) -> None:
+    """End the standard input of a process."""
+    assert child.stdin is not None  # noqa: S101  a pipe
+    child.stdin.close()
 
 
-def _job(fields: dict[str, Any]) -> Job:
-    """A job from its record.
-
-    Raises
-    ------
-    ValueError
-        If a value is not of its type.
-    """
-    job = msgspec.convert(fields, Job)
-    if not job.command or not all(abs(size) < LARGEST for size in (job.pid, job.started)):
-        raise ValueError("the record of the job is damaged")
-    return job
+def _kill(child: subprocess.Popen[bytes]) -> None:
+    """End a process that did not end by itself, and what it started."""
+    if child.poll() is None:
+        with suppress(OSError):
+            if hasattr(os, "killpg"):
+                os.killpg(child.pid, signal.SIGKILL)
+            else:
+                child.kill()
+        child.wait()
 
 
 def _last_change(paths: Sequence[Path]) -> float:
@@ -279,33 +256,8 @@ def _last_change(paths: Sequence[Path]) -> float:
     return max((max(state.st_mtime, state.st_ctime) for state in states), default=math.inf)
 
 
-def _document(path: Path) -> dict[str, Any] | None:
+def _document(path: Path) -> dict[str, Any]:
     with suppress(OSError, ValueError):
         document = json.loads(path.read_text(encoding="utf-8"))
-        return document if isinstance(document, dict) else None
-    return None
-
-
-def _born(pid: int) -> str:
-    """Start time of a process as the system tells it; "" where it does not."""
-    with suppress(OSError, IndexError):
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19]
-    return ""
-
-
-def _alive(job: Job, place: Path) -> bool:
-    """True if the job's process runs: its number, its begin, and the folder of the job in its command line.
-
-    The record of a job is a file of the folder, which may be a stranger's. No other process is taken for a job.
-    """
-    with suppress(OSError, IndexError):
-        proc = Path(f"/proc/{job.pid}")
-        fields = (proc / "stat").read_text().rpartition(")")[2].split()
-        words = (proc / "cmdline").read_bytes().split(b"\0")
-        return fields[0] != "Z" and fields[19] == job.born and os.fsencode(place) in words
-    return False
-
-
-def _signal(job: Job, number: int) -> None:
-    with suppress(OSError):
-        os.kill(job.pid, number)
+        return document if isinstance(document, dict) else {}
+    return {}

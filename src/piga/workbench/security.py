@@ -5,9 +5,8 @@ Every request passes :class:`Guard` first. It checks, in this order:
 1. the name of the host that the browser asked for (a foreign name that resolves to this machine is refused);
 2. where the request comes from (``Origin`` and ``Sec-Fetch-Site``; every request that changes something names its
    origin);
-3. the session. On this machine the address that ``piga ui`` prints holds a token that is good for one use. A server
-   with a password (:mod:`piga.workbench.remote`) has a login page instead. Both give a cookie that scripts cannot read
-   and that no other site can send.
+3. the session. The address that ``piga ui`` prints holds a token that is good for one use. It gives a cookie that
+   scripts cannot read and that no other site can send.
 
 The guard is plain ASGI, so it covers WebSockets and event streams, too.
 """
@@ -21,8 +20,6 @@ from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import parse_qs
 
-from piga.workbench.remote import LOOPBACK, Login
-
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
@@ -33,10 +30,8 @@ SESSION_AGE = 12 * 3600.0
 MOST_SESSIONS = 64
 """Most sessions of a server. One more ends the oldest."""
 SAFE_METHODS = frozenset({"GET", "HEAD"})
-LOGIN = "/login"
-"""Address of the login page."""
-OPEN_WITH_PASSWORD = {LOGIN: SAFE_METHODS | {"POST"}, "/assets/workbench.css": SAFE_METHODS}
-"""What a server with a password answers without a session, and to which methods: the login page and its style."""
+LOOPBACK = "127.0.0.1"
+"""Address of this machine that no other one can reach."""
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; style-src-attr 'unsafe-inline'; img-src 'self' data:; "
     "connect-src 'self'; "
@@ -61,89 +56,54 @@ HEADERS = (
 
 @dataclass
 class Door:
-    """The hosts, the one-time token and the sessions of one server.
+    """The one-time token and the sessions of one server.
 
     Attributes
     ----------
     port:
         The port that the server listens on.
-    host:
-        Name or address that browsers use.
-    login:
-        The password; the server then speaks HTTPS. None: the token opens it.
     token:
-        Token of the printed address; empty once it was used, and for a server with a password.
+        Token of the printed address; empty once it was used.
     """
 
     port: int
-    host: str = LOOPBACK
-    login: Login | None = None
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     clock: Callable[[], float] = time.monotonic
     _sessions: dict[str, float] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        if self.login is not None:
-            self.token = ""
-
-    @property
-    def scheme(self) -> str:
-        """``https`` for a server with a password."""
-        return "http" if self.login is None else "https"
-
     @property
     def cookie(self) -> str:
-        """Name of the session cookie. Browsers share cookies between ports, so the port is in the name.
-
-        The prefix makes browsers refuse such a cookie from plain HTTP or from another host of the domain.
-        """
-        return f"piga-{self.port}" if self.login is None else f"__Host-piga-{self.port}"
+        """Name of the session cookie. Browsers share cookies between ports, so the port is in the name."""
+        return f"piga-{self.port}"
 
     @property
     def address(self) -> str:
-        """The address to open, with the token if there is one."""
-        query = f"?token={self.token}" if self.login is None else ""
-        return f"{self.scheme}://{_in_address(self.host)}:{self.port}/{query}"
+        """The address to open, with the token."""
+        return f"http://{LOOPBACK}:{self.port}/?token={self.token}"
 
     def knows_host(self, host: str) -> bool:
-        """True if ``host`` (of the request) is this server's name and port. Without a password, loopback names count, too."""
-        names = {_in_address(self.host)}
-        if self.login is None:
-            names |= {"127.0.0.1", "localhost", "[::1]"}
-        usual = {"http": 80, "https": 443}[self.scheme]
-        return host.lower() in {f"{name}:{self.port}" for name in names} | (
-            names if self.port == usual else set()
-        )
+        """True if ``host`` (of the request) is a loopback name with this server's port."""
+        names = {LOOPBACK, "localhost", "[::1]"}
+        return host.lower() in {f"{name}:{self.port}" for name in names} | (names if self.port == 80 else set())
 
     def knows_origin(self, origin: str) -> bool:
         """True if ``origin`` is a page of this server."""
-        start = f"{self.scheme}://"
-        return origin.startswith(start) and self.knows_host(origin.removeprefix(start))
+        return origin.startswith("http://") and self.knows_host(origin.removeprefix("http://"))
 
     def open_session(self, token: str) -> str | None:
         """Exchange the token for a session. None if the token is wrong or was used before."""
         if not self.token or not secrets.compare_digest(token.encode(), self.token.encode()):
             return None
         self.token = ""
-        return self.new_session()
-
-    def new_session(self) -> str:
-        """A session for a browser that gave the token or the password."""
         if len(self._sessions) >= MOST_SESSIONS:
             del self._sessions[next(iter(self._sessions))]
         session = secrets.token_urlsafe(24)
         self._sessions[session] = self.clock()
         return session
 
-    def end_session(self, session: str) -> None:
-        """The session is over."""
-        self._sessions.pop(session, None)
-
     def set_cookie(self, session: str) -> str:
-        """The header that gives a session to the browser; "" takes it away."""
-        secure = "" if self.login is None else "; Secure"
-        age = SESSION_AGE if session else 0.0
-        return f"{self.cookie}={session}; Path=/; HttpOnly; SameSite=Strict; Max-Age={age:.0f}{secure}"
+        """The header that gives a session to the browser."""
+        return f"{self.cookie}={session}; Path=/; HttpOnly; SameSite=Strict; Max-Age={SESSION_AGE:.0f}"
 
     def has_session(self, session: str) -> bool:
         """True if the session is open and not too old."""
@@ -161,7 +121,6 @@ class Guard:
 
     def __init__(self, app: App, door: Door) -> None:
         self._app, self._door = app, door
-        self._open = {"/healthz": SAFE_METHODS} | ({} if door.login is None else OPEN_WITH_PASSWORD)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, or refuse it."""
@@ -181,12 +140,11 @@ class Guard:
         headers = _headers(scope)
         door = self._door
         if headers is None or not door.knows_host(headers.get("host", "")):
-            names = "127.0.0.1 or localhost" if door.login is None else "the name that it was started with"
-            return 421, f"This server answers only as {names}.", ()
+            return 421, "This server answers only as 127.0.0.1 or localhost.", ()
         if not self._comes_from_us(scope, headers):
             return 403, "This request comes from another site.", ()
         path, method = scope["path"], scope.get("method")
-        if method in self._open.get(path, ()):
+        if path == "/healthz" and method in SAFE_METHODS:
             return None
         known = door.has_session(cookie_value(headers.get("cookie", ""), door.cookie))
         query = parse_qs(scope["query_string"].decode("latin-1"))
@@ -198,17 +156,11 @@ class Guard:
                 return 303, "", ((b"location", b"/"),)
         if known:
             return None
-        if door.login is None:
-            return (
-                403,
-                "Open the address that piga ui printed. It is good for one browser. Start piga ui again for a new one.",
-                (),
-            )
-        if "hx-request" in headers:
-            return 403, "Log in again.", ((b"hx-redirect", LOGIN.encode()),)
-        if method in SAFE_METHODS and "text/html" in headers.get("accept", ""):
-            return 303, "", ((b"location", LOGIN.encode()),)
-        return 403, f"Log in at {LOGIN}.", ()
+        return (
+            403,
+            "Open the address that piga ui printed. It is good for one browser. Start piga ui again for a new one.",
+            (),
+        )
 
     def _comes_from_us(self, scope: Scope, headers: dict[str, str]) -> bool:
         origin = headers.get("origin")
@@ -216,7 +168,7 @@ class Guard:
             return self._door.knows_origin(origin)
         changes = scope["type"] == "websocket" or scope["method"] not in SAFE_METHODS
         site = headers.get("sec-fetch-site", "none")
-        navigation = headers.get("sec-fetch-mode") == "navigate" and scope["path"] in ("/", LOGIN)
+        navigation = headers.get("sec-fetch-mode") == "navigate" and scope["path"] == "/"
         return not changes and (site in ("none", "same-origin") or navigation)
 
 
@@ -229,11 +181,6 @@ def _headers(scope: Scope) -> dict[str, str] | None:
             return None
         result[name] = raw_value.decode("latin-1")
     return result
-
-
-def _in_address(host: str) -> str:
-    """A host as an address has it: IPv6 in brackets."""
-    return f"[{host}]" if ":" in host else host
 
 
 def cookie_value(text: str, name: str) -> str:

@@ -23,7 +23,6 @@ from piga._version import __version__
 from piga.errors import ArgumentError, PigaError
 from piga.workbench.folder import STATE_FOLDER, Folder, OutsideError
 from piga.workbench.jobs import BusyError, Job, Jobs, Status
-from piga.workbench.live import Live
 from piga.workbench.security import Door
 
 MOST_FORM = 2 << 20
@@ -34,7 +33,6 @@ ASSETS = {
     "uplot.min.css": "text/css",
     "workbench.js": "text/javascript",
     "signals.js": "text/javascript",
-    "live.js": "text/javascript",
     "htmx.min.js": "text/javascript",
     "uplot.min.js": "text/javascript",
 }
@@ -46,7 +44,6 @@ MENU = (
     ("/explore", "Explore"),
     ("/twin", "Twin"),
     ("/platform", "Platform"),
-    ("/live", "Live"),
     ("/jobs", "Jobs"),
 )
 """Pages that need no record."""
@@ -71,7 +68,6 @@ class Workbench:
 
     folder: Folder
     jobs: Jobs
-    live: Live | None
     door: Door
 
     def new_trial(self) -> str:
@@ -145,7 +141,6 @@ def render(request: Request, template: str, code: int = 200, **values: Any) -> R
             at=request.url.path,
             folder=bench.folder.root.name,
             version=__version__,
-            password=bench.door.login is not None,
             **values,
         )
     )

@@ -142,7 +142,7 @@ def ask(bench: Workbench, name: str, question: LogQuestion, *, always: bool = Fa
     files = files_named_in(bench.folder.toml(name))
     mark = f"{question.mark}/{cache_key(files)}"
     job = bench.jobs.latest(name, mark)
-    if job is None or bench.jobs.status(job).state == "lost":
+    if job is None:
         size = sum(path.stat().st_size for path in files if path.is_file())
         if size > LARGEST and not always:
             return None

@@ -1,4 +1,4 @@
-"""Signals: the record as it would be calibrated, to zoom and pan, with the findings marked; Live: a stream as it comes."""
+"""Signals: the record as it would be calibrated, to zoom and pan, with the findings marked."""
 
 from __future__ import annotations
 
@@ -13,14 +13,12 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from piga.compensation.model import MEANING
 from piga.errors import ArgumentError
 from piga.records.run_file import read_run_file
 from piga.records.text_files import files_named_in
-from piga.units import G0
 from piga.workbench.jobs import Job
 from piga.workbench.pages.common import Workbench, bench_of, only, redirect, render, sent_form
-from piga.workbench.signals import MOST_WIDTH, SignalOutline, cache_key, picture, read_outline, rows_between
+from piga.workbench.signals import SignalOutline, cache_key, picture, read_outline, rows_between
 
 READ = "envelopes"
 """Name of the job that reads a record."""
@@ -135,39 +133,9 @@ def _leave_out(bench: Workbench, name: str, first: float, last: float, reason: s
     bench.folder.write_toml(path, tomlkit.dumps(document), read_run_file)
 
 
-# --- live -----------------------------------------------------------------------------------------
-
-
-def show_live(request: Request) -> Response:
-    """The page of the stream, or how to connect one."""
-    return render(request, "live/live.html.jinja", live=bench_of(request).live)
-
-
-def live_status(request: Request) -> Response:
-    """State, rows and alarms; the page asks for them every second."""
-    return render(request, "live/live-part.html.jinja", live=bench_of(request).live, meaning=MEANING)
-
-
-def live_data(request: Request) -> Response:
-    """The last seconds as 64-bit floats, in g."""
-    live = bench_of(request).live
-    try:
-        seconds, width = float(request.query_params["seconds"]), int(request.query_params["width"])
-    except (KeyError, ValueError):
-        seconds, width = 0.0, 0
-    if live is None or not (0.0 < seconds < 1e9 and 0 < width <= MOST_WIDTH):
-        raise ArgumentError("the span of the picture is not valid", remedy="reload the page")
-    rows = live.latest(seconds, width)
-    rows[:, 1:] /= G0
-    return Response(np.ascontiguousarray(rows, dtype="<f8").tobytes(), media_type="application/octet-stream")
-
-
 ROUTES = [
     Route("/signals/{name:path}", show, methods=["GET"]),
     Route("/signals/{name:path}", read_again, methods=["POST"]),
     Route("/signal-data/{name:path}", data),
     Route("/leave-out/{name:path}", leave_out, methods=["POST"]),
-    Route("/live", show_live),
-    Route("/live/status", live_status),
-    Route("/live/data", live_data),
 ]
