@@ -40,8 +40,6 @@ positions = "0:360:60 deg"
 dwell = "6 s"
 move = "2 s"
 settling_time = "0.5 s"
-[run]
-earth_tide = { start = 2026-11-21T08:00:00Z }
 [model]
 terms = ["scale_factor", "tan_beta", "k0"]
 """

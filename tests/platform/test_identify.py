@@ -1,4 +1,4 @@
-"""Identification: exact without noise, efficient and honest with it; recursive as batch."""
+"""Identification: exact without noise, efficient and honest with it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piga.errors import ArgumentError, IdentifiabilityError
-from piga.platform import identify, identify_recursively, observability, simulate
+from piga.platform import identify, identify_growing, observability, simulate
 from piga.platform.estimate import UnknownGroup, solve
 from piga.platform.geometry import apparent_gyro
 from piga.platform.observation import ForceFilter, ObservedRecord
@@ -120,29 +120,18 @@ def test_a_swaying_base_does_not_spoil_it():
     assert std[:4].max() < (0.3 if INTERPRETED else 0.1) * ARCSEC
 
 
-@pytest.mark.parametrize("sources", [("gimbals", "pick-off"), ("force", "pick-off"), ("force",)])
-def test_recursive_ends_where_batch_does(sources):
+def test_growing_parts_end_with_the_whole_record():
     s = calibration(sensors=NOISE, duration=7200.0, step=16.0 if INTERPRETED else 4.0)
-    readouts = simulate(s).readouts
-    steps, rows = [], []
-    batch = identify(readouts, s.place, sources=sources, progress=lambda *told: steps.append(told))
-    stepwise = identify_recursively(
-        readouts, s.place, sources=sources, progress=lambda *told: rows.append(told)
-    )
-    assert [done for done, _, _ in steps] == list(range(len(steps)))
-    taken = [(done, total) for done, total, what in rows if what == "taking in row by row"]
-    assert taken[0][0] == 0
-    assert all(0 <= done < total for done, total in taken)
-    std = np.sqrt(np.diag(batch.covariance))
-    apart = np.abs((stepwise.values - batch.values) / std).max()
-    assert apart < (
-        0.02 if len(sources) == 1 else 0.3
-    )  # two sources: their levels come from a quarter of the run
-    np.testing.assert_allclose(np.sqrt(np.diag(stepwise.covariance)), std, rtol=0.15)
-    history = stepwise.history
-    assert np.all(np.diff(history["time"]) > 0.0)
-    assert history["stds"][-1, 0] < 0.7 * history["stds"][len(history["stds"]) // 4, 0]
-    np.testing.assert_allclose(history["values"][-1], stepwise.values, rtol=0, atol=1e-15)
+    readouts, calls = simulate(s).readouts, []
+    growing = identify_growing(readouts, s.place, count=4, progress=lambda *call: calls.append(call[:2]))
+    assert calls == [(k, 4) for k in range(4)]
+    whole = identify(readouts, s.place)
+    assert growing.times[-1] == readouts.times[-1]
+    np.testing.assert_array_equal(growing.values[-1], whole.values)
+    first = identify(readouts.first(float(growing.times[0])), s.place)
+    np.testing.assert_array_equal(growing.stds[0], np.sqrt(np.diag(first.covariance)))
+    assert np.all(np.diff(growing.times) > 0.0)
+    assert growing.stds[-1, 0] < 0.7 * growing.stds[0, 0]
 
 
 def test_what_cannot_be_told_apart_is_said():

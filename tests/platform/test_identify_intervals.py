@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga.platform import identify, identify_recursively, simulate
+from piga.platform import identify, simulate
 from piga.platform.scenario import Gyro, Sensors
 from piga.platform.simulate import base_motion
 from tests.platform.conftest import (
@@ -25,11 +25,9 @@ pytestmark = pytest.mark.compiled
 
 ANGLES, FORCE = ("gimbals", "pick-off"), ("force", "pick-off")
 CASES = {
-    "gimbal angles": ({}, ANGLES, identify),
-    "specific force": ({}, FORCE, identify),
-    "specific force at sea": ({"motion": AT_SEA}, FORCE, identify),
-    "gimbal angles, recursive": ({}, ANGLES, identify_recursively),
-    "specific force, recursive": ({}, FORCE, identify_recursively),
+    "gimbal angles": ({}, ANGLES),
+    "specific force": ({}, FORCE),
+    "specific force at sea": ({"motion": AT_SEA}, FORCE),
 }
 TURN = 2.0 * np.pi
 
@@ -45,14 +43,13 @@ def _true_parameters(s):
 
 def _scores(case, seeds):
     """Standardised errors of unknowns and of amplitudes and phases (n, 34), and NEES (n,), run by run."""
-    changes, sources, method = CASES[case]
+    changes, sources = CASES[case]
     s = calibration(sensors=NOISE, step=4.0, **changes)
     motion, true, put_in = base_motion(s), truth(s), _true_parameters(s)
-    extra = {"points": 2} if method is identify_recursively else {}
     scores, nees = [], []
     for seed in seeds:
         run = simulate(replace(s, seed=seed), motion=motion)
-        result = method(run.readouts, s.place, sources=sources, **extra)
+        result = identify(run.readouts, s.place, sources=sources)
         off = result.values - true
         named = result.parameters[: len(put_in)]
         turned = np.array([p.value for p in named]) - put_in
@@ -89,8 +86,7 @@ def test_intervals_hold_in_ten_thousand_runs(case):
     scores, nees = _scores(case, range(10_000))
     covered = np.mean(np.abs(scores) < 1.96, axis=0)
     assert np.all((covered > 0.94) & (covered < 0.96))
-    # the recursive form takes its noise levels from a quarter of the record: one part in a hundred more scatter
-    _hold(scores, nees, 4.0, margin=0.015 if "recursive" in case else 0.005)
+    _hold(scores, nees, 4.0, margin=0.005)
 
 
 def test_too_narrow_and_too_wide_intervals_are_noticed():

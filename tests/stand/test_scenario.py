@@ -12,7 +12,6 @@ from piga.errors import ArgumentError, RunFileError
 from piga.platform.scenario import load_scenario
 from piga.stand import (
     read_scenario,
-    run_scenario,
 )
 from piga.stand.imperfections import NONE
 from piga.units import G0
@@ -64,9 +63,14 @@ def test_profile_and_composite_from_a_scenario(tmp_path: Path) -> None:
     f, rate = scenario.stand.motion(np.array([20.0]), NONE)
     assert f[0] / G0 == pytest.approx([1.0, 0.2, 0.0])
     assert not rate.any()
-    with_tide = SCENARIO.split("[stand]")[0] + stand + "[run]\nearth_tide = { start = 2026-11-21T08:00:00Z }\n"
-    with pytest.raises(ArgumentError, match="has no site"):
-        run_scenario(read_scenario(written(tmp_path, with_tide)))
+
+
+def test_removed_earth_tide_names_the_uncertainty_instead(tmp_path: Path) -> None:
+    text = SCENARIO + "[run]\nearth_tide = { start = 2026-11-21T08:00:00Z }\n"
+    with pytest.raises(
+        RunFileError, match=r"(?s)earth_tide is not simulated any more.*\[uncertainty\] gravity"
+    ):
+        read_scenario(written(tmp_path, text))
 
 
 def test_temperature_table(tmp_path: Path) -> None:

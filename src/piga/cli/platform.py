@@ -122,8 +122,8 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
 
     Writes identification.json and a page.
     """
-    from piga.platform.chain import identified
-    from piga.platform.identify import identify_recursively, observability
+    from piga.platform.chain import sources_of
+    from piga.platform.identify import identify_growing, observability
     from piga.platform.output import identification_document
     from piga.platform.scenario import load_scenario
     from piga.reports.platform.page import identification_page
@@ -132,20 +132,16 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
     run = _simulated(load_scenario(scenario))
     s = run.scenario
     with progress("identifying") as advance:
-        identification = identified(run, advance.show)
-        stretch = run.readouts.first(s.calibration_time)
-        recursive = identify_recursively(
-            stretch,
-            s.place,
-            sources=identification.sources,
-            orders=s.compensation.orders,
-            progress=advance.show,
+        stretch, orders = run.readouts.first(s.calibration_time), s.compensation.orders
+        growing = identify_growing(
+            stretch, s.place, sources=sources_of(run), orders=orders, progress=advance.show
         )
+        identification = growing.parts[-1]
         sources = observability(stretch, identification)
     document = identification_document(identification, sources)
     with _results(out, "identify", scenario, force, "identification.json") as (folder, _):
         write_json(folder / "identification.json", document)
-        _page(folder, identification_page(run, identification, recursive, sources))
+        _page(folder, identification_page(run, growing, sources))
     numbers = [(p, rounded(p.value, p.std)) for p in identification.parameters]
     lines = [f"{p.name:<36}{n.value:>16} ± {n.uncertainty} {p.unit}" for p, n in numbers]
     _finish(document, json, lines, out, "identification.json", "report.html")

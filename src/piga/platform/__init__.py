@@ -9,7 +9,13 @@ from piga.platform.analysis import daily_lines, line_amplitudes, spectrum, theor
 from piga.platform.budget import error_budget, standard_sources
 from piga.platform.chain import Capstone, ModelComparisonRun, capstone, compare, prepare, run_model
 from piga.platform.geometry import nulled_attitude, small_angle_attitude, small_angles
-from piga.platform.identify import Identification, identify, identify_recursively, observability
+from piga.platform.identify import (
+    GrowingIdentification,
+    Identification,
+    identify,
+    identify_growing,
+    observability,
+)
 from piga.platform.navigator import (
     CaseCompensator,
     Knowledge,
@@ -30,6 +36,7 @@ __all__ = [
     "Alignment",
     "Capstone",
     "CaseCompensator",
+    "GrowingIdentification",
     "Identification",
     "Knowledge",
     "ModelComparisonRun",
@@ -48,7 +55,7 @@ __all__ = [
     "error_budget",
     "errors",
     "identify",
-    "identify_recursively",
+    "identify_growing",
     "line_amplitudes",
     "linear_errors",
     "load_scenario",

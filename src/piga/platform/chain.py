@@ -110,12 +110,16 @@ class ModelComparisonRun(Result, Plotted):
         }
 
 
+def sources_of(run: PlatformRun) -> tuple[str, ...]:
+    """Sources of identification that the base of a run allows."""
+    return STATIC_SOURCES if run.truth.motion.at_rest else MOVING_SOURCES
+
+
 def identified(run: PlatformRun, progress: Progress | None = None) -> Identification:
-    """Identification from the calibration stretch of a run, with the sources that its base allows."""
+    """Identification from the calibration stretch of a run."""
     s = run.scenario
-    sources = STATIC_SOURCES if run.truth.motion.at_rest else MOVING_SOURCES
-    stretch = run.readouts.first(s.calibration_time)
-    return identify(stretch, s.place, sources=sources, orders=s.compensation.orders, progress=progress)
+    stretch, orders = run.readouts.first(s.calibration_time), s.compensation.orders
+    return identify(stretch, s.place, sources=sources_of(run), orders=orders, progress=progress)
 
 
 def prepare(run: PlatformRun, progress: Progress | None = None) -> Preparation:

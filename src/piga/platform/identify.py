@@ -1,4 +1,4 @@
-"""Identification of misalignments, phases and harmonics from readouts: batch or recursive, with covariance.
+"""Identification of misalignments, phases and harmonics from readouts, with covariance.
 
 Sources: ``gimbals`` (angles of a static base), ``pick-off`` (redundancy axis), ``force`` (disturbance in
 the specific force, any base). Only readouts are used. :func:`observability` states, before any estimate, which
@@ -8,19 +8,17 @@ unknowns each source can determine.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
-from piga._kernels.estimation.sequential import sequential_factor
 from piga.platform.estimate import (
     LeastSquares,
     Reduced,
     by_source,
     in_words,
-    noise_levels,
     solve_with_noise,
 )
 from piga.platform.geometry import geodetic_to_earth, specific_force_at_rest, wrapped
@@ -56,14 +54,11 @@ class Parameter:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identification(Result, Plotted):
+class Identification(Result):
     """Result: the gyros as identified, redundancy angle, covariance of the unknowns, noise, doubts.
 
     ``names, values, covariance`` are the Cartesian unknowns (misalignments, eta0, eta_rate);
-    ``parameters`` the same as amplitudes and phases with first-order uncertainty. ``history`` of the
-    recursive form: ``rows`` (k,) [s] and ``values``, ``stds`` (k, p).
-
-    The plot shows recursive estimates against time; :func:`identify_recursively` gives them.
+    ``parameters`` the same as amplitudes and phases with first-order uncertainty.
     """
 
     sources: tuple[str, ...]
@@ -80,7 +75,6 @@ class Identification(Result, Plotted):
     condition: float
     parameters: tuple[Parameter, ...]
     notes: tuple[str, ...] = ()
-    history: dict[str, Array] = field(default_factory=dict)
 
     def in_brief(self) -> list[tuple[str, str]]:
         """The parameters with their standard uncertainties, and the doubts."""
@@ -243,72 +237,52 @@ def gauss_newton(
     return x, parts, solution
 
 
-_PRIOR = 1e-9
-"""Diagonal of the first factor for columns of unit length. It keeps the factor regular and does not affect the result."""
+@dataclass(frozen=True, eq=False, repr=False)
+class GrowingIdentification(Result, Plotted):
+    """Identifications of growing parts of one record. The last part is the whole record.
+
+    ``times`` (k,) [s] are the ends of the parts. The plot shows the misalignments against time.
+    """
+
+    times: Array
+    parts: tuple[Identification, ...]
+
+    @property
+    def values(self) -> Array:
+        """Unknowns (k, p) in the order of ``names`` of an identification."""
+        return np.array([part.values for part in self.parts])
+
+    @property
+    def stds(self) -> Array:
+        """Standard uncertainties (k, p) of the unknowns."""
+        return np.array([np.sqrt(np.diag(part.covariance)) for part in self.parts])
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """The result of the whole record."""
+        return self.parts[-1].in_brief()
 
 
-@one_thread()
-def identify_recursively(
+def identify_growing(
     readouts: Readouts,
     place: Place,
     *,
     sources: Sequence[str] = STATIC_SOURCES,
     orders: int = 3,
-    points: int = 200,
+    count: int = 12,
     progress: Progress | None = None,
-) -> Identification:
-    """Identify sample by sample, with the history of the estimate.
+) -> GrowingIdentification:
+    """Identify from ``count`` growing parts of a record. The shortest part has four turns of the slower case.
 
-    The rows are linearised once, about a batch solution over the first quarter of the record (at least four case
-    turns). That solution also gives the noise levels. Square-root (Givens) updates then add the rows one by one. The
-    final estimate agrees with the batch estimate to second order in the error of the first solution. ``points``
-    instants of the history are kept. ``progress`` is called as ``progress(done, total, what)``, with the rows taken in.
+    The other arguments and the errors are those of :func:`identify`.
     """
     record = ObservedRecord.checked(readouts, sources, orders)
-    span = float(readouts.times[-1] - readouts.times[0])
-    early = ObservedRecord.checked(readouts.first(max(4.0 * record.periods[1], 0.25 * span)), sources, orders)
-    x, parts, start = gauss_newton(early, place, progress=progress)
-    levels, _ = by_source(parts, start)
-    times, ends = _taken_in(list(record.in_time(x, levels)), len(record.names) + 1, points, progress)
-    values, stds = np.empty((len(ends), len(record.names))), np.empty((len(ends), len(record.names)))
-    for k, factor in enumerate(ends):
-        inverse = np.linalg.inv(factor[:-1, :-1])
-        values[k], stds[k] = inverse @ factor[:-1, -1], np.sqrt(np.sum(inverse**2, axis=1))
-    end = record.moved(x, values[-1])
-    parts = [group.reduced() for group in record.groups(end)]
-    last = LeastSquares(
-        0.0 * values[-1], inverse @ inverse.T, start.condition, tuple(levels[p.name] for p in parts)
-    )
-    identification = result(record, end, parts, replace(last, levels=tuple(noise_levels(parts, last))))
-    seen = [record.names.index(name) for name in identification.names]
-    history = {
-        "time": times,
-        "values": identification.values + (values - values[-1])[:, seen],
-        "stds": stds[:, seen],
-    }
-    return replace(identification, history=history)
-
-
-def _taken_in(
-    stream: list[tuple[Array, Array]], size: int, points: int, progress: Progress | None
-) -> tuple[Array, Array]:
-    """Times (k,) and factors (k, size, size) of ``points`` instants, including the last row."""
-    count = sum(len(times) for times, _ in stream)
-    scale = np.ones(size)
-    scale[:-1] = np.sqrt(sum(np.sum(rows[:, -size:-1] ** 2, axis=0) for _, rows in stream))
-    kept = np.unique(np.linspace(max(count // 20, 4 * size), count - 1, points).astype(np.int64))
-    ends, when, block, at, done = np.empty((len(kept), size, size)), [], _PRIOR * np.eye(size), 0, 0
-    for times, rows in stream:
-        report(progress, at, count, "taking in row by row")
-        rows[:, -size:] /= scale
-        slow = rows.shape[1] - size
-        factor = _PRIOR * np.eye(rows.shape[1])
-        factor[slow:, slow:] = block
-        here = kept[(kept >= at) & (kept < at + len(rows))] - at
-        sequential_factor(rows, factor, here, ends[done : done + len(here)])
-        when.append(times[here])
-        block, at, done = factor[slow:, slow:], at + len(rows), done + len(here)
-    return np.concatenate(when), ends * scale
+    start, end = float(readouts.times[0]), float(readouts.times[-1])
+    shortest = min(4.0 * record.periods[1], end - start)
+    times, parts = start + np.linspace(shortest, end - start, count), []
+    for k, time in enumerate(times):
+        report(progress, k, count, f"part {k + 1} of {count}")
+        parts.append(identify(readouts.first(float(time) - start), place, sources=sources, orders=orders))
+    return GrowingIdentification(times, tuple(parts))
 
 
 UNKNOWNS = ("polar.u", "polar.v", "equatorial.u", "equatorial.v")

@@ -541,37 +541,3 @@ class ObservedRecord:
         out = np.zeros((len(flat), len(self.seen)))
         out[:, there] = flat[:, self.seen[there]]
         return out
-
-    def in_time(self, x: Unknowns, levels: dict[str, float]) -> Iterator[tuple[Array, Array]]:
-        """Times (n,) and weighted rows (n, s + p + 1) of all sources in order of time, stretch by stretch.
-
-        The first s columns are the slow force of each stretch; the last column is the residual.
-        """
-        r = self.readouts
-        times, tables = [np.zeros(0)], [np.zeros((0, len(self.seen) + 1))]
-        for g in self._angles(x):
-            times.append(np.repeat(r.times, len(g.residual) // len(r.times)))
-            tables.append(np.column_stack([g.regressors, g.residual]) / levels[g.name])
-        time, table = np.concatenate(times), np.concatenate(tables)
-        after = -np.inf
-        for stretch in self.stretches:
-            until = np.inf if stretch is self.stretches[-1] else stretch.readouts.times[-1]
-            here = (time > after) & (time <= until)
-            after = until
-            force = self._force_in_time(stretch, x) / levels["force"]
-            angles = np.pad(table[here], ((0, 0), (force.shape[1] - table.shape[1], 0)))
-            yield _sorted(
-                np.concatenate([time[here], np.repeat(stretch.times, 3)]), np.concatenate([angles, force])
-            )
-        if not self.stretches:
-            yield _sorted(time, table)
-
-    def _force_in_time(self, stretch: ObservedStretch, x: Unknowns) -> Array:
-        residual, columns = stretch.rows(x)
-        slow = np.kron(stretch.slow, np.eye(3))
-        return np.column_stack([slow, self._cut(columns), residual.ravel()])
-
-
-def _sorted(times: Array, rows: Array) -> tuple[Array, Array]:
-    order = np.argsort(times, kind="stable")
-    return times[order], np.ascontiguousarray(rows[order])

@@ -102,6 +102,13 @@ def _wrong_file(path: Path) -> str:
 RENAMED = {("model", "phase"): "phases"}
 """Keys that had another name before: the new name by table and old name. Files with the old name are read."""
 
+REMOVED = {
+    ("run", "earth_tide"): (
+        "is not simulated any more", "leave it out; state the tide as an uncertainty: [uncertainty] gravity = '0.07 ug'"
+    )
+}  # fmt: skip
+"""Keys that are gone: what happened and what to do instead, by table and key."""
+
 
 def written_key(raw: bytes, table: str, key: str) -> str:
     """The name that a valid TOML file itself uses for a key: the former one if the file has it."""
@@ -111,6 +118,9 @@ def written_key(raw: bytes, table: str, key: str) -> str:
 
 
 def _with_new_names(path: Path, document: dict[str, Any]) -> dict[str, Any]:
+    for (table, key), (reason, remedy) in REMOVED.items():
+        if isinstance(document.get(table), dict) and key in document[table]:
+            raise RunFileError(f"{path}: [{table}] {key} {reason}", remedy=remedy)
     for (table, old), new in RENAMED.items():
         entries = document.get(table)
         if not isinstance(entries, dict) or old not in entries:

@@ -141,7 +141,8 @@ CARDS: dict[str, Callable[[Any], Card]] = {
     "SimulatedTest": _facts_card,
     "AllanDeviation": _facts_card,
     "PlatformRun": _facts_card,
-    "Identification": lambda result: _facts_card(result, drawn=bool(result.history)),
+    "Identification": lambda result: _facts_card(result, drawn=False),
+    "GrowingIdentification": _facts_card,
     "ModelComparisonRun": _facts_card,
     "Capstone": _facts_card,
 }
@@ -283,16 +284,6 @@ def _drawn_by(module: str, function: str) -> Callable[[Any, str], Figure]:
     return lambda result, _: draw(result)
 
 
-def _identification_figure(identification: Any, _: str) -> Figure:
-    from piga.reports.platform.figures import convergence_figure
-
-    if not identification.history:
-        raise CalibrationError(
-            "plot: this identification has no history", remedy="piga.platform.identify_recursively keeps one"
-        )
-    return convergence_figure(identification)
-
-
 FIGURES: dict[str, Callable[[Any, str], Figure]] = {
     "Calibration": calibration_figure,
     "Run": _drawn_by("check", "record_figure"),
@@ -304,7 +295,7 @@ FIGURES: dict[str, Callable[[Any, str], Figure]] = {
     "AllanDeviation": _drawn_by("calibration.figures", "deviation_figure"),
     "SimulatedTest": _drawn_by("stand", "stand_figure"),
     "PlatformRun": _drawn_by("platform.figures", "readouts_figure"),
-    "Identification": _identification_figure,
+    "GrowingIdentification": _drawn_by("platform.figures", "convergence_figure"),
     "ModelComparisonRun": _drawn_by("platform.figures", "lines_figure"),
     "Capstone": _drawn_by("platform.figures", "capstone_figure"),
 }

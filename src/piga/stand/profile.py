@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from piga.errors import ArgumentError
 from piga.results import Array, Result
 from piga.stand.imperfections import NONE, Imperfections
-from piga.stand.tide import EarthTide
 
 
 @dataclass(frozen=True)
@@ -132,13 +131,11 @@ def check_step(segments: tuple[Segment, ...], step: float) -> None:
 
 
 def sample_stand(
-    stand: Stand, step: float, *, errors: Imperfections = NONE, oversample: int = 1, extra: int = 0,
-    tide: EarthTide | None = None,
-) -> Profile:  # fmt: skip
+    stand: Stand, step: float, *, errors: Imperfections = NONE, oversample: int = 1, extra: int = 0
+) -> Profile:
     """Sample a stand at every ``step/oversample`` [s], with ``extra`` rows beyond its end.
 
     The instrument feels the stand with the imperfections ``errors``. The lab's reference is the stand without them.
-    The specific force of every stand is linear in gravity, so the tide adds its change of gravity times d(f)/d(g).
 
     Raises
     ------
@@ -154,10 +151,6 @@ def sample_stand(
     t = segments[0].start + np.arange(end + extra + 1) * step / oversample
     force, rate = stand.motion(t, errors)
     reference, reference_rate = stand.motion(t, NONE)
-    if tide is not None:
-        change = tide.gravity(t)[:, None] * (stand.motion(t, replace(NONE, gravity=1.0))[0] - reference)
-        force = force + change
-        reference = reference + change if tide.in_reference else reference
     force, rate = errors.felt(force, rate)
     return Profile(t, segment_index(t, segments), segments, force, rate, reference, reference_rate)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -44,7 +43,6 @@ from piga.stand.machines.turning import (
 from piga.stand.machines.vibration import Drive, VibrationTable
 from piga.stand.profile import Composite, Stand
 from piga.stand.simulate import Harmonics, Model, SimulatedTest, Specimen, simulate_test
-from piga.stand.tide import EarthTide
 from piga.units import to_si
 
 Metres = Annotated[Quantity, in_unit("m")]
@@ -93,13 +91,6 @@ class TemperatureTable(TomlTable, frozen=True):
     period: Seconds = "1 d"
 
 
-class EarthTideTable(TomlTable, frozen=True):
-    """``[run] earth_tide``: UTC of the start of the test, and whether the lab's reference includes the tide."""
-
-    start: dt.datetime
-    reference: Literal["ignores", "includes"] = "ignores"
-
-
 class RunTable(TomlTable, frozen=True):
     """``[run]``: how the test is simulated and written."""
 
@@ -109,7 +100,6 @@ class RunTable(TomlTable, frozen=True):
     step: Seconds | None = None
     format: Literal["parquet", "csv"] = "parquet"
     imperfections: Literal["fixed", "drawn"] = "fixed"
-    earth_tide: EarthTideTable | None = None
 
 
 class SiteTable(TomlTable, frozen=True):
@@ -378,26 +368,10 @@ def run_scenario(
             seed=chosen,
             step=run.in_si("[run] ").get("step"),
             force=force,
-            tide=_tide(scenario),
             progress=progress,
         )
     except PigaError as error:
         raise type(error)(f"{scenario.path}: {error.message}", remedy=error.remedy) from None
-
-
-def _tide(scenario: Scenario) -> EarthTide | None:
-    table = scenario.table.run.earth_tide
-    if table is None:
-        return None
-    site = getattr(scenario.stand, "site", None)
-    if site is None:
-        raise ArgumentError(
-            f"[run] earth_tide: a stand of kind '{scenario.stand.kind}' has no site",
-            remedy="use it with a dividing head, centrifuge, rate table or vibration table",
-        )
-    if table.start.tzinfo is None:
-        raise ArgumentError("[run] earth_tide start has no time zone", remedy="write e.g. 2026-11-21T08:00:00Z")
-    return EarthTide(site, table.start, table.reference == "includes")
 
 
 def _specimen(table: ScenarioTable) -> Specimen:

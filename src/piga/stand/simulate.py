@@ -32,7 +32,6 @@ from piga.records.run_file import ModelTable
 from piga.results import Array, Plotted, Reported, Result
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.profile import Profile, Segment, Stand, sample_stand
-from piga.stand.tide import EarthTide
 from piga.units import G0
 
 Model = Literal["quasi-steady", "twin"]
@@ -155,7 +154,6 @@ def simulate_test(
     seed: int = 1,
     step: float | None = None,
     force: bool = False,
-    tide: EarthTide | None = None,
     progress: Progress | None = None,
 ) -> SimulatedTest:
     """Simulate a test.
@@ -177,8 +175,6 @@ def simulate_test(
         interval. None: chosen for the stand's fastest motion.
     force:
         Simulate an unstable servo loop, too. It has no slow manifold, so it starts with its transient.
-    tide:
-        Solid Earth tide in gravity; None: no tide.
     progress:
         Called as ``progress(done, total, what)`` before each step; it returns False to stop (:mod:`piga.progress`).
 
@@ -198,7 +194,6 @@ def simulate_test(
         errors=imperfections,
         oversample=oversample,
         extra=_overshoot(stand, electronics, imperfections, grid),
-        tide=tide,
     )
     steps("motion of the gimbal")
     streams = np.random.default_rng(seed).spawn(5)

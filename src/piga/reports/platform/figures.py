@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from piga.platform.alignment import Alignment
 from piga.platform.analysis import case_rates, spectrum
 from piga.platform.chain import Capstone, ModelComparisonRun, ModelRun
-from piga.platform.identify import Identification
+from piga.platform.identify import GrowingIdentification
 from piga.platform.scenario import Model
 from piga.platform.simulate import PlatformRun
 from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Role, Series
@@ -115,27 +115,26 @@ def _course_out(times: Array, values: Array, over: int) -> tuple[Array, Array]:
     return t / MINUTE, mean - basis @ fitted
 
 
-def convergence_figure(identification: Identification) -> Figure:
-    """Recursive estimates against time with their 95 % band, relative to the last one."""
-    t = identification.history["time"] / MINUTE
-    values, stds = identification.history["values"], identification.history["stds"]
-    half = (len(identification.names) - 2 * ("eta0" in identification.names)) // 2
+def convergence_figure(growing: GrowingIdentification) -> Figure:
+    """Estimates from growing parts of the record with their 95 % band, relative to the last one."""
+    t, values, stds = growing.times / MINUTE, growing.values, growing.stds
+    names = growing.parts[-1].names
+    half = (len(names) - 2 * ("eta0" in names)) // 2
     panels = []
     roles: tuple[Role, Role] = ("x", "y")
     for at, title in ((0, "polar"), (half, "equatorial")):
         last = values[-1, at : at + 2]
         series: list[Series] = []
         for k, role in enumerate(roles):
-            late = slice(len(t) // 8, None)
-            y, s = (values[late, at + k] - last[k]) / ARCSEC, 1.96 * stds[late, at + k] / ARCSEC
-            series.append(Series(t[late], -s, "95 % band" if k == 0 else "", "band", "muted", upper=s))
-            series.append(Series(t[late], y, f"m {'cos' if k == 0 else 'sin'}(phase)", "line", role))
+            y, s = (values[:, at + k] - last[k]) / ARCSEC, 1.96 * stds[:, at + k] / ARCSEC
+            series.append(Series(t, -s, "95 % band" if k == 0 else "", "band", "muted", upper=s))
+            series.append(Series(t, y, f"m {'cos' if k == 0 else 'sin'}(phase)", "line", role))
         panels.append(Panel(Axis("time", "min"), Axis(f"{title}, off its end", "arcsec"), tuple(series)))
     return Figure(
         "fig-convergence",
-        "Recursive identification",
+        "Identification as the record grows",
         tuple(panels),
-        "Estimates sample by sample, less the last one; the band is the filter's own 95 % interval.",
+        "Estimates from growing parts of the record, less the last one; the band is their 95 % interval.",
         columns=2,
         height=2.6,
     )

@@ -15,6 +15,7 @@ from piga.platform.geometry import apparent_gyro, averaged_drift, wrapped
 from piga.platform.identify import (
     UNKNOWN_PHASE,
     UNKNOWNS,
+    GrowingIdentification,
     Identification,
     Observability,
     Parameter,
@@ -138,13 +139,10 @@ def simulation_page(run: PlatformRun) -> Page:
 
 
 def identification_page(
-    run: PlatformRun,
-    identification: Identification,
-    recursive: Identification | None,
-    sources: Sequence[Observability],
+    run: PlatformRun, growing: GrowingIdentification, sources: Sequence[Observability]
 ) -> Page:
     """Page of ``piga platform identify``."""
-    s = run.scenario
+    s, identification = run.scenario, growing.parts[-1]
     tiles = []
     for gyro in ("polar", "equatorial"):
         m = identification[f"{gyro}.misalignment"]
@@ -153,11 +151,12 @@ def identification_page(
     tiles.append(Tile("condition", short(identification.condition), "", " + ".join(identification.sources)))
     blocks: list[Block] = [parameter_table(identification, s)]
     blocks += [Notice("info", note) for note in identification.notes]
-    sections = [Section("Misalignments, phases and harmonics", "parameters", tuple(blocks))]
-    if recursive is not None:
-        sections.append(Section("Sample by sample", "recursive", (FigureBlock(convergence_figure(recursive)),)))
-    sections.append(Section("What each source can tell", "observability", (_observability_table(sources),)))
-    return page("Platform identification", s, tuple(tiles), tuple(sections))
+    sections = (
+        Section("Misalignments, phases and harmonics", "parameters", tuple(blocks)),
+        Section("As the record grows", "growing", (FigureBlock(convergence_figure(growing)),)),
+        Section("What each source can tell", "observability", (_observability_table(sources),)),
+    )
+    return page("Platform identification", s, tuple(tiles), sections)
 
 
 def alignment_page(run: PlatformRun, aligned: Alignment) -> Page:
