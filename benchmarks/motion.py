@@ -30,7 +30,6 @@ from piga.instrument import (
     Instrument,
     propagate,
     propagate_fleet,
-    propagate_function,
     propagate_increments,
     propagate_rate,
     propagate_segments,
@@ -238,11 +237,6 @@ def equal_accuracy_smooth(seconds: float) -> None:
     ours = timed(lambda: propagate_increments(INST, grid, dv), 1)
     show("smooth vibration: increments at 140 Hz", ours[1] * 1e-6, "ms", f"error {error:.1e} rad")
     show("smooth vibration: DOP853 over increments", (base[0] / ours[0], base[1] / ours[1]), "1")
-    ends = [0.0, seconds]
-    adaptive = timed(lambda: propagate_function(INST, ends, force, tolerance=1e-9, vectorized=True), 1, 5)
-    error = abs(propagate_function(INST, ends, force, tolerance=1e-9, vectorized=True)[-1] - reference)
-    show("smooth vibration: function, tolerance 1e-9", adaptive[1] * 1e-6, "ms", f"error {error:.1e} rad")
-    show("smooth vibration: DOP853 over function", (base[0] / adaptive[0], base[1] / adaptive[1]), "1")
 
 
 def constant_stretch() -> None:

@@ -179,8 +179,6 @@ def test_joint_calibration_of_the_shipped_examples(tmp_path: Path) -> None:
     [
         ("-", ("--rate", "10 Hz"), "--rate is not for a live stream"),
         ("-", ("--identify-phase", "60 s"), "--identify-phase is not for a live stream"),
-        ("-", ("--resume",), "--resume is not for a live stream"),
-        ("triad.toml", ("--resume",), "--resume is not for several instruments"),
         ("triad.toml", ("--phase", "0.4 rad"), "--phase is not for several instruments"),
         ("triad.toml", ("--identify-phase", "60 s"), "--identify-phase is not for several instruments"),
     ],

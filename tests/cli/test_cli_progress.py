@@ -88,12 +88,12 @@ def test_a_bar_follows_the_library(capsys: pytest.CaptureFixture[str]) -> None:
 def test_compiling_is_told_from_loading(monkeypatch: pytest.MonkeyPatch) -> None:
     from piga._kernels import jit
 
+    monkeypatch.setattr(jit._Compilations, "ended", -1e9)
     assert not jit.compiling()
-    monkeypatch.setattr(jit._Turn, "depth", 1)
-    monkeypatch.setattr(jit._Turn, "since", time.monotonic())
+    counter = jit._Compilations()
+    counter.on_start(None)
+    assert jit.compiling()
+    counter.on_end(None)
+    assert jit.compiling()
+    monkeypatch.setattr(jit._Compilations, "ended", time.monotonic() - 2.0 * jit.RECENT)
     assert not jit.compiling()
-    monkeypatch.setattr(jit._Turn, "since", time.monotonic() - 1.0)
-    assert jit.compiling()
-    monkeypatch.setattr(jit._Turn, "depth", 0)
-    monkeypatch.setattr(jit._Turn, "saved", time.monotonic())
-    assert jit.compiling()

@@ -1,110 +1,86 @@
 """Decorators that compile the kernels.
 
 Kernels take floats and float64 arrays. They raise no messages for users. They run unchanged with
-``NUMBA_DISABLE_JIT=1``. With ``nogil`` plain threads run them on all cores. ``cache`` keeps the
-compiled code between processes. Contraction of multiply-add is allowed. Reordering is not, so the
-results do not depend on how a record is split.
+``NUMBA_DISABLE_JIT=1``. With ``nogil`` plain threads run them on all cores. Contraction of multiply-add is allowed.
+Reordering is not, so the results do not depend on how a record is split.
+
+Numba keeps the compiled code between processes: in ``NUMBA_CACHE_DIR`` if the user sets it, else in a folder of the
+user's own (:func:`cache_folder`). Compiled code is executed as it is read. So a folder that another user owns is refused, and
+the kernels are compiled in each process.
 """
 
 from __future__ import annotations
 
-import hashlib
-import pickle
+import os
+import stat
+import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
+from typing import Any, ClassVar, TypeVar, cast
 
 import numba
 import numpy as np
-from numba import types
-from numba.core.caching import FunctionCache, IndexDataCacheFile
-from numba.core.compiler_lock import global_compiler_lock
+from numba.core import event
+from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
 from numpy.typing import NDArray
 
-try:
-    import fcntl
-except ImportError:  # Windows: every process compiles for itself
-    fcntl = None  # type: ignore[assignment]
+from piga._version import __version__
 
 Array = NDArray[np.float64]
 F = TypeVar("F", bound=Callable[..., Any])
 
-LOCK = "compiling.lock"
-"""Lock file in the folder of compiled kernels; the compiling process holds it."""
-PATIENCE = 60.0
-"""Longest wait for another process [s]; a stopped process delays others no longer than this."""
-LOADING = 0.5
-"""A kernel that takes longer is compiled and not loaded [s]."""
+config: Any = numba.config
 RECENT = 2.0
 """Time after a compilation within which the next one is expected [s]."""
 
 
-class _SoundCacheFile(IndexDataCacheFile):
-    """Files of compiled kernels. A file that does not contain the bytes that were written is compiled again.
+def user_cache() -> Path:
+    """The folder for caches of the current user, by the custom of the system. RuntimeError if there is no home."""
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
-    A power cut leaves files that are empty, short or full of zeros. Numba does not check them, so the command would end
-    with an exception of Numba. Here every file begins with the SHA-256 of the rest, and a damaged one is removed. Files that
-    cannot be read or written (a full disk, another user's) cost only the time to compile.
+
+def cache_folder(parent: Path) -> Path | None:
+    """The folder of compiled kernels of this version in ``parent``, made for this user alone (mode 0700).
+
+    None if it cannot be made, is not a folder, or belongs to another user.
     """
+    folder = parent / f"piga-kernels-{__version__}"
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        if not folder.exists():
+            folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+        if hasattr(os, "getuid"):
+            if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+                return None
+            if stat.S_IMODE(found.st_mode) & 0o077:
+                folder.chmod(0o700)
+    except OSError:
+        return None
+    return folder
 
-    def save(self, key: Any, data: Any) -> None:
-        """Store a compiled kernel if there is space."""
-        _Turn.saved = time.monotonic()
-        with suppress(OSError):
-            super().save(key, data)  # type: ignore[no-untyped-call]
 
-    def _load_index(self) -> dict[Any, str]:
-        try:
-            version, packed = pickle.loads(self._read(self._index_path))  # noqa: S301 - as in _load_data
-        except OSError:
-            return {}
-        if version != self._version:
-            return {}
-        try:
-            stamp, overloads = pickle.loads(packed)  # noqa: S301 - as in _load_data
-        except (AttributeError, ImportError):  # of an older version, with a class that has another name now
-            return {}
-        return overloads if stamp == self._source_stamp else {}
+def _folder_to_use() -> str:
+    """Folder for the compiled kernels; empty if there is none."""
+    if config.CACHE_DIR:
+        return str(config.CACHE_DIR)
+    try:
+        return str(cache_folder(user_cache()) or "")
+    except RuntimeError:
+        return ""
 
-    def _save_index(self, overloads: dict[Any, str]) -> None:
-        packed = self._dump((self._source_stamp, overloads))  # type: ignore[no-untyped-call]
-        self._write(self._index_path, pickle.dumps((self._version, packed)))
 
-    def _load_data(self, name: str) -> Any:
-        path = self._data_path(name)  # type: ignore[no-untyped-call]
-        try:
-            return pickle.loads(self._read(path))  # noqa: S301 - compiled code of this package, as Numba keeps it
-        except (AttributeError, ImportError):  # of an older version, that called a module of another name
-            self._remove(path)
-            raise FileNotFoundError(path) from None
-
-    def _save_data(self, name: str, data: Any) -> None:
-        packed = self._dump(data)  # type: ignore[no-untyped-call]
-        self._write(self._data_path(name), packed)  # type: ignore[no-untyped-call]
-
-    def _read(self, path: str) -> bytes:
-        """Content after the SHA-256. If it does not match, the file is removed and FileNotFoundError is raised."""
-        raw = Path(path).read_bytes()
-        if hashlib.sha256(raw[32:]).digest() != raw[:32]:
-            self._remove(path)
-            raise FileNotFoundError(path)
-        return raw[32:]
-
-    def _write(self, path: str, packed: bytes) -> None:
-        with self._open_for_write(path) as stream:
-            stream.write(hashlib.sha256(packed).digest() + packed)
-
-    @staticmethod
-    def _remove(path: str) -> None:
-        with suppress(OSError):
-            Path(path).unlink()
+FOLDER = _folder_to_use()
 
 
 class _LoadedCache(FunctionCache):
-    """Cache of a kernel. It loads compiled code without the parts of Numba that only compiling needs."""
+    """Numba's cache. It loads compiled code without the tables that only the compiler needs (a fifth of a command's start)."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled code for a signature, or None. Of Numba, compiled code needs only the memory manager."""
@@ -113,72 +89,46 @@ class _LoadedCache(FunctionCache):
             return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
 
 
-def _hold(folder: Path) -> IO[bytes] | None:
-    """Hold the lock of a folder until the returned file is closed; None if the lock is not available.
+class _Compilations(event.Listener):
+    """Counts the compilations that are going on."""
 
-    One of several processes compiles, and the others load the stored result. The system releases the lock when a process
-    ends, for any reason.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        held = (folder / LOCK).open("ab")
-    except OSError:
-        return None
-    last = time.monotonic() + PATIENCE
-    while fcntl is not None and time.monotonic() < last:
-        try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            time.sleep(0.02)
-        except OSError:  # a file system without locks
-            break
-        else:
-            break
-    return held
+    going: ClassVar[int] = 0
+    ended: ClassVar[float] = -1e9
+
+    def on_start(self, _event: Any) -> None:
+        """A kernel is compiled from now on."""
+        _Compilations.going += 1
+
+    def on_end(self, _event: Any) -> None:
+        """A kernel is compiled."""
+        _Compilations.going -= 1
+        _Compilations.ended = time.monotonic()
 
 
-class _Turn:
-    """Compiles a kernel, and all that it calls, while no other process does."""
-
-    depth = 0
-    since = 0.0
-    saved = -1e9
-
-    def __init__(self, compile_: Callable[[Any], Any], folder: Path) -> None:
-        self._compile, self._folder = compile_, folder
-
-    def __call__(self, signature: Any) -> Any:
-        with global_compiler_lock:
-            if _Turn.depth:
-                return self._compile(signature)
-            _Turn.depth += 1
-            _Turn.since = time.monotonic()
-            held = _hold(self._folder)
-            try:
-                return self._compile(signature)
-            finally:
-                _Turn.depth -= 1
-                if held is not None:
-                    held.close()
+event.register("numba:compile", _Compilations())  # type: ignore[no-untyped-call]
 
 
 def compiling() -> bool:
     """True while kernels are compiled, not only loaded: the first command after an installation does so."""
-    now = time.monotonic()
-    return (_Turn.depth > 0 and now - _Turn.since > LOADING) or now - _Turn.saved < RECENT
+    return _Compilations.going > 0 or time.monotonic() - _Compilations.ended < RECENT
 
 
 def _compiled(function: F, fastmath: bool | set[str]) -> F:
-    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    options: dict[str, Any] = {
+        "cache": bool(FOLDER),
+        "nogil": True,
+        "error_model": "numpy",
+        "no_cfunc_wrapper": True,
+    }
+    before = config.CACHE_DIR
+    config.CACHE_DIR = FOLDER  # for our kernels only: code of the user keeps its place
     try:
         made = numba.njit(fastmath=fastmath, **options)(function)
-    except RuntimeError:  # no folder that may be written to: compiled in every process
-        made = numba.njit(fastmath=fastmath, **(options | {"cache": False}))(function)
+    finally:
+        config.CACHE_DIR = before
     cache = getattr(made, "_cache", None)
     if isinstance(cache, FunctionCache):
         cache.__class__ = _LoadedCache
-        cache._cache_file.__class__ = _SoundCacheFile
-        made.compile = _Turn(made.compile, Path(cache.cache_path))
     return cast("F", made)
 
 
@@ -203,29 +153,3 @@ def reducing_kernel(function: F) -> F:
     Used only where the last bits of a sum do not matter for how results compare between chunkings.
     """
     return _compiled(function, {"contract", "reassoc", "nsz"})
-
-
-def _no_prefetch(_array: Any, _index: int) -> None:
-    """Ask the memory for the element at a flat ``index``, which may lie beyond the end; never waits."""
-
-
-if TYPE_CHECKING or numba.config.DISABLE_JIT:
-    prefetch = _no_prefetch
-else:
-    from llvmlite import ir
-    from numba.extending import intrinsic
-
-    @intrinsic
-    def prefetch(_context, array, _index):
-        """Ask the memory for the element at a flat ``index``, which may lie beyond the end; never waits."""
-
-        def generate(context, builder, signature, arguments):
-            data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-            byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
-            address = builder.bitcast(builder.gep(data, [arguments[1]]), byte)
-            kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
-            function = builder.module.declare_intrinsic("llvm.prefetch", [byte], kind)
-            builder.call(function, [address, number(0), number(3), number(1)])
-            return context.get_dummy_value()
-
-        return types.void(array, types.intp), generate

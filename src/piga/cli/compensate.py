@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -71,10 +71,7 @@ def compensate(
     ] = False,
     resume: Annotated[
         bool,
-        typer.Option(
-            "--resume",
-            help="Keep finished parts beside --out, and continue from the last one after a stop.",
-        ),
+        typer.Option("--resume", hidden=True),
     ] = False,
     report: Annotated[
         Path | None,
@@ -86,11 +83,12 @@ def compensate(
 
     One run gives the columns t, ax, dv, u_ax, flags. Several instruments are solved together.
     """
-    from piga.compensation.files.file_to_file import was_begun
     from piga.compensation.model import Phase
     from piga.records.calibration.document import read_with_digest
     from piga.units import to_si
 
+    if resume:
+        raise ArgumentError("--resume is gone", remedy="run the same command again without it")
     read = [read_with_digest(path) for path in calibration or []]
     calibrations = [one for one, _ in read]
     sources = [(path.name, digest) for path, (_, digest) in zip(calibration or [], read, strict=True)]
@@ -99,24 +97,21 @@ def compensate(
     period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
     live, several = str(run[0]) == "-", len(run) > 1 or _is_triad(run[0])
     if live or several:
-        _refuse(live, resume=resume, identify_phase=rest, phase=given, rate=period, report=report)
+        _refuse(live, identify_phase=rest, phase=given, rate=period, report=report)
     if live:
         _live(_one(calibrations), kind, method, given, arrow, uncertainty, max_age)
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
-    page = _page(report, resume)
+    page = _page(report)
     inputs = [path for one in run for path in files_named_in(one)] + (calibration or [])
-    begun = resume and was_begun(out)
-    check_outputs(
-        [out, *([] if page is None else [page])], inputs, force=force, ours=lambda path: begun and path == out
-    )
+    check_outputs([out, *([] if page is None else [page])], inputs, force=force)
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # PyArrow's own keeps 30 MB of unused memory
     options = _Options(method, given, uncertainty, max_age, other_serial, period)
     if several:
         summary, calibrations = _together(run, sources, calibrations, out, options, page)
     else:
-        summary = _single(run[0], _one(calibrations), sources, _Target(out, page, resume, force), options, rest)
+        summary = _single(run[0], _one(calibrations), sources, (out, page), options, rest)
     if json:
         print_json({"file": str(out)} | summary | {"calibrations": _verdicts(calibrations)})
         return
@@ -145,7 +140,6 @@ def _verdicts(calibrations: list[Calibration]) -> list[dict[str, Any]]:
 
 
 ONE_RECORD = {
-    "resume": ("live", "several", "leave it out"),
     "identify_phase": ("live", "several", "give the phase, or use piga.compensation.PhaseFinder"),
     "phase": ("", "several", "give each [[triad.instrument]] its phase"),
     "rate": ("live", "", "resample with piga.compensation.Resampler"),
@@ -164,12 +158,10 @@ def _refuse(live: bool, **options: object) -> None:
             raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
 
 
-def _page(report: Path | None, resume: bool) -> Path | None:
+def _page(report: Path | None) -> Path | None:
     """Path of the report page; None without a page."""
     if report is None:
         return None
-    if resume:
-        raise ArgumentError("--report cannot be used with --resume", remedy="leave one of them out")
     if report.suffix != ".html":
         raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
     return report
@@ -232,27 +224,18 @@ class _Options:
         }
 
 
-@dataclass(frozen=True)
-class _Target:
-    """Places of result and report. ``resume``: continue from complete parts. ``restart``: remove parts of another run."""
-
-    out: Path
-    page: Path | None
-    resume: bool
-    restart: bool
-
-
 def _single(
     run: Path,
     calibration: Calibration,
     sources: list[tuple[str, str]],
-    target: _Target,
+    target: tuple[Path, Path | None],
     options: _Options,
     rest: float | None,
 ) -> dict[str, Any]:
     """Compensate one recorded run of any length.
 
-    ``sources`` are the calibration file and its SHA-256 as read. ``rest`` [s] is the initial time at rest, which gives
+    ``sources`` are the calibration file and its SHA-256 as read. ``target``: result and report.
+    ``rest`` [s] is the initial time at rest, which gives
     the phase.
     """
     from piga.compensation import Resampler, identify_phase
@@ -260,17 +243,15 @@ def _single(
     from piga.compensation.files.file_to_file import (
         HELD_ROWS,
         FileSummary,
-        Parts,
         compensate_to_file,
         found_while_reading,
-        key_of,
     )
-    from piga.compensation.model import age_flag
     from piga.compensation.result import format_of, inputs_listed
     from piga.records.spool import give_back
     from piga.stand import read_run
 
-    kind = format_of(target.out)
+    out, page = target
+    kind = format_of(out)
     with progress("reading"):
         record = read_run(run, held=HELD_ROWS)
     give_back()
@@ -278,32 +259,23 @@ def _single(
     options = _with_phase(options, None if rest is None else identify_phase(record, calibration, rest))
     resampler = None if options.period is None else Resampler(options.period)
     report, watch = None, None
-    if target.page is not None:
-        report = _Report(target.page, record.kind, calibration, inputs)
+    if page is not None:
+        report = _Report(page, record.kind, calibration, inputs)
         watch = report.outline.piece
         if record.size <= HELD_ROWS:
             report.take(record, compensate(record, calibration, **options.arguments()))
             watch = None
-    summary, parts = FileSummary(), None
-    if target.resume:
-        age = age_flag(calibration, options.max_age)
-        parts = Parts(target.out, key_of((*astuple(options), kind, age), calibration, record), target.restart)
+    summary = FileSummary()
 
     def write(path: Path) -> None:
         nonlocal summary
         with progress("compensating", record.size) as advance:
             summary = compensate_to_file(
-                record, calibration, path, kind, resampler=resampler, progress=advance.show, parts=parts, watch=watch,
+                record, calibration, path, kind, resampler=resampler, progress=advance.show, watch=watch,
                 inputs=inputs, **options.arguments(),
             )  # fmt: skip
 
-    try:
-        write_by_rename(target.out, write)
-        if parts is not None:
-            parts.remove()
-    finally:
-        if parts is not None:
-            parts.close()
+    write_by_rename(out, write)
     repairs = found_while_reading(record)
     if report is not None:
         report.write(options.in_words(calibration), repairs)

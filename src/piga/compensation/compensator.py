@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import islice, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -405,21 +405,18 @@ def compensate_in_pieces(
     limits: Limits | None = None,
     max_age_days: float | None = None,
     force: bool = False,
-    state: Array | None = None,
-    done: int = 0,
 ) -> Iterator[tuple[str, Chunk, Compensated]]:
     """Compensate a record piece by piece. Yields the label of the segment, the samples and the compensated rows.
 
     Use it for records whose result does not fit in memory. Arguments and errors are those of :func:`compensate`. The
-    rows are identical to the bit. ``state`` (:func:`init_state`) is updated with every piece. To continue after ``done`` pieces,
-    pass the state as it was at that point.
+    rows are identical to the bit.
     """
     plan = _plan(record, calibration, method, phase, limits, max_age_days, force)
 
     def room(rows: slice) -> Step:
         return empty_step(rows.stop - rows.start, uncertainty, flags=True)
 
-    for rows, chunk, computed in plan.run(room, state, done):
+    for rows, chunk, computed in plan.run(room):
         part = Compensated(
             chunk.t, computed.ax, computed.dv, computed.u_ax, computed.flags, record.serial, plan.method
         )  # fmt: skip
@@ -482,13 +479,11 @@ class _Plan:
     limits: Limits | None
     flag: int
 
-    def run(
-        self, room: Callable[[slice], Step], state: Array | None = None, done: int = 0
-    ) -> Iterator[tuple[slice, Chunk, Step]]:
+    def run(self, room: Callable[[slice], Step]) -> Iterator[tuple[slice, Chunk, Step]]:
         """Compensate piece by piece. ``room`` gives the output arrays for some rows."""
-        state, work = init_state() if state is None else state, work_array()
+        state, work = init_state(), work_array()
         typical = self.record.median_step if self.record.kind == "rate" else 0.0
-        for rows, model in islice(self._pieces(), done, None):
+        for rows, model in self._pieces():
             chunk = _chunk(self.record, rows)
             computed = room(rows)
             run_kernel(model, state, chunk, self.record.kind, typical or 1.0, work, computed)

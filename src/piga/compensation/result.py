@@ -362,18 +362,6 @@ class Resampler:
         velocity, given = np.split(self._state[kernels.VELOCITY :], 2)
         return np.asarray(velocity - given)
 
-    def carried(self) -> dict[str, Any]:
-        """The state, for :meth:`go_on`."""
-        return {
-            "state": None if self._state is None else self._state.tolist(),
-            "marks": self._marks.tolist(),
-        }
-
-    def go_on(self, carried: dict[str, Any]) -> None:
-        """Continue from a stored state."""
-        self._state = None if carried["state"] is None else np.array(carried["state"])
-        self._marks = np.array(carried["marks"], dtype=np.int32)
-
     def push(self, t: ArrayLike, dv: ArrayLike) -> tuple[Array, Array]:
         """Add increments ``dv`` (n,) or (n, 3) [m/s] since the previous sample, at the times ``t`` (n,) [s].
 

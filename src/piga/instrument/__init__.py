@@ -1,7 +1,6 @@
 """The PIGA: parameters, exact motion, closed forms, regimes, the servo-loop twin, its readout."""
 
 from piga.instrument.motion.closed_form import closed_form, closed_form_turns, published_closed_form
-from piga.instrument.motion.function_input import propagate_function
 from piga.instrument.motion.sampled_motion import (
     SENSITIVITY_NAMES,
     Sensitivities,
@@ -40,7 +39,6 @@ __all__ = [
     "mean_rate",
     "propagate",
     "propagate_fleet",
-    "propagate_function",
     "propagate_increments",
     "propagate_rate",
     "propagate_segments",

@@ -1,4 +1,4 @@
-"""Increments, constant segments and functions of time against exact and independent motion."""
+"""Increments and constant segments against exact and independent motion."""
 
 from __future__ import annotations
 
@@ -10,17 +10,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import piga
-from piga.errors import ArgumentError
 from piga.instrument import (
     Instrument,
     closed_form,
-    propagate,
-    propagate_function,
     propagate_increments,
     propagate_segments,
 )
 from piga.units import G0
-from tests.instrument.motion.test_sampled_motion import dop853, refined
+from tests.instrument.motion.test_sampled_motion import dop853
 from tests.instrument.references import constant_cases
 
 INST = Instrument("0.8884 rad/s/g", "1 deg", 0.4)
@@ -134,51 +131,6 @@ def test_segments_agree_with_dop853_across_jumps():
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-11])
-def test_function_reaches_its_tolerance(smooth, tolerance):
-    t, reference = smooth
-    alpha = propagate_function(INST, t, force, tolerance=tolerance, max_step=1.0, vectorized=True)
-    assert np.abs(alpha - reference).max() < max(tolerance, 2e-12)
-    one_by_one = propagate_function(INST, t, force, tolerance=tolerance, max_step=1.0)
-    assert one_by_one == pytest.approx(alpha, abs=1e-12)
-
-
-@pytest.mark.compiled
-def test_function_is_of_sixth_order(smooth):
-    t, reference = smooth
-    errors = [
-        np.abs(propagate_function(INST, t, force, tolerance=1e3, max_step=h) - reference).max()
-        for h in (0.5, 0.25)
-    ]
-    assert math.log2(errors[0] / errors[1]) == pytest.approx(6.0, abs=0.5)
-
-
-@pytest.mark.compiled
-def test_function_of_constant_force_is_exact_whatever_the_step():
-    exact, _ = closed_form(INST, [0.0, 700.0], 0.3, 9.0, 2.0)
-    alpha = propagate_function(INST, [0.0, 700.0], lambda _: (0.3, 9.0, 2.0), max_step=700.0)
-    assert alpha == pytest.approx(exact, abs=1e-11)
-    assert np.array_equal(propagate_function(INST, [3.0], lambda _: (0.3, 9.0, 2.0)), [INST.alpha0])
-
-
-@pytest.mark.compiled
-def test_function_with_base_rate_agrees_with_samples():
-    t, f = np.array([0.0, 0.5, 1.0]), np.array([[1.0, 20.0, -3.0], [4.0, -10.0, 9.0], [7.0, -40.0, 21.0]])
-    omega = 0.02 * f[:, ::-1]
-    fine, fine_f = refined(t, f, 400)
-    samples = propagate(INST, fine, fine_f, refined(t, omega, 400)[1])[::400]
-    for k in (0, 1):
-        part = propagate_function(
-            Instrument(INST.scale_factor, INST.beta, float(samples[k])),
-            t[k : k + 2],
-            lambda s, k=k: f[k] + (s - t[k]) / 0.5 * (f[k + 1] - f[k]),
-            lambda s, k=k: omega[k] + (s - t[k]) / 0.5 * (omega[k + 1] - omega[k]),
-            tolerance=1e-12,
-        )
-        assert part[1] == pytest.approx(samples[k + 1], abs=1e-11)
-
-
-@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -196,15 +148,6 @@ def test_function_with_base_rate_agrees_with_samples():
         (lambda: propagate_segments(INST, [1.0, -2.0], np.zeros((2, 3))), "durations: -2.0 s at index 1"),
         (lambda: propagate_segments(INST, [1.0, math.nan], np.zeros((2, 3))), "durations: nan at index 1"),
         (lambda: propagate_segments(INST, [], np.zeros((0, 3))), "durations: shape"),
-        (lambda: propagate_function(INST, [0, 1], lambda _: (1, 2)), "f: does not return three numbers"),
-        (lambda: propagate_function(INST, [0, 1], lambda _: (1, math.nan, 3)), "f: returned .* at t = "),
-        (lambda: propagate_function(INST, [0, 1], lambda _: (1, 2, 3), vectorized=True), "f: does not return"),
-        (
-            lambda: propagate_function(INST, [0, 1], lambda _: (1, 2, 3), max_step=1e-9),
-            "max_step: 1e-09 s takes more",
-        ),
-        (lambda: propagate_function(INST, [0, 1], lambda _: (1, 2, 3), tolerance=0.0), "tolerance"),
-        (lambda: propagate_function(INST, [1, 0], lambda _: (1, 2, 3)), "t: 0.0 s at index 1"),
     ],
 )
 def test_bad_input_is_named(call, message):
@@ -212,69 +155,7 @@ def test_bad_input_is_named(call, message):
         call()
 
 
-@pytest.mark.compiled
-@pytest.mark.parametrize("jump", [0.1, 0.5, 0.500005, math.pi / 4, 0.99995])
-def test_function_passes_over_a_jump(jump):
-    before, after = (0.0, 50.0, 0.0), (0.0, 0.0, 50.0)
-    alpha = propagate_function(INST, [0.0, 1.0], lambda s: before if s < jump else after, tolerance=1e-9)
-    exact, _ = propagate_segments(INST, [jump, 1.0 - jump], [before, after])
-    assert alpha[1] == pytest.approx(exact[1], abs=1e-9)
-
-
-@pytest.mark.compiled
-def test_a_tolerance_that_noise_forbids_is_refused(monkeypatch):
-    monkeypatch.setattr("piga.instrument.motion.function_input._MOST_EVALUATIONS", 30_000)
-    with pytest.raises(piga.ArgumentError, match="cannot be reached at t = "):
-        propagate_function(INST, [0.0, 1.0], lambda s: (0.0, 50.0 * math.sin(1e18 * s), 0.0), tolerance=1e-12)
-
-
-@pytest.mark.compiled
-def test_function_is_called_less_often_than_by_dop853(smooth):
-    t, reference = smooth
-    calls = 0
-
-    def counted(at):
-        nonlocal calls
-        calls += np.size(at)
-        return force(at)
-
-    def slope(s, x):
-        nonlocal calls
-        calls += 1
-        u = INST.scale_factor * np.asarray(force(s))
-        return [u[0] + INST.tan_beta * (u[1] * math.sin(x[0]) - u[2] * math.cos(x[0]))]
-
-    alpha = propagate_function(INST, [t[0], t[-1]], counted, tolerance=1e-10, max_step=1.0, vectorized=True)
-    ours, calls = calls, 0
-    run = solve_ivp(slope, (t[0], t[-1]), [INST.alpha0], method="DOP853", rtol=1e-11, atol=1e-11)
-    assert abs(alpha[-1] - reference[-1]) <= abs(run.y[0, -1] - reference[-1]) + 1e-12
-    assert ours < 0.5 * calls
-
-
-@pytest.mark.compiled
-def test_function_far_from_time_zero_is_not_halved_for_the_rounding_of_time():
-    start = 1e6
-    calls = 0
-
-    def late(at):
-        nonlocal calls
-        calls += at.size
-        return force(at - start)
-
-    t = start + np.linspace(0.0, 3.0, 4)
-    near = propagate_function(INST, t - start, force, tolerance=1e-11, vectorized=True)
-    assert propagate_function(INST, t, late, tolerance=1e-11, vectorized=True) == pytest.approx(near, abs=1e-9)
-    assert calls <= 2 * 128 * 17
-
-
 CASE = Instrument("0.8884 rad/s/g", "74 arcsec", 0.3)
-
-
-def test_a_function_that_returns_no_numbers() -> None:
-    with pytest.raises(ArgumentError, match="f: does not return three numbers"):
-        propagate_function(CASE, [0.0, 1.0], lambda s: ["a", "b", "c"])
-    with pytest.raises(ArgumentError, match="which is not finite"):
-        propagate_function(CASE, [0.0, 1.0], lambda s: (math.nan, 0.0, 0.0))
 
 
 def test_segments_with_base_rate_are_closed_forms_one_after_the_other() -> None:

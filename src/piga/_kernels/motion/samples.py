@@ -148,8 +148,7 @@ def propagate_increments(
             edge_step(w, 1, min(2, m + follow), min(3, m + follow))
         if follow == 0:
             edge_step(w, m, max(m - 1, 1 - lead), max(m - 2, 1 - lead))
-        ahead = (t[end + 1 :], dv[end:], alpha[end + 1 :])
-        usable, turns, p, q = run_block(w, m, (turns, p, q), alpha[first + 1 : end + 1], ahead)
+        usable, turns, p, q = run_block(w, m, (turns, p, q), alpha[first + 1 : end + 1])
         if not usable:
             return first
         first += m
@@ -328,7 +327,7 @@ def propagate_samples(state: Array, alpha: Array, rate: Array, samples: MotionSa
     ``alpha`` is wanted).
     """
     w = np.empty(SIZE)
-    t, f = samples.t, samples.f
+    t = samples.t
     turns, p, q = state[0], state[1], state[2]
     n = t.size
     if alpha.size:
@@ -344,8 +343,7 @@ def propagate_samples(state: Array, alpha: Array, rate: Array, samples: MotionSa
         load_rates(samples, first, stop, w)
         if steps_from_samples(t[first:stop], samples.extra_mean[first : stop - 1], w, m) < m:
             return first
-        ahead = (t[stop:], f[stop:], alpha[stop:] if alpha.size else rate[stop:])
-        usable, turns, p, q = run_block(w, m, (turns, p, q), alpha[first + 1 : stop], ahead)
+        usable, turns, p, q = run_block(w, m, (turns, p, q), alpha[first + 1 : stop])
         if not usable:
             return first
         rates(w, rate[first:stop])

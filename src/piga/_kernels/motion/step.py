@@ -15,15 +15,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga._kernels import arithmetic as dd
 from piga._kernels.arithmetic import double_arctangent
-from piga._kernels.jit import Array, exact, inline, kernel, prefetch
+from piga._kernels.jit import Array, exact, inline, kernel
 
 BLOCK = 256
 HALF = BLOCK // 2
-_LINES = 3 * BLOCK // 8
 _PITCH = BLOCK + 8
 RATE_A, RATE_Y, RATE_Z = 0, _PITCH, 2 * _PITCH
 STEP_A, STEP_Y, STEP_Z = 3 * _PITCH, 4 * _PITCH, 5 * _PITCH
@@ -65,13 +63,11 @@ def transfer(w: Array, j: int, p: float, q: float) -> tuple[float, float]:
 
 
 @kernel
-def chain(w: Array, m: int, p: float, q: float, t: Array, f: Array, out: Array) -> None:
+def chain(w: Array, m: int, p: float, q: float) -> None:
     """Pairs at all samples of a block that starts with ``(p, q)``, not normalised.
 
     The second half of a full block is multiplied up as a matrix while the first half is applied to
-    a vector: two chains at once, each half as long. The multiply-adds of a chain wait for each other. Meanwhile
-    the data that the next block reads and writes are fetched from memory, a line of 64 bytes at a time: ``t``,
-    ``f``, ``out`` begin where that block does. Fetched all at once they would add 2 ns a sample.
+    a vector: two chains at once, each half as long.
     """
     w[PAIR_P], w[PAIR_Q] = p, q
     if m < BLOCK:
@@ -81,12 +77,6 @@ def chain(w: Array, m: int, p: float, q: float, t: Array, f: Array, out: Array) 
         return
     u, v, x, y = 1.0, 0.0, 0.0, 1.0
     for j in range(HALF):
-        if j < _LINES:
-            prefetch(f, 8 * j)
-        else:
-            prefetch(t, 8 * (j - _LINES))
-        if j % 4 == 0:
-            prefetch(out, 2 * j)
         p, q = transfer(w, j, p, q)
         u, v = transfer(w, HALF + j, u, v)
         x, y = transfer(w, HALF + j, x, y)
@@ -168,18 +158,16 @@ def close_block(w: Array, m: int, turns: float, alpha: Array) -> tuple[float, fl
 
 @kernel
 def run_block(
-    w: Array, m: int, start: tuple[float, float, float], alpha: Array, ahead: tuple[Array, Array, Array]
+    w: Array, m: int, start: tuple[float, float, float], alpha: Array
 ) -> tuple[bool, float, float, float]:
     """Pairs and angles (unless ``alpha`` is empty) of a block whose increments are in ``w``.
 
-    ``start``: turns, P, Q. The times, inputs and outputs ``ahead`` begin where the next block does, to be fetched
-    meanwhile.
+    ``start``: turns, P, Q.
     """
     turns, p, q = start
     if matrices(w, m) < m:
         return stepwise(w, m, turns, p, q, alpha)
-    t, f, out = ahead
-    chain(w, m, p, q, t, f, out)
+    chain(w, m, p, q)
     turns, p, q = close_block(w, m, turns, alpha)
     return True, turns, p, q
 
@@ -264,22 +252,6 @@ def advance(
     rest1 = double_arctangent(p1, q1)
     turns1 = turns + half_turns(x, A) + np.rint((rest + increment - rest1) / TWO_PI)
     return turns1, rest1, p1, q1
-
-
-@kernel
-def propagate_steps(steps: Array, until: NDArray[np.int64], state: Array, alpha: Array) -> None:
-    """Unwrapped angle [rad] after the first ``until[k]`` of the steps ``A, Y, Z`` (m, 3) [rad].
-
-    ``state``: turns, P, Q at the start.
-    """
-    turns, p, q = state[0], state[1], state[2]
-    rest = double_arctangent(p, q)
-    done = 0
-    for k in range(until.size):
-        for j in range(done, until[k]):
-            turns, rest, p, q = advance(turns, rest, p, q, steps[j, 0], steps[j, 1], steps[j, 2])
-        done = until[k]
-        alpha[k] = unwrapped(turns, rest)
 
 
 @exact
