@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import piga
-from piga._kernels.estimation.outliers import correct_samples
-from piga.calibration.fit.cleaning import leave_out
-from piga.calibration.fit.outliers import Misses, limit
-from piga.records import spool
+from piga.calibration.fit.outliers import Misses, errors_of_readings, leave_out, limit
 from piga.units import G0
 from tests.calibration.made.synthetic import BETA, SCALE, TERMS, TRUTH, errors, positions, record
 
@@ -167,63 +163,38 @@ def test_outliers_in_the_file(tmp_path) -> None:
     assert piga.Calibration.from_json(tmp_path / "c.json").outliers == calibration.outliers
 
 
-def drawn(seed: int, size: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Residual increments, breaks and marks, anywhere and at the ends."""
-    rng = np.random.default_rng(seed)
-    begins = rng.random(size) < 0.02
-    begins[0] = True
-    flags = rng.choice(np.array([0, 1, 2], dtype=np.int8), size, p=(0.6, 0.35, 0.05))
-    return np.where(begins, 0.0, rng.standard_normal(size)), begins, flags
+def test_errors_of_readings_come_back() -> None:
+    """Two jumps, spikes within and at the ends of stretches, a stretch without a good reading; residual angle linear in time."""
+    rng, size = np.random.default_rng(7), 400
+    begins, flags = np.isin(np.arange(size), (0, 120, 200, 203)), np.zeros(size, dtype=np.int8)
+    wrong = np.zeros(size)
+    flags[60], flags[150] = 2, 2
+    wrong[60:] += 0.3
+    wrong[150:] -= 1.2
+    bad = [0, 1, 30, 59, 61, 119, 120, 160, 399]
+    flags[bad] = 1
+    wrong[bad] += rng.standard_normal(len(bad))
+    flags[200:203] = 1
+    d = np.where(begins, 5.0, np.diff(wrong, prepend=0.0))
+    expected = np.where((np.arange(size) >= 200) & (np.arange(size) < 203), wrong[202], wrong)
+    edge = np.isin(np.arange(size), (0, 1, 119, 120, 399, 200, 201, 202))
+    result = errors_of_readings(d, begins, flags, np.zeros(0, dtype=np.int64))
+    np.testing.assert_allclose(result[~edge], expected[~edge], atol=1e-12)
+    np.testing.assert_allclose(result[[119, 399]], wrong[[119, 399]], atol=1e-12)
+    free = errors_of_readings(d, begins, flags, np.array([0, 200]))
+    np.testing.assert_allclose(free[210:398], 0.0, atol=1e-12)
 
 
-@pytest.mark.only_compiled
-@pytest.mark.parametrize("seed", range(20))
-def test_corrections_by_the_definition(seed: int) -> None:
-    """Stretch by stretch with NumPy's interpolation, jumps carried through the record."""
-    d, begins, flags = drawn(seed)
-    result = np.zeros(d.size)
-    correct_samples(d, begins, flags, result)
-    expected, shift = np.zeros(d.size), 0.0
-    edges = [*np.flatnonzero(begins).tolist(), d.size]
-    for start, stop in pairwise(edges):
-        angle, kind = np.cumsum(d[start:stop]), flags[start:stop]
-        own = np.zeros(angle.size)
-        for at in np.flatnonzero(kind == 2):
-            calm = np.flatnonzero(kind[:at] == 0)
-            if calm.size:
-                own[at:] += angle[at] - angle[calm[-1]]
-        good = np.flatnonzero(kind != 1)
-        wrong = shift + own
-        if good.size:
-            bad = np.flatnonzero(kind == 1)
-            wrong[bad] = shift + angle[bad] - np.interp(bad, good, angle[good] - own[good])
-        expected[start:stop] = wrong
-        shift += own[-1]
-    np.testing.assert_allclose(result, expected, atol=1e-12)
-
-
-@pytest.mark.only_compiled
-@pytest.mark.parametrize("seed", range(6))
-def test_what_is_left_out_does_not_depend_on_the_blocks(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    d, begins, flags = drawn(seed)
-    t = np.arange(d.size) * 0.1
-    run = piga.Run.from_arrays(t, np.cumsum(d) + t, np.ones((d.size, 3)), scale_factor=SCALE)
+def test_the_first_good_reading_begins_the_stretch() -> None:
+    begins, flags = np.isin(np.arange(12), (0, 5)), np.zeros(12, dtype=np.int8)
+    flags[[0, 5, 6]] = 1
+    run = piga.Run.from_arrays(0.1 * np.arange(12), np.arange(12.0), np.ones((12, 3)), scale_factor=SCALE)
     run = replace(run, begins=begins)
-    misses = Misses(d, np.where(begins, 0.0, 0.1), point=False)
-    whole, listed = leave_out(run, misses, flags)
-    monkeypatch.setattr(spool, "BLOCK", 7)
-    parts, again = leave_out(run, misses, flags)
-    assert listed == again
-    np.testing.assert_array_equal(whole.output, parts.output)
-    np.testing.assert_array_equal(whole.begins, parts.begins)
-    np.testing.assert_array_equal(whole.left_out, flags == 1)
-    assert whole.quality == parts.quality
-    assert whole.quality.masked - run.quality.masked == int((flags == 1).sum())
-    spikes = sum(o.samples for o in listed)
-    assert spikes == int((flags == 1).sum())
-    for start in np.flatnonzero(begins & (flags == 1)):
-        later = start + int(np.argmax(flags[start:] != 1))
-        assert whole.begins[later] or not (flags[start:] != 1).any()
+    cleaned, outliers = leave_out(run, Misses(np.zeros(12), np.full(12, 0.1), point=False), flags, free=False)
+    assert np.flatnonzero(cleaned.begins).tolist() == [0, 1, 5, 7]
+    assert np.flatnonzero(cleaned.left_out).tolist() == [0, 5, 6]
+    assert [outlier.samples for outlier in outliers] == [1, 2]
+    assert cleaned.quality.masked - run.quality.masked == 3
 
 
 @pytest.mark.only_compiled

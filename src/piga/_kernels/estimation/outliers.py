@@ -26,7 +26,8 @@ def scan_samples(
     predicts every sample. One that misses by more than ``limit`` standard deviations, and ``floor`` [rad], is
     left out and does not move the filter. A second filter follows the samples that are left out; when
     CONFIRM of them do, the angle has jumped and the second filter becomes the first. In a stretch shorter than that,
-    the majority decides: if more samples agree on the second level than on the first, the first ones are left out.
+    the majority decides: if more samples agree on the second level than on the first, the first ones are left out. Fewer
+    than CONFIRM samples before a jump of a stretch are left out too.
     """
     member = np.zeros(CONFIRM, dtype=np.int64)
     angle = level = variance = other = other_variance = 0.0
@@ -63,7 +64,7 @@ def scan_samples(
             if hits == CONFIRM:
                 for k in range(CONFIRM):
                     flags[member[k]] = 0
-                if accepted < 3:
+                if accepted < CONFIRM:
                     for k in range(begin, member[0]):
                         flags[k] = 1
                 flags[member[0]] = 2
@@ -103,50 +104,3 @@ def merge_rows(columns: Array, h: Array, left_out: NDArray[np.bool_]) -> None:
             if onward:
                 columns[j, i + 1] += columns[j, i]
             columns[j, i] = 0.0
-
-
-@kernel
-def correct_samples(d: Array, begins: NDArray[np.bool_], flags: NDArray[np.int8], wrong: Array) -> None:
-    """Error of every reading: jumps so far, and spikes relative to their good neighbours.
-
-    ``d`` (n,) are residual increments. A jump (flag 2) is the change of the residual angle since the last good sample. The
-    residual angle without jumps is linear between good samples of a stretch and constant outside them.
-    """
-    angle = shift = base = level = calm_angle = 0.0
-    good, calm, first = -1, False, 0
-    for i in range(d.size):
-        if begins[i]:
-            _close(wrong, first, good, i, level, base, shift)
-            angle, base, good, calm, first = 0.0, shift, -1, False, i
-        else:
-            angle += d[i]
-        if flags[i] == 1:
-            wrong[i] = angle
-            continue
-        if flags[i] == 0:
-            calm, calm_angle = True, angle
-        elif calm:
-            shift += angle - calm_angle
-        now = angle - (shift - base)
-        if good >= 0:
-            _bridge(wrong, good, i, level, now, base)
-        else:
-            _bridge(wrong, first - 1, i, now, now, base)
-        wrong[i], good, level = shift, i, now
-    _close(wrong, first, good, d.size, level, base, shift)
-
-
-@kernel
-def _bridge(wrong: Array, before: int, after: int, left: float, right: float, base: float) -> None:
-    """Error of samples between two good ones: residual angle ``wrong`` less the straight line."""
-    for k in range(before + 1, after):
-        wrong[k] += base - (left + (right - left) * (k - before) / (after - before))
-
-
-@kernel
-def _close(wrong: Array, first: int, good: int, stop: int, level: float, base: float, shift: float) -> None:
-    """Error at the end of a stretch, after its last good sample; a stretch without good samples keeps earlier jumps."""
-    if good >= 0:
-        _bridge(wrong, good, stop, level, level, base)
-    else:
-        wrong[first:stop] = shift

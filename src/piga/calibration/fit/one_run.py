@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from piga.calibration.fit.cleaning import leave_out
 from piga.calibration.fit.outliers import (
     find_flags,
     first_noise,
     is_misfit,
     is_too_many,
     later_noise,
+    leave_out,
     misses_of,
     resolution_of,
     robust_values,
@@ -185,7 +185,7 @@ def fit_run(
     for _ in range(FIT.rounds):
         if not flags.any() or is_misfit(run, misses, flags) or is_too_many(flags):
             return plain
-        cleaned, outliers = leave_out(run, misses, flags, raw, noise)
+        cleaned, outliers = leave_out(run, misses, flags, free=request.phases == "per-segment")
         fit.design.forget()
         fit = replace(_fit(cleaned, request), outliers=outliers)
         raw = raw.with_phase_of(fit.design)

@@ -1,14 +1,15 @@
-"""Gross errors of the output. They are detected against a robust fit and left out, sample by sample.
+"""Gross errors of the output: found against a robust fit and taken out of the record, sample by sample.
 
 One bad angle sample spoils two increments. A jump spoils only one. Therefore samples are judged, not increments. A
-spike is left out, and the increment spans it. A jump begins a new stretch. A stuck reading is left out
-for its whole length. The reference is assumed to be right.
+spike is left out, and the increment spans it. A jump is subtracted from all later readings, and a new stretch begins. A stuck
+reading is left out for its whole length. The reference is assumed to be right.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +22,17 @@ from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import Whitener, residual_increments
 from piga.errors import DataError
 from piga.reading.signal_checks import largest_size
+from piga.records.calibration import Event, Outlier
 from piga.records.run import Run
-from piga.records.spool import arrays_like, gathered, spans, steps
+from piga.records.spool import spans
 from piga.results import Array
 
 Flags = NDArray[np.int8]
 
 NORMAL_MEDIAN = 0.6745
 """Median size of a normal deviate of one."""
+NORMAL_QUARTER = 0.3186
+"""Size below which a quarter of normal deviates lie."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +46,14 @@ class OutlierSettings:
     least_refused: int = 100
     """Fewest samples of a record that is refused. In a shorter one nothing is left out instead: there the robust fit
     follows half of the samples too easily."""
-    robust_rows: int = 200_000
+    robust_rows: int = 100_000
     """Increments used by the robust fit."""
+    absolute_fits: int = 20
+    """Steps towards the least absolute residuals, before Tukey's weights."""
+    tukey_fits: int = 10
+    """Steps with Tukey's weights."""
+    tukey: float = 4.685
+    """Residual in standard deviations from which on Tukey's weight is zero."""
     narrow_core: float = 0.6
     """Ratio of core to spread of the residual increments below which bad samples are suspected; 1 for normal noise."""
     least_miss: float = 1e-7
@@ -62,8 +72,6 @@ class OutlierSettings:
     """Least motion of the reading within an increment of the robust fit [counts]."""
     parts_of_a_stretch: int = 8
     """Fewest such increments in a stretch."""
-    samples_for_motion: int = 4096
-    """Samples used to measure this motion."""
     median_samples: int = 500_000
     """Most increments used for a median."""
     stuck: int = 4
@@ -72,17 +80,6 @@ class OutlierSettings:
     """Most outliers listed one by one; all are counted."""
     named: int = 6
     """Most times named in an event."""
-    slip_cost: float = 5.0
-    """Chi-square that the choice of a counter slip must gain over wrong readings."""
-    wrong_cost: float = 20.0
-    """Chi-square that the choice of wrong readings must gain per share of their stretch. If the phases do not decide,
-    less than a quarter of a stretch is taken as wrong."""
-    judged: int = 100
-    """Most stretches with jumps for the comparison of phases, and most segments for its noise levels."""
-    sweeps: int = 5
-    """Rounds over all stretches."""
-    refits: int = 2
-    """Fits for the noise levels of this comparison."""
 
 
 OUTLIERS = OutlierSettings()
@@ -101,26 +98,22 @@ class Misses:
 
         Source: [Rousseeuw1987].
         """
-        formed = sum(int(np.count_nonzero(self.h[rows] > 0.0)) for rows in spans(self.h.size))
-        return 1.0 + 5.0 / max(formed - parameters, 1)
+        return 1.0 + 5.0 / max(int(np.count_nonzero(self.h > 0.0)) - parameters, 1)
 
     @property
     def step(self) -> float:
         """Usual interval [s]."""
-        return float(np.median(self._thinned(lambda rows: self.h[rows][self.h[rows] > 0.0])))
+        return float(np.median(_thinned(self.h[self.h > 0.0])))
 
     def sizes(self, flags: Flags | None = None) -> Array:
-        """Absolute residuals of formed increments, thinned to about ``median_samples``; with ``flags``, good ones only."""
+        """Absolute residuals of formed increments, thinned; with ``flags``, good ones only."""
+        usable = self.h > 0.0
+        return np.abs(_thinned(self.d[usable if flags is None else usable & (flags == 0)]))
 
-        def chosen(rows: slice) -> Array:
-            usable = self.h[rows] > 0.0
-            return np.abs(self.d[rows][usable if flags is None else usable & (flags[rows] == 0)])
 
-        return self._thinned(chosen)
-
-    def _thinned(self, part: Callable[[slice], Array]) -> Array:
-        every = max(1, self.d.size // OUTLIERS.median_samples)
-        return np.concatenate([part(rows)[::every].copy() for rows in spans(self.d.size)])
+def _thinned(values: Array) -> Array:
+    """About ``median_samples`` of the values at most."""
+    return values[:: max(1, values.size // OUTLIERS.median_samples)]
 
 
 def limit(count: int, parameters: int) -> float:
@@ -168,29 +161,29 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run, parameters
 
 
 def robust_values(design: Design) -> Array:
-    """Column coefficients (segments, m) of a fit that bad samples do not affect.
+    """Column coefficients (segments, m) of a fit that bad samples do not affect: iteratively reweighted least squares.
 
-    Least absolute residuals by reweighting. A spike spoils two increments by opposite amounts. Bad increments are
-    therefore symmetric for any spikes. Then the better half of the increments is fitted alone, twice.
+    The weights of the least absolute residuals come first, then Tukey's. A spike spoils two increments by opposite amounts.
+    Bad increments are therefore symmetric for any spikes. The spread is that of the best quarter of the increments, because more
+    than half of them may be bad.
     """
-    parts = _thinned(design)
-    every = np.concatenate([columns[-1] for _, columns in parts])
-    scale = float(np.median(np.abs(every - np.median(every)))) or 1.0
-    values = _weighted(design, parts, None, scale)
-    for _ in range(40):
-        values = _weighted(design, parts, values, scale)
-        size = np.concatenate([np.abs(_miss(columns, values[s])) for s, columns in parts])
-        smaller = float(np.quantile(size, 0.25)) / 3.0
-        if smaller <= 0.0 or smaller > 0.98 * scale:
-            break
-        scale = smaller
-    for _ in range(3):
-        bound = float(np.quantile(np.concatenate([np.abs(_miss(c, values[s])) for s, c in parts]), 0.4))
-        values = _trimmed(design, parts, values, max(bound, 1e-300))
+    parts = _parts(design)
+    values = _weighted(design, parts, [np.ones(columns.shape[1]) for _, columns in parts])
+    for step in range(OUTLIERS.absolute_fits + OUTLIERS.tukey_fits):
+        sizes = [np.abs(columns[-1] - values[s] @ columns[:-1]) for s, columns in parts]
+        spread = max(float(np.quantile(np.concatenate(sizes), 0.25)) / NORMAL_QUARTER, 1e-300)
+        if step < OUTLIERS.absolute_fits:
+            weights = [1.0 / np.sqrt(np.maximum(size, 0.1 * spread) / spread) for size in sizes]
+        else:
+            weights = [np.maximum(1.0 - (size / (OUTLIERS.tukey * spread)) ** 2, 0.0) for size in sizes]
+        try:
+            values = _weighted(design, parts, weights)
+        except np.linalg.LinAlgError:
+            return values
     return values
 
 
-def _thinned(design: Design) -> list[tuple[int, Array]]:
+def _parts(design: Design) -> list[tuple[int, Array]]:
     """Columns of about ``robust_rows`` increments at most, each divided by the root of its interval; with segments.
 
     If a reading mostly stays constant, its increments are joined first. Otherwise their median would be zero.
@@ -210,43 +203,22 @@ def _joined(run: Run) -> int:
     """Number of increments to join so that half of them move by ``moved_counts``; within a stretch."""
     least, starts = OUTLIERS.moved_counts * resolution_of(run), np.flatnonzero(run.begins)
     longest = int(np.median(np.diff(np.append(starts, run.size)))) // OUTLIERS.parts_of_a_stretch
-    at = np.unique(np.linspace(0, run.size - 1, OUTLIERS.samples_for_motion).astype(np.int64))
-    stretch = np.searchsorted(starts, at, side="right")
-    before, count = gathered(run.output, at), 1
+    count, home = 1, np.cumsum(run.begins)
     while least > 0.0 and 2 * count <= longest:
-        after = np.minimum(at + count, run.size - 1)
-        inside = (np.searchsorted(starts, after, side="right") == stretch) & (after > at)
-        if np.median(np.abs(gathered(run.output, after) - before)[inside]) >= least:
+        inside = home[count:] == home[:-count]
+        if np.median(_thinned(np.abs(run.output[count:] - run.output[:-count])[inside])) >= least:
             break
         count *= 2
     return count
 
 
-def _miss(columns: Array, values: Array) -> Array:
-    return columns[-1] - values @ columns[:-1]
-
-
-def _weighted(design: Design, parts: list[tuple[int, Array]], values: Array | None, scale: float) -> Array:
-    """One step towards the least absolute residuals; the first step starts from the nominal instrument."""
+def _weighted(design: Design, parts: list[tuple[int, Array]], weights: list[Array]) -> Array:
+    """Column coefficients (segments, m) of weighted least squares; ``weights`` are roots."""
     summaries = [Reduction.empty(design.names) for _ in design.run.labels]
-    for segment, columns in parts:
-        weight = np.ones(columns.shape[1])
-        if values is not None:
-            weight = 1.0 / np.sqrt(np.maximum(np.abs(_miss(columns, values[segment])), scale))
-        summaries[segment].absorb(columns * weight)
+    for (segment, columns), weight in zip(parts, weights, strict=True):
+        used = weight > 0.0
+        summaries[segment].absorb(np.ascontiguousarray(columns[:, used] * weight[used]))
     return solve(design, summaries).values
-
-
-def _trimmed(design: Design, parts: list[tuple[int, Array]], values: Array, bound: float) -> Array:
-    """Least squares of the increments with residuals up to ``bound``."""
-    summaries = [Reduction.empty(design.names) for _ in design.run.labels]
-    for segment, columns in parts:
-        near = np.abs(_miss(columns, values[segment])) <= bound
-        summaries[segment].absorb(np.ascontiguousarray(columns[:, near]))
-    try:
-        return solve(design, summaries).values
-    except np.linalg.LinAlgError:
-        return values
 
 
 def misses_of(design: Design, values: Array) -> Misses:
@@ -260,7 +232,7 @@ def first_noise(misses: Misses, parameters: int) -> Noise:
 
     If equal readings give a core of no width, the smallest error of a bad sample replaces it.
     """
-    core = float(np.quantile(misses.sizes(), 0.25)) / 0.3186 * misses.small_sample(parameters)
+    core = float(np.quantile(misses.sizes(), 0.25)) / NORMAL_QUARTER * misses.small_sample(parameters)
     sigma = max(core, OUTLIERS.least_miss)
     if misses.point:
         return Noise(0.0, sigma**2)
@@ -273,15 +245,10 @@ def later_noise(misses: Misses, noise: Noise, flags: Flags, parameters: int) -> 
     if misses.point:
         good = misses.sizes(flags)
         return Noise(0.0, (float(np.median(good)) / NORMAL_MEDIAN * widened) ** 2)
-    whitener = Whitener("increments", noise, 1)
-    every = max(1, misses.d.size // OUTLIERS.median_samples)
-    whitened = [np.zeros(0)]
-    for rows in spans(misses.d.size):
-        d, h = misses.d[rows].copy()[None, :], misses.h[rows].copy()
-        d[:, flags[rows] == 2], h[flags[rows] == 2] = 0.0, 0.0
-        merge_rows(d, h, flags[rows] == 1)
-        whitened.append(np.abs(whitener.apply_columns(d, h)[0][h > 0.0][::every]))
-    shown = np.concatenate(whitened)
+    d, h = misses.d[None, :].copy(), misses.h.copy()
+    d[:, flags == 2], h[flags == 2] = 0.0, 0.0
+    merge_rows(d, h, flags == 1)
+    shown = np.abs(_thinned(Whitener("increments", noise, 1).apply_columns(d, h)[0][h > 0.0]))
     core = float(np.median(shown)) / NORMAL_MEDIAN * widened if shown.size else 1.0
     factor = min(max(core, 0.2), 1.0) ** 2
     return Noise(noise.white * factor, noise.walk * factor)
@@ -289,15 +256,13 @@ def later_noise(misses: Misses, noise: Noise, flags: Flags, parameters: int) -> 
 
 def find_flags(misses: Misses, noise: Noise, resolution: float, parameters: int) -> Flags:
     """0 good, 1 left out, 2 first after a jump, for every sample."""
-    flags: Flags = arrays_like(misses.d).zeros(misses.d.size, np.int8)
     bound = limit(misses.d.size, parameters)
     if misses.point:
         largest = max(bound * float(np.sqrt(noise.walk)), OUTLIERS.least_miss)
-        for rows in spans(flags.size):
-            flags[rows] = np.abs(misses.d[rows]) > largest
-    else:
-        floor = max(OUTLIERS.least_counts * resolution, OUTLIERS.least_miss)
-        scan_samples(misses.d, misses.h, noise.white, noise.walk, bound, floor, flags)
+        return (np.abs(misses.d) > largest).astype(np.int8)
+    flags: Flags = np.zeros(misses.d.size, np.int8)
+    floor = max(OUTLIERS.least_counts * resolution, OUTLIERS.least_miss)
+    scan_samples(misses.d, misses.h, noise.white, noise.walk, bound, floor, flags)
     return flags
 
 
@@ -307,14 +272,9 @@ def is_misfit(run: Run, misses: Misses, flags: Flags) -> bool:
     A bad reading changes the sign of the residual from increment to increment, or not at all. If the residuals keep one
     sign while the reading moves, a motion is missing in the model.
     """
-    count = alike = 0
-    for part in spans(flags.size):
-        rows = slice(max(part.start - 1, 0), part.stop)
-        moves = (steps(run.output, rows) != 0.0) & (flags[rows] == 1) & (misses.h[rows] > 0.0)
-        pairs = moves[1:] & moves[:-1]
-        sign = np.sign(misses.d[rows])
-        count += int(pairs.sum())
-        alike += int(np.count_nonzero((sign[1:] == sign[:-1]) & pairs))
+    moves = (np.diff(run.output, prepend=run.output[0]) != 0.0) & (flags == 1) & (misses.h > 0.0)
+    pairs, sign = moves[1:] & moves[:-1], np.sign(misses.d)
+    count, alike = int(pairs.sum()), int(np.count_nonzero((sign[1:] == sign[:-1]) & pairs))
     fewest = max(OUTLIERS.misfit_least, int(OUTLIERS.misfit_part * flags.size))
     return count > min(OUTLIERS.misfit_pairs, fewest) and alike > OUTLIERS.misfit_share * count
 
@@ -327,7 +287,7 @@ def is_too_many(flags: Flags) -> bool:
     DataError
         For a longer record. Gives the share.
     """
-    share = count_flags(flags, 1) / flags.size
+    share = float(np.mean(flags == 1))
     if share > OUTLIERS.largest_share and flags.size >= OUTLIERS.least_refused:
         raise DataError(
             f"{100.0 * share:.0f} % of the samples contradict the reference; at most "
@@ -338,16 +298,148 @@ def is_too_many(flags: Flags) -> bool:
     return share > OUTLIERS.largest_share
 
 
-def count_flags(flags: Flags, kind: int) -> int:
-    """Number of samples with a flag."""
-    return sum(int(np.count_nonzero(flags[part] == kind)) for part in spans(flags.size))
-
-
 def resolution_of(run: Run) -> float:
     """Angle of one count, as stated in the record or as seen from repeated readings."""
     if run.resolution > 0.0 or run.kind == "rate":
         return run.resolution
-    every = max(1, run.size // OUTLIERS.median_samples)
-    sizes = np.concatenate([np.abs(steps(run.output, part)[::every]) for part in spans(run.size)])
+    sizes = np.abs(_thinned(np.diff(run.output)))
     moved = sizes[sizes > 0.0]
     return float(np.quantile(moved, 0.01)) if moved.size and moved.size < 0.95 * sizes.size else 0.0
+
+
+def leave_out(run: Run, misses: Misses, flags: Flags, *, free: bool) -> tuple[Run, tuple[Outlier, ...]]:
+    """The record without bad samples, and the outliers.
+
+    The output of bad samples is replaced by the prediction of the model; only the phase of the coupling uses it. A jump
+    is subtracted from all later samples, and a new stretch begins there. ``free``: each segment has a phase of its own, so
+    no jump reaches into the next segment.
+    """
+    anew = run.segment_edges()[:-1] if free else np.zeros(0, dtype=np.int64)
+    wrong = (
+        np.where(flags == 0, 0.0, misses.d)
+        if misses.point
+        else errors_of_readings(misses.d, run.begins, flags, anew)
+    )
+    left_out, begins = flags == 1, run.begins | (flags == 2)
+    good, starts = np.flatnonzero(~left_out), np.flatnonzero(begins & left_out)
+    later = np.searchsorted(good, starts)
+    begins[good[later[later < good.size]]] = True
+    outliers, counts, at_gap = _findings(run, flags, wrong)
+    count = int(left_out.sum())
+    quality = replace(
+        run.quality,
+        used=run.quality.used - count,
+        masked=run.quality.masked + count,
+        events=(*run.quality.events, *_events(outliers, counts, at_gap)),
+    )
+    return replace(run, output=run.output - wrong, begins=begins, left_out=left_out, quality=quality), outliers
+
+
+def errors_of_readings(d: Array, begins: NDArray[np.bool_], flags: Flags, anew: NDArray[np.int64]) -> Array:
+    """Error of every reading (n,) [rad]: the jumps so far, and spikes relative to their good neighbours.
+
+    ``d`` (n,) are residual increments. A jump (flag 2) is the change of the residual angle since the last good sample. The
+    residual angle without jumps is linear between good samples of a stretch and constant outside them. From the rows
+    ``anew`` on no earlier jump counts.
+    """
+    wrong, shift = np.zeros(d.size), 0.0
+    starts = np.union1d(np.flatnonzero(begins), np.append(0, anew))
+    fresh = np.isin(starts, anew)
+    for k, (start, stop) in enumerate(pairwise([*starts.tolist(), d.size])):
+        shift = 0.0 if fresh[k] else shift
+        kind = flags[start:stop]
+        if not kind.any():
+            wrong[start:stop] = shift
+            continue
+        angle, jumped = np.cumsum(d[start:stop]) - d[start], np.zeros(stop - start)
+        calm, good, bad = np.flatnonzero(kind == 0), np.flatnonzero(kind != 1), np.flatnonzero(kind == 1)
+        for at in np.flatnonzero(kind == 2):
+            before = int(np.searchsorted(calm, at)) - 1
+            if before >= 0:
+                jumped[at:] += angle[at] - angle[calm[before]] - (jumped[at] - jumped[calm[before]])
+        wrong[start:stop] = shift + jumped
+        if good.size:
+            wrong[start + bad] = shift + angle[bad] - np.interp(bad, good, angle[good] - jumped[good])
+        shift += float(jumped[-1])
+    return wrong
+
+
+def _findings(
+    run: Run, flags: Flags, wrong: Array
+) -> tuple[tuple[Outlier, ...], dict[str, int], tuple[Outlier, ...]]:
+    """Runs of bad samples and jumps in order of time (at most ``listed``), and the number of jumps and samples by kind.
+
+    The last result lists the runs at a gap, with readings on its other side. A slip of the counter looks the same.
+    """
+    outliers: list[Outlier] = []
+    at_gap: list[Outlier] = []
+    counts: dict[str, int] = {}
+    for start, stop in _runs(flags):
+        kind, size = _judge(run, flags, wrong, start, stop)
+        if kind == "jump" and size == 0.0:
+            continue
+        counts[kind] = counts.get(kind, 0) + (1 if kind == "jump" else stop - start)
+        if len(outliers) < OUTLIERS.listed:
+            samples = 0 if kind == "jump" else stop - start
+            outliers.append(Outlier(kind, float(run.t[start]), int(run.row[start]), samples, size))
+            ends, starts = stop < flags.size and run.begins[stop], start > 0 and run.begins[start]
+            if kind == "spike" and (ends or starts):
+                at_gap.append(outliers[-1])
+    return tuple(outliers), counts, tuple(at_gap)
+
+
+def _runs(flags: Flags) -> Iterator[tuple[int, int]]:
+    """First row and end row of every run of bad samples and of every jump."""
+    edges = np.append(np.flatnonzero((np.diff(flags, prepend=np.int8(0)) != 0) | (flags == 2)), flags.size)
+    for start, stop in pairwise(edges.tolist()):
+        if flags[start]:
+            yield start, stop
+
+
+def _judge(run: Run, flags: Flags, wrong: Array, start: int, stop: int) -> tuple[str, float]:
+    """Kind of a run of bad samples or of a jump, and its size [rad, rad/s]."""
+    if flags[start] == 2:
+        good = np.flatnonzero(flags[max(0, start - 1000) : start] != 1)
+        before = float(wrong[max(0, start - 1000) + good[-1]]) if good.size else 0.0
+        return "jump", float(abs(wrong[start] - before))
+    size = float(np.abs(wrong[start:stop] - wrong[max(start - 1, 0)]).max())
+    if stop - start < OUTLIERS.stuck:
+        return "spike", size
+    still = float((np.diff(run.output[max(start - 1, 0) : stop]) == 0.0).mean())
+    return "stuck" if still > 0.5 else "spike", size
+
+
+_WORDS = {
+    "spike": "samples off the path of the output are left out",
+    "stuck": "samples during which the output stood still are left out",
+    "jump": "no increment is formed across it, and all later readings are corrected by it. If only the readings before or "
+    "after it are wrong, the phase after it is another one: phases = 'per-segment' shows it",
+}
+
+
+def _events(outliers: tuple[Outlier, ...], counts: dict[str, int], at_gap: tuple[Outlier, ...]) -> list[Event]:
+    """Events for the findings, by kind. ``at_gap`` are spikes at a gap."""
+    events = []
+    for kind, text in _WORDS.items():
+        those = [outlier for outlier in outliers if outlier.kind == kind]
+        if those:
+            times = ", ".join(f"{outlier.time:.6g}" for outlier in those[: OUTLIERS.named])
+            more = " and more" if counts[kind] > sum(max(o.samples, 1) for o in those[: OUTLIERS.named]) else ""
+            also = _perhaps_a_slip(at_gap) if kind == "spike" else ""
+            events.append(
+                Event(f"outlier-{kind}", counts[kind], those[0].row, f"t = {times}{more} s: {text}{also}")
+            )
+    return events
+
+
+def _perhaps_a_slip(at_gap: tuple[Outlier, ...]) -> str:
+    """Remark on spikes at a gap."""
+    if not at_gap:
+        return ""
+    listed = ", ".join(f"{one.samples} from t = {one.time:.6g} s" for one in at_gap[: OUTLIERS.named])
+    more = " and more" if len(at_gap) > OUTLIERS.named else ""
+    return (
+        f". The readings at a gap ({listed}{more}) are too few to separate wrong readings "
+        "from a slip of the counter. If the counter slipped, the phase after it is another one: "
+        "phases = 'per-segment' shows it"
+    )
