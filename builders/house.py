@@ -1,0 +1,108 @@
+"""Print the measures of the house: lines, files, imports, names, and the walk of one calibration.
+
+``python builders/house.py`` (with ``PYTHONPATH=src`` for the sources of a checkout). The walk counts the files and
+functions of piga that one ``piga.calibrate(run)`` of the shipped record enters. Compiled kernels are not counted.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from pathlib import Path
+from types import CodeType, FrameType
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "src" / "piga"
+GOALS = {
+    "lines": 44_000,
+    "files": 180,
+    "builders + benchmarks": 2_300,
+    "tests": 30_000,
+    "imports": 4.0,
+    "names": 900,
+    "walk": (22, 200),
+}
+
+
+def python_files(folder: Path) -> list[Path]:
+    """All Python files below a folder."""
+    return sorted(folder.rglob("*.py"))
+
+
+def lines(folder: Path) -> int:
+    """Physical lines of all Python files below a folder."""
+    return sum(path.read_text("utf-8").count("\n") for path in python_files(folder))
+
+
+def docstring_lines(tree: ast.Module) -> int:
+    """Lines of the docstrings of a module, its classes and functions."""
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    firsts = [
+        node.body[0]
+        for node in ast.walk(tree)
+        if isinstance(node, kinds) and node.body and ast.get_docstring(node)
+    ]
+    return sum((first.end_lineno or first.lineno) - first.lineno + 1 for first in firsts)
+
+
+def own_imports(tree: ast.Module) -> int:
+    """Modules of piga that a module imports."""
+    from_names = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
+    return sum(name.split(".")[0] == "piga" for name in from_names)
+
+
+def public_names(tree: ast.Module) -> int:
+    """Public functions and classes at the level of a module."""
+    kinds = (ast.FunctionDef, ast.ClassDef)
+    return sum(isinstance(node, kinds) and not node.name.startswith("_") for node in tree.body)
+
+
+def walk() -> tuple[int, int]:
+    """Files and functions of piga that one calibration of the shipped record enters."""
+    import piga  # noqa: PLC0415 (the other measures need no package)
+
+    entered: set[CodeType] = set()
+
+    def enter(frame: FrameType, event: str, _: object) -> None:
+        if event == "call" and "piga" in frame.f_code.co_filename and not frame.f_code.co_name.startswith("<"):
+            entered.add(frame.f_code)
+
+    run = piga.example_run()
+    sys.setprofile(enter)
+    piga.calibrate(run)
+    sys.setprofile(None)
+    place = str(Path(piga.__file__).parent)
+    inside = [code for code in entered if code.co_filename.startswith(place)]
+    return len({code.co_filename for code in inside}), len(inside)
+
+
+def main() -> None:
+    """Print the table."""
+    files = python_files(SOURCE)
+    trees = [ast.parse(path.read_text("utf-8")) for path in files]
+    total = lines(SOURCE)
+    filled = [tree for tree in trees if own_imports(tree)]
+    rows = [
+        ("lines of src/piga", total, GOALS["lines"]),
+        ("files of src/piga", len(files), GOALS["files"]),
+        ("share of docstring lines [%]", round(100 * sum(map(docstring_lines, trees)) / total), "20 to 25"),
+        (
+            "builders + benchmarks",
+            lines(ROOT / "builders") + lines(ROOT / "benchmarks"),
+            GOALS["builders + benchmarks"],
+        ),
+        ("lines of tests", lines(ROOT / "tests"), GOALS["tests"]),
+        (
+            "imports of own modules per file",
+            round(sum(map(own_imports, trees)) / len(filled), 1),
+            GOALS["imports"],
+        ),
+        ("public names of modules", sum(map(public_names, trees)), GOALS["names"]),
+        ("files, functions walked by calibrate", walk(), GOALS["walk"]),
+    ]
+    for name, value, goal in rows:
+        print(f"| {name} | {value} | {goal} |")
+
+
+if __name__ == "__main__":
+    main()
