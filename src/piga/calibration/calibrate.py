@@ -59,7 +59,6 @@ from piga.calibration.model.identifiability import (
     refuse_useless,
     remarks_in_words,
 )
-from piga.calibration.model.reduction import beside
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import Solution, name_coefficients, principal, solve
 from piga.calibration.noise.weighting import weighting_mode
@@ -185,24 +184,23 @@ def _calibration(
         refuse_useless(coefficients, largest_size(run.f), _range(run.t), spread)
     except (IdentifiabilityError, DataError) as error:
         raise with_advice(error, advise(run, request)) from None
-    with beside(run.size) as other:
-        residuals = other.submit(find_residuals, fit.design, fit.solution.values, fit.noise, fit.mode)
-        candidates = Candidates(without_slow(fit))
-        steps("adding up the budget")
-        budget = make_budget(fit, coefficients, covariance, steps)
-        doubts = left_out_terms(candidates, coefficients)
-        for doubt in doubts:
-            budget = budget.with_row(doubt.row(coefficients))
-        type_a, whole = budget.covariances(covariance)
-        degrees = type_a_degrees(fit) * share_of_type_a(type_a, covariance)
-        covariance = whole
-        coefficients = combined(coefficients, covariance, budget.rows, degrees)
-        steps("checking the intervals")
-        coefficients, monte_carlo = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
-        steps("looking for missing terms")
-        said = find_remarks(fit, candidates, coefficients)
-        history = _history(fit) if request.method == "recursive" else None
-        examined = _examined(fit, residuals.result())
+    residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
+    candidates = Candidates(without_slow(fit))
+    steps("adding up the budget")
+    budget = make_budget(fit, coefficients, covariance, steps)
+    doubts = left_out_terms(candidates, coefficients)
+    for doubt in doubts:
+        budget = budget.with_row(doubt.row(coefficients))
+    type_a, whole = budget.covariances(covariance)
+    degrees = type_a_degrees(fit) * share_of_type_a(type_a, covariance)
+    covariance = whole
+    coefficients = combined(coefficients, covariance, budget.rows, degrees)
+    steps("checking the intervals")
+    coefficients, monte_carlo = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
+    steps("looking for missing terms")
+    said = find_remarks(fit, candidates, coefficients)
+    history = _history(fit) if request.method == "recursive" else None
+    examined = _examined(fit, residuals)
     notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, examined.scatter)
     result = _assemble(run, fit, coefficients, covariance, budget.rows, examined, notes, history)
     result = replace(result, remarks=remarks_in_words(coefficients, request.phases))

@@ -151,10 +151,10 @@ def test_terms_that_cannot_differ_between_runs(runs: list[piga.Run], name: str, 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d["parts"][0]["weight"][0].pop(), "its summaries are damaged"),
-        (lambda d: d["parts"][0]["unit"].pop(), "its summaries are damaged"),
+        (lambda d: d["parts"][0]["factor"][0].pop(), "its summaries are damaged"),
+        (lambda d: d["parts"][0]["factor"].pop(), "its summaries are damaged"),
         (lambda d: d["parts"][0]["names"].__setitem__(0, "speed"), "its summaries are damaged"),
-        (lambda d: d["parts"][0]["weight"][0].__setitem__(0, -1.0), "its summaries are damaged"),
+        (lambda d: d["parts"][0]["factor"][1].__setitem__(0, -1.0), "its summaries are damaged"),
         (lambda d: d["parts"][0].__setitem__("count", -1), "its summaries are damaged"),
         (lambda d: d["parts"].append(d["parts"][0]), "its summaries are damaged"),
         (lambda d: d.pop("noise"), "not a valid run summary"),

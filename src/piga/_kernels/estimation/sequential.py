@@ -1,11 +1,7 @@
-"""Estimates that take a record row by row: orthogonal (square-root) reduction, and recursions one sample at a time.
+"""Estimates that take a record row by row: least squares by Givens rotations, and the recursion of the literature.
 
 The factor ``R`` of the augmented matrix ``[X | y]`` is a fixed-size summary. The last column contains
 ``Q'y``, and its last diagonal element is the norm of the residual.
-
-Long blocks are reduced by Householder reflections in double precision. Square-root-free rotations (Gentleman 1973, AS 75)
-combine the results and short blocks in double-double. So the result does not depend on how the rows were split. There are
-two recursions: that of the literature, and least squares by Givens rotations.
 """
 
 from __future__ import annotations
@@ -15,54 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels import arithmetic as dd
-from piga._kernels.jit import Array, exact, kernel, reducing_kernel
-
-NOTHING = 1e-29
-"""Share of an element below which a remainder is double-double rounding."""
-SMALLEST = 1e-250
-"""Squared column size below which a column is only rounding; equal columns leave ever smaller remainders."""
-
-
-@reducing_kernel
-def _dot(a: Array, b: Array) -> float:
-    total = 0.0
-    for i in range(a.size):
-        total += a[i] * b[i]
-    return total
-
-
-@reducing_kernel
-def _axpy(factor: float, a: Array, b: Array) -> None:
-    for i in range(a.size):
-        b[i] += factor * a[i]
-
-
-@kernel
-def absorb(R: Array, block: Array) -> None:
-    """Reduce ``block`` (m, n), one column of the data matrix per row, into ``R`` (m, m) in place.
-
-    Householder reflections on ``[R; block']``: column j of the stacked matrix has the one element
-    ``R[j, j]`` on top. The block is used as workspace. R is not scaled: columns may have any size.
-    """
-    m = R.shape[0]
-    for j in range(m):
-        column = block[j]
-        below = _dot(column, column)
-        alpha = R[j, j]
-        square = alpha * alpha + below
-        if below == 0.0 or square < SMALLEST:
-            continue
-        norm = math.sqrt(square)
-        if alpha > 0.0:
-            norm = -norm
-        top = alpha - norm
-        factor = 1.0 / (norm * top)
-        for k in range(j + 1, m):
-            projection = (top * R[j, k] + _dot(column, block[k])) * factor
-            R[j, k] += top * projection
-            _axpy(projection, column, block[k])
-        R[j, j] = norm
+from piga._kernels.jit import Array, kernel
 
 
 @kernel
@@ -97,57 +46,6 @@ def absorb_rows(R: Array, columns: Array, marks: NDArray[np.int64], snapshots: A
         while mark < marks.size and marks[mark] == i + 1:
             snapshots[mark] = R
             mark += 1
-
-
-@exact
-def gather(weight: Array, unit: Array, rows: Array, row_weight: Array) -> None:
-    """Gather ``rows`` (2, n, m) of weights ``row_weight`` (2, n) into ``U' W U``, all in double-double.
-
-    Numbers are high and low parts; the rows are used as workspace. ``weight`` (2, m) is W, ``unit``
-    (2, m, m) the unit upper triangular U; ``R = sqrt(W) U`` is the triangular factor. For each row x of
-    weight w and each pivot j: ``W' = W + w x_j^2``, ``x_k -= x_j U_jk``, ``U_jk += (w x_j / W') x_k``, ``w' = w W / W'``.
-    A remainder below the carried digits is set to zero. As a pivot it would spread over the later columns.
-    """
-    n, m = rows.shape[1], rows.shape[2]
-    for i in range(n):
-        row, low = rows[0, i], rows[1, i]
-        w = (row_weight[0, i], row_weight[1, i])
-        if w[0] == 0.0:
-            continue
-        for j in range(m):
-            x = (row[j], low[j])
-            if x[0] == 0.0 and x[1] == 0.0:
-                continue
-            wx = dd.multiply(w, x)
-            old = (weight[0, j], weight[1, j])
-            new = dd.add(old, dd.multiply(wx, x))
-            if new[0] <= 0.0:
-                continue
-            weight[0, j], weight[1, j] = new
-            gain = dd.divide(wx, new)
-            for k in range(j + 1, m):
-                u = (unit[0, j, k], unit[1, j, k])
-                product = dd.multiply(x, u)
-                rest = dd.add((row[k], low[k]), (-product[0], -product[1]))
-                if abs(rest[0]) < NOTHING * abs(row[k]):
-                    rest = (0.0, 0.0)
-                row[k], low[k] = rest
-                unit[0, j, k], unit[1, j, k] = dd.add(u, dd.multiply(gain, rest))
-            if old[0] == 0.0:
-                break
-            w = dd.divide(dd.multiply(w, old), new)
-
-
-@exact
-def back_substitute(unit: Array, solution: Array) -> None:
-    """Solve ``U x = y`` in double-double; ``unit`` (2, m + 1, m + 1) unit upper triangular, y its last column."""
-    m = solution.shape[1]
-    for i in range(m - 1, -1, -1):
-        x = (unit[0, i, m], unit[1, i, m])
-        for k in range(i + 1, m):
-            product = dd.multiply((unit[0, i, k], unit[1, i, k]), (solution[0, k], solution[1, k]))
-            x = dd.add(x, (-product[0], -product[1]))
-        solution[0, i], solution[1, i] = x
 
 
 @kernel

@@ -48,8 +48,8 @@ def recursive_history(design: Design, mode: str, noise: Noise) -> Iterator[tuple
         snapshots = np.empty((inside.size, size, size))
         absorb_rows(factor, columns, inside - block.start, snapshots)
         for mark, snapshot in zip(inside, snapshots, strict=True):
-            yield int(mark), [*summaries[:-1], Reduction.of_factor(design.names, snapshot, size)]
-        summaries[-1] = Reduction.of_factor(design.names, factor, size)
+            yield int(mark), [*summaries[:-1], Reduction.of_rows(design.names, snapshot, size)]
+        summaries[-1] = Reduction.of_rows(design.names, factor, size)
 
 
 X0 = (4.5e-3, 0.4)

@@ -1,6 +1,6 @@
 """Summary of a run in fixed size: its reduction, which can be merged with other runs without the raw data.
 
-On disk a summary has the schema ``piga.run-summary/1``: exact, readable, checked when read.
+On disk a summary has the schema ``piga.run-summary/2``: exact, readable, checked when read.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ STATIC_TERMS = (
     *SERVO_TERMS,
 )  # fmt: skip
 """Columns of a stored summary besides the requested harmonics; with temperature also the temperature columns."""
-SCHEMA = "piga.run-summary/1"
+SCHEMA = "piga.run-summary/2"
 MOST_SUMMARY_BYTES = 256 << 20
 LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
 """Terms that the fit for the noise levels leaves out last."""
@@ -160,7 +160,7 @@ class RunSummary(Result):
         return summarise(live, all_columns(run, live.request))
 
     def to_json(self, path: str | Path) -> None:
-        """Write the summary (schema ``piga.run-summary/1``): exact, all digits of the double-double sums.
+        """Write the summary (schema ``piga.run-summary/2``): exact.
 
         Infinite degrees of freedom are null.
         """
@@ -481,9 +481,9 @@ def _whole(parts: tuple[Reduction, ...], groups: int) -> bool:
     """True if there are ``groups`` reductions, each with known columns and finite factors of the right size."""
     for part in parts:
         size = len(part.names) + 1
-        fits = part.weight.shape == (2, size) and part.unit.shape == (2, size, size) and part.count >= 0
+        fits = part.factor.shape == (size, size) and part.count >= 0
         known = all(name in ("p", "q", *PHASELESS) or check_name(name) for name in part.names)
-        finite = np.isfinite(part.weight).all() and np.isfinite(part.unit).all()
-        if not (fits and known and finite and (part.weight[0] >= 0.0).all()):
+        finite = np.isfinite(part.factor).all() and not np.tril(part.factor, -1).any()
+        if not (fits and known and finite):
             return False
     return len(parts) == groups

@@ -28,7 +28,6 @@ from piga._kernels.estimation.regressors import (
     servo_columns,
     smooth_bows,
 )
-from piga.calibration.model.reduction import workers
 from piga.calibration.model.request import Request, phase_angle
 from piga.errors import DataError
 from piga.instrument.twin.linear import ServoParameters, servo_terms
@@ -120,8 +119,6 @@ class DesignSettings:
     order. Its error is then below ``bend^2/4`` of tan_beta."""
     most_change: float = 0.5
     """Largest relative change of K inside the regressors. Above it the model does not fit the record."""
-    threads: int = 2
-    """Threads that fill blocks."""
     joined_rows: int = 4096
     """Most joined intervals, about (:meth:`Design.joined`)."""
     joined_turn: float = 0.3
@@ -272,17 +269,13 @@ class Design:
         return result
 
     def blocks(self) -> Iterator[Block]:
-        """All blocks in order, built in advance on other threads."""
+        """All blocks in order."""
         keep = self.run.size * (len(self.names) + 2) * 8 <= DESIGN.cache_bytes
-        with workers(self.run.size, DESIGN.threads) as pool:
-            pending = []
-            for index in range(len(self._ranges)):
-                built = self._cache.get(index)
-                pending.append(built if built is not None else pool.submit(self._build, index))
-                if len(pending) > DESIGN.threads + 1:
-                    yield self._take(pending.pop(0), keep)
-            for item in pending:
-                yield self._take(item, keep)
+        for index in range(len(self._ranges)):
+            block = self._cache.get(index) or self._build(index)
+            if keep:
+                self._cache[index] = block
+            yield block
 
     def joined(self) -> list[Joined]:
         """All blocks with neighbouring intervals joined, so that there are some ``joined_rows``; kept, because they are few."""
@@ -310,15 +303,7 @@ class Design:
         self._cache.clear()
         self._joined = []
 
-    def _take(self, item: object, keep: bool) -> Block:
-        if isinstance(item, Block):
-            return item
-        index, block = item.result()  # type: ignore[attr-defined]
-        if keep:
-            self._cache[index] = block
-        return block
-
-    def _build(self, index: int) -> tuple[int, Block]:
+    def _build(self, index: int) -> Block:
         start, stop, segment = self._ranges[index]
         trim()
         first = start if self.point else max(start - 1, 0)
@@ -339,7 +324,7 @@ class Design:
             self._fill_servo(columns, window, force, inner_h, segment)
         if self.run.left_out is not None:
             self._leave_out(columns, h, self.run.left_out[stop - h.size : stop])
-        return index, Block(stop - h.size, stop, segment, h, columns)
+        return Block(stop - h.size, stop, segment, h, columns)
 
     @property
     def _known_scale_factor(self) -> float:

@@ -213,12 +213,7 @@ def drift_columns(summary: Reduction) -> tuple[str, ...]:
 
 def merged(summaries: list[Reduction]) -> Reduction:
     """Merge several summaries into one."""
-    if drift_columns(summaries[0]):
-        return Reduction.stacked(summaries)
-    total = Reduction.empty(summaries[0].names)
-    for part in summaries:
-        total.merge(part)
-    return total
+    return Reduction.stacked(summaries)
 
 
 def merged_groups(summaries: list[Reduction], groups: tuple[int, ...]) -> list[Reduction]:
@@ -314,7 +309,7 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
     shared, amplitude = _start(layout, parts)
     first = np.concatenate([[amplitude], np.zeros(2 * len(layout.orders)), shared])
     first = _amplitudes_given(layout, _best_phases(layout, first, factors), factors)
-    beyond, count = sum(float(part.weight[0, -1]) for part in parts), sum(part.count for part in parts)
+    beyond, count = sum(float(part.factor[-1, -1] ** 2) for part in parts), sum(part.count for part in parts)
 
     @lru_cache(maxsize=1)
     def at(amplitudes: bytes) -> _Profile:

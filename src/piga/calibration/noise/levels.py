@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piga._kernels.estimation.noise import CANDIDATES, likelihoods
-from piga.calibration.model.reduction import workers
 from piga.calibration.noise.likelihood import restricted
 from piga.calibration.noise.settings import NOISE
 from piga.reading.signal_checks import largest_size
@@ -205,15 +204,7 @@ def natural_spline(x: Array, y: Array) -> Information:
 
 
 def deviance_sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
-    """Sums of the likelihood over the record; two threads compute one half each."""
-    middle = d.size // 2
-    parts = [(d[:middle], h[:middle]), (d[middle:], h[middle:])]
-    results = [(np.zeros(CANDIDATES), np.zeros(CANDIDATES)) for _ in parts]
-    with workers(d.size, 2) as pool:
-        jobs = [
-            pool.submit(likelihoods, *part, kappas, *result)
-            for part, result in zip(parts, results, strict=True)
-        ]
-        for job in jobs:
-            job.result()
-    return results[0][0] + results[1][0], results[0][1] + results[1][1]
+    """Sums of the likelihood over the record."""
+    log, square = np.zeros(CANDIDATES), np.zeros(CANDIDATES)
+    likelihoods(d, h, kappas, log, square)
+    return log, square

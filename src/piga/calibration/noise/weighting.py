@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga._kernels.estimation.noise import innovation_weights
+from piga._kernels.estimation.noise import innovation_weights, whiten
 from piga.calibration.model.design import Block, Design
-from piga.calibration.model.reduction import Reduction, Whitening, few_rows, workers
+from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import DRIFT_NAMES, KNOTS
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.settings import NOISE
@@ -188,6 +187,20 @@ def slow_bases(run: Run) -> tuple[SlowBasis, ...]:
     return (drift,) if few else (drift, SegmentBasis.of(run))
 
 
+class Whitening(NamedTuple):
+    """Weights of rows: ``carry`` (n,) on the innovation before, ``scale`` (n,), and ``state`` (m + 1,), the last innovations."""
+
+    carry: Array
+    scale: Array
+    state: Array
+
+    def apply(self, columns: Array) -> Array:
+        """Whitened columns (m + 1, n), a new array; the state moves on."""
+        out = np.empty(columns.shape)
+        whiten(columns, self.carry, self.scale, self.state, out)
+        return out
+
+
 RATE = "rate of the segment"
 """Name of the scatter column before it is integrated out."""
 
@@ -303,45 +316,18 @@ def _reduce_scattered(
         known = np.zeros((len(names) + 2, 1))
         known[0] = 1.0 / math.sqrt(own)
         part.absorb(known, count=0)
-    return [part.behind_first() for part in summaries]
+    return [part.without((RATE,)) for part in summaries]
 
 
 def _absorbed(
     design: Design, names: tuple[str, ...], blocks: Iterator[tuple[Block, Array, Whitening]]
 ) -> list[Reduction]:
-    """One summary of the weighted columns per segment.
-
-    Two threads take blocks in turn. Blocks are whitened in order, because the recursion goes through all of them, but
-    reduced side by side.
-    """
+    """One triangle of the weighted columns per segment."""
     summaries = [Reduction.empty(names) for _ in design.run.labels]
-    before: Future[None] = Future()
-    before.set_result(None)
-
-    def add(block: Block, rows: Future[Array]) -> None:
-        summaries[block.segment].absorb_few(rows.result(), int(np.count_nonzero(block.h > 0.0)))
-
-    with workers(design.run.size, 2) as pool:
-        jobs: list[tuple[Block, Future[Array]]] = []
-        for block, columns, weights in blocks:
-            whitened: Future[None] = Future()
-            jobs.append((block, pool.submit(_whitened_rows, columns, weights, before, whitened)))
-            before = whitened
-            if len(jobs) > 4:
-                add(*jobs.pop(0))
-        for job in jobs:
-            add(*job)
+    for block, columns, weights in blocks:
+        count = int(np.count_nonzero(block.h > 0.0))
+        summaries[block.segment].absorb(weights.apply(columns), count=count)
     return summaries
-
-
-def _whitened_rows(columns: Array, weights: Whitening, before: Future[None], whitened: Future[None]) -> Array:
-    """Whiten a block when the one before is whitened, tell the next, and reduce it to few rows."""
-    before.result()
-    try:
-        result = weights.apply(columns)
-    finally:
-        whitened.set_result(None)
-    return few_rows(result)
 
 
 def _steps_known(names: tuple[str, ...], variance: float) -> Reduction:
@@ -350,7 +336,7 @@ def _steps_known(names: tuple[str, ...], variance: float) -> Reduction:
     known = np.zeros((size + 1, size + 1))
     at = np.arange(size - KNOTS, size)
     known[at, at] = 1.0 / math.sqrt(variance)
-    return Reduction.of_factor(names, known, 0)
+    return Reduction(names, known, 0)
 
 
 def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
@@ -358,20 +344,8 @@ def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
     arrays = arrays_like(design.run.t)
     d, h = arrays.zeros(design.run.size), arrays.zeros(design.run.size)
 
-    def fill(block: Block) -> None:
+    for block in design.blocks():
         rows = slice(block.start, block.stop)
         d[rows] = block.columns[-1] - values[block.segment] @ block.columns[:-1]
         h[rows] = block.h
-
-    with workers(design.run.size, 1) as pool:
-        jobs = []
-        for index, block in enumerate(design.blocks()):
-            if index % 2:
-                fill(block)
-            else:
-                jobs.append(pool.submit(fill, block))
-            if len(jobs) > 4:
-                jobs.pop(0).result()
-        for job in jobs:
-            job.result()
     return d, h

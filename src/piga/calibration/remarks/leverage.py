@@ -117,10 +117,10 @@ def _amplitude_parts(layout: Layout, fit: Fit) -> list[Reduction]:
     names = tuple(name for name, _ in layout.amplitude_keys)
     parts = []
     for segment, summary in enumerate(fit.summaries):
-        rows = summary.factor
+        rows = summary.factor.copy()
         rows[:, -1] -= rows[:, :-1] @ fit.solution.values[segment]
         own = parameter_rows(fit.design, fit.solution, segment, rows)
-        parts.append(Reduction.of_factor(names, own, len(own)))
+        parts.append(Reduction.of_rows(names, own, len(own)))
     return parts
 
 
