@@ -34,7 +34,7 @@ import atheris
 with atheris.instrument_imports(include=["piga.records", "piga.units"]):
     from piga.formats.columns import RecordStream
     from piga.formats.containers.container import READERS, read_container
-    from piga.formats.containers.parquet_reader import ParquetStream
+    from piga.formats.parquet import ParquetStream
     from piga.formats.text.reader import TextStream
     from piga.records.calibration.document import read_calibration
     from piga.records.run_file import read_run_file

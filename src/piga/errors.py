@@ -6,9 +6,43 @@ The command line turns a :class:`PigaError` into one message on stderr and exit 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import Any
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where the fault of an error is.
+
+    Attributes
+    ----------
+    path:
+        The file.
+    row:
+        The first faulty row, counted from 1 as an editor does; None if no row is at fault.
+    columns:
+        Names of the columns at fault, in the file or in the run file.
+    """
+
+    path: Path
+    row: int | None = None
+    columns: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Fix:
+    """A key of the run file that resolves an error.
+
+    ``value`` is the value to give it. None: the user, or a program that tries, must choose a value. Several fixes with the
+    same key are alternatives.
+    """
+
+    table: str
+    key: str
+    value: Any = None
 
 
 class PigaError(Exception):
@@ -20,11 +54,28 @@ class PigaError(Exception):
         What is wrong, with file, row, column or argument, and the value met.
     remedy:
         What the user can do about it; appended to the message. Every error has one.
+    where:
+        File, row and columns of the fault, for programs. None if the error is not about a file.
+    columns:
+        The columns that the file has, where a wanted one is missing.
+    fixes:
+        Keys of the run file that resolve the error, the likeliest first.
     """
 
-    def __init__(self, message: str, *, remedy: str) -> None:
+    def __init__(
+        self,
+        message: str,
+        *,
+        remedy: str,
+        where: Where | None = None,
+        columns: Sequence[str] = (),
+        fixes: Sequence[Fix] = (),
+    ) -> None:
         self.message = message
         self.remedy = remedy
+        self.where = where
+        self.columns = tuple(columns)
+        self.fixes = tuple(fixes)
         super().__init__(f"{message}\n  remedy: {remedy}")
 
     def __reduce__(self) -> tuple[Callable[..., PigaError], tuple[type[PigaError], dict[str, Any]]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import random
-import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -15,8 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import piga
-from piga.formats.containers.container import READERS, read_container
-from piga.formats.containers.parquet_reader import ParquetStream
+from piga.formats.container import read_container
+from piga.formats.parquet import ParquetStream
 from piga.formats.text.reader import TextStream
 from piga.records.run_file import read_run_file
 from tests.records.containers import WRITERS, columns
@@ -122,7 +121,7 @@ def test_mutated_containers(tmp_path: Path, name: str) -> None:
         warnings.simplefilter("ignore")
         for _ in range(70 * SCALE):
             path.write_bytes(mutated(source, draw))
-            outcome(lambda: READERS[path.suffix](path, NAMES, None))
+            outcome(lambda: read_container(path, path.suffix, NAMES, None))
 
 
 def _folder(factory: pytest.TempPathFactory) -> Path:
@@ -149,24 +148,11 @@ def read(path: Path) -> object:
     return read_container(path, path.suffix, COLUMNS, None)
 
 
-def paths(*, endless: bool) -> list[Path]:
-    return sorted(path for path in FOLDER.iterdir() if path.name.startswith("endless") == endless)
-
-
-@pytest.mark.parametrize("path", paths(endless=False), ids=lambda path: path.name)
+@pytest.mark.parametrize("path", sorted(FOLDER.iterdir()), ids=lambda path: path.name)
 def test_refused_with_a_remedy(path: Path) -> None:
     with pytest.raises(piga.PigaError) as caught:
         read(path)
     assert caught.value.remedy
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("path", paths(endless=True), ids=lambda path: path.name)
-def test_endless_loops_of_a_library_are_ended(path: Path) -> None:
-    begun = time.monotonic()
-    with pytest.raises(piga.DataError, match="of computing time"):
-        read(path)
-    assert time.monotonic() - begun < 25.0
 
 
 def test_ragged_covariance(tmp_path: Path) -> None:

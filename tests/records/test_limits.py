@@ -19,7 +19,7 @@ from piga.certificate.certificate_file import read_certificate_file
 from piga.certificate.dcc.xml_signature import load_certificate, read_xml
 from piga.compensation.sets.set_files import is_triad_file
 from piga.errors import PigaError
-from piga.formats.containers.parquet_reader import read_labels
+from piga.formats.parquet import read_labels
 from piga.formats.text.reader import TextStream
 from piga.records.limits import open_regular, read_whole
 from piga.records.run_file import read_run_file
@@ -177,6 +177,6 @@ def test_labels_come_from_the_file_that_was_checked(tmp_path: Path, monkeypatch:
         other.replace(name)
         return stream
 
-    monkeypatch.setattr("piga.formats.containers.parquet_reader.open_regular", swapped)
+    monkeypatch.setattr("piga.formats.parquet.open_regular", swapped)
     assert read_labels(path, (), "s").labels["s"][1] == ("first",)
     assert opened == [path]

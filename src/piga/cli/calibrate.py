@@ -149,7 +149,7 @@ def write_results(calibration: Calibration, directory: Path, *, report: bool = T
     """Write the results. A calibration of summaries alone has no residuals to write."""
     from concurrent.futures import ThreadPoolExecutor
 
-    from piga.formats.parquet_writer import write_residuals
+    from piga.formats.parquet import write_residuals
 
     job = None
     with ThreadPoolExecutor(1) as beside:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from piga._kernels import arithmetic as kernels
 from piga.compensation.model import FLAGS, MEANING
 from piga.errors import ArgumentError
-from piga.formats.parquet_writer import number_column
+from piga.formats.parquet import number_column
 from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.run import Run

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,12 +11,16 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import DataError
+from piga.errors import DataError, Where
 from piga.records.calibration import Event
-from piga.records.spool import Arrays, Growing
 
 CHUNK_ROWS = 1 << 16
 """Rows per chunk of a Parquet file or a container."""
+MOST_LISTED = 60
+"""Most columns that a message lists."""
+
+Label = tuple[NDArray[np.int32], tuple[str, ...]]
+"""Codes (n,) of a segment column, -1 where it is empty, and the names in order of appearance."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,11 @@ class RecordStream(Protocol):
     """
 
     units: dict[str, str]
-    label_names: list[str]
+
+    @property
+    def label_names(self) -> list[str]:
+        """Segment labels so far."""
+        ...
 
     @property
     def expected_rows(self) -> int:
@@ -63,27 +70,61 @@ class RecordStream(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass
 class RawTable:
-    """Columns as read, before unit conversion.
+    """A file read whole: columns of equal length, in the unit of the file. It is a :class:`RecordStream`.
 
-    ``numbers`` maps column names to float64 or int64 arrays of equal length. Missing values are NaN.
-    ``labels`` maps the segment column to (codes, names). ``row_numbers`` are the 1-based file rows, if they are not those of
-    the data. Messages use them.
+    Attributes
+    ----------
+    path:
+        The file.
+    numbers:
+        float64 or int64 values (n,) by column name. A missing value is nan.
+    label:
+        Codes (n,) of the segment column and its names, or None.
+    rows:
+        Number of rows.
+    units:
+        Unit of each column for which the file states one.
+    noted:
+        Faults and omissions.
+    row_numbers:
+        1-based file row of each row; None: they are counted from 1.
     """
 
     path: Path
     numbers: dict[str, NDArray[np.float64] | NDArray[np.int64]]
-    labels: dict[str, tuple[NDArray[np.int32], tuple[str, ...]]]
+    label: Label | None
     rows: int
     units: dict[str, str] = field(default_factory=dict)
-    events: tuple[Event, ...] = ()
+    noted: tuple[Event, ...] = ()
     row_numbers: NDArray[np.int64] | None = None
+
+    @property
+    def expected_rows(self) -> int:
+        """Number of rows."""
+        return self.rows
+
+    @property
+    def label_names(self) -> list[str]:
+        """Segment labels in order of appearance."""
+        return [] if self.label is None else list(self.label[1])
+
+    def chunks(self) -> Iterator[FileChunk]:
+        """The rows in order."""
+        for start in range(0, self.rows, CHUNK_ROWS):
+            part = slice(start, min(start + CHUNK_ROWS, self.rows))
+            numbers = {name: column[part].astype(float, copy=False) for name, column in self.numbers.items()}
+            yield FileChunk(numbers, None if self.label is None else self.label[0][part], self.file_rows(part))
+
+    def events(self) -> list[Event]:
+        """Faults and omissions."""
+        return list(self.noted)
 
     def file_rows(self, part: slice) -> NDArray[np.int64]:
         """1-based file rows of some data rows (blank lines are counted, as an editor does)."""
         if self.row_numbers is not None:
-            return np.array(self.row_numbers[part])
+            return self.row_numbers[part]
         return np.arange(1 + part.start, 1 + part.stop, dtype=np.int64)
 
 
@@ -181,13 +222,6 @@ class MissingCount:
 
 _COLUMN_OF = re.compile(r"^(.*)\(:,\s*(\d+)\)$")
 
-Label = tuple[NDArray[np.int32], tuple[str, ...]]
-
-MOST_LISTED = 60
-"""Most columns that a message lists."""
-PIECE_ROWS = 1 << 18
-"""Rows unpacked at a time. A column of up to this many rows always stays in memory."""
-
 
 def split_name(name: str) -> tuple[str, int | None]:
     """``f(:,2)`` is column 2 (counted from 1, as MATLAB does) of the matrix ``f``."""
@@ -202,14 +236,22 @@ def matrix_columns(name: str, shape: tuple[int, ...]) -> list[str]:
     return [name]
 
 
-def no_column(path: Path, name: str, present: Iterable[str]) -> DataError:
-    """The error for a column that is not in the file. It lists the columns of the file."""
-    names = list(present)
+def no_column(
+    path: Path,
+    name: str,
+    present: Iterable[str],
+    row: int | None = None,
+    remedy: str = "correct the column name in [data]",
+) -> DataError:
+    """The error for a column that is not in the file. It lists the columns of the file, whose names stand in ``row``."""
+    names = tuple(present)
     more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
     shown = ", ".join(names[:MOST_LISTED]) + more
     return DataError(
-        f"{path}: no column '{name}'; the columns are: {shown or 'none'}",
-        remedy="correct the column name in [data]",
+        f"{path}: {'' if row is None else f'row {row}: '}no column '{name}'; the columns are: {shown or 'none'}",
+        remedy=remedy,
+        where=Where(path, row, (name,)),
+        columns=names,
     )
 
 
@@ -226,6 +268,7 @@ def vector(path: Path, name: str, values: NDArray, column: int | None) -> NDArra
             raise DataError(
                 f"{path}: column '{name}': the matrix has {values.shape[1]} columns",
                 remedy="columns count from 1",
+                where=Where(path, columns=(name,)),
             )
         return values[:, column - 1]
     flat = values.reshape(-1) if values.ndim == 2 and 1 in values.shape else values
@@ -233,6 +276,7 @@ def vector(path: Path, name: str, values: NDArray, column: int | None) -> NDArra
         raise DataError(
             f"{path}: '{name}' has the shape {values.shape}, a column is needed",
             remedy=f"name a column of a matrix as '{split_name(name)[0]}(:,1)'",
+            where=Where(path, columns=(name,)),
         )
     return flat
 
@@ -250,6 +294,7 @@ def as_numbers(path: Path, name: str, values: NDArray) -> NDArray[np.float64] | 
             raise DataError(
                 f"{path}: column '{name}' holds {values.max()}, more than a signed 64-bit integer can hold",
                 remedy="export the counter as a signed integer",
+                where=Where(path, columns=(name,)),
             )
         return values.astype(np.int64, copy=False)
     if values.dtype.kind == "f" and values.dtype.itemsize <= 8:
@@ -257,13 +302,7 @@ def as_numbers(path: Path, name: str, values: NDArray) -> NDArray[np.float64] | 
     raise DataError(
         f"{path}: column '{name}' holds {values.dtype.name}, not numbers",
         remedy="store it as double or integer",
-    )
-
-
-def long_column(dtype: np.dtype) -> Growing:
-    """An array for the pieces of a column, of the type that :func:`as_numbers` gives. A long column lies on disk."""
-    return Arrays(Path(tempfile.gettempdir())).growing(
-        np.float64 if dtype.kind == "f" else np.int64, PIECE_ROWS
+        where=Where(path, columns=(name,)),
     )
 
 
@@ -287,24 +326,26 @@ def label_text(value: object) -> str:
 
 
 def make_table(
-    path: Path, numbers: dict[str, NDArray], labels: dict[str, Label], units: dict[str, str]
+    path: Path, numbers: dict[str, NDArray], label: tuple[str, Label] | None, units: dict[str, str]
 ) -> RawTable:
-    """A table of columns of equal length.
+    """A table of columns of equal length. ``label`` has the name of the segment column.
 
     Raises
     ------
     DataError
         If lengths differ or there are no rows.
     """
-    lengths = {name: int(column.shape[0]) for name, column in numbers.items()}
-    lengths |= {name: int(codes.size) for name, (codes, _) in labels.items()}
+    lengths = {name: int(column.size) for name, column in numbers.items()}
+    if label is not None:
+        lengths[label[0]] = int(label[1][0].size)
     first, rows = next(iter(lengths.items()))
     for name, length in lengths.items():
         if length != rows:
             raise DataError(
                 f"{path}: column '{name}' has {length} rows, column '{first}' has {rows}",
                 remedy="export columns that were sampled together",
+                where=Where(path, columns=(name, first)),
             )
     if rows == 0:
         raise DataError(f"{path}: no data row", remedy="check that the logger wrote data")
-    return RawTable(path, numbers, labels, rows, units)
+    return RawTable(path, numbers, None if label is None else label[1], rows, units)

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, needed
-from piga.formats.columns import CHUNK_ROWS, FileChunk, LabelCodes
-from piga.formats.containers.parquet_reader import ArrowStream
-from piga.formats.parquet_writer import arrow_table
+from piga.formats.columns import CHUNK_ROWS, FileChunk
+from piga.formats.parquet import ArrowStream, arrow_table
 from piga.records.calibration import Calibration
 from piga.records.terms import si_factor
 from piga.results import Column, Tabular
@@ -152,13 +151,8 @@ class TableStream(ArrowStream):
 
     def chunks(self) -> Iterator[FileChunk]:
         """The rows in order."""
-        codes, row = LabelCodes(self.label_names), 1
-        wanted = list(dict.fromkeys([*self._numeric, *([self._label] if self._label else [])]))
-        for batch in self._table.select(wanted).to_batches(max_chunksize=CHUNK_ROWS):
-            rows = np.arange(row, row + batch.num_rows, dtype=np.int64)
-            row += batch.num_rows
-            part = codes.of(batch.column(self._label)) if self._label else None
-            yield FileChunk(self._numbers(batch, rows), part, rows)
+        batches = self._table.select(self._wanted).to_batches(max_chunksize=CHUNK_ROWS)
+        yield from self._converted(iter(batches))
 
 
 def stated_units(table: object) -> dict[str, str]:

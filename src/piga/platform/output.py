@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from piga.formats.parquet_writer import number_column
+from piga.formats.parquet import number_column
 from piga.platform.alignment import UNKNOWNS, Alignment
 from piga.platform.budget import BudgetRow, LineRow
 from piga.platform.chain import ModelRun

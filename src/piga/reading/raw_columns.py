@@ -1,9 +1,8 @@
 """The columns of a data file of any format as read, in the units of the file. All chunks are joined.
 
 :func:`open_stream` returns a :class:`~piga.formats.columns.RecordStream`. Its ``chunks()`` are the rows in order, in
-the units of the file. Text and Parquet are read piece by piece, so a file of any length needs a bounded memory.
-Containers (HDF5, MATLAB, TDMS, XLSX) cannot be larger than 2 GiB. A separate process reads them whole; then they are
-given in chunks. Results, events and errors do not depend on the size of the pieces.
+the units of the file. Text and Parquet are read piece by piece. Containers (HDF5, MATLAB, TDMS, XLSX) cannot unpack to
+more than 2 GiB and are read whole. Results, events and errors do not depend on the size of the pieces.
 """
 
 from __future__ import annotations
@@ -91,19 +90,19 @@ def columns_stream(
     """
     kind = file_kind(path)
     if kind in (".parquet", ".pq"):
-        from piga.formats.containers.parquet_reader import ParquetStream
+        from piga.formats.parquet import ParquetStream
 
         return ParquetStream(path, numeric, segment)
-    from piga.formats.containers.container import SUFFIXES, ContainerStream
+    from piga.formats.container import CONTAINERS, read_container
 
-    if kind in SUFFIXES:
-        return ContainerStream(path, kind, numeric, segment, sheet)
+    if kind in CONTAINERS:
+        return read_container(path, kind, numeric, segment, sheet)
     spreadsheet = kind in (".xls", ".xlsm", ".xlsb", ".ods")
     raise DataError(
         f"{path}: piga does not read files of kind '{kind}'",
         remedy="open it in the spreadsheet program and save it as .xlsx or .csv"
         if spreadsheet
-        else f"give .csv, .csv.gz, .parquet or one of {', '.join(SUFFIXES)}",
+        else f"give .csv, .csv.gz, .parquet or one of {', '.join(CONTAINERS)}",
     )
 
 

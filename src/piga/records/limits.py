@@ -7,7 +7,7 @@ import stat
 from io import BufferedReader
 from pathlib import Path
 
-from piga.errors import DataError, PigaError
+from piga.errors import DataError, PigaError, Where
 
 MAX_UNPACKED = 2 << 30
 """Largest unpacked size of the wanted part of a container [bytes]."""
@@ -15,16 +15,6 @@ MAX_RATIO = 100
 """Largest ratio of unpacked to packed size, applied above :data:`FREE_UNPACKED`."""
 FREE_UNPACKED = 32 << 20
 """Unpacked size [bytes] up to which any ratio is accepted, because constant columns pack very well."""
-MAX_MEMBERS = 4096
-"""Largest number of members of a ZIP container."""
-MEMORY_LIMIT = 6 << 30
-"""Address space of the process that reads a container [bytes]."""
-CPU_BASE, CPU_PER_MIB = 5.0, 4.0
-"""Allowed CPU time for reading a container: fixed part [s] and part per MiB of file [s]."""
-
-
-FULL = 4
-"""Exit status of the process that reads a container if the folder for its answer is full."""
 LARGEST_SAMPLE = 1e30
 """Largest absolute value of a sample in any unit. A larger value is damage. Squares of smaller values stay finite."""
 MAX_SEGMENTS = 100_000
@@ -58,29 +48,45 @@ def open_regular(
     OSError
         If it does not exist or must not be read.
     """
-    flags = (
-        os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0)
-    )
     try:
-        _check_regular(path, os.stat(path), most, wanted, error)  # noqa: PTH116 - as fstat below
-        handle = os.open(path, flags)
+        _check_status(path, os.stat(path), most, wanted, error)  # noqa: PTH116 - as fstat below
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0))
     except ValueError:
         raise error(f"{str(path)!r}: is not a file name", remedy=f"name {wanted}") from None
+    stream = os.fdopen(handle, "rb")
     try:
-        _check_regular(path, os.fstat(handle), most, wanted, error)
+        _check_status(path, os.fstat(handle), most, wanted, error)
     except PigaError:
-        os.close(handle)
+        stream.close()
         raise
-    return os.fdopen(handle, "rb")
+    return stream
 
 
-def _check_regular(
+def _check_status(
     path: Path, status: os.stat_result, most: int | None, wanted: str, error: type[PigaError]
 ) -> None:
     if not stat.S_ISREG(status.st_mode):
-        raise error(f"{path}: is not a regular file", remedy=f"name {wanted}")
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
+        raise error(f"{path}: is not a regular file, but {kind}", remedy=f"name {wanted}", where=Where(path))
     if most is not None and status.st_size > most:
-        raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}")
+        raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}", where=Where(path))
+
+
+def check_regular(path: Path, remedy: str, error: type[PigaError] = DataError) -> os.stat_result:
+    """State of a file that must be there and be a regular file.
+
+    Raises
+    ------
+    error
+        If it is not there, or is a folder, a pipe or a device. One sentence.
+    """
+    try:
+        status = os.stat(path)  # noqa: PTH116 - all of its state
+    except (OSError, ValueError) as reason:
+        words = getattr(reason, "strerror", None) or "it is not a file name"
+        raise error(f"{path}: cannot be read ({words})", remedy=remedy, where=Where(path)) from None
+    _check_status(path, status, None, f"the file: {remedy}", error)
+    return status
 
 
 def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = DataError) -> bytes:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from piga.data import EXAMPLE, copy_example
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
-from piga.formats.containers.parquet_reader import is_time
+from piga.formats.parquet import is_time
 from piga.formats.tables import WHERE, TableStream, as_arrow, stated_units
 from piga.reading.raw_columns import SteadyFile, file_digest
 from piga.reading.read_run import read_record, read_stream

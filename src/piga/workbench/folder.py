@@ -17,13 +17,13 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from piga.errors import ArgumentError, PigaError
-from piga.formats.containers.container import SUFFIXES
+from piga.formats.container import CONTAINERS
 from piga.output import is_staged, settle, write_whole
 from piga.reading.raw_columns import TEXT_SUFFIXES, file_kind
 from piga.records.run_file import read_run_file
 from piga.records.text_files import MAX_NAME, files_named_in, texts_of, toml_document
 
-LOG_SUFFIXES = (*TEXT_SUFFIXES, *SUFFIXES, ".parquet", ".pq")
+LOG_SUFFIXES = (*TEXT_SUFFIXES, *CONTAINERS, ".parquet", ".pq")
 STATE_FOLDER = ".piga-ui"
 """Folder below the opened one, in which jobs and envelopes are kept."""
 MOST_FILES = 5000

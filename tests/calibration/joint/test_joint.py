@@ -13,7 +13,7 @@ import pytest
 
 import piga
 from piga.calibration.joint.summary import RunSummary
-from piga.formats.parquet_writer import write_residuals
+from piga.formats.parquet import write_residuals
 from piga.records.calibration.document import to_document
 from piga.records.distribution import Spread
 from piga.records.run_file import UncertaintyTable

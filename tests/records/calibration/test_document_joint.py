@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from piga.errors import CalibrationError
-from piga.formats.parquet_writer import write_residuals
+from piga.formats.parquet import write_residuals
 from piga.records.calibration import (
     Calibration,
     Coefficient,

@@ -19,7 +19,7 @@ from piga.compensation.compensator import Compensator
 from piga.compensation.result import Compensated, schema_of
 from piga.errors import ArgumentError, DataError
 from piga.formats.columns import numbers_of
-from piga.formats.parquet_writer import number_column
+from piga.formats.parquet import number_column
 from piga.records.limits import FREE_UNPACKED, MAX_RATIO, MAX_UNPACKED, first_line
 
 FORCE = ("fx", "fy", "fz")

@@ -32,6 +32,7 @@ class Faults:
     hint: str = ""
     kinds: dict[str, list[int]] = field(default_factory=dict)
     last_row: int = 0
+    first_row: int | None = None
 
     def add(self, row: int, kind: str, words: str, hint: str = "") -> None:
         """Add a fault. A row counts once, by its first fault."""
@@ -39,6 +40,7 @@ class Faults:
             self.kinds.setdefault(kind, [0, row])[0] += 1
             self.last_row = row
         self.total += 1
+        self.first_row = self.first_row or row
         if len(self.listed) < MAX_LISTED:
             self.listed.append(words)
         self.hint = self.hint or hint

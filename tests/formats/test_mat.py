@@ -11,8 +11,8 @@ import pytest
 from scipy.io import savemat
 
 from piga.errors import DataError
-from piga.formats.containers import mat_reader
-from piga.formats.containers.container import read_container
+from piga.formats.container import read_container
+from piga.formats.mat import read_mat
 
 ROWS = 300
 KINDS = {"u1": 2, "i2": 3, "i4": 5, "f4": 7, "f8": 9, "i8": 12}
@@ -20,7 +20,7 @@ VALUES = np.round(100.0 * np.random.default_rng(1).random(ROWS))
 
 
 def read(path: Path, numeric: tuple[str, ...], label: str | None = None) -> dict[str, np.ndarray]:
-    return mat_reader.read_mat(path, numeric, label).numbers
+    return read_mat(path, numeric, label).numbers
 
 
 def element(order: str, kind: int, data: bytes) -> bytes:
@@ -85,7 +85,7 @@ def test_fields_of_structs(tmp_path: Path, packed: bool) -> None:
 def test_labels_and_what_is_no_number(tmp_path: Path) -> None:
     words = np.array(["up", "down"], object)[np.arange(ROWS) % 2]
     savemat(tmp_path / "a.mat", {"t": VALUES, "n": VALUES.astype("i2"), "pos": words, "z": 1j * VALUES})
-    assert mat_reader.read_mat(tmp_path / "a.mat", ("t", "n"), "pos").labels["pos"][1] == ("up", "down")
+    assert read_mat(tmp_path / "a.mat", ("t", "n"), "pos").label[1] == ("up", "down")
     with pytest.raises(DataError, match="column 'z' holds complex128"):
         read(tmp_path / "a.mat", ("t", "z"))
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import re
 import zipfile
 from collections.abc import Iterator
 from datetime import datetime, time, timedelta
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
-from piga.errors import DataError
-from piga.formats.columns import RawTable, as_label, column_letter
+from piga.errors import DataError, Fix, Where
+from piga.formats.columns import RawTable, as_label, column_letter, no_column
 from piga.formats.text.convention import (
     INFINITE,
     MISSING,
@@ -28,14 +27,12 @@ from piga.formats.text.convention import (
 )
 from piga.formats.text.faults import Faults
 from piga.records.calibration import Event
-from piga.records.limits import MAX_MEMBERS, check_unpacked, extra_missing, first_line, open_regular
+from piga.records.limits import check_unpacked, open_regular
 
 MOST_HEAD = 100
 """Rows of a sheet within which the column names must stand."""
-_DOCTYPE = re.compile(rb"<!\s*(DOCTYPE|ENTITY)|<\0!\0D\0O\0|\0<\0!\0D\0O", re.IGNORECASE)
 _FORMULA = re.compile(rb"<f[ />]")
 _HIDDEN = re.compile(rb"<row\b[^>]*\bhidden=\"(?:1|true)\"")
-_OVERLAP = 512
 
 
 def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: str | None = None) -> RawTable:
@@ -53,63 +50,33 @@ def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: st
     Raises
     ------
     DataError
-        If the container is damaged or its unpacked size is too large, the sheet is ambiguous, or cells are not numbers.
-        The message names row and column letter of up to 100 cells.
+        If its unpacked size is too large, the sheet is ambiguous, or cells are not numbers. The message names row and
+        column letter of up to 100 cells.
     """
-    try:
-        import openpyxl
-    except ImportError:
-        raise extra_missing(path, "XLSX", "xlsx") from None
-    try:
-        with open_regular(path) as stream:
-            events = _examine(path, stream)
-            stream.seek(0)
-            book = openpyxl.load_workbook(stream, read_only=True, data_only=True, keep_links=False)
-            rows = _sheet(path, book, sheet).iter_rows(values_only=True)
-            return _Sheet(path, numeric, label, events).read(rows)
-    except (DataError, MemoryError):
-        raise
-    except Exception as error:  # a damaged file can raise any exception in the library
-        raise DataError(
-            f"{path}: not a readable XLSX file ({first_line(error)})", remedy="save it again as .xlsx"
-        ) from None
+    import openpyxl
+
+    with open_regular(path) as stream:
+        events = _formulas_and_hidden_rows(path, stream)
+        book = openpyxl.load_workbook(stream, read_only=True, data_only=True, keep_links=False)
+        rows = _sheet(path, book, sheet).iter_rows(values_only=True)
+        return _Sheet(path, numeric, label, events).read(rows)
 
 
-def _examine(path: Path, stream: BinaryIO) -> list[Event]:
-    """Unpack every part without keeping it: check sizes and names, refuse document types, count formulas and hidden rows."""
-    packed = os.fstat(stream.fileno()).st_size
-    unpacked, formulas, hidden = 0, 0, 0
-    try:
-        with zipfile.ZipFile(stream) as container:
-            parts = container.infolist()
-            if len(parts) > MAX_MEMBERS:
-                raise DataError(
-                    f"{path}: {len(parts)} parts, at most {MAX_MEMBERS} are read", remedy="export as CSV"
-                )
-            check_unpacked(path, sum(part.file_size for part in parts), packed)
-            for part in parts:
-                _check_part(path, part)
-                with container.open(part) as unpacking:
-                    kept = b""
-                    while piece := unpacking.read(1 << 18):
-                        unpacked += len(piece)
-                        check_unpacked(path, unpacked, packed)
-                        window = kept + piece
-                        if _DOCTYPE.search(window):
-                            raise DataError(
-                                f"{path}: part '{part.filename}' declares a document type or entity",
-                                remedy="no spreadsheet program writes that; do not trust the file",
-                            )
-                        if part.filename.startswith("xl/worksheets/"):
-                            formulas += len(_FORMULA.findall(window)) - len(_FORMULA.findall(kept))
-                            hidden += len(_HIDDEN.findall(window)) - len(_HIDDEN.findall(kept))
-                        kept = window[-_OVERLAP:]
-    except (DataError, MemoryError):
-        raise
-    except Exception as error:  # zipfile, zlib and lzma raise different exceptions
-        raise DataError(
-            f"{path}: not a readable XLSX file ({error})", remedy="save it again as .xlsx"
-        ) from None
+def _formulas_and_hidden_rows(path: Path, stream: Any) -> list[Event]:
+    """Count the formulas and hidden rows of all sheets. The size that a part declares is never exceeded by :mod:`zipfile`."""
+    formulas, hidden = 0, 0
+    with zipfile.ZipFile(stream) as container:
+        parts = container.infolist()
+        check_unpacked(path, sum(part.file_size for part in parts), path.stat().st_size)
+        for part in (one for one in parts if one.filename.startswith("xl/worksheets/")):
+            with container.open(part) as unpacking:
+                rest = b""
+                while piece := unpacking.read(1 << 20):
+                    tags, mark, begun = (rest + piece).rpartition(b"<")
+                    formulas += len(_FORMULA.findall(tags))
+                    hidden += len(_HIDDEN.findall(tags))
+                    rest = mark + begun
+    stream.seek(0)
     events = []
     if formulas:
         events.append(Event("formula", formulas, None, "the value last computed is used"))
@@ -118,30 +85,21 @@ def _examine(path: Path, stream: BinaryIO) -> list[Event]:
     return events
 
 
-def _check_part(path: Path, part: zipfile.ZipInfo) -> None:
-    name = part.filename
-    if name.startswith(("/", "\\")) or ".." in re.split(r"[/\\]", name) or ":" in name or "\0" in name:
-        raise DataError(f"{path}: a part has the unsafe name {name[:80]!r}", remedy="do not trust the file")
-    if part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise DataError(
-            f"{path}: part '{name[:80]}' is packed in a way that spreadsheet programs do not use",
-            remedy="save it again as .xlsx",
-        )
-    if part.flag_bits & 1:
-        raise DataError(f"{path}: the file is encrypted", remedy="save it without a password")
-
-
 def _sheet(path: Path, book: Any, name: str | None) -> Any:
     """The requested sheet, or the only one."""
     sheets = {sheet.title: sheet for sheet in book.worksheets}
     listed = ", ".join(f"'{title}'" for title in list(sheets)[:20])
+    fixes = [Fix("data", "sheet", title) for title in sheets]
     if name is None and len(sheets) > 1:
         raise DataError(
             f"{path}: there are {len(sheets)} sheets: {listed}",
             remedy="add [data] sheet = '...' with one of them",
+            fixes=fixes,
         )
     if not sheets or (name is not None and name not in sheets):
-        raise DataError(f"{path}: no sheet '{name}'; the sheets are: {listed}", remedy="correct [data] sheet")
+        raise DataError(
+            f"{path}: no sheet '{name}'; the sheets are: {listed}", remedy="correct [data] sheet", fixes=fixes
+        )
     sheet = sheets[name] if name is not None else next(iter(sheets.values()))
     sheet.reset_dimensions()
     return sheet
@@ -213,10 +171,7 @@ class _Sheet:
             raise twice
         for name in wanted:
             if name not in names:
-                raise DataError(
-                    f"{self.path}: row {at}: no column '{name}'; the columns are: {', '.join(n for n in names if n)}",
-                    remedy="correct the column name in [data]",
-                )
+                raise no_column(self.path, name, [one for one in names if one], row=at)
         return {name: names.index(name) for name in wanted}
 
     def _number(self, row: tuple[Any, ...], place: int, name: str, number: int) -> float:
@@ -248,6 +203,7 @@ class _Sheet:
             raise DataError(
                 f"{self.path}: {self.faults.words}",
                 remedy="set the format of these cells to number and enter them again; dates: export seconds",
+                where=Where(self.path, self.faults.first_row),
             )
         if not self.numbers:
             raise DataError(f"{self.path}: a header but no data", remedy="check that the logger wrote data")
@@ -261,7 +217,7 @@ class _Sheet:
         return RawTable(
             self.path,
             {name: np.array(cells) for name, cells in self.values.items()},
-            {} if self.label is None else {self.label: as_label(self.labels)},
+            None if self.label is None else as_label(self.labels),
             len(self.numbers),
             {name: unit for name, unit in units.items() if name in self.numeric},
             tuple(self.events),

@@ -12,7 +12,7 @@ import pytest
 from pyarrow import parquet
 
 import piga
-from piga.formats.parquet_writer import label_column, number_column, text_column, write_residuals
+from piga.formats.parquet import label_column, number_column, text_column, write_residuals
 from tests.records.calibration.test_verdict import TERMS, rate_log
 
 
@@ -55,7 +55,7 @@ def test_labels() -> None:
 def test_pandas_is_not_loaded() -> None:
     """Half a second of every command that writes a table, where pandas is installed."""
     code = (
-        "import sys, numpy as np; from piga.formats.parquet_writer import label_column, number_column;"
+        "import sys, numpy as np; from piga.formats.parquet import label_column, number_column;"
         "label_column(np.zeros(2, np.int32), ['a']); number_column(np.zeros(2));"
         "sys.exit('pandas' in sys.modules)"
     )

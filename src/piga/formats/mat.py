@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import DataError
 from piga.formats.columns import (
-    Label,
     RawTable,
     as_label,
     as_numbers,
@@ -22,12 +19,12 @@ from piga.formats.columns import (
     split_name,
     vector,
 )
-from piga.formats.containers.hdf5_reader import read_hdf5
-from piga.records.limits import check_unpacked, first_line, open_regular
+from piga.formats.hdf5 import read_hdf5
+from piga.records.limits import check_unpacked, open_regular
 
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
-COMPRESSED = 15
 MAX_LEVELS = 4
+"""Most structs inside each other."""
 
 
 def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
@@ -43,21 +40,16 @@ def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTabl
     Raises
     ------
     DataError
-        If the file is damaged, its unpacked size is too large, a variable is missing or is not a plain column.
+        If the unpacked size is too large, a variable is missing or is not a plain column.
     """
     with open_regular(path) as stream:
         head = stream.read(520)
     if HDF5_MARK in (head[:8], head[512:520]):
         return read_hdf5(path, numeric, label)
-    if head[:4].isascii() and head[:6] == b"MATLAB":
-        _check_unpacked(path, head)
-    variables = _load(
-        path, [split_name(name)[0].split(".")[0] for name in (*numeric, *([label] if label else []))]
-    )
+    wanted = [*numeric, *([label] if label else [])]
+    variables = _load(path, [split_name(name)[0].split(".")[0] for name in wanted])
     numbers = {name: as_numbers(path, name, _column(path, variables, name)) for name in dict.fromkeys(numeric)}
-    labels: dict[str, Label] = {}
-    if label is not None:
-        labels[label] = as_label(_cells(_column(path, variables, label)))
+    labels = None if label is None else (label, as_label(_cells(_column(path, variables, label))))
     return make_table(path, numbers, labels, {})
 
 
@@ -65,17 +57,11 @@ def _load(path: Path, names: list[str] | None) -> dict[str, Any]:
     """The named variables (None: all). A variable that is there and not named is None."""
     from scipy.io import loadmat, whosmat
 
-    try:
-        present = [entry[0] for entry in whosmat(path)]
-        variables = loadmat(path, variable_names=names, chars_as_strings=True, struct_as_record=True)
-    except MemoryError:
-        raise
-    except Exception as error:  # a damaged file can raise any exception in SciPy
-        raise DataError(
-            f"{path}: not a readable MATLAB file ({first_line(error)})",
-            remedy="save it again with -v7 or -v7.3",
-        ) from None
-    return {name: variables.get(name) for name in present}
+    shapes = {name: shape for name, shape, _ in whosmat(path)}
+    for name in shapes if names is None else set(names) & set(shapes):
+        check_unpacked(path, 8 * math.prod(shapes[name]), path.stat().st_size)
+    variables = loadmat(path, variable_names=names, chars_as_strings=True, struct_as_record=True)
+    return {name: variables.get(name) for name in shapes}
 
 
 def _column(path: Path, variables: dict[str, Any], name: str) -> NDArray:
@@ -112,29 +98,3 @@ def _cells(values: NDArray) -> list[object]:
     return [
         cell.reshape(-1)[0] if isinstance(cell, np.ndarray) and cell.size == 1 else str(cell) for cell in values
     ]
-
-
-def _check_unpacked(path: Path, head: bytes) -> None:
-    """Unpack the compressed elements of a v5 to v7 file without keeping them, and stop at the limit."""
-    order = "<" if head[126:128] == b"IM" else ">"
-    packed = path.stat().st_size
-    unpacked = 0
-    with open_regular(path) as stream:
-        stream.seek(128)
-        while len(tag := stream.read(8)) == 8:
-            kind, size = struct.unpack(order + "II", tag)
-            if kind != COMPRESSED:
-                stream.seek(size, 1)
-                continue
-            unpack = zlib.decompressobj()
-            while size > 0 and (piece := stream.read(min(size, 1 << 16))):
-                size -= len(piece)
-                while piece:
-                    try:
-                        unpacked += len(unpack.decompress(piece, 1 << 20))
-                    except zlib.error as error:
-                        raise DataError(
-                            f"{path}: not a readable MATLAB file ({error})", remedy="save it again"
-                        ) from None
-                    piece = unpack.unconsumed_tail
-                    check_unpacked(path, unpacked, packed)

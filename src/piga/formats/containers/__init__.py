@@ -1,1 +1,0 @@
-"""Readers of HDF5, MATLAB, TDMS and XLSX files. They run in a separate process."""
