@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import copy
 import pickle
+from pathlib import Path
 
 import pytest
 
 from piga import errors
-from piga.errors import IdentifiabilityError, PigaError, missing_package
+from piga.errors import DataError, Fix, IdentifiabilityError, PigaError, Where, missing_package
 
 
 def pickled(error: PigaError) -> PigaError:
@@ -41,4 +42,7 @@ def test_an_error_of_another_process_is_the_same(kind: type[PigaError], passed_o
 def test_what_an_error_carries_besides_goes_with_it() -> None:
     error = IdentifiabilityError("cannot tell", remedy="add a run", terms=("k0", "k2"))
     assert pickled(error).terms == ("k0", "k2")
+    where, fix = Where(Path("run.csv"), 7, ("n",)), Fix("data", "decimal", ",")
+    error = pickled(DataError("no number", remedy="repair it", where=where, columns=["t", "n"], fixes=[fix]))
+    assert (error.where, error.columns, error.fixes) == (where, ("t", "n"), (fix,))
     assert isinstance(pickled(missing_package("scipy")), ImportError)

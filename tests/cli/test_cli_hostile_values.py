@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,13 +13,10 @@ import pytest
 from piga.certificate.dcc import writer as dcc
 from piga.compensation.result import TableWriter
 from piga.errors import DataError, StoreError
-from piga.formats.containers import container
 from piga.ledger.store.documents import write_new
-from piga.records.limits import FULL
 from piga.units import parse_unit, to_si
 from tests.certificate.certificate_data import budgeted, changed, complete
 from tests.cli.runner import exit_code
-from tests.records.containers import WRITERS, columns
 from tests.records.files import lines, write_log, write_run
 from tests.reports.example import calibration
 
@@ -141,14 +137,6 @@ def test_a_full_disk_is_what_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     with pytest.raises(OSError, match="full"):
         write()
-
-
-def test_a_full_temporary_folder_is_no_damaged_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    WRITERS["run.mat"](tmp_path / "run.mat", columns(8))
-    done = subprocess.CompletedProcess([], FULL, b"", b"")
-    monkeypatch.setattr(container.subprocess, "run", lambda *_, **__: done)
-    with pytest.raises(DataError, match=r"the temporary folder .* is full"):
-        container.read_container(tmp_path / "run.mat", ".mat", ("t",), None)
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.ENAMETOOLONG])

@@ -133,7 +133,7 @@ def test_it_can_fail() -> None:
     assert resolves("piga.Calibration.from_json")
     assert ("records", "trend") in commands()
     assert _PAGE.findall("see ``nowhere" + ".md`` eq. 4") == ["nowhere" + ".md"]
-    assert _PATH.findall("run `python builders/fuzz_readers.py`") == ["builders/fuzz_readers.py"]
+    assert _PATH.findall("run `python builders/build_gallery.py`") == ["builders/build_gallery.py"]
     assert _COMMAND.findall("`piga calibrate RUN.toml`, `piga records trend --store`") == [
         "calibrate",
         "records trend",

@@ -19,6 +19,7 @@ from piga.formats.container import read_container
 from tests.records.containers import columns, write_h5, write_tdms, write_xlsx
 from tests.records.files import write_run
 
+
 def matlab_cells(path: Path, cells: list[object]) -> None:
     """A v7.3 file whose cell array ``pos`` refers to texts, numbers and whatever else is given."""
     with h5py.File(path, "w", userblock_size=512) as out:

@@ -12,7 +12,14 @@ import pytest
 from pyarrow import parquet
 
 import piga
-from piga.formats.parquet import label_column, number_column, text_column, write_residuals
+from piga.formats.parquet import (
+    ParquetStream,
+    label_column,
+    number_column,
+    text_column,
+    write_residuals,
+    write_run_parquet,
+)
 from tests.records.calibration.test_verdict import TERMS, rate_log
 
 
@@ -55,8 +62,32 @@ def test_labels() -> None:
 def test_pandas_is_not_loaded() -> None:
     """Half a second of every command that writes a table, where pandas is installed."""
     code = (
-        "import sys, numpy as np; from piga.formats.parquet import label_column, number_column;"
+        "import sys, numpy as np; from piga.formats.parquet import ParquetStream, label_column, number_column;"
         "label_column(np.zeros(2, np.int32), ['a']); number_column(np.zeros(2));"
         "sys.exit('pandas' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_an_altered_page_is_refused(tmp_path: Path) -> None:
+    """A bit is flipped in one byte after the other of a column. Numbers that are read are those that were written."""
+    run, path = rate_log(), tmp_path / "run.parquet"
+    write_run_parquet(run, path)
+    raw, column = path.read_bytes(), parquet.read_metadata(path).row_group(0).column(1)
+    assert column.path_in_schema == "output"
+    refused = 0
+    places = range(column.data_page_offset, column.data_page_offset + column.total_compressed_size, 97)
+    for at in places:
+        altered = bytearray(raw)
+        altered[at] ^= 0x10
+        path.write_bytes(altered)
+        try:
+            output = np.concatenate(
+                [c.numbers["output"] for c in ParquetStream(path, ("output",), None).chunks()]
+            )
+        except piga.DataError as error:
+            assert error.where.path == path  # noqa: PT017 - bytes that hold no number may be read
+            refused += 1
+        else:
+            np.testing.assert_array_equal(output, run.output)
+    assert refused > 0.95 * len(places)

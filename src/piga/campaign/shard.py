@@ -198,6 +198,6 @@ def _write(rows: list[dict[str, Any]], key: str, path: Path) -> None:
     table = pa.Table.from_arrays(arrays, schema=schema.with_metadata({KEY: key.encode()}))
     write_whole(
         path,
-        lambda part: parquet.write_table(table, part, compression="zstd"),
+        lambda part: parquet.write_table(table, part, compression="zstd", write_page_checksum=True),
         remedy="make room on the disk, then run the campaign again: it goes on where it stopped",
     )

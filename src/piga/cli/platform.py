@@ -285,7 +285,7 @@ def _page(folder: Path, page: Any, name: str = "report.html") -> None:
 def _parquet(table: Any, path: Path) -> None:
     import pyarrow.parquet as pq
 
-    pq.write_table(table, path)
+    pq.write_table(table, path, write_page_checksum=True)
 
 
 def _thinned(table: Any, every: int) -> Any:

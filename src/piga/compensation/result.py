@@ -140,7 +140,12 @@ class TableWriter:
         else:
             self._schema = schema
             self._writer = parquet.ParquetWriter(
-                str(self._path), schema, compression="none", use_dictionary=False, write_statistics=False
+                str(self._path),
+                schema,
+                compression="none",
+                use_dictionary=False,
+                write_statistics=False,
+                write_page_checksum=True,
             )
 
     def _heading(self, name: str) -> str:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from piga.errors import DataError
 from piga.formats.columns import FileChunk, RecordStream
 from piga.records.calibration import Event, Tally
-from piga.records.limits import LARGEST_SAMPLE, MAX_SEGMENTS, open_regular, read_whole
+from piga.records.limits import LARGEST_SAMPLE, MAX_SEGMENTS, MOST_NAME_LETTERS, open_regular, read_whole
 from piga.records.run_file import DataTable
 from piga.records.spool import Arrays, arrays_like, spans
 from piga.results import Array
@@ -206,6 +206,12 @@ def collect(path: Path, data: DataTable, stream: RecordStream, held: int) -> Raw
             )
         segment.append(visits.segment(chunk.codes, chunk.rows), room)
     visits.finish()
+    long = next((name for name in stream.label_names if len(name) > MOST_NAME_LETTERS), None)
+    if long is not None:
+        raise DataError(
+            f"{path}: column '{data.segment}': the label '{long[:40]}...' has {len(long)} characters",
+            remedy=f"use {MOST_NAME_LETTERS} or fewer",
+        )
     file_rows = rows.finish()
     return RawColumns(
         path,

@@ -189,7 +189,7 @@ def write_data(test: SimulatedTest, path: Path) -> None:
     if path.suffix == ".csv":
         csv.write_csv(table, path, csv.WriteOptions(quoting_style="needed"))
     else:
-        parquet.write_table(table, path, compression="zstd")
+        parquet.write_table(table, path, compression="zstd", write_page_checksum=True)
 
 
 def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
-from scipy.io import savemat
 
 from piga.compensation.sets.set_files import is_triad_file
 from piga.units import G0
@@ -20,15 +19,6 @@ from tests.compensation.twin_data import calibration_of
 
 LIMIT = 350_000_000
 MORE = 'base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }\ntemperature = { column = "warm", unit = "degC" }'
-READ = """
-import sys
-from pathlib import Path
-from piga.formats.containers.container import READERS
-from tests.memory import kilobytes
-path = Path(sys.argv[1])
-assert READERS[path.suffix](path, ("t", "psi", "fx", "fy", "fz"), None).rows == int(sys.argv[2])
-print(kilobytes("VmHWM") * 1024)
-"""
 
 pytestmark = [
     pytest.mark.usefixtures("compiled"),
@@ -87,30 +77,3 @@ def test_a_page(tmp_path: Path, rows: int) -> None:
 def test_a_set_of_many_instruments(tmp_path: Path, page: bool) -> None:
     more = ("--report", str(tmp_path / "page.html")) if page else ()
     assert memory(written_set(tmp_path, 24, 100_000), *more) < LIMIT
-
-
-@pytest.mark.parametrize("kind", ["tdms", "one.tdms", "mat", "packed.mat", "xlsx"])
-def test_a_container(tmp_path: Path, kind: str) -> None:
-    """The process that reads 160 MB of numbers: channels in pieces, less than they take; variables of MATLAB and cells whole."""
-    rows, path = 200_000 if kind == "xlsx" else 4_000_000, tmp_path / f"run.{kind}"
-    data = columns(rows)
-    if kind == "xlsx":
-        book = pytest.importorskip("openpyxl").Workbook(write_only=True)
-        sheet = book.create_sheet()
-        sheet.append(list(data))
-        for row in zip(*(values.tolist() for values in data.values()), strict=True):
-            sheet.append(row)
-        book.save(path)
-    elif kind.endswith("mat"):
-        savemat(path, data, do_compression=kind.startswith("packed"))
-    else:
-        nptdms = pytest.importorskip("nptdms")
-        with nptdms.TdmsWriter(path) as out:
-            for start in range(0, rows, rows if kind.startswith("one") else 10_000):
-                part = slice(start, start + (rows if kind.startswith("one") else 10_000))
-                out.write_segment(
-                    [nptdms.ChannelObject("log", name, values[part]) for name, values in data.items()]
-                )
-    words = [sys.executable, "-c", READ, str(path), str(rows)]
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
-    assert int(done.stdout) < (160_000_000 if kind.endswith("tdms") else 300_000_000)

@@ -127,7 +127,10 @@ def _batches(path: Path, wanted: list[str]) -> Iterator[Iterator[pa.RecordBatch]
     from pyarrow import csv, parquet
 
     if path.suffix == ".parquet":
-        with open_regular(path) as stream, parquet.ParquetFile(stream, pre_buffer=False) as source:
+        with (
+            open_regular(path) as stream,
+            parquet.ParquetFile(stream, pre_buffer=False, page_checksum_verification=True) as source,
+        ):
             _check_columns(path, wanted, source.schema_arrow)
             yield source.iter_batches(1 << 15, columns=wanted)
         return
