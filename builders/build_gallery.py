@@ -10,7 +10,7 @@ import re
 import tempfile
 from pathlib import Path
 
-from piga.reports.render.static import write_figure
+from piga.reports.render.axes import write_figure
 from piga.reports.shown import figure_of
 
 ROOT = Path(__file__).parents[1]

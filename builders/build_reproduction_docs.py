@@ -9,8 +9,8 @@ import re
 import sys
 from pathlib import Path
 
+from piga.reports.render.axes import write_figure
 from piga.reports.render.figure import Figure
-from piga.reports.render.static import write_figure
 from piga.studies import Chapter, Reproduction, reproduce
 from piga.studies.reproduction import SOURCES, difference, number, short_id, summary
 

@@ -34,9 +34,9 @@ from piga.instrument.twin.parameters import PRESETS
 from piga.instrument.twin.run import run_twin
 from piga.reports.calibration.figures import spectrum_figure
 from piga.reports.calibration.tables import scale_factor
+from piga.reports.render.axes import write_figure
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.orders import order_spectrum
-from piga.reports.render.static import write_figure
 from piga.reports.stand import loop_figures, servo_figure
 from piga.stand import DividingHead, Specimen, read_run, read_scenario, run_scenario, simulate_test
 from piga.stand.write_run import coefficients, predicted_angle_error, run_file_text, write_data

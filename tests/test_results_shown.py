@@ -139,7 +139,7 @@ def test_a_figure_is_drawn_on_given_axes(cal, run):
     canvas = matplotlib.figure.Figure()
     axes = canvas.subplots(2)
     assert cal.plot.residuals(ax=axes) is canvas
-    assert axes[0].get_title() == "Before"
+    assert axes[0].get_title(loc="left") == "Before"
     single = matplotlib.figure.Figure().subplots()
     assert cal.plot.allan(ax=single) is single.figure
     with pytest.raises(piga.ArgumentError, match="has 2 panels, ax has 1"):

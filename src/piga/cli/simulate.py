@@ -171,8 +171,8 @@ def _print_table(reproduction: Reproduction) -> None:
 def _write(reproduction: Reproduction, folder: Path) -> None:
     from importlib.util import find_spec
 
+    from piga.reports.render.axes import write_figure
     from piga.reports.render.page import write_page
-    from piga.reports.render.static import write_figure
     from piga.studies.reproduction import reproduction_page
 
     pictures = folder / "figures"

@@ -28,14 +28,13 @@ from piga.reports.render.page import (
     page_html,
     write_page,
 )
-from piga.reports.render.static import figure_svg, write_figure
 from piga.results import lazy
 
 if TYPE_CHECKING:
     from piga.reports.calibration.page import calibration_page, write_calibration_report
     from piga.reports.check import write_check
     from piga.reports.planning import write_plan_report
-    from piga.reports.render.axes import draw
+    from piga.reports.render.axes import draw, figure_svg, write_figure
     from piga.reports.trend import write_trend_report
 
 
@@ -71,7 +70,7 @@ __getattr__ = lazy(
         "calibration.page": "calibration_page write_calibration_report",
         "check": "write_check",
         "planning": "write_plan_report",
-        "render.axes": "draw",
+        "render.axes": "draw figure_svg write_figure",
         "trend": "write_trend_report",
     },
 )

@@ -1,4 +1,4 @@
-"""Figures as Matplotlib figures, for notebooks and papers: the same description as pages and SVG files.
+"""Figures drawn with Matplotlib, for notebooks, papers and files: the same description as on pages.
 
 This is the only module that imports Matplotlib when it is loaded.
 """
@@ -6,24 +6,51 @@ This is the only module that imports Matplotlib when it is loaded.
 from __future__ import annotations
 
 import io
+import math
+import textwrap
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from piga.errors import ArgumentError, missing_package
+
+try:
+    import matplotlib as mpl
+except ModuleNotFoundError:
+    raise missing_package("matplotlib") from None
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
-from piga.errors import ArgumentError
-from piga.reports.render.figure import INK, LIGHT, Figure, Panel, Series
-from piga.reports.render.scene import bar_width, drawn_rows, rows_and_columns
-from piga.reports.render.static import WIDTH
+from piga.reports.render.decimate import envelope_rows
+from piga.reports.render.figure import INK, LIGHT, Axis, Figure, Panel, Series, bar_width
 
+WIDTH = 7.2
+"""Width of a figure [inch]: two columns of a journal."""
+DRAWN = 1200
+"""Points that a drawn curve keeps at most: two for each hundredth of an inch."""
 SMALL = 8.5
 """Size of letters [point]."""
-ROOM = 0.5
-"""Height [inch] that title and labels of a row of panels take."""
+LETTERS = 16.0
+"""Letters of a label in an inch."""
+STYLE: dict[str, Any] = {
+    "font.family": ["DejaVu Sans"],
+    "text.usetex": False,
+    "axes.formatter.use_mathtext": True,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "piga",
+    "pdf.fonttype": 42,
+}
+"""Settings of a file: text stays text, and the same figure gives the same bytes."""
+NO_METADATA: dict[str, dict[str, None]] = {
+    "svg": {"Date": None, "Creator": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+    "png": {"Software": None},
+}
 
 
 class Drawing(Canvas):
@@ -46,7 +73,9 @@ def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
         If the number of axes is not the number of panels.
     """
     if ax is None:
-        return _new(figure)
+        drawing = _new(figure)
+        drawing.suptitle(_words(figure.title, WIDTH * LETTERS), fontsize=SMALL + 1.5, color=INK)
+        return drawing
     chosen = [ax] if isinstance(ax, Axes) else list(np.ravel(np.asarray(ax, dtype=object)))
     needed = len(figure.panels)
     remedy = f"pass {needed} axes, e.g. those of plt.subplots({needed})" if needed > 1 else "pass one axes"
@@ -60,29 +89,88 @@ def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
         )
     for panel, axes in zip(figure.panels, chosen, strict=True):
         _panel(panel, axes)
+        if sum(1 for series in panel.series if series.name) > 1:
+            axes.legend(fontsize=SMALL - 1.0, frameon=False)
     parent = chosen[0].get_figure(root=True)
     assert isinstance(parent, Canvas)  # noqa: S101 - the root is no part of another figure
     return parent
 
 
-def _new(figure: Figure) -> Drawing:
-    rows, columns = rows_and_columns(figure)
-    drawing = Drawing(figsize=(WIDTH, rows * (figure.height + ROOM)), layout="constrained")
+def write_figure(figure: Figure, path: Path, *, width: float = WIDTH, dpi: int = 300) -> Path:
+    """Write the figure as ``.svg``, ``.pdf`` or ``.png``. The same figure gives the same bytes.
+
+    ``width`` [inch]; ``dpi`` counts for ``.png``. Text stays text in ``.svg`` and ``.pdf``.
+
+    Raises
+    ------
+    ArgumentError
+        If the file name ends otherwise.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in NO_METADATA:
+        raise ArgumentError(
+            f"{path}: figures are written as .svg, .pdf or .png", remedy="choose one of these endings"
+        )
+    path.write_bytes(_saved(figure, kind, width, dpi))
+    return path
+
+
+def figure_svg(figure: Figure, *, width: float = WIDTH) -> str:
+    """The figure as an SVG element on white paper, ``width`` [inch]."""
+    text = _saved(figure, "svg", width, 300).decode("utf-8")
+    return text[text.index("<svg") :]
+
+
+def _saved(figure: Figure, kind: str, width: float, dpi: int) -> bytes:
+    buffer = io.BytesIO()
+    with mpl.rc_context(STYLE):  # type: ignore[arg-type]
+        _new(figure, width).savefig(buffer, format=kind, dpi=dpi, metadata=NO_METADATA[kind])
+    return buffer.getvalue()
+
+
+def _new(figure: Figure, width: float = WIDTH) -> Drawing:
+    """A new figure with a panel in each cell of its grid, and one legend above them."""
+    rows, columns = figure.grid
+    drawing = Drawing(figsize=(width, rows * (figure.height + 0.2)), layout="constrained")
     drawing.caption = figure.caption
-    drawing.suptitle(figure.title, fontsize=SMALL + 1.5, color=INK)
+    first: Axes | None = None
+    named: dict[str, Any] = {}
     for number, panel in enumerate(figure.panels, start=1):
-        _panel(panel, drawing.add_subplot(rows, columns, number))
+        axes = drawing.add_subplot(rows, columns, number, sharex=first if figure.shares_x else None)
+        first = first or axes
+        inside = figure.shares_x and number < len(figure.panels)
+        _panel(panel, axes, inside=inside, letters=(width / columns * LETTERS, figure.height * LETTERS))
+        handles, names = axes.get_legend_handles_labels()
+        named = dict(zip(names, handles, strict=True)) | named
+    if named:
+        drawing.set_figheight(drawing.get_figheight() + 0.18)
+        letters = max(len(name) for name in named) + 6
+        across = max(1, min(len(named), int(width * LETTERS / letters)))
+        drawing.legend(
+            list(named.values()),
+            list(named),
+            loc="outside upper left",
+            ncols=across,
+            fontsize=SMALL - 0.5,
+            frameon=False,
+        )
     return drawing
 
 
-def _panel(panel: Panel, axes: Axes) -> None:
+def _panel(
+    panel: Panel, axes: Axes, *, inside: bool = False, letters: tuple[float, float] = (60.0, 40.0)
+) -> None:
+    """Draw the curves of a panel and dress its axes; ``letters`` is how many fit along x and y."""
     for series in panel.series:
-        _series(series, axes, dates=panel.x.dates)
-    axes.set_xlabel(panel.x.label, fontsize=SMALL)
-    axes.set_ylabel(panel.y.label, fontsize=SMALL)
+        _series(series, axes, panel.x)
+    axes.set_xlabel(_words(panel.x.label, letters[0]), fontsize=SMALL, color=INK)
+    axes.xaxis.label.set_visible(not inside)
+    axes.set_ylabel(_words(panel.y.label, letters[1]), fontsize=SMALL, color=INK)
     if panel.title:
-        axes.set_title(panel.title, fontsize=SMALL)
-    axes.tick_params(labelsize=SMALL - 0.5)
+        axes.set_title(
+            _words(panel.title, letters[0]), fontsize=SMALL, fontweight="bold", loc="left", color=INK
+        )
+    axes.tick_params(labelsize=SMALL - 0.5, labelbottom=not inside)
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.3, linewidth=0.5)
     if panel.x.log:
@@ -97,21 +185,29 @@ def _panel(panel: Panel, axes: Axes) -> None:
         axes.set_aspect("equal", adjustable="box")
     if any(series.mark == "bars" for series in panel.series):
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    if panel.x.names:
+        axes.set_xticks(np.arange(1, len(panel.x.names) + 1), list(map(_words, panel.x.names)))
+        if sum(map(len, panel.x.names)) > 0.8 * letters[0]:
+            axes.tick_params(axis="x", labelrotation=30.0)
     if panel.x.dates:
         locator = AutoDateLocator()  # type: ignore[no-untyped-call]
         axes.xaxis.set_major_locator(locator)
         axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
-    if sum(1 for series in panel.series if series.name) > 1:
-        axes.legend(fontsize=SMALL - 1.0, frameon=False)
 
 
-def _series(series: Series, axes: Axes, *, dates: bool) -> None:
+def _words(text: str, letters: float = math.inf) -> str:
+    """Text in lines of so many letters; a dollar sign begins no formula."""
+    text = text.replace("$", r"\$")
+    return text if len(text) <= letters else textwrap.fill(text, int(letters))
+
+
+def _series(series: Series, axes: Axes, across: Axis) -> None:
     """One curve; of a long one its outline, as on the page."""
     x, y = series.arrays()
-    rows = drawn_rows(series)
+    rows = envelope_rows(y, DRAWN)
     x, y, colour = x[rows], y[rows], LIGHT[series.role]
-    name = series.name or "_"
-    if dates:
+    name = _words(series.name) or "_"
+    if across.dates:
         x = x.astype(float)  # days since 1970-01-01: Matplotlib's own count of days
     if series.mark == "bars":
         axes.bar(x, y, width=bar_width(x), color=colour, label=name)

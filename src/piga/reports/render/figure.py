@@ -1,7 +1,8 @@
 """A figure as plain data, with quantity and unit on every axis. Also the palette of all figures.
 
-A figure function takes a result and returns a :class:`Figure`; it draws nothing. The renderers
-(static SVG/PNG for print and scripts-off, interactive for the screen) draw any figure.
+A figure function takes a result and returns a :class:`Figure`; it draws nothing. plotly.js draws it on a page
+(:mod:`piga.reports.render.interactive`), Matplotlib in files and notebooks (:mod:`piga.reports.render.axes`).
+:class:`Plot` makes a figure curve by curve.
 
 A figure names roles, not colours. The palette is for print, screen and dark screens. Its hues follow the idea of
 Okabe and Ito (vermilion, blue, bluish green); lightness differs as well, so that a grey print keeps the order.
@@ -9,8 +10,10 @@ Okabe and Ito (vermilion, blue, bluish green); lightness differs as well, so tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final, Literal
+import math
+import re
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +31,8 @@ XYZ: Final[tuple[Role, Role, Role]] = ("x", "y", "z")
 class Axis:
     """Quantity and unit of one axis, e.g. ``Axis("time", "s")``; ``log`` for a logarithmic scale.
 
-    ``dates``: values are days since 1970-01-01, UTC, and shown as calendar dates; for an x axis.
+    ``dates``: values are days since 1970-01-01, UTC, and shown as calendar dates; for an x axis. ``names`` are the labels
+    of the values 1, 2, ...; they stand on the axis in place of the numbers.
     """
 
     quantity: str
@@ -36,11 +40,32 @@ class Axis:
     log: bool = False
     limits: tuple[float, float] | None = None
     dates: bool = False
+    names: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
         """Label in the form ``quantity [unit]``; unit ``1`` is written as a plain name."""
         return self.quantity if self.unit in ("", "1") else f"{self.quantity} [{self.unit}]"
+
+
+def axis(text: str | Axis, limits: tuple[float, float] | None = None, names: tuple[str, ...] = ()) -> Axis:
+    """An axis from its text: ``quantity [unit]``, with ``log`` before it for a logarithmic scale.
+
+    Examples
+    --------
+    >>> axis("log ripple amplitude [µg]")
+    Axis(quantity='ripple amplitude', unit='µg', log=True, limits=None, dates=False, names=())
+    """
+    if isinstance(text, Axis):
+        return text
+    quantity, unit = re.fullmatch(r"(.*?)(?: \[([^\[\]]*)\])?", text, re.DOTALL).groups()  # type: ignore[union-attr]
+    log = quantity.startswith("log ")
+    return Axis(quantity.removeprefix("log "), unit or "1", log, limits, names=names)
+
+
+def named_axis(quantity: str, names: tuple[str, ...]) -> Axis:
+    """An x axis with a name at each of the values 1, 2, ..."""
+    return Axis(quantity, "1", limits=(0.5, len(names) + 0.5), names=names)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,6 +129,125 @@ class Figure(Result):
     height: float = 3.2
     notes: tuple[str, ...] = ()
 
+    @property
+    def grid(self) -> tuple[int, int]:
+        """Rows and columns of panels."""
+        columns = max(1, min(self.columns, len(self.panels)))
+        return math.ceil(len(self.panels) / columns), columns
+
+    @property
+    def shares_x(self) -> bool:
+        """Whether stacked panels have one x axis: same quantity and unit in all of them."""
+        axes = {(panel.x.quantity, panel.x.unit, panel.x.log) for panel in self.panels}
+        return len(self.panels) > 1 and self.grid[1] == 1 and len(axes) == 1
+
+    @property
+    def description(self) -> str:
+        """What is drawn, in words: of each panel its axes and the names of its series."""
+        parts = []
+        for panel in self.panels:
+            names = list(dict.fromkeys(series.name for series in panel.series if series.name))
+            title = f"{panel.title}: " if panel.title else ""
+            axes = f"{panel.y.label} against {panel.x.label}"
+            parts.append(title + axes + (f": {', '.join(names)}" if names else "") + ".")
+        return " ".join(parts)
+
+
+class Plot:
+    """Makes a figure curve by curve. A curve goes to the last panel; :meth:`caption` ends the figure.
+
+    The role of a curve is its name where that is a role (``before``, ``after``, ``x``), else ``role``.
+
+    Parameters
+    ----------
+    key, title:
+        Of the figure.
+    x, y:
+        Axes of the first panel, as :func:`axis` reads them. Without them begin with :meth:`panel`.
+    columns, height:
+        Of the figure.
+
+    Examples
+    --------
+    >>> plot = Plot("drift", "Drift.", "time [s]", "log angle [arcsec]")
+    >>> figure = plot.line([1, 2], [1, 4], "before").dashed([1, 2], [3, 3], "expected").caption("Good: below the line.")
+    >>> [(series.name, series.role) for series in figure.panels[0].series]
+    [('before', 'before'), ('expected', 'reference')]
+    """
+
+    def __init__(
+        self,
+        key: str,
+        title: str,
+        x: str | Axis = "",
+        y: str | Axis = "",
+        *,
+        columns: int = 1,
+        height: float = 3.2,
+    ) -> None:
+        self._figure = Figure(key, title, (), columns=columns, height=height)
+        self._panels: list[tuple[Panel, list[Series], list[tuple[int, Series]]]] = []
+        if x:
+            self.panel(x, y)
+
+    def panel(self, x: str | Axis, y: str | Axis, title: str = "", *, equal: bool = False) -> Self:
+        """Begin the next panel."""
+        self._panels.append((Panel(axis(x), axis(y), (), title, equal), [], []))
+        return self
+
+    def line(self, x: ArrayLike, y: ArrayLike, name: str = "", role: Role = "data", **more: Any) -> Self:
+        """Add a curve; ``more`` as for :class:`Series`."""
+        role = next((known for known in get_args(Role) if known == name), role)
+        self._panels[-1][1].append(Series(x, y, name, role=role, **more))
+        return self
+
+    def points(self, x: ArrayLike, y: ArrayLike, name: str = "", role: Role = "data", **more: Any) -> Self:
+        """Add points."""
+        return self.line(x, y, name, role, mark="points", **more)
+
+    def marked(self, x: ArrayLike, y: ArrayLike, name: str = "", role: Role = "data", **more: Any) -> Self:
+        """Add a curve with a mark at each of its points."""
+        return self.line(x, y, name, role, mark="line+points", **more)
+
+    def dashed(self, x: ArrayLike, y: ArrayLike, name: str = "", role: Role = "reference", **more: Any) -> Self:
+        """Add a dashed curve."""
+        return self.line(x, y, name, role, dashed=True, **more)
+
+    def band(
+        self, x: ArrayLike, lower: ArrayLike, upper: ArrayLike, name: str = "", role: Role = "muted"
+    ) -> Self:
+        """Add the area between two curves."""
+        return self.line(x, lower, name, role, mark="band", upper=upper)
+
+    def level(self, x: ArrayLike, value: float, name: str = "", role: Role = "reference") -> Self:
+        """Add a dashed level line over the extent of ``x``."""
+        ends = np.array([np.min(x), np.max(x)], dtype=float)
+        return self.dashed(ends, np.full(2, value), name, role)
+
+    def add(self, *series: Series) -> Self:
+        """Add curves that were made elsewhere."""
+        self._panels[-1][1].extend(series)
+        return self
+
+    def of_segment(self, segment: int, series: Series) -> Self:
+        """Add the curve of a single segment, shown while that segment is selected on a page."""
+        self._panels[-1][2].append((segment, series))
+        return self
+
+    def caption(self, text: str, *notes: str) -> Figure:
+        """The figure with its caption, and small print below."""
+        panels = tuple(
+            replace(panel, series=tuple(series), of_segments=tuple(single))
+            for panel, series, single in self._panels
+        )
+        return replace(self._figure, panels=panels, caption=text, notes=notes)
+
+
+def bar_width(x: ArrayLike) -> float:
+    """Width of the bars of a series: four fifths of the smallest distance."""
+    places = np.unique(np.asarray(x, dtype=float))
+    return 0.8 * float(np.diff(places).min()) if places.size > 1 else 0.8
+
 
 INK: Final = "#1c2733"
 SOFT: Final = "#56626f"
@@ -144,19 +288,6 @@ def css_names() -> dict[str, str]:
     """CSS variable of each light colour, e.g. ``{"#10528a": "--role-after"}``."""
     names = {light: f"--{name}" for name, (light, _) in _CHROME.items()}
     return names | {colour: f"--role-{role}" for role, colour in LIGHT.items()}
-
-
-def light_colour(name: str) -> str:
-    """Colour on white paper by its name: ``ink``, ``soft``, ``grid`` or ``role-`` and a role."""
-    return _LIGHT_BY_NAME[name]
-
-
-def css_variable(name: str) -> str:
-    """The same as a variable of a page, which follows its theme."""
-    return f"var(--{name})"
-
-
-_LIGHT_BY_NAME = {name.removeprefix("--"): colour for colour, name in css_names().items()}
 
 
 def css_variables(*, dark: bool) -> str:

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piga.reports.render.decimate import envelope_rows
-from piga.reports.render.figure import GRID, INK, LIGHT, SOFT, Axis, Figure, Panel, Series
-from piga.reports.render.scene import rows_and_columns, series_key, shares_x
+from piga.reports.render.figure import GRID, INK, LIGHT, SOFT, Axis, Figure, Panel, Series, bar_width
 
 _PIXELS_PER_INCH = 96
-_GAP_X, _GAP_Y, _GAP_TITLED = 0.11, 0.11, 0.22
+_GAP_X, _GAP_Y = 0.2, 0.16
+_BELOW, _ABOVE = 46, 34
+"""Pixels that a row needs for its x axis below the panel and for a title above it."""
 _DIGITS = 6
 _DAY = 86.4e6
 """Milliseconds of a day: plotly.js counts dates in them since 1970-01-01."""
@@ -24,16 +25,14 @@ def figure_spec(figure: Figure) -> dict[str, Any]:
     """The figure as a plotly.js document: ``data``, ``layout``, ``narrow`` (layout changes for a phone) and ``single``.
 
     ``single`` are the curves of single segments; their ``meta`` is the index of the segment. The ``meta`` of another
-    trace is the index of the segment of each of its points.
-
-    The traces carry the names of :func:`piga.reports.render.scene.series_key` as ``uid``. Numbers keep six
-    significant digits of their own spread; the values shown under the pointer carry their units.
+    trace is the index of the segment of each of its points. Numbers keep six significant digits of their own spread; the
+    values shown under the pointer carry their units.
     """
-    traces, single, layout, shown = [], [], _layout(figure), set()
+    traces, single, shown = [], [], set()
     for index, panel in enumerate(figure.panels):
         for order, series in enumerate(panel.series):
             trace = _trace(series, panel, suffix=_suffix(index))
-            trace["uid"] = series_key(figure, index, order)
+            trace["uid"] = f"{figure.key}-p{index}-s{order}"
             trace["showlegend"] = bool(series.name) and series.name not in shown
             shown.add(series.name)
             traces += [*_band_base(trace, series), trace]
@@ -42,7 +41,7 @@ def figure_spec(figure: Figure) -> dict[str, Any]:
             | {"meta": segment, "uid": f"{figure.key}-single-{index}"}
             for segment, series in panel.of_segments
         ]
-    return {"data": traces, "layout": layout, "narrow": _narrow(figure), "single": single}
+    return {"data": traces, "layout": _layout(figure), "narrow": _narrow(figure), "single": single}
 
 
 def _suffix(index: int) -> str:
@@ -95,8 +94,9 @@ def _trace(series: Series, panel: Panel, suffix: str) -> dict[str, Any]:
         trace["customdata"] = np.asarray(series.rows)[rows].astype(int).tolist()
     if series.segments is not None:
         trace["meta"] = np.asarray(series.segments)[rows].astype(int).tolist()
-    if series.text is not None:
-        trace["text"] = [_text(series.text[row]) for row in rows]
+    text = series.text or tuple(panel.x.names[round(place) - 1] for place in x if panel.x.names)
+    if text:
+        trace["text"] = [_text(text[row]) for row in rows]
     if series.role == "muted" and not series.name:
         trace["hoverinfo"] = "skip"
         del trace["hovertemplate"]
@@ -108,7 +108,7 @@ def _trace(series: Series, panel: Panel, suffix: str) -> dict[str, Any]:
 
 def _look(series: Series, colour: str) -> dict[str, Any]:
     if series.mark == "bars":
-        return {"type": "bar", "marker": {"color": colour}}
+        return {"type": "bar", "marker": {"color": colour}, "width": bar_width(series.x)}
     line: dict[str, Any] = {"color": colour, "width": 1.0 if series.role == "muted" else 1.5}
     if series.dashed:
         line["dash"] = "dash"
@@ -142,8 +142,9 @@ def _hover(series: Series, panel: Panel) -> str:
         return f"{_text(axis.quantity)} %{{{letter}:.5~g}}{unit}"
 
     lines = [f"<b>{_text(series.name)}</b>"] if series.name else []
-    lines += ["%{text}"] if series.text is not None else []
-    return "<br>".join([*lines, value(panel.x, "x"), value(panel.y, "y")]) + "<extra></extra>"
+    lines += ["%{text}"] if series.text or panel.x.names else []
+    lines += [] if panel.x.names else [value(panel.x, "x")]
+    return "<br>".join([*lines, value(panel.y, "y")]) + "<extra></extra>"
 
 
 def _axis(axis: Axis, *, title: bool) -> dict[str, Any]:
@@ -165,6 +166,11 @@ def _axis(axis: Axis, *, title: bool) -> dict[str, Any]:
         spec |= {"type": "log", "dtick": 1}
     if axis.dates:
         spec |= {"type": "date", "nticks": 7, "tickformatstops": _DATE_STOPS}
+    if axis.names:
+        spec |= {
+            "tickvals": list(range(1, len(axis.names) + 1)),
+            "ticktext": [_text(name) for name in axis.names],
+        }
     if axis.limits is not None:
         low, high = axis.limits
         spec["range"] = [math.log10(low), math.log10(high)] if axis.log else [low, high]
@@ -181,81 +187,75 @@ _DATE_STOPS = [
 """Forms of a date by the distance between ticks, in milliseconds or months (M)."""
 
 
-def _row_gap(figure: Figure) -> float:
-    """Share of the height between rows: more where axis labels and panel titles meet there."""
-    titled = any(panel.title for panel in figure.panels[rows_and_columns(figure)[1] :])
-    return _GAP_TITLED if titled and not shares_x(figure) else _GAP_Y
-
-
-def _domains(rows: int, columns: int, index: int, gap: float = _GAP_Y) -> tuple[list[float], list[float]]:
-    row, column = divmod(index, columns)
-    gap_x, gap_y = (_GAP_X if columns > 1 else 0.0), (gap if rows > 1 else 0.0)
-    wide, tall = (1.0 - gap_x * (columns - 1)) / columns, (1.0 - gap_y * (rows - 1)) / rows
-    left, top = column * (wide + gap_x), 1.0 - row * (tall + gap_y)
-    return [round(left, 4), round(left + wide, 4)], [round(max(top - tall, 0.0), 4), round(top, 4)]
-
-
 def _layout(figure: Figure) -> dict[str, Any]:
-    rows, columns = rows_and_columns(figure)
+    """Layout with one cell of the grid for each panel. Panel titles stand above their panels, at the left."""
+    rows, columns = figure.grid
+    titled = any(panel.title for panel in figure.panels)
     layout: dict[str, Any] = {
-        "height": round(figure.height * rows * _PIXELS_PER_INCH + 40),
-        "margin": {"l": 64, "r": 12, "t": 44, "b": 48},
+        "height": _height(rows, figure.height),
+        "margin": {"l": 64, "r": 12, "t": 70 if titled else 44, "b": 48},
         "font": {"family": "system-ui, sans-serif", "size": 13, "color": INK},
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",
         "hovermode": "closest",
         "separators": ".\u202f",
-        "legend": {"orientation": "h", "x": 0, "y": 1.02, "xanchor": "left", "yanchor": "bottom"},
-        "annotations": [],
+        "legend": {"orientation": "h", "x": 0, "xanchor": "left", "yanchor": "bottom"},
+        "grid": _grid(figure, rows, columns),
+        "annotations": [
+            _title(panel, _suffix(index)) for index, panel in enumerate(figure.panels) if panel.title
+        ],
     }
-    gap = _row_gap(figure)
+    layout["legend"]["y"] = _legend_place(figure, layout["height"])
+    last = _suffix(len(figure.panels) - 1)
     for index, panel in enumerate(figure.panels):
-        domains = _domains(rows, columns, index, gap)
-        _place_panel(layout, figure, index, domains)
-        if panel.title:
-            layout["annotations"].append(_panel_title(panel.title, domains))
-            layout["margin"]["t"] = 70
-            layout["legend"]["y"] = 1.09
+        suffix = _suffix(index)
+        inside = figure.shares_x and suffix != last
+        x, y = _axis(panel.x, title=not inside), _axis(panel.y, title=True)
+        x, y = x | {"anchor": f"y{suffix}"}, y | {"anchor": f"x{suffix}"}
+        if inside:
+            x |= {"matches": f"x{last}", "showticklabels": False}
+        if panel.equal:
+            y |= {"scaleanchor": f"x{suffix}", "constrain": "domain"}
+            x |= {"constrain": "domain", "nticks": 6}
+        layout |= {f"xaxis{suffix}": x, f"yaxis{suffix}": y}
     return layout
 
 
-def _place_panel(
-    layout: dict[str, Any], figure: Figure, index: int, domains: tuple[list[float], list[float]]
-) -> None:
-    panel, suffix, shared = figure.panels[index], _suffix(index), shares_x(figure)
-    last = index == len(figure.panels) - 1
-    x = _axis(panel.x, title=not shared or last) | {"domain": domains[0], "anchor": f"y{suffix}"}
-    y = _axis(panel.y, title=True) | {"domain": domains[1], "anchor": f"x{suffix}"}
-    if shared and not last:
-        x |= {"matches": f"x{_suffix(len(figure.panels) - 1)}", "showticklabels": False}
-    if panel.equal:
-        y |= {"scaleanchor": f"x{suffix}", "constrain": "domain"}
-        x |= {"constrain": "domain", "nticks": 6}
-    layout |= {f"xaxis{suffix}": x, f"yaxis{suffix}": y}
+def _legend_place(figure: Figure, height: int) -> float:
+    """The legend begins above the titles of the first row; a share of the height of the plots."""
+    room = 24 if any(panel.title for panel in figure.panels) else 6
+    return round(1.0 + room / (height - 110.0), 3)
 
 
-def _panel_title(title: str, domains: tuple[list[float], list[float]]) -> dict[str, Any]:
-    place = {"x": domains[0][0], "y": domains[1][1], "xref": "paper", "yref": "paper"}
+def _height(rows: int, inches: float) -> int:
+    return round(inches * rows * _PIXELS_PER_INCH + 40)
+
+
+def _grid(figure: Figure, rows: int, columns: int) -> dict[str, Any]:
+    """Cells of the panels, with room for the words between two rows."""
+    titled, labelled = any(panel.title for panel in figure.panels), not figure.shares_x
+    words = _BELOW * labelled + _ABOVE * titled
+    cell = figure.height * _PIXELS_PER_INCH
+    gap = max(_GAP_Y, words / cell) if rows > 1 else 0.0
+    return {"rows": rows, "columns": columns, "pattern": "independent", "xgap": _GAP_X, "ygap": round(gap, 3)}
+
+
+def _title(panel: Panel, suffix: str) -> dict[str, Any]:
+    """The title of a panel, above its left end."""
+    place = {"x": 0, "y": 1, "xref": f"x{suffix} domain", "yref": f"y{suffix} domain"}
     look = {"showarrow": False, "xanchor": "left", "yanchor": "bottom", "font": {"size": 13}}
-    return {"text": f"<b>{_text(title)}</b>"} | place | look
+    return {"text": f"<b>{_text(panel.title)}</b>"} | place | look
 
 
 def _narrow(figure: Figure) -> dict[str, Any]:
     """Layout changes where the page is narrow: panels below each other, smaller letters and margins."""
     count = len(figure.panels)
-    changes: dict[str, Any] = {
+    height = _height(count, 3.3 if any(panel.equal for panel in figure.panels) else 2.9) + 20
+    return {
         "font.size": 11,
         "margin.l": 50,
         "margin.r": 6,
-        "height": round((3.3 if any(p.equal for p in figure.panels) else 2.9) * count * _PIXELS_PER_INCH + 60),
+        "height": height,
+        "legend.y": _legend_place(figure, height),
+        "grid": _grid(figure, count, 1),
     }
-    if rows_and_columns(figure)[1] == 1:
-        return changes
-    titled = iter(range(count))
-    for index, panel in enumerate(figure.panels):
-        x, y = _domains(count, 1, index)
-        changes |= {f"xaxis{_suffix(index)}.domain": x, f"yaxis{_suffix(index)}.domain": y}
-        if panel.title:
-            note = f"annotations[{next(titled)}]"
-            changes |= {f"{note}.x": x[0], f"{note}.y": y[1]}
-    return changes

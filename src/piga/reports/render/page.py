@@ -1,7 +1,7 @@
 """Self-contained pages: one HTML file with tiles, tables and figures that opens offline.
 
 A page is plain data (:class:`Page`, :class:`Section` and blocks); :func:`page_html` turns it into text.
-Static figures stand in the page; where scripts run they become interactive when scrolled into view.
+Figures are drawn by plotly.js, which stands in the page: when scrolled into view, and all of them before printing.
 Nothing is loaded from elsewhere, and a content security policy admits only the page's own two scripts.
 """
 
@@ -20,6 +20,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Generic, Literal, Self, TypeVar
 
+from piga.errors import MissingPackageError
 from piga.reports.render.figure import Figure
 
 Tone = Literal["", "good", "doubtful", "bad", "quiet"]
@@ -246,7 +247,6 @@ def page_html(page: Page) -> str:
     """The page as HTML text: the same page always gives the same bytes."""
     from piga.reports.render.figure import css_names, css_variables
     from piga.reports.render.interactive import figure_spec
-    from piga.reports.render.static import figure_svg
 
     figures = page.figures()
     scripts = (resource("assets", "plotly-basic.min.js"), resource("templates", "page.js")) if figures else ()
@@ -258,7 +258,6 @@ def page_html(page: Page) -> str:
         scripts=scripts,
         policy=_policy(scripts),
         palette=json_island(css_names()),
-        svg={figure.key: figure_svg(figure) for figure in figures},
         spec={figure.key: json_island(figure_spec(figure)) for figure in figures},
     )
 
@@ -275,12 +274,20 @@ class Card:
 
 
 def card_html(card: Card) -> str:
-    """The card as a piece of HTML, for a notebook. It needs no script, no network and no Matplotlib."""
-    from piga.reports.render.static import picture_svg
-
-    svg = "" if card.figure is None else picture_svg(card.figure)
-    text: str = template("card.html.jinja").render(card=card, svg=svg)
+    """The card as a piece of HTML, for a notebook. It needs no script and no network; its figure needs Matplotlib."""
+    text: str = template("card.html.jinja").render(card=card, svg=_picture(card.figure))
     return text
+
+
+def _picture(figure: Figure | None) -> str:
+    """The figure as SVG; empty where Matplotlib is not installed."""
+    if figure is None:
+        return ""
+    try:
+        from piga.reports.render.axes import figure_svg
+    except MissingPackageError:
+        return ""
+    return figure_svg(figure, width=5.0)
 
 
 def write_page(page: Page, path: Path) -> Path:

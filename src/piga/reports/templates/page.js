@@ -75,12 +75,17 @@
   };
 
   const specs = new Map(figures.map((figure) => [figure, JSON.parse(figure.querySelector("script.spec").textContent)]));
+  // Paper: the colours of the specification are those on white, and a figure is as wide as the text of an A4 page.
+  const paper = { getPropertyValue: (name) => Object.keys(palette).find((key) => palette[key] === name) || "" };
+  const PAPER_WIDTH = 680;
+  let printing = false;
   const draw = (figure) => {
     const spec = specs.get(figure);
-    const style = getComputedStyle(document.documentElement);
+    const style = printing ? paper : getComputedStyle(document.documentElement);
     const layout = themed(spec.layout, style);
-    const narrow = figure.clientWidth < 560;
+    const narrow = !printing && figure.clientWidth < 560;
     figure.dataset.narrow = narrow;
+    if (printing) layout.width = PAPER_WIDTH;
     if (narrow) Object.entries(spec.narrow).forEach(([path, value]) => change(layout, path, value));
     layout.hoverlabel = { bgcolor: style.getPropertyValue("--paper").trim(), font: { color: layout.font.color } };
     layout.modebar = { bgcolor: "rgba(0,0,0,0)", color: style.getPropertyValue("--soft").trim() };
@@ -95,9 +100,10 @@
     const live = figure.querySelector(".live");
     live.dataset.plain = live.dataset.plain || live.getAttribute("aria-label");
     live.setAttribute("aria-label", live.dataset.plain + (data.length > spec.data.length ? ` Segment ${names[selected]} is marked.` : ""));
+    live.style.minHeight = "";
     figure.classList.add("upgraded");
     // In a narrow figure the buttons would cover the legend; dragging and a double click zoom there, too.
-    const own = touch.matches || narrow ? { ...config, displayModeBar: false } : config;
+    const own = touch.matches || narrow || printing ? { ...config, displayModeBar: false } : config;
     Plotly.react(live, data, layout, own)
       .then(() => {
         tell(figure, live);
@@ -116,7 +122,17 @@
       draw(entry.target);
     });
   }, { rootMargin: "400px" });
-  figures.forEach((figure) => observer.observe(figure));
+  figures.forEach((figure) => {
+    figure.querySelector(".live").style.minHeight = `${specs.get(figure).layout.height}px`;
+    observer.observe(figure);
+  });
+  const print = (now) => {
+    printing = now;
+    if (now) figures.forEach(draw);
+    else figures.filter((figure) => figure.classList.contains("upgraded")).forEach(draw);
+  };
+  window.addEventListener("beforeprint", () => print(true));
+  window.addEventListener("afterprint", () => print(false));
 
   const rows = [...document.querySelectorAll("tr[data-segment]")].filter((row) => names[Number(row.dataset.segment)] !== undefined);
   const select = (segment) => {

@@ -92,7 +92,7 @@ def picture(request: Request) -> Response:
 
 
 def _rendered(request: Request, template: str) -> Response:
-    from piga.reports.render.static import figure_svg
+    from piga.reports.render.axes import figure_svg
 
     values = _values(request)
     inst = Instrument(scale_factor=f"{values['K']} rad/s/g", beta=f"{values['beta']} arcsec")
