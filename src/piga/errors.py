@@ -151,7 +151,6 @@ EXTRAS = {
     "nptdms": "tdms",
     "openpyxl": "xlsx",
     "sqlalchemy": "records",
-    "alembic": "records",
     "psycopg": "postgres",
     "lxml": "certificate",
     "signxml": "certificate",

@@ -21,7 +21,6 @@ HEAVY = {
     "matplotlib",
     "jinja2",
     "sqlalchemy",
-    "alembic",
     "sqlite3",
     "lxml",
     "pydantic",

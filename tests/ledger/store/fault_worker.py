@@ -20,7 +20,6 @@ from piga.ledger.store import open_store
 from piga.ledger.store.transfer import backup, export_records, import_records, restore
 from piga.ledger.store.verify import verify
 from tests.ledger.store.drafts import add, filled
-from tests.ledger.store.newer import become_newer
 
 SHIM = ctypes.CDLL(None)
 KINDS = {
@@ -30,7 +29,7 @@ KINDS = {
     "EINTR once": (errno.EINTR, 0, 0),
     "short write": (0, 0, 1),
 }
-ALLOWED = {"a.sqlite", "o.sqlite", "old.sqlite", "all.zip", "new.sqlite", "new.zip"}
+ALLOWED = {"a.sqlite", "o.sqlite", "all.zip", "new.sqlite", "new.zip"}
 
 
 def prepare(folder: Path) -> None:
@@ -68,10 +67,6 @@ def make_again(folder: Path) -> None:
     restore(folder / "all.zip", folder / "new.sqlite")
 
 
-def open_it(folder: Path) -> None:
-    open_store(folder / "a.sqlite").close()
-
-
 OPERATIONS: dict[str, Callable[[Path], None]] = {
     "append": append,
     "import": take_over,
@@ -79,7 +74,6 @@ OPERATIONS: dict[str, Callable[[Path], None]] = {
     "export": export,
     "backup": copy,
     "restore": make_again,
-    "migrate": open_it,
 }
 
 
@@ -143,40 +137,9 @@ def main() -> None:
     values = {}
     for number, name in enumerate(OPERATIONS):
         kinds = list(KINDS) if step == 1 else [list(KINDS)[number % len(KINDS)]]
-        if name == "migrate":
-            become_newer(folder / "versions")
-            open_it(shutil.copytree(source, folder / "warm2"))
         for kind in kinds:
-            if name == "migrate":
-                values[f"{name}, {kind}"] = loop_migrate(source, work, kind, step)
-            else:
-                values[f"{name}, {kind}"] = loop(source, work, name, kind, step)
+            values[f"{name}, {kind}"] = loop(source, work, name, kind, step)
     json.dump(values, sys.stdout)
-
-
-def loop_migrate(source: Path, work: Path, kind: str, step: int) -> dict[str, int]:
-    """As :func:`loop`, for a store of the older schema: afterwards opening it once more ends the migration."""
-    error, stays, short = KINDS[kind]
-    points = refused = 0
-    for n in range(1, 100_000, step):
-        shutil.rmtree(work, ignore_errors=True)
-        shutil.copytree(source, work)
-        SHIM.fault_arm(ctypes.c_long(n), error, stays, short)
-        try:
-            open_it(work)
-        except StoreError:
-            refused += 1
-        finally:
-            counted = SHIM.fault_disarm()
-        points += counted >= n
-        open_it(work)
-        verification = verify(work / "a.sqlite")
-        assert verification.sound, verification.problems
-        assert verification.records == 3
-        assert {path.name for path in work.iterdir()} <= ALLOWED
-        if counted < n:
-            return {"points": points, "refused": refused}
-    raise AssertionError("the operation never ends")
 
 
 if __name__ == "__main__":

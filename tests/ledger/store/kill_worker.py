@@ -1,24 +1,20 @@
-"""What the kill campaign kills: a process that adds, imports, exports or migrates without end and says what is done.
+"""What the kill campaign kills: a process that adds, imports, exports or creates without end and says what is done.
 
 Every acknowledgement is sent after the call has returned; the parent counts on nothing else.
 """
 
 from __future__ import annotations
 
-import shutil
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 from piga.ledger.store import open_store
 from piga.ledger.store.transfer import backup, export_records, import_records
 from tests.ledger.store.drafts import add
-from tests.ledger.store.newer import become_newer
 
 
 def work(operation: str, folder: Path, pipe: Connection, round_number: int) -> None:
     """Do one operation again and again until killed."""
-    if operation == "migrate":
-        become_newer(folder.parent / f"versions-{round_number}")
     exports = sorted((folder.parent / "exports").iterdir())
     pipe.send("ready")
     for index in range(1_000_000):
@@ -35,11 +31,6 @@ def work(operation: str, folder: Path, pipe: Connection, round_number: int) -> N
                 export_records(store, folder / "all.zip", replace=True)
                 backup(store, folder / "copy.sqlite", replace=True)
             pipe.send([])
-        elif operation == "create":
-            open_store(folder / f"new-{index % 5}.sqlite", create=True).close()
-            pipe.send([])
         else:
-            shutil.copy(folder.parent / "old.sqlite", folder.parent / "old-copy.sqlite")
-            (folder.parent / "old-copy.sqlite").replace(folder / "m.sqlite")
-            open_store(folder / "m.sqlite").close()
+            open_store(folder / f"new-{index % 5}.sqlite", create=True).close()
             pipe.send([])

@@ -64,27 +64,6 @@ def test_same_file_is_kept_once_and_large_ones_are_packed(tmp_path: Path) -> Non
     raw.close()
 
 
-@pytest.mark.parametrize(
-    "statement",
-    [
-        "DELETE FROM {table}",
-        "UPDATE {table} SET {column} = {column}",
-        "INSERT OR REPLACE INTO {table} SELECT * FROM {table}",
-    ],
-)
-@pytest.mark.parametrize(
-    ("table", "column"),
-    [("store", "document"), ("entry", "document"), ("blob", "size"), ("chunk", "data"), ("head", "head")],
-)
-def test_the_database_itself_refuses_changes(tmp_path: Path, statement: str, table: str, column: str) -> None:
-    filled(tmp_path / "a.sqlite", 1).close()
-    raw = sqlite3.connect(tmp_path / "a.sqlite")
-    with pytest.raises(sqlite3.DatabaseError, match="append-only"):
-        raw.execute(statement.format(table=f"piga_{table}", column=column))
-    raw.close()
-    assert verify(tmp_path / "a.sqlite").sound
-
-
 def test_an_amendment_is_a_new_record(tmp_path: Path) -> None:
     with open_store(tmp_path / "a.sqlite", create=True) as store:
         first, other = add(store, "a"), add(store, "b", serial="T-2")
@@ -314,18 +293,9 @@ def test_damage_is_neither_exported_nor_backed_up(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
-    [
-        "DROP TRIGGER piga_entry_no_delete",
-        "DROP INDEX ix_piga_entry_serial",
-        "CREATE TABLE other (a)",
-        "CREATE TRIGGER t AFTER INSERT ON piga_entry BEGIN SELECT 1; END",
-        "PRAGMA journal_mode=WAL",
-        "PRAGMA user_version=2",
-        "PRAGMA application_id=1",
-    ],
+    "change", ["PRAGMA journal_mode=WAL", "PRAGMA user_version=2", "PRAGMA application_id=1"]
 )
-def test_altered_schema_is_found(tmp_path: Path, change: str) -> None:
+def test_altered_marks_are_found(tmp_path: Path, change: str) -> None:
     filled(tmp_path / "a.sqlite", 1).close()
     raw = sqlite3.connect(tmp_path / "a.sqlite")
     raw.execute(change)

@@ -35,7 +35,7 @@ LARGE = 200_000
 def test_without_the_extra_for_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     there = importlib.util.find_spec
     monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *rest: None if name == "alembic" else there(name, *rest)
+        importlib.util, "find_spec", lambda name, *rest: None if name == "sqlalchemy" else there(name, *rest)
     )
     with pytest.raises(StoreError, match="needs the extra 'records'") as caught:
         open_store(tmp_path / "a.sqlite", create=True)

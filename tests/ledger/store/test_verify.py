@@ -59,18 +59,13 @@ def cut(raw: bytes, chance: random.Random) -> bytes:
 
 
 def tamper(path: Path, change: Callable[[sqlite3.Connection], None]) -> None:
-    """Change rows as someone would who has the file: triggers off, change, the same triggers on again."""
+    """Change rows as someone would who has the file."""
     connection = sqlite3.connect(path)
     connection.execute("PRAGMA synchronous=OFF")
     connection.execute("PRAGMA journal_mode=MEMORY")
-    triggers = connection.execute("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'").fetchall()
-    for name, _ in triggers:
-        connection.execute(f"DROP TRIGGER {name}")
     try:
         change(connection)
     finally:
-        for _, sql in triggers:
-            connection.execute(sql)
         connection.commit()
         connection.close()
 

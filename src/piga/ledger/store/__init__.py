@@ -32,7 +32,7 @@ def open_store(where: str | Path, *, create: bool = False) -> Store:
     """
     from importlib.util import find_spec
 
-    if find_spec("sqlalchemy") is None or find_spec("alembic") is None:
+    if find_spec("sqlalchemy") is None:
         raise StoreError(
             "the store of records needs the extra 'records', which is not installed",
             remedy="install it with: pip install 'piga[records]'",

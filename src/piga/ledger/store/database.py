@@ -1,4 +1,4 @@
-"""Open, create, migrate and recover the database of a store: a SQLite file, or PostgreSQL by URL.
+"""Open, create and recover the database of a store: a SQLite file, or PostgreSQL by URL.
 
 SQLite: one file, rollback journal, ``synchronous=EXTRA`` (FULL, and the directory too). ``BEGIN IMMEDIATE`` lets one
 writer work at a time. PostgreSQL: an advisory lock lets one writer work at a time; readers see one snapshot.
@@ -19,15 +19,14 @@ from sqlalchemy.pool import NullPool, StaticPool
 
 from piga.errors import StoreError
 from piga.ledger.store.documents import new_identity, sha256
-from piga.ledger.store.rows import HEAD, STORE
+from piga.ledger.store.rows import HEAD, STORE, VERSION, metadata
 from piga.output import remove_leftovers, write_whole
 from piga.records.limits import open_regular
 
 APPLICATION_ID = 0x70696761
 """The letters ``piga`` in the header of the SQLite file."""
 SCHEMA = 1
-"""Schema version that this piga writes: the number of the last migration."""
-MIGRATIONS = Path(__file__).parent / "migrations" / "versions"
+"""Version of the tables that this piga reads and writes."""
 BUSY = 60.0
 """Longest time that a writer waits for another writer [s]."""
 _ADVISORY_LOCK = 0x7069676172656300
@@ -39,7 +38,6 @@ _WORDS = (
     ("index row size", "a serial is too long for PostgreSQL", "restore into a SQLite file"),
     ("readonly", "it cannot be written to", "check the rights of the file and its folder"),
     ("locked", "another program holds it", "try again when that has ended"),
-    ("append-only", "records are append-only", "amend a record by a new one that supersedes it"),
     ("disk i/o", "the disk reported an error", "check the disk; piga records verify shows what is stored"),
     ("malformed", "the file is damaged", _DAMAGED),
     ("not a database", "the file is damaged", _DAMAGED),
@@ -100,7 +98,7 @@ def is_url(where: str | Path) -> bool:
 
 
 def open_database(where: str | Path, *, create: bool = False, identity: bytes | None = None) -> Database:
-    """Open the database of a store. An older schema is migrated. A hot journal is rolled back.
+    """Open the database of a store. A hot journal is rolled back.
 
     Parameters
     ----------
@@ -142,7 +140,7 @@ def _open_sqlite(path: Path, create: bool, identity: bytes | None) -> Database:
     )
     if writable and path.with_name(f"{path.name}-journal").exists():
         _roll_back(uri)
-    _check_version(database, writable)
+    _check_version(database)
     return database
 
 
@@ -215,14 +213,16 @@ def new_sqlite(identity: bytes | None) -> bytes:
         database = Database("new store", _sqlite_engine(lambda: memory, StaticPool), Path(":memory:"))
         with database.writing() as connection:
             connection.exec_driver_sql(f"PRAGMA application_id={APPLICATION_ID}")
-            migrate(connection)
-            first_rows(connection, identity)
+            connection.exec_driver_sql(f"PRAGMA user_version={SCHEMA}")
+            create_tables(connection, identity)
         return memory.serialize()
 
 
-def first_rows(connection: sa.Connection, identity: bytes | None) -> None:
-    """Write identity and head of a new store."""
+def create_tables(connection: sa.Connection, identity: bytes | None) -> None:
+    """Create the tables of a new store, with its identity, its head and the version of the tables."""
+    metadata.create_all(connection)
     document = identity or new_identity()
+    connection.execute(VERSION.insert().values(version_num=f"{SCHEMA:04d}"))
     connection.execute(STORE.insert().values(document=document))
     connection.execute(HEAD.insert().values(one=1, number=0, head=sha256(document)))
 
@@ -240,48 +240,27 @@ def _roll_back(uri: str) -> None:
         connection.execute("COMMIT")
 
 
-def _check_version(database: Database, writable: bool) -> None:
+def _check_version(database: Database) -> None:
+    """Read the version of the tables before anything is written."""
     with database.reading() as connection:
         version = schema_version(connection)
-    if version == SCHEMA:
-        return
-    if version > SCHEMA:
+    if version != SCHEMA:
         raise StoreError(
-            f"{database.name}: made by a newer piga (schema {version}, this piga knows up to {SCHEMA})",
-            remedy="update piga; the store was not touched",
+            f"{database.name}: made by a newer piga (schema {version}, this piga knows up to {SCHEMA})"
+            if version > SCHEMA
+            else f"{database.name}: the version of its tables is missing",
+            remedy="update piga; the store was not touched" if version > SCHEMA else _DAMAGED,
         )
-    if not writable:
-        raise StoreError(
-            f"{database.name}: has the older schema {version} and cannot be written to",
-            remedy="copy it to a place where it can be migrated",
-        )
-    with database.writing() as connection:
-        if schema_version(connection) < SCHEMA:
-            migrate(connection)
 
 
 def schema_version(connection: sa.Connection) -> int:
     """Schema version of the store; 0 if it has none yet."""
     if connection.dialect.name == "sqlite":
         return int(connection.exec_driver_sql("PRAGMA user_version").scalar_one())
-    if not sa.inspect(connection).has_table("piga_schema_version"):
+    if not sa.inspect(connection).has_table(VERSION.name):
         return 0
-    revision = connection.exec_driver_sql("SELECT version_num FROM piga_schema_version").scalar_one_or_none()
-    return 0 if revision is None else int(revision)
-
-
-def migrate(connection: sa.Connection) -> None:
-    """Migrate the schema to the current version, inside the transaction of ``connection``."""
-    from alembic import command
-    from alembic.config import Config
-
-    config = Config(attributes={"connection": connection})
-    config.set_main_option("script_location", str(Path(__file__).parent / "migrations").replace("%", "%%"))
-    config.set_main_option("version_locations", str(MIGRATIONS).replace("%", "%%"))
-    config.set_main_option("path_separator", "newline")
-    command.upgrade(config, f"{SCHEMA:04d}")
-    if connection.dialect.name == "sqlite":
-        connection.exec_driver_sql(f"PRAGMA user_version={SCHEMA}")
+    version = connection.execute(sa.select(VERSION.c.version_num)).scalar_one_or_none()
+    return 0 if version is None else int(version)
 
 
 def postgresql_database(where: str) -> Database:
@@ -320,7 +299,6 @@ def _open_postgresql(where: str, create: bool, identity: bytes | None) -> Databa
     if version == 0:
         with database.writing() as connection:
             if schema_version(connection) == 0:
-                migrate(connection)
-                first_rows(connection, identity)
-    _check_version(database, writable=True)
+                create_tables(connection, identity)
+    _check_version(database)
     return database

@@ -1,6 +1,6 @@
 """The tables of a store, row by row: identity, head and entries, and files in parts of a megabyte.
 
-Each file is stored once, under its SHA-256. The migrations create the tables.
+Each file is stored once, under its SHA-256.
 """
 
 from __future__ import annotations
@@ -10,7 +10,17 @@ import zlib
 from collections.abc import Iterable, Iterator
 
 import sqlalchemy as sa
-from sqlalchemy import BigInteger, Column, Integer, LargeBinary, MetaData, Table, Text
+from sqlalchemy import (
+    BigInteger,
+    CheckConstraint,
+    Column,
+    ForeignKey,
+    Integer,
+    LargeBinary,
+    MetaData,
+    Table,
+    Text,
+)
 
 from piga.errors import StoreError
 from piga.ledger.store.documents import PART, Entry, Head, digest_of, sha256
@@ -23,22 +33,27 @@ STORE = Table("piga_store", metadata, Column("document", LargeBinary, primary_ke
 ENTRY = Table(
     "piga_entry",
     metadata,
-    Column("number", Integer, primary_key=True, autoincrement=False),
-    Column("head", Text, nullable=False),
-    Column("id", Text, nullable=False),
-    Column("serial", Text, nullable=False),
+    Column("number", Integer, CheckConstraint("number > 0"), primary_key=True, autoincrement=False),
+    Column("head", Text, nullable=False, unique=True),
+    Column("id", Text, nullable=False, unique=True),
+    Column("serial", Text, nullable=False, index=True),
     Column("link", LargeBinary, nullable=False),
     Column("document", LargeBinary, nullable=False),
 )
 """The chain: link and record document. Head, id and serial are copied from them for look-ups."""
 
-BLOB = Table("piga_blob", metadata, Column("sha256", Text, primary_key=True), Column("size", BigInteger))
+BLOB = Table(
+    "piga_blob",
+    metadata,
+    Column("sha256", Text, primary_key=True),
+    Column("size", BigInteger, CheckConstraint("size >= 0"), nullable=False),
+)
 """Files, named by their SHA-256."""
 
 CHUNK = Table(
     "piga_chunk",
     metadata,
-    Column("sha256", Text, primary_key=True),
+    Column("sha256", Text, ForeignKey("piga_blob.sha256"), primary_key=True),
     Column("part", Integer, primary_key=True),
     Column("codec", Text, nullable=False),
     Column("digest", Text, nullable=False),
@@ -49,12 +64,14 @@ CHUNK = Table(
 HEAD = Table(
     "piga_head",
     metadata,
-    Column("one", Integer, primary_key=True),
-    Column("number", Integer),
-    Column("head", Text),
+    Column("one", Integer, CheckConstraint("one = 1"), primary_key=True, autoincrement=False),
+    Column("number", Integer, nullable=False),
+    Column("head", Text, nullable=False),
 )
 """Table with one row: number and head of the last entry. It shows whether the chain was cut short."""
 
+VERSION = Table("piga_schema_version", metadata, Column("version_num", Text, primary_key=True))
+"""Table with one row: the version of the tables."""
 
 COMPRESS_ABOVE = 1 << 16
 """Files larger than this are stored compressed [bytes]; ``Store(compress_above=...)`` changes it."""

@@ -12,10 +12,9 @@ import sqlalchemy as sa
 from piga.errors import PigaError, StoreError
 from piga.ledger.store.database import (
     connect_sqlite,
+    create_tables,
     explained,
-    first_rows,
     is_url,
-    migrate,
     new_sqlite,
     open_database,
     postgresql_database,
@@ -200,8 +199,7 @@ def _restore_postgresql(origin: VerifiedSource, url: str) -> None:
     with Store(postgresql_database(url)) as store, store.database.writing() as connection:
         if schema_version(connection) != 0:
             raise StoreError(f"{store.name}: there is a store already", remedy="restore into an empty database")
-        migrate(connection)
-        first_rows(connection, origin.identity())
+        create_tables(connection, origin.identity())
         _copy_chain(store, connection, origin)
 
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import sqlalchemy as sa
 
 from piga.errors import PigaError, StoreError
-from piga.ledger.store.database import APPLICATION_ID, MIGRATIONS, SCHEMA, is_url, new_sqlite, open_database
+from piga.ledger.store.database import APPLICATION_ID, SCHEMA, is_url, open_database, schema_version
 from piga.ledger.store.documents import (
     IDENTITY,
     LINK,
@@ -36,6 +33,7 @@ from piga.ledger.store.rows import (
     HEAD,
     ROWS,
     STORE,
+    VERSION,
     check_blobs,
     read_blob,
     read_entries,
@@ -153,8 +151,6 @@ def _verify_store(result: Verification, where: str | Path, heads: Iterable[str],
         with store.database.reading() as connection:
             if connection.dialect.name == "sqlite":
                 _check_sqlite(result, connection)
-            else:
-                _check_postgresql(result, connection)
             check_chain(result, StoreSource(connection), heads, advance)
             _check_columns(result, connection)
 
@@ -249,9 +245,14 @@ def _check_columns(result: Verification, connection: sa.Connection) -> None:
         last = Head(row.number, sha256(row.link))
     if read_head(connection) != last:
         result.problem(f"the chain was cut short, or its end altered: {last.number} records are there")
-    for table, rows in ((STORE, 1), (HEAD, 1)):
-        if connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one() != rows:
+    for table in (STORE, HEAD, VERSION):
+        if connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one() != 1:
             result.problem(f"table {table.name}: one row is needed")
+    if (
+        schema_version(connection) != SCHEMA
+        or connection.execute(sa.select(VERSION.c.version_num)).scalar() != f"{SCHEMA:04d}"
+    ):
+        result.problem("the version of the tables was altered")
     _check_parts(result, connection)
 
 
@@ -279,91 +280,3 @@ def _check_sqlite(result: Verification, connection: sa.Connection) -> None:
             result.problem(f"SQLite {pragma}: {'; '.join(str(row) for row in rows[:3])}")
     if connection.exec_driver_sql("PRAGMA foreign_key_check").first() is not None:
         result.problem("a part of a file belongs to no file")
-    if _schema(connection.exec_driver_sql(_SCHEMA_QUERY).all()) != _sqlite_schema():
-        result.problem("tables or the triggers that refuse changes were altered")
-    _check_revision(result, connection)
-
-
-_SCHEMA_QUERY = "SELECT type, name, tbl_name, sql FROM sqlite_master"
-
-
-def _schema(rows: Iterable[Any]) -> frozenset[tuple[Any, ...]]:
-    return frozenset(tuple(row) for row in rows)
-
-
-@lru_cache(maxsize=1)
-def _sqlite_schema() -> frozenset[tuple[Any, ...]]:
-    """Tables and triggers as this piga creates them."""
-    with closing(sqlite3.connect(":memory:")) as memory:
-        memory.deserialize(new_sqlite(None))
-        return _schema(memory.execute(_SCHEMA_QUERY).fetchall())
-
-
-_WORDS = "piga: records are append-only"
-_GUARDED = ("piga_store", "piga_entry", "piga_blob", "piga_chunk")
-_GUARDS = {("no_delete", 11), ("no_truncate", 34), ("no_update", 19)}
-"""Triggers of an append-only table, with the operations that they act on (``pg_trigger.tgtype``)."""
-_TRIGGERS = frozenset(
-    {(f"{table}_{what}", table, kind, None) for table in _GUARDED for what, kind in _GUARDS}
-    | {(f"piga_head_{what}", "piga_head", kind, None) for what, kind in _GUARDS if what != "no_update"}
-    | {("piga_head_forward", "piga_head", 19, "(new.number <> (old.number + 1))")}
-)
-"""Name, table, kind and condition of every trigger."""
-_KEYS = frozenset(
-    {
-        ("piga_blob", "CHECK ((size >= 0))"),
-        ("piga_blob", "PRIMARY KEY (sha256)"),
-        ("piga_chunk", "FOREIGN KEY (sha256) REFERENCES piga_blob(sha256)"),
-        ("piga_chunk", "PRIMARY KEY (sha256, part)"),
-        ("piga_entry", "CHECK ((number > 0))"),
-        ("piga_entry", "PRIMARY KEY (number)"),
-        ("piga_entry", "UNIQUE (head)"),
-        ("piga_entry", "UNIQUE (id)"),
-        ("piga_head", "CHECK ((one = 1))"),
-        ("piga_head", "PRIMARY KEY (one)"),
-        ("piga_schema_version", "PRIMARY KEY (version_num)"),
-        ("piga_store", "PRIMARY KEY (document)"),
-    }
-)
-"""Table and definition of every key and check."""
-
-
-def _check_postgresql(result: Verification, connection: sa.Connection) -> None:
-    """Check that triggers, their function, keys and checks are those that piga creates."""
-    ours = "(SELECT oid FROM pg_class WHERE relkind = 'r' AND relname LIKE 'piga\\_%%' AND pg_table_is_visible(oid))"
-    triggers = connection.exec_driver_sql(
-        "SELECT t.tgname, c.relname, t.tgtype, t.tgenabled, t.tgisinternal, "  # noqa: S608
-        "btrim(p.prosrc), l.lanname, pg_get_triggerdef(t.oid) FROM pg_trigger t "
-        "JOIN pg_class c ON c.oid = t.tgrelid JOIN pg_proc p ON p.oid = t.tgfoid "
-        f"JOIN pg_language l ON l.oid = p.prolang WHERE t.tgrelid IN {ours}"
-    ).all()
-    own = [row for row in triggers if not row.tgisinternal]
-    there = {(r.tgname, r.relname, r.tgtype, _condition(r.pg_get_triggerdef)) for r in own}
-    refuse = f"BEGIN RAISE EXCEPTION '{_WORDS}'; END"
-    if there != _TRIGGERS or any(_text(row.tgenabled) != "O" for row in triggers):
-        result.problem("the triggers that refuse changes were altered or disabled")
-    if any((row.btrim, row.lanname) != (refuse, "plpgsql") for row in own):
-        result.problem("the function that refuses changes was replaced")
-    keys = connection.exec_driver_sql(
-        "SELECT c.relname, pg_get_constraintdef(k.oid) FROM pg_constraint k "  # noqa: S608
-        f"JOIN pg_class c ON c.oid = k.conrelid WHERE k.contype <> 'n' AND k.conrelid IN {ours}"
-    ).all()
-    if {tuple(row) for row in keys} != _KEYS:
-        result.problem("keys or checks of the tables were altered")
-    _check_revision(result, connection)
-
-
-def _condition(definition: str) -> str | None:
-    """The condition in the definition of a trigger."""
-    _, when, rest = definition.partition(" WHEN (")
-    return rest.partition(") EXECUTE ")[0] if when else None
-
-
-def _text(value: str | bytes) -> str:
-    return value.decode() if isinstance(value, bytes) else value
-
-
-def _check_revision(result: Verification, connection: sa.Connection) -> None:
-    rows = connection.exec_driver_sql("SELECT version_num FROM piga_schema_version").scalars().all()
-    if rows != [f"{SCHEMA:04d}"] or not list(MIGRATIONS.glob(f"v{SCHEMA:04d}_*.py")):
-        result.problem("the schema version was altered")
