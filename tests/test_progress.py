@@ -14,6 +14,7 @@ import pytest
 import piga
 from piga.progress import Steps, report
 from piga.records.run_file import UncertaintyTable
+from piga.studies import capstone
 from piga.units import G0
 from tests.short_record import SCALE, TERMS, a_run
 
@@ -251,7 +252,7 @@ def test_a_stopped_file_is_as_it_was_and_its_parts_go_on(run, cal, tmp_path, mon
 def test_a_capstone_and_a_platform_budget_tell_their_steps():
     scenario = piga.platform.load_scenario(EXAMPLES / "platform-piga.toml")
     short = replace(scenario, duration=7200.0, calibration_time=3600.0)
-    _, steps = heard(lambda progress: piga.platform.capstone(short, progress=progress))
+    _, steps = heard(lambda progress: capstone(short, progress=progress))
     assert goes_up(steps)
     assert steps[2][2].startswith("navigating, ")
     sources = dict(list(piga.platform.standard_sources().items())[:2])
@@ -262,7 +263,7 @@ def test_a_capstone_and_a_platform_budget_tell_their_steps():
         f"navigating with {name}" for name in (*sources, "all together")
     ]
     for call in (
-        piga.platform.capstone,
+        capstone,
         lambda s, progress: piga.platform.error_budget(s, sources, progress=progress),
     ):
         with pytest.raises(piga.CancelledError, match="simulating"):

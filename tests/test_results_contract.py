@@ -20,6 +20,7 @@ from matplotlib.figure import Figure as Canvas
 
 import piga
 from piga.results import Result, Tabular
+from piga.studies import capstone
 from tests.planning.cases import request
 from tests.short_record import SCALE, a_run, pickled
 
@@ -69,18 +70,18 @@ def platform_results():
         "PlatformRun": run,
         "Readouts": run.readouts,
         "Identification": prepared.identification,
-        "Recursive": piga.platform.identify_recursively(stretch, short.place, points=20),
+        "Growing": piga.platform.identify_growing(stretch, short.place, count=3),
         "Alignment": prepared.alignment,
         "Start": prepared.start,
         "Knowledge": prepared.knowledge,
         "Comparison": piga.platform.compare(short),
-        "Capstone": piga.platform.capstone(short),
+        "Capstone": capstone(short),
         "Short": piga.platform.compare(replace(short, duration=1000.0, calibration_time=1000.0)),
     }
 
 
 PLATFORM = (
-    "PlatformScenario", "PlatformRun", "Readouts", "Identification", "Recursive", "Alignment", "Start", "Knowledge",
+    "PlatformScenario", "PlatformRun", "Readouts", "Identification", "Growing", "Alignment", "Start", "Knowledge",
     "Comparison", "Capstone", "Short",
 )  # fmt: skip
 
@@ -90,19 +91,11 @@ PLATFORM = (
 def test_a_result_of_the_platform_keeps_the_contract(platform_results, name):
     value = platform_results[name]
     keeps_the_contract(value)
-    if name == "Identification" or not hasattr(value, "plot"):
+    if not hasattr(value, "plot"):
         return
     labelled(value.plot())
     again = value.plot(ax=Canvas().subplots(len(value.plot().axes)))
     labelled(again)
-
-
-@pytest.mark.only_compiled
-def test_an_identification_in_one_go_has_no_figure(platform_results):
-    with pytest.raises(
-        piga.CalibrationError, match=r"no history\n  remedy: piga.platform.identify_recursively"
-    ):
-        platform_results["Identification"].plot()
 
 
 @pytest.mark.only_compiled

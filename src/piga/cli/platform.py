@@ -211,8 +211,8 @@ def compare(
     if out is None:
         _finish(document, json, _comparison_lines(comparison), Path())
         return
-    from piga.platform.chain import capstone
-    from piga.reports.platform.page import capstone_page, comparison_page
+    from piga.reports.platform.page import comparison_page
+    from piga.studies.capstone import capstone, capstone_page
 
     files = ["comparison.json", "report.html"]
     with _results(out, "compare", scenario, force, "comparison.json", "capstone.html") as (folder, advance):

@@ -7,7 +7,7 @@ One run is ``load_scenario`` - ``simulate`` - ``identify`` / ``align`` - ``compe
 from piga.platform.alignment import Alignment, align
 from piga.platform.analysis import daily_lines, line_amplitudes, spectrum, theory_lines
 from piga.platform.budget import error_budget, standard_sources
-from piga.platform.chain import Capstone, ModelComparisonRun, capstone, compare, prepare, run_model
+from piga.platform.chain import ModelComparisonRun, compare, prepare, run_model
 from piga.platform.geometry import nulled_attitude, small_angle_attitude, small_angles
 from piga.platform.identify import (
     GrowingIdentification,
@@ -34,7 +34,6 @@ from piga.platform.simulate import PlatformRun, Readouts, simulate
 
 __all__ = [
     "Alignment",
-    "Capstone",
     "CaseCompensator",
     "GrowingIdentification",
     "Identification",
@@ -48,7 +47,6 @@ __all__ = [
     "Readouts",
     "Start",
     "align",
-    "capstone",
     "compare",
     "compensator",
     "daily_lines",

@@ -23,6 +23,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.interpolate import BSpline
 
 from piga import earth
 from piga._kernels.platform.motion import Misalignment
@@ -302,8 +303,8 @@ class ObservedStretch:
 
     @cached_property
     def _basis(self) -> tuple[Array, Array]:
-        from_points = _spline_columns(self._phase(self._points), self._pieces)
-        orthonormal, triangle = np.linalg.qr(self.whitening @ self._smooth_points(from_points))
+        splines = BSpline.design_matrix(self._phase(self._points), _knots(self._pieces), 3).toarray()
+        orthonormal, triangle = np.linalg.qr(self.whitening @ self._smooth_points(splines))
         return orthonormal, triangle
 
     @cached_property
@@ -343,9 +344,7 @@ class ObservedStretch:
         undone = np.einsum("nji,nj->ni", attitude[1::2], force)
         orthonormal, triangle = self._basis
         solution = np.linalg.solve(triangle, orthonormal.T @ (self.whitening @ self._smooth(undone)))
-        slow = _spline(
-            np.linspace(0.0, 1.0, len(half[0])), self._pieces, np.asarray(solution, dtype=np.float64)
-        )
+        slow = BSpline(_knots(self._pieces), solution, 3)(np.linspace(0.0, 1.0, len(half[0])))
         felt = np.einsum("nij,nj->ni", attitude, slow)
         predicted = (felt[:-1:2] + 4.0 * felt[1::2] + felt[2::2]) / 6.0
         points = [v[1::2][self._points] for v in half]
@@ -401,32 +400,9 @@ def _turns(attitude: Array) -> Array:
     return 0.5 * np.stack([step[:, j - 2, j - 1] - step[:, j - 1, j - 2] for j in range(3)], axis=1)
 
 
-def _cubic(u: Array) -> Array:
-    """The four cubic B-splines (n, 4) that reach over a piece, at ``u`` (n,) 0 to 1 within it."""
-    v = 1.0 - u
-    return np.stack([v**3, 3 * u**3 - 6 * u**2 + 4, 3 * v**3 - 6 * v**2 + 4, u**3], axis=1) / 6.0
-
-
-def _located(phase: Array, pieces: int) -> tuple[NDArray[np.int64], Array]:
-    piece = np.minimum((phase * pieces).astype(np.int64), pieces - 1)
-    return piece, _cubic(phase * pieces - piece)
-
-
-def _spline_columns(phase: Array, pieces: int) -> Array:
-    """Values (n, pieces + 3) of all cubic B-splines on equal pieces at ``phase`` 0 to 1."""
-    piece, values = _located(phase, pieces)
-    columns = np.zeros((len(phase), pieces + 3))
-    np.put_along_axis(columns, piece[:, None] + np.arange(4), values, axis=1)
-    return columns
-
-
-def _spline(phase: Array, pieces: int, coefficients: Array) -> Array:
-    """The spline (n, 3) with ``coefficients`` (pieces + 3, 3)."""
-    piece, values = _located(phase, pieces)
-    total = values[:, :1] * coefficients[piece]
-    for k in range(1, 4):
-        total += values[:, k, None] * coefficients[piece + k]
-    return total
+def _knots(pieces: int) -> Array:
+    """Knots of the cubic B-splines on equal pieces of 0 to 1."""
+    return np.arange(-3.0, pieces + 4.0) / pieces
 
 
 STATIC_SOURCES = ("gimbals", "pick-off")

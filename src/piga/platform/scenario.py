@@ -1,4 +1,4 @@
-"""The platform scenario: a TOML file with units, its tables, and the tree of frozen SI values made from it."""
+"""The platform scenario: the tree of SI values, and the tables of the TOML file from which it is built."""
 
 from __future__ import annotations
 
@@ -10,149 +10,18 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 from msgspec import field as table_field
 
-from piga.errors import RunFileError
-from piga.records.run_file import TomlTable
+from piga.errors import ArgumentError, RunFileError, UnitError
+from piga.records.run_file import Quantity, Radians, Seconds, TomlTable, in_unit
 from piga.records.text_files import convert_toml, read_toml
 from piga.units import to_si
 
-Quantity = str | float
 Model = Literal["none", "A", "B", "C"]
 MODELS: tuple[Model, ...] = ("none", "A", "B", "C")
-Pair = tuple[Quantity, Quantity]
-Three = tuple[Quantity, Quantity, Quantity]
-Still = ("0 deg", "10 s")
-StillMetres = ("0 m", "10 s")
-
-
-class SiteFile(TomlTable, frozen=True):
-    """``[site]``: where the base stands or starts."""
-
-    latitude: Quantity
-    longitude: Quantity = "0 deg"
-    height: Quantity = "0 m"
-
-
-class PlatformRunTable(TomlTable, frozen=True):
-    """``[run]``: length, interval between readouts, seed of all noise."""
-
-    duration: Quantity
-    step: Quantity = "1 s"
-    seed: Annotated[int, Meta(ge=0)] = 1
-
-
-class MotionFile(TomlTable, frozen=True):
-    """``[motion]``; sways are ``["amplitude", "period"]``."""
-
-    kind: Literal["static", "turn", "sway", "track"] = "static"
-    roll: Quantity = "0 deg"
-    pitch: Quantity = "0 deg"
-    heading: Quantity = "0 deg"
-    turn_rate: Quantity = "0 deg/s"
-    roll_sway: Pair = Still
-    pitch_sway: Pair = Still
-    heading_sway: Pair = Still
-    north_sway: Pair = StillMetres
-    east_sway: Pair = StillMetres
-    down_sway: Pair = StillMetres
-    file: str | None = None
-
-
-class CaseRotationFile(TomlTable, frozen=True):
-    """``[case_rotation]``; ``period = "none"`` leaves the cases at rest."""
-
-    period: Quantity = "8 min"
-    equatorial_period: Quantity | None = None
-    reversal: str = "none"
-
-
-class GyroFile(TomlTable, frozen=True):
-    """``[polar]`` and ``[equatorial]``."""
-
-    misalignment: Quantity = "0 arcmin"
-    phase: Quantity = "0 deg"
-    harmonics: tuple[tuple[int, Quantity, Quantity], ...] = ()
-    drift: Pair = ("0 deg/h", "0 deg/h")
-    case_drift: Pair = ("0 deg/h", "0 deg/h")
-
-
-class RedundancyFile(TomlTable, frozen=True):
-    """``[redundancy]``: by how much the equatorial momentum is off orthogonal at the start."""
-
-    initial: Quantity = "0 deg"
-
-
-class PlatformTriadTable(TomlTable, frozen=True):
-    """``[triad]``: rotation vector from inertial axes to the gyro triad at the start."""
-
-    attitude: Three = ("0 deg", "0 deg", "0 deg")
-
-
-class PigaFile(TomlTable, frozen=True):
-    """``[sensors.piga]``: three gyro accelerometers on the platform."""
-
-    scale_factor: Quantity = "0.8884 rad/s/g"
-    beta: Quantity = "74 arcsec"
-    mounting: Literal["orthogonal", "skewed"] = "orthogonal"
-    cone: Quantity = "35 deg"
-    output: Literal["raw", "triad"] = "triad"
-    counts_per_revolution: Annotated[float, Meta(ge=0)] = 0.0
-    tan_beta_error: Quantity = 0.0
-    phase_error: Quantity = "0 deg"
-
-
-class SensorsFile(TomlTable, frozen=True):
-    """``[sensors]``: white noise and quantisation of every readout; all zero when left out."""
-
-    accelerometers: Literal["ideal", "piga"] = "ideal"
-    gimbal_noise: Quantity = "0 arcsec"
-    gimbal_quantisation: Quantity = "0 arcsec"
-    pickoff_noise: Quantity = "0 arcsec"
-    pickoff_quantisation: Quantity = "0 arcsec"
-    velocity_random_walk: Quantity = "0 m/s/sqrt(s)"
-    accelerometer_bias: Three = ("0 ug", "0 ug", "0 ug")
-    increment_quantisation: Quantity = "0 m/s"
-    altitude_noise: Quantity = "0 m"
-    piga: PigaFile = table_field(default_factory=PigaFile)
-
-
-class CompensationFile(TomlTable, frozen=True):
-    """``[compensation]``: the models compared, and where what they know comes from."""
-
-    models: tuple[Model, ...] = MODELS
-    misalignment: Literal["identified", "true"] = "identified"
-    redundancy: Literal["pick-off", "drift-model"] = "pick-off"
-    harmonics: Annotated[int, Meta(ge=1, le=8)] = 3
-    drift: Literal["none", "aligned", "true"] = "none"
-    attitude: Literal["aligned", "true"] | None = None
-
-
-class IdentificationFile(TomlTable, frozen=True):
-    """``[identification]``: the first stretch of the run, on which identification and alignment work."""
-
-    duration: Quantity = "2 h"
-
-
-class NavigationFile(TomlTable, frozen=True):
-    """``[navigation]``: time constant of the altitude damping of the vertical channel."""
-
-    damping_time: Quantity = "100 s"
-
-
-class ScenarioFile(TomlTable, frozen=True):
-    """The whole file."""
-
-    site: SiteFile
-    run: PlatformRunTable
-    motion: MotionFile = table_field(default_factory=MotionFile)
-    case_rotation: CaseRotationFile = table_field(default_factory=CaseRotationFile)
-    polar: GyroFile = table_field(default_factory=GyroFile)
-    equatorial: GyroFile = table_field(default_factory=GyroFile)
-    redundancy: RedundancyFile = table_field(default_factory=RedundancyFile)
-    triad: PlatformTriadTable = table_field(default_factory=PlatformTriadTable)
-    sensors: SensorsFile = table_field(default_factory=SensorsFile)
-    compensation: CompensationFile = table_field(default_factory=CompensationFile)
-    identification: IdentificationFile = table_field(default_factory=IdentificationFile)
-    navigation: NavigationFile = table_field(default_factory=NavigationFile)
+Metres = Annotated[Quantity, in_unit("m")]
+Drifts = Annotated[tuple[Quantity, Quantity], in_unit("rad/s")]
+Wave = tuple[Quantity, Quantity]
+"""Amplitude and period of a sway."""
+STILL: Wave = (0.0, "10 s")
 
 
 @dataclass(frozen=True)
@@ -294,9 +163,285 @@ class PlatformScenario:
         """Number of steps of the run."""
         return round(self.duration / self.step)
 
+    def check(self) -> None:
+        """Refuse a scenario that the simulator cannot run.
+
+        Raises
+        ------
+        ArgumentError
+            The message names the key of the scenario file.
+        """
+        if self.steps < 8:
+            raise ArgumentError(
+                f"[run] duration holds {self.steps} steps; at least 8 are needed",
+                remedy="lengthen the duration or shorten the step",
+            )
+        if abs(self.steps * self.step - self.duration) > 1e-6 * self.duration:
+            raise ArgumentError(
+                f"[run] duration is not a whole number of steps of {self.step:g} s",
+                remedy=f"write e.g. '{self.steps * self.step:g} s'",
+            )
+        if abs(self.place.latitude) > 1.5:
+            raise ArgumentError(
+                "[site] latitude is within 4 deg of a pole, where the gimbals lock",
+                remedy="choose a lower latitude: near a pole the azimuth and polar gimbal axes become parallel",
+            )
+        if max(self.polar_rotation.rate, self.equatorial_rotation.rate) * self.step > 0.8:
+            raise ArgumentError(
+                f"[run] step {self.step:g} s gives fewer than 8 samples per case turn",
+                remedy="shorten the step or lengthen [case_rotation] period",
+            )
+
     def without_errors(self) -> PlatformScenario:
         """The scenario with perfect gyros and sensors: what the navigator alone does."""
         return replace(self, polar=Gyro(), equatorial=Gyro(), sensors=Sensors())
+
+
+class SiteFile(TomlTable, frozen=True):
+    """``[site]``: where the base stands or starts."""
+
+    latitude: Radians
+    longitude: Radians = 0.0
+    height: Metres = 0.0
+
+
+class PlatformRunTable(TomlTable, frozen=True):
+    """``[run]``: length, interval between readouts, seed of all noise."""
+
+    duration: Seconds
+    step: Seconds = "1 s"
+    seed: Annotated[int, Meta(ge=0)] = 1
+
+
+class MotionFile(TomlTable, frozen=True):
+    """``[motion]``; sways are ``["amplitude", "period"]``."""
+
+    kind: Literal["static", "turn", "sway", "track"] = "static"
+    roll: Radians = 0.0
+    pitch: Radians = 0.0
+    heading: Radians = 0.0
+    turn_rate: Annotated[Quantity, in_unit("rad/s")] = 0.0
+    roll_sway: Wave = STILL
+    pitch_sway: Wave = STILL
+    heading_sway: Wave = STILL
+    north_sway: Wave = STILL
+    east_sway: Wave = STILL
+    down_sway: Wave = STILL
+    file: str | None = None
+
+    def build(self, folder: Path) -> MotionPlan:
+        """The motion of the base. The file of a track is relative to ``folder``."""
+        if self.kind == "track" and not self.file:
+            raise ArgumentError("[motion] kind = 'track' needs a file", remedy="add file = 'track.csv'")
+        sway = []
+        for name, unit in (("roll", "rad"), ("pitch", "rad"), ("heading", "rad"),
+                           ("north", "m"), ("east", "m"), ("down", "m")):  # fmt: skip
+            key = f"[motion] {name}_sway"
+            amplitude, period = getattr(self, f"{name}_sway")
+            sway.append(
+                Oscillation(to_si(amplitude, unit, what=key), _positive(to_si(period, "s", what=key), key))
+            )
+        file = folder / self.file if self.file else None
+        return MotionPlan(kind=self.kind, sway=tuple(sway), file=file, **self.in_si("[motion] "))
+
+
+class CaseRotationFile(TomlTable, frozen=True):
+    """``[case_rotation]``; ``period = "none"`` leaves the cases at rest."""
+
+    period: Quantity = "8 min"
+    equatorial_period: Quantity | None = None
+    reversal: str = "none"
+
+    def build(self) -> tuple[Rotation, Rotation]:
+        """Rotation of the polar and of the equatorial case."""
+        words, turns = self.reversal.split(), 0
+        if self.reversal == "each-turn":
+            turns = 1
+        elif len(words) == 2 and words[1] in {"turn", "turns"} and words[0].isdigit() and int(words[0]) > 0:
+            turns = int(words[0])
+        elif self.reversal != "none":
+            raise ArgumentError(
+                f"[case_rotation] reversal = '{self.reversal}' is not known",
+                remedy="write 'none', 'each-turn' or e.g. '3 turns'",
+            )
+        polar, equatorial = (
+            0.0 if period == "none" else 2.0 * math.pi / _positive(to_si(period, "s", what=key), key)
+            for period, key in (
+                (self.period, "[case_rotation] period"),
+                (self.equatorial_period or self.period, "[case_rotation] equatorial_period"),
+            )
+        )
+        return Rotation(polar, turns), Rotation(equatorial, turns)
+
+
+class GyroFile(TomlTable, frozen=True):
+    """``[polar]`` and ``[equatorial]``."""
+
+    misalignment: Radians = 0.0
+    phase: Radians = 0.0
+    harmonics: tuple[tuple[int, Quantity, Quantity], ...] = ()
+    drift: Drifts = (0.0, 0.0)
+    case_drift: Drifts = (0.0, 0.0)
+
+    def build(self, section: str) -> Gyro:
+        """The gyro of ``[section]``."""
+        waves = []
+        for index, (order, amplitude, phase) in enumerate(self.harmonics):
+            key = f"[{section}] harmonics[{index}]"
+            if order < 1:
+                raise ArgumentError(f"{key}: order {order} is below 1", remedy='e.g. [1, "2 arcsec", "30 deg"]')
+            waves.append(Harmonic(order, to_si(amplitude, "rad", what=key), to_si(phase, "rad", what=key)))
+        return Gyro(harmonics=tuple(waves), **self.in_si(f"[{section}] "))
+
+
+class RedundancyFile(TomlTable, frozen=True):
+    """``[redundancy]``: by how much the equatorial momentum is off orthogonal at the start."""
+
+    initial: Radians = 0.0
+
+
+class PlatformTriadTable(TomlTable, frozen=True):
+    """``[triad]``: rotation vector from inertial axes to the gyro triad at the start."""
+
+    attitude: Annotated[tuple[Quantity, Quantity, Quantity], in_unit("rad")] = (0.0, 0.0, 0.0)
+
+
+class PigaFile(TomlTable, frozen=True):
+    """``[sensors.piga]``: three gyro accelerometers on the platform."""
+
+    scale_factor: Annotated[Quantity, in_unit("rad/s/g")] = "0.8884 rad/s/g"
+    beta: Radians = "74 arcsec"
+    mounting: Literal["orthogonal", "skewed"] = "orthogonal"
+    cone: Radians = "35 deg"
+    output: Literal["raw", "triad"] = "triad"
+    counts_per_revolution: Annotated[float, Meta(ge=0)] = 0.0
+    tan_beta_error: Annotated[Quantity, in_unit("1")] = 0.0
+    phase_error: Radians = 0.0
+
+    def build(self) -> PigaSensors:
+        """The instruments."""
+        si = self.in_si("[sensors.piga] ")
+        for key in ("scale_factor", "cone"):
+            _positive(si[key], f"[sensors.piga] {key}")
+        return PigaSensors(
+            tan_beta=math.tan(si.pop("beta")),
+            mounting=self.mounting,
+            output=self.output,
+            counts_per_revolution=self.counts_per_revolution,
+            **si,
+        )
+
+
+class SensorsFile(TomlTable, frozen=True):
+    """``[sensors]``: white noise and quantisation of every readout; all zero when left out."""
+
+    accelerometers: Literal["ideal", "piga"] = "ideal"
+    gimbal_noise: Radians = 0.0
+    gimbal_quantisation: Radians = 0.0
+    pickoff_noise: Radians = 0.0
+    pickoff_quantisation: Radians = 0.0
+    velocity_random_walk: Annotated[Quantity, in_unit("m/s/sqrt(s)")] = 0.0
+    accelerometer_bias: Annotated[tuple[Quantity, Quantity, Quantity], in_unit("m/s^2")] = (0.0, 0.0, 0.0)
+    increment_quantisation: Annotated[Quantity, in_unit("m/s")] = 0.0
+    altitude_noise: Metres = 0.0
+    piga: PigaFile = table_field(default_factory=PigaFile)
+
+    def build(self) -> Sensors:
+        """The sensors."""
+        piga = self.piga.build() if self.accelerometers == "piga" else None
+        return Sensors(piga=piga, **self.in_si("[sensors] "))
+
+
+class CompensationFile(TomlTable, frozen=True):
+    """``[compensation]``: the models compared, and where what they know comes from."""
+
+    models: tuple[Model, ...] = MODELS
+    misalignment: Literal["identified", "true"] = "identified"
+    redundancy: Literal["pick-off", "drift-model"] = "pick-off"
+    harmonics: Annotated[int, Meta(ge=1, le=8)] = 3
+    drift: Literal["none", "aligned", "true"] = "none"
+    attitude: Literal["aligned", "true"] | None = None
+
+    def build(self, *, static: bool) -> Compensation:
+        """The compensation for a base that is ``static`` or not."""
+        if not self.models:
+            raise ArgumentError("[compensation] models is empty", remedy="name one of none, A, B, C")
+        attitude = self.attitude or ("aligned" if static else "true")
+        if not static and "aligned" in (attitude, self.drift):
+            raise ArgumentError(
+                "[compensation] attitude or drift = 'aligned' needs a static base",
+                remedy="write 'true', or [motion] kind = 'static'",
+            )
+        models = tuple(dict.fromkeys(self.models))
+        return Compensation(models, self.misalignment, self.redundancy, self.harmonics, self.drift, attitude)
+
+
+class IdentificationFile(TomlTable, frozen=True):
+    """``[identification]``: the first stretch of the run, on which identification and alignment work."""
+
+    duration: Seconds = "2 h"
+
+
+class NavigationFile(TomlTable, frozen=True):
+    """``[navigation]``: time constant of the altitude damping of the vertical channel."""
+
+    damping_time: Seconds = "100 s"
+
+
+class ScenarioFile(TomlTable, frozen=True):
+    """The whole file."""
+
+    site: SiteFile
+    run: PlatformRunTable
+    motion: MotionFile = table_field(default_factory=MotionFile)
+    case_rotation: CaseRotationFile = table_field(default_factory=CaseRotationFile)
+    polar: GyroFile = table_field(default_factory=GyroFile)
+    equatorial: GyroFile = table_field(default_factory=GyroFile)
+    redundancy: RedundancyFile = table_field(default_factory=RedundancyFile)
+    triad: PlatformTriadTable = table_field(default_factory=PlatformTriadTable)
+    sensors: SensorsFile = table_field(default_factory=SensorsFile)
+    compensation: CompensationFile = table_field(default_factory=CompensationFile)
+    identification: IdentificationFile = table_field(default_factory=IdentificationFile)
+    navigation: NavigationFile = table_field(default_factory=NavigationFile)
+
+    def build(self, path: Path) -> PlatformScenario:
+        """The scenario of this file, which lies at ``path``."""
+        run = self.run.in_si("[run] ")
+        times = {
+            "[run] duration": run["duration"],
+            "[run] step": run["step"],
+            "[identification] duration": self.identification.in_si("[identification] ")["duration"],
+            "[navigation] damping_time": self.navigation.in_si("[navigation] ")["damping_time"],
+        }
+        duration, step, calibration, damping = (_positive(value, key) for key, value in times.items())
+        polar, equatorial = self.case_rotation.build()
+        scenario = PlatformScenario(
+            place=Place(**self.site.in_si("[site] ")),
+            duration=duration,
+            step=step,
+            seed=self.run.seed,
+            motion=self.motion.build(path.parent),
+            polar_rotation=polar,
+            equatorial_rotation=equatorial,
+            polar=self.polar.build("polar"),
+            equatorial=self.equatorial.build("equatorial"),
+            redundancy=self.redundancy.in_si("[redundancy] ")["initial"],
+            triad=self.triad.in_si("[triad] ")["attitude"],
+            sensors=self.sensors.build(),
+            compensation=self.compensation.build(static=self.motion.kind == "static"),
+            calibration_time=calibration,
+            damping_time=damping,
+            source=str(path),
+        )
+        scenario.check()
+        return scenario
+
+
+def _positive(value: float, key: str) -> float:
+    """Refuse a value that is not above zero."""
+    if value <= 0.0:
+        raise ArgumentError(f"{key} must be positive", remedy="give a value above 0")
+    return value
 
 
 def load_scenario(path: str | Path, *, content: str | None = None) -> PlatformScenario:
@@ -308,13 +453,10 @@ def load_scenario(path: str | Path, *, content: str | None = None) -> PlatformSc
     Raises
     ------
     RunFileError
-        If the file cannot be read, is not TOML, or a key is unknown, missing or out of range.
-    UnitError
-        If a quantity lacks its unit or has one of another kind.
+        If the file cannot be read, is not TOML, or a key is unknown, missing, out of range or of another unit.
     """
     path = Path(path)
-    raw = None if content is None else content.encode()
-    return _Reader(path).scenario(read_toml(path, ScenarioFile, raw))
+    return _built(path, read_toml(path, ScenarioFile, None if content is None else content.encode()))
 
 
 def scenario_of_document(path: Path, document: dict[str, Any]) -> PlatformScenario:
@@ -322,192 +464,14 @@ def scenario_of_document(path: Path, document: dict[str, Any]) -> PlatformScenar
 
     Raises
     ------
-    RunFileError, UnitError
+    RunFileError
         As :func:`load_scenario`.
     """
-    return _Reader(path).scenario(convert_toml(path, document, ScenarioFile))
+    return _built(path, convert_toml(path, document, ScenarioFile))
 
 
-_SENSOR_UNITS = {
-    **dict.fromkeys(("gimbal_noise", "gimbal_quantisation", "pickoff_noise", "pickoff_quantisation"), "rad"),
-    "velocity_random_walk": "m/s/sqrt(s)",
-    "increment_quantisation": "m/s",
-    "altitude_noise": "m",
-}
-"""SI units of the readout errors."""
-
-
-class _Reader:
-    """Turns the parsed file into SI values, naming file and key in every message."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def si(self, value: Quantity, unit: str, key: str) -> float:
-        return to_si(value, unit, what=f"{self.path}: {key}")
-
-    def each(self, table: TomlTable, section: str, units: dict[str, str]) -> dict[str, float]:
-        """SI values of a table by key; ``units`` has the unit of each."""
-        return {name: self.si(getattr(table, name), unit, f"{section} {name}") for name, unit in units.items()}
-
-    def pair(self, values: Pair, unit: str, key: str) -> tuple[float, float]:
-        first, second = (self.si(value, unit, key) for value in values)
-        return first, second
-
-    def three(self, values: Three, unit: str, key: str) -> tuple[float, float, float]:
-        x, y, z = (self.si(value, unit, key) for value in values)
-        return x, y, z
-
-    def positive(self, value: Quantity, unit: str, key: str) -> float:
-        number = self.si(value, unit, key)
-        if number <= 0.0:
-            raise RunFileError(
-                f"{self.path}: {key} = {value!r} must be positive", remedy="give a value above 0"
-            )
-        return number
-
-    def scenario(self, f: ScenarioFile) -> PlatformScenario:
-        polar, equatorial = self.rotations(f)
-        scenario = PlatformScenario(
-            place=Place(**self.each(f.site, "[site]", {"latitude": "rad", "longitude": "rad", "height": "m"})),
-            duration=self.positive(f.run.duration, "s", "[run] duration"),
-            step=self.positive(f.run.step, "s", "[run] step"),
-            seed=f.run.seed,
-            motion=self.motion(f),
-            polar_rotation=polar,
-            equatorial_rotation=equatorial,
-            polar=self.gyro(f.polar, "polar"),
-            equatorial=self.gyro(f.equatorial, "equatorial"),
-            redundancy=self.si(f.redundancy.initial, "rad", "[redundancy] initial"),
-            triad=self.three(f.triad.attitude, "rad", "[triad] attitude"),
-            sensors=self.sensors(f),
-            compensation=self.compensation(f),
-            calibration_time=self.positive(f.identification.duration, "s", "[identification] duration"),
-            damping_time=self.positive(f.navigation.damping_time, "s", "[navigation] damping_time"),
-            source=str(self.path),
-        )
-        self.check(scenario)
-        return scenario
-
-    def check(self, s: PlatformScenario) -> None:
-        if s.steps < 8:
-            raise RunFileError(
-                f"{self.path}: [run] duration holds {s.steps} steps; at least 8 are needed",
-                remedy="lengthen the duration or shorten the step",
-            )
-        if abs(s.steps * s.step - s.duration) > 1e-6 * s.step * s.steps:
-            raise RunFileError(
-                f"{self.path}: [run] duration is not a whole number of steps of {s.step:g} s",
-                remedy=f"write e.g. '{s.steps * s.step:g} s'",
-            )
-        if abs(s.place.latitude) > 1.5:
-            raise RunFileError(
-                f"{self.path}: [site] latitude is within 4 deg of a pole, where the gimbals lock",
-                remedy="choose a lower latitude: near a pole the azimuth and polar gimbal axes become parallel",
-            )
-        fastest = max(s.polar_rotation.rate, s.equatorial_rotation.rate)
-        if fastest * s.step > 0.8:
-            raise RunFileError(
-                f"{self.path}: [run] step {s.step:g} s gives fewer than 8 samples per case turn",
-                remedy="shorten the step or lengthen [case_rotation] period",
-            )
-
-    def rotations(self, f: ScenarioFile) -> tuple[Rotation, Rotation]:
-        c, turns = f.case_rotation, 0
-        words = c.reversal.split()
-        if c.reversal == "each-turn":
-            turns = 1
-        elif len(words) == 2 and words[1] in {"turn", "turns"} and words[0].isdigit() and int(words[0]) > 0:
-            turns = int(words[0])
-        elif c.reversal != "none":
-            raise RunFileError(
-                f"{self.path}: [case_rotation] reversal = '{c.reversal}' is not known",
-                remedy="write 'none', 'each-turn' or e.g. '3 turns'",
-            )
-        rates = []
-        for period, key in ((c.period, "period"), (c.equatorial_period or c.period, "equatorial_period")):
-            at_rest = period == "none"
-            rates.append(
-                0.0 if at_rest else 2.0 * math.pi / self.positive(period, "s", f"[case_rotation] {key}")
-            )
-        return Rotation(rates[0], turns), Rotation(rates[1], turns)
-
-    def gyro(self, g: GyroFile, name: str) -> Gyro:
-        harmonics = []
-        for index, entry in enumerate(g.harmonics):
-            key = f"[{name}] harmonics[{index}]"
-            if entry[0] < 1:
-                raise RunFileError(
-                    f"{self.path}: {key}: order {entry[0]} is below 1", remedy='e.g. [1, "2 arcsec", "30 deg"]'
-                )
-            harmonics.append(Harmonic(entry[0], self.si(entry[1], "rad", key), self.si(entry[2], "rad", key)))
-        key = f"[{name}]"
-        return Gyro(
-            misalignment=self.si(g.misalignment, "rad", f"{key} misalignment"),
-            phase=self.si(g.phase, "rad", f"{key} phase"),
-            harmonics=tuple(harmonics),
-            drift=self.pair(g.drift, "rad/s", f"{key} drift"),
-            case_drift=self.pair(g.case_drift, "rad/s", f"{key} case_drift"),
-        )
-
-    def motion(self, f: ScenarioFile) -> MotionPlan:
-        m = f.motion
-        sway = []
-        for name, unit in (("roll_sway", "rad"), ("pitch_sway", "rad"), ("heading_sway", "rad"),
-                           ("north_sway", "m"), ("east_sway", "m"), ("down_sway", "m")):  # fmt: skip
-            amplitude, period = getattr(m, name)
-            key = f"[motion] {name}"
-            sway.append(Oscillation(self.si(amplitude, unit, key), self.positive(period, "s", key)))
-        if m.kind == "track" and not m.file:
-            raise RunFileError(
-                f"{self.path}: [motion] kind = 'track' needs a file", remedy="add file = 'track.csv'"
-            )
-        return MotionPlan(
-            kind=m.kind,
-            **self.each(m, "[motion]", {"roll": "rad", "pitch": "rad", "heading": "rad", "turn_rate": "rad/s"}),
-            sway=tuple(sway),
-            file=self.path.parent / m.file if m.file else None,
-        )
-
-    def sensors(self, f: ScenarioFile) -> Sensors:
-        s, key = f.sensors, "[sensors]"
-        return Sensors(
-            **self.each(s, key, _SENSOR_UNITS),
-            accelerometer_bias=self.three(s.accelerometer_bias, "m/s^2", f"{key} accelerometer_bias"),
-            piga=self.piga(f) if s.accelerometers == "piga" else None,
-        )
-
-    def piga(self, f: ScenarioFile) -> PigaSensors:
-        p, key = f.sensors.piga, "[sensors.piga]"
-        return PigaSensors(
-            scale_factor=self.positive(p.scale_factor, "rad/s/g", f"{key} scale_factor"),
-            tan_beta=math.tan(self.si(p.beta, "rad", f"{key} beta")),
-            mounting=p.mounting,
-            cone=self.positive(p.cone, "rad", f"{key} cone"),
-            output=p.output,
-            counts_per_revolution=p.counts_per_revolution,
-            tan_beta_error=self.si(p.tan_beta_error, "1", f"{key} tan_beta_error"),
-            phase_error=self.si(p.phase_error, "rad", f"{key} phase_error"),
-        )
-
-    def compensation(self, f: ScenarioFile) -> Compensation:
-        c = f.compensation
-        if not c.models:
-            raise RunFileError(
-                f"{self.path}: [compensation] models is empty", remedy="name one of none, A, B, C"
-            )
-        static = f.motion.kind == "static"
-        attitude = c.attitude or ("aligned" if static else "true")
-        if not static and (attitude == "aligned" or c.drift == "aligned"):
-            raise RunFileError(
-                f"{self.path}: [compensation] attitude or drift = 'aligned' needs a static base",
-                remedy="write 'true', or [motion] kind = 'static'",
-            )
-        return Compensation(
-            models=tuple(dict.fromkeys(c.models)),
-            misalignment=c.misalignment,
-            redundancy=c.redundancy,
-            orders=c.harmonics,
-            drift=c.drift,
-            attitude=attitude,
-        )
+def _built(path: Path, file: ScenarioFile) -> PlatformScenario:
+    try:
+        return file.build(path)
+    except (ArgumentError, UnitError) as error:
+        raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None

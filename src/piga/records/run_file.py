@@ -72,15 +72,21 @@ METHOD_WORDS: dict[str, tuple[str, str]] = {
 class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Base of all tables: an unknown key is an error."""
 
-    def in_si(self, where: str) -> dict[str, float]:
+    def in_si(self, where: str) -> dict[str, Any]:
         """SI values of the keys whose type has a unit (:func:`in_unit`). Keys without a value are left out.
+
+        A list with one unit gives a tuple.
 
         ``where`` stands before the key in messages, e.g. ``"[stand] "``.
         """
-        given = ((key, unit, getattr(self, key)) for key, unit in _units_of(type(self)).items())
-        return {
-            key: to_si(value, unit, what=f"{where}{key}") for key, unit, value in given if value is not None
-        }
+        values: dict[str, Any] = {}
+        for key, unit in _units_of(type(self)).items():
+            value, what = getattr(self, key), f"{where}{key}"
+            if isinstance(value, tuple):
+                values[key] = tuple(to_si(one, unit, what=what) for one in value)
+            elif value is not None:
+                values[key] = to_si(value, unit, what=what)
+        return values
 
 
 @cache

@@ -144,7 +144,6 @@ CARDS: dict[str, Callable[[Any], Card]] = {
     "Identification": lambda result: _facts_card(result, drawn=False),
     "GrowingIdentification": _facts_card,
     "ModelComparisonRun": _facts_card,
-    "Capstone": _facts_card,
 }
 
 
@@ -297,5 +296,4 @@ FIGURES: dict[str, Callable[[Any, str], Figure]] = {
     "PlatformRun": _drawn_by("platform.figures", "readouts_figure"),
     "GrowingIdentification": _drawn_by("platform.figures", "convergence_figure"),
     "ModelComparisonRun": _drawn_by("platform.figures", "lines_figure"),
-    "Capstone": _drawn_by("platform.figures", "capstone_figure"),
 }

@@ -6,7 +6,19 @@
 ['pass', 'pass', 'info']
 """
 
+from piga.studies.capstone import Capstone, capstone, capstone_figure
 from piga.studies.case import Case, Chapter
 from piga.studies.reproduction import CHAPTERS, Reproduction, chosen, reproduce, run_chapters
 
-__all__ = ["CHAPTERS", "Case", "Chapter", "Reproduction", "chosen", "reproduce", "run_chapters"]
+__all__ = [
+    "CHAPTERS",
+    "Capstone",
+    "Case",
+    "Chapter",
+    "Reproduction",
+    "capstone",
+    "capstone_figure",
+    "chosen",
+    "reproduce",
+    "run_chapters",
+]

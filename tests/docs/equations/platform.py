@@ -14,7 +14,6 @@ from piga._kernels.platform.navigation import Correction, Stepping, Triad, navig
 from piga.earth import EARTH_RATE
 from piga.frames import axis_turn
 from piga.platform import Perturbation, compensator, linear_errors, theory_lines, true_knowledge
-from piga.platform.chain import passage_velocity
 from piga.platform.geometry import (
     KERNEL_EARTH,
     apparent_gyro,
@@ -28,6 +27,7 @@ from piga.platform.geometry import (
 )
 from piga.platform.navigator import damping_gains
 from piga.platform.scenario import Gyro, Harmonic, Place, PlatformScenario, Rotation
+from piga.studies.capstone import passage_velocity
 from tests.platform.conftest import published
 
 from .registry import Pair, equation

@@ -1,4 +1,4 @@
-"""Figures of the platform as data: one run, the compensation models day by day, the capstone."""
+"""Figures of the platform as data: one run, the compensation models day by day."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from piga.platform.alignment import Alignment
 from piga.platform.analysis import case_rates, spectrum
-from piga.platform.chain import Capstone, ModelComparisonRun, ModelRun
+from piga.platform.chain import ModelComparisonRun, ModelRun
 from piga.platform.identify import GrowingIdentification
 from piga.platform.scenario import Model
 from piga.platform.simulate import PlatformRun
@@ -394,93 +394,4 @@ def model_figure(run: ModelRun) -> Figure:
         "Left: the whole run. Right: its last forty minutes.",
         columns=2,
         height=2.4,
-    )
-
-
-def force_day_figure(capstone: Capstone) -> Figure:
-    """Specific force along each input axis over a sidereal day, with the locked zone marked."""
-    times, along = capstone.day
-    sensors = capstone.scenario.sensors.piga
-    width = 9.8 * (sensors.tan_beta if sensors else 0.0)
-    panel = Panel(
-        Axis("time", "h"),
-        Axis("force along the input axis", "m/s^2"),
-        (
-            *(Series(times / HOUR, along[:, k], f"instrument {k + 1}", "line", XYZ[k]) for k in range(3)),
-            Series([0.0, times[-1] / HOUR], [0.0, 0.0], "locked zone", "line", "warning", dashed=True),
-        ),
-    )
-    return Figure(
-        "fig-day",
-        "Gravity sweeps through every input axis",
-        (panel,),
-        "Three axes at right angles round the pole. Each crosses zero twice a day, "
-        f"and is inside its locked zone within {1e3 * width:.1f} mm/s^2 of it.",
-    )
-
-
-def passage_figure(capstone: Capstone) -> Figure | None:
-    """One passage through the locked zone: true force, raw output, solved output."""
-    p = capstone.passage
-    if p is None:
-        return None
-    minutes = (p.times - p.times[0]) / MINUTE
-    edge = np.full_like(minutes, 1e3 * p.half_width)
-    return Figure(
-        "fig-passage",
-        f"Instrument {p.instrument + 1} passes its locked zone",
-        (
-            Panel(
-                Axis("time", "min"),
-                Axis("force along the input axis", "mm/s^2"),
-                (
-                    Series(minutes, -edge, "locked zone", "band", "warning", upper=edge),
-                    Series(minutes, 1e3 * p.true, "true", "line", "reference", dashed=True),
-                    Series(minutes, 1e3 * p.raw, "raw output", "line", "before"),
-                ),
-            ),
-            Panel(
-                Axis("time", "min"),
-                Axis("error of the reading", "mm/s^2"),
-                (
-                    Series(minutes, 1e3 * (p.raw - p.true), "raw output", "line", "before"),
-                    Series(minutes, 1e3 * (p.triad - p.true), "triad solved", "line", "after"),
-                ),
-            ),
-        ),
-        "The gimbal turns ever more slowly towards the zone, and its cross-coupling, else "
-        "averaged over each turn, keeps one sign for minutes. Solving the three instruments with "
-        "their effective axes gives the force back.",
-        height=2.6,
-    )
-
-
-def capstone_figure(capstone: Capstone) -> Figure:
-    """Horizontal position error over the run for every reading."""
-    looks: dict[str, tuple[Role, bool]] = {
-        "ideal": ("reference", True),
-        "raw tripod": ("before", False),
-        "raw skewed": ("warning", False),
-        "triad": ("after", False),
-        "triad skewed": ("model", True),
-        "triad, calibrated": ("z", True),
-    }
-    axis, unit = time_axis(float(capstone.scenario.duration))
-    series = tuple(
-        Series(
-            o.errors.times / unit,
-            np.maximum(schuler_peak(o.errors.times, o.errors.horizontal), 1e-4),
-            name,
-            "line",
-            looks[name][0],
-            dashed=looks[name][1],
-        )
-        for name, o in capstone.outcomes.items()
-    )
-    return Figure(
-        "fig-capstone",
-        "Ten days with three gyro accelerometers",
-        (Panel(axis, Axis("horizontal position error", "m", log=True), series),),
-        "Largest error within each 84 minutes.",
-        height=3.6,
     )

@@ -1,4 +1,4 @@
-"""Pages of ``piga platform``: simulate, align, identify, navigate, compare, and the capstone."""
+"""Pages of ``piga platform``: simulate, align, identify, navigate and compare."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from piga.platform.alignment import Alignment
 from piga.platform.analysis import case_rates
 from piga.platform.budget import BudgetRow, LineRow
-from piga.platform.chain import Capstone, ModelComparisonRun, Preparation, last_east_lines
+from piga.platform.chain import ModelComparisonRun, Preparation, last_east_lines
 from piga.platform.geometry import apparent_gyro, averaged_drift, wrapped
 from piga.platform.identify import (
     UNKNOWN_PHASE,
@@ -25,15 +25,12 @@ from piga.platform.simulate import PlatformRun
 from piga.reports.platform.figures import (
     REFERENCE_MODEL,
     Case,
-    capstone_figure,
     cone_figure,
     convergence_figure,
-    force_day_figure,
     histories_figure,
     lines_figure,
     model_figure,
     model_name,
-    passage_figure,
     position_figure,
     published_figure,
     readouts_figure,
@@ -457,58 +454,4 @@ def _line_budget_table(budget: Sequence[LineRow]) -> Table:
         notes=(
             "Last day; the misalignment is wrong by its standard uncertainty (or one arc-second), base at rest.",
         ),
-    )
-
-
-def capstone_page(capstone: Capstone) -> Page:
-    """Page on the effect of the locked zone on the platform, and its compensation."""
-    raw, solved = capstone.outcomes["raw tripod"], capstone.outcomes["triad"]
-    skewed = capstone.outcomes["raw skewed"]
-    tiles = (
-        Tile("raw output", short(raw.position), "m", "largest horizontal error, axes at right angles", "bad"),
-        Tile("skewed mounting", short(skewed.position), "m", "raw output, axes near the pole", "doubtful"),
-        Tile("triad solved", short(solved.position), "m", "effective axes, per sample", "good"),
-    )
-    story = (
-        "The platform stands still in inertial space and the Earth turns under it. Each input axis crosses the "
-        "horizontal twice a sidereal day and is inside its locked zone for "
-        f"{short(float(raw.locked_per_day.max()))} s a day. {_passage_words(capstone)} "
-        f"Read as alpha'/K, the three instruments put the navigator {short(raw.position)} m off.\n\n"
-        f"Mounted within the latitude of the pole the axes never come to the horizontal: {short(skewed.position)} m, "
-        f"with {short(skewed.noise_gain)} times the noise. Solved together with their effective axes the three "
-        f"instruments give the force back in any mounting: {short(solved.position)} m, against "
-        f"{short(capstone.outcomes['ideal'].position)} m with ideal ones."
-    )
-    day = (force_day_figure(capstone), passage_figure(capstone))
-    sections = (
-        Section(
-            "What happens",
-            "story",
-            (Text(story, lead=True), FigureBlock(capstone_figure(capstone)), _capstone_table(capstone)),
-        ),
-        Section("Why", "why", tuple(FigureBlock(figure) for figure in day if figure is not None)),
-    )
-    return page("Gyro accelerometers on the space-stable platform", capstone.scenario, tiles, sections)
-
-
-def _passage_words(capstone: Capstone) -> str:
-    p = capstone.passage
-    if p is None:
-        return "No instrument passes its locked zone here."
-    return (
-        f"A passage is too short to lock, which takes {short(p.lock_time / 60.0)} min; but about it the gimbal turns so "
-        f"slowly that its cross-coupling does not average out: each passage leaves up to {short(p.velocity_error)} m/s."
-    )
-
-
-def _capstone_table(capstone: Capstone) -> Table:
-    return (
-        TableOf(capstone.outcomes.values())
-        .text("reading", lambda o: o.reading.name)
-        .number("position error", lambda o: short(o.position), "m")
-        .number("velocity error", lambda o: short(1e3 * o.velocity), "mm/s")
-        .number("locked", lambda o: short(float(o.locked_per_day.max())), "s/day")
-        .number("noise gain", lambda o: short(o.noise_gain))
-        .text("what it is", lambda o: o.reading.sentence)
-        .table(notes=("Locked: longest of the three. Noise gain: against three axes at right angles.",))
     )

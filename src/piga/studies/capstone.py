@@ -1,0 +1,380 @@
+"""Gyro accelerometers on the space-stable platform: what their locked zone does to the navigation, and what removes it.
+
+On a platform fixed in inertial space, gravity describes a cone once a sidereal day. Twice a day it crosses the plane
+normal to an input axis of a gyro accelerometer and passes the locked zone ``|a_x| < a_t tan(beta)``. :func:`capstone`
+reads the same days in several ways and navigates each time.
+
+With the usual tan(beta) the zone is passed faster than the gimbal can lock (in ``1/(K a_t tan(beta))``). The error has
+another cause: near the zone the gimbal turns so slowly that the cross-coupling keeps its phase. By stationary phase,
+one passage leaves a velocity error of up to ``a_t tan(beta) sqrt(2 pi / (K |d a_x/dt|))`` (own derivation,
+docs/platform.md section 10).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import ArgumentError
+from piga.platform.chain import Preparation, prepare
+from piga.platform.navigator import Errors, compensator, errors, navigate
+from piga.platform.scenario import PigaSensors, PlatformScenario
+from piga.platform.simulate import (
+    TRIPOD,
+    PlatformRun,
+    gimbal_angles,
+    locked,
+    mounting_axes,
+    read_increments,
+    simulate,
+)
+from piga.progress import Progress, Steps
+from piga.reports.platform.figures import HOUR, MINUTE, schuler_peak, time_axis
+from piga.reports.platform.page import page
+from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Role, Series
+from piga.reports.render.numbers import short
+from piga.reports.render.page import FigureBlock, Page, Section, Table, TableOf, Text, Tile
+from piga.results import Array, Result
+from piga.units import DAY
+
+
+@dataclass(frozen=True)
+class TriadReading:
+    """One way to mount and read the instruments: ``sensors`` None is the ideal accelerometer."""
+
+    name: str
+    sensors: PigaSensors | None
+    sentence: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CapstoneOutcome(Result):
+    """Errors of one reading: largest horizontal position [m], velocity [m/s]; locked time [s/day]."""
+
+    reading: TriadReading
+    errors: Errors
+    position: float
+    velocity: float
+    locked_per_day: Array
+    noise_gain: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Passage(Result):
+    """One instrument through its locked zone.
+
+    ``times`` [s]; ``true``, ``raw`` and ``triad`` reading of a_x [m/s^2]; ``half_width`` of the zone [m/s^2];
+    ``lock_time``: time constant of locking [s]; ``velocity_error``: the most that stationary phase
+    predicts for one passage [m/s].
+    """
+
+    instrument: int
+    times: Array
+    true: Array
+    raw: Array
+    triad: Array
+    half_width: float
+    locked: NDArray[np.bool_]
+    lock_time: float
+    velocity_error: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Capstone(Result):
+    """Outcomes by name, one passage in detail, and the day of input-axis forces (times [s], (n, 3) [m/s^2])."""
+
+    scenario: PlatformScenario
+    outcomes: Mapping[str, CapstoneOutcome]
+    passage: Passage | None
+    day: tuple[Array, Array]
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """Largest errors with each reading."""
+        return [
+            (name, f"position within {one.position:.4g} m, velocity within {one.velocity:.3g} m/s")
+            for name, one in self.outcomes.items()
+        ]
+
+
+def readings(sensors: PigaSensors) -> tuple[TriadReading, ...]:
+    """The readings compared: from the ideal instrument to the locked one, and back."""
+    tripod = replace(sensors, mounting="skewed", cone=TRIPOD, tan_beta_error=0.0, phase_error=0.0)
+    skewed = replace(sensors, mounting="skewed", tan_beta_error=0.0, phase_error=0.0)
+    tan_beta_error, phase_error = 2e-3 * sensors.tan_beta, 2e-3
+    if sensors.tan_beta_error or sensors.phase_error:
+        tan_beta_error, phase_error = sensors.tan_beta_error, sensors.phase_error
+    cone = np.degrees(sensors.cone)
+    return (
+        TriadReading("ideal", None, "ideal accelerometers: the platform and the navigator alone"),
+        TriadReading(
+            "raw tripod", replace(tripod, output="raw"), "three axes at right angles, output taken as alpha'/K"
+        ),
+        TriadReading(
+            "raw skewed",
+            replace(skewed, output="raw"),
+            f"axes within {cone:.0f} deg of the pole: never locked, still pulled",
+        ),
+        TriadReading(
+            "triad", replace(tripod, output="triad"), "right angles, effective axes solved per sample"
+        ),
+        TriadReading("triad skewed", replace(skewed, output="triad"), "skewed and solved per sample"),
+        TriadReading(
+            "triad, calibrated",
+            replace(tripod, output="triad", tan_beta_error=tan_beta_error, phase_error=phase_error),
+            "solved with tan(beta) and phase off by a calibration's error",
+        ),
+    )
+
+
+def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) -> Capstone:
+    """Navigate the scenario with every reading of its gyro accelerometers (model B).
+
+    ``progress`` is called as ``progress(done, total, what)`` before each reading; it returns False to stop
+    (:mod:`piga.progress`).
+
+    Raises
+    ------
+    ArgumentError
+        If the scenario has no gyro accelerometers.
+    CancelledError
+        If ``progress`` returns False.
+    """
+    sensors = scenario.sensors.piga
+    if sensors is None:
+        raise ArgumentError(
+            f"{scenario.source or 'the scenario'}: there are no gyro accelerometers",
+            remedy="set [sensors] accelerometers = 'piga'",
+        )
+    ways = readings(sensors)
+    steps = Steps(progress, 2 + len(ways))
+    steps("simulating")
+    ideal = simulate(replace(scenario, sensors=replace(scenario.sensors, piga=None)))
+    steps("identifying and aligning")
+    preparation = prepare(ideal)
+    outcomes = {}
+    for reading in ways:
+        steps(f"navigating, {reading.name}")
+        read = replace(scenario, sensors=replace(scenario.sensors, piga=reading.sensors))
+        run = ideal if reading.sensors is None else simulate(read, motion=ideal.truth.motion)
+        outcomes[reading.name] = _outcome(run, reading, preparation)
+    tripod = next(way.sensors for way in ways if way.name == "raw tripod")
+    assert tripod is not None  # noqa: S101 - named above
+    times, force = ideal.readouts.times, ideal.truth.force
+    one_day = slice(0, min(len(times), round(86164.1 / scenario.step) + 1), max(1, round(60.0 / scenario.step)))
+    along = force[one_day] @ mounting_axes(tripod)[:, 0, :].T
+    steps.finish()
+    return Capstone(scenario, outcomes, _passage(ideal, tripod), (times[one_day], along))
+
+
+def _outcome(run: PlatformRun, reading: TriadReading, preparation: Preparation) -> CapstoneOutcome:
+    s = run.scenario
+    made = compensator("B", preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
+    every = max(1, round(10.0 / s.step))
+    error = errors(
+        navigate(run.readouts, made, preparation.start, damping_time=s.damping_time, every=every),
+        run.truth,
+        run.readouts,
+    )
+    axes = np.eye(3) if reading.sensors is None else mounting_axes(reading.sensors)[:, 0, :]
+    inside = (
+        np.zeros(3) if reading.sensors is None else locked(reading.sensors, run.truth.force).mean(axis=0) * DAY
+    )
+    return CapstoneOutcome(
+        reading,
+        error,
+        float(error.horizontal.max()),
+        float(np.hypot(error.velocity[:, 0], error.velocity[:, 1]).max()),
+        inside,
+        float(np.sqrt(np.trace(np.linalg.inv(axes.T @ axes)) / 3.0)),
+    )
+
+
+def passage_velocity(half_width: float, scale_factor: float, slope: float) -> float:
+    """Largest velocity error of one passage [m/s], by stationary phase: ``a_t tan(beta) sqrt(2 pi/(K s))``.
+
+    ``half_width`` of the locked zone and ``slope`` of the force [m/s^2, m/s^3]. Own derivation, docs/platform.md
+    section 10.
+    """
+    return half_width * math.sqrt(2.0 * math.pi / (scale_factor * slope))
+
+
+def _passage(run: PlatformRun, sensors: PigaSensors) -> Passage | None:
+    """The first passage of any instrument through its locked zone, with half an hour before and after."""
+    inside = locked(sensors, run.truth.force)
+    if not inside.any():
+        return None
+    first = int(np.argmax(inside.any(axis=1)))
+    instrument = int(np.argmax(inside[first]))
+    step = run.readouts.step
+    margin = round(1800.0 / step)
+    part = slice(max(0, first - margin), min(len(inside) - 1, first + margin) + 1)
+    times, force = run.readouts.times[part], run.truth.force[part]
+    whole = slice(0, part.stop)
+    still = np.zeros((part.stop - 1, 3))
+    alpha = gimbal_angles(sensors, run.readouts.times[whole], run.truth.force[whole], still)[:, part]
+    axis = mounting_axes(sensors)[instrument, 0]
+    read = {
+        output: read_increments(replace(sensors, output=output), times, alpha) @ axis / step
+        for output in ("raw", "triad")
+    }
+    along = force @ axis
+    width = float(np.sqrt(np.sum(force**2, axis=1) - along**2).mean() * abs(sensors.tan_beta))
+    slope = abs(float(along[-1] - along[0])) / float(times[-1] - times[0])
+    return Passage(
+        instrument=instrument,
+        times=times[1:],
+        true=0.5 * (along[1:] + along[:-1]),
+        raw=read["raw"],
+        triad=read["triad"],
+        half_width=width,
+        locked=inside[part][1:, instrument],
+        lock_time=1.0 / (sensors.scale_factor * width),
+        velocity_error=passage_velocity(width, sensors.scale_factor, slope),
+    )
+
+
+def force_day_figure(capstone: Capstone) -> Figure:
+    """Specific force along each input axis over a sidereal day, with the locked zone marked."""
+    times, along = capstone.day
+    sensors = capstone.scenario.sensors.piga
+    width = 9.8 * (sensors.tan_beta if sensors else 0.0)
+    panel = Panel(
+        Axis("time", "h"),
+        Axis("force along the input axis", "m/s^2"),
+        (
+            *(Series(times / HOUR, along[:, k], f"instrument {k + 1}", "line", XYZ[k]) for k in range(3)),
+            Series([0.0, times[-1] / HOUR], [0.0, 0.0], "locked zone", "line", "warning", dashed=True),
+        ),
+    )
+    return Figure(
+        "fig-day",
+        "Gravity sweeps through every input axis",
+        (panel,),
+        "Three axes at right angles round the pole. Each crosses zero twice a day, "
+        f"and is inside its locked zone within {1e3 * width:.1f} mm/s^2 of it.",
+    )
+
+
+def passage_figure(capstone: Capstone) -> Figure | None:
+    """One passage through the locked zone: true force, raw output, solved output."""
+    p = capstone.passage
+    if p is None:
+        return None
+    minutes = (p.times - p.times[0]) / MINUTE
+    edge = np.full_like(minutes, 1e3 * p.half_width)
+    return Figure(
+        "fig-passage",
+        f"Instrument {p.instrument + 1} passes its locked zone",
+        (
+            Panel(
+                Axis("time", "min"),
+                Axis("force along the input axis", "mm/s^2"),
+                (
+                    Series(minutes, -edge, "locked zone", "band", "warning", upper=edge),
+                    Series(minutes, 1e3 * p.true, "true", "line", "reference", dashed=True),
+                    Series(minutes, 1e3 * p.raw, "raw output", "line", "before"),
+                ),
+            ),
+            Panel(
+                Axis("time", "min"),
+                Axis("error of the reading", "mm/s^2"),
+                (
+                    Series(minutes, 1e3 * (p.raw - p.true), "raw output", "line", "before"),
+                    Series(minutes, 1e3 * (p.triad - p.true), "triad solved", "line", "after"),
+                ),
+            ),
+        ),
+        "The gimbal turns ever more slowly towards the zone, and its cross-coupling, else "
+        "averaged over each turn, keeps one sign for minutes. Solving the three instruments with "
+        "their effective axes gives the force back.",
+        height=2.6,
+    )
+
+
+def capstone_figure(capstone: Capstone) -> Figure:
+    """Horizontal position error over the run for every reading."""
+    looks: dict[str, tuple[Role, bool]] = {
+        "ideal": ("reference", True),
+        "raw tripod": ("before", False),
+        "raw skewed": ("warning", False),
+        "triad": ("after", False),
+        "triad skewed": ("model", True),
+        "triad, calibrated": ("z", True),
+    }
+    axis, unit = time_axis(float(capstone.scenario.duration))
+    series = tuple(
+        Series(
+            o.errors.times / unit,
+            np.maximum(schuler_peak(o.errors.times, o.errors.horizontal), 1e-4),
+            name,
+            "line",
+            looks[name][0],
+            dashed=looks[name][1],
+        )
+        for name, o in capstone.outcomes.items()
+    )
+    return Figure(
+        "fig-capstone",
+        "Ten days with three gyro accelerometers",
+        (Panel(axis, Axis("horizontal position error", "m", log=True), series),),
+        "Largest error within each 84 minutes.",
+        height=3.6,
+    )
+
+
+def capstone_page(capstone: Capstone) -> Page:
+    """Page on the effect of the locked zone on the platform, and its compensation."""
+    raw, solved = capstone.outcomes["raw tripod"], capstone.outcomes["triad"]
+    skewed = capstone.outcomes["raw skewed"]
+    tiles = (
+        Tile("raw output", short(raw.position), "m", "largest horizontal error, axes at right angles", "bad"),
+        Tile("skewed mounting", short(skewed.position), "m", "raw output, axes near the pole", "doubtful"),
+        Tile("triad solved", short(solved.position), "m", "effective axes, per sample", "good"),
+    )
+    story = (
+        "The platform stands still in inertial space and the Earth turns under it. Each input axis crosses the "
+        "horizontal twice a sidereal day and is inside its locked zone for "
+        f"{short(float(raw.locked_per_day.max()))} s a day. {_passage_words(capstone)} "
+        f"Read as alpha'/K, the three instruments put the navigator {short(raw.position)} m off.\n\n"
+        f"Mounted within the latitude of the pole the axes never come to the horizontal: {short(skewed.position)} m, "
+        f"with {short(skewed.noise_gain)} times the noise. Solved together with their effective axes the three "
+        f"instruments give the force back in any mounting: {short(solved.position)} m, against "
+        f"{short(capstone.outcomes['ideal'].position)} m with ideal ones."
+    )
+    day = (force_day_figure(capstone), passage_figure(capstone))
+    sections = (
+        Section(
+            "What happens",
+            "story",
+            (Text(story, lead=True), FigureBlock(capstone_figure(capstone)), _capstone_table(capstone)),
+        ),
+        Section("Why", "why", tuple(FigureBlock(figure) for figure in day if figure is not None)),
+    )
+    return page("Gyro accelerometers on the space-stable platform", capstone.scenario, tiles, sections)
+
+
+def _passage_words(capstone: Capstone) -> str:
+    p = capstone.passage
+    if p is None:
+        return "No instrument passes its locked zone here."
+    return (
+        f"A passage is too short to lock, which takes {short(p.lock_time / 60.0)} min; but about it the gimbal turns so "
+        f"slowly that its cross-coupling does not average out: each passage leaves up to {short(p.velocity_error)} m/s."
+    )
+
+
+def _capstone_table(capstone: Capstone) -> Table:
+    return (
+        TableOf(capstone.outcomes.values())
+        .text("reading", lambda o: o.reading.name)
+        .number("position error", lambda o: short(o.position), "m")
+        .number("velocity error", lambda o: short(1e3 * o.velocity), "mm/s")
+        .number("locked", lambda o: short(float(o.locked_per_day.max())), "s/day")
+        .number("noise gain", lambda o: short(o.noise_gain))
+        .text("what it is", lambda o: o.reading.sentence)
+        .table(notes=("Locked: longest of the three. Noise gain: against three axes at right angles.",))
+    )

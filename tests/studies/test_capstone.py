@@ -1,0 +1,59 @@
+"""Ten days with gyro accelerometers on the platform: the story in numbers, and one passage against stationary phase."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piga.errors import ArgumentError
+from piga.platform.scenario import Compensation, Gyro, PigaSensors, Sensors
+from piga.platform.simulate import TRIPOD
+from piga.studies.capstone import capstone
+from tests.platform.conftest import DEG, only_compiled, published
+
+PIGA = PigaSensors(0.8884 / 9.80665, 3.6e-4, mounting="skewed", cone=TRIPOD)
+
+
+def _capstone_scenario(**changes):
+    values = {
+        "polar": Gyro(1e-3, 0.3),
+        "equatorial": Gyro(1e-3, 1.3),
+        "sensors": Sensors(piga=replace(PIGA, cone=35 * DEG)),
+        "compensation": Compensation(misalignment="true", attitude="true"),
+    }  # fmt: skip
+    return published(**(values | changes))
+
+
+@pytest.mark.compiled
+@only_compiled
+def test_the_story_of_the_capstone():
+    result = capstone(_capstone_scenario(duration=2 * 86400.0))
+    o = {name: outcome.position for name, outcome in result.outcomes.items()}
+    assert o["raw tripod"] > 500.0
+    assert o["raw skewed"] < 0.05 * o["raw tripod"]
+    assert abs(o["triad"] - o["ideal"]) < 0.2
+    assert o["triad, calibrated"] < 3.0 * o["ideal"]
+    assert result.outcomes["raw tripod"].locked_per_day.min() > 10.0
+    assert result.outcomes["raw skewed"].locked_per_day.max() == 0.0
+
+
+@pytest.mark.compiled
+@only_compiled
+def test_a_passage_leaves_what_stationary_phase_says():
+    """The starting angle is one for which the phase at the passage is near its worst."""
+    sensors = Sensors(piga=replace(PIGA, cone=35 * DEG, alpha0=(2.0, 0.1, 0.5)))
+    outcome = capstone(_capstone_scenario(duration=7200.0, polar=Gyro(), equatorial=Gyro(), sensors=sensors))
+    p = outcome.passage
+    assert np.abs(p.triad - p.true).max() < 1e-3 * np.abs(p.raw - p.true).max()
+    step = float(p.times[1] - p.times[0])
+    left = abs(np.sum(p.raw - p.true) * step)
+    assert 0.9 * p.velocity_error < left < 1.05 * p.velocity_error
+    assert p.lock_time > 20.0 * p.locked.sum() * step
+
+
+@pytest.mark.compiled
+def test_the_capstone_needs_gyro_accelerometers():
+    with pytest.raises(ArgumentError, match="accelerometers = 'piga'"):
+        capstone(published(duration=1200.0, step=4.0))
