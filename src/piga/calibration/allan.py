@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,25 +16,12 @@ from numpy.typing import NDArray
 from piga.errors import ArgumentError
 from piga.results import Array, Plotted, Result
 
-
-@dataclass(frozen=True)
-class AllanSettings:
-    """Settings of the Allan deviation (own choices)."""
-
-    per_decade: int = 8
-    """Averaging times per decade."""
-    differences: int = 1 << 17
-    """Most differences used per averaging time. A longer record uses every second, third, ... difference; the deviation
-    is then known to 0.2 %."""
-    fewest_degrees: float = 1.0
-    """Fewest degrees of freedom of an averaging time that is shown."""
-    uneven: float = 0.01
-    """Relative scatter of the sampling steps above which a stretch is interpolated to an even grid."""
-
-
-ALLAN = AllanSettings()
-
-
+PER_DECADE = 8
+"""Averaging times per decade."""
+MOST_DIFFERENCES = 1 << 17
+"""A longer record uses every second, third, ... difference; the deviation is then known to 0.2 %."""
+UNEVEN = 0.01
+"""Distance of a sample from an even grid [steps] above which a stretch is interpolated to that grid."""
 ONE_SIGMA = 0.682689492137
 """Probability of the bands."""
 
@@ -73,7 +61,8 @@ def allan_deviation(
 
     .. math:: \sigma^2(\tau) = \frac{1}{2 \tau^2 (N - 2m)} \sum_i (x_{i+2m} - 2 x_{i+m} + x_i)^2
 
-    ([Riley2008] eq. 11). Each stretch is weighted by its number of differences.
+    ([Riley2008] eq. 11). Each stretch is weighted by its number of differences. An averaging time with fewer than one
+    degree of freedom is not shown.
 
     Parameters
     ----------
@@ -99,17 +88,20 @@ def allan_deviation(
         )
     from scipy.special import chdtri
 
-    stretches, step = _even_stretches(angle, t, begins)
-    longest = max((x.size for x in stretches), default=0)
-    every = max(angle.size // ALLAN.differences, 1)
-    rows = [
-        (m * step, *pooled)
-        for m in _multiples(longest)
-        if (pooled := _pooled(stretches, m, every, _walking(m * step, white, walk)))[1] >= ALLAN.fewest_degrees
-    ]
-    table = np.array(rows).reshape(-1, 4)
-    tau, degrees = table[:, 0], table[:, 2]
-    variance = table[:, 1] / (2.0 * tau**2)
+    steps = np.diff(t)[~begins[1:]]
+    step = float(np.median(steps)) if steps.size else 1.0
+    edges = [0, *(np.flatnonzero(begins[1:]) + 1).tolist(), t.size]
+    stretches = [_even(angle[a:b], t[a:b], step) for a, b in pairwise(edges)]
+    most = (max((x.size for x in stretches), default=0) - 1) // 3
+    count = int(PER_DECADE * math.log10(most)) + 1 if most >= 1 else 0
+    every = max(angle.size // MOST_DIFFERENCES, 1)
+    rows = []
+    for m in np.unique(np.round(np.geomspace(1, max(most, 1), count)).astype(int)).tolist():
+        total = 3.0 * white + walk * m * step
+        square, degrees, reached = _pooled(stretches, m, every, walk * m * step / total if total else 0.0)
+        if degrees >= 1.0:
+            rows.append((m * step, square / (2.0 * (m * step) ** 2), degrees, reached))
+    tau, variance, degrees, reached = np.array(rows).reshape(-1, 4).T
     tail = 0.5 * (1.0 - ONE_SIGMA)
     return AllanDeviation(
         tau=tau,
@@ -117,7 +109,7 @@ def allan_deviation(
         lower=np.sqrt(variance * degrees / chdtri(degrees, tail)),
         upper=np.sqrt(variance * degrees / chdtri(degrees, 1.0 - tail)),
         degrees_of_freedom=degrees,
-        stretches=table[:, 3].astype(np.int64),
+        stretches=reached.astype(np.int64),
     )
 
 
@@ -134,64 +126,6 @@ def drift_line(tau: Array, level: float) -> Array:
     return level * np.sqrt(tau / 3.0)
 
 
-def _walking(tau: float, white: float, walk: float) -> float:
-    """Share of the random walk in the Allan variance."""
-    total = 3.0 * white + walk * tau
-    return walk * tau / total if total > 0.0 else 0.0
-
-
-def _even_stretches(angle: Array, t: Array, begins: NDArray[np.bool_]) -> tuple[list[Array], float]:
-    """Angles of every stretch at the median step; uneven stretches are interpolated linearly."""
-    starts = np.flatnonzero(begins)
-    starts = starts if starts.size and starts[0] == 0 else np.append(0, starts)
-    steps = np.diff(t)[~begins[1:]]
-    if steps.size == 0:
-        return [], 1.0
-    step = float(np.median(steps))
-    stretches = []
-    for left, right in zip(starts, np.append(starts[1:], t.size), strict=True):
-        time = t[left:right] - t[left]
-        even: Array = step * np.arange(time.size, dtype=float)
-        if np.abs(time - even).max() > ALLAN.uneven * step:
-            even = step * np.arange(int(time[-1] / step + ALLAN.uneven) + 1, dtype=float)
-            stretches.append(np.interp(even, time, angle[left:right]))
-        else:
-            stretches.append(angle[left:right])
-    return stretches, step
-
-
-def _multiples(longest: int) -> list[int]:
-    """Averaging times in steps: even on a logarithmic scale, up to a third of the longest stretch."""
-    most = (longest - 1) // 3
-    if most < 1:
-        return []
-    count = max(int(ALLAN.per_decade * math.log10(most)) + 1, 1)
-    return np.unique(np.round(np.geomspace(1, most, count)).astype(int)).tolist()
-
-
-def _pooled(stretches: list[Array], m: int, every: int, share: float) -> tuple[float, float, float]:
-    """Mean square of second differences, its degrees of freedom, and the number of stretches long enough.
-
-    ``share`` of the variance is random walk. For two noises the variance of the mean square has three parts: one
-    of each noise, and twice the product of their shares. The product has the degrees of freedom of the quicker
-    noise.
-    """
-    total, weights, spread, reached = 0.0, 0.0, 0.0, 0
-    for x in stretches:
-        if x.size < 2 * m + 1:
-            continue
-        difference = x[2 * m :: every] - 2.0 * x[m:-m:every] + x[: -2 * m : every]
-        weight = difference.size
-        white, slow = (equivalent_degrees(x.size, m, walking=kind) for kind in (False, True))
-        inverse = (1.0 - share) ** 2 / white + share**2 / slow + 2.0 * share * (1.0 - share) / max(white, slow)
-        degrees = min(1.0 / inverse, weight)
-        total += float(difference @ difference)
-        weights += weight
-        spread += weight**2 / degrees
-        reached += 1
-    return (total / weights, weights**2 / spread, float(reached)) if reached else (0.0, 0.0, 0.0)
-
-
 def equivalent_degrees(samples: int, m: int, *, walking: bool) -> float:
     """Equivalent degrees of freedom of an overlapping Allan variance of ``samples`` angles.
 
@@ -203,3 +137,33 @@ def equivalent_degrees(samples: int, m: int, *, walking: bool) -> float:
         shape = 4.0 * m**2 / (4.0 * m**2 + 5.0)
         return max((1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n) * shape, 1e-9)
     return (n + 1.0) * (n - 2.0 * m) / (2.0 * (n - m))
+
+
+def _even(angle: Array, t: Array, step: float) -> Array:
+    """Angles of a stretch at even steps; an uneven one is interpolated linearly."""
+    time = t - t[0]
+    even: Array = step * np.arange(time.size, dtype=float)
+    if np.abs(time - even).max() <= UNEVEN * step:
+        return angle
+    return np.interp(step * np.arange(int(time[-1] / step + UNEVEN) + 1, dtype=float), time, angle)
+
+
+def _pooled(stretches: list[Array], m: int, every: int, share: float) -> tuple[float, float, int]:
+    """Mean square of second differences, its degrees of freedom, and the number of stretches long enough.
+
+    ``share`` of the variance is random walk. For two noises the variance of the mean square has three parts: one
+    of each noise, and twice the product of their shares. The product has the degrees of freedom of the quicker
+    noise.
+    """
+    total, weights, spread, reached = 0.0, 0, 0.0, 0
+    for x in stretches:
+        if x.size <= 2 * m:
+            continue
+        difference = x[2 * m :: every] - 2.0 * x[m:-m:every] + x[: -2 * m : every]
+        white, slow = (equivalent_degrees(x.size, m, walking=kind) for kind in (False, True))
+        inverse = (1.0 - share) ** 2 / white + share**2 / slow + 2.0 * share * (1.0 - share) / max(white, slow)
+        total += float(difference @ difference)
+        weights += difference.size
+        spread += difference.size**2 / min(1.0 / inverse, difference.size)
+        reached += 1
+    return (total / weights, weights**2 / spread, reached) if reached else (0.0, 0.0, 0)

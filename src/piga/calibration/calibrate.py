@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from piga.calibration.budget.monte_carlo import put_to_the_test
+from piga.calibration.budget.monte_carlo import monte_carlo_intervals
 from piga.calibration.budget.uncertainty import (
     Budget,
     budget_row,
@@ -196,7 +196,7 @@ def _calibration(
     covariance = whole
     coefficients = combined(coefficients, covariance, budget.rows, degrees)
     steps("checking the intervals")
-    coefficients, monte_carlo = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
+    coefficients, monte_carlo = monte_carlo_intervals(fit, coefficients, budget, run.estimation.uncertainty)
     steps("looking for missing terms")
     said = find_remarks(fit, candidates, coefficients)
     history = _history(fit) if request.method == "recursive" else None

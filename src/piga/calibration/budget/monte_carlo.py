@@ -9,7 +9,7 @@ linear parameters and takes that step exactly; it needs no new fit.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,18 +27,14 @@ from piga.results import Array
 class MonteCarloSettings:
     """Settings of the Monte Carlo propagation (JCGM 101; else own choices)."""
 
-    block: int = 10_000
-    """Trials per block. The adaptive procedure checks for convergence after each block (JCGM 101, 7.9.4)."""
-    most: int = 1_000_000
-    """Most trials of the adaptive procedure."""
+    trials: int = 200_000
+    """Trials. They give an end of a 95 % interval to 0.6 % of u."""
+    resolved: float = 0.02
+    """Least tolerance [u]: three standard deviations of such an end."""
     seed: int = 101
     """Fixed seed: the same record gives the same digits."""
     doubtful: float = 6.0
     """Ratio of tan_beta to its standard uncertainty below which its interval is not linear (Rice-like)."""
-    far: float = 10.0
-    """Search range of the upper limit [standard uncertainties above the estimate]."""
-    halvings: int = 60
-    """Bisection steps of this search."""
 
 
 MONTE_CARLO = MonteCarloSettings()
@@ -61,7 +57,8 @@ class Contribution:
 class Propagated:
     """Per result: estimate, standard uncertainty, symmetric and shortest 95 % interval (2, n), and the verdict.
 
-    ``tolerance`` is delta of JCGM 101, 7.9.2, for two significant digits. ``validated`` is True where the first-order
+    ``tolerance`` is delta of JCGM 101, 7.9.2, for two significant digits, but at
+    least what the trials resolve. ``validated`` is True where the first-order
     interval agrees with the symmetric interval within ``tolerance`` (clause 8.1).
     """
 
@@ -117,10 +114,8 @@ def propagate_distributions(
     sources: list[Contribution],
     results: Callable[[Array], Array],
     first_order: Array,
-    *,
-    trials: int | None = None,
 ) -> Propagated:
-    """Propagate distributions through ``results``.
+    """Propagate distributions through ``results`` by ``MONTE_CARLO.trials`` trials.
 
     Parameters
     ----------
@@ -132,63 +127,24 @@ def propagate_distributions(
         From draws (trials, n) to results (trials, m).
     first_order:
         Limits of the first-order intervals to be tested, (2, m).
-    trials:
-        Number of trials. None: adaptive, until every figure is stable to its tolerance, at most ``MONTE_CARLO.most``.
     """
-    values: list[Array] = []
-    figures: list[Array] = []
-    for block in _blocks(base, covariance, degrees, sources):
-        values.append(results(block))
-        if len(values) * MONTE_CARLO.block >= (MONTE_CARLO.most if trials is None else trials):
-            break
-        if trials is None:
-            figures.append(_figures(values[-1]))
-            if len(values) > 1 and _stable(np.array(figures)):
-                break
-    drawn = np.sort(np.concatenate(values)[: trials or MONTE_CARLO.most], axis=0)
-    std = drawn.std(axis=0, ddof=1)
-    symmetric = np.quantile(drawn, (0.025, 0.975), axis=0)
-    delta = tolerance(std)
-    agrees = np.max(np.abs(first_order - symmetric), axis=0) <= delta
-    return Propagated(
-        drawn.shape[0], drawn.mean(axis=0), std, symmetric, shortest_interval(drawn), delta, agrees
-    )
-
-
-def _blocks(base: Array, covariance: Array, degrees: float, sources: list[Contribution]) -> Iterator[Array]:
-    rng = np.random.default_rng(MONTE_CARLO.seed)
+    rng, trials = np.random.default_rng(MONTE_CARLO.seed), MONTE_CARLO.trials
     values, vectors = np.linalg.eigh(covariance)
     factor = vectors * np.sqrt(np.maximum(values, 0.0))
-    while True:
-        drawn = rng.standard_normal((MONTE_CARLO.block, base.size)) @ factor.T
-        if math.isfinite(degrees):
-            drawn *= np.sqrt(degrees / rng.chisquare(degrees, MONTE_CARLO.block))[:, None]
-        for source in sources:
-            drawn += source_draws(source, MONTE_CARLO.block, rng) @ np.atleast_2d(source.change)
-        yield base + drawn
+    draws = rng.standard_normal((trials, base.size)) @ factor.T
+    if math.isfinite(degrees):
+        draws *= np.sqrt(degrees / rng.chisquare(degrees, trials))[:, None]
+    for source in sources:
+        draws += source_draws(source, trials, rng) @ np.atleast_2d(source.change)
+    ordered = np.sort(results(base + draws), axis=0)
+    std = ordered.std(axis=0, ddof=1)
+    symmetric = np.quantile(ordered, (0.025, 0.975), axis=0)
+    delta = np.maximum(tolerance(std), MONTE_CARLO.resolved * std)
+    agrees = np.max(np.abs(first_order - symmetric), axis=0) <= delta
+    return Propagated(trials, ordered.mean(axis=0), std, symmetric, shortest_interval(ordered), delta, agrees)
 
 
-def _figures(block: Array) -> Array:
-    """Mean, standard deviation and both ends of the 95 % interval of a block of trials, (4, m)."""
-    ends = np.quantile(block, (0.025, 0.975), axis=0)
-    return np.stack([block.mean(axis=0), block.std(axis=0, ddof=1), *ends])
-
-
-def _stable(figures: Array) -> bool:
-    """True when twice the standard deviation of the average of every figure is below the tolerance.
-
-    JCGM 101, 7.9.4. ``figures`` has shape (blocks, 4, m). The standard deviation of all trials is combined from
-    those of the blocks.
-    """
-    count = len(figures)
-    spread = figures.std(axis=0, ddof=1) / math.sqrt(count)
-    within = (MONTE_CARLO.block - 1) * np.sum(figures[:, 1] ** 2, axis=0)
-    between = MONTE_CARLO.block * (count - 1) * figures[:, 0].var(axis=0, ddof=1)
-    std = np.sqrt((within + between) / (count * MONTE_CARLO.block - 1))
-    return bool((2.0 * spread <= tolerance(std)).all())
-
-
-def put_to_the_test(
+def monte_carlo_intervals(
     fit: Fit, coefficients: tuple[Coefficient, ...], budget: Budget, wanted: str
 ) -> tuple[tuple[Coefficient, ...], MonteCarlo | None]:
     """Coefficients with Monte Carlo intervals where the first order fails, and the comparison for the report.
@@ -274,19 +230,17 @@ def size_limits(value: float, std: float, degrees: float) -> tuple[float, float]
     degrees:
         Degrees of freedom of ``std``, may be infinite.
     """
-    from scipy.special import chdtri, chndtr
+    from scipy.special import chdtr, chdtri, chndtrinc, ndtri
 
     unit = std * coverage_factor(degrees) / coverage_factor(math.inf)
-    ratio = value / unit
+    square = (value / unit) ** 2
 
     def size_at(probability: float) -> float:
-        if chndtr(ratio**2, 2.0, 0.0) <= probability:
+        """Size at which the estimate is the quantile of this probability; 0 if there is none."""
+        if chdtr(2.0, square) <= probability:
             return 0.0
-        low, high = 0.0, ratio + MONTE_CARLO.far
-        for _ in range(MONTE_CARLO.halvings):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if chndtr(ratio**2, 2.0, middle**2) > probability else (low, middle)
-        return 0.5 * (low + high)
+        size = float(chndtrinc(square, 2.0, probability))
+        return math.sqrt(size) if math.isfinite(size) else value / unit - float(ndtri(probability))
 
     return size_at(0.975) * unit, max(size_at(0.025), math.sqrt(chdtri(2.0, 0.05))) * unit
 
