@@ -98,9 +98,9 @@ def allan_deviation(
     rows = []
     for m in np.unique(np.round(np.geomspace(1, max(most, 1), count)).astype(int)).tolist():
         total = 3.0 * white + walk * m * step
-        square, degrees, reached = _pooled(stretches, m, every, walk * m * step / total if total else 0.0)
-        if degrees >= 1.0:
-            rows.append((m * step, square / (2.0 * (m * step) ** 2), degrees, reached))
+        square, freedom, count = _pooled(stretches, m, every, walk * m * step / total if total else 0.0)
+        if freedom >= 1.0:
+            rows.append((m * step, square / (2.0 * (m * step) ** 2), freedom, count))
     tau, variance, degrees, reached = np.array(rows).reshape(-1, 4).T
     tail = 0.5 * (1.0 - ONE_SIGMA)
     return AllanDeviation(
