@@ -199,7 +199,7 @@ def say_reproduced(reproduced: Reproduced) -> None:
     )
     words = {
         "identical": "identical to the bit",
-        "within tolerance": f"within 1e-12 kappa ({reproduced.comparison.worst:.1g} of what is allowed)",
+        "within tolerance": f"within tolerance ({reproduced.comparison.worst:.1g} of what is allowed)",
         "different": "NOT the same",
     }
     say(f"{reproduced.record.id}: {words[reproduced.verdict]}; {where}")

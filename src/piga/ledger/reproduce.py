@@ -1,10 +1,10 @@
-"""Recompute a record from its stored inputs and compare the numbers: identical to the bit, or equal within rounding.
+"""Recompute a record from its stored inputs and compare the numbers.
 
-In least squares, a relative rounding error eps changes the coefficient *vector* by about ``kappa eps`` of its length
-(kappa: condition number). So each coefficient is compared on the scale of the whole vector theta. The units are those
-of ``calibration.json``, where every entry is a share of the output rate at 1 g. The tolerance of value and standard
-uncertainty is ``1e-12 kappa |theta|``; for the phase of ``tan_beta`` it is divided by ``tan_beta``. Angles are compared
-on the scale of the angle turned. Own derivation, after the normwise bounds in any text on numerical linear algebra.
+The same software on the same platform must give the same bits. Another platform, or another version of a library, may round
+otherwise. Then every coefficient, standard uncertainty and covariance has to agree within :data:`ROUNDING` of its standard
+uncertainty.
+A record of piga 0.1 or 0.2 was computed by another estimator. Its values have to agree within :data:`ESTIMATOR` of their standard
+uncertainty. The uncertainties are not compared.
 """
 
 from __future__ import annotations
@@ -26,23 +26,16 @@ import numpy as np
 from piga._version import __version__
 from piga.errors import StoreError
 from piga.ledger.store import Record, Store
-from piga.records import Calibration
+from piga.records import Calibration, Coefficient
 from piga.records.calibration.document import to_document
 from piga.results import Result
-from piga.units import G0
 
-
-@dataclass(frozen=True)
-class CompareSettings:
-    """Differences of two calculations that count as none (own choices)."""
-
-    relative: float = 1e-12
-    """Relative difference allowed on another platform, per unit of the condition number."""
-    noise: float = 1e-8
-    """Relative difference allowed for noise levels. They come from a search for an optimum, which is flat."""
-
-
-ALLOWED = CompareSettings()
+ROUNDING = 1e-6
+"""Difference allowed where the arithmetic differs, as a share of the standard uncertainty (own choice)."""
+ESTIMATOR = 0.3
+"""Difference allowed from the estimator of piga 0.1 and 0.2, as a share of the standard uncertainty (own choice)."""
+OTHER_ESTIMATOR = ("piga 0.1", "piga 0.2")
+"""Beginning of the software of calibrations that another estimator made."""
 
 UNCOMPARED = ("created", "software", "source")
 """Provenance entries that are not compared: time, software and folder."""
@@ -92,13 +85,19 @@ def compare_calibrations(stored: Calibration, recomputed: Calibration) -> Compar
     ]
     if facts:
         return Comparison(identical, (), tuple(facts))
-    compared = (*_coefficients(stored, recomputed), *_angles(stored, recomputed), *_noise(stored, recomputed))
+    compared = (
+        _other_estimator(stored, recomputed) if _is_other(stored) else _same_estimator(stored, recomputed)
+    )
     differences = [
         f"{c.name}: {c.stored!r}, recomputed {c.recomputed!r}, allowed {c.allowed:.2g}"
         for c in compared
         if not c.agrees
     ]
-    return Comparison(identical, compared, tuple(differences))
+    return Comparison(identical, tuple(compared), tuple(differences))
+
+
+def _is_other(stored: Calibration) -> bool:
+    return stored.provenance.software.startswith(OTHER_ESTIMATOR)
 
 
 def _of_the_same_inputs(stored: Calibration, recomputed: Calibration) -> Calibration:
@@ -119,64 +118,45 @@ def _numbers(calibration: Calibration) -> dict[str, Any]:
 
 def _facts(a: Calibration, b: Calibration) -> dict[str, tuple[Any, Any]]:
     """The entries that rounding cannot change."""
-    names = ("serial", "terms", "phases", "phase_source", "method", "surplus_observations", "quality")
+    names = ["serial", "terms", "phases"]
+    names += [] if _is_other(a) else ["phase_source", "method", "surplus_observations", "quality"]
     facts: dict[str, tuple[Any, Any]] = {name: (getattr(a, name), getattr(b, name)) for name in names}
     facts["coefficients"] = ([c.key for c in a.coefficients], [c.key for c in b.coefficients])
     facts["inputs"] = (a.provenance.input_sha256, b.provenance.input_sha256)
     return facts
 
 
-def _coefficients(a: Calibration, b: Calibration) -> list[Compared]:
-    kappa = a.condition if math.isfinite(a.condition) else 1.0
-    plain = [c.value for c in a.coefficients if c.name != "phi"]
-    length = math.hypot(a.scale_factor_nominal * G0, *plain)
-    tangent = next((abs(c.value) for c in a.coefficients if c.name == "tan_beta"), 1.0)
-    allowed = [
-        ALLOWED.relative * kappa * length / (max(tangent, ALLOWED.relative) if c.name == "phi" else 1.0)
-        for c in a.coefficients
-    ]
-    pairs = [
-        Compared(c.key, c.value, _nearest_turn(d.value, c.value) if c.name == "phi" else d.value, limit)
-        for c, d, limit in zip(a.coefficients, b.coefficients, allowed, strict=True)
-    ]
-    pairs += [
-        Compared(f"u({c.key})", c.std, d.std, limit)
-        for c, d, limit in zip(a.coefficients, b.coefficients, allowed, strict=True)
-    ]
-    std = np.array([c.std for c in a.coefficients])
-    limits = np.add.outer(np.zeros(std.size), np.array(allowed)) * std[:, None]
-    limits = limits + limits.T
-    worst = np.abs(a.covariance - b.covariance) - limits
-    if worst.size:
-        i, j = np.unravel_index(int(np.argmax(worst)), worst.shape)
-        name = f"covariance ({a.coefficients[i].key}, {a.coefficients[j].key})"
-        pairs.append(Compared(name, float(a.covariance[i, j]), float(b.covariance[i, j]), float(limits[i, j])))
-    return pairs
-
-
-def _nearest_turn(value: float, near: float) -> float:
-    """The same angle within half a turn of ``near``; unchanged when it is so already."""
-    turns = round((near - value) / (2.0 * math.pi))
-    return value if turns == 0 else value + 2.0 * math.pi * turns
-
-
-def _angles(a: Calibration, b: Calibration) -> list[Compared]:
-    kappa = a.condition if math.isfinite(a.condition) else 1.0
-    turned = 2.0 * math.pi * max((abs(segment.turns) for segment in a.segments), default=0.0)
-    allowed = ALLOWED.relative * kappa * max(turned, a.residual_max_before, 1.0)
-    names = ("residual_rms", "residual_rms_before", "residual_max_before", "residual_max_after")
-    return [Compared(name, getattr(a, name), getattr(b, name), allowed) for name in names]
-
-
-def _noise(a: Calibration, b: Calibration) -> list[Compared]:
-    """Noise levels. The scale of each is the level at which it matters beside the other over the whole record."""
-    duration = math.fsum(segment.duration for segment in a.segments) or 1.0
-    white = max(a.angle_rms, a.angle_random_walk * math.sqrt(duration / max(a.quality.used, 1)))
-    walk = max(a.angle_random_walk, a.angle_rms / math.sqrt(duration))
+def _other_estimator(a: Calibration, b: Calibration) -> list[Compared]:
     return [
-        Compared("angle_rms", a.angle_rms, b.angle_rms, ALLOWED.noise * white),
-        Compared("angle_random_walk", a.angle_random_walk, b.angle_random_walk, ALLOWED.noise * walk),
+        Compared(c.key, c.value, _near(c, d), ESTIMATOR * c.std)
+        for c, d in zip(a.coefficients, b.coefficients, strict=True)
     ]
+
+
+def _same_estimator(a: Calibration, b: Calibration) -> list[Compared]:
+    compared = []
+    for c, d in zip(a.coefficients, b.coefficients, strict=True):
+        compared += [
+            Compared(c.key, c.value, _near(c, d), ROUNDING * c.std),
+            Compared(f"u({c.key})", c.std, d.std, ROUNDING * c.std),
+        ]
+    std = np.array([c.std for c in a.coefficients])
+    excess = np.abs(a.covariance - b.covariance) - ROUNDING * np.outer(std, std)
+    i, j = np.unravel_index(int(np.argmax(excess)), excess.shape)
+    name = f"covariance ({a.coefficients[i].key}, {a.coefficients[j].key})"
+    allowed = ROUNDING * float(std[i] * std[j])
+    compared.append(Compared(name, float(a.covariance[i, j]), float(b.covariance[i, j]), allowed))
+    for name in ("angle_rms", "angle_random_walk", "residual_rms", "residual_rms_before"):
+        size = getattr(a, name)
+        compared.append(Compared(name, size, getattr(b, name), ROUNDING * size))
+    return compared
+
+
+def _near(stored: Coefficient, recomputed: Coefficient) -> float:
+    """The recomputed value; a phase within half a turn of the stored one."""
+    if stored.name != "phi":
+        return recomputed.value
+    return stored.value + math.remainder(recomputed.value - stored.value, 2.0 * math.pi)
 
 
 @dataclass(frozen=True)
@@ -221,18 +201,20 @@ def difference(store: Store, first: str | int, second: str | int) -> Difference:
     a, b = store.record(first), store.record(second)
     calibrations = {record.id: store.calibration(record.id) for record in (a, b)}
     old, new = ({c.key: c for c in calibrations[record.id].coefficients} for record in (a, b))
-    changes = []
-    for key in dict.fromkeys((*old, *new)):
-        x, y = old.get(key), new.get(key)
-        both = x is not None and y is not None
-        delta = y.value - x.value if both and x and y else None
-        if delta is not None and key.split("[", maxsplit=1)[0] == "phi":
-            delta = math.remainder(delta, 2.0 * math.pi)
-        std = math.hypot(x.std, y.std) if both and x and y else None
-        unit = x.unit if x is not None else y.unit if y is not None else ""
-        changes.append(Change(key, unit, x.value if x else None, y.value if y else None, delta, std))
+    changes = [_change(key, old.get(key), new.get(key)) for key in dict.fromkeys((*old, *new))]
     alone = tuple(name for name, calibration in calibrations.items() if calibration.type_a_only)
     return Difference(a, b, tuple(changes), _differing(a, b), alone)
+
+
+def _change(key: str, old: Coefficient | None, new: Coefficient | None) -> Change:
+    """The change of one coefficient; without a difference where one of the records lacks it."""
+    if old is None:
+        return Change(key, new.unit if new else "", None, new.value if new else None, None, None)
+    if new is None:
+        return Change(key, old.unit, old.value, None, None, None)
+    return Change(
+        key, old.unit, old.value, new.value, _near(old, new) - old.value, math.hypot(old.std, new.std)
+    )
 
 
 def _differing(a: Record, b: Record) -> dict[str, tuple[Any, Any]]:
@@ -293,8 +275,8 @@ class Reproduced(Result):
 def reproduce(store: Store, name: str | int) -> Reproduced:
     """Compute a record again from its own inputs.
 
-    With the same software and platform the numbers must be identical to the bit. Otherwise a relative difference of
-    1e-12 times the condition number is allowed (:mod:`piga.ledger.reproduce`).
+    With the same software and platform the numbers must be identical to the bit. Otherwise they must agree as
+    :mod:`piga.ledger.reproduce` states.
 
     Raises
     ------
