@@ -36,7 +36,7 @@ from piga.compensation.compensator import (
     run_kernel,
     work_array,
 )
-from piga.compensation.files.file_to_file import HELD_ROWS, compensate_to_file
+from piga.compensation.files.file_to_file import compensate_to_file
 from piga.compensation.model import Model, make_model
 from piga.records import Calibration, Coefficient, Provenance, Quality
 from piga.records.calibration import Diagnostics
@@ -243,7 +243,7 @@ def file_to_file() -> None:
             result, used, reading = [], [], []
             for _ in range(5):
                 start_time, start_used = time.perf_counter(), time.process_time()
-                record = piga.read_run(path / "run.toml", held=HELD_ROWS)
+                record = piga.read_run(path / "run.toml")
                 reading.append(time.perf_counter() - start_time)
                 compensate_to_file(record, cal, path / "out.parquet", "parquet", uncertainty=uncertainty)
                 del record

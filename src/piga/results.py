@@ -43,7 +43,6 @@ DOORS = {
     "draw": "piga.reports.render.axes:draw",
     "run_from_table": "piga.stand.run_reference:run_from_table",
     "stand_reference": "piga.stand.run_reference:stand_reference",
-    "visits": "piga.reading.raw_columns:Visits",
     "correlated": "piga.formats.tables:correlated",
 }
 """Functions of upper rooms that methods of results call: ``module:function`` by what they do."""

@@ -59,7 +59,7 @@ def write(folder, name="run.parquet", rows=500, serial="A", counts=False, phi=0.
 def small_chunks(monkeypatch, rows: int) -> None:
     """Records lie on disk, and so many rows are read and compensated at a time; sets of three are solved in as many."""
     monkeypatch.setattr("piga.compensation.sets.set_files.READINGS", 3 * rows)
-    monkeypatch.setattr("piga.compensation.sets.set_files.HELD_ROWS", 0)
+    monkeypatch.setattr("piga.records.arrays.LARGE_BYTES", 0)
     monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
     monkeypatch.setattr("piga.records.spool.BLOCK", rows)
     monkeypatch.setattr("piga.formats.parquet.CHUNK_ROWS", rows)
@@ -69,7 +69,7 @@ def small_chunks(monkeypatch, rows: int) -> None:
 
 def to_file(path, calibration, out, **options):
     """Read and compensate a run into Parquet: the summary, and the findings by kind."""
-    record = piga.read_run(path, held=file_to_file.HELD_ROWS)
+    record = piga.read_run(path)
     summary = file_to_file.compensate_to_file(record, calibration, out, "parquet", **options)
     return summary, file_to_file.found_while_reading(record)
 

@@ -13,7 +13,7 @@ import pyarrow.csv
 import pytest
 
 import piga
-from piga.reading import raw_columns
+from piga.reading import columns
 from piga.units import G0
 from tests.cli.runner import outcome
 from tests.compensation.twin_data import K_G, calibration_of
@@ -86,7 +86,7 @@ CHOSEN = ("roll-over-undeclared", "reset-at-gap", "wrong-sidecar")
 def as_long(monkeypatch: pytest.MonkeyPatch, length: str) -> None:
     """Limits as they are for a record of this length."""
     read, compensated, block = LENGTHS[length]
-    monkeypatch.setattr(raw_columns, "LARGE_ROWS", read)
+    monkeypatch.setattr("piga.records.arrays.LARGE_BYTES", 8 * read)
     monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", compensated)
     monkeypatch.setattr("piga.records.spool.BLOCK", block)
 
@@ -161,16 +161,16 @@ def test_the_corpus_ends_alike(
 def test_a_growing_file_is_refused_at_every_length(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, length: str
 ) -> None:
-    run, collect = Case("grows", text(rows()), "error").write(tmp_path), raw_columns.collect
+    run, collect = Case("grows", text(rows()), "error").write(tmp_path), columns.collect
     as_long(monkeypatch, length)
 
-    def grow(path: Path, *more: object) -> raw_columns.RawColumns:
+    def grow(path: Path, *more: object) -> columns.RawColumns:
         result = collect(path, *more)  # type: ignore[arg-type]
         with path.open("ab") as log:
             log.write(b"2.0,20358,1.0,0.1,0.0\n")
         return result
 
-    monkeypatch.setattr(raw_columns, "collect", grow)
+    monkeypatch.setattr(columns, "collect", grow)
     result = ends(capsys, run)
     assert all("changed while it was read" in str(end) for end in result.values()), result
 

@@ -19,7 +19,7 @@ WORK = """
 import json, sys, threading, time
 import numpy as np
 import piga
-from piga.reading import raw_columns
+from piga.records import arrays
 from piga.cli.calibrate import write_results
 from pathlib import Path
 from tests.memory import kilobytes
@@ -33,7 +33,7 @@ def warm():
     run = piga.Run.from_arrays(t, np.cumsum(1e-3 * 0.0906 * f[:, 0]) + 1e-6 * np.sin(9 * t), f, scale_factor="0.8884 rad/s/g")
     piga.calibrate(run, ["scale_factor", "k0"])
 
-raw_columns.LARGE_ROWS = int(sys.argv[2])
+arrays.LARGE_BYTES = int(sys.argv[2])
 warm()
 peak, done = [private()], False
 def watch():

@@ -67,7 +67,7 @@ def test_an_unknown_key_inside_a_value(tmp_path: Path) -> None:
 
 
 def test_more_segments_than_a_record_may_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("piga.reading.raw_columns.MAX_SEGMENTS", 12)
+    monkeypatch.setattr("piga.reading.columns.MAX_SEGMENTS", 12)
     rows = [f"{row},{index // 2}" for index, row in enumerate(lines(40))]
     write_log(tmp_path, rows, header="t,n,fx,fy,fz,seg")
     with pytest.raises(piga.DataError, match="column 'seg' has more than 12 different segments"):

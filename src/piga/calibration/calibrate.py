@@ -68,7 +68,7 @@ from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, 
 from piga.calibration.remarks.missing_terms import Candidates
 from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.progress import Progress, Steps
-from piga.reading.signal_checks import largest_size
+from piga.reading.checks import largest_size
 from piga.records.calibration import (
     BudgetEntry,
     BudgetTable,

@@ -253,7 +253,7 @@ def _single(
     out, page = target
     kind = format_of(out)
     with progress("reading"):
-        record = read_run(run, held=HELD_ROWS)
+        record = read_run(run)
     give_back()
     inputs = [*record.input_sha256.items(), *sources]
     options = _with_phase(options, None if rest is None else identify_phase(record, calibration, rest))

@@ -14,7 +14,7 @@ from piga._kernels.estimation.noise import innovation_weights, whiten
 from piga._kernels.estimation.regressors import coupling_columns
 from piga.compensation.model import Phase, make_model
 from piga.errors import CalibrationError
-from piga.reading.signal_checks import integrated_rate
+from piga.reading.checks import integrated_rate
 from piga.records.calibration import Calibration
 from piga.records.run import Run
 from piga.records.spool import spans

@@ -25,7 +25,7 @@ from piga.formats.text.convention import HeadRows, units_in_names
 from piga.formats.text.faults import is_number
 from piga.formats.text.reader import TextStream
 from piga.formats.text.time_stamp import forms_of
-from piga.reading.raw_columns import TEXT_SUFFIXES, columns_stream, file_kind, open_stream
+from piga.reading.columns import TEXT_SUFFIXES, columns_stream, file_kind, open_stream
 from piga.records.run_file import DataTable, OutputColumn
 from piga.results import Array
 
@@ -87,7 +87,7 @@ def describe_log(path: str | Path) -> LogDescription:
     Parameters
     ----------
     path:
-        The log, in any format that :func:`piga.reading.raw_columns.open_stream` reads.
+        The log, in any format that :func:`piga.reading.columns.open_stream` reads.
 
     Raises
     ------

@@ -6,7 +6,8 @@ jump back or leave a gap are detected and counted. Nothing is interpolated.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,10 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga.errors import ArgumentError
-from piga.records.calibration import Event, Quality, Tally
+from piga.records.arrays import stored
+from piga.records.calibration import Event, Quality, counted
 from piga.records.distribution import GivenParameter
 from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
-from piga.records.spool import Arrays, exact_median, spans, steps
 from piga.records.terms import check_terms
 from piga.records.text_files import RENAMED
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular, above
@@ -98,12 +99,12 @@ class Run(Result, Plotted, Reported, Tabular):
     @property
     def duration(self) -> float:
         """Sum of the recorded intervals [s], without gaps and moves."""
-        return float(sum(step.sum() for step in self._steps_inside()))
+        return float(np.diff(self.t)[~self.begins[1:]].sum())
 
     @cached_property
     def median_step(self) -> float:
         """Median interval inside stretches [s]; 0 if there is none."""
-        return exact_median(self._steps_inside)
+        return median(np.diff(self.t)[~self.begins[1:]])
 
     @property
     def output_unit(self) -> str:
@@ -146,12 +147,9 @@ class Run(Result, Plotted, Reported, Tabular):
 
     def segment_edges(self) -> NDArray[np.int64]:
         """First sample of each segment, then the number of samples."""
-        edges = [part.start + np.flatnonzero(steps(self.segment_index, part)) for part in spans(self.size)]
-        return np.concatenate([[0], *edges, [self.size]]).astype(np.int64)
-
-    def _steps_inside(self) -> Iterator[Array]:
-        for part in spans(self.size):
-            yield steps(self.t, part)[~self.begins[part]]
+        return np.concatenate(([0], 1 + np.flatnonzero(np.diff(self.segment_index)), [self.size])).astype(
+            np.int64
+        )
 
     @classmethod
     def from_arrays(
@@ -216,7 +214,7 @@ class Run(Result, Plotted, Reported, Tabular):
         f = np.ascontiguousarray(f, dtype=float)
         check_arrays(t, output, f, base_rate, temperature, places, kind)
         row = np.arange(1, t.size + 1, dtype=np.int64)
-        base = examine_time(t, places, row, Arrays(None))
+        base = examine_time(t, places, row)
         asked = _table("model", model, ModelTable)
         check_terms(asked.terms, where="model terms")
         return cls(
@@ -439,8 +437,7 @@ def _segments(
     if given.dtype.kind in "OUS":
         words = list(dict.fromkeys(str(name) for name in given))
         codes = np.array([words.index(str(name)) for name in given], dtype=np.int32)
-        visits = above("visits")(words)
-        return visits.segment(codes, np.arange(1, size + 1)), tuple(visits.names)
+        return segments_of_visits(codes, words)
     names, index = np.unique(given, return_inverse=True)
     if labels is not None and len(labels) != names.size:
         raise ArgumentError(
@@ -448,6 +445,23 @@ def _segments(
         )
     named = tuple(str(name) for name in (names if labels is None else labels))
     return index.astype(np.int32).reshape(given.shape), named
+
+
+def segments_of_visits(
+    codes: NDArray[np.int32], labels: Sequence[str]
+) -> tuple[NDArray[np.int32], tuple[str, ...]]:
+    """Segment index of each sample (n,), and the names of the segments, from codes (n,): indices into ``labels``, -1 for none.
+
+    Each visit of a label is a segment. A label that returns later is ``label#2``.
+    """
+    starts = np.concatenate(([0], 1 + np.flatnonzero(np.diff(codes)))) if codes.size else np.zeros(0, np.int64)
+    index, visits, names = np.full(starts.size, -1, np.int32), Counter[int](), []
+    for at, code in enumerate(codes[starts].tolist()):
+        if code >= 0:
+            visits[code] += 1
+            names.append(labels[code] if visits[code] == 1 else f"{labels[code]}#{visits[code]}")
+            index[at] = len(names) - 1
+    return np.repeat(index, np.diff(np.append(starts, codes.size))), tuple(names)
 
 
 def _gaps(gaps: ArrayLike | None, size: int) -> NDArray[np.bool_]:
@@ -527,6 +541,11 @@ class TimeBase:
     events: tuple[Event, ...]
 
 
+def median(values: Array) -> float:
+    """Median of numbers, whose order may be changed; 0 if there are none."""
+    return float(np.median(values, overwrite_input=True)) if values.size else 0.0
+
+
 def drop_repeats(
     t: Array,
     segment: NDArray[np.int32],
@@ -547,52 +566,31 @@ def drop_repeats(
     rows:
         File row of each sample, for the messages.
     """
-    copies, conflicts = Tally(), Tally()
-    last = np.zeros(0, dtype=np.int64)
-    for part in spans(t.size):
-        index = np.concatenate((last, part.start + np.flatnonzero(usable[part])))
-        last = index[-1:]
-        at, places = t[index], segment[index]
-        same = (np.diff(at) == 0.0) & (np.diff(places) == 0)
-        if not same.any():
-            continue
-        first, second = index[:-1][same], index[1:][same]
-        identical = np.ones(first.size, dtype=bool)
-        for column in values:
-            identical &= column[first] == column[second]
-        usable[second] = False
-        usable[first[~identical]] = False
-        copies.see(second[identical])
-        conflicts.see(second[~identical])
-    events = copies.events("repeated-row", rows, "the copy is not used")
-    return events + conflicts.events("conflicting-row", rows, "same time, other values: neither is used")
+    index = np.flatnonzero(usable)
+    at, places = t[index], segment[index]
+    same = (at[1:] == at[:-1]) & (places[1:] == places[:-1])
+    first, second = index[:-1][same], index[1:][same]
+    identical = np.ones(first.size, dtype=bool)
+    for column in values:
+        identical &= column[first] == column[second]
+    usable[second] = False
+    usable[first[~identical]] = False
+    events = counted("repeated-row", second[identical], rows, "the copy is not used")
+    conflict = "same time, other values: neither is used"
+    return events + counted("conflicting-row", second[~identical], rows, conflict)
 
 
-def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64], arrays: Arrays) -> TimeBase:
+def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64]) -> TimeBase:
     """Find backward jumps and gaps between the used samples. The nominal step is the median of all forward steps."""
-    nominal = exact_median(lambda: _forward(t, segment))
-    begins = arrays.empty(t.size, np.bool_)
-    gaps, backs, missing, longest = Tally(), Tally(), 0, 0.0
-    for part in spans(t.size):
-        step, same = steps(t, part), steps(segment, part) == 0
-        gap = step > LONG_INTERVAL * nominal
-        back = step <= 0.0
-        if part.start == 0:
-            same[0] = False
-        begins[part] = ~same | begins_stretch(step, nominal)
-        gap &= same
-        backs.see(part.start + np.flatnonzero(same & back))
-        gaps.see(part.start + np.flatnonzero(gap))
-        longest = max(longest, float(step.max(where=gap, initial=0.0)))
-        missing += int(np.round(step[gap] / nominal - 1.0).sum()) if nominal > 0.0 else 0
+    same = np.zeros(t.size, np.bool_)
+    same[1:] = segment[1:] == segment[:-1]
+    step = np.diff(t, prepend=t[:1])
+    nominal = median(step[same & (step > 0.0)])
+    begins = ~same | begins_stretch(step, nominal)
+    backs, gaps = (np.flatnonzero(same & where) for where in (step <= 0.0, step > LONG_INTERVAL * nominal))
+    longest = float(step[gaps].max(initial=0.0))
+    missing = int(np.round(step[gaps] / nominal - 1.0).sum()) if nominal > 0.0 else 0
     none = "no increment is formed across it"
-    events = backs.events("time-jump-back", rows, none)
-    events += gaps.events("gap", rows, f"longest {longest:.6g} s, about {missing} samples missing; {none}")
-    return TimeBase(begins, nominal, tuple(events))
-
-
-def _forward(t: Array, segment: NDArray[np.int32]) -> Iterator[Array]:
-    """Steps forward inside segments."""
-    for part in spans(t.size):
-        step = steps(t, part)
-        yield step[(steps(segment, part) == 0) & (step > 0.0)]
+    events = counted("time-jump-back", backs, rows, none)
+    events += counted("gap", gaps, rows, f"longest {longest:.6g} s, about {missing} samples missing; {none}")
+    return TimeBase(stored(begins), nominal, tuple(events))

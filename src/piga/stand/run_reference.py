@@ -26,12 +26,13 @@ from piga.data import EXAMPLE, copy_example
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
 from piga.formats.parquet import is_time
 from piga.formats.tables import WHERE, TableStream, as_arrow, stated_units
-from piga.reading.raw_columns import SteadyFile, file_digest
-from piga.reading.read_run import read_record, read_stream
+from piga.reading.assemble import read_record, read_stream
+from piga.reading.columns import SteadyFile, file_digest
+from piga.records.arrays import empty
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import REPEATED, Draw, RunFile, check_run_file, drawn_for
-from piga.records.spool import arrays_like, spans
+from piga.records.spool import spans
 from piga.results import Array, Result
 from piga.stand.imperfections import GENERAL, Imperfections, imperfections
 from piga.stand.profile import Segment, Stand, force_change
@@ -87,9 +88,7 @@ class StandChange(Result):
     draw: Draw = "reference"
 
 
-def read_run(
-    path: str | Path, *, need_reference: bool = True, held: int | None = None, content: bytes | None = None
-) -> Run:
+def read_run(path: str | Path, *, need_reference: bool = True, content: bytes | None = None) -> Run:
     """Read a recorded test.
 
     Parameters
@@ -99,8 +98,6 @@ def read_run(
         computed from its ``[stand]`` table.
     need_reference:
         False: a record with neither is read too, with ``f`` nan. Instruments compensated together need no reference.
-    held:
-        Most rows whose arrays lie in memory; longer records lie on disk. None: 4 194 304. It does not affect the result.
     content:
         Bytes of the run file, in place of those on disk.
 
@@ -127,7 +124,7 @@ def read_run(
         return result
 
     try:
-        run = read_record(path, reference, need_reference=need_reference, held=held, content=content)
+        run = read_record(path, reference, need_reference=need_reference, content=content)
         for name in stand_files(run.stand):
             run.input_sha256[name] = read.get(name) or file_digest(Path(path).parent / name)
         return run
@@ -169,8 +166,8 @@ def stand_reference(
             "[stand] kind 'vibration-table': the phase of the drive is not known to the run file",
             remedy="log the reference and give [data] reference",
         )
-    followed, arrays = _followed(stand, names, labels, segment), arrays_like(t)
-    force, rate = (arrays.empty((3, t.size)).T for _ in range(2))
+    followed = _followed(stand, names, labels, segment)
+    force, rate = (empty((3, t.size)).T for _ in range(2))
     for part in spans(t.size):
         force[part], rate[part] = followed.motion(t[part], segment[part])
     return force, rate
@@ -258,7 +255,7 @@ def _followed(
 
 def _all_times(followed: FollowedStand, run: Run) -> Array:
     """Time on the stand's plan [s] of all samples, (n,)."""
-    times = arrays_like(run.t).empty(run.size)
+    times = empty(run.size)
     for rows in spans(run.size):
         times[rows] = followed.times(run.t[rows], run.segment_index[rows])
     return times
@@ -268,11 +265,7 @@ def _in_order(
     planned: list[Segment], labels: tuple[str, ...], segment: NDArray[np.int32] | None
 ) -> list[Segment | None]:
     """The planned part of each segment, in order. Segments whose rows are all left out may be absent from the plan."""
-    used = (
-        np.arange(len(labels))
-        if segment is None
-        else np.unique(np.concatenate([np.unique(segment[part]) for part in spans(segment.size)]))
-    )
+    used = np.arange(len(labels)) if segment is None else np.unique(segment)
     if len(planned) == used.size < len(labels):
         order = dict(zip(used.tolist(), planned, strict=True))
         return [order.get(k, planned[0]) for k in range(len(labels))]

@@ -19,7 +19,7 @@ from typing import Any, Literal
 from piga.errors import ArgumentError, PigaError
 from piga.formats.container import CONTAINERS
 from piga.output import is_staged, settle, write_whole
-from piga.reading.raw_columns import TEXT_SUFFIXES, file_kind
+from piga.reading.columns import TEXT_SUFFIXES, file_kind
 from piga.records.run_file import read_run_file
 from piga.records.text_files import MAX_NAME, files_named_in, texts_of, toml_document
 

@@ -12,8 +12,8 @@ from pyarrow import csv, parquet
 
 from piga.errors import ArgumentError, DataError
 from piga.frames import axis_turn
+from piga.records import arrays
 from piga.records.run_file import Columns, ColumnTable
-from piga.records.spool import arrays_like
 from piga.stand import (
     Centrifuge,
     Composite,
@@ -26,7 +26,6 @@ from piga.stand import (
     sample_stand,
 )
 from piga.stand.imperfections import NONE
-from piga.stand.machines import logged
 from piga.stand.machines.logged import read_profile
 from piga.stand.machines.turning import in_axes
 from piga.units import G0
@@ -106,10 +105,10 @@ def test_a_long_profile_on_disk_is_the_same(tmp_path, monkeypatch, kind):
     (csv.write_csv if kind == "csv" else parquet.write_table)(table, path)
     columns = ColumnTable("t", "s"), Columns(("x", "y", "z"), "g"), Columns(("z", "z", "x"), "deg/s")
     held = read_profile(path, *columns)
-    monkeypatch.setattr(logged, "MOST_PROFILE_ROWS", 1000)
+    monkeypatch.setattr(arrays, "LARGE_BYTES", 1000)
     mapped = read_profile(path, *columns)
-    assert arrays_like(held.t).folder is None
-    assert arrays_like(mapped.t).folder == arrays_like(mapped.force).folder == tmp_path
+    assert not isinstance(held.t.base.base, np.memmap)
+    assert isinstance(mapped.t.base.base, np.memmap)
     asked = np.concatenate([t[[2999, 0, 1, 1700]] - t[0], [-5.0, 1e9, 7.7, 800.1]])
     for times in (asked, asked[:1], asked[4:5], asked[5:6], asked[7:], np.zeros(0)):
         for one, two, column in zip(held.motion(times, NONE), mapped.motion(times, NONE), "fw", strict=True):

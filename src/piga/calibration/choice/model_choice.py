@@ -35,7 +35,7 @@ from piga.calibration.noise.weighting import weighted_blocks
 from piga.calibration.remarks.missing_terms import CUBIC, constant_squares
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.progress import Progress, Steps
-from piga.reading.signal_checks import largest_size
+from piga.reading.checks import largest_size
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_terms, term_names

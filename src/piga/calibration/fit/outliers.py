@@ -21,7 +21,7 @@ from piga.calibration.model.solution import solve
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import Whitener, residual_increments
 from piga.errors import DataError
-from piga.reading.signal_checks import largest_size
+from piga.reading.checks import largest_size
 from piga.records.calibration import Event, Outlier
 from piga.records.run import Run
 from piga.records.spool import spans

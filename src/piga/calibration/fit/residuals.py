@@ -14,7 +14,7 @@ from piga.calibration.model.design import Design
 from piga.calibration.noise.counted import count_of
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import Whitener, rate_share, residual_increments
-from piga.reading.signal_checks import largest_size
+from piga.reading.checks import largest_size
 from piga.records.calibration import Diagnostics, Residuals, SegmentScatter, SegmentSummary
 from piga.records.calibration.verdict import COUNTED
 from piga.records.spool import arrays_like, extent, mean, means, spans, square_sum, steps

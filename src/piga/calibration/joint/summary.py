@@ -29,7 +29,7 @@ from piga.calibration.model.solution import DRIFT_NAMES, drift_columns, merged
 from piga.calibration.noise.levels import Noise
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.output import settle
-from piga.reading.signal_checks import largest_size
+from piga.reading.checks import largest_size
 from piga.records.calibration import Outlier, Provenance, Quality, Residuals, SegmentSummary
 from piga.records.limits import read_whole
 from piga.records.run import Run

@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from piga.errors import ArgumentError, CalibrationError
-from piga.reading.signal_checks import RateAngle
+from piga.reading.checks import RateAngle
 from piga.records.run import Run
 from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES
 from piga.records.spool import arrays_like, exact_median, means, spans, steps

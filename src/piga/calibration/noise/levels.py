@@ -11,7 +11,7 @@ import numpy as np
 from piga._kernels.estimation.noise import CANDIDATES, likelihoods
 from piga.calibration.noise.likelihood import restricted
 from piga.calibration.noise.settings import NOISE
-from piga.reading.signal_checks import largest_size
+from piga.reading.checks import largest_size
 from piga.records.run import Run
 from piga.records.spool import spans
 from piga.results import Array

@@ -20,7 +20,6 @@ from piga.compensation.files.file_to_file import (
     GIVEN_BACK_AFTER,
     GIVEN_BACK_SOONER,
     HELD_BYTES,
-    HELD_ROWS,
     found_while_reading,
 )
 from piga.compensation.model import COMPENSATION_METHODS, FLAGS, Limits, Phase
@@ -28,7 +27,7 @@ from piga.compensation.result import CompensatedSet, Inputs, Resampler, TableWri
 from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
 from piga.errors import ArgumentError, DataError, RunFileError
 from piga.progress import Progress, report
-from piga.reading.signal_checks import RateAngle
+from piga.reading.checks import RateAngle
 from piga.records import Calibration, read_toml
 from piga.records.calibration.document import read_with_digest
 from piga.records.run import Run
@@ -311,8 +310,7 @@ def compensate_set_files(
         As :func:`piga.compensation.compensate_set`.
     """
     resampler = None if period is None else Resampler(period)
-    held = HELD_ROWS // len(runs)
-    records = [_read(run, item, force, held) for run, item in zip(runs, instruments, strict=True)]
+    records = [_read(run, item, force) for run, item in zip(runs, instruments, strict=True)]
     give_back()
     check_together(records)
     inputs = [*inputs, *(file for record in records for file in record.input_sha256.items())]
@@ -350,9 +348,9 @@ def compensate_set_files(
     }
 
 
-def _read(path: Path, item: Mounted, force: bool, held: int) -> Run:
+def _read(path: Path, item: Mounted, force: bool) -> Run:
     """The record of an instrument without the columns that a set does not need."""
-    record = read_run(path, need_reference=False, held=held)
+    record = read_run(path, need_reference=False)
     check_member(record, item, force)
     nothing = np.zeros((0, 3))
     return replace(record, f=nothing, segment_index=record.segment_index[:0])

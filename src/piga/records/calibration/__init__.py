@@ -33,7 +33,7 @@ from piga.records.calibration.diagnostics import (
     SegmentLeverage,
     SegmentScatter,
     SegmentSummary,
-    Tally,
+    counted,
 )
 
 __all__ = [
@@ -64,6 +64,6 @@ __all__ = [
     "SegmentLeverage",
     "SegmentScatter",
     "SegmentSummary",
-    "Tally",
     "TypeB",
+    "counted",
 ]

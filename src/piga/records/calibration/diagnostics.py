@@ -30,21 +30,9 @@ class Event:
     detail: str = ""
 
 
-class Tally:
-    """Counts one kind of event over the blocks of a record, and remembers where it was first."""
-
-    def __init__(self) -> None:
-        self.count, self.first = 0, 0
-
-    def see(self, places: NDArray[np.int64]) -> None:
-        """Count the places of a block, in rising order."""
-        if places.size and not self.count:
-            self.first = int(places[0])
-        self.count += int(places.size)
-
-    def events(self, kind: str, rows: NDArray[np.int64], detail: str) -> list[Event]:
-        """The event, with the data row of its first place; none if nothing was counted."""
-        return [Event(kind, self.count, int(rows[self.first]), detail)] if self.count else []
+def counted(kind: str, places: NDArray[np.int64], rows: NDArray[np.int64], detail: str) -> list[Event]:
+    """An event of this kind at some places, indices in rising order into ``rows``, the file rows; none if there is no place."""
+    return [Event(kind, int(places.size), int(rows[places[0]]), detail)] if places.size else []
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,10 @@ import numpy as np
 
 from piga.errors import ArgumentError, DataError
 from piga.formats.columns import numbers_of
+from piga.records.arrays import ColumnWriter
 from piga.records.limits import open_regular
 from piga.records.run_file import Columns, ColumnTable
-from piga.records.spool import Arrays, scaled_rows, spans, steps, trim
+from piga.records.spool import scaled_rows
 from piga.results import Array, Result
 from piga.stand.imperfections import Imperfections
 from piga.stand.profile import Segment, plan
@@ -22,9 +23,6 @@ from piga.units import conversion_factor
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-MOST_PROFILE_ROWS = 1 << 16
-"""Profiles with more rows lie on disk, as long records do."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,7 +43,7 @@ class LoggedProfile(Result):
             )
         for name, array in (("force", self.force), ("base rate", self.base_rate)):
             right = array.shape == (self.t.size, 3)
-            if not (right and all(np.isfinite(array[part]).all() for part in spans(self.t.size))):
+            if not (right and np.isfinite(array).all()):
                 raise ArgumentError(
                     f"profile {name}: does not hold {self.t.size} rows of three finite numbers",
                     remedy="give one row for each time",
@@ -54,7 +52,7 @@ class LoggedProfile(Result):
     @property
     def fastest(self) -> float:
         """Smallest sample interval [s]."""
-        return float(min(steps(self.t, part)[int(part.start == 0) :].min() for part in spans(self.t.size)))
+        return float(np.diff(self.t).min())
 
     def segments(self) -> tuple[Segment, ...]:
         """One segment that starts at time zero."""
@@ -64,7 +62,6 @@ class LoggedProfile(Result):
         """Specific force and base rate in base axes, (n, 3) each."""
         del errors  # general imperfections act on every stand alike
         at = t + self.t[0]
-        trim()
         rows = self._around(at)
         force, rate = (
             np.column_stack([np.interp(at, self.t[rows], column[rows]) for column in columns.T])
@@ -107,8 +104,7 @@ def _read_columns(path: Path, wanted: list[str]) -> dict[str, Array]:
     """The named columns, unconverted."""
     from pyarrow import ArrowException
 
-    arrays, row = Arrays(path.parent), 1
-    columns = {name: arrays.growing(most=MOST_PROFILE_ROWS) for name in wanted}
+    row, columns = 1, {name: ColumnWriter() for name in wanted}
     try:
         with _batches(path, wanted) as batches:
             for batch in batches:

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from piga.reading.signal_checks import RateAngle, integrated_rate
+from piga.reading.checks import RateAngle, integrated_rate
 
 
 @pytest.mark.parametrize("start", [0.0, 0.7, 2.0])

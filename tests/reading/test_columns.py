@@ -19,11 +19,9 @@ from pyarrow import parquet
 import piga
 from piga.formats.text import source as text_source
 from piga.formats.text.reader import TextStream
-from piga.reading import raw_columns
-from piga.reading.raw_columns import open_stream
-from piga.records import spool
+from piga.reading.columns import open_stream
+from piga.records import arrays
 from piga.records.run_file import read_run_file
-from piga.records.spool import exact_median
 from tests.formats.test_formats_fuzz import LOG, NAMES, mutated, seeded
 from tests.reading.damaged_files import cases
 from tests.records.files import lines, write_log, write_run
@@ -57,18 +55,17 @@ def assert_same(first: dict[str, Any] | str, second: dict[str, Any] | str) -> No
 def test_damaged_files_in_small_pieces(tmp_path: Path, case: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     path = case.write(tmp_path)
     whole = outcome(path)
-    for piece, block in ((37, 5), (200, 16), (1000, 3)):
+    for piece in (37, 200, 1000):
         monkeypatch.setattr(text_source, "PIECE_BYTES", piece)
-        monkeypatch.setattr(spool, "BLOCK", block)
         assert_same(whole, outcome(path))
-    monkeypatch.setattr(raw_columns, "LARGE_ROWS", 0)
+    monkeypatch.setattr(arrays, "LARGE_BYTES", 0)
     assert_same(whole, outcome(path))
 
 
 @settings(QUICK, max_examples=25)
-@given(seed=st.integers(0, 2**32), piece=st.integers(20, 500), block=st.integers(2, 50), disk=st.booleans())
+@given(seed=st.integers(0, 2**32), piece=st.integers(20, 500), disk=st.booleans())
 def test_any_size_of_pieces(
-    tmp_path_factory: pytest.TempPathFactory, seed: int, piece: int, block: int, disk: bool
+    tmp_path_factory: pytest.TempPathFactory, seed: int, piece: int, disk: bool
 ) -> None:
     folder = tmp_path_factory.getbasetemp() / "pieces"
     folder.mkdir(exist_ok=True)
@@ -85,9 +82,8 @@ def test_any_size_of_pieces(
     whole = outcome(path)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(text_source, "PIECE_BYTES", piece)
-        patch.setattr(spool, "BLOCK", block)
         if disk:
-            patch.setattr(raw_columns, "LARGE_ROWS", 0)
+            patch.setattr(arrays, "LARGE_BYTES", 0)
         assert_same(whole, outcome(path))
 
 
@@ -148,15 +144,3 @@ def test_containers_and_parquet_give_the_same_chunks(tmp_path: Path) -> None:
         result = list(stream.chunks())
         for name, column in zip(NAMES, table.T, strict=True):
             np.testing.assert_array_equal(np.concatenate([chunk.numbers[name] for chunk in result]), column)
-
-
-@given(st.lists(st.floats(0.0, 1e300, allow_subnormal=True), max_size=40), st.integers(1, 7))
-@QUICK
-def test_median_of_numbers_that_do_not_fit(values: list[float], size: int) -> None:
-    array = np.array(values)
-    expected = float(np.median(array)) if values else 0.0
-    parts = [array[start : start + size] for start in range(0, array.size, size)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("piga.records.spool.WHOLE", 0)
-        patch.setattr("piga.records.spool._BITS", (12, 12, 12, 12, 16))
-        assert exact_median(lambda: iter(parts)) == expected

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 import piga
-from piga.reading.signal_checks import OutputScale, Reading
-from piga.records.spool import Arrays
+from piga.reading.checks import OutputScale, Reading
 from piga.units import G0
 from tests.records.files import events, lines, psi_steps, read, write_log, write_run
 
@@ -412,7 +411,7 @@ def test_an_unwrapped_reading_takes_the_nearest_turn() -> None:
     begins = np.array([True, False, False, True, False])
     scale = OutputScale(0.5, 256.0, keeps_phase=False, counts=True)
     reading = Reading(Path("run.csv"), "n", values, np.arange(5), begins, 40.0, 1.0, scale)
-    output, lost, events = reading.output(Arrays(None))
+    output, lost, events = reading.output()
     np.testing.assert_array_equal(output, [125.0, 130.0, 133.0, 100.0, 95.0])
     assert [(event.kind, event.count) for event in events] == [("counter-roll-over", 1)]
     np.testing.assert_array_equal(lost, [False, False, False, True, False])
@@ -443,12 +442,12 @@ def test_the_digest_beside_a_log_counts(tmp_path: Path) -> None:
 
 
 def test_a_log_that_changes_or_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from piga.reading import raw_columns
+    from piga.reading import columns
 
     path = write_log(tmp_path, lines())
     states = iter([(1, 0, 0, 0), (2, 0, 0, 0)])
     with monkeypatch.context() as patch:
-        patch.setattr(raw_columns.SteadyFile, "_state", lambda _file: next(states))
+        patch.setattr(columns.SteadyFile, "_state", lambda _file: next(states))
         with pytest.raises(piga.DataError, match="changed while it was read"):
             piga.read_run(write_run(tmp_path))
     path.unlink()

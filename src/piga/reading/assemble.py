@@ -1,0 +1,368 @@
+"""Read a run file and its data file into a run in SI. Every fault met is counted.
+
+NumPy works on whole columns here. Those of a long record lie in files (:mod:`piga.records.arrays`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import DataError, RunFileError, Where
+from piga.formats.columns import RecordStream
+from piga.output import settle
+from piga.reading.checks import (
+    OutputScale,
+    Reading,
+    beyond_limits,
+    largest_size,
+    left_out_rows,
+    mistaken_rate,
+    mistaken_unit,
+    sampled,
+    sequence_breaks,
+    stopped_output,
+    stuck_extremes,
+)
+from piga.reading.columns import RawColumns, collect, read_columns
+from piga.records.arrays import empty, scaled, stored, taken
+from piga.records.calibration import Event, Quality, counted
+from piga.records.run import Run, TimeBase, drop_repeats, examine_time
+from piga.records.run_file import DataTable, RunFile, read_run_file
+from piga.records.text_files import toml_bytes
+from piga.results import Array
+from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
+
+StandReference = Callable[
+    [dict[str, Any], Path, Array, NDArray[np.int32], tuple[str, ...]], tuple[Array, Array]
+]
+"""Specific force and base rate of a ``[stand]`` table: (table, folder, t, segment, labels) to (n, 3) each."""
+WHOLE = 1e-9
+"""Tolerance [rev] of the test for whole turns. A range in units such as mrad is never exactly whole."""
+
+
+def read_record(
+    path: str | Path,
+    stand_reference: StandReference,
+    *,
+    need_reference: bool = True,
+    content: bytes | None = None,
+) -> Run:
+    """Read a recorded test: :func:`piga.read_run`, which calls this with the stands of piga.
+
+    ``stand_reference`` computes the reference if ``[data]`` has none and a ``[stand]`` table describes it.
+    """
+    path = Path(path)
+    settle(path.parent)
+    content = toml_bytes(path) if content is None else content
+    run_file = read_run_file(path, content)
+    if need_reference:
+        _check_reference(path, run_file)
+    raw = read_columns(path.parent, run_file.data)
+    run = assemble(path, run_file, raw, stand_reference)
+    run.input_sha256.update({path.name: hashlib.sha256(content).hexdigest()} | raw.inputs)
+    return run
+
+
+def read_stream(path: Path, run_file: RunFile, stream: RecordStream, stand_reference: StandReference) -> Run:
+    """A run from a stream of rows in memory. ``path`` names the stream in messages, and is the source of the run.
+
+    Raises
+    ------
+    RunFileError, DataError
+        As :func:`read_record`.
+    """
+    _check_reference(path, run_file)
+    return assemble(path, run_file, collect(path, run_file.data, stream), stand_reference)
+
+
+def _check_reference(path: Path, run_file: RunFile) -> None:
+    if run_file.data.reference is None and run_file.stand is None:
+        raise RunFileError(
+            f"{path}: [data] reference is missing: the specific force that the instrument felt",
+            remedy="add reference = { columns = ['fx', 'fy', 'fz'], unit = 'g' }, or a [stand] table",
+            where=Where(path),
+        )
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: StandReference) -> Run:
+    """Make a run of the columns of a data file: leave rows out, find gaps, convert, check. ``path`` is the run file.
+
+    Raises
+    ------
+    DataError
+        If the columns do not hold what the run file says. The message names file, row, column and remedy.
+    """
+    data, rows_read = run_file.data, raw.count
+    t = _used_rows(raw, data)
+    base = examine_time(t, raw.segment, raw.rows)
+    raw.events += base.events
+    _check_enough(path, raw, data, base, rows_read)
+    if data.sequence is not None:
+        number = raw.numbers[data.sequence.column]
+        raw.events += sequence_breaks(number, data.sequence.wraps_at, base.begins, raw.rows)
+    f, base_rate = _reference(path, run_file, raw, t, stand_reference)
+    scale = _output_scale(run_file, raw)
+    scale_factor = to_si(run_file.instrument.scale_factor, "rad/s/g")
+    output, lost = _output(data, raw, base, scale, 1.2 * scale_factor * largest_size(f[:, 0]) * base.nominal)
+    if data.output.kind == "counts" and run_file.instrument.counter_bits is None:
+        raw.events += _resets(raw, t, output, base, f, scale_factor, lost)
+    resolution = scale.factor if scale.counts else 0.0
+    raw.events += _doubtful(data, raw, t, output, f, base, scale_factor, resolution)
+    segment, labels, groups = _split_lost(raw, lost)
+    servo = run_file.instrument.servo
+    return Run(
+        serial=run_file.instrument.serial,
+        scale_factor=scale_factor,
+        kind="rate" if data.output.kind == "rate" else "angle",
+        t=t,
+        output=output,
+        f=f,
+        base_rate=base_rate,
+        temperature=_temperature(raw, data),
+        segment_index=segment,
+        labels=labels,
+        begins=base.begins,
+        phase_group=groups,
+        row=raw.rows,
+        resolution=resolution,
+        quality=Quality(rows_read, raw.count, rows_read - raw.count, tuple(raw.events)),
+        model=run_file.model,
+        estimation=run_file.estimation,
+        uncertainty=run_file.uncertainty,
+        stand=run_file.stand,
+        servo=() if servo is None else servo.parameters(),
+        source=str(path),
+    )
+
+
+def _used_rows(raw: RawColumns, data: DataTable) -> Array:
+    """Leave out the rows that cannot be used. Returns the time [s] of the others."""
+    usable = raw.segment >= 0
+    for values in raw.numbers.values():
+        usable &= np.isfinite(values)
+    _check_masked(raw, usable)
+    limits = data.range or {}
+    for name, values in raw.numbers.items():
+        declared = limits.get(name, (-np.inf, np.inf))
+        raw.events += stuck_extremes(name, values, raw.rows, raw.segment, declared)
+    if limits:
+        raw.events += beyond_limits(raw.numbers, limits, usable, raw.rows)
+        _check_masked(raw, usable)
+    if data.leave_out:
+        raw.events += left_out_rows(data.leave_out, usable, raw.rows, raw.path)
+        _check_masked(raw, usable)
+    t = _time(raw, data)
+    raw.events += drop_repeats(t, raw.segment, usable, list(raw.numbers.values()), raw.rows)
+    if usable.all():
+        return t
+    for name, values in raw.numbers.items():
+        raw.numbers[name] = taken(values, usable)
+    raw.rows, raw.segment = taken(raw.rows, usable), taken(raw.segment, usable)
+    return taken(t, usable)
+
+
+def _check_masked(raw: RawColumns, usable: NDArray[np.bool_]) -> None:
+    """Refuse a file without a usable row; count rows that are not used for a reason not counted before."""
+    bad = usable.size - int(np.count_nonzero(usable))
+    if bad == usable.size:
+        raise DataError(
+            f"{raw.path}: no row has all needed values",
+            remedy="check the columns in [data]",
+            where=Where(raw.path),
+        )
+    reasons = ("missing-value", "saturated", "no-segment", "not-finite", "left-out")
+    if bad and not any(event.kind in reasons for event in raw.events):
+        row = int(raw.rows[int(np.argmin(usable))])
+        raw.events.append(Event("not-finite", bad, row, "the row is not used"))
+
+
+def _time(raw: RawColumns, data: DataTable) -> Array:
+    """Time of each row [s]. Time stamps are in seconds already."""
+    if data.time is None:
+        assert data.sample_rate is not None  # noqa: S101 - read_run_file wants one of the two
+        return stored(np.arange(raw.count) / to_si(data.sample_rate, "Hz"))
+    if data.time.unit is None:
+        return raw.numbers[data.time.column]
+    return _si(raw, data.time.column, conversion_factor(_unit(raw, data.time.column, data.time.unit), "s"))
+
+
+def _si(raw: RawColumns, name: str, factor: float, offset: float = 0.0) -> Array:
+    """A column times a factor, plus an offset."""
+    values = raw.numbers[name]
+    return values if (factor, offset) == (1.0, 0.0) else scaled(values, factor, offset)
+
+
+def _unit(raw: RawColumns, column: str, declared: str) -> str:
+    """The declared unit, checked against the unit in the data file, if that has one."""
+    logged = raw.units.get(column)
+    if logged is not None:
+        in_file, wanted = parse_unit(logged), parse_unit(declared)
+        if in_file.dimension != wanted.dimension or in_file.factor != wanted.factor:
+            raise DataError(
+                f"{raw.path}: column '{column}' has the unit '{logged}' in the file, but '{declared}' in "
+                "the run file",
+                remedy="correct the one that is wrong",
+                where=Where(raw.path, columns=(column,)),
+            )
+    return declared
+
+
+def _check_enough(path: Path, raw: RawColumns, data: DataTable, base: TimeBase, rows_read: int) -> None:
+    """Refuse a record without two usable rows with increasing time."""
+    if raw.count >= 2 and base.nominal > 0.0:
+        return
+    repeated = sum(event.count for event in raw.events if event.kind == "conflicting-row")
+    if data.time is not None and 2 * repeated > rows_read:
+        raise DataError(
+            f"{raw.path}: column '{data.time.column}' repeats itself in most rows: its times are rounded, or it is "
+            "not the time",
+            remedy="if they are rounded, give [data] sample_rate = '... Hz' in place of time; otherwise name the "
+            "column of the time",
+            where=Where(raw.path, columns=(data.time.column,)),
+        )
+    raise DataError(
+        f"{raw.path}: fewer than two usable rows with increasing time",
+        remedy=f"check {path}",
+        where=Where(raw.path),
+    )
+
+
+def _reference(
+    path: Path, run_file: RunFile, raw: RawColumns, t: Array, stand_reference: StandReference
+) -> tuple[Array, Array | None]:
+    """Specific force and base rate from the columns; without such columns from the stand."""
+    data, stand = run_file.data, run_file.stand
+    f, base_rate = _axes(raw, data.reference, "m/s^2"), _axes(raw, data.base_rate, "rad/s")
+    if f is None and stand is not None:
+        f, stand_rate = stand_reference(stand, path.parent, t, raw.segment, raw.labels)
+        base_rate = stand_rate if base_rate is None else base_rate
+    return np.full((t.size, 3), np.nan) if f is None else f, base_rate
+
+
+def _axes(raw: RawColumns, group: Any, unit: str) -> Array | None:
+    """Three columns as an array (n, 3); each column is contiguous."""
+    if group is None:
+        return None
+    factor = conversion_factor(group.unit, unit)
+    rows = empty((3, raw.count))
+    for axis, name in enumerate(group.columns):
+        _unit(raw, name, group.unit)
+        np.multiply(raw.numbers[name], factor, out=rows[axis])
+    return rows.T
+
+
+def _temperature(raw: RawColumns, data: DataTable) -> Array | None:
+    if data.temperature is None:
+        return None
+    unit = _unit(raw, data.temperature.column, data.temperature.unit)
+    return _si(raw, data.temperature.column, parse_unit(unit).factor, offset_to_si(unit))
+
+
+def _output_scale(run_file: RunFile, raw: RawColumns) -> OutputScale:
+    """Conversion of the logged output to SI."""
+    instrument, output = run_file.instrument, run_file.data.output
+    if output.kind == "rate":
+        return OutputScale(conversion_factor(_unit(raw, output.column, str(output.unit)), "rad/s"))
+    if output.kind == "angle":
+        factor = conversion_factor(_unit(raw, output.column, str(output.unit)), "rad")
+        span = None if output.wraps_at is None else to_si(output.wraps_at, "rad") / factor
+        revolution = 2.0 * np.pi / factor
+    else:
+        revolution = float(instrument.counts_per_revolution or 0.0)
+        factor = 2.0 * np.pi / revolution
+        span = None if instrument.counter_bits is None else 2.0**instrument.counter_bits
+    whole = span is None or abs(span / revolution - round(span / revolution)) <= WHOLE
+    return OutputScale(factor, span, whole, counts=output.kind == "counts")
+
+
+def _output(
+    data: DataTable, raw: RawColumns, base: TimeBase, scale: OutputScale, largest: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Output in SI, and the samples at which the number of turns was lost. ``largest``: step that the reference allows [rad]."""
+    name = data.output.column
+    if data.output.kind == "rate":
+        return _si(raw, name, scale.factor), np.zeros(raw.count, np.bool_)
+    reading = Reading(raw.path, name, raw.numbers[name], raw.rows, base.begins, largest, base.nominal, scale)
+    output, lost, events = reading.output()
+    raw.events += events
+    return output, lost
+
+
+def _resets(
+    raw: RawColumns,
+    t: Array,
+    psi: Array,
+    base: TimeBase,
+    f: Array,
+    scale_factor: float,
+    lost: NDArray[np.bool_],
+) -> list[Event]:
+    """Mark stretches whose first count cannot follow from the reading before: their phase is lost.
+
+    Between segments the case may also have been turned once about the input axis.
+    """
+    at = np.flatnonzero(base.begins)[1:]
+    if not at.size:
+        return []
+    force = np.sqrt(float(np.einsum("ij,ij->i", f, f).max()))
+    interval = t[at] - t[at - 1]
+    slack = np.where(raw.segment[at] == raw.segment[at - 1], 0.2, 7.0)
+    allowed = (1.5 * scale_factor * force + 1e-3) * interval + slack
+    gone = at[(interval > 0.0) & (np.abs(psi[at] - psi[at - 1]) > allowed)]
+    lost[gone] = True
+    return counted("counter-reset", gone, raw.rows, "between two stretches; the phase is new")
+
+
+def _doubtful(
+    data: DataTable,
+    raw: RawColumns,
+    t: Array,
+    output: Array,
+    f: Array,
+    base: TimeBase,
+    scale_factor: float,
+    resolution: float,
+) -> list[Event]:
+    """Report units that are probably wrong and an output that does not turn. Nothing is changed."""
+    first, some = int(raw.rows[0]), sampled(t.size)
+    events = [] if data.reference is None else mistaken_unit(f[some], t.size, first)
+    if data.output.kind == "rate":
+        return events + mistaken_rate(f[some, 0], output[some], scale_factor, t.size, first)
+    at = some[~base.begins[some]]
+    rate = (output[at] - output[at - 1]) / (t[at] - t[at - 1])
+    inside = t.size - int(np.count_nonzero(base.begins))
+    events += mistaken_rate(f[at, 0], rate, scale_factor, inside, first)
+    per_step = scale_factor / (resolution or 1e-3)
+    return events + stopped_output(output, t, base.begins, f[:, 0], per_step, raw.rows)
+
+
+def _split_lost(
+    raw: RawColumns, lost: NDArray[np.bool_]
+) -> tuple[NDArray[np.int32], tuple[str, ...], tuple[int, ...]]:
+    """Give every part after a lost phase its own segment and phase group.
+
+    Returns the segment of each row, the labels, and the phase group of each segment.
+    """
+    begins = np.zeros(lost.size, np.bool_)
+    begins[1:] = lost[1:] | (raw.segment[1:] != raw.segment[:-1])
+    names, groups, parts = [raw.labels[int(raw.segment[0])]], [0], {int(raw.segment[0]): 1}
+    starts = np.flatnonzero(begins)
+    for row in starts.tolist():
+        old = int(raw.segment[row])
+        parts[old] = parts.get(old, 0) + 1
+        names.append(raw.labels[old] + ("" if parts[old] == 1 else f"/{parts[old]}"))
+        groups.append(groups[-1] + int(lost[row]))
+    fresh = starts[lost[starts]]
+    detail = "the counter may have rolled over unseen; the zero of the output angle is new there"
+    raw.events += counted("phase-lost", fresh, raw.rows, detail)
+    inside = int(np.count_nonzero(raw.segment[fresh] == raw.segment[fresh - 1]))
+    if inside:
+        raw.events.append(Event("segment-split", inside, None, "a gap inside a segment, phase lost"))
+    return stored(np.cumsum(begins, dtype=np.int32)), tuple(names), tuple(groups)

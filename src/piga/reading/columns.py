@@ -1,0 +1,294 @@
+"""The columns of a data file of any format as read, in the units of the file. All chunks are joined.
+
+:func:`open_stream` returns a :class:`~piga.formats.columns.RecordStream`. Its ``chunks()`` are the rows in order, in
+the units of the file. Text and Parquet are read piece by piece. Containers (HDF5, MATLAB, TDMS, XLSX) cannot unpack to
+more than 2 GiB and are read whole. Results, events and errors do not depend on the size of the pieces.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import DataError, Where
+from piga.formats.columns import FileChunk, RecordStream
+from piga.records.arrays import ColumnWriter, stored
+from piga.records.calibration import Event
+from piga.records.limits import (
+    LARGEST_SAMPLE,
+    MAX_SEGMENTS,
+    MOST_NAME_LETTERS,
+    check_regular,
+    open_regular,
+    read_whole,
+)
+from piga.records.run import segments_of_visits
+from piga.records.run_file import DataTable
+from piga.results import Array
+
+TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn")
+"""Endings of separated text. ``.lvm`` is written by LabVIEW."""
+
+
+def open_stream(folder: Path, data: DataTable) -> RecordStream:
+    """Open the data file of a run file.
+
+    Parameters
+    ----------
+    folder:
+        Folder of the run file. The data file is relative to it.
+    data:
+        The run file's ``[data]`` table: ``read_run_file(path).data``.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read as requested: at once, or while its chunks are taken. Names file, row and column.
+    """
+    path = folder / data.file
+    numeric = tuple(data.number_columns())
+    kind = file_kind(path)
+    if data.sheet is not None and kind != ".xlsx":
+        raise DataError(f"{path}: [data] sheet is for .xlsx files", remedy="leave it out")
+    if kind in TEXT_SUFFIXES:
+        from piga.formats.text.convention import HeadRows
+        from piga.formats.text.reader import TextStream
+
+        stamp = (data.time.column, data.time.stamp) if data.time and data.time.stamp else None
+        return TextStream(
+            path, numeric, data.segment, separator=data.delimiter, decimal=data.decimal, encoding=data.encoding,
+            rows=HeadRows(data.skip_rows, data.header_row, data.units_row), stamp=stamp, missing=data.missing,
+            mask_damaged=data.damaged_rows == "mask",
+        )  # fmt: skip
+    _only_text(path, data)
+    return columns_stream(path, numeric, data.sheet, data.segment)
+
+
+def columns_stream(
+    path: Path, numeric: tuple[str, ...], sheet: str | None = None, segment: str | None = None
+) -> RecordStream:
+    """Open a data file that is not text.
+
+    Parameters
+    ----------
+    path:
+        The file.
+    numeric, segment:
+        Names of the number columns and of the segment column.
+    sheet:
+        Name of the sheet of a spreadsheet.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read as requested: at once, or while its chunks are taken.
+    """
+    kind = file_kind(path)
+    if kind in (".parquet", ".pq"):
+        from piga.formats.parquet import ParquetStream
+
+        return ParquetStream(path, numeric, segment)
+    from piga.formats.container import CONTAINERS, read_container
+
+    if kind in CONTAINERS:
+        return read_container(path, kind, numeric, segment, sheet)
+    spreadsheet = kind in (".xls", ".xlsm", ".xlsb", ".ods")
+    raise DataError(
+        f"{path}: piga does not read files of kind '{kind}'",
+        remedy="open it in the spreadsheet program and save it as .xlsx or .csv"
+        if spreadsheet
+        else f"give .csv, .csv.gz, .parquet or one of {', '.join(CONTAINERS)}",
+    )
+
+
+def _only_text(path: Path, data: DataTable) -> None:
+    """Refuse options of text files for other files."""
+    named = {
+        "skip_rows": data.skip_rows,
+        "header_row": data.header_row,
+        "units_row": data.units_row is not None,
+    }
+    for key, given in named.items():
+        if given:
+            raise DataError(f"{path}: [data] {key} is for text files", remedy="leave it out")
+    if data.time is not None and data.time.stamp is not None:
+        raise DataError(
+            f"{path}: [data] time: stamp is for text files",
+            remedy="give unit = 's': dates and time stamps of Parquet and XLSX are read as seconds; text in a cell is not",
+        )
+
+
+def file_kind(path: Path) -> str:
+    """The ending that identifies the format of a file; ``.gz`` is skipped."""
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    if suffixes[-1:] == [".gz"] and len(suffixes) > 1:
+        return suffixes[-2]
+    return (suffixes[-1:] or [""])[0]
+
+
+MAX_SIDECAR = 1 << 16
+"""Largest ``.sha256`` file [bytes]. It holds one line: 64 digits and a file name."""
+
+
+@dataclass
+class RawColumns:
+    """The columns of a file, and what was noticed while reading.
+
+    Attributes
+    ----------
+    path:
+        The data file.
+    numbers:
+        Values (n,) in the units of the file, by column.
+    segment, labels:
+        Index of the segment of each row (n,), -1 without one, and the names of the segments.
+    rows:
+        1-based file rows (n,).
+    units:
+        Unit of each column for which the file states one.
+    events:
+        Faults and omissions so far.
+    inputs:
+        SHA-256 of the data file and of its ``.sha256`` file, by name.
+    """
+
+    path: Path
+    numbers: dict[str, Array]
+    segment: NDArray[np.int32]
+    labels: tuple[str, ...]
+    rows: NDArray[np.int64]
+    units: dict[str, str]
+    events: list[Event]
+    inputs: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        """Number of rows."""
+        return int(self.rows.size)
+
+
+def read_columns(folder: Path, data: DataTable) -> RawColumns:
+    """Read the whole data file of a run file.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read as the run file says, does not match its ``.sha256``, or changes while it is read.
+    """
+    path = folder / data.file
+    steady = SteadyFile(path, "[data] file is relative to the run file")
+    sidecar = _sidecar(path)
+    raw = collect(path, data, open_stream(folder, data))
+    raw.inputs[path.name] = file_digest(path)
+    steady.check()
+    if sidecar is not None:
+        stated, digest = sidecar
+        if stated != raw.inputs[path.name]:
+            raise DataError(
+                f"{path}: its SHA-256 is not the one in {path.name}.sha256",
+                remedy="the file was damaged or changed: copy it again",
+                where=Where(path),
+            )
+        raw.inputs[f"{path.name}.sha256"] = digest
+    return raw
+
+
+def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
+    """All chunks of a stream, joined. ``path`` names it in messages."""
+    numbers = {name: ColumnWriter() for name in data.number_columns()}
+    rows, codes = ColumnWriter(np.int64), ColumnWriter(np.int32)
+    for chunk in stream.chunks():
+        for name, column in numbers.items():
+            _check_size(path, name, chunk)
+            column.append(chunk.numbers[name])
+        rows.append(chunk.rows)
+        codes.append(np.zeros(chunk.rows.size, np.int32) if chunk.codes is None else chunk.codes)
+        if len(stream.label_names) > MAX_SEGMENTS:
+            raise DataError(
+                f"{path}: column '{data.segment}' has more than {MAX_SEGMENTS} different segments",
+                remedy="name the column that numbers the positions",
+                where=Where(path, columns=(str(data.segment),)),
+            )
+    long = next((name for name in stream.label_names if len(name) > MOST_NAME_LETTERS), None)
+    if long is not None:
+        raise DataError(
+            f"{path}: column '{data.segment}': the label '{long[:40]}...' has {len(long)} characters",
+            remedy=f"use {MOST_NAME_LETTERS} or fewer",
+            where=Where(path, columns=(str(data.segment),)),
+        )
+    file_rows, labels = rows.finish(), stream.label_names if data.segment else ["all"]
+    segment, names = segments_of_visits(codes.finish(), labels)
+    bare = np.flatnonzero(segment < 0)
+    events = stream.events()
+    if bare.size:
+        first = int(file_rows[bare[0]])
+        events.append(Event("no-segment", int(bare.size), first, "rows without a segment are not used"))
+    columns = {name: column.finish() for name, column in numbers.items()}
+    return RawColumns(path, columns, stored(segment), names, file_rows, stream.units, events)
+
+
+def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
+    """Refuse numbers that no instrument gives and whose squares overflow. Non-finite values are counted elsewhere."""
+    size = np.abs(chunk.numbers[name])
+    bad = (size > LARGEST_SAMPLE) & (size < np.inf)
+    if bad.any():
+        at = int(np.argmax(bad))
+        row = int(chunk.rows[at])
+        raise DataError(
+            f"{path}: row {row}, column '{name}': {chunk.numbers[name][at]:g} is too large to compute with",
+            remedy="correct it in the file",
+            where=Where(path, row, (name,)),
+        )
+
+
+class SteadyFile:
+    """A file that must not change while it is read. Its state is noted now and compared by :meth:`check`.
+
+    Raises
+    ------
+    DataError
+        If it does not exist or is not a regular file.
+    """
+
+    def __init__(self, path: Path, remedy: str) -> None:
+        self.path, self._remedy = path, remedy
+        self._before = self._state()
+
+    def check(self) -> None:
+        """Refuse the file if it was changed or replaced since.
+
+        Raises
+        ------
+        DataError
+            If it was. The message names the file.
+        """
+        if self._state() != self._before:
+            raise DataError(
+                f"{self.path}: the file changed while it was read", remedy="stop what writes it, then try again"
+            )
+
+    def _state(self) -> tuple[int, int, int, int]:
+        """State of a file that every change alters: size, times and identity."""
+        status = check_regular(self.path, self._remedy)
+        return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, as hexadecimal digits."""
+    with open_regular(path) as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _sidecar(path: Path) -> tuple[str, str] | None:
+    """SHA-256 of the file that ``FILE.sha256`` states, and the SHA-256 of that file itself; None if there is none."""
+    sidecar = path.with_name(path.name + ".sha256")
+    if not os.path.lexists(sidecar):
+        return None
+    raw = read_whole(sidecar, MAX_SIDECAR, "a line with the SHA-256")
+    words = raw.decode("ascii", errors="replace").split()
+    return words[0].lower() if words else "", hashlib.sha256(raw).hexdigest()

@@ -1,0 +1,126 @@
+"""Arrays of a record. An array above :data:`LARGE_BYTES` lies in a file without a name; NumPy works on it as on any other.
+
+A record of any length is therefore read and calibrated with about two columns in memory: the temporaries of one operation.
+The system keeps as much of the files in memory as there is room for, and takes it back when it needs it. The files vanish
+when the process ends, even if it crashes. They lie in the folder that the environment variable ``TMPDIR`` names, else in
+``/var/tmp``: the folder for large temporary files, which ``/tmp`` often is not.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from piga.errors import DataError
+
+LARGE_BYTES = 32 << 20
+"""Size above which an array lies in a file [bytes]: 4 million numbers."""
+
+
+def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """A new array with undefined values.
+
+    Raises
+    ------
+    DataError
+        If it is large and the disk has no room for it.
+    """
+    size = math.prod(shape if isinstance(shape, tuple) else (shape,)) * np.dtype(dtype).itemsize
+    if size <= LARGE_BYTES:
+        return np.empty(shape, dtype)
+    try:
+        with tempfile.TemporaryFile(dir=folder()) as stream:
+            if hasattr(os, "posix_fallocate"):  # now: a write to mapped memory cannot report a full disk
+                os.posix_fallocate(stream.fileno(), 0, size)
+            else:
+                stream.truncate(size)
+            return np.asarray(np.memmap(stream, dtype, "r+", shape=shape))
+    except OSError as error:
+        raise _no_room(error) from None
+
+
+def zeros(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """A new array of zeros."""
+    made = empty(shape, dtype)
+    made[...] = 0
+    return made
+
+
+def stored(values: NDArray[Any]) -> NDArray[Any]:
+    """The same values; in a file if they are large. For results that are kept: temporaries need no file."""
+    if values.nbytes <= LARGE_BYTES:
+        return values
+    made = empty(values.shape, values.dtype)
+    made[...] = values
+    return made
+
+
+def scaled(values: NDArray[Any], factor: float, offset: float = 0.0) -> NDArray[np.float64]:
+    """``factor`` times the values plus ``offset``, as a new array."""
+    made = np.multiply(values, factor, out=empty(values.shape))
+    return made if offset == 0.0 else np.add(made, offset, out=made)
+
+
+def taken(values: NDArray[Any], where: NDArray[np.bool_]) -> NDArray[Any]:
+    """The values (n,) at which ``where`` (n,) is true, as a new array."""
+    return np.compress(where, values, out=empty(int(np.count_nonzero(where)), values.dtype))
+
+
+class ColumnWriter:
+    """A column of unknown length to which rows are appended. :meth:`finish` returns it."""
+
+    def __init__(self, dtype: DTypeLike = np.float64) -> None:
+        self._dtype = np.dtype(dtype)
+        self._stream: Any = tempfile.SpooledTemporaryFile(LARGE_BYTES, dir=folder())  # noqa: SIM115 - closed by finish
+
+    def append(self, values: NDArray[Any]) -> None:
+        """Append rows.
+
+        Raises
+        ------
+        DataError
+            If the column is long and the disk has no room for it.
+        """
+        try:
+            self._stream.write(np.ascontiguousarray(values, self._dtype).data)
+        except OSError as error:
+            raise _no_room(error) from None
+
+    def finish(self) -> NDArray[Any]:
+        """All rows.
+
+        Raises
+        ------
+        DataError
+            As :meth:`append`.
+        """
+        try:
+            with self._stream as stream:
+                if stream.tell() > LARGE_BYTES:
+                    stream.flush()
+                    return np.asarray(np.memmap(stream, self._dtype, "r+"))
+                stream.seek(0)
+                return np.frombuffer(bytearray(stream.read()), self._dtype)
+        except OSError as error:
+            raise _no_room(error) from None
+
+    def __del__(self) -> None:
+        self._stream.close()
+
+
+def folder() -> str:
+    """Folder of the files."""
+    usual = "/var/tmp"  # noqa: S108 - the files have no name there
+    return usual if "TMPDIR" not in os.environ and os.access(usual, os.W_OK) else tempfile.gettempdir()
+
+
+def _no_room(error: OSError) -> DataError:
+    return DataError(
+        f"{folder()}: no room for the columns of a long record ({error.strerror})",
+        remedy="free about three times the size of the data file there, or name another folder in TMPDIR",
+    )
