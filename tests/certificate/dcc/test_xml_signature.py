@@ -16,8 +16,7 @@ etree = pytest.importorskip("lxml.etree")
 pytest.importorskip("signxml")
 
 from piga.certificate.dcc import xml_signature  # noqa: E402
-from piga.certificate.dcc.reader import calibration_of, read_dcc  # noqa: E402
-from piga.certificate.dcc.writer import dcc_document  # noqa: E402
+from piga.certificate.dcc.document import calibration_of, dcc_document, read_dcc  # noqa: E402
 from piga.certificate.dcc.xml_signature import sign_xml, verify_signature, written  # noqa: E402
 from tests.reports.example import calibration  # noqa: E402
 
@@ -95,7 +94,7 @@ def test_unsigned_twice_signed_and_partly_signed(cal, signed, keys, tmp_path):
         verify_signature(put(tmp_path, written(root)), keys["ours"][1])
     partly = signed.replace(b'<ds:Reference URI="">', b'<ds:Reference URI="#a">')
     assert partly != signed
-    with pytest.raises(DataError, match="whole document"):
+    with pytest.raises(DataError, match=r"does not hold|whole document"):
         verify_signature(put(tmp_path, partly), keys["ours"][1])
 
 
@@ -103,7 +102,7 @@ def test_a_signed_document_wrapped_in_another(signed, keys, tmp_path):
     root = etree.fromstring(signed)
     wrapper = etree.Element(root.tag, nsmap=root.nsmap, schemaVersion="3.3.0")
     wrapper.append(root)
-    with pytest.raises(DataError, match="not the last element"):
+    with pytest.raises(DataError, match="is not signed"):
         verify_signature(put(tmp_path, written(wrapper)), keys["ours"][1])
     signature = root[-1]
     wrapper.append(signature)
@@ -115,11 +114,6 @@ def test_weak_algorithms_are_refused(signed, keys, tmp_path):
     weak = signed.replace(b"xmlenc#sha256", b"xmldsig#sha1")
     with pytest.raises(DataError, match="does not hold"):
         verify_signature(put(tmp_path, weak), keys["ours"][1])
-
-
-def test_the_way_of_writing_is_remarked(signed, keys, tmp_path):
-    spaced = signed.replace(b'schemaVersion="3.3.0"', b"schemaVersion='3.3.0'", 1)
-    assert "another way" in verify_signature(put(tmp_path, spaced), keys["ours"][1]).remarks[0]
 
 
 FORGED = (
@@ -156,19 +150,29 @@ FORGERIES = {
 
 
 @pytest.mark.parametrize("forgery", FORGERIES)
-def test_the_signature_is_held_to_its_profile(signed, keys, tmp_path, forgery):
+def test_nothing_that_is_not_signed_is_read(cal, signed, keys, tmp_path, forgery):
+    """What stands in the signature is not signed, so it must not count: refused, or without any effect."""
     old, new = FORGERIES[forgery]
     forged = signed.replace(old, new, 1) if isinstance(old, bytes) else old.sub(new, signed, count=1)
     assert forged != signed
-    with pytest.raises(DataError, match="does not hold"):
-        verify_signature(put(tmp_path, forged), keys["ours"][1])
+    with contextlib.suppress(DataError):
+        unchanged(forged, cal, keys, tmp_path)
+
+
+def unchanged(raw, cal, keys, tmp_path):
+    """Verify and read a file; what is handed on must be what was signed."""
+    signature = verify_signature(put(tmp_path, raw), keys["ours"][1])
+    assert calibration_of(signature.document, tmp_path).coefficients == cal.coefficients
+    assert etree.tostring(signature.document, method="c14n") == etree.tostring(
+        dcc_document(complete(), cal), method="c14n"
+    )
 
 
 def test_a_signature_elsewhere(signed, keys, tmp_path):
-    """The signature as first child: what follows it is covered, but piga does not write it so."""
+    """The signature as first child: piga and the schema put it last."""
     root = etree.fromstring(signed)
     root.insert(0, root[-1])
-    with pytest.raises(DataError, match="not the last element"):
+    with pytest.raises(DataError, match="is not signed"):
         verify_signature(put(tmp_path, written(root)), keys["ours"][1])
 
 
@@ -213,46 +217,31 @@ def mutations(raw, count, seed):
             yield raw[:at] + raw[at:end][::-1] + raw[end:]
 
 
-def hunted_part(raw, at, keys, tmp_path, count):
-    """As :func:`hunted`, for the bytes from ``at`` on."""
-    tail = [raw[:at] + mutant for mutant in mutations(raw[at:], count, 5)]
-    return missed_among(raw, tail, keys, tmp_path)
-
-
-def hunted(raw, keys, tmp_path, count, seed):
-    """Mutations that verification neither refuses nor remarks."""
-    return missed_among(raw, mutations(raw, count, seed), keys, tmp_path)
-
-
-def missed_among(raw, mutants, keys, tmp_path):
-    missed = []
+def hunt(mutants, cal, keys, tmp_path):
+    """Every mutant is refused, or read as what was signed. Returns how many were refused."""
+    refused = 0
     for mutant in mutants:
-        if mutant == raw:
-            continue
         try:
-            signature = verify_signature(put(tmp_path, mutant), keys["ours"][1])
-            calibration_of(signature.document, tmp_path)
+            unchanged(mutant, cal, keys, tmp_path)
         except PigaError:
-            continue
-        if not signature.remarks:
-            missed.append(mutant)
-    return missed
+            refused += 1
+    return refused
 
 
-def test_mutations_are_found(signed, keys, tmp_path):
-    assert hunted(signed, keys, tmp_path, 150, 1) == []
+def test_mutations_are_found(cal, signed, keys, tmp_path):
+    assert hunt(mutations(signed, 150, 1), cal, keys, tmp_path) > 130
 
 
-def test_mutations_of_the_signature_itself_are_found(signed, keys, tmp_path):
+def test_mutations_of_the_signature_itself(cal, signed, keys, tmp_path):
     at = signed.index(b"<ds:Signature ")
-    missed = hunted_part(signed, at, keys, tmp_path, 150)
-    assert missed == []
+    hunt((signed[:at] + mutant for mutant in mutations(signed[at:], 150, 5)), cal, keys, tmp_path)
 
 
 @pytest.mark.slow
-def test_many_mutations_are_found(signed, keys, tmp_path):
-    assert hunted(signed, keys, tmp_path, 10_000, 2) == []
-    assert hunted_part(signed, signed.index(b"<ds:Signature "), keys, tmp_path, 3000) == []
+def test_many_mutations_are_found(cal, signed, keys, tmp_path):
+    at = signed.index(b"<ds:Signature ")
+    assert hunt(mutations(signed, 10_000, 2), cal, keys, tmp_path) > 9000
+    hunt((signed[:at] + mutant for mutant in mutations(signed[at:], 3000, 5)), cal, keys, tmp_path)
 
 
 def test_fuzzed_unsigned_certificates_end_in_words(cal, tmp_path):
@@ -332,5 +321,5 @@ def test_a_record_of_other_coefficients_inside(cal, tmp_path):
     root = dcc_document(complete(), cal)
     data = root.find(".//{*}byteData[@refType='piga_calibrationRecord']/{*}dataBase64")
     data.text = base64.b64encode(calibration_to_bytes(fewer)).decode()
-    with pytest.raises(DataError, match="the attached record holds other coefficients"):
+    with pytest.raises(DataError, match="contradicts itself"):
         read_dcc(put(tmp_path, written(root)))

@@ -1,0 +1,372 @@
+"""Write a Digital Calibration Certificate, and read one back (DCC 3.3.0, D-SI 2.2.1, SI only).
+
+The certificate states the coefficients one by one with expanded uncertainty for people, and as one vector with its covariance
+matrix for programs. Three attachments hold all that piga wrote it from: the calibration, the data of the certificate, and the
+calibration before adjustment if there is one. So reading is writing again: the two documents must be equal, and the first
+difference is named by its place.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import copy
+import datetime as dt
+import re
+import warnings
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from piga._version import __version__
+from piga.certificate.certificate_file import CertificateFile, ConditionTable, quantity_text, title_of
+from piga.certificate.dcc.units import dsi_unit, label_of, significant_digit, to_dsi
+from piga.certificate.dcc.xml_signature import SIGNATURE, read_xml
+from piga.certificate.statements import TRACEABILITY, statements, verdicts
+from piga.errors import DataError, PigaWarning
+from piga.records.calibration import Calibration, Coefficient
+from piga.records.calibration.coefficient import PROBABILITY, joint_factor
+from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
+from piga.units import parse_unit
+
+if TYPE_CHECKING:
+    import jinja2
+    from lxml import etree
+
+DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
+NAMES = {"dcc": DCC, "si": SI}
+RECORD, DATA, BEFORE = "piga_calibrationRecord", "piga_certificateData", "piga_calibrationBefore"
+"""``refType`` of the attached calibration, of the data of the certificate, and of the calibration before adjustment."""
+AGAIN = "do not use the file; get it again from the issuer"
+MOST_TEXT = 9_900_000
+"""Most characters of one text in the XML. libxml2, and programs built on it, refuse more than 10 million."""
+_ROUNDED = ("valueExpandedMU", "coverageFactor", "coverageFactorXMLList")
+"""Numbers that hold a quantile. Libraries differ in its last digits."""
+_SLACK = Decimal("1e-6")
+"""Relative difference allowed in them."""
+_CONDITIONS = {"air temperature": "basic_temperature", "relative humidity": "basic_humidityRelative"}
+_UNCERTAINTY = (
+    "Expanded uncertainties are standard uncertainties times the coverage factor of Student's t for the "
+    "effective degrees of freedom of each coefficient and a coverage probability of 95 %. A coefficient for "
+    "which that does not hold has the shortest 95 % coverage interval by Monte Carlo. The joint "
+    "result has the coverage factor sqrt(n F(n, nu)) for n coefficients, where nu is the fewest effective "
+    "degrees of freedom of any of them."
+)
+
+
+def dcc_document(
+    data: CertificateFile, calibration: Calibration, before: Calibration | None = None
+) -> etree._Element:
+    """The certificate as XML. ``data`` must be complete (:func:`piga.certificate.certificate_file.missing_items`).
+
+    Raises
+    ------
+    DataError
+        If a text holds characters that XML forbids, or the attached record is too long for XML readers.
+    """
+    return _write(data, calibration, before, _own_release())
+
+
+def _write(
+    data: CertificateFile, calibration: Calibration, before: Calibration | None, release: str
+) -> etree._Element:
+    """The certificate as piga of that release writes it."""
+    from lxml import etree
+
+    rendered = _template().render(
+        data=data,
+        calibration=calibration,
+        before=before,
+        release=release,
+        days=_days(data),
+        statements=statements(data, calibration),
+        traceability=TRACEABILITY,
+        uncertainty=_UNCERTAINTY,
+        conditions=[_condition(condition) for condition in data.environment],
+        marks={verdict.key: verdict.status for verdict in verdicts(data, calibration)},
+        covariance=_columns(calibration),
+        joint_factor=joint_factor(calibration.coefficients),
+        attachments=_attachments(data, calibration, before),
+    )
+    try:
+        root = etree.fromstring(rendered.encode(), etree.XMLParser(remove_blank_text=True, huge_tree=True))
+    except etree.XMLSyntaxError as error:
+        raise DataError(
+            f"certificate: a text of the data or of the calibration cannot stand in XML: {error}",
+            remedy="write it with letters, digits and signs",
+        ) from None
+    longest = max(len(node.text or "") for node in root.iter())
+    if longest > MOST_TEXT:
+        raise DataError(
+            f"certificate: the attached calibration has {longest} characters with its {len(calibration.coefficients)} "
+            f"coefficients; readers of XML take {MOST_TEXT}",
+            remedy="calibrate with phases = 'shared', or with fewer segments",
+        )
+    etree.indent(root)
+    return root
+
+
+@lru_cache(maxsize=1)
+def _template() -> jinja2.Template:
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"line": lambda words: " ".join(words.split()), "si": to_dsi}
+    environment.globals |= {
+        "unit": dsi_unit,
+        "label": label_of,
+        "title_of": title_of,
+        "digit_of": _digit_of,
+        "probability": PROBABILITY,
+    }
+    return environment.get_template("dcc.xml.jinja")
+
+
+def _days(data: CertificateFile) -> list[tuple[str, dt.date | None]]:
+    return [
+        ("receiptDate", data.item.received),
+        ("beginPerformanceDate", data.calibration.begin),
+        ("endPerformanceDate", data.calibration.end),
+    ]
+
+
+def _digit_of(c: Coefficient) -> int:
+    """Power of ten of the last significant digit of a coefficient in SI."""
+    return significant_digit(Decimal(to_dsi(c.coverage.half_width, c.unit)), Decimal(to_dsi(c.value, c.unit)))
+
+
+def _columns(calibration: Calibration) -> list[tuple[list[tuple[float, Coefficient]], Coefficient]]:
+    """Columns of the covariance matrix: each entry with the coefficient of its row, each column with its own."""
+    rows = calibration.coefficients
+    columns = calibration.covariance.T.tolist()
+    return [(list(zip(column, rows, strict=True)), owner) for column, owner in zip(columns, rows, strict=True)]
+
+
+@dataclass(frozen=True)
+class _Condition:
+    """A condition of the environment in SI, as texts."""
+
+    name: str
+    kind: str
+    value: str
+    unit: str
+    uncertainty: str
+
+
+def _condition(condition: ConditionTable) -> _Condition:
+    number, unit = quantity_text(condition.value)
+    spread = quantity_text(condition.uncertainty) if condition.uncertainty else None
+    kind = _CONDITIONS.get(condition.name.lower(), "")
+    value = _si_decimal(number, unit, offset=True)
+    return _Condition(condition.name, kind, value, dsi_unit(unit), _si_decimal(*spread) if spread else "")
+
+
+def _si_decimal(number: float, unit: str, *, offset: bool = False) -> str:
+    """SI text of a number written by a person, without binary rounding: 20.1 degC gives 293.25 K."""
+    parsed = parse_unit(unit)
+    value = Decimal(repr(number)) * Decimal(repr(parsed.factor))
+    return str(value + Decimal("273.15") if offset and parsed.text == "degC" else value)
+
+
+def _attachments(
+    data: CertificateFile, calibration: Calibration, before: Calibration | None
+) -> list[tuple[str, str, str, str, str]]:
+    """What the certificate is written from: title, kind, name, file and Base64 of each attachment."""
+    words = "Calibration record of piga with budget, residual figures, data quality and provenance"
+    parts = [("Calibration record", RECORD, words, "calibration.json", calibration_to_bytes(calibration))]
+    if before is not None:
+        words = "Calibration record of piga before adjustment"
+        parts.append(("Record before adjustment", BEFORE, words, "before.json", calibration_to_bytes(before)))
+    parts.append(
+        (
+            "Data of the certificate",
+            DATA,
+            "Data that piga wrote it from",
+            "data.json",
+            msgspec.json.encode(data),
+        )
+    )
+    return [
+        (title, kind, name, file, base64.b64encode(raw).decode("ascii"))
+        for title, kind, name, file, raw in parts
+    ]
+
+
+def read_dcc(path: str | Path) -> Calibration:
+    """Read a certificate in XML back into a calibration.
+
+    Raises
+    ------
+    DataError
+        If the file is not a DCC, was not made by piga, is damaged, or contradicts itself.
+    """
+    path = Path(path)
+    return calibration_of(read_xml(path)[1], path)
+
+
+def calibration_of(root: etree._Element, path: Path) -> Calibration:
+    """The calibration in a certificate. Messages name ``path``. Errors as in :func:`read_dcc`."""
+    if root.tag != f"{{{DCC}}}digitalCalibrationCertificate":
+        raise DataError(f"{path}: is not a Digital Calibration Certificate", remedy="name a certificate in XML")
+    if len(root) and root[-1].tag == SIGNATURE:
+        root = copy.deepcopy(root)
+        root.remove(root[-1])
+    version = root.get("schemaVersion", "")
+    if not version.startswith("3."):
+        raise DataError(f"{path}: DCC version '{version[:20]}' is not known", remedy="update piga")
+    raw = _attached(root, RECORD, path)
+    if raw is None:
+        raise DataError(
+            f"{path}: holds no calibration record of piga",
+            remedy="only certificates made by piga can be read back",
+        )
+    calibration = calibration_from_bytes(raw, path)
+    if (data := _attached(root, DATA, path)) is None:
+        _compare_results(root, calibration, path)
+        return calibration
+    try:
+        file = msgspec.json.decode(data, type=CertificateFile)
+    except msgspec.MsgspecError as error:
+        raise DataError(
+            f"{path}: the attached data of the certificate are damaged ({error})", remedy=AGAIN
+        ) from None
+    release = root.findtext("dcc:administrativeData/dcc:dccSoftware/dcc:software/dcc:release", "", NAMES)
+    before = _attached(root, BEFORE, path)
+    again = _write(file, calibration, None if before is None else calibration_from_bytes(before, path), release)
+    compare_trees(root, again, path, words=release == _own_release())
+    return calibration
+
+
+def _own_release() -> str:
+    release = re.match(r"\d{1,3}(\.\d{1,3}){0,3}", __version__)
+    return f"v{release[0] if release else 0}"
+
+
+def _attached(root: etree._Element, kind: str, path: Path) -> bytes | None:
+    """The bytes of an attachment; None if there is none.
+
+    Raises
+    ------
+    DataError
+        If there are several, or it is damaged.
+    """
+    attachments = root.findall(f"dcc:measurementResults//dcc:byteData[@refType='{kind}']/dcc:dataBase64", NAMES)
+    if not attachments:
+        return None
+    try:
+        if len(attachments) > 1:
+            raise DataError(f"{path}: holds {len(attachments)} attachments {kind}", remedy=AGAIN)
+        return base64.b64decode("".join((attachments[0].text or "").split()), validate=True)
+    except (binascii.Error, ValueError):
+        raise DataError(f"{path}: the attached record is damaged", remedy=AGAIN) from None
+
+
+def _compare_results(root: etree._Element, calibration: Calibration, path: Path) -> None:
+    """Compare the results of a certificate of piga 0.2, which attached nothing but the calibration."""
+    query = "dcc:measurementResults/dcc:measurementResult/dcc:results/dcc:result/dcc:data"
+    again = _write(CertificateFile(), calibration, None, "v0")
+    for part in ("dcc:list", "dcc:quantity"):
+        kind = "[@refType='basic_measuredValue']" if part == "dcc:list" else ""
+        place = query.replace("dcc:result/", f"dcc:result{kind}/")
+        stated, ours = root.findall(f"{place}/{part}", NAMES), again.findall(f"{place}/{part}", NAMES)
+        if len(stated) != len(ours):
+            raise DataError(f"{path}: holds other results than piga writes", remedy=AGAIN)
+        for one, other in zip(stated, ours, strict=True):
+            for mark in one.findall(".//dcc:measurementMetaData", NAMES):
+                mark.getparent().remove(mark)
+            compare_trees(one, other, path)
+    warnings.warn(
+        f"{path}: made by piga 0.2 or earlier: its results agree with the attached record; laboratory, dates and statements "
+        "were not compared",
+        PigaWarning,
+        stacklevel=3,
+    )
+
+
+def is_ours(root: etree._Element) -> bool:
+    """True if a certificate holds a calibration record of piga."""
+    return root.find(f"dcc:measurementResults//dcc:byteData[@refType='{RECORD}']", NAMES) is not None
+
+
+def date_of_issue(root: etree._Element, path: Path) -> dt.date:
+    """The date of issue of a certificate. Messages name ``path``.
+
+    Raises
+    ------
+    DataError
+        If it states no date of issue.
+    """
+    text = root.findtext("dcc:administrativeData/dcc:coreData/dcc:issueDate", "", NAMES)
+    try:
+        return dt.date.fromisoformat(text)
+    except ValueError:
+        raise DataError(f"{path}: issueDate '{text[:40]}' is not a date", remedy=AGAIN) from None
+
+
+def compare_trees(stated: etree._Element, again: etree._Element, path: Path, *, words: bool = True) -> None:
+    """Refuse a certificate that differs from what piga writes. The first difference is named.
+
+    Parameters
+    ----------
+    stated:
+        Root of the certificate, without a signature.
+    again:
+        The same, written again from its attachments.
+    path:
+        For messages.
+    words:
+        Compare sentences, too. Another release of piga may word them otherwise.
+
+    Raises
+    ------
+    DataError
+        At the first difference.
+    """
+    for one in (*stated.itersiblings(preceding=True), *stated.itersiblings(), *stated.iter()):
+        if not isinstance(one.tag, str):
+            raise DataError(f"{path}: holds comments or instructions, which piga does not write", remedy=AGAIN)
+    for one, other in zip(stated.iter(), again.iter(), strict=False):
+        if one.tag != other.tag or dict(one.attrib) != dict(other.attrib):
+            raise _contradiction(path, one, f"stands where '{_place(other)}' is expected")
+        if len(one) != len(other):
+            raise _contradiction(path, one, f"has {len(one)} parts, not {len(other)}")
+        if (one is not stated and (one.tail or "").strip()) or (len(one) and (one.text or "").strip()):
+            raise _contradiction(path, one, "has text beside its parts")
+        text, expected = (one.text or "").strip(), (other.text or "").strip()
+        sentence = one.tag == f"{{{DCC}}}content" and not words
+        if not (len(one) or sentence) and not _equal(text, expected, one.tag.rpartition("}")[2]):
+            raise _contradiction(path, one, f"is '{text[:60]}', by the attached records '{expected[:60]}'")
+
+
+def _equal(text: str, expected: str, name: str) -> bool:
+    if text == expected or name not in _ROUNDED:
+        return " ".join(text.split()) == " ".join(expected.split())
+    try:
+        return abs(Decimal(text) - Decimal(expected)) <= _SLACK * abs(Decimal(expected))
+    except InvalidOperation:
+        return False
+
+
+def _contradiction(path: Path, node: etree._Element, what: str) -> DataError:
+    return DataError(
+        f"{path}: contradicts itself: {_place(node)} {what}", remedy="do not use the file; ask the issuer"
+    )
+
+
+def _place(node: etree._Element) -> str:
+    """Names of an element and of the elements around it, with the label of the quantity that it belongs to."""
+    around = [node, *node.iterancestors()]
+    names = [str(one.tag).rpartition("}")[2] for one in reversed(around)]
+    labels = (one.findtext("si:real/si:label", None, NAMES) for one in around)
+    label = next((label for label in labels if label), "")
+    return "/".join(names[1:][-4:] or names) + (f" of {label[:60]}" if label else "")
