@@ -19,7 +19,6 @@ import measured
 import numpy as np
 
 import piga
-from piga._kernels.estimation.sequential import absorb_rows, published_recursion
 from piga.units import G0
 
 ROWS = 1_000_000
@@ -69,18 +68,6 @@ def scipy_fit(run: piga.Run) -> None:
     least_squares(
         residual, [0.888, 4.5e-3, 0.1, 0.0, 0.0, 0.0, 0.0], x_scale=[1, 1e-3, 1, 1e-3, 1e-3, 1e-3, 1e-3]
     )
-
-
-def recursive_updates(rows: int = 200_000) -> tuple[float, float]:
-    """Nanoseconds per update: square-root rows of 5 states, and the published recursion with 5 states."""
-    rng = np.random.default_rng(2)
-    columns = rng.standard_normal((6, rows))
-    factor, marks, snapshots = np.zeros((6, 6)), np.array([rows]), np.empty((1, 6, 6))
-    ours = median_time(lambda: absorb_rows(factor, columns, marks, snapshots))
-    a, b, c, s = rng.standard_normal((4, rows))
-    state, covariance, history = np.zeros(5), np.eye(5), np.empty((1, 5))
-    published = median_time(lambda: published_recursion(a, b, c, s, state, covariance, marks, history))
-    return ours / rows * 1e9, published / rows * 1e9
 
 
 def cold_command(run: piga.Run, *options: str) -> float:
@@ -154,7 +141,6 @@ def main() -> None:
     sweep = median_time(lambda: sum(float(c @ c) for c in (run.t, run.output, *run.f.T.copy())))
     ours = median_time(lambda: piga.calibrate(run, TERMS))
     fit = median_time(lambda: scipy_fit(run), repeats=5)
-    qr, recursion = recursive_updates()
     measurements = {
         "calibrate, warm": (ours, "s"),
         "SciPy least_squares, same record (trapezoid, no whitening)": (fit, "s"),
@@ -167,8 +153,6 @@ def main() -> None:
         ),
         "shipped record, warm, default threads: processor time": (shipped(None), "s"),
         "shipped record, warm, OMP_NUM_THREADS=1: processor time": (shipped("1"), "s"),
-        "one recursive square-root update, 5 states": (qr, "ns"),
-        "one update of the published recursion, 5 states": (recursion, "ns"),
     }
     for name, (value, unit) in measurements.items():
         print(f"{name:70s} {value:.3g} {unit}")

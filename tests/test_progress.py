@@ -142,7 +142,6 @@ def long_calls(run: piga.Run, cal: piga.Calibration) -> dict[str, Callable[..., 
     turning = turns_record()
     return {
         "joint": lambda progress: piga.calibrate(budgeted, TERMS, progress=progress),
-        "published": lambda progress: piga.calibrate(run, ["tan_beta"], "published", progress=progress),
         "revolutions": lambda progress: piga.calibrate(
             turning, ["scale_factor", "k0"], "revolutions", progress=progress
         ),
@@ -164,7 +163,7 @@ def turns_record() -> piga.Run:
     return piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, segment=t >= 60.0)
 
 
-LONG = ("joint", "published", "revolutions", "budget", "compare", "set", "rows")
+LONG = ("joint", "revolutions", "budget", "compare", "set", "rows")
 
 
 @pytest.mark.filterwarnings("ignore")

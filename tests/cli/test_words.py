@@ -123,7 +123,6 @@ def test_the_report_shows_the_words_of_a_coefficient() -> None:
 def test_the_value_of_a_key_is_said_in_words() -> None:
     for key, words in (
         ("wanted", "table of quantities"),
-        ("x0", "list of numbers"),
         ("compare", "list of lists of"),
     ):
         assert f"value    {words}" in invoked("check", "--explain", key).stdout

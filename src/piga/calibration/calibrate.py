@@ -12,10 +12,8 @@ import numpy as np
 from piga.calibration.budget.monte_carlo import monte_carlo_intervals
 from piga.calibration.budget.uncertainty import (
     Budget,
-    budget_row,
     budget_rows,
     combined,
-    contributions,
     make_budget,
     share_of_type_a,
     sources,
@@ -23,16 +21,7 @@ from piga.calibration.budget.uncertainty import (
     with_given_servo,
 )
 from piga.calibration.choice.model_choice import compare_models
-from piga.calibration.classical.recursive import recursive_history, run_published
-from piga.calibration.classical.revolutions import (
-    clean_record,
-    estimate_again,
-    fit_revolutions,
-    name_revolutions,
-    revolutions_degrees,
-    revolutions_result,
-)
-from piga.calibration.fit.one_run import Fit, fit_run, noise_of, refine_counted, without_slow
+from piga.calibration.fit.one_run import Fit, fit_run, refine_counted, without_slow
 from piga.calibration.fit.residuals import (
     counted_products,
     diagnose,
@@ -40,6 +29,7 @@ from piga.calibration.fit.residuals import (
     segment_scatter,
     segment_table,
 )
+from piga.calibration.history import history_of
 from piga.calibration.intervals.added_noise import include_noise
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.joint.joint_fit import (
@@ -51,21 +41,19 @@ from piga.calibration.joint.joint_fit import (
 )
 from piga.calibration.joint.joint_result import joint_result
 from piga.calibration.joint.summary import RunSummary, provenance, residual_figures, validity_ranges
-from piga.calibration.model.design import Design, given_servo
+from piga.calibration.model.design import given_servo
 from piga.calibration.model.identifiability import (
-    Examination,
-    examine,
     notes_in_words,
     refuse_useless,
     remarks_in_words,
 )
 from piga.calibration.model.request import Request, make_request
-from piga.calibration.model.solution import Solution, name_coefficients, principal, solve
-from piga.calibration.noise.weighting import weighting_mode
+from piga.calibration.model.solution import name_coefficients
 from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
 from piga.calibration.remarks.missing_terms import Candidates
+from piga.calibration.revolutions import whole_turns
 from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.progress import Progress, Steps
 from piga.reading.checks import largest_size
@@ -82,7 +70,7 @@ from piga.records.calibration import (
 )
 from piga.records.run import Run
 from piga.records.spool import extent
-from piga.records.terms import si_factor, term_names, unit_of
+from piga.records.terms import term_names
 from piga.results import Array
 from piga.threads import one_thread
 
@@ -170,10 +158,8 @@ def _calibration(
             return _joint_calibration(runs, terms, method, phases, phase_source, per_run, steps)
         run = runs[0]
     request = make_request(run, terms, method, phases, phase_source, per_run)
-    if request.method == "published":
-        return _published_calibration(run, request, steps)
     if request.method == "revolutions":
-        return _revolutions_calibration(run, request, steps)
+        return _of_whole_turns(run, request, steps)
     stated = stated_scatter(run)
     try:
         fit = fit_run(run, request)
@@ -199,7 +185,7 @@ def _calibration(
     coefficients, monte_carlo = monte_carlo_intervals(fit, coefficients, budget, run.estimation.uncertainty)
     steps("looking for missing terms")
     said = find_remarks(fit, candidates, coefficients)
-    history = _history(fit) if request.method == "recursive" else None
+    history = history_of(fit) if request.method == "recursive" else None
     examined = _examined(fit, residuals)
     notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, examined.scatter)
     result = _assemble(run, fit, coefficients, covariance, budget.rows, examined, notes, history)
@@ -224,28 +210,6 @@ def _range(values: Array) -> float:
     """Largest value minus smallest value."""
     low, high = extent(values)
     return high - low
-
-
-def _history(fit: Fit) -> dict[str, Array]:
-    """Estimate and standard uncertainty after 2 m .. n samples, for the convergence plot (file units)."""
-    rows, samples = [], []
-    keys: tuple[str, ...] = ()
-    for mark, summaries in recursive_history(fit.design, fit.mode, fit.noise):
-        if examine(fit.design, summaries).null_terms:
-            continue
-        solution = solve(fit.design, summaries)
-        named, covariance = name_coefficients(fit.design, solution, solution.covariance)
-        plain = [i for i, c in enumerate(named) if c.name != "phi" or not fit.design.has_phases]
-        keys = tuple(named[i].name for i in plain)
-        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        rows.append([*(named[i].value for i in plain), *std[plain]])
-        samples.append(mark)
-    table = np.array(rows)
-    result = {"sample": np.array(samples, dtype=float)}
-    for i, key in enumerate(keys):
-        result[key] = table[:, i]
-        result[f"u({key})"] = table[:, len(keys) + i]
-    return result
 
 
 @dataclass(frozen=True)
@@ -355,89 +319,14 @@ def _joint_calibration(
     return with_given_servo(result, given, moved if given else {})
 
 
-def _revolutions_calibration(run: Run, request: Request, steps: Steps) -> Calibration:
-    """Calibration from mean rates over whole turns; Type B by moving the record."""
-    cleaned = clean_record(run, request)
-    steps("measuring whole turns")
-    fit = fit_revolutions(cleaned[0], request)
-    coefficients, covariance, note = name_revolutions(fit, request)
-    keys = [coefficient.key for coefficient in coefficients]
-    base = np.array([coefficient.value for coefficient in coefficients])
-    steps("adding up the budget")
-    changes_by_source = list(
-        contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys), steps=steps)
-    )
-    budget = budget_rows(coefficients, covariance, changes_by_source)
-    covariance = covariance + sum(
-        (change.T @ change for _, change in changes_by_source), start=np.zeros_like(covariance)
-    )
-    coefficients = combined(coefficients, covariance, budget, revolutions_degrees(fit, request))
-    notes = notes_in_words(coefficients, covariance, SegmentScatter())
-    notes = (*notes, note) if note else notes
-    result = revolutions_result(run, cleaned, request, fit, coefficients, covariance, budget, notes)
-    result = replace(result, remarks=remarks_in_words(coefficients, "shared"))
-    return with_given_servo(result, given_servo(run), _moved_servo(run))
-
-
-def _published_calibration(run: Run, request: Request, steps: Steps) -> Calibration:
-    """Calibration by the published recursion. The residuals are those of its own solution."""
-    run = replace(run, servo=())
-    published = run_published(run, request)
-    values, covariance = published.state.copy(), published.covariance
-    if values[0] < 0.0:
-        values[0], values[1] = -values[0], values[1] + np.pi
-        flip = np.ones(values.size)
-        flip[0] = -1.0
-        covariance = covariance * np.outer(flip, flip)
-    values[1] = principal(values[1])
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    coefficients = tuple(
-        Coefficient(n, float(v), float(s), unit_of(n))
-        for n, v, s in zip(published.names, values, std, strict=True)
-    )
-    linear_request = replace(request, phases="shared", phase_source="input")
-    design = Design(run, linear_request, run.scale_factor)
-    linear = _linear_values(design, dict(zip(published.names, values, strict=True)))
-    steps("computing residuals")
-    mode = weighting_mode(design, "rate")
-    noise = noise_of(design, _fixed_solution(design, linear), mode)
-    fit = Fit(
-        design=design,
-        mode=mode,
-        noise=noise,
-        summaries=[],
-        solution=_fixed_solution(design, linear),
-        covariance=covariance,
-        examination=Examination(float("nan"), ()),
-        d=np.zeros(0),
-        h=np.zeros(0),
-    )
-    history = {"sample": published.samples.astype(float)}
-    history |= {name: published.history[:, i] for i, name in enumerate(published.names)}
-    notes = ("the published recursion depends on its first guess and predicts the phase from the input",)
-    std_budget = (budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, std),)
-    return _assemble(
-        run,
-        fit,
-        coefficients,
-        covariance,
-        std_budget,
-        _examined(fit, find_residuals(design, fit.solution.values, noise, mode)),
-        notes,
-        history,
-    )
-
-
-def _linear_values(design: Design, named: dict[str, float]) -> Array:
-    """Column coefficients for given coefficients (file units)."""
-    scale_factor = design.run.scale_factor
-    tangent, phase = named["tan_beta"], named["phi"]
-    known = {"p": tangent * np.cos(phase), "q": tangent * np.sin(phase)}
-    known |= {name: value * si_factor(name) for name, value in named.items() if name not in ("tan_beta", "phi")}
-    return np.array([scale_factor * known[name] for name in design.names])
-
-
-def _fixed_solution(design: Design, linear: Array) -> Solution:
-    values = np.tile(linear, (len(design.run.labels), 1))
-    m = len(linear)
-    return Solution(linear, np.zeros(0), np.zeros((m, m)), 0.0, (np.eye(m),), values)
+def _of_whole_turns(run: Run, request: Request, steps: Steps) -> Calibration:
+    """Calibration from the ends of whole turns of the output."""
+    turns = whole_turns(run, request)
+    result = _calibration(turns.run, turns.terms, "information", "per-segment", "output", (), steps)
+    notes = result.notes
+    if "tan_beta" in request.terms:
+        notes = (
+            "whole turns average the coupling out: tan_beta is not in the result; use method 'information'",
+            *notes,
+        )
+    return replace(result, method="revolutions", phases=request.phases, notes=notes, outliers=turns.outliers)

@@ -39,7 +39,7 @@ LEAST_COUNTS, MOST_COUNTS = 1e-6, 1e15
 
 Phases = Literal["shared", "per-segment"]
 PhaseSource = Literal["output", "input"]
-Method = Literal["information", "rate", "recursive", "published", "revolutions"]
+Method = Literal["information", "rate", "recursive", "revolutions"]
 
 PHASES: tuple[str, ...] = get_args(Phases)
 PHASE_SOURCES: tuple[str, ...] = get_args(PhaseSource)
@@ -56,10 +56,6 @@ METHOD_WORDS: dict[str, tuple[str, str]] = {
     "recursive": (
         "the information method, sample by sample, with the estimate after each one",
         "to see how the coefficients settle; the result is that of the information method",
-    ),
-    "published": (
-        "the recursion of the literature for tan_beta and the phase",
-        "to repeat published results; needs its terms and start values",
     ),
     "revolutions": (
         "mean rates over whole turns of the outer gimbal, as laboratories do it by hand",
@@ -245,7 +241,7 @@ class ModelTable(TomlTable, frozen=True):
 
 
 class EstimationTable(TomlTable, frozen=True):
-    """``[estimation]``: the method, known noise levels, and the start values of the published recursion.
+    """``[estimation]``: the method and known noise levels.
 
     ``per_run`` names the terms that may differ between the runs of a joint calibration.
     """
@@ -255,8 +251,6 @@ class EstimationTable(TomlTable, frozen=True):
     angle_rms: Quantity | None = None
     angle_random_walk: Quantity | None = None
     uncertainty: Literal["gum", "monte-carlo", "auto"] = "auto"
-    x0: tuple[float, ...] | None = None
-    P0: float | None = None
 
 
 class UncertaintyTable(TomlTable, frozen=True):

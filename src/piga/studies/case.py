@@ -16,6 +16,7 @@ from piga.instrument import Instrument, propagate
 from piga.records import Calibration, Run
 from piga.reports.render.figure import Figure
 from piga.results import finite
+from piga.studies.published import published_recursion
 from piga.units import G0
 
 Verdict = Literal["pass", "fail", "info"]
@@ -141,7 +142,7 @@ def record(profile: ForceHistory) -> Run:
 @cache
 def published_calibration(profile: ForceHistory) -> Calibration:
     """[tan_beta, phi] of a record by the published recursion, x0 = [4.5e-3, 0.4], P0 = 1e10 I."""
-    return calibrate(record(profile), terms=["tan_beta"], method="published")
+    return published_recursion(record(profile))
 
 
 @cache

@@ -12,21 +12,20 @@ from numpy.typing import NDArray
 from piga.calibration.calibrate import calibrate
 from piga.instrument import ErrorModel, Instrument, propagate
 from piga.records import Calibration, Run
-from piga.records.run_file import EstimationTable
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.studies.case import SCALE, Case, Chapter, model_phase, velocity
+from piga.studies.published import published_recursion
 from piga.units import G0
 
 Array = NDArray[np.float64]
 
-TERMS = ["tan_beta", "k0", "k1", "k2"]
+TERMS = ("tan_beta", "k0", "k1", "k2")
 TRUTH = {"tan_beta": 3.6e-4, "phi": math.radians(27.5), "k0": 1.60e-3, "k1": -2.37e-3, "k2": 1.98e-3}
 _DIGIT = {"tan_beta": 0.1e-4, "phi": math.radians(0.1), "k0": 1e-5, "k1": 1e-5, "k2": 1e-5}
 _UNITS = {"tan_beta": "1", "phi": "rad", "k0": "g", "k1": "1", "k2": "g/g^2"}
 _INSTRUMENT = Instrument(SCALE, math.atan(TRUTH["tan_beta"]), TRUTH["phi"])
 _STEP, _END, _FINE = 0.02, 257.0, 16
 _COUNT_NOISE, _WALK = 2e-5, 2e-6
-_START = EstimationTable(x0=(4.5e-3, 0.4, 0.0, 0.0, 0.0))
 _TRIALS = 20
 _SEED = 2024
 
@@ -77,7 +76,7 @@ def noisy_successes() -> tuple[int, int]:
     for seed in range(_TRIALS):
         noise = _WALK / math.sqrt(_STEP) * np.random.default_rng(seed).standard_normal(clean.size)
         noisy = replace(clean, output=clean.output + noise)
-        old = calibrate(replace(noisy, estimation=_START), terms=TERMS, method="published")
+        old = published_recursion(noisy, TERMS)
         new = calibrate(noisy, terms=TERMS, method="rate", phase_source="input")
         successes[0] += all(abs(old[name].value - true) <= 0.5 * _DIGIT[name] for name, true in TRUTH.items())
         successes[1] += all(abs(new[name].value - true) <= 4.0 * new[name].std for name, true in TRUTH.items())
@@ -94,7 +93,7 @@ def own() -> Calibration:
 def published(*, real: bool) -> Calibration:
     """The published recursion from its first guess, on the real record or on a record of the published model."""
     run = real_record() if real else model_record()
-    return calibrate(replace(run, estimation=_START), terms=TERMS, method="published")
+    return published_recursion(run, TERMS)
 
 
 def chapter() -> Chapter:

@@ -204,7 +204,6 @@ def test_files_that_are_no_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             {"phases": "per-segment", "phase_source": "input"},
             "needs phases = 'shared'",
         ),
-        (["tan_beta", "k0"], {"method": "published"}, r"estimates \[tan_beta\] or \[tan_beta, k0, k1, k2\]"),
     ],
 )
 def test_requests_that_do_not_fit(terms: list[str], options: dict[str, Any], message: str) -> None:

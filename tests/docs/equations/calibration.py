@@ -11,7 +11,6 @@ from scipy.optimize import minimize_scalar
 import piga
 from piga._kernels.estimation.noise import innovation_weights, saw_tooth_covariance, whiten
 from piga._kernels.estimation.regressors import coupling_columns, servo_columns
-from piga.calibration.classical.revolutions import _amplification
 from piga.calibration.intervals.added_noise import AddedNoise
 from piga.calibration.intervals.slow_noise import projected
 from piga.calibration.model.design import ServoState
@@ -21,6 +20,7 @@ from piga.calibration.noise.levels import find_noise
 from piga.calibration.noise.weighting import DriftBasis
 from piga.calibration.remarks.leverage import all_but_one, leverages
 from piga.calibration.remarks.missing_terms import tested
+from piga.calibration.revolutions import ripple
 from piga.instrument.parameters import ErrorModel
 from piga.units import G0
 from tests.compensation.twin_data import TAN_BETA, instrument
@@ -191,18 +191,16 @@ def _likelihood() -> Iterator[Pair]:
     yield literal, np.log10(levels.walk * h / levels.white), 2e-2
 
 
-@equation("calibration-pulled")
-def _pulled() -> Iterator[Pair]:
-    """Amplification of a walk over a turn: the printed integral, its closed form, and what the times of a turn give."""
-    a, b = 1.0, 0.5
-    x = np.linspace(0.0, 2.0 * np.pi, 20001)
-    rate = a + b * np.sin(x)
-    w = np.sqrt(a**2 - b**2)
-    literal = w**3 / (2.0 * np.pi) * np.trapezoid(rate**-3, x)
-    rho = b / a
-    yield literal, (1.0 + 0.5 * rho**2) / (1.0 - rho**2), 1e-10
-    t = np.concatenate([[0.0], np.cumsum(0.5 * (1.0 / rate[1:] + 1.0 / rate[:-1]) * np.diff(x))])
-    yield literal, _amplification(x, t, 1)[0], 0.02 * literal
+@equation("calibration-ripple")
+def _ripple_of_a_turn() -> Iterator[Pair]:
+    """First harmonic over mean of the time at an angle, both closed forms, and what the library takes from the parts of a turn."""
+    for rho in (1e-3, 0.3, 0.8):
+        x = 2.0 * np.pi * (np.arange(32 * 400) + 0.5) / (32 * 400)
+        times = 1.0 / (1.0 + rho * np.sin(x - 0.7))
+        literal = 2.0 * abs(np.mean(times * np.exp(-1j * x))) / times.mean()
+        yield literal, 2.0 * (1.0 - np.sqrt(1.0 - rho**2)) / rho, 1e-10
+        yield literal, 2.0 * np.tan(0.5 * np.arcsin(rho)), 1e-10
+        yield rho, ripple(times.reshape(32, 400).sum(axis=1)), 1e-6
 
 
 def _integral(value: Callable[[float], float]) -> float:

@@ -7,7 +7,6 @@ as read, integrated from a log of rates, or predicted from the input.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
@@ -19,8 +18,6 @@ from piga.records.spool import arrays_like, exact_median, means, spans, steps
 from piga.records.terms import SERVO_TERMS, check_terms, harmonic, term_names
 from piga.results import Array
 from piga.units import to_si
-
-PUBLISHED_TERMS = (("tan_beta",), ("tan_beta", "k0", "k1", "k2"))
 
 
 @dataclass(frozen=True)
@@ -34,8 +31,6 @@ class Request:
     angle_rms: float | None
     angle_random_walk: float | None
     temperature_reference: float
-    x0: tuple[float, ...] | None = None
-    P0: float | None = None
     per_run: tuple[str, ...] = ()
 
     @property
@@ -87,10 +82,13 @@ def make_request(
             None if estimation.angle_random_walk is None else to_si(estimation.angle_random_walk, "rad/sqrt(s)")
         ),
         temperature_reference=to_si(model.temperature_reference, "K"),
-        x0=estimation.x0,
-        P0=estimation.P0,
         per_run=tuple(per_run) if per_run is not None else estimation.per_run,
     )
+    if request.method == "published":
+        raise ArgumentError(
+            "method 'published' is not among those of calibrate",
+            remedy="use piga.studies.published_recursion(run), which repeats the literature, or method 'information'",
+        )
     for name, value, allowed in (
         ("phases", request.phases, PHASES),
         ("phase_source", request.phase_source, PHASE_SOURCES),
@@ -150,19 +148,6 @@ def _check_record(run: Run, request: Request) -> None:
             "phase_source 'input' predicts the phase through the whole record and needs phases = 'shared'",
             remedy="use phase_source = 'output'",
         )
-    if request.method == "published" and tuple(sorted(request.terms)) not in {
-        tuple(sorted(t)) for t in PUBLISHED_TERMS
-    }:
-        raise CalibrationError(
-            "method 'published' estimates [tan_beta] or [tan_beta, k0, k1, k2], with the nominal scale factor",
-            remedy="set the terms so, or use method 'information'",
-        )
-    if request.x0 is not None and len(request.x0) != len(cast("tuple", request.terms)) + 1:
-        raise CalibrationError(
-            f"[estimation] x0 has {len(request.x0)} values, {len(request.terms) + 1} are needed: tan_beta, phi, then "
-            "k0, k1, k2",
-            remedy="give one starting value for each",
-        )
 
 
 def lost_phase(run: Run, terms: tuple[str, ...], phases: str, method: str) -> int | None:
@@ -189,7 +174,7 @@ def check_servo(request: Request) -> None:
             f"term '{asked[0]}' depends on the output angle and needs the phase of 'tan_beta'",
             remedy="add 'tan_beta' to the terms",
         )
-    if request.method in ("published", "revolutions"):
+    if request.method == "revolutions":
         raise CalibrationError(
             f"method '{request.method}' cannot estimate the term '{asked[0]}'",
             remedy="use method 'information', 'rate' or 'recursive', or leave the term out",

@@ -236,8 +236,6 @@ class Diagnostics(Result):
     ----------
     residual_kind, range:
         Kind of residuals (angle or rate); range in which the calibration holds: ``a_x``, ``a_t`` [m/s^2], ``temperature`` [K].
-    turns, scatter_of_a_turn:
-        Number of whole turns of the output, and the scatter of one turn [rad] (method "revolutions").
     samples, variance, lag1_correlation, ljung_box, ljung_box_lags, ljung_box_probability, skewness, excess_kurtosis, verdict:
         Tests of the whitened residual; the verdict is "white", "white but for the counting", or says that it is not.
     counting_probability:
@@ -256,8 +254,6 @@ class Diagnostics(Result):
 
     residual_kind: Literal["angle", "rate"] = "angle"
     range: dict[str, tuple[Number, Number]] = field(default_factory=dict)
-    turns: int | None = None
-    scatter_of_a_turn: float | None = None
     samples: int | None = None
     variance: float | None = None
     lag1_correlation: float | None = None

@@ -84,7 +84,7 @@ class _Model(msgspec.Struct, frozen=True):
     terms: tuple[str, ...]
     phase: Phases
     phase_source: PhaseSource
-    method: Method
+    method: Method | Literal["published"]
     temperature_reference: _Level = _Level(293.15, "K")
     time_reference: Amount = Amount(0.0, "s")
 

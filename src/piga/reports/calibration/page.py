@@ -183,7 +183,7 @@ _METHODS = {
     "rate": "linear least squares on the rate",
     "recursive": "whitened least squares in the angle domain, sample by sample",
     "published": "the published nonlinear recursion",
-    "revolutions": "mean rate over whole revolutions",
+    "revolutions": "ends of whole turns of the output",
 }
 
 

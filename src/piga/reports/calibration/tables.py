@@ -320,8 +320,6 @@ LABELS = {
     "segment_scatter_ratio": "Scatter of the segments over what all noise explains",
     "segment_scatter_ratio_without_it": "Scatter of the segments over what the noise of the angle explains",
     "segment_scatter_g": "Scatter of the segments, g",
-    "turns": "Whole turns of the output",
-    "scatter_of_a_turn": "Scatter of a turn, rad",
     "noise_given": "noise levels given",
     "per_run": "terms of single runs",
 }

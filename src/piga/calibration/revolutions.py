@@ -1,0 +1,191 @@
+"""Whole turns: the record at the ends of whole turns of the output, as laboratories take mean rates by hand.
+
+The average over whole turns removes the ripple of the coupling but not its pulling: at the drive ``u`` the mean rate is
+``u sqrt(1 - r^2)``, where ``r`` is the ratio of the lock zone to ``u`` (docs/theory/locking). The ripple of the turn itself shows
+``r``, because the output stays longer where it is slow. So each turn is divided by ``sqrt(1 - r^2)``. The estimator of all other
+records then takes the turns. The method does not use the angle within the turns, so its uncertainty is larger.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+
+from piga.calibration.fit.one_run import fit_run
+from piga.calibration.model.request import Request
+from piga.errors import CalibrationError, IdentifiabilityError
+from piga.records.calibration import Event, Outlier
+from piga.records.run import Run
+from piga.results import Array
+
+FULL_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True)
+class RevolutionSettings:
+    """Settings of the method of whole turns (own choices)."""
+
+    steady: float = 2e-3
+    """Largest change of the specific force in a position, relative to its size."""
+    parts: int = 32
+    """Parts of a turn whose durations give the ripple."""
+    locking: float = 0.85
+    """Ratio of the lock zone to the drive above which a position is left out: a small disturbance changes the time of a
+    turn much there."""
+    fewest_turns: int = 3
+    """Fewest turns beyond one for each position."""
+
+
+REVOLUTIONS = RevolutionSettings()
+
+
+@dataclass(frozen=True)
+class WholeTurns:
+    """The record at the ends of whole turns, the terms that it determines, and outliers of the record itself."""
+
+    run: Run
+    terms: tuple[str, ...]
+    outliers: tuple[Outlier, ...]
+
+
+def whole_turns(run: Run, request: Request) -> WholeTurns:
+    """The record at the ends of whole turns of every position.
+
+    Raises
+    ------
+    CalibrationError
+        If a harmonic or the coupling alone is asked for (whole turns average them out), or if there are too few turns.
+    """
+    if run.kind == "rate":
+        raise CalibrationError(
+            "method 'revolutions' needs the angle of the output, and the record holds rates",
+            remedy="use method 'information'",
+        )
+    if request.harmonics:
+        raise CalibrationError(
+            "method 'revolutions' cannot estimate harmonics of the output angle: they average out over "
+            "whole turns",
+            remedy="use method 'information'",
+        )
+    terms = tuple(name for name in request.terms if name != "tan_beta")
+    if not terms:
+        raise CalibrationError(
+            "method 'revolutions' averages the coupling out and needs a term besides tan_beta",
+            remedy="add scale_factor, k0, or use method 'information'",
+        )
+    run, outliers = _without_outliers(run, request)
+    positions: list[tuple[int, slice, Array, float]] = []
+    left_out: dict[str, list[str]] = {"no-whole-revolution": [], "force-not-constant": [], "near-lock": []}
+    for index, label in enumerate(run.labels):
+        stretch = _longest_stretch(run, index)
+        position = _position(run, stretch)
+        if isinstance(position, str):
+            left_out[position].append(label)
+        else:
+            positions.append((index, stretch, *position))
+    turns = sum(at.size - 1 for *_, at, _ in positions)
+    if turns < len(positions) + REVOLUTIONS.fewest_turns:
+        short = left_out["no-whole-revolution"]
+        raise CalibrationError(
+            f"method 'revolutions' finds {turns} whole turns of the output in {len(positions)} positions"
+            + (f"; not one in {', '.join(short[:6])}" if short else ""),
+            remedy="record longer, name the positions in [data] segment, or use method 'information'",
+        )
+    quality = replace(run.quality, events=(*run.quality.events, *_events(left_out)))
+    model = msgspec.structs.replace(run.model, compare=())
+    turned = replace(_run_of_turns(run, positions), quality=quality, model=model)
+    return WholeTurns(turned, terms, outliers)
+
+
+def _without_outliers(run: Run, request: Request) -> tuple[Run, tuple[Outlier, ...]]:
+    """The record without gross errors of the output, found as in method 'information', and the list of them."""
+    wish = replace(request, method="information", phases="per-segment", phase_source="output")
+    try:
+        fit = fit_run(run, wish)
+    except (CalibrationError, IdentifiabilityError):
+        return run, ()
+    return fit.design.run, fit.outliers
+
+
+def _longest_stretch(run: Run, segment: int) -> slice:
+    """The longest part of a segment without a gap."""
+    inside = np.flatnonzero(run.segment_index == segment)
+    edges = np.union1d(inside[run.begins[inside]], [inside[0], inside[-1] + 1])
+    longest = int(np.argmax(np.diff(edges)))
+    return slice(int(edges[longest]), int(edges[longest + 1]))
+
+
+def _position(run: Run, stretch: slice) -> tuple[Array, float] | str:
+    """Times [s] of the ends of whole turns and the angle of one turn without pulling [rad]; or why the position is left out."""
+    t, output, force = run.t[stretch], run.output[stretch], run.f[stretch]
+    x = np.maximum.accumulate(np.abs(output - output[0]))
+    count = int(x[-1] / FULL_TURN)
+    if count < 1:
+        return "no-whole-revolution"
+    if np.ptp(force, axis=0).max() > REVOLUTIONS.steady * np.linalg.norm(force, axis=1).max():
+        return "force-not-constant"
+    parts = REVOLUTIONS.parts
+    inner = np.interp(FULL_TURN / parts * np.arange(parts * count + 1), x, t)
+    ratio = ripple(np.diff(inner).reshape(count, parts).mean(axis=0))
+    if ratio > REVOLUTIONS.locking:
+        return "near-lock"
+    sign = float(np.sign(output[-1] - output[0]))
+    return inner[::parts], sign * FULL_TURN / float(np.sqrt(1.0 - ratio**2))
+
+
+def ripple(times: Array) -> float:
+    """Ratio r of the lock zone to the drive from the times in equal parts of a turn.
+
+    The time at the angle x is proportional to ``1/(1 + r sin(x - x0))``. Its first harmonic over its mean is
+    ``2 (1 - sqrt(1 - r^2))/r = 2 tan(asin(r)/2)``. The mean over a part of the turn reduces it by a sinc.
+    """
+    parts = times.size
+    wave = np.exp(-1j * FULL_TURN * (np.arange(parts) + 0.5) / parts)
+    size = 2.0 * abs(complex(wave @ times)) / float(times.sum()) / float(np.sinc(1.0 / parts))
+    return float(np.sin(2.0 * np.arctan(0.5 * size)))
+
+
+def _run_of_turns(run: Run, positions: list[tuple[int, slice, Array, float]]) -> Run:
+    """An angle log with one sample for each end of a turn; force, base rate and temperature are means over the position."""
+    counts = [at.size for *_, at, _ in positions]
+
+    def means(values: Array) -> Array:
+        return np.repeat([values[stretch].mean(axis=0) for _, stretch, *_ in positions], counts, axis=0)
+
+    rows = [stretch.start + np.searchsorted(run.t[stretch], at) for _, stretch, at, _ in positions]
+    return replace(
+        run,
+        kind="angle",
+        resolution=0.0,
+        t=np.concatenate([at for *_, at, _ in positions]),
+        output=np.concatenate([turn * np.arange(at.size) for *_, at, turn in positions]),
+        f=np.ascontiguousarray(means(run.f)),
+        base_rate=None if run.base_rate is None else np.ascontiguousarray(means(run.base_rate)),
+        temperature=None if run.temperature is None else means(run.temperature),
+        segment_index=np.repeat(np.arange(len(positions), dtype=np.int32), counts),
+        labels=tuple(run.labels[index] for index, *_ in positions),
+        begins=np.concatenate([np.arange(count) == 0 for count in counts]),
+        phase_group=(0,) * len(positions),
+        row=run.row[np.minimum(np.concatenate(rows), run.size - 1)],
+        left_out=None,
+    )
+
+
+def _events(left_out: dict[str, list[str]]) -> list[Event]:
+    words = {
+        "no-whole-revolution": "the output does not turn once",
+        "force-not-constant": "the specific force changes while the output turns",
+        "near-lock": f"the lock zone is above {REVOLUTIONS.locking:g} of the drive",
+    }
+    return [
+        Event(
+            kind,
+            len(labels),
+            None,
+            f"positions {', '.join(labels[:8])}{' ...' * (len(labels) > 8)}: {words[kind]}; left out",
+        )
+        for kind, labels in left_out.items()
+        if labels
+    ]

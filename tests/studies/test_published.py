@@ -1,0 +1,84 @@
+"""The published recursion: the published ramp, its wrong solution from constant input, and from several starts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import piga
+from piga.studies import published_recursion
+from piga.studies.case import model_residual, record
+from piga.units import G0
+from tests.calibration.made.random_plans import problem
+
+FIVE = ("tan_beta", "k0", "k1", "k2")
+
+
+def small_ramp(kind: str) -> piga.Run:
+    t = np.arange(401) * 0.05
+    a_x = G0 * (0.5 + t / 20.0)
+    f = np.column_stack([a_x, 5.0 * a_x, 0.0 * a_x])
+    inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec", alpha0=np.pi / 4)
+    alpha, rate = piga.propagate(inst, t, f, with_rate=True)
+    output = rate if kind == "rate" else alpha - np.pi / 4
+    return piga.Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", kind=kind)
+
+
+@pytest.mark.compiled
+def test_published_on_a_small_ramp() -> None:
+    run = small_ramp("rate")
+    assert piga.calibrate(run, ["tan_beta"])["tan_beta"].value == pytest.approx(0.00484817479568412, rel=1e-6)
+    assert published_recursion(run, FIVE)["tan_beta"].value == pytest.approx(0.00484817479568412, rel=0.05)
+
+
+@pytest.mark.only_compiled
+def test_the_published_ramp() -> None:
+    calibration = published_recursion(record("ramp"))
+    assert calibration["tan_beta"].value == pytest.approx(4.84683e-3, abs=5e-9)
+    assert calibration["phi"].value == pytest.approx(0.78672, abs=1e-5)
+    assert np.abs(model_residual(record("ramp"), calibration)).max() == pytest.approx(1.67e-3, abs=5e-6)
+
+
+@pytest.mark.only_compiled
+def test_a_constant_input_leads_to_a_wrong_solution() -> None:
+    calibration = published_recursion(record("constant"))
+    assert calibration.history is not None
+    assert calibration.history["tan_beta"][-1] == pytest.approx(-2.6e-3, abs=5e-5)
+    assert calibration.history["phi"][-1] == pytest.approx(-3.24, abs=5e-3)
+    assert calibration["tan_beta"].value == pytest.approx(2.6e-3, abs=5e-5)
+    assert calibration["phi"].value == pytest.approx(-3.24 + np.pi, abs=5e-3)
+    ours = piga.calibrate(record("constant"), ["tan_beta"])
+    assert ours["tan_beta"].value == pytest.approx(0.00484817479568412, rel=1e-9)
+    assert ours["phi"].value == pytest.approx(np.pi / 4, abs=1e-7)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("kind", ["rate", "angle"])
+def test_the_true_values_stay_with_a_small_covariance(kind: str) -> None:
+    tangent = float(np.tan(np.radians(1000.0 / 3600.0)))
+    calibration = published_recursion(small_ramp(kind), start=(tangent, np.pi / 4), variance=1e-9)
+    assert calibration["tan_beta"].value == pytest.approx(tangent, rel=0.05)
+    assert calibration["phi"].value == pytest.approx(np.pi / 4, abs=0.05)
+
+
+def test_other_terms_and_too_many_starts_are_refused() -> None:
+    with pytest.raises(piga.CalibrationError, match="published recursion estimates"):
+        published_recursion(small_ramp("rate"), ("tan_beta", "k0"))
+    with pytest.raises(piga.CalibrationError, match="published recursion estimates"):
+        published_recursion(small_ramp("rate"), start=(1e-3, 0.1, 0.0))
+    with pytest.raises(piga.ArgumentError, match="published") as refused:
+        piga.calibrate(small_ramp("rate"), ["tan_beta"], "published")
+    assert "piga.studies.published_recursion" in refused.value.remedy
+
+
+@pytest.mark.slow
+def test_published_recursion_depends_on_its_start() -> None:
+    """From random starts it reaches 5 % of tan_beta and 0.1 rad in a part of the problems."""
+    reached = 0
+    for seed in range(1000):
+        run, truth = problem(seed)
+        rng = np.random.default_rng([seed, 72])
+        result = published_recursion(run, FIVE, start=(rng.uniform(1e-4, 1e-2), rng.uniform(-np.pi, np.pi)))
+        near = abs(result["tan_beta"].value / truth["tan_beta"] - 1.0) < 0.05
+        reached += near and abs(np.angle(np.exp(1j * (result["phi"].value - truth["phi"])))) < 0.1
+    assert 0 < reached < 500
