@@ -6,9 +6,11 @@ Names and units are those that logs write, in English, German, French and Chines
 from __future__ import annotations
 
 import re
+import tomllib
 import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from typing import Literal
 
 import numpy as np
@@ -26,72 +28,12 @@ Kind = Literal[
 """What a column holds. ``angle`` and ``rate`` are those of the outer gimbal, ``stand-...`` those of the machine."""
 
 _AXES = {"x": 0, "y": 1, "z": 2}
-_WORDS: dict[Kind, tuple[str, ...]] = {
-    "stand-speed": (
-        "rpm|(?:centrifuge|table|spindle) speed",
-        "drehzahl|zentrifugendrehzahl",
-        "vitesse de rotation|vitesse (?:de la )?centrifugeuse",
-        r"转速|离心机转速",
-    ),
-    "stand-angle": (
-        "(?:table|head|stage|tilt) angle|table position|turntable|dividing head",
-        r"tischwinkel|teilkopf\w*|tischposition|kippwinkel|drehtisch\w*",
-        r"plateau|angle (?:de |du )?(?:plateau|table|diviseur)|diviseur",
-        r"分度头\w*|转台\w*|台面\w*|位置角\w*",
-    ),
-    "temperature": ("temp|temp ?degc?|temperature|t case|t amb", r"temperatur\w*", "température", r"\w*温度"),
-    "counts": (
-        "n|counts?|counter|counter value|pulses?|pulse count|ticks|increments?|encoder",
-        "impulse?|z[äa]e?hler(?:stand|wert)?|z[äa]e?hlwert|inkremente?",
-        "compteur|comptage|impulsions?|incréments?",
-        r"计数\w*|脉冲\w*",
-    ),
-    "rate": (
-        "rate|omega|(?:precession|gimbal|output) rate",
-        "drehrate|winkelgeschwindigkeit|pr[äa]e?zessionsrate|ausgangsrate",
-        "vitesse angulaire|vitesse de précession",
-        "角速度|角速率|进动角?速[度率]",
-    ),
-    "angle": (
-        "psi|alpha|angle|(?:gimbal|output) angle",
-        "winkel|ausgangswinkel|rahmenwinkel|pr[äa]e?zessionswinkel",
-        "angle de sortie|angle de précession",
-        "角度|转角|输出角|进动角",
-    ),
-    "time": (
-        "t|ts|time|(?:waveform|elapsed|relative) time|time ?stamp|elapsed(?: time)?|seconds?|x value|clock|date ?time",
-        "zeit|zeitpunkt|zeitstempel|uhrzeit|messzeit|sekunden|datum (?:und )?(?:uhr)?zeit",
-        "date heure|temps|horodatage|heure|secondes|instant",
-        r"时间\w*|时刻|时戳|采样时间|日期时间",
-    ),
-    "date": ("date", "datum", "日期"),
-    "segment": (
-        "segment|pos|pos(?:ition)? ?(?:nr|no|number)?|step|level|dwell|hold",
-        "lage|stellung|stufe|messpunkt|abschnitt",
-        "palier|étape|(?:n° ?|numéro )?(?:de )?position",
-        r"位置\w*|段\w*|档位|测点",
-    ),
-    "sequence": (
-        "seq|sequence|index|sample|sample (?:no|nr|number)|record|row|no",
-        "lfd ?nr|laufende nummer|nr",
-        "numéro|numero|n°|échantillon",
-        r"序号|序列号|样本\w*|点号",
-    ),
-}
-"""Names of each kind in English, German, French and Chinese, as patterns of whole plain names."""
-_FORCE = (
-    r"f|a|g|acc|accel|acceleration|specific force|ref|reference|beschl|beschleunigung|spezifische kraft|kraft|referenz"
-    r"|acc[ée]l[ée]ration|accel|force|force sp[ée]cifique|比力|加速度|参考"
-)
-_RATE = r"w|om|omega|gyro|rate|base rate|ang rate|drehrate|winkelgeschwindigkeit|vitesse|vitesse angulaire|角速度|角速率|基座角速度"
-_SUFFIX_UNITS = {
-    "s": "s", "sec": "s", "ms": "ms", "us": "us", "min": "min", "g": "g", "mg": "mg", "ug": "ug", "mps2": "m/s^2",
-    "ms2": "m/s^2", "m s2": "m/s^2", "m s 2": "m/s^2", "rad": "rad", "deg": "deg", "grad": "deg", "rad s": "rad/s",
-    "rads": "rad/s", "rps": "rad/s", "deg s": "deg/s", "degs": "deg/s", "dps": "deg/s", "deg h": "deg/h", "rpm": "rpm",
-    "c": "degC", "degc": "degC", "k": "K", "rev": "rev",
-}  # fmt: skip
-_SPEEDS = ("1/min", "min-1", "min^-1", "1/Min", "min⁻¹", "Upm", "upm")
-"""Units of a speed of rotation without the revolution."""
+_NAMES = tomllib.loads(files("piga.data").joinpath("names.toml").read_text("utf-8"))
+"""Names in English, German, French and Chinese."""
+_WORDS: dict[Kind, list[str]] = _NAMES["columns"]
+_FACTS: dict[str, list[str]] = _NAMES["facts"]
+_SUFFIX_UNITS: dict[str, str] = _NAMES["units"]
+_SPEEDS: list[str] = _NAMES["speeds"]["rpm"]
 _BRACKET = re.compile(r"\s*[\[(（【][^\])）】]*[\])）】]?\s*$")
 
 
@@ -134,8 +76,8 @@ def known_names(names: Iterable[str]) -> int:
 
 def _axis(text: str) -> tuple[Kind, int] | None:
     """Force or base rate along an axis: ``fx``, ``f x``, ``acc x``, ``x轴加速度``, ``beschleunigung x``."""
-    kinds: tuple[tuple[Kind, str], ...] = (("force", _FORCE), ("base-rate", _RATE))
-    for kind, words in kinds:
+    axes: dict[Kind, str] = _NAMES["axes"]
+    for kind, words in axes.items():
         for pattern in (
             rf"(?:{words}) ?([xyz])0?(?: ?(?:achse|axis|axe|轴))?",
             rf"([xyz])0? ?(?:achse|axis|axe|轴)?(?:向|方向)? ?(?:{words})",
@@ -161,44 +103,6 @@ def known_unit(text: str) -> str:
 def measures(unit: str, like: str) -> bool:
     """True if the unit measures the same quantity as ``like``."""
     return bool(unit) and parse_unit(unit).dimension == parse_unit(like).dimension
-
-
-_FACTS: dict[str, tuple[str, ...]] = {
-    "instrument.serial": (
-        "serial(?: ?(?:number|no|nr))?|s ?n",
-        "serien ?(?:nummer|nr)|ger[äa]e?t(?: ?nr)?|pr[üu]e?fling(?: ?nr)?",
-        "numéro de série|n° ?(?:de )?série",
-        "编号|序列号|产品编号|仪表编号",
-    ),
-    "instrument.scale_factor": (
-        "(?:nominal )?scale ?factor",
-        "skalenfaktor",
-        "facteur d.échelle",
-        "标度因数|比例因子",
-    ),
-    "instrument.counts_per_revolution": (
-        "(?:counts?|pulses?)(?: per |/)(?:rev(?:olution)?|turn)|ppr|cpr",
-        "(?:impulse|inkremente)(?: pro | je ?|/)(?:umdrehung|umdr)",
-        "impulsions(?: par |/)tour",
-        "(?:每转)?脉冲数?(?:每转|/转)|每转脉冲数?",
-    ),
-    "data.sample_rate": (
-        "(?:sample|sampling) ?(?:rate|frequency)",
-        "abtastrate|abtastfrequenz|messrate",
-        "(?:fréquence|taux) d.échantillonnage",
-        "采样(?:率|频率)",
-    ),
-    "step": ("delta x|sample interval", "abtastintervall", "采样间隔"),
-    "stand.latitude": ("latitude", "breite|breitengrad|geogr(?:aphische)? breite", "纬度"),
-    "stand.gravity": (
-        "(?:local )?gravity",
-        "schwere|fallbeschleunigung",
-        "pesanteur|gravité",
-        "重力(?:加速度)?",
-    ),
-    "stand.radius": ("(?:arm )?radius", "armlänge", "rayon", "半径"),
-}
-"""Names of facts in a preamble, by key of the run file."""
 
 
 def fact(line: str) -> tuple[str, str] | None:

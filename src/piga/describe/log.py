@@ -31,10 +31,6 @@ from piga.results import Array
 
 MOST_LOG_ROWS = 2_000_000
 """Rows of a log whose values are examined."""
-NO_COLUMN = "\N{REPLACEMENT CHARACTER}"
-"""A column that no file has: the reader answers with the names of all columns."""
-_TITLES = re.compile(r"there are \d+ sheets: (.*)")
-_NAMES = re.compile(r"the columns are: (.*)", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -266,28 +262,23 @@ def _numbers_of(path: Path, sheet: str | None, names: list[str]) -> tuple[dict[s
 
 def _sheets(path: Path) -> list[str | None]:
     """The sheets of a spreadsheet with several; else one without a name."""
-    if file_kind(path) == ".xlsx":
-        try:
-            open_stream(path.parent, DataTable(path.name, OutputColumn(NO_COLUMN, "counts")))
-        except DataError as error:
-            return [*titles_in(error)] or [None]
-    return [None]
-
-
-def titles_in(error: PigaError) -> list[str]:
-    """The sheets that a refusal lists; none if it is another refusal."""
-    titles = _TITLES.search(error.message)
-    return re.findall(r"'([^']*)'", titles.group(1)) if titles else []
+    error = _refusal(path, None)
+    sheets = [fix.value for fix in error.fixes if fix.key == "sheet"] if error else []
+    return [*sheets] or [None]
 
 
 def _names_in(path: Path, sheet: str | None) -> tuple[str, ...]:
-    """Names of all columns of a container. Its reader lists them when a column is not there."""
+    """Names of all columns of a container."""
+    error = _refusal(path, sheet)
+    if error is not None and not error.columns and sheet is None:
+        raise error
+    return () if error is None else error.columns
+
+
+def _refusal(path: Path, sheet: str | None) -> DataError | None:
+    """The answer to a request for no column: it lists the columns, or the sheets, of the file."""
     try:
-        open_stream(path.parent, DataTable(path.name, OutputColumn(NO_COLUMN, "counts"), sheet=sheet))
+        open_stream(path.parent, DataTable(path.name, OutputColumn("", "counts"), sheet=sheet))
     except DataError as error:
-        match = _NAMES.search(error.message)
-        if match is not None:
-            return tuple(match.group(1).split(", "))
-        if sheet is None:
-            raise
-    return ()
+        return error
+    return None

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from piga.describe.columns import kind_of_name
-from piga.describe.log import titles_in
 from piga.errors import PigaError
 from piga.records.run import Run
 from piga.records.text_files import toml_bytes, toml_document, toml_key, toml_text, toml_value, written_key
@@ -182,7 +181,7 @@ def _of_error(error: PigaError, document: Document) -> list[Change]:
         changes += _of_names(re.findall(r"'([^']*)'", missing.group(1)), missing.group(2).split(", "), document)
     if "encoding = '...'" in error.remedy:
         changes += [("data", "encoding", name, first) for name in _GUESSES]
-    changes += [("data", "sheet", title, "one of the sheets") for title in titles_in(error)]
+    changes += [("data", fix.key, fix.value, "one of the sheets") for fix in error.fixes if fix.key == "sheet"]
     if "the output jumps" in error.message or "it was reset there" in error.message:
         changes += [
             ("instrument", "counter_bits", bits, "if the counter wraps at that width") for bits in (16, 24, 32)
