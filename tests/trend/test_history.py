@@ -14,7 +14,7 @@ from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.trend.history import YEAR, Forecast, _to_two_digits_of, find_trend
 from piga.trend.trend_line import moving_average
 from tests.chance import assert_variance
-from tests.trend.campaign import SCENARIOS, covered, simulate
+from tests.trend.campaign import COURSES, SCENARIOS, covered, simulate
 from tests.trend.history import START, history, record
 
 
@@ -40,7 +40,7 @@ def test_prediction_interval_of_the_textbook():
     trend = find_trend(history(t, y, 0.3))["k0"]
     fit = stats.linregress(t, y)
     s2 = np.sum((y - fit.intercept - fit.slope * t) ** 2) / 8
-    forecast = trend.next_record(4.0)
+    forecast = trend.model.record_at(4.0, 0.3, trend.last_shared)
     expected = s2 * (1 + 0.1 + (4.0 - t.mean()) ** 2 / np.sum((t - t.mean()) ** 2))
     assert forecast.std**2 == pytest.approx(expected, rel=1e-6)
     assert forecast.degrees_of_freedom == pytest.approx(8.0)
@@ -55,15 +55,15 @@ def test_shared_type_b_is_not_averaged_away_and_cancels_in_drift():
     std = math.hypot(1e-6, 5e-6)
     trend = find_trend(history(t, y, std, common=shared))["k0"]
     assert trend.points[0].own == pytest.approx(1e-6)
-    assert trend.model.coefficient_at(2.4).std > 5e-6
+    assert trend.coefficient_at(2.4).std > 5e-6
     assert trend.next_record(2.4).std < 1.6e-6
     assert trend.drift.std < 5e-7
     own = find_trend(history(t, y, std, common=shared), common=0.0)["k0"]
     assert own.points[0].own == pytest.approx(std)
-    assert own.model.coefficient_at(2.4).std < 3e-6
+    assert own.coefficient_at(2.4).std < 3e-6
     part = find_trend(history(t, y, std, common=shared), common={"reference_scale": 0.25})["k0"]
     assert part.points[0].own == pytest.approx(math.sqrt(1e-12 + 0.75 * 25e-12))
-    assert 2.5e-6 < part.model.coefficient_at(2.4).std < 3.5e-6
+    assert 2.5e-6 < part.coefficient_at(2.4).std < 3.5e-6
 
 
 def test_what_is_set_anew_in_each_test_is_a_records_own():
@@ -110,7 +110,8 @@ def test_turn_on_and_day_to_day_are_told_apart():
     line = between * (1.0 / days + (6.0 - np.mean(t)) ** 2 / (days * np.var(t)))
     own = trend.day_to_day**2 + trend.turn_on**2 + 0.5**2
     unclear = 0.5 * between * math.sqrt(2.0 / (days - 2))  # half the standard uncertainty of tau^2, at most
-    assert own + line <= trend.next_record(6.0).std ** 2 * (1.0 + 1e-9) <= own + line + unclear
+    forecast = trend.model.record_at(6.0, 0.5, trend.last_shared)
+    assert own + line <= forecast.std**2 * (1.0 + 1e-9) <= own + line + unclear
 
 
 def test_an_outlier_and_a_shift_raise_alarms_in_words():
@@ -126,6 +127,20 @@ def test_an_outlier_and_a_shift_raise_alarms_in_words():
     shifted[26:] -= 4e-6
     alarms = find_trend(history(t, shifted, 1e-6)).alarms
     assert any("below" in alarm and "moving average" in alarm for alarm in alarms)
+
+
+def test_a_step_early_in_a_history_alarms():
+    """Record 4 of 12, ten standard uncertainties: the line of the first three days cannot say it, the whole history can."""
+    rng = np.random.default_rng(5)
+    y = 1.6e-3 + rng.normal(0, 1e-6, 12)
+    y[3:] += 1e-5
+    trend = find_trend(history(np.arange(12) / 4, y, 1e-6))
+    step = trend["k0"].step
+    assert any("(record r3) on the values are" in alarm and "higher" in alarm for alarm in trend.alarms)
+    assert step.probability < 1e-3
+    assert abs(step.size - 1e-5) < 3 * step.std < 1e-5
+    y[3:] -= 2e-5
+    assert any("lower than a line" in alarm for alarm in find_trend(history(np.arange(12) / 4, y, 1e-6)).alarms)
 
 
 def test_a_quiet_history_raises_none():
@@ -199,10 +214,10 @@ def test_moving_average_limits_by_simulation():
 @pytest.mark.slow
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_coverage(scenario):
-    drift, coefficient, further = covered(scenario, 2000, 11)
-    assert 0.92 < drift < 0.975
-    assert coefficient > 0.93
-    assert 0.93 < further < 0.98
+    drift, coefficient, further = covered(scenario, 300, 11)
+    assert math.isnan(drift) or 0.92 < drift < 0.975
+    assert coefficient > 0.9 if scenario in COURSES else coefficient > 0.93
+    assert further > 0.9 if scenario in COURSES else further > 0.93
 
 
 @pytest.mark.slow
@@ -210,14 +225,17 @@ def test_false_alarms():
     """In control, at most one value in 370 is beyond three standard deviations; the average alarms as rarely."""
     rng = np.random.default_rng(12)
     outside = scored = shifted = 0
-    for _ in range(600):
+    stepped = 0
+    for _ in range(300):
         entries, *_ = simulate(rng, 20, 1, 1.0, 0.0, 1.0, 0.0, drift=0.3)
         trend = find_trend(entries)["k0"]
         outside += sum(point.outside for point in trend.points)
         scored += sum(point.forecast is not None for point in trend.points)
         shifted += int(trend.chart.shifted.sum())
+        stepped += trend.stepped
     assert 0.0003 < outside / scored < 0.0035
     assert shifted / scored < 0.008
+    assert stepped <= 5  # 0.27 % of 300, Poisson
 
 
 def test_the_score_of_a_value_is_the_normal_number_of_its_probability() -> None:

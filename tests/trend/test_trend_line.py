@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from piga.errors import ArgumentError
-from piga.trend.trend_line import Line, lines_so_far, merge_by_day
+from piga.trend.trend_line import Line, clearest_step, line_through, merge_by_day
 
 NORRIS = np.array([
     [0.1, 0.2], [338.8, 337.4], [118.1, 118.2], [888.0, 884.6], [9.2, 10.1], [228.1, 226.5], [668.5, 666.3],
@@ -27,13 +27,15 @@ THERMOMETER = np.array([
 """JCGM 100, table H.6: thermometer reading and correction [degC]."""
 
 
+def of_days(t, y, v, days=None, shared=None):
+    """The values merged by day; each value is a day of its own unless ``days`` says otherwise."""
+    days = np.arange(len(y)) if days is None else days
+    return merge_by_day(t, y, v, days, np.zeros((0, len(y))) if shared is None else shared)
+
+
 def fit_line(t, y, v, shared=None) -> Line:
     """Line through values of as many days."""
-    return (
-        lines_so_far(t, y, v, np.arange(len(y)), np.zeros((0, len(y))) if shared is None else shared)
-        .take(-1)
-        .line
-    )
+    return line_through(of_days(t, y, v, shared=shared))
 
 
 def about(line, origin):
@@ -129,45 +131,41 @@ def test_groups_are_one_way_analysis_of_variance():
     rng = np.random.default_rng(8)
     labels = np.repeat(np.arange(10), 5)
     values = rng.normal(0, 3.0, 10)[labels] + rng.normal(0, 2.0, 50)
-    groups = merge_by_day(np.arange(50.0), values, np.full(50, 0.01), labels)
+    groups = of_days(np.arange(50.0), values, np.full(50, 0.01), labels)
     table = values.reshape(10, 5)
     inside = float(np.sum((table - table.mean(axis=1, keepdims=True)) ** 2) / 40)
     assert groups.within == pytest.approx(inside - 0.01, rel=1e-10)
     assert groups.means == pytest.approx(table.mean(axis=1), rel=1e-12)
     assert groups.variances == pytest.approx(np.full(10, inside / 5), rel=1e-10)
-    line = lines_so_far(np.arange(50.0), values, np.full(50, 0.01), labels, np.zeros((0, 50))).take(-1).line
+    line = line_through(groups)
     fit = stats.linregress(groups.time, groups.means)
     assert np.sqrt(line.slope_variance) == pytest.approx(fit.stderr, rel=1e-10)
 
 
 def test_single_values_are_groups_of_their_own():
-    groups = merge_by_day(np.arange(4.0), np.arange(4.0), np.full(4, 0.5), np.arange(4))
+    groups = of_days(np.arange(4.0), np.arange(4.0), np.full(4, 0.5))
     assert groups.freedom == 0
     assert groups.within == 0.0
     assert groups.variances == pytest.approx(np.full(4, 0.5))
 
 
-def test_every_line_so_far_is_the_line_of_its_days_alone():
-    """Days with one to three records, errors that they share: each line equals that of the records up to its day."""
+def test_days_with_repeats_and_shared_errors_at_50_digits():
     rng = np.random.default_rng(11)
     days = np.repeat(np.arange(12), rng.integers(1, 4, 12))
     t = days + 0.01 * np.arange(days.size)
-    y, v = rng.normal(0, 2.0, days.size), rng.uniform(0.1, 1.0, days.size)
-    shared = rng.normal(0, 1, (2, days.size))
-    model = lines_so_far(t, y, v, days, shared)
-    for last in range(3, 13):
-        used = days < last
-        alone = lines_so_far(t[used], y[used], v[used], days[used], shared[:, used]).take(-1)
-        merged = merge_by_day(t[used], y[used], v[used], days[used])
-        line = model.take(last - 3).line
-        assert model.take(last - 3).within == pytest.approx(merged.within, rel=1e-9)
-        b, covariance, q = exact(merged.time, merged.means, merged.variances, line.excess)
-        assert about(line, 0.0)[0] == pytest.approx([float(b[0]), float(b[1])], rel=1e-9)
-        assert about(line, 0.0)[1] == pytest.approx(
-            line.scale * np.array(covariance.tolist(), dtype=float), rel=1e-8
-        )
-        assert float(q) == pytest.approx(last - 2, rel=1e-8) or line.excess == 0.0
-        assert line.shared == pytest.approx(alone.line.shared, rel=1e-8, abs=1e-12)
+    y = rng.normal(0, 4.0, 12)[days] + rng.normal(0, 2.0, days.size)
+    v = rng.uniform(0.1, 1.0, days.size)
+    merged = of_days(t, y, v, days, np.stack([y, v]))
+    line = line_through(merged)
+    b, covariance, q = exact(merged.time, merged.means, merged.variances, line.excess)
+    assert about(line, 0.0)[0] == pytest.approx([float(b[0]), float(b[1])], rel=1e-9)
+    assert about(line, 0.0)[1] == pytest.approx(
+        line.scale * np.array(covariance.tolist(), dtype=float), rel=1e-8
+    )
+    assert float(q) == pytest.approx(10.0, rel=1e-8)
+    assert line.shared[:, 0] == pytest.approx([line.level, line.slope], rel=1e-9)
+    own = 1.0 / (v + merged.within)
+    assert merged.shared[:, 1] == pytest.approx(np.bincount(days, own * v) / np.bincount(days, own), rel=1e-12)
 
 
 def test_too_few_values():
@@ -177,33 +175,21 @@ def test_too_few_values():
         fit_line(np.zeros(4), np.arange(4.0), np.ones(4))
 
 
-def test_each_line_so_far_is_that_of_the_days_merged_anew():
-    """Days with repeats and without, so that the variance inside days changes on the way, and errors shared."""
-    chance = np.random.default_rng(5)
-    days = np.repeat(np.arange(30), np.where(np.arange(30) % 4 == 2, 3, 1))
-    times = days + 0.01 * np.arange(days.size)
-    values, variances = chance.normal(0.0, 1.0, days.size), chance.uniform(0.01, 0.3, days.size)
-    shared = chance.normal(0.0, 0.2, (2, days.size))
-    whole = lines_so_far(times, values, variances, days, shared)
-    for last in range(2, 30):
-        n = int(np.searchsorted(days, last + 1))
-        merged = merge_by_day(times[:n], values[:n], variances[:n], days[:n])
-        model = whole.take(last - 2)
-        line = model.line
-        assert model.within == pytest.approx(merged.within, rel=1e-8, abs=1e-14)
-        assert model.day_variance == pytest.approx(np.median(merged.variances), rel=1e-8)
-        assert line.stated == pytest.approx(np.mean(merged.variances), rel=1e-8)
-        weights = 1.0 / (merged.variances + line.excess)
-        when = merged.time - np.average(merged.time, weights=weights)
-        assert line.level == pytest.approx(np.average(merged.means, weights=weights), rel=1e-8, abs=1e-12)
-        assert line.slope == pytest.approx(
-            np.sum(weights * when * merged.means) / np.sum(weights * when**2), rel=1e-7
-        )
-        own = 1.0 / (variances[:n] + merged.within)
-        for source in range(2):
-            errors = np.bincount(days[:n], own * shared[source, :n]) / np.bincount(days[:n], own)
-            assert line.shared[0, source] == pytest.approx(
-                np.average(errors, weights=weights), rel=1e-7, abs=1e-12
-            )
-            slope = np.sum(weights * when * errors) / np.sum(weights * when**2)
-            assert line.shared[1, source] == pytest.approx(slope, rel=1e-7, abs=1e-12)
+@pytest.mark.parametrize("place", [2, 3, 6, 10])
+def test_a_step_beside_a_line_is_found_with_its_size(place):
+    """Equal uncertainties: the step is that of ordinary least squares with a line and a step."""
+    rng = np.random.default_rng(place)
+    t = np.arange(12) * 0.25
+    y = 0.7 * t + rng.normal(0, 1.0, 12) + 10.0 * (np.arange(12) >= place)
+    step = clearest_step(of_days(t, y, np.full(12, 0.01)))
+    design = np.stack([np.ones(12), t, np.arange(12) >= place], axis=1)
+    solution, squares, *_ = np.linalg.lstsq(design, y, rcond=None)
+    std = np.sqrt(squares[0] / 9 * np.linalg.inv(design.T @ design)[2, 2])
+    assert step.day == place
+    assert step.size == pytest.approx(solution[2], rel=1e-9)
+    assert step.std == pytest.approx(std, rel=1e-6)
+    assert step.probability == pytest.approx(9 * 2 * stats.t.sf(step.size / std, 9), rel=1e-4)
+
+
+def test_no_step_in_few_days():
+    assert clearest_step(of_days(np.arange(4.0), np.array([0.0, 0.0, 9.0, 9.0]), np.ones(4))) is None

@@ -101,7 +101,7 @@ def _values(trend: CoefficientTrend, start: dt.datetime, scale: TrendScale, ahea
     if outside:
         series.append(_points(outside, start, scale, "out of control", "warning"))
     if ahead is not None and trend.model.line is not None:
-        forecast = trend.model.coefficient_at(ahead)
+        forecast = trend.coefficient_at(ahead)
         series.append(
             Series(
                 np.atleast_1d(_dates(start, ahead)),
@@ -231,7 +231,7 @@ def _scale(trend: CoefficientTrend) -> float:
 
 def _at(trend: CoefficientTrend, years: float) -> str:
     """Value on the line with its interval; empty without a line."""
-    return _interval(trend.model.coefficient_at(years), _scale(trend)) if trend.model.line else ""
+    return _interval(trend.coefficient_at(years), _scale(trend)) if trend.model.line else ""
 
 
 def _last_day(trend: CoefficientTrend) -> str:
@@ -338,9 +338,7 @@ def _coefficient_document(drifts: Trend, trend: CoefficientTrend, at: dt.datetim
         "turn_on_std": finite(trend.turn_on),
         "day_to_day_std": finite(trend.day_to_day),
         "drift_per_year": _forecast_document(trend.drift),
-        "forecast": None
-        if at is None or line is None
-        else _dated(trend.model.coefficient_at(drifts.years(at)), at),
+        "forecast": None if at is None or line is None else _dated(trend.coefficient_at(drifts.years(at)), at),
         "next_record": None if at is None or line is None else _dated(trend.next_record(drifts.years(at)), at),
         "records": [
             {

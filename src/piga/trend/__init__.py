@@ -11,15 +11,27 @@ from piga.results import lazy
 
 if TYPE_CHECKING:
     from piga.trend.history import Chart, CoefficientTrend, Point, Trend, find_trend
-    from piga.trend.trend_line import Forecast, TrendModel
+    from piga.trend.outlook import Outlook
+    from piga.trend.trend_line import Forecast, Step, TrendModel
 
 
-__all__ = ["Chart", "CoefficientTrend", "Forecast", "Point", "Trend", "TrendModel", "find_trend"]
+__all__ = [
+    "Chart",
+    "CoefficientTrend",
+    "Forecast",
+    "Outlook",
+    "Point",
+    "Step",
+    "Trend",
+    "TrendModel",
+    "find_trend",
+]
 
 __getattr__ = lazy(
     "piga.trend",
     {
         "history": "Chart CoefficientTrend Point Trend find_trend",
-        "trend_line": "Forecast TrendModel",
+        "outlook": "Outlook",
+        "trend_line": "Forecast Step TrendModel",
     },
 )

@@ -26,14 +26,15 @@ from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
 from piga.results import Array, Reported, Result, plotted
 from piga.threads import one_thread
+from piga.trend.outlook import Outlook, outlook
 from piga.trend.trend_line import (
     TREND,
     Forecast,
+    Step,
     TrendModel,
-    day_starts,
-    lines_so_far,
-    merge_by_day,
+    clearest_step,
     moving_average,
+    trend_model,
 )
 
 if TYPE_CHECKING:
@@ -94,7 +95,8 @@ class Chart(Result):
 class CoefficientTrend(Result):
     """The trend of one coefficient; times in years since ``Trend.start``, values in ``unit``.
 
-    ``last_shared`` (sources,) are the errors common to the last record and other records.
+    ``last_shared`` (sources,) are the errors common to the last record and other records. ``step`` is the clearest step
+    of the level, None with fewer than five days.
     """
 
     key: str
@@ -102,26 +104,42 @@ class CoefficientTrend(Result):
     points: tuple[Point, ...]
     chart: Chart
     model: TrendModel
+    step: Step | None
     last_shared: Array
 
     @property
     def turn_on(self) -> float:
         """Standard deviation within days beyond the stated uncertainty; nan without repeats."""
-        return math.sqrt(float(self.model.within)) if self.model.freedom else math.nan
+        return math.sqrt(self.model.days.within) if self.model.days.freedom else math.nan
 
     @property
     def day_to_day(self) -> float:
         """Standard deviation between days beyond stated uncertainty and turn-on; nan with too few days."""
-        return math.sqrt(float(self.model.line.excess)) if self.model.line is not None else math.nan
+        return math.sqrt(self.model.line.excess) if self.model.line is not None else math.nan
 
     @property
     def drift(self) -> Forecast | None:
         """Change per year with its uncertainty, None with fewer than three days."""
         return self.model.drift
 
+    @property
+    def stepped(self) -> bool:
+        """True if the clearest step is less likely by chance than a value beyond the control limits."""
+        return self.step is not None and self.step.probability < math.erfc(TREND.control_limit / math.sqrt(2.0))
+
+    @cached_property
+    def outlook(self) -> Outlook:
+        """The models of the scatter, for forecasts."""
+        return outlook(self.model.days)
+
+    def coefficient_at(self, time: float) -> Forecast:
+        """The coefficient at a turn-on at a time, including common errors of all records."""
+        return self.outlook.at(time, self.model.days.within)
+
     def next_record(self, time: float) -> Forecast:
         """Forecast of a further record with the uncertainty and the standards of the last one."""
-        return self.model.record_at(time, self.points[-1].own, self.last_shared)
+        own = self.points[-1].own ** 2 + self.model.days.within
+        return self.outlook.at(time, own, self.last_shared)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -261,13 +279,8 @@ class _Records:
         shared = common_contributions(key, self.figures, self.common)
         own = np.sqrt(np.maximum(stds**2 - np.sum(shared**2, axis=0), (1e-3 * stds) ** 2))
         last = shared[:, -1].copy()
-        model = self._model(values, own**2, shared)
-        if model.line is None:
-            forecasts: list[Forecast | None] = [None] * values.size
-            day_scores = scores = np.full(values.size, math.nan)
-        else:
-            forecasts, scores, day_scores = self._expected(model, values, own, shared)
-            model = model.take(-1)
+        model = trend_model(self.years, values, own**2, self.days, shared)
+        forecasts, scores, day_scores = self._expected(values, own, shared)
         half = self._own_half_widths(key, held, own)
         points = tuple(
             Point(
@@ -284,17 +297,9 @@ class _Records:
             )
             for i, c in enumerate(held)
         )
-        first = day_starts(self.days)
-        times = np.add.reduceat(self.years, first[:-1]) / np.diff(first)
-        chart = Chart(times, day_scores[: times.size], *moving_average(day_scores[: times.size]))
-        return CoefficientTrend(key, held[0].unit, points, chart, model, last)
-
-    def _model(self, values: Array, variances: Array, shared: Array) -> TrendModel:
-        """The lines up to each day; no line if there are too few days."""
-        if self.days[-1] + 1 >= TREND.least_days:
-            return lines_so_far(self.years, values, variances, self.days, shared)
-        merged = merge_by_day(self.years, values, variances, self.days)
-        return TrendModel(None, merged.within, merged.freedom, float(np.median(merged.variances)))
+        chart = Chart(model.days.time, day_scores, *moving_average(day_scores))
+        step = clearest_step(model.days)
+        return CoefficientTrend(key, held[0].unit, points, chart, model, step, last)
 
     def _own_half_widths(self, key: str, held: Sequence[Coefficient], own: Array) -> Array:
         """95 % half-width of each record's own part: coverage factor at its effective degrees of freedom, times ``own``.
@@ -315,30 +320,24 @@ class _Records:
         degrees = np.where(doubt > 0.0, own**4 / np.where(doubt > 0.0, doubt, 1.0), math.inf)
         return np.asarray(coverage_factor(degrees)) * own
 
-    def _expected(
-        self, model: TrendModel, values: Array, own: Array, shared: Array
-    ) -> tuple[list[Forecast | None], Array, Array]:
+    def _expected(self, values: Array, own: Array, shared: Array) -> tuple[list[Forecast | None], Array, Array]:
         """Forecast of each record from earlier days, and scores of records and days (nan: too few days)."""
-        late = np.flatnonzero(self.days >= TREND.least_days)
-        scores, day_scores = np.full(values.size, math.nan), np.full(int(self.days[-1]) + 1, math.nan)
+        count = int(self.days[-1]) + 1
+        scores, day_scores = np.full(values.size, math.nan), np.full(count, math.nan)
         forecasts: list[Forecast | None] = [None] * values.size
-        if not late.size:
-            return forecasts, scores, day_scores
-        before = model.take(self.days[late] - TREND.least_days)
-        expected = before.record_at(self.years[late], own[late], shared[:, late].T)
-        scores[late] = expected.score(values[late])
-        forecasts[late[0] :] = expected.rows()
-        first = np.flatnonzero(np.diff(self.days[late], prepend=-1))
-        days = model.take(np.arange(first.size))
-        weights = 1.0 / (own[late] ** 2 + before.within)
-        total = np.add.reduceat(weights, first)
-        count = np.diff(first, append=late.size)
-        mean = days.day_at(
-            np.add.reduceat(self.years[late], first) / count,
-            1.0 / total,
-            (np.add.reduceat(weights * shared[:, late], first, axis=1) / total).T,
-        )
-        day_scores[TREND.least_days :] = mean.score(np.add.reduceat(weights * values[late], first) / total)
+        for day in range(TREND.least_days, count):
+            before, today = self.days < day, np.flatnonzero(self.days == day)
+            model = trend_model(
+                self.years[before], values[before], own[before] ** 2, self.days[before], shared[:, before]
+            )
+            for i in today.tolist():
+                forecast = model.record_at(float(self.years[i]), float(own[i]), shared[:, i])
+                forecasts[i], scores[i] = forecast, forecast.score(float(values[i]))
+            weights = 1.0 / (own[today] ** 2 + model.days.within)
+            mean = weights @ values[today] / weights.sum()
+            common = shared[:, today] @ weights / weights.sum()
+            expected = model.day_at(float(self.years[today].mean()), float(1.0 / weights.sum()), common)
+            day_scores[day] = expected.score(float(mean))
         return forecasts, scores, day_scores
 
 
@@ -369,12 +368,14 @@ def common_contributions(key: str, figures: Sequence[CalibrationFigures], common
 def alarms_in_words(
     trends: Sequence[CoefficientTrend], names: Sequence[str], times: Sequence[dt.datetime]
 ) -> tuple[str, ...]:
-    """Alarms: records outside their forecast, and shifts in the moving average."""
+    """Alarms: records outside their forecast, steps of the level, and shifts in the moving average."""
     sentences: list[str] = []
     for trend in trends:
         for point, time in zip(trend.points, times, strict=True):
             if point.outside and point.forecast is not None:
                 sentences.append(_outside(trend, point, point.forecast.value, time))
+        if trend.stepped and trend.step is not None:
+            sentences.append(_stepped(trend, trend.step, names, times))
         shifted = np.flatnonzero(trend.chart.shifted)
         if shifted.size:
             first = next(i for i, point in enumerate(trend.points) if point.day == shifted[0])
@@ -393,6 +394,17 @@ def _outside(trend: CoefficientTrend, point: Point, expected: float, time: dt.da
         f"{trend.key}: record {point.record} of {time:%Y-%m-%d} shows {point.value * scale:.7g}{shown}, "
         f"{abs(point.score):.1f} standard deviations {'above' if point.score > 0.0 else 'below'} the forecast from earlier "
         f"records, {expected * scale:.7g}{shown} (limit 3)."
+    )
+
+
+def _stepped(trend: CoefficientTrend, step: Step, names: Sequence[str], times: Sequence[dt.datetime]) -> str:
+    scale, unit = shown_unit(trend.key, trend.unit)
+    first = next(i for i, point in enumerate(trend.points) if point.day == step.day)
+    size = _to_two_digits_of(step.std * scale, abs(step.size) * scale)
+    return (
+        f"{trend.key}: from {times[first]:%Y-%m-%d} (record {names[first]}) on the values are "
+        f"{f'{size} {unit}'.removesuffix(' 1')} {'higher' if step.size > 0.0 else 'lower'} than a line through the earlier ones "
+        "says. If the instrument was changed then, judge its trend from that day on."
     )
 
 

@@ -1,30 +1,24 @@
-"""A straight line through values with known uncertainties, with an excess variance, forecasts and control chart.
+"""Days of a history, the straight line through them with an excess variance, a step in it, and the control chart.
 
 Model: ``y_i = b_0 + b_1 (t_i - t_0) + d_i + e_i``. ``var(e_i) = v_i`` is stated. ``var(d_i) = tau^2`` is estimated
 from the scatter (Paule and Mandel's condition: the weighted residual sum equals its expectation). Intervals
 use the weighted residual sum and Student's t with ``n - 2`` degrees of freedom (Hartung and Knapp). With equal
 ``v_i`` they are those of ordinary least squares, with one exception: the sum is never taken below its 20 %
 quantile, for values that scatter far less than ``v_i``.
-
-One object holds one line (floats) or the lines of many days ((k,) arrays); the same formulas serve both.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation.trend import Points, days_so_far, inner_excess, merge_days
 from piga.errors import ArgumentError
 from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
 from piga.results import Array, Result
-
-Values = Any
-"""A float for one line, or an array (k,) for k lines."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +39,80 @@ class TrendSettings:
     """Weight of the newest score in the moving average of the control chart."""
     control_limit: float = 3.0
     """Control limit of scores and of their moving average, in its standard deviations."""
+    beside_step: int = 2
+    """Fewest days before and after a step."""
 
 
 TREND = TrendSettings()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Days(Result):
+    """Values merged by day: mean time, weighted mean and its variance, (days,) each.
+
+    ``shared`` (days, sources) are errors common to the values. ``within`` is the variance within days beyond the
+    stated one (0 without repeats), ``freedom`` its degrees of freedom.
+    """
+
+    time: Array
+    means: Array
+    variances: Array
+    shared: Array
+    within: float
+    freedom: int
+
+
+def merge_by_day(time: Array, values: Array, variances: Array, days: NDArray[np.int64], shared: Array) -> Days:
+    """Weighted mean of each day, with a common excess variance within days (Paule and Mandel).
+
+    Parameters
+    ----------
+    time, values, variances:
+        (n,) each, day by day; variances of errors that are not common to the values.
+    days:
+        (n,) number of the day, from 0, in rising order.
+    shared:
+        (sources, n) errors common to the values.
+    """
+    y = np.asarray(values, dtype=float)
+    v = np.maximum(variances, (TREND.tiny * float(np.abs(y).max() or 1.0)) ** 2)
+    first = np.searchsorted(days, np.arange(int(days[-1]) + 1))
+    freedom = y.size - first.size
+
+    def means(excess: float) -> tuple[Array, Array, Array]:
+        weight = 1.0 / (v + excess)
+        total = np.add.reduceat(weight, first)
+        return weight, total, y[first] + np.add.reduceat(weight * (y - y[first][days]), first) / total
+
+    def residual_sum(excess: float) -> float:
+        weight, _, mean = means(excess)
+        return float(weight @ (y - mean[days]) ** 2)
+
+    within = excess_variance(residual_sum, freedom, float(v.mean())) if freedom else 0.0
+    weight, total, mean = means(within)
+    count = np.diff(first, append=y.size)
+    return Days(
+        time=np.add.reduceat(np.asarray(time, dtype=float), first) / count,
+        means=mean,
+        variances=1.0 / total,
+        shared=np.add.reduceat(weight * shared, first, axis=1).T / total[:, None],
+        within=within,
+        freedom=freedom,
+    )
+
+
+def excess_variance(residual_sum: Callable[[float], float], freedom: int, scale: float) -> float:
+    """The variance at which the weighted ``residual_sum`` equals its degrees of freedom; zero if it is below them at zero.
+
+    ``scale`` is a variance of the size that is to be expected.
+    """
+    from scipy.optimize import brentq
+
+    if residual_sum(0.0) <= freedom:
+        return 0.0
+    while residual_sum(scale) > freedom:
+        scale *= 4.0
+    return scale * float(brentq(lambda part: residual_sum(part * scale) - freedom, 0.0, 1.0, xtol=1e-15))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,7 +126,7 @@ class Line(Result):
     level_variance, slope_variance:
         Their variances from the scatter about the line.
     shared:
-        (2, sources) or (k, 2, sources): effect of errors common to the values on level and slope.
+        (2, sources): effect of errors common to the values on level and slope.
     excess, stated:
         Variance ``tau^2`` beyond the stated one, zero if the stated one explains the scatter; mean stated variance.
     scale:
@@ -71,88 +136,156 @@ class Line(Result):
         Weighted residual sum with the stated variances alone; ``n - 2`` degrees of freedom.
     """
 
-    origin: Values
-    level: Values
-    slope: Values
-    level_variance: Values
-    slope_variance: Values
+    origin: float
+    level: float
+    slope: float
+    level_variance: float
+    slope_variance: float
     shared: Array
-    excess: Values
-    scale: Values
-    chi2: Values
-    degrees_of_freedom: Values
-    stated: Values
+    excess: float
+    scale: float
+    chi2: float
+    degrees_of_freedom: int
+    stated: float
 
     @property
-    def excess_std(self) -> Values:
+    def excess_std(self) -> float:
         """Standard uncertainty of the excess, ``sqrt(2/(n - 2)) (tau^2 + v)`` with the mean stated ``v``."""
-        return (2.0 / self.degrees_of_freedom) ** 0.5 * (self.excess + self.stated)
+        return math.sqrt(2.0 / self.degrees_of_freedom) * (self.excess + self.stated)
 
-    def at(self, time: Values) -> tuple[Values, Values]:
+    def at(self, time: float) -> tuple[float, float]:
         """Value of the line and its variance from the scatter."""
         since = time - self.origin
         return self.level + self.slope * since, self.level_variance + self.slope_variance * since**2
 
-    def shared_at(self, time: Values) -> Array:
-        """(..., sources) effect of common errors on the value at ``time``."""
-        since = np.asarray(time - self.origin)[..., None]
-        return self.shared[..., 0, :] + since * self.shared[..., 1, :]
+    def shared_at(self, time: float) -> Array:
+        """(sources,) effect of common errors on the value at ``time``."""
+        return self.shared[0] + (time - self.origin) * self.shared[1]
+
+
+def line_through(days: Days) -> Line:
+    """The line through three days or more.
+
+    Raises
+    ------
+    ArgumentError
+        With fewer than three days, or all of them at one time.
+    """
+    from scipy.special import chdtri
+
+    t, y, v = days.time, days.means, days.variances
+    if t.size < TREND.least_days:
+        raise ArgumentError(
+            f"values of {t.size} days: too few for a line with uncertainty",
+            remedy=f"give values of {TREND.least_days} days or more",
+        )
+    if np.ptp(t) == 0.0:
+        raise ArgumentError(
+            "all values are of one time: no drift can be seen", remedy="give values of different times"
+        )
+    freedom = t.size - 2
+
+    def fitted(excess: float) -> tuple[Array, float, Array, float, float, float]:
+        weight = 1.0 / (v + excess)
+        origin = t[0] + float(weight @ (t - t[0]) / weight.sum())
+        level = y[0] + float(weight @ (y - y[0]) / weight.sum())
+        lever = weight * (t - origin)
+        slope = float(lever @ (y - level) / (lever @ (t - origin)))
+        return weight, origin, lever, level, slope, float(weight @ (y - level - slope * (t - origin)) ** 2)
+
+    chi2 = fitted(0.0)[-1]
+    excess = excess_variance(lambda variance: fitted(variance)[-1], freedom, float(v.mean()))
+    weight, origin, lever, level, slope, residual_sum = fitted(excess)
+    scale = max(residual_sum, float(chdtri(freedom, 1.0 - TREND.low_sum))) / freedom
+    moment = float(lever @ (t - origin))
+    return Line(
+        origin=origin,
+        level=level,
+        slope=slope,
+        level_variance=scale / float(weight.sum()),
+        slope_variance=scale / moment,
+        shared=np.stack([weight @ days.shared / weight.sum(), lever @ days.shared / moment]),
+        excess=excess,
+        scale=scale,
+        chi2=chi2,
+        degrees_of_freedom=freedom,
+        stated=float(v.mean()),
+    )
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of the level: ``day`` is the first day after it. ``probability``: that chance makes one as clear in a history."""
+
+    day: int
+    size: float
+    std: float
+    probability: float
+
+
+def clearest_step(days: Days) -> Step | None:
+    """The clearest step that stands beside a line through all days; None with fewer than five days.
+
+    For each place the line is fitted with a step there, with its own excess variance (Paule and Mandel). The probability is
+    that of Student's t, times the number of places (Bonferroni).
+    """
+    from scipy.special import stdtr
+
+    t, y, v = days.time, days.means, days.variances
+    places = range(TREND.beside_step, t.size - TREND.beside_step + 1)
+    freedom = t.size - 3
+    if freedom < 2 or not places:
+        return None
+    best = None
+    for place in places:
+        design = np.stack([np.ones(t.size), (t - t[0]) / np.ptp(t), np.arange(t.size) >= place], axis=1)
+
+        def solved(excess: float, design: Array = design) -> tuple[float, Array, Array]:
+            root = 1.0 / np.sqrt(v + excess)
+            solution, _, _, _ = np.linalg.lstsq(root[:, None] * design, root * (y - y[0]), rcond=None)
+            left = root * (y - y[0] - design @ solution)
+            return float(left @ left), solution, root[:, None] * design
+
+        excess = excess_variance(lambda variance: solved(variance)[0], freedom, float(v.mean()))
+        residual_sum, solution, weighted = solved(excess)
+        variance = np.linalg.pinv(weighted.T @ weighted)[2, 2] * max(residual_sum / freedom, TREND.low_sum)
+        std = math.sqrt(variance)
+        probability = min(1.0, 2.0 * len(places) * float(stdtr(freedom, -abs(solution[2]) / std)))
+        if best is None or probability < best.probability:
+            best = Step(place, float(solution[2]), std, probability)
+    return best
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Values at a time with their standard uncertainty and (effective) degrees of freedom."""
+    """Value at a time with its standard uncertainty and (effective) degrees of freedom."""
 
-    time: Values
-    value: Values
-    std: Values
-    degrees_of_freedom: Values
+    time: float
+    value: float
+    std: float
+    degrees_of_freedom: float
 
     def half_width(self, probability: float = 0.95) -> float:
         """Half-width of the interval of a probability, by Student's t."""
-        return coverage_factor(max(self.degrees_of_freedom, 1.0), probability) * float(self.std)
+        return coverage_factor(max(self.degrees_of_freedom, 1.0), probability) * self.std
 
-    def score(self, value: Values) -> Values:
+    def score(self, value: float) -> float:
         """Deviation of a value from this forecast, as a standard normal number of the same probability."""
         from scipy.special import ndtri_exp, stdtr
 
         deviation = (value - self.value) / self.std
-        known = np.isinf(self.degrees_of_freedom)
-        tail = stdtr(np.where(known, 1.0, self.degrees_of_freedom), -np.abs(deviation))
-        normal = np.copysign(ndtri_exp(np.log(np.maximum(tail, 1e-300))), deviation)
-        return np.where(known, deviation, normal)[()]
-
-    def rows(self) -> list[Forecast]:
-        """The forecasts as a list, one per line."""
-        columns = (self.time, self.value, self.std, self.degrees_of_freedom)
-        return [Forecast(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+        if math.isinf(self.degrees_of_freedom):
+            return deviation
+        tail = max(float(stdtr(self.degrees_of_freedom, -abs(deviation))), 1e-300)
+        return math.copysign(float(ndtri_exp(math.log(tail))), deviation)
 
 
-@dataclass(frozen=True)
-class TrendModel:
-    """Records merged by day, and the line through the days; times in years.
+@dataclass(frozen=True, eq=False, repr=False)
+class TrendModel(Result):
+    """Records merged by day, and the line through the days (None with fewer than three); times in years."""
 
-    Attributes
-    ----------
-    line:
-        Line through the day means, None with fewer than three days.
-    within, freedom:
-        Variance within days beyond the stated one (0 without repeats), and its degrees of freedom.
-    day_variance:
-        Median variance of a day mean.
-    """
-
+    days: Days
     line: Line | None
-    within: Values
-    freedom: Values
-    day_variance: Values
-
-    def take(self, index: int | NDArray[np.int64]) -> TrendModel:
-        """One of many models, or several."""
-        line = self.line
-        if line is not None:
-            line = Line(*(getattr(line, field.name)[index] for field in fields(line)))
-        return TrendModel(line, self.within[index], self.freedom[index], self.day_variance[index])
 
     @property
     def drift(self) -> Forecast | None:
@@ -160,24 +293,21 @@ class TrendModel:
         line = self.line
         if line is None:
             return None
-        known = np.sum(line.shared[..., 1, :] ** 2, axis=-1)
-        parts = ((line.slope_variance, line.degrees_of_freedom), (known, math.inf))
-        return _combined(1.0, line.slope, parts)
+        known = float(np.sum(line.shared[1] ** 2))
+        return _combined(1.0, line.slope, ((line.slope_variance, line.degrees_of_freedom), (known, math.inf)))
 
-    def coefficient_at(self, time: Values) -> Forecast:
-        """The coefficient at a turn-on at a time, including common errors of all records."""
-        return self._forecast(time, 0.0, self.within, None)
+    def record_at(self, time: float, own: float, shared: Array) -> Forecast:
+        """Forecast of a record by the line; ``own`` is its own standard uncertainty, ``shared`` the common errors."""
+        day, days = own**2, self.days
+        if days.freedom:
+            day = min(day, float(np.median(days.variances)))
+        return self._forecast(time, day, days.within + own**2 - day, shared)
 
-    def record_at(self, time: Values, own: Values, shared: Array) -> Forecast:
-        """Forecast of a record; ``own`` is its own standard uncertainty, ``shared`` the common errors."""
-        day = np.where(self.freedom, np.minimum(own**2, self.day_variance), own**2)
-        return self._forecast(time, day, self.within + own**2 - day, shared)
-
-    def day_at(self, time: Values, variance: Values, shared: Array) -> Forecast:
-        """Forecast of the mean of a day's records; ``variance`` is its own variance."""
+    def day_at(self, time: float, variance: float, shared: Array) -> Forecast:
+        """Forecast of the mean of a day's records by the line; ``variance`` is its own variance."""
         return self._forecast(time, variance, 0.0, shared)
 
-    def _forecast(self, time: Values, day: Values, inside: Values, shared: Array | None) -> Forecast:
+    def _forecast(self, time: float, day: float, inside: float, shared: Array) -> Forecast:
         """Forecast with variances beside that of the line: ``day`` between days, and ``inside`` within the day.
 
         The scatter of the days gives only the sum of instability and stated variance. A value with a smaller own variance
@@ -186,136 +316,33 @@ class TrendModel:
         """
         line = self.line
         if line is None:
-            raise ArgumentError(
-                "a forecast needs records of at least three days", remedy="wait for more records"
-            )
+            raise TOO_FEW
         value, variance = line.at(time)
-        known = line.shared_at(time)
-        if shared is not None:
-            known = known - shared
-        doubt = 0.5 * line.excess_std * np.maximum(0.0, 1.0 - day / line.stated)
+        doubt = 0.5 * line.excess_std * max(0.0, 1.0 - day / line.stated)
         parts = (
             (variance + line.scale * (line.excess + day) + doubt, line.degrees_of_freedom),
-            (inside, np.where(self.freedom, self.freedom, math.inf)),
-            (np.sum(known**2, axis=-1), math.inf),
+            (inside, self.days.freedom or math.inf),
+            (float(np.sum((line.shared_at(time) - shared) ** 2)), math.inf),
         )
         return _combined(time, value, parts)
 
 
-def _combined(time: Values, value: Values, parts: tuple[tuple[Values, Values], ...]) -> Forecast:
+TOO_FEW = ArgumentError("a forecast needs records of at least three days", remedy="wait for more records")
+
+
+def _combined(time: float, value: float, parts: tuple[tuple[float, float], ...]) -> Forecast:
     """Forecast from independent variances with their degrees of freedom."""
-    shape = np.shape(value)
-    variances = np.stack([np.broadcast_to(variance, shape) for variance, _ in parts], axis=-1)
-    degrees = np.stack([np.broadcast_to(np.asarray(nu, dtype=float), shape) for _, nu in parts], axis=-1)
-    std = np.sqrt(variances.sum(axis=-1))[()]
-    return Forecast(time, value, std, welch_satterthwaite(np.sqrt(variances), degrees))
+    stds = np.sqrt([variance for variance, _ in parts])
+    freedom = float(welch_satterthwaite(stds, np.array([nu for _, nu in parts], dtype=float)))
+    return Forecast(time, value, float(np.sqrt(np.sum(stds**2))), freedom)
 
 
-@dataclass(frozen=True)
-class Days:
-    """Values merged by day: mean time, weighted mean and its variance, (days,) each.
-
-    ``within`` is the variance within days beyond the stated one (0 without repeats), ``freedom`` its degrees of freedom.
-    """
-
-    time: Array
-    means: Array
-    variances: Array
-    within: float
-    freedom: int
-
-
-def merge_by_day(time: Array, values: Array, variances: Array, days: NDArray[np.int64]) -> Days:
-    """Weighted mean of each day, with a common excess variance within days (Paule and Mandel).
-
-    Parameters
-    ----------
-    time, values, variances:
-        (n,) each, day by day.
-    days:
-        (n,) number of the day, from 0, in rising order.
-    """
-    y, v, first = np.asarray(values, dtype=float), _not_exact(values, variances), day_starts(days)
-    count = first.size - 1
-    freedom = y.size - count
-    within = inner_excess(y, v, first, count, freedom, 0.0) if freedom else 0.0
-    merged = Points(np.empty(count), np.empty(count), np.empty(count))
-    merge_days(Points(np.asarray(time, dtype=float), y, v), first, count, within, merged)
-    return Days(merged.t, merged.y, merged.v, within, freedom)
-
-
-def day_starts(days: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(days + 1,) index of the first value of each day, and the number of values."""
-    return np.searchsorted(days, np.arange(int(days[-1]) + 2)).astype(np.int64)
-
-
-def lines_so_far(
+def trend_model(
     time: Array, values: Array, variances: Array, days: NDArray[np.int64], shared: Array
 ) -> TrendModel:
-    """Lines through the days before each day, from the fourth day on; the last line is through all days.
-
-    Parameters
-    ----------
-    time, values, variances, days:
-        As for :func:`merge_by_day`; variances of errors that are not common to the values.
-    shared:
-        (sources, n) errors common to the values.
-
-    Returns
-    -------
-    Model
-        With (days - 2,) lines: the first through three days, the last through all.
-
-    Raises
-    ------
-    ArgumentError
-        With fewer than three days, or all of them at one time.
-    """
-    first = day_starts(days)
-    count = first.size - 1
-    if count < TREND.least_days:
-        raise ArgumentError(
-            f"values of {count} days: too few for a line with uncertainty",
-            remedy=f"give values of {TREND.least_days} days or more",
-        )
-    t = np.asarray(time, dtype=float)
-    if np.ptp(t) == 0.0:
-        raise ArgumentError(
-            "all values are of one time: no drift can be seen", remedy="give values of different times"
-        )
-    figures = np.empty((count + 1 - TREND.least_days, 11))
-    known = np.empty((figures.shape[0], 2, shared.shape[0]))
-    y, v = np.asarray(values, dtype=float), _not_exact(values, variances)
-    days_so_far(t, y, v, first, np.ascontiguousarray(shared), TREND.least_days, figures, known)
-    repeats = (first - np.arange(count + 1))[TREND.least_days :]
-    return TrendModel(_line(figures, known), figures[:, 0], repeats, figures[:, 10])
-
-
-def _line(figures: Array, known: Array) -> Line:
-    """The lines from the results of the kernel."""
-    from scipy.special import chdtri
-
-    _, origin, level, slope, weight, moment, excess, chi2, residual_sum, stated, _ = figures.T
-    freedom = np.arange(TREND.least_days, TREND.least_days + figures.shape[0]) - 2.0
-    scale = np.maximum(residual_sum, chdtri(freedom, 1.0 - TREND.low_sum)) / freedom
-    return Line(
-        origin=origin,
-        level=level,
-        slope=slope,
-        level_variance=scale / weight,
-        slope_variance=scale / moment,
-        shared=known,
-        excess=excess,
-        scale=scale,
-        chi2=chi2,
-        degrees_of_freedom=freedom,
-        stated=stated,
-    )
-
-
-def _not_exact(values: Array, variances: Array) -> Array:
-    """The variances with a lower bound, so that no value has infinite weight."""
-    return np.maximum(variances, (TREND.tiny * float(np.abs(values).max() or 1.0)) ** 2)
+    """Days and line of records; arguments as for :func:`merge_by_day`."""
+    merged = merge_by_day(time, values, variances, days, shared)
+    return TrendModel(merged, line_through(merged) if merged.time.size >= TREND.least_days else None)
 
 
 def moving_average(scores: Array, weight: float = TREND.smoothing) -> tuple[Array, Array]:
