@@ -191,7 +191,7 @@ def shape() -> list[Case]:
         repair("blank-lines", whole.replace(b"\n", b"\n\n", 3), {"blank-line": 3}),
         repair("gzip", gzip.compress(whole), {}, file="run.csv.gz"),
         error("gzip-cut", gzip.compress(whole)[:-20], "cannot be read", file="run.csv.gz"),
-        error("gzip-bomb", gzip.compress(bytes(40_000_000)), "unpacks to more than", file="run.csv.gz"),
+        error("gzip-bomb", gzip.compress(whole + b"\n" * 40_000_000), "unpacks to more than", file="run.csv.gz"),
         error("sidecar-differs", whole, "SHA-256 is not the one", sidecar="0" * 64 + "  run.csv\n"),
         error("too-many-columns", text([["1"] * 5000], ",".join(f"c{i}" for i in range(5000))), "5000 columns"),
         error("parquet-damaged", b"PAR1" + whole, "not a readable Parquet", file="run.parquet"),

@@ -72,12 +72,8 @@ CASES = {case.name: case for case in cases()}
 CASES["wrong-sidecar"] = Case("wrong-sidecar", text(rows()), "error", "SHA-256", sidecar="0" * 64)
 
 
-LENGTHS = {
-    "in memory": (1 << 40, 1 << 40, 1 << 16),
-    "above the commands' limit": (1 << 40, 0, 16),
-    "on disk": (0, 0, 7),
-}
-"""Rows that may lie in memory when read, and when compensated; rows of a block."""
+LENGTHS = {"in memory": 1 << 40, "on disk": 0}
+"""Size above which an array lies in a file."""
 
 
 CHOSEN = ("roll-over-undeclared", "reset-at-gap", "wrong-sidecar")
@@ -85,10 +81,7 @@ CHOSEN = ("roll-over-undeclared", "reset-at-gap", "wrong-sidecar")
 
 def as_long(monkeypatch: pytest.MonkeyPatch, length: str) -> None:
     """Limits as they are for a record of this length."""
-    read, compensated, block = LENGTHS[length]
-    monkeypatch.setattr("piga.records.arrays.LARGE_BYTES", 8 * read)
-    monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", compensated)
-    monkeypatch.setattr("piga.records.spool.BLOCK", block)
+    monkeypatch.setattr("piga.records.arrays.LARGE_BYTES", LENGTHS[length])
 
 
 def ends(capsys: Capture, run: Path) -> dict[str, object]:

@@ -73,14 +73,14 @@ def text_layout(path: Path) -> TextLayout:
     DataError
         If the file cannot be read, or no table of numbers begins in its first lines.
     """
-    source = TextSource(path, None, len)
+    source = TextSource(path, None)
     tried = [source.encoding]
     if source.encoding in GUESSED:
         tried = [source.encoding, *(one for one in GUESSED if one != source.encoding)]
     layouts = []
     for encoding in tried:
         try:
-            head = TextSource(path, encoding, len).head.decode("utf-8", errors="replace")
+            head = TextSource(path, encoding).head.decode("utf-8", errors="replace")
         except DataError:
             continue
         layouts.append(_layout(head, path, encoding))

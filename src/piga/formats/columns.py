@@ -56,11 +56,6 @@ class RecordStream(Protocol):
         """Segment labels so far."""
         ...
 
-    @property
-    def expected_rows(self) -> int:
-        """Approximate number of rows; 0 if unknown."""
-        ...
-
     def chunks(self) -> Iterator[FileChunk]:
         """The rows in order."""
         ...
@@ -99,11 +94,6 @@ class RawTable:
     units: dict[str, str] = field(default_factory=dict)
     noted: tuple[Event, ...] = ()
     row_numbers: NDArray[np.int64] | None = None
-
-    @property
-    def expected_rows(self) -> int:
-        """Number of rows."""
-        return self.rows
 
     @property
     def label_names(self) -> list[str]:

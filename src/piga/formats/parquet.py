@@ -149,11 +149,11 @@ class ParquetStream(ArrowStream):
     def __init__(self, path: Path, numeric: tuple[str, ...], label: str | None) -> None:
         with _open(path) as source:
             super().__init__(path, source.schema_arrow, numeric, label)
-            self.expected_rows = source.metadata.num_rows
+            self._rows = source.metadata.num_rows
 
     def chunks(self) -> Iterator[FileChunk]:
         """The rows in order."""
-        if self.expected_rows == 0:
+        if self._rows == 0:
             raise DataError(f"{self._path}: no data row", remedy="check that the logger wrote data")
         words = [self._label] if self._label and self._label not in self._numeric else []
         with _open(self._path, words) as source:

@@ -147,7 +147,7 @@ class TableStream(ArrowStream):
 
     def __init__(self, table: Any, numeric: list[str], label: str | None) -> None:
         super().__init__(WHERE, table.schema, numeric, label, REMEDIES)
-        self._table, self.expected_rows = table, int(table.num_rows)
+        self._table = table
 
     def chunks(self) -> Iterator[FileChunk]:
         """The rows in order."""

@@ -185,7 +185,7 @@ class _Sheet:
             return float("nan")
         kind = "text" if isinstance(cell, str) else type(cell).__name__
         where = f"row {number}, column '{name}' ({column_letter(place)})"
-        self.faults.add(number, "not-a-number", f"{where}: '{text[:40]}' is {kind}, not a number")
+        self.faults.add(number, "not-a-number", f"{where}: '{text[:40]}' is {kind}, not a number", column=name)
         return float("nan")
 
     def _seconds(self, cell: datetime | time | timedelta) -> float:
@@ -203,7 +203,7 @@ class _Sheet:
             raise DataError(
                 f"{self.path}: {self.faults.words}",
                 remedy="set the format of these cells to number and enter them again; dates: export seconds",
-                where=Where(self.path, self.faults.first_row),
+                where=Where(self.path, self.faults.first_row, tuple(self.faults.columns)),
             )
         if not self.numbers:
             raise DataError(f"{self.path}: a header but no data", remedy="check that the logger wrote data")

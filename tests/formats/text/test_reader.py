@@ -148,7 +148,7 @@ def test_a_comma_in_a_cell_of_a_file_with_points(tmp_path: Path) -> None:
 
 def test_of_more_than_a_hundred_faults_the_first_twenty_are_listed(tmp_path: Path) -> None:
     bad = "".join(f"{i / 20.0},{i},x,0.1,0.0\n" for i in range(130)).encode()
-    with pytest.raises(piga.DataError, match=r"row 21, column 'fx'.*; and 110 more") as caught:
+    with pytest.raises(piga.DataError, match=r"row 21, column 'fx'.*; and more") as caught:
         read(tmp_path, HEADER + bad)
     assert "row 22, column" not in str(caught.value)
     masked = read(

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from piga.errors import DataError, UnitError
+from piga.errors import DataError, Fix, UnitError, Where
 from piga.formats.columns import column_letter
 from piga.formats.text.time_stamp import TimeStamp, forms_of
 from piga.units import parse_unit
@@ -101,6 +101,8 @@ def find_format(
             f"{path}: row {header_at + 1}: the first row holds numbers, not column names",
             remedy="if the file has no column names, add [data] header_row = false: the columns are then A, B, C; "
             "if the names stand in another row, add [data] header_row = N",
+            where=Where(path, header_at + 1),
+            fixes=[Fix("data", "header_row", False), Fix("data", "header_row")],
         )
     names = _as_wide_as_data(names, sample, separator)
     check_names(names, path, header_at + 1)
@@ -113,7 +115,9 @@ def find_format(
         units.update({n: u for n, u in zip(names, row_units, strict=False) if u not in NO_UNIT})
         skip, body = units_at + 1, [(i, line) for i, line in body if i > units_at]
     if not body:
-        raise DataError(f"{path}: a header but no data", remedy="check that the logger wrote data")
+        raise DataError(
+            f"{path}: a header but no data", remedy="check that the logger wrote data", where=Where(path)
+        )
     cells = [split_line(line, separator) for _, line in body[:50]]
     mark = _decimal_mark(cells, separator, decimal, path, body[0][0] + 1)
     return TextFormat(encoding, separator, mark, names, skip, units, header_at + 1)
@@ -144,6 +148,8 @@ def _header_at(lines: list[str], rows: HeadRows, path: Path) -> int:
             raise DataError(
                 f"{path}: row {rows.header}: [data] header_row names an empty row",
                 remedy="name the row with the column names, counted from 1",
+                where=Where(path, rows.header),
+                fixes=[Fix("data", "header_row")],
             )
         return rows.header - 1
     for index, line in enumerate(lines):
@@ -153,8 +159,10 @@ def _header_at(lines: list[str], rows: HeadRows, path: Path) -> int:
         raise DataError(
             f"{path}: no row of column names after the {rows.skip} rows of [data] skip_rows",
             remedy="name a smaller number of rows",
+            where=Where(path),
+            fixes=[Fix("data", "skip_rows")],
         )
-    raise DataError(f"{path}: the file is empty", remedy="check that the logger wrote data")
+    raise DataError(f"{path}: the file is empty", remedy="check that the logger wrote data", where=Where(path))
 
 
 def _units_at(body: list[tuple[int, str]], separator: str, rows: HeadRows, path: Path) -> int | None:
@@ -166,6 +174,8 @@ def _units_at(body: list[tuple[int, str]], separator: str, rows: HeadRows, path:
             raise DataError(
                 f"{path}: [data] units_row {rows.units} is not a row below the column names",
                 remedy="name the row of the units, counted from 1, or false if there is none",
+                where=Where(path, rows.units),
+                fixes=[Fix("data", "units_row", False), Fix("data", "units_row")],
             )
         return rows.units - 1
     following = split_line(body[1][1], separator) if len(body) > 1 else None
@@ -205,6 +215,7 @@ def check_names(names: tuple[str, ...], path: Path, row: int) -> None:
         raise DataError(
             f"{path}: row {row}: {len(names)} columns, at most {MAX_COLUMNS} are read",
             remedy="export fewer columns",
+            where=Where(path, row),
         )
 
 
@@ -226,6 +237,8 @@ def duplicate_name(path: Path, row: int, wanted: Iterable[str], names: tuple[str
             return DataError(
                 f"{path}: row {row}: duplicate column name '{name}'",
                 remedy=f"name one of them in [data]: {', '.join(repr(one) for one in same[:6])}",
+                where=Where(path, row, (name,)),
+                columns=names,
             )
     return None
 
@@ -296,14 +309,19 @@ def _decimal_mark(cells: list[list[str]], separator: str, declared: str | None, 
     flat = [cell.strip().strip('"') for line in cells for cell in line]
     comma = [cell for cell in flat if _NUMBER_COMMA.match(cell)]
     point = [cell for cell in flat if "." in cell and _NUMBER_POINT.match(cell)]
+    marks = [Fix("data", "decimal", ","), Fix("data", "decimal", ".")]
     if comma and point:
         raise DataError(
             f"{path}: from row {row}: both '{comma[0]}' and '{point[0]}' occur, the decimal mark is ambiguous",
             remedy="add [data] decimal = ',' or decimal = '.'",
+            where=Where(path, row),
+            fixes=marks,
         )
     if comma and all(_THOUSANDS.match(cell) for cell in comma):
         raise DataError(
             f"{path}: from row {row}: '{comma[0]}' can be a decimal comma or a thousands separator",
             remedy="add [data] decimal = ',', or decimal = '.' and remove the thousands separators",
+            where=Where(path, row),
+            fixes=marks[:1],
         )
     return "," if comma else "."

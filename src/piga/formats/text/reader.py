@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import DataError
+from piga.errors import DataError, Fix, Where
 from piga.formats.columns import FileChunk, LabelCodes, MissingCount, numbers_of
 from piga.formats.text.convention import (
     INFINITE,
@@ -26,16 +26,19 @@ from piga.formats.text.convention import (
     split_line,
     units_in_names,
 )
-from piga.formats.text.faults import Faults, FilePlace, find_faults, split_cells
-from piga.formats.text.source import FIRST_ROWS, Bytes, TextSource
+from piga.formats.text.faults import MAX_LISTED, Faults, find_faults, split_cells
+from piga.formats.text.source import FIRST_ROWS, TextSource
 from piga.formats.text.time_stamp import StampClock, time_stamp
 from piga.records.calibration import Event
 
-_SPACES_ONLY = re.compile(rb"^[ \t]+\r?\n", re.MULTILINE)
 _BLANKS = re.compile(rb"[ \t]+")
 _EDGES = re.compile(rb"^ | (?=\r?$)", re.MULTILINE)
 _ODD_QUOTES = re.compile(rb'^[^"\n]*"(?:[^"\n]*"[^"\n]*")*[^"\n]*$', re.MULTILINE)
-BLOCK_BYTES = 4 << 20
+_ROW = re.compile(r"^(?:In CSV column #\d+: )?(?:CSV parse error: )?(?:Row #(\d+): )?")
+"""Beginning of a message of PyArrow. Its row counts within the piece."""
+EXAMINED_BYTES = 1 << 16
+"""Size of a part with damage that is examined line by line [bytes]."""
+BLOCK_BYTES = 1 << 20
 """Bytes per block that PyArrow tokenizes on one thread."""
 
 
@@ -58,8 +61,6 @@ class TextStream:
         Leave damaged rows out and count them by kind, instead of refusing the file.
     piece:
         Bytes read at a time (None: ``source.PIECE_BYTES``). The result does not depend on it.
-    see:
-        Function that gets the bytes of the file as they are read.
 
     Raises
     ------
@@ -81,17 +82,12 @@ class TextStream:
         missing: tuple[str, ...] = (),
         mask_damaged: bool = False,
         piece: int | None = None,
-        see: Callable[[Bytes], object] = len,
     ) -> None:
-        self._path, self._numeric, self._label, self._missing = (
-            path,
-            tuple(dict.fromkeys(numeric)),
-            label,
-            missing,
-        )
+        self._path, self._numeric, self._label = path, tuple(dict.fromkeys(numeric)), label
+        self._missing = missing
         rows = rows or HeadRows()
         wanted = [*numeric, *([label] if label else [])]
-        self._source = TextSource(path, encoding, see, piece, wanted=wanted, first_rows=FIRST_ROWS + rows.last)
+        self._source = TextSource(path, encoding, piece, wanted=wanted, first_rows=FIRST_ROWS + rows.last)
         head = self._source.head.decode("utf-8", errors="replace")
         self._form = find_format(head, path, self._source.encoding, separator, decimal, rows)
         self._clock = None if stamp is None else StampClock(time_stamp(stamp[1]))
@@ -102,42 +98,36 @@ class TextStream:
         self.label_names: list[str] = []
         self._codes = LabelCodes(self.label_names)
         self._mask, self._faults, self._missed = mask_damaged, Faults(), MissingCount()
-        self._row, self._byte = self._form.skip + 1, self._source.header_bytes(self._form.skip)
+        self._row = self._form.skip + 1
         self._read, self._last_filled = 0, self._form.skip
-        self._piece_rows = self._piece_bytes = 0
         self._truncated: int | None = None
 
-    @property
-    def expected_rows(self) -> int:
-        """Approximate number of rows, from those of the last piece; 0 for a compressed file."""
-        if self._path.suffix.lower() == ".gz" or self._piece_bytes == 0:
-            return 0
-        return int(1.02 * self._piece_rows * self._path.stat().st_size / self._piece_bytes)
-
     def chunks(self) -> Iterator[FileChunk]:
-        """The rows in order. A damaged file gives the rows before the first damage, then the error that lists all faults."""
+        """The rows in order. A damaged file gives the rows before the first damage, then the error that lists the faults."""
         for raw, ends in self._lines():
-            piece, table = self._parse_or_mask(raw, ends)
-            if table is not None and not (self._faults.total and not self._mask):
-                self._piece_rows, self._piece_bytes = table.num_rows, len(raw)
-                rows = self._file_rows(piece, table.num_rows, ends)
-                yield from self._convert(table, rows)
-            self._row += ends
-            self._byte += len(raw)
+            for part, table in self._tables(raw, ends):
+                lines = part.count(b"\n")
+                if self._mask or not self._faults.total:
+                    yield from self._convert(table, self._file_rows(part, table.num_rows, lines))
+                elif self._faults.total > MAX_LISTED:
+                    raise self._faults.error(self._path)
+                self._row += lines
         if self._faults.total and not self._mask:
             raise self._faults.error(self._path)
         self._truncated = self._row if self._source.cut else None
         if self._read == 0:
             raise DataError(
-                f"{self._path}: a header but no complete data row", remedy="check that the logger wrote data"
+                f"{self._path}: a header but no complete data row",
+                remedy="check that the logger wrote data",
+                where=Where(self._path),
             )
 
-    def _lines(self) -> Iterator[tuple[Bytes, int]]:
+    def _lines(self) -> Iterator[tuple[bytes, int]]:
         """Pieces of complete lines and their number. Where blanks separate the columns, one blank is left of many."""
         pieces = self._source.pieces(self._form.skip)
         if self._form.separator != " ":
             return pieces
-        return ((_EDGES.sub(b"", _BLANKS.sub(b" ", bytes(raw))), ends) for raw, ends in pieces)
+        return ((_EDGES.sub(b"", _BLANKS.sub(b" ", raw)), ends) for raw, ends in pieces)
 
     def events(self) -> list[Event]:
         """Faults and omissions; complete after the last chunk."""
@@ -153,12 +143,12 @@ class TextStream:
             events.append(Event("blank-line", blank, None, "skipped"))
         return [*events, *self._missed.events(self._numeric)]
 
-    def _file_rows(self, raw: Bytes, read: int, ends: int) -> NDArray[np.int64]:
+    def _file_rows(self, raw: bytes, read: int, ends: int) -> NDArray[np.int64]:
         """File rows of the data rows of a piece (blank lines are counted, as an editor does)."""
         if read == ends:
             rows = np.arange(self._row, self._row + read, dtype=np.int64)
         else:
-            filled = (row for row, line in enumerate(bytes(raw).split(b"\n"), start=self._row) if line.strip())
+            filled = (row for row, line in enumerate(raw.split(b"\n"), start=self._row) if line.strip())
             rows = np.fromiter(filled, dtype=np.int64)
         self._last_filled = int(rows[-1]) if rows.size else self._last_filled
         self._read += read
@@ -177,35 +167,47 @@ class TextStream:
             codes = self._codes.of(batch.column(self._label)) if self._label is not None else None
             yield FileChunk(numbers, codes, part)
 
-    def _parse_or_mask(self, raw: Bytes, ends: int) -> tuple[Bytes, Any]:
-        """The table. Damaged rows are listed and left out of it."""
-        if len(self._form.names) == 1:
-            raw = _SPACES_ONLY.sub(b"\n", raw)
-        table, complaint = self._parse(raw, ends)
-        if table is None and (b"\n " in raw or b"\n\t" in raw or raw[:1] in b" \t"):
-            raw = _SPACES_ONLY.sub(b"\n", raw)
-            table, complaint = self._parse(raw)
-        if table is None and b"\r\r\n" in raw:
-            raw = re.sub(rb"\r+\n", b"\r\n", raw)
-            table, complaint = self._parse(raw)
-        if table is not None:
-            return raw, table
-        place = FilePlace(self._row, self._byte)
-        damaged = find_faults(self._faults, raw, place, self._form, self._numeric, self._missing)
-        if damaged:
-            raw = _blanked(raw, damaged)
-            table, complaint = self._parse(raw)
-        if table is None and (bare := self._without_padding(raw)) != raw:
-            raw = bare
-            table, complaint = self._parse(raw)
+    def _tables(self, raw: bytes, ends: int) -> Iterator[tuple[bytes, Any]]:
+        """A piece and its table. A piece that cannot be read is halved, until damage lies in a small part: that is examined."""
+        whole = self._without_blank_lines(raw) if len(self._form.names) == 1 else raw
+        table, _ = self._parse(whole, ends)
         if table is None:
-            row = self._row + self._first_refused(raw)
+            whole = self._without_blank_lines(raw)
+            whole = re.sub(rb"\r+\n", b"\r\n", whole) if b"\r\r\n" in whole else whole
+            table, _ = self._parse(whole)
+        middle = raw.find(b"\n", len(raw) // 2) + 1
+        if table is not None:
+            yield whole, table
+        elif len(raw) > EXAMINED_BYTES and 0 < middle < len(raw):
+            for part in (raw[:middle], raw[middle:]):
+                yield from self._tables(part, part.count(b"\n"))
+        else:
+            yield self._examined(whole)
+
+    def _examined(self, raw: bytes) -> tuple[bytes, Any]:
+        """The text without damaged rows, which are listed, and its table."""
+        most = None if self._mask else MAX_LISTED
+        damaged = find_faults(self._faults, raw, self._row, self._form, self._numeric, self._missing, most)
+        raw = self._without_padding(_blanked(raw, damaged))
+        table, complaint = self._parse(raw)
+        if table is None and not (self._faults.total and not self._mask):
+            match = _ROW.match(complaint)
+            within = int(match.group(1) or 1) if match else 1
+            filled = [at for at, line in enumerate(raw.split(b"\n")) if line.strip()]
+            row = self._row + filled[min(within, len(filled)) - 1]
             raise DataError(
-                f"{self._path}: row {row}: {_words(complaint)}", remedy="check this row's cells and separators"
+                f"{self._path}: row {row}: {_ROW.sub('', complaint)}",
+                remedy="check this row's cells and separators",
+                where=Where(self._path, row),
             )
         return raw, table
 
-    def _without_padding(self, raw: Bytes) -> bytes:
+    def _without_blank_lines(self, raw: bytes) -> bytes:
+        """The text with empty lines in place of lines of blanks. A line of tabs holds empty cells, where tabs separate."""
+        blank = rb"^ +\r?\n" if self._form.separator == "\t" else rb"^[ \t]+\r?\n"
+        return re.sub(blank, b"\n", raw, flags=re.MULTILINE)
+
+    def _without_padding(self, raw: bytes) -> bytes:
         """The text without blanks beside separators: PyArrow recognises words for missing values only without them."""
         separator = self._form.separator.encode()
         return b"\n".join(
@@ -213,18 +215,8 @@ class TextStream:
             for line in raw.split(b"\n")
         )
 
-    def _first_refused(self, raw: Bytes) -> int:
-        """Index of the first line that cannot be read: all lines before it can."""
-        lines = raw.split(b"\n")
-        low, high = 0, len(lines)
-        while high - low > 1:
-            middle = (low + high) // 2
-            table, _ = self._parse(b"\n".join(lines[:middle]) + b"\n")
-            low, high = (middle, high) if table is not None else (low, middle)
-        return low
-
-    def _parse(self, raw: Bytes, ends: int | None = None) -> tuple[Any, str]:
-        """Tokenize with PyArrow. Returns the table, or None and the error message."""
+    def _parse(self, raw: bytes, ends: int | None = None) -> tuple[Any, str]:
+        """Tokenize with PyArrow. Returns the table, or None and the error message, which without ``ends`` names a row."""
         import pyarrow as pa
         from pyarrow import csv
 
@@ -250,7 +242,7 @@ class TextStream:
                 read_options=csv.ReadOptions(
                     column_names=list(form.names),
                     block_size=BLOCK_BYTES,
-                    use_threads=len(raw) > BLOCK_BYTES // 8,
+                    use_threads=ends is not None and len(raw) > BLOCK_BYTES,
                 ),
                 parse_options=csv.ParseOptions(delimiter=form.separator, invalid_row_handler=collect),
                 convert_options=csv.ConvertOptions(
@@ -264,7 +256,7 @@ class TextStream:
         except pa.ArrowInvalid as error:
             return None, str(error).splitlines()[0]
         if bad:
-            return None, f"the row does not have {len(form.names)} cells"
+            return None, f"Row #{bad[0].number or 1}: the row does not have {len(form.names)} cells"
         counted = table.num_rows == ends or table.num_rows == _filled(raw)
         if not counted or _open_quote(raw, form.separator):
             return None, "a quotation mark is not closed"
@@ -283,11 +275,11 @@ class TextStream:
         return table.set_column(table.schema.get_field_index(name), name, seconds), ""
 
 
-def _filled(raw: Bytes) -> int:
+def _filled(raw: bytes) -> int:
     return sum(1 for line in raw.split(b"\n") if line.strip())
 
 
-def _open_quote(raw: Bytes, separator: str) -> bool:
+def _open_quote(raw: bytes, separator: str) -> bool:
     """True if a cell begins with a quotation mark that its line does not close."""
     if b'"' not in raw:
         return False
@@ -295,14 +287,11 @@ def _open_quote(raw: Bytes, separator: str) -> bool:
     return any(split_cells(line, separator) is None for line in odd)
 
 
-def _words(complaint: str) -> str:
-    """PyArrow's error message without its row number, which counts within a piece."""
-    return re.sub(r"^(In CSV column #\d+: )?(CSV parse error: )?(Row #\d+: )?", "", complaint)
-
-
-def _blanked(raw: Bytes, damaged: list[int]) -> bytes:
+def _blanked(raw: bytes, damaged: list[int]) -> bytes:
     """The text with damaged lines made empty. The other lines keep their numbers."""
-    lines = bytes(raw).split(b"\n")
+    if not damaged:
+        return raw
+    lines = raw.split(b"\n")
     for index in damaged:
         lines[index] = b""
     return b"\n".join(lines)
@@ -326,14 +315,21 @@ def _check_columns(form: TextFormat, wanted: list[str], head: str, path: Path) -
     listed = ", ".join(f"'{name}'" for name in missing)
     guessed = "" if form.encoding.startswith("utf") else f" (read as {form.encoding})"
     row = _row_of(wanted, head, form.header)
-    remedy = "correct the column name in [data], or [data] delimiter if the columns are not split"
+    remedy, fixes = "correct the column name in [data], or [data] delimiter if the columns are not split", []
     if row is not None:
-        remedy = f"row {row} has these names: add [data] header_row = {row}"
+        remedy, fixes = (
+            f"row {row} has these names: add [data] header_row = {row}",
+            [Fix("data", "header_row", row)],
+        )
     elif guessed:
         remedy += "; or add [data] encoding = '...', if the names are misread"
+        fixes = [Fix("data", "encoding")]
     raise DataError(
         f"{path}: row {form.header}{guessed}: no column {listed}; the columns are: {', '.join(form.names)}",
         remedy=remedy,
+        where=Where(path, form.header, tuple(missing)),
+        columns=form.names,
+        fixes=fixes,
     )
 
 
