@@ -139,7 +139,7 @@ def test_every_command_ends_alike_at_every_length(
         as_long(monkeypatch, length)
         ended.append(ends(capsys, run))
         check_alike(CASES[name], ended[-1])
-    assert ended[0] == ended[1] == ended[2]
+    assert ended[0] == ended[1]
 
 
 @pytest.mark.slow
