@@ -25,16 +25,14 @@ import measured
 import numpy as np
 
 import piga
+from piga._kernels.compensation.sample import Rows
 from piga.compensation import Mounted, SetCompensator
 from piga.compensation.compensator import (
-    NO_MARKS,
     NO_RATES,
     NONE,
     Chunk,
-    Step,
     init_state,
     run_kernel,
-    work_array,
 )
 from piga.compensation.files.file_to_file import compensate_to_file
 from piga.compensation.model import Model, make_model
@@ -91,13 +89,13 @@ def single(threads: int) -> None:
     data = samples(ROWS)
     values = {"scale_factor": 0.8884, "tan_beta": 5e-3, "phi": 0.3}
     std = {"scale_factor": 1e-7, "tan_beta": 1e-6, "phi": 1e-4, "k0": 1e-6}
-    plain = make_model(calibration(values, {}))
-    known = make_model(calibration({**values, "k0": 1e-3}, std))
+    plain = make_model(calibration(values, {}), typical=0.01)
+    known = make_model(calibration({**values, "k0": 1e-3}, std), typical=0.01)
     share = ROWS // threads
     ax, dv, u, flags = np.empty(ROWS), np.empty(ROWS), np.empty(ROWS), np.empty(ROWS, dtype=np.int32)
     source = [data[name] for name in ("t", "psi", "rate", "y", "z")]
     target = [np.empty(ROWS) for _ in source]
-    spare, marks = np.ones(ROWS), np.ones(ROWS, dtype=np.int32)
+    spare, marks, marks_none = np.ones(ROWS), np.ones(ROWS, dtype=np.int32), np.zeros(ROWS, np.bool_)
 
     def copy(k: int) -> Callable[[], object]:
         rows = slice(k * share, (k + 1) * share)
@@ -112,13 +110,19 @@ def single(threads: int) -> None:
         rows = slice(k * share, (k + 1) * share)
         output, angle = (data["rate"], data["psi"][rows]) if kind == "rate" else (data["psi"], NONE)
         chunk = Chunk(
-            data["t"][rows], output[rows], data["y"][rows], data["z"][rows], NO_MARKS, NO_RATES, NONE, angle
+            data["t"][rows],
+            output[rows],
+            data["y"][rows],
+            data["z"][rows],
+            marks_none[rows],
+            NO_RATES,
+            NONE,
+            angle,
         )
-        result = Step(
+        result = Rows(
             ax[rows], dv[rows], u[rows] if full else NONE, flags[rows] if full else NONE.astype(np.int32)
         )
-        work = work_array()
-        return lambda: run_kernel(model, init_state(), chunk, kind, 0.01, work, result)
+        return lambda: run_kernel(model, init_state(), chunk, kind, result)
 
     works = {"copy": on_threads([copy(k) for k in range(threads)])}
     works["copy of 52 bytes"] = on_threads([copy_more(k) for k in range(threads)])

@@ -15,7 +15,6 @@ import pytest
 import piga
 from piga.compensation import FLAGS, Mounted, Phase, SetCompensator, compensate_set
 from piga.compensation.model import MEANING, age_in_days
-from piga.compensation.sets.set_compensator import PublishedSet
 from piga.compensation.sets.set_files import read_triad
 from piga.units import G0
 from tests.compensation.run_files import CAL, command, write
@@ -226,8 +225,6 @@ def test_axes_that_are_none(axes: np.ndarray, message: str) -> None:
 
 def test_sets_of_records_that_do_not_fit() -> None:
     records = [run_of(T, np.roll(F, -i, axis=1), phi=0.3) for i in range(3)]
-    with pytest.raises(piga.ArgumentError, match=r"method: 'best' is not known"):
-        compensate_set(records, mounted(), method="best")
     with pytest.raises(piga.ArgumentError, match="a set of 2 instruments"):
         compensate_set(records[:2], mounted()[:2])
     other = run_of(T, F, phi=0.3, kind="rate")
@@ -247,12 +244,6 @@ def test_base_rate_of_some_instruments_of_a_set() -> None:
     records = [run_of(T, np.roll(F, -i, axis=1), phi=0.3, base_rate=rate if i == 1 else None) for i in range(3)]
     compensated = compensate_set(records, mounted(k0=0.0))
     assert np.abs(compensated.f[1:] - F[1:]).max() < 1e-9 * G0
-
-
-def test_nothing_for_a_published_set() -> None:
-    stream = PublishedSet(mounted())
-    assert stream.push(T[:0], PSI[:, :0]).size == 0
-    assert stream.push(T, PSI).size == 60
 
 
 def test_triad_files_that_are_none(

@@ -10,7 +10,7 @@ import pytest
 
 import piga
 from piga._kernels.arithmetic import LIMIT
-from piga._kernels.compensation.layout import TERMS
+from piga._kernels.compensation.data import TERMS
 from piga.compensation import FLAGS, Mounted, Phase, SetCompensator
 from piga.reports.compensation.figures import compensation_errors, error_figures
 from piga.reports.render.orders import order_spectrum

@@ -12,8 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import piga
-from piga.compensation import Chunk, Mounted, SetCompensator, init_state, step
-from piga.compensation.model import make_model
+from piga.compensation import Mounted, SetCompensator
 from piga.records.calibration import Diagnostics
 from piga.units import G0
 from tests.compensation.sets.triads import orthogonal
@@ -82,18 +81,6 @@ def test_state_moves_to_another_compensator():
     in_pieces(stream, columns, (0, ROWS // 2))
     moved = piga.Compensator(CAL, state=stream.state)
     assert moved.push(second).ax.tobytes() == stream.push(second).ax.tobytes()
-
-
-def test_step_leaves_the_state_it_was_given():
-    columns = noisy_columns("angle")
-    chunk = Chunk(
-        columns["t"], columns["output"], columns["f"][:, 1].copy(), columns["f"][:, 2].copy(),
-        np.zeros(0, np.bool_), np.zeros((0, 3)), np.zeros(0), np.zeros(0),
-    )  # fmt: skip
-    model, state = make_model(CAL), init_state()
-    first, second = step(model, state, chunk)[1], step(model, state, chunk)[1]
-    assert not state.any()
-    assert first.ax.tobytes() == second.ax.tobytes()
 
 
 def test_gap_begins_a_new_stretch():

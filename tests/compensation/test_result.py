@@ -15,7 +15,7 @@ from piga.compensation import (
     Resampler,
     identify_phase,
 )
-from piga.compensation.compensator import compensate_in_pieces
+from piga.compensation.compensator import pieces_of, stream_of
 from piga.compensation.result import TableWriter
 from piga.formats.columns import nulls_of, numbers_of
 from piga.units import G0
@@ -51,7 +51,8 @@ def test_a_record_in_pieces_is_the_record(monkeypatch):
     cal = calibration_of(CAL, {"phi": 1e-4})
     whole = piga.compensate(run, cal)
     monkeypatch.setattr("piga.records.spool.BLOCK", 64)
-    result = list(compensate_in_pieces(run, cal))
+    stream = stream_of(run, cal)
+    result = [(label, chunk, stream.push(chunk)) for _, label, chunk in pieces_of(run, stream)]
     assert len(result) == 16
     assert {label for label, _, _ in result} == set(run.labels)
     assert_same_bits([part for _, _, part in result], whole, ("t", "ax", "dv", "u_ax", "flags"))

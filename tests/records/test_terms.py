@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga._kernels.compensation.layout import TERMS as COMPENSATED
+from piga._kernels.compensation.data import TERMS as COMPENSATED
 from piga._kernels.estimation.regressors import CODES
 from piga.calibration.joint.summary import STATIC_TERMS
 from piga.calibration.remarks.missing_terms import SINGLE, term_values
@@ -34,7 +34,7 @@ def test_a_term_stands_everywhere(name: str) -> None:
     servo, warm = name in SERVO_TERMS, name in ("k0_T", "k1_T")
     places = {
         "CODES in _kernels/estimation/regressors.py": servo or name == "k1" or name in CODES,
-        "TERMS in _kernels/compensation/layout.py": name in COMPENSATED,
+        "TERMS in _kernels/compensation/data.py": name in COMPENSATED,
         "ErrorModel in instrument/parameters.py": servo or name in ErrorModel.__dataclass_fields__,
         "_ERROR_UNITS in instrument/parameters.py": servo or name in _ERROR_UNITS,
         "SINGLE in calibration/remarks/missing_terms.py": name in SINGLE,

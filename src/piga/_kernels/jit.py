@@ -113,13 +113,9 @@ def compiling() -> bool:
     return _Compilations.going > 0 or time.monotonic() - _Compilations.ended < RECENT
 
 
-def _compiled(function: F, fastmath: bool | set[str]) -> F:
-    options: dict[str, Any] = {
-        "cache": bool(FOLDER),
-        "nogil": True,
-        "error_model": "numpy",
-        "no_cfunc_wrapper": True,
-    }
+def _compiled(function: F, fastmath: bool | set[str], **more: Any) -> F:
+    options: dict[str, Any] = {"cache": bool(FOLDER), "nogil": True, "error_model": "numpy"}
+    options |= {"no_cfunc_wrapper": True} | more
     before = config.CACHE_DIR
     config.CACHE_DIR = FOLDER  # for our kernels only: code of the user keeps its place
     try:
@@ -145,6 +141,11 @@ def inline(function: F) -> F:
 def exact(function: F) -> F:
     """Compile arithmetic whose rounding errors are part of the method: nothing is contracted."""
     return _compiled(function, False)
+
+
+def inline_exact(function: F) -> F:
+    """Like :func:`exact`, and inlined: a scalar step of a loop, whose named tuples then need no memory."""
+    return _compiled(function, False, forceinline=True)
 
 
 def reducing_kernel(function: F) -> F:

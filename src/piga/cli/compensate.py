@@ -304,6 +304,11 @@ def _together(
     from piga.compensation.result import format_of
     from piga.compensation.sets.set_files import compensate_set_files, orthogonal_triad, read_triad
 
+    if options.method == "published":
+        raise ArgumentError(
+            "--method published is not for several instruments",
+            remedy="leave it out; piga.studies.published_set compares the published solution of a set",
+        )
     kind = format_of(out)
     if len(runs) == 1:
         paths, mounted, inputs = read_triad(runs[0])
@@ -324,14 +329,14 @@ def _together(
             summary.update(
                 compensate_set_files(
                     paths, mounted, path, kind, uncertainty=options.uncertainty, max_age_days=options.max_age,
-                    force=options.force, period=options.period, method=options.method or "exact", progress=advance.show,
+                    force=options.force, period=options.period, progress=advance.show,
                     watch=None if report is None else report.outline.piece, inputs=inputs,
                 )
             )  # fmt: skip
 
     write_by_rename(out, write)
     if report is not None:
-        report.write({"method": options.method or "exact"} | options.common(), summary["inputs"])
+        report.write({"method": "exact"} | options.common(), summary["inputs"])
     return summary, [one.calibration for one in mounted]
 
 

@@ -1,10 +1,10 @@
 """Compensation: specific force and velocity from the output of calibrated instruments."""
 
-from piga.compensation.compensator import Chunk, Compensator, Step, compensate, init_state, step
+from piga.compensation.compensator import Chunk, Compensator, compensate
 from piga.compensation.model import FLAGS, Limits, Phase
 from piga.compensation.phase import PhaseFinder, identify_phase
 from piga.compensation.result import Compensated, CompensatedSet, Resampler
-from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
+from piga.compensation.sets.set_compensator import Mounted, SetCompensator
 from piga.compensation.sets.set_files import compensate_set
 
 __all__ = [
@@ -17,13 +17,9 @@ __all__ = [
     "Mounted",
     "Phase",
     "PhaseFinder",
-    "PublishedSet",
     "Resampler",
     "SetCompensator",
-    "Step",
     "compensate",
     "compensate_set",
     "identify_phase",
-    "init_state",
-    "step",
 ]

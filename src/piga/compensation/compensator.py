@@ -1,12 +1,9 @@
-"""Compensation of live streams and of whole records, step by step: state and chunk in, state and result out.
-
-A whole record is compensated piece by piece, by the same step as a live stream.
-"""
+"""Compensation of live streams and of whole records: a record is pushed through the same compensator as a stream."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -14,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels.compensation import layout as at
-from piga._kernels.compensation.record import RowArrays, Samples, Settings, compensate_record
+from piga._kernels.compensation import data as at
+from piga._kernels.compensation.sample import Rows, Samples, compensate_record
 from piga.compensation.model import (
     Limits,
     Model,
@@ -59,102 +56,38 @@ class Chunk(Result):
     angle: Array
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Step(Result):
-    """Result of one chunk: ``ax`` [m/s^2], ``dv`` [m/s], ``u_ax`` [m/s^2] and ``flags`` (empty if unwanted)."""
-
-    ax: Array
-    dv: Array
-    u_ax: Array
-    flags: NDArray[np.int32]
+def init_state() -> Any:
+    """The state before the first sample: one record of :class:`piga._kernels.compensation.data.Past`."""
+    return at.records(1, at.PAST)
 
 
-def init_state() -> Array:
-    """The state before the first sample."""
-    return np.zeros(at.STATE)
-
-
-def find_begins(state: Array, t: Array) -> NDArray[np.bool_]:
+def find_begins(state: Any, t: Array) -> NDArray[np.bool_]:
     """Mark the samples of a stream that begin a stretch; ``t`` (n,) [s] are the times after ``state``.
 
     If ``state`` contains no nominal interval yet, the first positive interval is stored in it.
     """
     steps = np.empty_like(t)
-    steps[:1] = t[:1] - state[at.S_TIME] if state[at.S_VALID] else 0.0
+    steps[:1] = t[:1] - state["t"] if state["seen"][0] else 0.0
     np.subtract(t[1:], t[:-1], out=steps[1:])
     forward = steps[steps > 0.0]
-    if state[at.S_NOMINAL] == 0.0 and forward.size:
-        state[at.S_NOMINAL] = forward[0]
-    return begins_stretch(steps, float(state[at.S_NOMINAL]))
+    if state["nominal"][0] == 0.0 and forward.size:
+        state["nominal"] = forward[0]
+    return begins_stretch(steps, float(state["nominal"][0]))
 
 
-def work_array() -> Array:
-    """Scratch memory of the kernels; one per thread."""
-    return np.zeros(at.WORK)
-
-
-def empty_step(n: int, uncertainty: bool, flags: bool) -> Step:
-    """Empty arrays for ``n`` rows."""
-    marks = np.empty(n if flags else 0, dtype=np.int32)
-    return Step(np.empty(n), np.empty(n), np.empty(n if uncertainty else 0), marks)
-
-
-def step(
-    model: Model,
-    state: Array,
-    chunk: Chunk,
-    *,
-    kind: str = "angle",
-    typical_step: float = 1.0,
-    uncertainty: bool = True,
-    work: Array | None = None,
-) -> tuple[Array, Step]:
-    """Compensate a chunk.
-
-    Parameters
-    ----------
-    model:
-        The instrument, from :func:`piga.compensation.model.make_model`.
-    state:
-        From :func:`init_state` or from the previous step; not changed.
-    chunk:
-        The samples. They continue the stretch of the state or begin a new one.
-    kind:
-        ``"angle"`` or ``"rate"``.
-    typical_step:
-        Interval [s] that sets the noise of a rate sample at the beginning of a stretch.
-    uncertainty:
-        Whether ``u_ax`` is computed.
-    work:
-        Scratch memory (:func:`work_array`) to reuse; None: allocate it.
-
-    Returns
-    -------
-    state, result:
-        The state after the chunk, and one row per sample.
-    """
-    new = state.copy()
-    result = empty_step(chunk.t.size, uncertainty, flags=True)
-    run_kernel(model, new, chunk, kind, typical_step, work_array() if work is None else work, result)
-    return new, result
-
-
-def run_kernel(
-    model: Model, state: Array, chunk: Chunk, kind: str, typical_step: float, work: Array, result: Step
-) -> None:
-    """Fill ``result`` and update ``state`` in place."""
-    rate = chunk.output if kind == "rate" else None
-    angle = chunk.angle if chunk.angle.size else None
-    compensate_record(
-        Samples(chunk.t, chunk.a_Y, chunk.a_Z, chunk.begins, chunk.base_rate, chunk.temperature),
-        chunk.output if rate is None else angle,
-        rate,
-        model.instrument,
-        Settings(model.has_terms, model.formula, model.base_flag, typical_step),
-        state,
-        work,
-        RowArrays(result.ax, result.dv, result.u_ax, result.flags),
+def run_kernel(model: Model, state: Any, chunk: Chunk, kind: str, rows: Rows) -> None:
+    """Compensate the samples of a chunk into ``rows`` and update ``state`` in place."""
+    psi, rate = (chunk.output, NONE) if kind == "angle" else (chunk.angle, chunk.output)
+    samples = Samples(
+        chunk.t, psi, rate, chunk.a_Y, chunk.a_Z, chunk.begins, chunk.base_rate, chunk.temperature
     )
+    compensate_record(samples, model.instrument, model.more, model.base_flag, state, rows)
+
+
+def empty_rows(n: int, uncertainty: bool, flags: bool) -> Rows:
+    """Arrays for ``n`` rows; those that are not wanted are empty."""
+    marks = np.empty(n if flags else 0, dtype=np.int32)
+    return Rows(np.empty(n), np.empty(n), np.empty(n if uncertainty else 0), marks)
 
 
 ROW_KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle")
@@ -203,7 +136,7 @@ class Compensator:
         flags: bool = True,
         limits: Limits | None = None,
         max_age_days: float | None = None,
-        state: Array | None = None,
+        state: Any = None,
     ) -> None:
         if kind not in ("angle", "rate"):
             raise ArgumentError(
@@ -212,22 +145,40 @@ class Compensator:
             )
         self.method = check_method(method, calibration)
         self.serial, self.notes = calibration.serial, notes_on(calibration)
-        self._kind = kind
+        self._kind, self._calibration, self._phase = kind, calibration, phase
         self._uncertainty, self._flags = uncertainty, flags
-        self._model = make_model(
-            calibration, method=self.method, segment=segment, phase=phase,
-            limits=limits, flag=age_flag(calibration, max_age_days),
-        )  # fmt: skip
-        self._state = init_state() if state is None else np.array(state, dtype=float)
-        self._typical = np.nan if step is None else step
+        self._typical, self._limits = np.nan if step is None else step, limits
+        self._age = age_flag(calibration, max_age_days)
+        self._models: dict[str | None, Model] = {}
+        self.take_segment(segment)
+        self._state = init_state() if state is None else state.copy()
         if step is not None:
-            self._state[at.S_NOMINAL] = step
-        self._work = work_array()
+            self._state["nominal"] = step
 
     @property
-    def state(self) -> Array:
+    def state(self) -> Any:
         """A copy of the state. Another compensator can continue from it."""
         return self._state.copy()
+
+    @property
+    def needs_temperature(self) -> bool:
+        """True if the calibration has temperature terms."""
+        return self._model.needs_temperature
+
+    def take_segment(self, segment: str | None) -> None:
+        """Use the phase of another segment from the next sample on.
+
+        Raises
+        ------
+        CalibrationError
+            If the calibration does not contain it.
+        """
+        if segment not in self._models:
+            self._models[segment] = make_model(
+                self._calibration, method=self.method, segment=segment, phase=self._phase,
+                limits=self._limits, flag=self._age, typical=self._typical,
+            )  # fmt: skip
+        self._model = self._models[segment]
 
     def push(self, chunk: Mapping[str, ArrayLike] | Run | Chunk) -> Compensated:
         """Compensate the next samples.
@@ -246,28 +197,26 @@ class Compensator:
         ArgumentError
             If a column is missing, has another length, or contains a number that is not finite.
         """
-        before = self._state.copy()
         samples = chunk if isinstance(chunk, Chunk) else self._samples(self._columns(chunk))
-        n = samples.t.size
-        result = empty_step(n, self._uncertainty, self._flags)
-        if n:
-            run_kernel(self._model, self._state, samples, self._kind, self._typical, self._work, result)
-            if not math.isfinite(result.dv.sum()):
-                self._state = before
-                _check_finite(samples)
-                raise ArgumentError(
-                    "chunk: its numbers are too large to compute with", remedy="check the units"
-                )
-        return Compensated(
-            samples.t, result.ax, result.dv, result.u_ax, result.flags, self.serial, self.method, self.notes
-        )  # fmt: skip
+        rows = empty_rows(samples.t.size, self._uncertainty, self._flags)
+        self.push_into(samples, rows)
+        return Compensated(samples.t, *rows, self.serial, self.method, self.notes)
+
+    def push_into(self, samples: Chunk, rows: Rows) -> None:
+        """Compensate the next samples into arrays that exist."""
+        before = self._state.copy()
+        run_kernel(self._model, self._state, samples, self._kind, rows)
+        if not math.isfinite(rows.dv.sum()):
+            self._state = before
+            _check_finite(samples)
+            raise ArgumentError("chunk: its numbers are too large to compute with", remedy="check the units")
 
     def _columns(self, chunk: Mapping[str, ArrayLike] | Run) -> Mapping[str, Any]:
         """Columns of a chunk. A record has its own stretches; only its first sample is checked against the stream."""
         if not isinstance(chunk, Run):
             return chunk
-        if self._state[at.S_NOMINAL] == 0.0:
-            self._state[at.S_NOMINAL] = chunk.median_step
+        if self._state["nominal"][0] == 0.0:
+            self._state["nominal"] = chunk.median_step
         begins = chunk.begins.copy()
         begins[:1] = find_begins(self._state, chunk.t[:1])
         columns: dict[str, Any] = {"t": chunk.t, "output": chunk.output, "f": chunk.f, "begins": begins}
@@ -380,47 +329,50 @@ def compensate(
     CalibrationError
         If the calibration is of another instrument, or if the phase of a segment is missing.
     """
-    plan = _plan(record, calibration, method, phase, limits, max_age_days, force)
-    result = empty_step(record.size, uncertainty, flags)
-    report(progress, 0, record.size, "compensating")
-
-    def room(rows: slice) -> Step:
-        return Step(result.ax[rows], result.dv[rows], result.u_ax[rows], result.flags[rows])
-
-    for rows, _, _ in plan.run(room):
-        report(progress, rows.stop, record.size, "compensating")
-    return Compensated(
-        record.t, result.ax, result.dv, result.u_ax, result.flags, record.serial, plan.method, notes_on(calibration),
-        (record, calibration),
+    stream = stream_of(
+        record, calibration, method=method, phase=phase, uncertainty=uncertainty, flags=flags, limits=limits,
+        max_age_days=max_age_days, force=force,
     )  # fmt: skip
+    rows = empty_rows(record.size, uncertainty, flags)
+    report(progress, 0, record.size, "compensating")
+    for part, _, chunk in pieces_of(record, stream):
+        stream.push_into(chunk, Rows(rows.ax[part], rows.dv[part], rows.u[part], rows.flags[part]))
+        report(progress, part.stop, record.size, "compensating")
+    return Compensated(
+        record.t, *rows, record.serial, stream.method, stream.notes, made_from=(record, calibration)
+    )
 
 
-def compensate_in_pieces(
-    record: Run,
-    calibration: Calibration,
-    *,
-    method: str | None = None,
-    phase: Phase | None = None,
-    uncertainty: bool = True,
-    limits: Limits | None = None,
-    max_age_days: float | None = None,
+def stream_of(
+    record: Run, calibration: Calibration, *, method: str | None = None, phase: Phase | None = None,
+    uncertainty: bool = True, flags: bool = True, limits: Limits | None = None, max_age_days: float | None = None,
     force: bool = False,
-) -> Iterator[tuple[str, Chunk, Compensated]]:
-    """Compensate a record piece by piece. Yields the label of the segment, the samples and the compensated rows.
+) -> Compensator:  # fmt: skip
+    """The compensator of a record; arguments and errors are those of :func:`compensate`."""
+    check_serial(record, calibration, force)
+    check_phase_kept(record, calibration, phase)
+    typical = (record.median_step or 1.0) if record.kind == "rate" else None
+    stream = Compensator(
+        calibration, kind="rate" if record.kind == "rate" else "angle", method=method, phase=phase,
+        segment=record.labels[int(record.segment_index[0])], step=typical, uncertainty=uncertainty, flags=flags,
+        limits=limits, max_age_days=max_age_days,
+    )  # fmt: skip
+    if stream.needs_temperature and record.temperature is None:
+        raise CalibrationError(
+            "the calibration has temperature terms, but the record has no temperature",
+            remedy="add [data] temperature = { column = '...', unit = 'degC' }",
+        )
+    return stream
 
-    Use it for records whose result does not fit in memory. Arguments and errors are those of :func:`compensate`. The
-    rows are identical to the bit.
-    """
-    plan = _plan(record, calibration, method, phase, limits, max_age_days, force)
 
-    def room(rows: slice) -> Step:
-        return empty_step(rows.stop - rows.start, uncertainty, flags=True)
-
-    for rows, chunk, computed in plan.run(room):
-        part = Compensated(
-            chunk.t, computed.ax, computed.dv, computed.u_ax, computed.flags, record.serial, plan.method
-        )  # fmt: skip
-        yield record.labels[int(record.segment_index[rows.start])], chunk, part
+def pieces_of(record: Run, stream: Compensator) -> Iterator[tuple[slice, str, Chunk]]:
+    """Row ranges of a record with one phase each, the label of the segment, and the samples; the stream takes the phase."""
+    for start, stop in pairwise(record.segment_edges().tolist()):
+        label = record.labels[int(record.segment_index[start])]
+        stream.take_segment(label)
+        for part in spans(stop - start):
+            rows = slice(start + part.start, start + part.stop)
+            yield rows, label, _chunk(record, rows)
 
 
 def check_serial(record: Run, calibration: Calibration, force: bool) -> None:
@@ -458,63 +410,6 @@ def check_phase_kept(record: Run, calibration: Calibration, phase: Phase | None,
         "record",
         remedy="calibrate with phases = 'per-segment', or compensate each part by itself, with its own phase",
     )
-
-
-def _plan(
-    record: Run, calibration: Calibration, method: str | None, phase: Phase | None, limits: Limits | None,
-    max_age_days: float | None, force: bool,
-) -> _Plan:  # fmt: skip
-    chosen = check_method(method, calibration)
-    check_serial(record, calibration, force)
-    check_phase_kept(record, calibration, phase)
-    return _Plan(record, calibration, chosen, phase, limits, age_flag(calibration, max_age_days))
-
-
-@dataclass(frozen=True)
-class _Plan:
-    record: Run
-    calibration: Calibration
-    method: str
-    phase: Phase | None
-    limits: Limits | None
-    flag: int
-
-    def run(self, room: Callable[[slice], Step]) -> Iterator[tuple[slice, Chunk, Step]]:
-        """Compensate piece by piece. ``room`` gives the output arrays for some rows."""
-        state, work = init_state(), work_array()
-        typical = self.record.median_step if self.record.kind == "rate" else 0.0
-        for rows, model in self._pieces():
-            chunk = _chunk(self.record, rows)
-            computed = room(rows)
-            run_kernel(model, state, chunk, self.record.kind, typical or 1.0, work, computed)
-            yield rows, chunk, computed
-
-    def _pieces(self) -> Iterator[tuple[slice, Model]]:
-        """Row ranges with one phase, and their model."""
-        edges = self.record.segment_edges()
-        models: dict[int, Model] = {}
-        for start, stop in pairwise(edges.tolist()):
-            index = int(self.record.segment_index[start])
-            if index not in models:
-                models[index] = self._model(self.record.labels[index])
-            for part in spans(stop - start):
-                yield slice(start + part.start, start + part.stop), models[index]
-
-    def _model(self, label: str) -> Model:
-        model = make_model(
-            self.calibration,
-            method=self.method,
-            segment=label,
-            phase=self.phase,
-            limits=self.limits,
-            flag=self.flag,
-        )
-        if model.needs_temperature and self.record.temperature is None:
-            raise CalibrationError(
-                "the calibration has temperature terms, but the record has no temperature",
-                remedy="add [data] temperature = { column = '...', unit = 'degC' }",
-            )
-        return model
 
 
 def _chunk(record: Run, rows: slice) -> Chunk:

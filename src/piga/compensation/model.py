@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.compensation import layout as at
-from piga._kernels.compensation.record import InstrumentArrays
+from piga._kernels.compensation import data as at
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.terms import harmonic, si_factor
@@ -56,11 +55,6 @@ class Limits:
             temperature=_widened(warm, 2.0) if warm else (-math.inf, math.inf),
         )
 
-    def as_array(self, temperature_reference: float) -> Array:
-        """The limits as an array for the kernels."""
-        low, high = self.temperature
-        return np.array([*self.a_x, self.a_t, low - temperature_reference, high - temperature_reference])
-
 
 def _widened(span: Any, least: float = 0.0) -> tuple[float, float]:
     low, high = float(span[0]), float(span[1])
@@ -102,11 +96,14 @@ class Phase:
 
 @dataclass(frozen=True)
 class Model:
-    """One instrument for one phase: its arrays for the kernels, the formula, and the flags that are valid for all rows."""
+    """One instrument for one phase, for the kernels.
 
-    instrument: InstrumentArrays
-    has_terms: bool
-    formula: int
+    ``instrument``: one record of :class:`piga._kernels.compensation.data.Instrument`. ``more``: its harmonics and the
+    covariance of its coefficients. ``base_flag``: flags that are valid for all rows.
+    """
+
+    instrument: Any
+    more: at.Covariance
     base_flag: int
     needs_temperature: bool
 
@@ -119,8 +116,11 @@ def make_model(
     phase: Phase | None = None,
     limits: Limits | None = None,
     flag: int = 0,
+    typical: float = math.nan,
 ) -> Model:
     """Take the coefficients of one segment (or the shared ones) from a calibration.
+
+    ``typical`` [s]: the time that a rate sample stands for at the start of a stretch.
 
     Raises
     ------
@@ -131,36 +131,31 @@ def make_model(
     values = {c.name: c.value * si_factor(c.name) for c in used}
     if phase is not None:
         values["phi"] = phase.value
-    parameters = np.zeros(at.PARAMETERS)
+    instrument = at.records(1, at.INSTRUMENT)
+    for name in at.TERMS:
+        instrument[name] = values.get(name, 0.0)
     K = values.get("scale_factor", calibration.scale_factor_nominal)
-    parameters[at.P_K] = K
-    parameters[at.P_TAN_BETA] = values.get("tan_beta", 0.0)
-    parameters[at.P_PHI] = values.get("phi", 0.0)
-    parameters[at.P_OFFSET_Y], parameters[at.P_OFFSET_Z] = K * values.get("s1", 0.0), -K * values.get("c1", 0.0)
-    parameters[at.P_TIME_REFERENCE] = calibration.time_reference
-    parameters[at.P_TEMPERATURE_REFERENCE] = calibration.temperature_reference
-    parameters[at.P_WHITE], parameters[at.P_WALK] = calibration.angle_rms**2, calibration.angle_random_walk**2
-    for index, name in enumerate(at.TERMS):
-        parameters[at.P_TERMS + index] = values.get(name, 0.0)
+    chosen, T_0 = limits or Limits.of(calibration), calibration.temperature_reference
+    low, high = chosen.a_x
+    cold, hot = chosen.temperature
+    for name, value in {
+        "K": K, "tan_beta": values.get("tan_beta", 0.0), "phi": values.get("phi", 0.0),
+        "offset_y": K * values.get("s1", 0.0), "offset_z": -K * values.get("c1", 0.0),
+        "t_0": calibration.time_reference, "T_0": T_0,
+        "white": calibration.angle_rms**2, "walk": calibration.angle_random_walk**2,
+        "low": low, "high": high, "most": chosen.a_t, "cold": cold - T_0, "hot": hot - T_0,
+        "has_terms": float(any(values.get(name, 0.0) != 0.0 for name in at.TERMS)),
+        "published": float(method == "published"), "typical": typical,
+    }.items():  # fmt: skip
+        instrument[name] = value
     orders = sorted({wave[1] for name in values if (wave := harmonic(name)) and wave[1] > 1})
-    codes, factor = _covariance_factor(calibration, used, phase)
-    chosen = limits or Limits.of(calibration)
-    instrument = InstrumentArrays(
-        parameters=parameters,
-        orders=np.array(orders, dtype=float),
-        sines=np.array([values.get(f"s{n}", 0.0) for n in orders], dtype=float),
-        cosines=np.array([values.get(f"c{n}", 0.0) for n in orders], dtype=float),
-        codes=codes,
-        factor=factor,
-        limits=chosen.as_array(calibration.temperature_reference),
+    more = at.Covariance(
+        np.array(orders, dtype=float),
+        np.array([values.get(f"s{n}", 0.0) for n in orders], dtype=float),
+        np.array([values.get(f"c{n}", 0.0) for n in orders], dtype=float),
+        *_covariance_factor(calibration, used, phase),
     )
-    return Model(
-        instrument=instrument,
-        has_terms=any(values.get(name, 0.0) != 0.0 for name in at.TERMS),
-        formula=at.PUBLISHED if method == "published" else at.EXACT,
-        base_flag=flag,
-        needs_temperature=any(name in values for name in ("k0_T", "k1_T")),
-    )
+    return Model(instrument, more, flag, any(name in values for name in ("k0_T", "k1_T")))
 
 
 def needs_phase(calibration: Calibration) -> bool:
@@ -213,7 +208,7 @@ def _code(name: str) -> int:
     if wave:
         return at.HARMONIC + 2 * wave[1] + (0 if wave[0] == "s" else 1)
     special = {"scale_factor": at.SCALE_FACTOR, "tan_beta": at.TAN_BETA, "phi": at.PHI}
-    return special[name] if name in special else at.P_TERMS + at.TERMS.index(name)
+    return special[name] if name in special else at.TERMS.index(name)
 
 
 def _covariance_factor(

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga._kernels.compensation import layout as at
-from piga._kernels.compensation.terms import SERVO, SERVO_DAMPING
 from piga._kernels.estimation.noise import innovation_weights, whiten
 from piga._kernels.estimation.regressors import coupling_columns
 from piga.compensation.model import Phase, make_model
@@ -52,13 +50,13 @@ class PhaseFinder:
     """
 
     def __init__(self, calibration: Calibration) -> None:
-        p = self._parameters = make_model(calibration, phase=Phase(0.0)).instrument.parameters
-        if p[at.P_TAN_BETA] == 0.0 and p[at.P_OFFSET_Y] == 0.0 and p[at.P_OFFSET_Z] == 0.0:
+        p = self._instrument = make_model(calibration, phase=Phase(0.0)).instrument[0]
+        if p["tan_beta"] == 0.0 and p["offset_y"] == 0.0 and p["offset_z"] == 0.0:
             raise CalibrationError(
                 "the calibration has no cross-coupling: there is no phase to find",
                 remedy="leave --identify-phase out",
             )
-        self._white, self._walk = max(float(p[at.P_WHITE]), 1e-24), float(p[at.P_WALK])
+        self._white, self._walk = max(float(p["white"]), 1e-24), float(p["walk"])
         self._normal = np.zeros((6, 6))
         self._whitener, self._variance = np.zeros(6), 0.0
         self._last: tuple[float, float, float, float] | None = None
@@ -84,14 +82,14 @@ class PhaseFinder:
     def _add(self, t: Array, psi: Array, y: Array, z: Array) -> None:
         h, turn = np.diff(t), np.diff(psi)
         self._turned += float(np.abs(turn).sum())
-        p = self._parameters
-        coupling = p[at.P_K] * p[at.P_TAN_BETA]
+        p, K = self._instrument, float(self._instrument["K"])
+        coupling = K * p["tan_beta"]
         straight, spent = np.zeros(h.size), float(h.sum())
-        v = float(turn.sum()) / (p[at.P_K] * spent) if spent > 0.0 else 0.0
-        damping, stiffness = p[at.P_K] * p[SERVO_DAMPING] * v * v, p[at.P_K] * p[SERVO] * v
+        v = float(turn.sum()) / (K * spent) if spent > 0.0 else 0.0
+        damping, stiffness = K * p["servo_damping"] * v * v, K * p["servo"] * v
         rows, bows = np.empty((6, h.size)), np.zeros((2, h.size))
         rows[0], rows[5] = h, turn
-        across = coupling * y + p[at.P_OFFSET_Y] - damping * z, coupling * z + p[at.P_OFFSET_Z] + damping * y
+        across = coupling * y + p["offset_y"] - damping * z, coupling * z + p["offset_z"] + damping * y
         coupling_columns(psi, *across, bows, h, straight, 1.0, rows[1:3])
         twice = stiffness * (y * y - z * z), stiffness * 2.0 * y * z
         coupling_columns(psi, *twice, bows, h, straight, 2.0, rows[3:5])

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga._kernels.compensation.layout import TILE
 from piga.compensation import Mounted, SetCompensator, compensate_set, identify_phase
-from piga.compensation.sets.set_compensator import PublishedSet
 from piga.units import G0
 from tests.compensation.sets.triads import PHASES, SKEWED, made, orthogonal, rotation
 from tests.compensation.sets.twin_triad import run, spectrum
@@ -186,7 +184,6 @@ def test_a_gap_begins_the_differences_anew(said):
     values = {"scale_factor": K_G, "tan_beta": TAN_BETA}
     mounted = [Mounted(calibration_of({**values, "phi": PHASES[i]}), m) for i, m in enumerate(axes)]
     rows = SetCompensator(mounted).push(t, psi, begins=begins if said else None)
-    assert np.flatnonzero(PublishedSet(mounted).push(t, psi).flagged("no_increment")).tolist() == [0, 20]
     error = np.abs(rows.f[1:] - 0.5 * (f[1:] + f[:-1])).max(axis=1) / G0
     assert np.isnan(error[19])
     assert np.nanmax(error[23:]) < 1e-12
@@ -198,22 +195,6 @@ AXES = {"orthogonal": orthogonal(), "skewed": [rotation(a) for a in SKEWED]}
 
 def moving(t: np.ndarray) -> np.ndarray:
     return np.array([1.0, -0.7, 0.4]) * G0 * (1.0 + 0.3 * np.sin(2.0 * t))[:, None]
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("axes", AXES)
-@pytest.mark.parametrize("size", [TILE, 3 * TILE])
-def test_chunks_of_whole_tiles(axes: str, size: int) -> None:
-    """Nothing lies behind the last row of such a chunk that could stand in for it."""
-    t = np.arange(6 * TILE) * 0.01
-    runs, mounted = made(t, moving(t), AXES[axes])
-    psi = np.array([r.output for r in runs])
-    whole, stream = SetCompensator(mounted), SetCompensator(mounted)
-    expected = whole.push(np.append(t, t[-1] + 0.01), np.column_stack([psi, psi[:, -1]]))
-    parts = [stream.push(t[k : k + size], psi[:, k : k + size]) for k in range(0, t.size, size)]
-    for name in ("f", "dv", "u_f", "residual", "flags"):
-        result = np.concatenate([getattr(p, name) for p in parts])
-        assert result.tobytes() == getattr(expected, name)[: t.size].tobytes(), name
 
 
 @pytest.mark.compiled

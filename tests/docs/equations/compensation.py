@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 import piga
-from piga._kernels.compensation.indication import solve_far, solve_small
+from piga._kernels.compensation.sample import solve_far, solve_small
 from piga.units import G0
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, instrument, run_of
 

@@ -12,32 +12,102 @@ At a sample with recorded rate the equation is the same with ``g = 1``. The effe
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.compensation import indication as indicated
-from piga._kernels.compensation import layout as at
-from piga._kernels.compensation import terms
-from piga._kernels.compensation.indication import padded
-from piga._kernels.compensation.record import (
-    Samples,
-    describe_intervals,
-    describe_samples,
-    find_inverse,
-    load_block,
-    save_last,
-    take_rates,
+from piga._kernels.arithmetic import sine_cosine
+from piga._kernels.compensation import data as at
+from piga._kernels.compensation.data import Covariance, Inputs, Instrument, Past, Sample
+from piga._kernels.compensation.sample import (
+    EVEN,
+    FADING,
+    FAR_TURN,
+    bow,
+    keep_bends,
+    keep_interval,
+    keep_sample,
+    solve_far,
+    spacing,
+    transverse,
 )
-from piga._kernels.jit import Array, exact, kernel
+from piga._kernels.compensation.terms import (
+    TWELFTH,
+    flags_of,
+    harmonics,
+    servo_error,
+    uncertainty,
+    variance_by_coefficients,
+)
+from piga._kernels.jit import Array, exact
+
+EXACT_ROUNDS = 4
+"""Rounds of intervals, the linear one first; each reduces the misfit by more than 1e4."""
+TERM_ROUNDS = 8
+"""The same with an error model; each round leaves about ``2 k2 a_x`` of the misfit (0.4 % for 2e-3 per g at 1 g)."""
+SAMPLE_ROUNDS = 2
+PLAIN, WEIGHTED = 0, 1
+"""The solution with equal weights, from which the weights follow, and the one with weights."""
+
+
+class Member(Protocol):
+    """What one instrument says of the row that is solved.
+
+    ``angle``, ``s``, ``c``: angle in the middle. ``turn``, ``delta``: angle turned and half of it [rad]. ``gain``:
+    sin(delta)/delta. ``rate`` [rad/s]: the output rate. ``base_x``, ``base_y``, ``base_z``: what base rate and first harmonic
+    add to ``u_x`` and to the transverse input [rad/s], as means, with their changes ``rise_...``. ``left_...``: uncertainty of
+    these means. ``axis_...``: effective axis in the common frame. ``harmonics``: second and higher ones [m/s^2]. ``weight``
+    [s^4/m^2], ``misfit`` [m/s^2]. ``a_x, a_Y, a_Z`` and changes ``da_...``: the force in the instrument's axes [m/s^2].
+    ``error`` and ``derror``: error model there. ``v``: output rate over K [m/s^2]. ``t`` [s]. ``temperature``, ``dT`` [K].
+    ``Omega_Y``, ``Omega_Z`` [rad/s].
+    """
+
+    angle: float
+    s: float
+    c: float
+    turn: float
+    delta: float
+    gain: float
+    rate: float
+    base_x: float
+    base_y: float
+    base_z: float
+    rise_x: float
+    rise_y: float
+    rise_z: float
+    left_x: float
+    left_y: float
+    left_z: float
+    axis_x: float
+    axis_y: float
+    axis_z: float
+    harmonics: float
+    weight: float
+    misfit: float
+    a_x: float
+    a_Y: float
+    a_Z: float
+    da_x: float
+    da_Y: float
+    da_Z: float
+    error: float
+    derror: float
+    v: float
+    t: float
+    temperature: float
+    dT: float
+    Omega_Y: float
+    Omega_Z: float
+
+
+MEMBER = np.dtype([(name, np.float64) for name in Member.__annotations__])
 
 
 class SetSamples(NamedTuple):
     """Samples of N instruments: ``t``, ``begins`` (n,); ``psi`` (N, n); ``rate`` (N, n), or (N, 0): angles only.
 
-    ``base_rate`` (N, n or 0, 3), ``temperature`` (N, n or 0). ``none`` (0,) replaces the transverse force, which is
-    unknown.
+    ``base_rate`` (N, n or 0, 3), ``temperature`` (N, n or 0).
     """
 
     t: Array
@@ -46,31 +116,27 @@ class SetSamples(NamedTuple):
     rate: Array
     base_rate: Array
     temperature: Array
-    none: Array
 
 
-class SetModels(NamedTuple):
-    """Coefficients of all instruments, padded to one size; ``axes`` (N, 3, 3)."""
+class SetCovariance(NamedTuple):
+    """Harmonics and covariance factors of all instruments, padded to one size; see :class:`.data.Covariance`."""
 
-    parameters: Array
-    axes: Array
-    has_terms: NDArray[np.bool_]
     orders: Array
     sines: Array
     cosines: Array
     codes: NDArray[np.int64]
     factors: Array
-    limits: Array
 
 
-class SetWork(NamedTuple):
-    """Scratch memory: of every instrument ``w``, ``weights``; common ``c``; of a block ``flags``; ``bend`` (3, rows)."""
+class SetPast(NamedTuple):
+    """Earlier rows: ``past`` (N,) records; last ``force`` (3,); the last three estimates ``early`` (2, 3, 3) [m/s^2].
 
-    w: Array
-    weights: Array
-    c: Array
-    flags: NDArray[np.int32]
-    bend: Array
+    ``early[way, lag, axis]`` is the force for a change of zero, of the plain and of the weighted solution.
+    """
+
+    past: Any
+    force: Array
+    early: Array
 
 
 class SetRows(NamedTuple):
@@ -89,507 +155,359 @@ class SetRows(NamedTuple):
     each: NDArray[np.int32]
 
 
-EXACT_ROUNDS = 3
-"""Rounds with the exact equations after the linear one; each reduces the misfit by more than 1e4."""
-TERM_ROUNDS = 7
-"""The same with an error model; each round leaves about ``2 k2 a_x`` of the misfit (0.4 % for 2e-3 per g at 1 g)."""
-# rows of the set
-FORCE_X, FORCE_Y, FORCE_Z = 0 * at.STRIDE, 1 * at.STRIDE, 2 * at.STRIDE
-EARLY_X, EARLY_Y, EARLY_Z = 3 * at.STRIDE, 4 * at.STRIDE, 5 * at.STRIDE
-RISE_X, RISE_Y, RISE_Z = 6 * at.STRIDE, 7 * at.STRIDE, 8 * at.STRIDE
-N_XX, N_XY, N_XZ = 9 * at.STRIDE, 10 * at.STRIDE, 11 * at.STRIDE
-N_YY, N_YZ, N_ZZ = 12 * at.STRIDE, 13 * at.STRIDE, 14 * at.STRIDE
-R_X, R_Y, R_Z = 15 * at.STRIDE, 16 * at.STRIDE, 17 * at.STRIDE
-MISFIT = 18 * at.STRIDE
-CHI = 19 * at.STRIDE
-BEND_X, BEND_Y, BEND_Z = 20 * at.STRIDE, 21 * at.STRIDE, 22 * at.STRIDE  # standard uncertainty of RISE
-SET_WORK = 23 * at.STRIDE
-SET_STATE = 21  # early estimate and force of the last row, early estimates of the two rows before it, those without weights
-EARLY_PLACES = (0, 6, 9)  # of the last rows, the latest first
-PLAIN_PLACES = (12, 15, 18)  # the same of the solution without weights
+class Solution(NamedTuple):
+    """Force ``f``, its change ``df`` over the interval and the change's uncertainty ``bend``, (3,) [m/s^2].
+
+    ``inverse`` (3, 3): the inverse normal matrix, with weights ``1/u^2`` the covariance of the force. ``sums`` (2,): sums of
+    squared misfits, plain and weighted.
+    """
+
+    f: Array
+    df: Array
+    bend: Array
+    inverse: Array
+    sums: Array
 
 
 @exact
-def one_of(samples: SetSamples, i: int) -> Samples:
-    """Known inputs of one instrument; the transverse force is not known."""
-    return Samples(
-        samples.t, samples.none, samples.none, samples.begins, samples.base_rate[i], samples.temperature[i]
+def read_member(
+    p: Instrument, more: Covariance, axes: Array, past: Past, now: Sample, h: float, sampled: bool, m: Member
+) -> None:
+    """Angle, base rate, effective axis and harmonics of an instrument in the row that is solved."""
+    y, z = transverse(p, now)
+    m.turn = now.psi - past.psi
+    if sampled:
+        m.angle, m.delta, m.gain, m.rate = p.phi + now.psi, 0.0, 1.0, now.rate
+        m.base_x, m.base_y, m.base_z = now.Omega_x, y, z
+        m.rise_x = m.rise_y = m.rise_z = m.left_x = m.left_y = m.left_z = m.dT = 0.0
+        m.t, m.temperature, m.Omega_Y, m.Omega_Z = now.t, now.T, now.Omega_Y, now.Omega_Z
+        keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
+    else:
+        gap = spacing(h, past)
+        m.angle, m.delta, m.rate = p.phi + 0.5 * (past.psi + now.psi), 0.5 * m.turn, m.turn / h
+        d = m.delta * m.delta
+        m.gain = 1.0 + d * (-1 / 6 + d * (1 / 120 + d * (-1 / 5040 + d * (1 / 362880 - d / 39916800))))
+        bow_x, m.left_x, bend_x = bow(gap, now.Omega_x, past.Omega_x, past.Omega_x_before, past.bend_x)
+        bow_y, m.left_y, bend_y = bow(gap, y, past.y, past.y_before, past.bend_y)
+        bow_z, m.left_z, bend_z = bow(gap, z, past.z, past.z_before, past.bend_z)
+        m.base_x = 0.5 * (past.Omega_x + now.Omega_x) + bow_x
+        m.base_y, m.base_z = 0.5 * (past.y + y) + bow_y, 0.5 * (past.z + z) + bow_z
+        m.rise_x, m.rise_y, m.rise_z = now.Omega_x - past.Omega_x, y - past.y, z - past.z
+        m.t, m.temperature, m.dT = (
+            0.5 * (past.t + now.t),
+            0.5 * (past.temperature + now.T),
+            now.T - past.temperature,
+        )
+        m.Omega_Y, m.Omega_Z = 0.5 * (past.Omega_Y + now.Omega_Y), 0.5 * (past.Omega_Z + now.Omega_Z)
+        keep_bends(past, now, y, z, (bend_x, bend_y, bend_z))
+    m.s, m.c = sine_cosine(m.angle)
+    m.v, m.weight = m.rate / p.K, 1.0
+    x, y = 1.0 + p.k1, p.tan_beta * m.gain * m.s + p.m_Y
+    z = p.m_Z - p.tan_beta * m.gain * m.c
+    m.axis_x = x * axes[0, 0] + y * axes[1, 0] + z * axes[2, 0]
+    m.axis_y = x * axes[0, 1] + y * axes[1, 1] + z * axes[2, 1]
+    m.axis_z = x * axes[0, 2] + y * axes[1, 2] + z * axes[2, 2]
+    m.harmonics = harmonics(more, inputs_of(p, m, h, 0.0), 0.0) if more.orders.size else 0.0
+
+
+@exact
+def inputs_of(p: Instrument, m: Member, h: float, doubt: float) -> Inputs:
+    """The inputs of the row, with all of the transverse input, for error model and uncertainty."""
+    coupling = p.K * p.tan_beta
+    per = 1.0 / (h if h != 0.0 else p.typical)
+    return Inputs(
+        h, per, m.turn, m.delta, m.angle, m.s, m.c, m.v, m.base_x, m.Omega_Y, m.Omega_Z,
+        coupling * m.a_Y + m.base_y, coupling * m.a_Z + m.base_z, m.t, m.a_Y, m.a_Z, m.da_Y, m.da_Z, m.temperature, m.dT,
+        m.da_x, doubt,
     )  # fmt: skip
 
 
-@kernel
-def find_gains(rows: int, w: Array) -> None:
-    """Half the turn ``delta`` of every interval, and its gain ``sin(delta)/delta``.
-
-    The gain is the derivative of the angle equation by A over that by the coupling.
-    """
-    for j in range(1, rows + 1):
-        delta = 0.5 * (w[at.PSI + j] - w[at.PSI + j - 1])
-        d = delta * delta
-        gain = 1.0 + d * (-1 / 6 + d * (1 / 120 + d * (-1 / 5040 + d * (1 / 362880 - d / 39916800))))
-        w[at.HALF + j], w[at.GAIN + j] = delta, gain
-
-
-@kernel
-def find_axis(rows: int, p: Array, axes: Array, w: Array) -> None:
-    """Effective axis of an instrument over every interval or at every sample, common frame."""
-    tangent = p[at.P_TAN_BETA]
-    x = 1.0 + p[terms.K1]
-    for j in range(1, rows + 1):
-        y = tangent * w[at.GAIN + j] * w[at.SINE + j] + p[terms.M_Y]
-        z = p[terms.M_Z] - tangent * w[at.GAIN + j] * w[at.COSINE + j]
-        w[at.AXIS_X + j] = x * axes[0, 0] + y * axes[1, 0] + z * axes[2, 0]
-        w[at.AXIS_Y + j] = x * axes[0, 1] + y * axes[1, 1] + z * axes[2, 1]
-        w[at.AXIS_Z + j] = x * axes[0, 2] + y * axes[1, 2] + z * axes[2, 2]
-
-
-@kernel
-def find_base(rows: int, sampled: bool, w: Array) -> None:
-    """Contribution of base rate and first harmonic: mean over every interval and its change, or at every sample."""
-    if sampled:
-        for j in range(1, rows + 1):
-            w[at.BASE_X + j] = w[at.OMEGA_X + j]
-            w[at.BASE_Y + j] = w[at.RATE_Y + j]
-            w[at.BASE_Z + j] = w[at.RATE_Z + j]
-        return
-    for j in range(1, rows + 1):
-        w[at.BASE_X + j] = 0.5 * (w[at.OMEGA_X + j - 1] + w[at.OMEGA_X + j]) + w[at.BOW_X + j]
-        w[at.BASE_Y + j] = 0.5 * (w[at.RATE_Y + j - 1] + w[at.RATE_Y + j]) + w[at.BOW_Y + j]
-        w[at.BASE_Z + j] = 0.5 * (w[at.RATE_Z + j - 1] + w[at.RATE_Z + j]) + w[at.BOW_Z + j]
-        w[at.BASE_RISE_X + j] = w[at.OMEGA_X + j] - w[at.OMEGA_X + j - 1]
-        w[at.BASE_RISE_Y + j] = w[at.RATE_Y + j] - w[at.RATE_Y + j - 1]
-        w[at.BASE_RISE_Z + j] = w[at.RATE_Z + j] - w[at.RATE_Z + j - 1]
-
-
-@kernel
-def misfit_first(rows: int, p: Array, w: Array) -> None:
-    """Linear misfit of every interval at zero force [m/s^2], into the row INPUT: the first round."""
-    inverse = 1.0 / p[at.P_K]
-    for j in range(1, rows + 1):
-        rate = 2.0 * w[at.HALF + j] * w[at.INVERSE + j] + w[at.BASE_X + j]
-        base = w[at.GAIN + j] * (w[at.BASE_Y + j] * w[at.SINE + j] - w[at.BASE_Z + j] * w[at.COSINE + j])
-        w[at.INPUT + j] = (rate - base) * inverse - p[terms.K0]
-
-
-@kernel
-def clear(first: int, last: int, rows: int, c: Array) -> None:
-    """Set rows of the set to zero, from ``first`` to ``last``."""
-    for row in range(first, last + at.STRIDE, at.STRIDE):
-        for j in range(1, rows + 1):
-            c[row + j] = 0.0
-
-
-@kernel
-def add_normal(rows: int, w: Array, weight: Array, c: Array) -> None:
-    """Add an instrument to the normal matrices."""
-    for j in range(1, rows + 1):
-        x, y, z, k = w[at.AXIS_X + j], w[at.AXIS_Y + j], w[at.AXIS_Z + j], weight[j]
-        c[N_XX + j] += k * x * x
-        c[N_XY + j] += k * x * y
-        c[N_XZ + j] += k * x * z
-        c[N_YY + j] += k * y * y
-        c[N_YZ + j] += k * y * z
-        c[N_ZZ + j] += k * z * z
-
-
-@kernel
-def invert_normal(rows: int, c: Array) -> None:
-    """Invert the symmetric normal matrices in place."""
-    for j in range(1, rows + 1):
-        xx, xy, xz = c[N_XX + j], c[N_XY + j], c[N_XZ + j]
-        yy, yz, zz = c[N_YY + j], c[N_YZ + j], c[N_ZZ + j]
-        a, b, d = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-        inverse = 1.0 / (xx * a + xy * b + xz * d)
-        c[N_XX + j], c[N_XY + j], c[N_XZ + j] = a * inverse, b * inverse, d * inverse
-        c[N_YY + j], c[N_YZ + j] = (xx * zz - xz * xz) * inverse, (xy * xz - xx * yz) * inverse
-        c[N_ZZ + j] = (xx * yy - xy * xy) * inverse
-
-
-@kernel
-def add_right(rows: int, w: Array, weight: Array, c: Array) -> None:
-    """Add the misfit (row INPUT) of an instrument to the right-hand sides and sums of squares."""
-    for j in range(1, rows + 1):
-        misfit = w[at.INPUT + j]
-        k = weight[j] * misfit
-        c[R_X + j] += k * w[at.AXIS_X + j]
-        c[R_Y + j] += k * w[at.AXIS_Y + j]
-        c[R_Z + j] += k * w[at.AXIS_Z + j]
-        c[MISFIT + j] += misfit * misfit
-        c[CHI + j] += k * misfit
-
-
-@kernel
-def correct_force(rows: int, c: Array) -> None:
-    """Add the least-squares correction to the force."""
-    for j in range(1, rows + 1):
-        x, y, z = c[R_X + j], c[R_Y + j], c[R_Z + j]
-        c[FORCE_X + j] += c[N_XX + j] * x + c[N_XY + j] * y + c[N_XZ + j] * z
-        c[FORCE_Y + j] += c[N_XY + j] * x + c[N_YY + j] * y + c[N_YZ + j] * z
-        c[FORCE_Z + j] += c[N_XZ + j] * x + c[N_YZ + j] * y + c[N_ZZ + j] * z
-
-
-@kernel
-def turn_force(rows: int, axes: Array, w: Array, c: Array) -> None:
+@exact
+def turn_force(axes: Array, found: Solution, m: Member) -> None:
     """Force and its change over the interval in the axes of an instrument."""
-    for j in range(1, rows + 1):
-        x, y, z = c[FORCE_X + j], c[FORCE_Y + j], c[FORCE_Z + j]
-        w[at.FORCE + j] = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
-        w[at.MEAN_Y + j] = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-        w[at.MEAN_Z + j] = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
-        x, y, z = c[RISE_X + j], c[RISE_Y + j], c[RISE_Z + j]
-        w[at.SLOPE + j] = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
-        w[at.CHANGE_Y + j] = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-        w[at.CHANGE_Z + j] = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+    f, d = found.f, found.df
+    m.a_x = axes[0, 0] * f[0] + axes[0, 1] * f[1] + axes[0, 2] * f[2]
+    m.a_Y = axes[1, 0] * f[0] + axes[1, 1] * f[1] + axes[1, 2] * f[2]
+    m.a_Z = axes[2, 0] * f[0] + axes[2, 1] * f[1] + axes[2, 2] * f[2]
+    m.da_x = axes[0, 0] * d[0] + axes[0, 1] * d[1] + axes[0, 2] * d[2]
+    m.da_Y = axes[1, 0] * d[0] + axes[1, 1] * d[1] + axes[1, 2] * d[2]
+    m.da_Z = axes[2, 0] * d[0] + axes[2, 1] * d[1] + axes[2, 2] * d[2]
 
 
-@kernel
-def model_errors(rows: int, p: Array, has_terms: bool, sampled: bool, w: Array) -> None:
-    """Error model at the force and its change over the interval: the difference of the indicated force and ``a_x``.
-
-    The row HALF contains the rate if the set is ``sampled``.
-    """
-    reference = p[at.P_TIME_REFERENCE]
-    for j in range(1, rows + 1):
-        w[at.ERROR + j], w[at.ERROR_RISE + j] = w[at.HARMONICS + j], 0.0
-    if not has_terms:
+@exact
+def model_error(p: Instrument, m: Member, h: float) -> None:
+    """Error model at the force, the difference of the indicated force and ``a_x``, and its change over the interval."""
+    m.error, m.derror = m.harmonics, 0.0
+    if p.has_terms == 0.0:
         return
-    for j in range(1, rows + 1):
-        a, y, z = w[at.FORCE + j], w[at.MEAN_Y + j], w[at.MEAN_Z + j]
-        da, dy, dz = w[at.SLOPE + j] / 12.0, w[at.CHANGE_Y + j], w[at.CHANGE_Z + j]
-        spread = da * w[at.SLOPE + j]
-        warmth, time = w[at.MEAN_T + j], w[at.MEAN_TIME + j] - reference
-        value = p[terms.K0] + a * p[terms.K1] + p[terms.M_Y] * y + p[terms.M_Z] * z
-        value += p[terms.K2] * (a * a + spread) + p[terms.K3] * a * (a * a + 3.0 * spread)
-        value += (
-            p[terms.K2O] * a * abs(a) + p[terms.K_XY] * (a * y + da * dy) + p[terms.K_XZ] * (a * z + da * dz)
-        )
-        value += p[terms.K_YY] * (y * y + dy * dy / 12.0) + p[terms.K_ZZ] * (z * z + dz * dz / 12.0)
-        value += p[terms.K_YZ] * (y * z + dy * dz / 12.0)
-        value += p[terms.K0_T] * time + (p[terms.K0_TEMP] + p[terms.K1_TEMP] * a) * warmth
-        w[at.ERROR + j] = value + w[at.HARMONICS + j]
-        da = w[at.SLOPE + j]
-        rise = (p[terms.K1] + 2.0 * (p[terms.K2] * a + p[terms.K2O] * abs(a)) + 3.0 * p[terms.K3] * a * a) * da
-        rise += p[terms.M_Y] * dy + p[terms.M_Z] * dz + 2.0 * (p[terms.K_YY] * y * dy + p[terms.K_ZZ] * z * dz)
-        rise += p[terms.K_XY] * (a * dy + y * da) + p[terms.K_XZ] * (a * dz + z * da)
-        rise += p[terms.K_YZ] * (y * dz + z * dy) + p[terms.K0_T] * w[at.STEP + j]
-        rise += (p[terms.K0_TEMP] + p[terms.K1_TEMP] * a) * w[at.CHANGE_T + j] + p[terms.K1_TEMP] * warmth * da
-        w[at.ERROR_RISE + j] = rise
-    if p[terms.SERVO] == 0.0 and p[terms.SERVO_DAMPING] == 0.0:
-        return
-    for j in range(1, rows + 1):
-        half = 0.0 if sampled else w[at.HALF + j]
-        w[at.ERROR + j] += terms.servo_error(p, j, sampled, half, w)
-
-
-@kernel
-def misfit_intervals(rows: int, p: Array, w: Array) -> None:
-    """Misfit of the exact equation of every interval [m/s^2], into the row INPUT."""
-    K, tangent = p[at.P_K], p[at.P_TAN_BETA]
-    far = 0
-    for j in range(1, rows + 1):
-        h, delta, s, c = w[at.STEP + j], w[at.HALF + j], w[at.SINE + j], w[at.COSINE + j]
-        a = K * (w[at.FORCE + j] + w[at.ERROR + j]) - w[at.BASE_X + j]
-        y = K * tangent * w[at.MEAN_Y + j] + w[at.BASE_Y + j]
-        z = K * tangent * w[at.MEAN_Z + j] + w[at.BASE_Z + j]
-        da = K * (w[at.SLOPE + j] + w[at.ERROR_RISE + j]) - w[at.BASE_RISE_X + j]
-        dy = K * tangent * w[at.CHANGE_Y + j] + w[at.BASE_RISE_Y + j]
-        dz = K * tangent * w[at.CHANGE_Z + j] + w[at.BASE_RISE_Z + j]
-        cross = h * h / 12.0
-        Y = h * y + cross * (a * dz - z * da)
-        Z = h * z - cross * (a * dy - y * da)
-        e = (h * a - 2.0 * delta) + cross * (y * dz - z * dy)
-        d = delta * delta
-        sine = delta * w[at.GAIN + j]
-        cosine = 1.0 + d * (-1 / 2 + d * (1 / 24 + d * (-1 / 720 + d * (1 / 40320 - d / 3628800))))
-        first = -1 / 3 + d * (-2 / 45 + d * (-6 / 945 + d * (-4 / 4725 + d * (-10 / 93555))))
-        second = -1 / 45 + d * (-6 / 945 + d * (-6 / 4725))
-        eta = delta * e + 0.25 * (e * e - (Y * Y + Z * Z))
-        value = e * cosine - 2.0 * sine * eta * (first + eta * second) + (Y * s - Z * c)
-        w[at.INPUT + j] = -value * w[at.GAIN + j] * w[at.INVERSE + j] / K
-        far |= abs(delta) > indicated.FAR_TURN
-    if far:
-        misfit_far(rows, p, w)
+    a, y, z, da, dy, dz = m.a_x, m.a_Y, m.a_Z, m.da_x, m.da_Y, m.da_Z
+    spread = da * da * TWELFTH
+    value = (
+        p.k0 + a * p.k1 + p.m_Y * y + p.m_Z * z + p.k2 * (a * a + spread) + p.k3 * a * (a * a + 3.0 * spread)
+    )
+    value += p.k2o * a * abs(a) + p.k_XY * (a * y + da * dy * TWELFTH) + p.k_XZ * (a * z + da * dz * TWELFTH)
+    value += p.k_YY * (y * y + dy * dy * TWELFTH) + p.k_ZZ * (z * z + dz * dz * TWELFTH)
+    value += p.k_YZ * (y * z + dy * dz * TWELFTH)
+    value += p.k0_t * (m.t - p.t_0) + (p.k0_T + p.k1_T * a) * m.temperature
+    m.error += value
+    rise = (p.k1 + 2.0 * (p.k2 * a + p.k2o * abs(a)) + 3.0 * p.k3 * a * a) * da
+    rise += p.m_Y * dy + p.m_Z * dz + 2.0 * (p.k_YY * y * dy + p.k_ZZ * z * dz)
+    rise += p.k_XY * (a * dy + y * da) + p.k_XZ * (a * dz + z * da) + p.k_YZ * (y * dz + z * dy)
+    rise += p.k0_t * h + (p.k0_T + p.k1_T * a) * m.dT + p.k1_T * m.temperature * da
+    m.derror = rise
+    if p.servo != 0.0 or p.servo_damping != 0.0:
+        m.error += servo_error(p, inputs_of(p, m, h, 0.0))
 
 
 @exact
-def misfit_far(rows: int, p: Array, w: Array) -> None:
-    """Misfit of intervals that turn too far for the series, by the library's functions."""
-    K, tangent = p[at.P_K], p[at.P_TAN_BETA]
-    for j in range(1, rows + 1):
-        h, delta = w[at.STEP + j], w[at.HALF + j]
-        if abs(delta) <= indicated.FAR_TURN or h == 0.0:
-            continue
-        a = K * (w[at.FORCE + j] + w[at.ERROR + j]) - w[at.BASE_X + j]
-        y = K * tangent * w[at.MEAN_Y + j] + w[at.BASE_Y + j]
-        z = K * tangent * w[at.MEAN_Z + j] + w[at.BASE_Z + j]
-        da = K * (w[at.SLOPE + j] + w[at.ERROR_RISE + j]) - w[at.BASE_RISE_X + j]
-        dy = K * tangent * w[at.CHANGE_Y + j] + w[at.BASE_RISE_Y + j]
-        dz = K * tangent * w[at.CHANGE_Z + j] + w[at.BASE_RISE_Z + j]
-        cross = h * h / 12.0
-        Y = h * y + cross * (a * dz - z * da)
-        Z = h * z - cross * (a * dy - y * da)
-        A = h * a + cross * (y * dz - z * dy)
-        e = indicated.solve_far(delta, Y * Y + Z * Z, Y * w[at.SINE + j] - Z * w[at.COSINE + j])
-        w[at.INPUT + j] = (2.0 * delta + e - A) / (K * h)
+def misfit_of_sample(p: Instrument, m: Member) -> float:
+    """Misfit of the effective-axis equation at a sample [m/s^2]."""
+    y, z = p.tan_beta * m.a_Y + m.base_y / p.K, p.tan_beta * m.a_Z + m.base_z / p.K
+    return (m.rate + m.base_x) / p.K - (y * m.s - z * m.c) - (m.a_x + m.error)
 
 
-@kernel
-def misfit_samples(rows: int, p: Array, w: Array) -> None:
-    """Misfit of the effective-axis equation at samples (rate in the row HALF), into the row INPUT."""
-    K, tangent = p[at.P_K], p[at.P_TAN_BETA]
-    inverse = 1.0 / K
-    for j in range(1, rows + 1):
-        y = tangent * w[at.MEAN_Y + j] + w[at.BASE_Y + j] * inverse
-        z = tangent * w[at.MEAN_Z + j] + w[at.BASE_Z + j] * inverse
-        indicated = (w[at.HALF + j] + w[at.BASE_X + j]) * inverse - (y * w[at.SINE + j] - z * w[at.COSINE + j])
-        w[at.INPUT + j] = indicated - (w[at.FORCE + j] + w[at.ERROR + j])
+@exact
+def misfit_of_interval(p: Instrument, m: Member, h: float) -> float:
+    """Misfit of the exact equation of an interval [m/s^2]."""
+    coupling, delta = p.K * p.tan_beta, m.delta
+    a = p.K * (m.a_x + m.error) - m.base_x
+    y, z = coupling * m.a_Y + m.base_y, coupling * m.a_Z + m.base_z
+    da = p.K * (m.da_x + m.derror) - m.rise_x
+    dy, dz = coupling * m.da_Y + m.rise_y, coupling * m.da_Z + m.rise_z
+    cross = h * h / 12.0
+    Y, Z = h * y + cross * (a * dz - z * da), h * z - cross * (a * dy - y * da)
+    twist, coupled = cross * (y * dz - z * dy), Y * m.s - Z * m.c
+    if abs(delta) > FAR_TURN:
+        e = solve_far(delta, Y * Y + Z * Z, coupled)
+        return (2.0 * delta + e - (h * a + twist)) / (p.K * h)
+    e = (h * a - 2.0 * delta) + twist
+    d = delta * delta
+    sine = delta * m.gain
+    cosine = 1.0 + d * (-1 / 2 + d * (1 / 24 + d * (-1 / 720 + d * (1 / 40320 - d / 3628800))))
+    first = -1 / 3 + d * (-2 / 45 + d * (-6 / 945 + d * (-4 / 4725 + d * (-10 / 93555))))
+    second = -1 / 45 + d * (-6 / 945 + d * (-6 / 4725))
+    eta = delta * e + 0.25 * (e * e - (Y * Y + Z * Z))
+    value = e * cosine - 2.0 * sine * eta * (first + eta * second) + coupled
+    return -value * m.gain / (h * p.K)
 
 
-@kernel
-def find_rise(rows: int, early: int, rise: int, bend: int, w: Array, c: Array) -> None:
-    """Change of a component of the force over every interval, from its early estimates there and before.
+@exact
+def misfit_at_zero(p: Instrument, m: Member) -> float:
+    """Linear misfit of an interval at zero force [m/s^2]: the first round."""
+    return (m.rate + m.base_x - m.gain * (m.base_y * m.s - m.base_z * m.c)) / p.K - p.k0
 
-    ``d + d^2/2 + d^3/4`` of backward differences ``d``, as for one instrument
-    (:func:`piga._kernels.compensation.indication.invert_near`). Near the beginning of a stretch the
-    differences that exist are used. Where intervals differ, only the first difference is used. The last term of this series is
-    the possible error of the change (row ``bend``). The first interval of a stretch gives no estimate.
+
+@exact
+def invert_normal(members: Any, found: Solution) -> None:
+    """The inverse of the weighted normal matrix of the effective axes."""
+    xx = xy = xz = yy = yz = zz = 0.0
+    for i in range(members.size):
+        m = members[i]
+        xx += m.weight * m.axis_x * m.axis_x
+        xy += m.weight * m.axis_x * m.axis_y
+        xz += m.weight * m.axis_x * m.axis_z
+        yy += m.weight * m.axis_y * m.axis_y
+        yz += m.weight * m.axis_y * m.axis_z
+        zz += m.weight * m.axis_z * m.axis_z
+    a, b, d = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    per = 1.0 / (xx * a + xy * b + xz * d)
+    n = found.inverse
+    n[0, 0], n[1, 1], n[2, 2] = a * per, (xx * zz - xz * xz) * per, (xx * yy - xy * xy) * per
+    n[0, 1] = n[1, 0] = b * per
+    n[0, 2] = n[2, 0] = d * per
+    n[1, 2] = n[2, 1] = (xy * xz - xx * yz) * per
+
+
+@exact
+def change_of_force(h: float, past: Past, f: float, early: Array, axis: int) -> tuple[float, float]:
+    """Change of a component of the force over an interval and its possible error, from its estimates there and before.
+
+    ``d + d^2/2 + d^3/4`` of backward differences ``d``, as for one instrument (:func:`.sample.change_of_mean`). Near the
+    beginning of a stretch the differences that exist are used. Where intervals differ, only the first difference is used. The
+    last term of this series is the possible error. The first interval of a stretch gives no estimate.
     """
-    for j in range(1, rows + 1):
-        h0, h1 = w[at.STEP + j], w[at.STEP + j - 1]
-        u0, u1, u2, u3 = c[early + j], c[early + j - 1], c[early + j - 2], c[early + j - 3]
-        joined = (h0 != 0.0) & (h1 != 0.0)
-        even = (
-            joined & (abs(h1 * w[at.INVERSE + j] - 1.0) <= 2.0 * indicated.EVEN) & (w[at.STEP + j - 2] != 0.0)
-        )
-        change, second = u0 - u1, (u0 - u1) - (u1 - u2)
-        third = second - ((u1 - u2) - (u2 - u3))
-        value = change * (2.0 * h0 / (h0 + h1 if joined else 1.0))
-        value += 0.5 * second if even else 0.0
-        value += 0.25 * third if even & (w[at.STEP + j - 3] != 0.0) else 0.0
-        c[rise + j] = value if joined else 0.0
-        known = w[at.STEP + j - 2] != 0.0
-        last = 0.25 * third if even & (w[at.STEP + j - 3] != 0.0) else (0.5 * second if known else change)
-        c[bend + j] = last if joined else 0.0
+    if past.h1 == 0.0:
+        return 0.0, 0.0
+    u1, u2, u3 = early[0, axis], early[1, axis], early[2, axis]
+    even = abs(past.h1 / h - 1.0) <= 2.0 * EVEN and past.h2 != 0.0
+    change, second = f - u1, (f - u1) - (u1 - u2)
+    third = second - ((u1 - u2) - (u2 - u3))
+    value = change * (2.0 * h / (h + past.h1))
+    if not even:
+        return value, 0.5 * second if past.h2 != 0.0 else change
+    if past.h3 == 0.0:
+        return value + 0.5 * second, 0.5 * second
+    return value + 0.5 * second + 0.25 * third, 0.25 * third
 
 
 @exact
-def turn_bend(n: int, axes: Array, c: Array, out: Array) -> None:
-    """Uncertainty of the change of the force in the axes of an instrument, into ``out`` (3, rows)."""
-    for j in range(1, n + 1):
-        x, y, z = c[BEND_X + j], c[BEND_Y + j], c[BEND_Z + j]
-        for k in range(3):
-            out[k, j] = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * z
-
-
-@exact
-def load_instrument(
-    start: int, n: int, i: int, samples: SetSamples, set_of: SetModels, state: Array, w: Array
+def solve_row(
+    instruments: Any,
+    axes: Array,
+    members: Any,
+    past: Past,
+    h: float,
+    sampled: bool,
+    early: Array,
+    found: Solution,
 ) -> None:
-    """Samples of instrument ``i``, its angles, effective axes and harmonics."""
-    p, axes, rows = set_of.parameters[i], set_of.axes[i], padded(n)
-    psi, omega = samples.psi[i], samples.base_rate[i]
-    load_block(start, n, one_of(samples, i), psi, p, False, state, w)
-    find_inverse(n, w)
-    for j in range(1, rows + 1):
-        w[at.INPUT + j] = 0.0
-        w[at.DERIVATIVE + j] = w[at.GAIN + j] = 1.0
-    if samples.rate.shape[1]:
-        rate = samples.rate[i, start : start + n]
-        take_rates(n, rate, at.FIRST, w)
-        indicated.find_samples(rows, p[at.P_PHI], w)
-        describe_samples(n, True, rate, p[at.P_K], math.nan, w)
-        take_rates(n, rate, at.HALF, w)
-        for j in range(1, n + 1):
-            w[at.DOUBT + j] = 0.0
-        terms.sample_harmonics(n, set_of.orders[i], set_of.sines[i], set_of.cosines[i], w)
-    else:
-        indicated.find_angles(rows + 1, p[at.P_PHI], w)
-        describe_intervals(n, p[at.P_K], True, w)
-        find_gains(rows, w)
-        indicated.find_bows(n, omega.shape[0] > 0, False, state, w)
-        terms.subtract_harmonics(n, set_of.orders[i], set_of.sines[i], set_of.cosines[i], w)
-    find_axis(rows, p, axes, w)
-    find_base(rows, samples.rate.shape[1] > 0, w)
-    for j in range(1, rows + 1):
-        w[at.HARMONICS + j] = -w[at.INPUT + j]
-
-
-@exact
-def solve_rounds(n: int, sampled: bool, set_of: SetModels, work: SetWork) -> None:
-    """Force of the block by rounds of least squares on the exact equations."""
-    rows, w, c, count = padded(n), work.w, work.c, set_of.parameters.shape[0]
-    invert_weighted(n, set_of, work)
-    more = False
-    for i in range(count):
-        more |= set_of.has_terms[i]
-    rounds = TERM_ROUNDS + 1 if more else (2 if sampled else EXACT_ROUNDS + 1)
+    """Force of the row by rounds of least squares on the exact equations. ``early`` (3, 3) is updated."""
+    invert_normal(members, found)
+    rounds = SAMPLE_ROUNDS if sampled else EXACT_ROUNDS
+    for i in range(instruments.size):
+        if instruments[i].has_terms != 0.0:
+            rounds = TERM_ROUNDS
+    found.f[:] = 0.0
+    found.df[:] = 0.0
+    n = found.inverse
     for k in range(rounds):
-        clear(R_X, CHI, rows, c)
-        for i in range(count):
-            p = set_of.parameters[i]
-            turn_force(rows, set_of.axes[i], w[i], c)
-            model_errors(rows, p, set_of.has_terms[i], sampled, w[i])
+        x = y = z = found.sums[0] = found.sums[1] = 0.0
+        for i in range(members.size):
+            p, m = instruments[i], members[i]
+            turn_force(axes[i], found, m)
+            model_error(p, m, h)
             if sampled:
-                misfit_samples(rows, p, w[i])
-            elif k == 0:
-                misfit_first(rows, p, w[i])
+                m.misfit = misfit_of_sample(p, m)
             else:
-                misfit_intervals(rows, p, w[i])
-            add_right(rows, w[i], work.weights[i], c)
-        correct_force(rows, c)
-        if k == rounds // 2 - 1 and not sampled:
-            for axis in range(0, 3 * at.STRIDE, at.STRIDE):
-                for j in range(1, rows + 1):  # the estimate for a change of zero
-                    c[EARLY_X + axis + j] = c[FORCE_X + axis + j]
-                find_rise(rows, EARLY_X + axis, RISE_X + axis, BEND_X + axis, w[0], c)
+                m.misfit = misfit_at_zero(p, m) if k == 0 else misfit_of_interval(p, m, h)
+            pull = m.weight * m.misfit
+            x, y, z = x + pull * m.axis_x, y + pull * m.axis_y, z + pull * m.axis_z
+            found.sums[0] += m.misfit * m.misfit
+            found.sums[1] += pull * m.misfit
+        for axis in range(3):
+            found.f[axis] += n[axis, 0] * x + n[axis, 1] * y + n[axis, 2] * z
+        if k == rounds // 2 - 1 and not sampled:  # the estimate for a change of zero
+            for axis in range(3):
+                f = found.f[axis]
+                found.df[axis], found.bend[axis] = change_of_force(h, past, f, early, axis)
+                early[2, axis], early[1, axis], early[0, axis] = early[1, axis], early[0, axis], f
 
 
 @exact
-def weigh(n: int, i: int, sampled: bool, set_of: SetModels, state: Array, work: SetWork) -> None:
-    """Weights ``1/u^2`` of an instrument from the uncertainty of its indication, dead zone included."""
-    p, w, weights = set_of.parameters[i], work.w[i], work.weights
-    K, tangent = p[at.P_K], p[at.P_TAN_BETA]
-    turn_force(n, set_of.axes[i], w, work.c)
-    for j in range(1, n + 1):
-        w[at.RATE_Y + j] = K * tangent * w[at.MEAN_Y + j] + w[at.BASE_Y + j]
-        w[at.RATE_Z + j] = K * tangent * w[at.MEAN_Z + j] + w[at.BASE_Z + j]
-    if not sampled:
-        turn_bend(n, set_of.axes[i], work.c, work.bend)
-        indicated.find_set_doubt(n, K, tangent, work.bend, state, w)
-    terms.find_variance(n, set_of.codes[i], set_of.factors[i], p, w)
-    terms.find_uncertainty(n, at.PER if sampled else at.INVERSE, False, p, w)
-    for j in range(1, n + 1):
-        u = w[at.KNOWN_TO + j]
-        weights[i, j] = 1.0 / (u * u) if u > 0.0 else 1.0
+def doubt_of_member(p: Instrument, axes: Array, past: Past, h: float, found: Solution, m: Member) -> float:
+    """Uncertainty of an instrument's equation by the motion between samples [m/s^2], as :func:`.sample.doubt_of_interval`.
 
-
-@exact
-def weigh_all(n: int, sampled: bool, set_of: SetModels, states: Array, work: SetWork) -> None:
-    """Weights of all instruments; a redundant set is solved again with them."""
-    count = set_of.parameters.shape[0]
-    for i in range(count):
-        weigh(n, i, sampled, set_of, states[i], work)
-    if count > 3:
-        clear(FORCE_X, FORCE_Z, padded(n), work.c)
-        clear(RISE_X, RISE_Z, padded(n), work.c)
-        solve_rounds(n, sampled, set_of, work)
+    The transverse force is an unknown of the solution. The bend of the solution (3,) is the possible error of the change of the
+    force over the interval. In the first interval of a stretch no sample shows a change: twice the uncertainty covers a change
+    as large as the force itself, in any direction. In the second interval the sizes of the parts of the bend are added.
+    """
+    left = m.left_x + m.left_y * abs(m.s) + m.left_z * abs(m.c)
+    x = inputs_of(p, m, h, 0.0)
+    across, turn = x.y * m.c + x.z * m.s, p.tan_beta * m.turn
+    bend = found.bend
+    bend_x = axes[0, 0] * bend[0] + axes[0, 1] * bend[1] + axes[0, 2] * bend[2]
+    bend_Y = axes[1, 0] * bend[0] + axes[1, 1] * bend[1] + axes[1, 2] * bend[2]
+    bend_Z = axes[2, 0] * bend[0] + axes[2, 1] * bend[1] + axes[2, 2] * bend[2]
+    along, aside = h * across * bend_x, turn * (bend_Y * m.c + bend_Z * m.s)
+    if past.h1 == 0.0:
+        size = math.sqrt(m.a_x * m.a_x + m.a_Y * m.a_Y + m.a_Z * m.a_Z)
+        force = min((abs(h * across) + abs(turn)) * (1.0 / 24.0), 2.0 * p.tan_beta) * size
+    elif past.h2 == 0.0:
+        force = (abs(along) + abs(aside)) * TWELFTH
     else:
-        invert_weighted(n, set_of, work)
+        force = abs(along - aside) * TWELFTH
+    return max(left / p.K + force, FADING * past.doubt)
 
 
 @exact
-def take_early(places: tuple[int, int, int], set_state: Array, c: Array) -> None:
-    """Early estimates of the rows before the block, for one of the two solutions."""
-    for k in range(3):
-        for axis in range(3):
-            c[EARLY_X + axis * at.STRIDE - k] = set_state[places[k] + axis]
-
-
-@exact
-def save_early(n: int, places: tuple[int, int, int], set_state: Array, c: Array) -> None:
-    """Save the early estimates of the last rows."""
-    for k in range(3):
-        for axis in range(3):
-            set_state[places[k] + axis] = c[EARLY_X + axis * at.STRIDE + n - k]
+def weigh(p: Instrument, more: Covariance, x: Inputs, m: Member, work: Array) -> float:
+    """Weight ``1/u^2`` of an instrument from the uncertainty of its indication, dead zone included."""
+    u = uncertainty(p, x, m.a_x, variance_by_coefficients(more, p, x, m.a_x, work), 1.0)
+    return 1.0 / (u * u) if u > 0.0 else 1.0
 
 
 @exact
 def compensate_set(
-    samples: SetSamples, set_of: SetModels, base_flag: int, threshold: float, states: Array, set_state: Array,
-    work: SetWork, rows: SetRows,
+    samples: SetSamples, instruments: Any, all_of: SetCovariance, axes: Array, base_flag: int, threshold: float,
+    last: SetPast, members: Any, rows: SetRows,
 ) -> None:  # fmt: skip
-    """Specific force and velocity increments of a set in the common frame.
+    """Specific force and velocity increments of a set in the common frame, row by row.
 
-    A fault is flagged where the weighted sum of squared misfits exceeds ``threshold``.
+    ``instruments``, ``members``: arrays of N records; ``axes`` (N, 3, 3). A fault is flagged where the weighted sum of
+    squared misfits exceeds ``threshold``.
     """
-    w, c, flags, count = work.w, work.c, rows.flags, samples.psi.shape[0]
-    sampled, warm, detailed = (
-        samples.rate.shape[1] > 0,
-        samples.temperature.shape[1] > 0,
-        rows.each.shape[1] > 0,
-    )
-    for start in range(0, samples.t.size, at.BLOCK):
-        n = at.BLOCK if samples.t.size - start > at.BLOCK else samples.t.size - start
+    count, sampled, warm = instruments.size, samples.rate.shape[1] > 0, samples.temperature.shape[1] > 0
+    turning, detailed, wanted = samples.base_rate.shape[1] > 0, rows.each.shape[1] > 0, rows.u.shape[0] > 0
+    found = Solution(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros(2))
+    work, doubts = np.empty(at.MOST_TERMS), np.zeros(count)
+    for j in range(samples.t.size):
+        first = last.past[0]
+        h = 0.0 if samples.begins[j] or first.seen == 0.0 else samples.t[j] - first.t
+        solved = sampled or h != 0.0
         for i in range(count):
-            load_instrument(start, n, i, samples, set_of, states[i], w[i])
-            for j in range(1, padded(n) + 1):
-                work.weights[i, j] = 1.0
-        for axis in range(3):
-            c[FORCE_X + axis * at.STRIDE] = set_state[3 + axis]
-        take_early(PLAIN_PLACES, set_state, c)
-        clear(FORCE_X, FORCE_Z, padded(n), c)
-        clear(RISE_X, RISE_Z, padded(n), c)
-        solve_rounds(n, sampled, set_of, work)
-        save_early(n, PLAIN_PLACES, set_state, c)
-        if rows.u.shape[0] > 0 or count > 3:
-            take_early(EARLY_PLACES, set_state, c)
-            weigh_all(n, sampled, set_of, states, work)
-        write_set(start, n, sampled, w[0], c, rows)
+            p, past = instruments[i], last.past[i]
+            now = Sample(
+                samples.t[j], samples.psi[i, j], samples.rate[i, j] if sampled else 0.0, 0.0, 0.0,
+                samples.base_rate[i, j, 0] if turning else 0.0, samples.base_rate[i, j, 1] if turning else 0.0,
+                samples.base_rate[i, j, 2] if turning else 0.0,
+                samples.temperature[i, j] - p.T_0 if warm else 0.0,
+            )  # fmt: skip
+            if solved:
+                read_member(p, covariance_of(all_of, i), axes[i], past, now, h, sampled, members[i])
+            else:
+                y, z = transverse(p, now)
+                keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
+            keep_sample(past, now, now.psi, p.phi, 0.0)
+        if solved:
+            solve_row(instruments, axes, members, first, h, sampled, last.early[PLAIN], found)
+            if wanted or count > 3:
+                for i in range(count):
+                    p, m = instruments[i], members[i]
+                    turn_force(axes[i], found, m)
+                    if not sampled:
+                        doubts[i] = doubt_of_member(p, axes[i], last.past[i], h, found, m)
+                    m.weight = weigh(p, covariance_of(all_of, i), inputs_of(p, m, h, doubts[i]), m, work)
+            if count > 3:
+                solve_row(instruments, axes, members, first, h, sampled, last.early[WEIGHTED], found)
+            elif wanted:
+                invert_normal(members, found)
+        write_row(j, h, sampled, found, last.force, rows)
+        flag_row(j, h, sampled, base_flag, warm, instruments, axes, members, found, threshold, detailed, rows)
         for i in range(count):
-            save_last(start, n, one_of(samples, i), states[i], w[i])
-            if flags.size == 0:
-                continue
-            turn_force(padded(n), set_of.axes[i], w[i], c)
-            terms.find_flags(
-                n, set_of.parameters[i, at.P_TAN_BETA], set_of.limits[i], w[i], base_flag, warm, work.flags
-            )
-            for j in range(n):
-                flags[start + j] = work.flags[j] | (flags[start + j] if i else 0)
-            for j in range(n if detailed else 0):
-                begins_here = w[i, at.STEP + 1 + j] == 0.0
-                rows.misfits[i, start + j] = math.nan if begins_here and not sampled else w[i, at.INPUT + 1 + j]
-                inside = 0 if begins_here and not sampled else work.flags[j]
-                rows.each[i, start + j] = inside | (at.NO_INCREMENT if begins_here else 0)
-        flag_set(start, n if flags.size else 0, sampled, threshold if count > 3 else math.inf, w[0], c, flags)
-        save_early(n, EARLY_PLACES, set_state, c)
-        for axis in range(3):
-            set_state[3 + axis] = c[FORCE_X + axis * at.STRIDE + n]
+            kept = doubts[i] if h != 0.0 and last.past[i].h1 != 0.0 else 0.0
+            keep_interval(last.past[i], h, 0.0, 0.0, 0.0, kept)
 
 
 @exact
-def flag_set(
-    start: int, n: int, sampled: bool, threshold: float, w: Array, c: Array, flags: NDArray[np.int32]
-) -> None:  # fmt: skip
-    """Faults, and rows without an increment."""
-    for j in range(n):
-        if c[CHI + j + 1] > threshold:
-            flags[start + j] |= at.FAULT
-        if w[at.STEP + j + 1] == 0.0:
-            flags[start + j] = at.NO_INCREMENT | (flags[start + j] if sampled else 0)
+def covariance_of(all_of: SetCovariance, i: int) -> Covariance:
+    """Harmonics and covariance factor of one instrument."""
+    return Covariance(all_of.orders[i], all_of.sines[i], all_of.cosines[i], all_of.codes[i], all_of.factors[i])
 
 
 @exact
-def invert_weighted(n: int, set_of: SetModels, work: SetWork) -> None:
-    """The inverse of the weighted normal matrix: with weights ``1/u^2`` the covariance of the force."""
-    rows = padded(n)
-    clear(N_XX, N_ZZ, rows, work.c)
-    for i in range(set_of.parameters.shape[0]):
-        add_normal(rows, work.w[i], work.weights[i], work.c)
-    invert_normal(rows, work.c)
-
-
-@exact
-def write_set(start: int, n: int, sampled: bool, w: Array, c: Array, rows: SetRows) -> None:
-    """Results of a block; an interval that begins a stretch contains no force."""
-    stop = start + n
-    force, dv, u, residual = (
-        rows.force[start:stop],
-        rows.dv[start:stop],
-        rows.u[start:stop],
-        rows.residual[start:stop],
-    )
+def write_row(j: int, h: float, sampled: bool, found: Solution, before: Array, rows: SetRows) -> None:
+    """Force, increment, uncertainty and residual; ``before`` is the force of the last row, updated."""
+    solved = sampled or h != 0.0
     for axis in range(3):
-        row, inverse = FORCE_X + axis * at.STRIDE, (N_XX, N_YY, N_ZZ)[axis]
-        for j in range(1, n + 1):
-            step = w[at.STEP + j]
-            known = sampled or step != 0.0
-            force[j - 1, axis] = c[row + j] if known else math.nan
-            mean = 0.5 * (c[row + j - 1] + c[row + j]) if sampled else c[row + j]
-            dv[j - 1, axis] = mean * step if step != 0.0 else 0.0
-        for j in range(1, u.shape[0] + 1):
-            variance = c[inverse + j] if c[inverse + j] > 0.0 else 0.0
-            known = sampled or w[at.STEP + j] != 0.0
-            u[j - 1, axis] = math.sqrt(variance) if known else math.nan
-    for j in range(1, n + 1):
-        known = sampled or w[at.STEP + j] != 0.0
-        residual[j - 1] = math.sqrt(c[MISFIT + j]) if known else math.nan
+        f = found.f[axis]
+        mean = 0.5 * (before[axis] + f) if sampled else f
+        rows.force[j, axis] = f if solved else math.nan
+        rows.dv[j, axis] = mean * h if h != 0.0 else 0.0
+        if rows.u.shape[0]:
+            rows.u[j, axis] = math.sqrt(max(found.inverse[axis, axis], 0.0)) if solved else math.nan
+        before[axis] = f if solved else 0.0
+    rows.residual[j] = math.sqrt(found.sums[0]) if solved else math.nan
+
+
+@exact
+def flag_row(
+    j: int, h: float, sampled: bool, base_flag: int, warm: bool, instruments: Any, axes: Array, members: Any,
+    found: Solution, threshold: float, detailed: bool, rows: SetRows,
+) -> None:  # fmt: skip
+    """Flags of the row: those of each instrument at the force found, a fault, and rows without an increment."""
+    if rows.flags.size == 0:
+        return
+    none, solved = at.NO_INCREMENT if h == 0.0 else 0, sampled or h != 0.0
+    together = 0
+    for i in range(instruments.size):
+        p, m, flag = instruments[i], members[i], 0
+        if solved:
+            turn_force(axes[i], found, m)
+            flag = base_flag | flags_of(p, inputs_of(p, m, h, 0.0), m.a_x, warm)
+        together |= flag
+        if detailed:
+            rows.misfits[i, j] = m.misfit if solved else math.nan
+            rows.each[i, j] = flag | none
+    if solved and instruments.size > 3 and found.sums[1] > threshold:
+        together |= at.FAULT
+    rows.flags[j] = together | none

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from piga.compensation.compensator import Chunk, compensate_in_pieces
+from piga.compensation.compensator import Chunk, pieces_of, stream_of
 from piga.compensation.model import FLAGS
 from piga.compensation.result import Compensated, Inputs, Resampler, TableWriter, notes_on
 from piga.progress import Progress, report
@@ -93,8 +93,9 @@ def compensate_to_file(
     summary, rows = FileSummary(), 0
     report(progress, 0, record.size, "compensating")
     with TableWriter(out, kind, notes_on(calibration), inputs) as writer:
-        pieces = compensate_in_pieces(record, calibration, **options)
-        for number, (label, chunk, piece) in enumerate(pieces, start=1):
+        stream = stream_of(record, calibration, **options)
+        for number, (_, label, chunk) in enumerate(pieces_of(record, stream), start=1):
+            piece = stream.push(chunk)
             if number % (GIVEN_BACK_AFTER if watch is None else GIVEN_BACK_SOONER) == 0:
                 give_back(HELD_BYTES)
             rows += piece.size

@@ -1,4 +1,4 @@
-"""Compensation of a set of instruments: their mounting, the exact solution and the published one."""
+"""Compensation of a set of instruments: their mounting and their common solution."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from operator import or_
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels.compensation import layout as at
-from piga._kernels.compensation.set import SET_STATE, SET_WORK, SetModels, SetRows, SetSamples, SetWork
+from piga._kernels.compensation import data as at
+from piga._kernels.compensation.set import MEMBER, SetCovariance, SetPast, SetRows, SetSamples
 from piga._kernels.compensation.set import compensate_set as set_kernel
-from piga.compensation.compensator import find_begins, init_state
-from piga.compensation.model import Limits, Model, Phase, age_flag, make_model
+from piga.compensation.compensator import find_begins
+from piga.compensation.model import Limits, Phase, age_flag, make_model
 from piga.compensation.result import CompensatedSet
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
@@ -110,117 +110,6 @@ def check_spread(axes: Array) -> None:
         )
 
 
-def _age_flags(instruments: Sequence[Mounted], max_age_days: float | None) -> int:
-    return reduce(or_, (age_flag(item.calibration, max_age_days) for item in instruments), 0)
-
-
-class PublishedSet:
-    """Compensate a set by the published formula [Wei2024], for comparison.
-
-    First, the indications of all instruments are combined into a force (least squares), as if each measured along its
-    input axis. The components of this force across each instrument enter the published formula at the output angle.
-    The corrected indications then give the force. The error is of second order in the coupling. It is of first order in
-    all error terms except ``k0``, because these are not corrected.
-
-    Parameters
-    ----------
-    instruments:
-        As for :class:`piga.compensation.SetCompensator`.
-    sampled:
-        True when rates are recorded beside the angles.
-    max_age_days:
-        Older calibrations are flagged.
-
-    Raises
-    ------
-    ArgumentError
-        If there are fewer than three instruments.
-    """
-
-    def __init__(
-        self, instruments: Sequence[Mounted], *, sampled: bool = False, max_age_days: float | None = None
-    ) -> None:
-        check_count(len(instruments))
-        self._axes = np.array([np.asarray(item.axes, dtype=float) for item in instruments])
-        self._solve = np.linalg.pinv(self._axes[:, 0, :])
-        self._models = [
-            make_model(item.calibration, method="published", segment=item.segment, phase=item.phase)
-            for item in instruments
-        ]
-        self._sampled = sampled
-        self._flag = _age_flags(instruments, max_age_days)
-        self._clock = init_state()
-        self._last: tuple[Array, Array, Array, Array] | None = None
-
-    def push(
-        self,
-        t: ArrayLike,
-        output: ArrayLike,
-        *,
-        rate: ArrayLike | None = None,
-        base_rate: ArrayLike | None = None,
-        temperature: ArrayLike | None = None,
-        begins: NDArray[np.bool_] | None = None,
-    ) -> CompensatedSet:
-        """Compensate the next samples. Arguments as for the exact set; ``temperature`` is not used."""
-        del temperature
-        time, psi = np.atleast_1d(np.asarray(t, dtype=float)), np.asarray(output, dtype=float)
-        psi = psi.reshape(len(self._models), time.size)
-        omega = np.zeros((*psi.shape, 3)) if base_rate is None else np.asarray(base_rate, dtype=float)
-        marks = find_begins(self._clock, time) if begins is None else np.array(begins, dtype=np.bool_)
-        if time.size == 0:
-            return self._result(time, np.zeros((0, 3)), np.zeros((0, 3)), marks)
-        if self._last is None:
-            marks[0] = True
-            self._last = time[:1], psi[:, :1], omega[:, :1], np.zeros((1, 3))
-        before = self._last
-        step = np.where(marks, 0.0, np.diff(time, prepend=before[0]))
-        if self._sampled:
-            force = self._force(psi, np.asarray(rate, dtype=float), omega)
-            both = np.concatenate((before[3], force))
-            dv = 0.5 * step[:, None] * (both[1:] + both[:-1])
-        else:
-            known, turning = (
-                np.concatenate((before[1], psi), axis=1),
-                np.concatenate((before[2], omega), axis=1),
-            )
-            with np.errstate(divide="ignore", invalid="ignore"):
-                rates = np.where(step > 0.0, np.diff(known, axis=1) / step, np.nan)
-            force = self._force(
-                0.5 * (known[:, 1:] + known[:, :-1]), rates, 0.5 * (turning[:, 1:] + turning[:, :-1])
-            )
-            dv = np.where(step[:, None] > 0.0, force * step[:, None], 0.0)
-        self._clock[at.S_VALID], self._clock[at.S_TIME] = 1.0, time[-1]
-        self._last = time[-1:], psi[:, -1:], omega[:, -1:], force[-1:]
-        return self._result(time, force, dv, step == 0.0)
-
-    def _force(self, psi: Array, rate: Array, omega: Array) -> Array:
-        """Force (n, 3) in the common frame from angles and rates (N, n)."""
-        p = [model.instrument.parameters for model in self._models]
-        indicated = [
-            (rate[i] + omega[i, :, 0]) / q[at.P_K] - q[at.P_TERMS + at.TERMS.index("k0")]
-            for i, q in enumerate(p)
-        ]
-        first = self._combined(indicated)
-        corrected = []
-        for i, q in enumerate(p):
-            y, z = (sum(self._axes[i, row, k] * first[k] for k in range(3)) for row in (1, 2))
-            K, tangent = q[at.P_K], q[at.P_TAN_BETA]
-            Y = tangent * (K * y - omega[i, :, 1]) + q[at.P_OFFSET_Y]
-            Z = tangent * (K * z - omega[i, :, 2]) + q[at.P_OFFSET_Z]
-            alpha = q[at.P_PHI] + psi[i]
-            corrected.append(indicated[i] - (Y * np.sin(alpha) - Z * np.cos(alpha)) / K)
-        return np.stack(self._combined(corrected), axis=1)
-
-    def _combined(self, along: list[Array]) -> list[Array]:
-        """Components in the common frame from components along the input axes, added one by one."""
-        return [np.asarray(sum(self._solve[k, i] * a for i, a in enumerate(along))) for k in range(3)]
-
-    def _result(self, t: Array, force: Array, dv: Array, none: NDArray[np.bool_]) -> CompensatedSet:
-        flags = np.where(none, at.NO_INCREMENT, 0).astype(np.int32) | np.int32(self._flag)
-        return CompensatedSet(t, force, dv, np.zeros((0, 3)), np.full(t.size, np.nan), flags)
-
-
 class SetCompensator:
     """Compensate a stream of three or more instruments in any mounting.
 
@@ -266,13 +155,15 @@ class SetCompensator:
             make_model(item.calibration, segment=item.segment, phase=item.phase, limits=limits)
             for item in instruments
         ]
-        self._flag = _age_flags(instruments, max_age_days)
+        self._flag = reduce(or_, (age_flag(item.calibration, max_age_days) for item in instruments), 0)
         self._count = len(instruments)
-        self._arrays = stacked(self._models, self._axes)
+        self._instruments = at.records(self._count, at.INSTRUMENT)
+        for i, model in enumerate(self._models):
+            self._instruments[i] = model.instrument[0]
+        self._more = stacked([model.more for model in self._models])
         self._threshold = fault_threshold(self._count - 3)
-        self._states = np.zeros((self._count, at.STATE))
-        self._set_state = np.zeros(SET_STATE)
-        self._work = set_work(self._count)
+        self._past = SetPast(at.records(self._count, at.PAST), np.zeros(3), np.zeros((2, 3, 3)))
+        self._members = at.records(self._count, MEMBER)
 
     def push(
         self,
@@ -315,8 +206,8 @@ class SetCompensator:
                 "temperature: missing, and a calibration has temperature terms",
                 remedy="give the temperature [K] of each instrument, shape (N, n)",
             )
-        before = self._states.copy(), self._set_state.copy()
-        marks = find_begins(self._states[0], time) if begins is None else np.asarray(begins, dtype=np.bool_)
+        before = SetPast(*(array.copy() for array in self._past))
+        marks = find_begins(self._past.past[:1], time) if begins is None else np.asarray(begins, dtype=np.bool_)
         u = np.empty((n if self._uncertainty else 0, 3))
         result = CompensatedSet(
             time,
@@ -329,13 +220,13 @@ class SetCompensator:
             np.zeros((count, n if self._details else 0), np.int32),
         )
         set_kernel(
-            SetSamples(time, marks, psi, rates, omega, warm, np.zeros(0)), self._arrays, self._flag, self._threshold,
-            self._states, self._set_state, self._work,
+            SetSamples(time, marks, psi, rates, omega, warm), self._instruments, self._more, self._axes, self._flag,
+            self._threshold, self._past, self._members,
             SetRows(result.f, result.dv, result.u_f, result.residual, result.flags, result.misfit, result.each),
         )  # fmt: skip
         last = psi[:, -1:].sum() + (result.f if self._sampled else result.dv).sum()
         if not math.isfinite(last):
-            self._states, self._set_state = before
+            self._past = before
             _check_finite(output=psi, rate=rates, base_rate=omega, temperature=warm)
         return result
 
@@ -369,30 +260,16 @@ def _check_finite(**columns: Array) -> None:
             )
 
 
-def stacked(models: list[Model], axes: Array) -> SetModels:
+def stacked(each: Sequence[at.Covariance]) -> SetCovariance:
     """Arrays of all instruments at one size. Padding: order 1 with amplitude 0, code of k0 with weight 0."""
-    count, arrays = len(models), [model.instrument for model in models]
-    harmonics = max(one.orders.size for one in arrays)
-    size = max(one.codes.size for one in arrays)
-    rank = max(one.factor.shape[0] for one in arrays)
-    orders, sines, cosines = (
-        np.ones((count, harmonics)),
-        np.zeros((count, harmonics)),
-        np.zeros((count, harmonics)),
-    )
-    codes, factors = np.full((count, size), at.P_TERMS, dtype=np.int64), np.zeros((count, rank, size))
-    for i, one in enumerate(arrays):
+    count = len(each)
+    waves = max(one.orders.size for one in each)
+    size, rank = max(one.codes.size for one in each), max(one.factor.shape[0] for one in each)
+    orders, sines, cosines = np.ones((count, waves)), np.zeros((count, waves)), np.zeros((count, waves))
+    codes, factors = np.zeros((count, size), dtype=np.int64), np.zeros((count, rank, size))
+    for i, one in enumerate(each):
         orders[i, : one.orders.size] = one.orders
         sines[i, : one.orders.size], cosines[i, : one.orders.size] = one.sines, one.cosines
         codes[i, : one.codes.size] = one.codes
         factors[i, : one.factor.shape[0], : one.codes.size] = one.factor
-    return SetModels(
-        np.array([one.parameters for one in arrays]), axes, np.array([model.has_terms for model in models]),
-        orders, sines, cosines, codes, factors, np.array([one.limits for one in arrays]),
-    )  # fmt: skip
-
-
-def set_work(count: int) -> SetWork:
-    """Scratch memory for ``count`` instruments."""
-    w, weights = np.zeros((count, at.WORK)), np.ones((count, at.STRIDE))
-    return SetWork(w, weights, np.zeros(SET_WORK), np.zeros(at.BLOCK, dtype=np.int32), np.zeros((3, at.STRIDE)))
+    return SetCovariance(orders, sines, cosines, codes, factors)

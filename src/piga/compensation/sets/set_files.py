@@ -22,9 +22,9 @@ from piga.compensation.files.file_to_file import (
     HELD_BYTES,
     found_while_reading,
 )
-from piga.compensation.model import COMPENSATION_METHODS, FLAGS, Limits, Phase
+from piga.compensation.model import FLAGS, Limits, Phase
 from piga.compensation.result import CompensatedSet, Inputs, Resampler, TableWriter, inputs_listed, notes_on
-from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
+from piga.compensation.sets.set_compensator import Mounted, SetCompensator
 from piga.errors import ArgumentError, DataError, RunFileError
 from piga.progress import Progress, report
 from piga.reading.checks import RateAngle
@@ -50,7 +50,6 @@ def compensate_set(
     limits: Limits | None = None,
     max_age_days: float | None = None,
     force: bool = False,
-    method: str = "exact",
     details: bool = False,
     progress: Progress | None = None,
 ) -> CompensatedSet:
@@ -78,7 +77,6 @@ def compensate_set(
     stream = set_stream(
         records,
         instruments,
-        method,
         uncertainty=uncertainty,
         limits=limits,
         max_age_days=max_age_days,
@@ -110,29 +108,18 @@ def joined_set(parts: Sequence[CompensatedSet]) -> CompensatedSet:
 
 
 def set_stream(
-    records: Sequence[Run], instruments: Sequence[Mounted], method: str, *, uncertainty: bool,
+    records: Sequence[Run], instruments: Sequence[Mounted], *, uncertainty: bool,
     limits: Limits | None = None, max_age_days: float | None = None, details: bool = False,
-) -> SetCompensator | PublishedSet:  # fmt: skip
-    """The compensator of a set for a method.
+) -> SetCompensator:  # fmt: skip
+    """The compensator of a set.
 
     The first segment of each record gives the phase of its instrument, unless another one is named.
-
-    Raises
-    ------
-    ArgumentError
-        For an unknown method.
     """
-    if method not in COMPENSATION_METHODS:
-        raise ArgumentError(
-            f"method: '{method}' is not known", remedy=f"one of: {', '.join(COMPENSATION_METHODS)}"
-        )
     sampled = records[0].kind == "rate"
     mounted = [
         replace(item, segment=item.segment or record.labels[0])
         for record, item in zip(records, instruments, strict=True)
     ]
-    if method == "published":
-        return PublishedSet(mounted, sampled=sampled, max_age_days=max_age_days)
     return SetCompensator(
         mounted, sampled=sampled, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days,
         details=details,
@@ -289,7 +276,6 @@ def compensate_set_files(
     max_age_days: float | None = None,
     force: bool = False,
     period: float | None = None,
-    method: str = "exact",
     progress: Progress | None = None,
     watch: Watch | None = None,
     inputs: Inputs = (),
@@ -317,7 +303,6 @@ def compensate_set_files(
     stream = set_stream(
         records,
         instruments,
-        method,
         uncertainty=uncertainty,
         max_age_days=max_age_days,
         details=watch is not None,
@@ -356,9 +341,7 @@ def _read(path: Path, item: Mounted, force: bool) -> Run:
     return replace(record, f=nothing, segment_index=record.segment_index[:0])
 
 
-def _solved(
-    records: Sequence[Run], stream: SetCompensator | PublishedSet
-) -> Iterator[tuple[SetReading, CompensatedSet]]:
+def _solved(records: Sequence[Run], stream: SetCompensator) -> Iterator[tuple[SetReading, CompensatedSet]]:
     """Pieces of the records and their compensated rows."""
     for part, psi in _pieces(records):
         rows = _reading(records, part)

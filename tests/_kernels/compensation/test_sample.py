@@ -1,19 +1,16 @@
-"""Angle logs that turn little between samples, the published set, and codes of coefficients."""
+"""Angle logs that turn little between samples, and codes of coefficients."""
 
 from __future__ import annotations
-
-from itertools import pairwise
 
 import numba
 import numpy as np
 import pytest
 
 import piga
-from piga._kernels.compensation import layout as at
-from piga.compensation import Compensator, Mounted, PublishedSet, compensate_set
+from piga._kernels.compensation import data as at
+from piga.compensation import Compensator
 from piga.compensation.model import make_model
 from piga.units import G0
-from tests.compensation.sets.triads import made, orthogonal
 from tests.compensation.twin_data import (
     K_G,
     TAN_BETA,
@@ -79,7 +76,7 @@ def test_near_and_far_intervals_mixed_are_the_same_to_the_bit_whatever_the_chunk
 def test_coefficients_have_codes_of_their_own():
     """The code of the scale factor was that of k_ZZ: its uncertainty went in as another one."""
     special = {at.SCALE_FACTOR, at.TAN_BETA, at.PHI}
-    assert not special & {at.P_TERMS + i for i in range(len(at.TERMS))}
+    assert not special & set(range(len(at.TERMS)))
     assert max(special) < at.HARMONIC
 
 
@@ -100,31 +97,7 @@ def test_uncertainty_is_that_of_the_covariance():
 
 def test_factor_is_triangular_and_gives_the_covariance():
     cal = calibration_of({"tan_beta": 1e-3, "phi": 0.1, "k0": 1e-3}, {"tan_beta": 1e-6, "k0": 2e-6})
-    model = make_model(cal).instrument
+    model = make_model(cal).more
     assert model.codes.size == 2
     assert np.allclose(np.tril(model.factor, -1), 0.0)
     assert np.allclose(np.sqrt(np.diag(model.factor.T @ model.factor)), [1e-6, 2e-6 * G0])
-
-
-@pytest.mark.parametrize("kind", ["angle", "rate"])
-def test_published_formula_of_a_set_leaves_the_second_order(kind):
-    """The coupling of 5 g goes from 25 mg to its square; to the bit whatever the chunks."""
-    t = np.arange(0.0, 3.0, 0.01)
-    f = np.tile(np.array([1.0, 5.0, -0.8]) * G0, (t.size, 1))
-    records, mounted = made(t, f, orthogonal(), kind)
-    compensated = compensate_set(records, mounted, method="published")
-    error = np.abs(compensated.f[2:] - f[2:]).max()
-    assert 1e-6 * G0 < error < 4.0 * TAN_BETA**2 * 5.0 * G0
-    exact = compensate_set(records, mounted)
-    assert np.abs(exact.f[2:] - f[2:]).max() < 1e-8 * G0
-    if kind == "angle":
-        stream = PublishedSet(mounted)
-        psi = np.array([r.output for r in records])
-        parts = [stream.push(t[a:b], psi[:, a:b]).f for a, b in pairwise([0, 1, 70, 71, 200, t.size])]
-        assert np.concatenate(parts).tobytes() == compensated.f.tobytes()
-
-
-def test_published_set_of_two_is_refused():
-    item = Mounted(CAL, np.eye(3))
-    with pytest.raises(piga.ArgumentError, match="set of 2"):
-        PublishedSet([item, item])

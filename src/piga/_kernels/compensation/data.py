@@ -1,0 +1,194 @@
+"""Data of the compensation kernels: an instrument, what is kept of earlier samples, one sample, and a row of the result.
+
+An instrument and a past are records of an array (:func:`records`), so that a set of N instruments is an array of N records.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.jit import Array, config
+
+TERMS = (
+    "k0", "k1", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
+    "servo", "servo_damping",
+)  # fmt: skip
+"""Terms of the error model in the order of their codes; SI."""
+SCALE_FACTOR, TAN_BETA, PHI = 40, 41, 42
+"""Codes behind those of the terms."""
+HARMONIC = 100
+"""Codes of the harmonics of order n of the output angle: 100 + 2 n sine, 101 + 2 n cosine."""
+MOST_TERMS = 40
+"""Most uncertain coefficients of an instrument."""
+
+NO_INCREMENT, LOCKED, NEAR_CRITICAL, OUT_OF_RANGE, TEMPERATURE, AGE, COARSE, FAULT = 1, 2, 4, 8, 16, 32, 64, 256
+"""Bits of the flags."""
+
+
+class Instrument(Protocol):
+    """Coefficients of an instrument, SI.
+
+    ``offset_y``, ``offset_z``: ``K s1`` and ``-K c1`` [rad/s] of the first harmonic. ``t_0``, ``T_0``: references of drift and
+    temperature. ``white``, ``walk``: variance of the angle noise [rad^2] and of its random walk [rad^2/s]. ``low``, ``high``:
+    calibrated range of a_x; ``most``: largest a_t [m/s^2]; ``cold``, ``hot``: range of the temperature above T_0 [K].
+    ``published``: 1 for the published formula. ``typical``: time that a rate sample stands for at the start of a stretch [s].
+    """
+
+    K: float
+    tan_beta: float
+    phi: float
+    offset_y: float
+    offset_z: float
+    t_0: float
+    T_0: float
+    white: float
+    walk: float
+    k0: float
+    k1: float
+    k2: float
+    k3: float
+    k2o: float
+    m_Y: float
+    m_Z: float
+    k_XY: float
+    k_XZ: float
+    k_YY: float
+    k_ZZ: float
+    k_YZ: float
+    k0_t: float
+    k0_T: float
+    k1_T: float
+    servo: float
+    servo_damping: float
+    low: float
+    high: float
+    most: float
+    cold: float
+    hot: float
+    has_terms: float
+    published: float
+    typical: float
+
+
+class Past(Protocol):
+    """What the next sample needs of the samples before it.
+
+    ``seen``: 1 once there is a sample. ``t`` [s], ``psi`` [rad], ``a_Y``, ``a_Z`` [m/s^2], ``temperature`` above T_0 [K] and
+    base rate ``Omega`` [rad/s] of the last sample; ``s``, ``c``: sine and cosine of its angle; ``y``, ``z``: its transverse input
+    ``tan_beta u`` [rad/s]. ``..._before``: one sample earlier. ``h1, h2, h3``: the last intervals, latest first [s]; ``u1, u2,
+    u3``: mean ``u_x`` of these intervals if it were constant [rad/s]. ``bend_x``, ``bend_y``, ``bend_z``: second derivatives
+    of Omega_x, y and z by the last three samples. ``u_x``: mean of ``u_x`` (or its value) [rad/s]; ``a_x``: the last result;
+    ``slope``: change of ``a_x`` over the last interval without the base's part [m/s^2]; ``doubt``: uncertainty between samples
+    [m/s^2]. ``turns``, ``rest``: angle of a rate log. ``start``: psi of the first sample (published formula). ``phi``: phase
+    used. ``nominal``: interval to detect gaps [s]; 0 until known.
+    """
+
+    seen: float
+    t: float
+    psi: float
+    psi_before: float
+    a_Y: float
+    a_Z: float
+    temperature: float
+    Omega_x: float
+    Omega_Y: float
+    Omega_Z: float
+    Omega_x_before: float
+    s: float
+    c: float
+    y: float
+    z: float
+    y_before: float
+    z_before: float
+    h1: float
+    h2: float
+    h3: float
+    u1: float
+    u2: float
+    u3: float
+    bend_x: float
+    bend_y: float
+    bend_z: float
+    u_x: float
+    a_x: float
+    slope: float
+    doubt: float
+    turns: float
+    rest: float
+    start: float
+    phi: float
+    nominal: float
+
+
+INSTRUMENT = np.dtype([(name, np.float64) for name in Instrument.__annotations__])
+PAST = np.dtype([(name, np.float64) for name in Past.__annotations__])
+
+
+def records(count: int, fields: Any) -> Any:
+    """``count`` records, all zero. Without the compiler they need NumPy's attribute access."""
+    made = np.zeros(count, fields)
+    return made.view(np.recarray) if config.DISABLE_JIT else made
+
+
+class Covariance(NamedTuple):
+    """Harmonics of order 2 and more, and the covariance ``factor' factor`` of the coefficients ``codes``.
+
+    ``factor`` (rank, coefficients) is upper triangular.
+    """
+
+    orders: Array
+    sines: Array
+    cosines: Array
+    codes: NDArray[np.int64]
+    factor: Array
+
+
+class Sample(NamedTuple):
+    """One sample: time [s], angle psi [rad], rate [rad/s], transverse force [m/s^2], base rate [rad/s], T above T_0 [K]."""
+
+    t: float
+    psi: float
+    rate: float
+    a_Y: float
+    a_Z: float
+    Omega_x: float
+    Omega_Y: float
+    Omega_Z: float
+    T: float
+
+
+class Inputs(NamedTuple):
+    """The inputs of an interval, as means (or of a sample), from which force and uncertainty follow.
+
+    ``h`` [s], 0 where a stretch begins; ``per``: 1 over the time that the row stands for in the noise [1/s]. ``turn``: angle
+    turned [rad]; ``half``: half of it, 0 for a sample. ``angle``, ``s``, ``c``: angle in the middle, sine and cosine. ``v``:
+    output rate over K [m/s^2]; ``Omega_x``, ``Omega_Y``, ``Omega_Z`` [rad/s]; ``y``, ``z``: transverse input at the end
+    [rad/s]. ``a_Y``, ``a_Z`` [m/s^2], ``T`` [K], with changes ``d...`` over the interval; ``t`` [s]. ``da``: change of a_x.
+    ``doubt``: uncertainty by the motion between samples [m/s^2].
+    """
+
+    h: float
+    per: float
+    turn: float
+    half: float
+    angle: float
+    s: float
+    c: float
+    v: float
+    Omega_x: float
+    Omega_Y: float
+    Omega_Z: float
+    y: float
+    z: float
+    t: float
+    a_Y: float
+    a_Z: float
+    da_Y: float
+    da_Z: float
+    T: float
+    dT: float
+    da: float
+    doubt: float
