@@ -102,8 +102,8 @@ def test_live_streams(kind: str) -> None:
 
 def test_certificates() -> None:
     etree = pytest.importorskip("lxml.etree")
-    from piga.certificate.dcc.reader import calibration_of as calibration_in
-    from piga.certificate.dcc.writer import dcc_document
+    from piga.certificate.dcc.document import calibration_of as calibration_in
+    from piga.certificate.dcc.document import dcc_document
     from piga.certificate.dcc.xml_signature import parse_xml
 
     draw = seeded(24)

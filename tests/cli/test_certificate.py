@@ -120,7 +120,7 @@ def expired(lab):
     from cryptography.x509 import load_pem_x509_certificate
     from signxml.signer import XMLSigner
 
-    from piga.certificate.dcc.writer import dcc_document
+    from piga.certificate.dcc.document import dcc_document
     from piga.certificate.dcc.xml_signature import written
 
     key, certificate = (path.read_bytes() for path in key_pair(lab, "expired", start=-2000, days=1700))
@@ -155,7 +155,7 @@ def test_an_expired_signer_stands_in_the_first_line_and_the_exit_code(expired, t
 
 @pytest.mark.only_compiled
 def test_what_is_not_signed_is_called_so(expired, tmp_path):
-    from piga.certificate.dcc.writer import dcc_document
+    from piga.certificate.dcc.document import dcc_document
     from piga.certificate.dcc.xml_signature import written
 
     root = dcc_document(complete(serial="tumble-a"), calibration(serial="tumble-a", with_residuals=False))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import math
 from dataclasses import replace
 from decimal import Decimal
@@ -456,6 +458,17 @@ def test_a_certificate_has_one_form(stated, old, new, words):
     assert old in stated
     with pytest.raises(PigaError, match=words):
         calibration_of(etree.fromstring(stated.replace(old, new, 1)), Path("forged.xml"))
+
+
+@pytest.mark.parametrize("limits", [{"k9": ["-1 g", "1 g"]}, {"k0": ["-1 s", "1 s"]}, {"k0": ["x"]}])
+def test_attached_data_that_do_not_fit_are_refused(stated, limits):
+    root = etree.fromstring(stated)
+    node = root.find(".//dcc:byteData[@refType='piga_certificateData']/dcc:dataBase64", N)
+    data = json.loads(base64.b64decode(node.text))
+    data["conformity"]["limits"] = limits
+    node.text = base64.b64encode(json.dumps(data).encode()).decode()
+    with pytest.raises(PigaError):
+        calibration_of(root, Path("forged.xml"))
 
 
 def test_the_full_certificate_reads(stated):

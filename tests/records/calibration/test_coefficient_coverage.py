@@ -9,10 +9,8 @@ from __future__ import annotations
 import datetime as dt
 import html
 import json
-import math
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -128,8 +126,7 @@ def test_certificate(calibrated):
 
 def test_dcc_and_read_back(calibrated, tmp_path):
     etree = pytest.importorskip("lxml.etree")
-    from piga.certificate.dcc.reader import read_dcc
-    from piga.certificate.dcc.writer import dcc_document
+    from piga.certificate.dcc.document import dcc_document, read_dcc
     from piga.certificate.dcc.xml_signature import written
 
     freedom, cal = calibrated
@@ -147,37 +144,6 @@ def test_dcc_and_read_back(calibrated, tmp_path):
     back = read_dcc(path)
     assert to_document(back) == to_document(cal)
     assert [c.coverage for c in back.coefficients] == [c.coverage for c in cal.coefficients]
-
-
-def test_a_certificate_with_k_from_the_rows_is_read_with_a_warning(calibrated, tmp_path):
-    """As piga 0.1 wrote it; any other U is a contradiction."""
-    pytest.importorskip("lxml")
-    from piga.certificate.dcc.reader import calibration_of
-    from piga.certificate.dcc.writer import dcc_document
-
-    _, cal = calibrated
-    cal = replace(cal, surplus_observations=5000.0)
-    names = {"si": "https://ptb.de/si"}
-    root = dcc_document(complete(), cal)
-    halves = [
-        real.find(".//si:valueExpandedMU", names) for real in root.iterfind(".//si:real[si:label]", names)
-    ]
-    assert len(halves) == len(TERMS)
-    ratio = stats.t.ppf(0.975, 5000) / np.array([c.coverage_factor for c in cal.coefficients])
-    for element, one in zip(halves, ratio, strict=True):
-        element.text = repr(float(element.text) * float(one))
-        element.getnext().text = f"{stats.t.ppf(0.975, 5000):.6f}"
-        digit = element.getparent().getparent().getparent().find("si:significantDigit", names)
-        digit.text = str(math.floor(math.log10(float(element.text))) - 1)
-    joint = root.find(".//si:coverageFactorXMLList", names)
-    joint.text = f"{math.sqrt(len(TERMS) * stats.f.ppf(0.95, len(TERMS), 5000)):.6f}"
-    if cal["k0"].degrees_of_freedom < 100:
-        with pytest.warns(piga.PigaWarning, match="k = 1.960 from the number of rows"):
-            back = calibration_of(root, Path("old.xml"))
-        assert back["k0"].expanded == cal["k0"].expanded
-    halves[0].text = repr(float(halves[0].text) * 0.5)
-    with pytest.raises(piga.PigaError, match="contradicts itself: scale_factor"):
-        calibration_of(root, Path("forged.xml"))
 
 
 def test_ledger(calibrated, tmp_path):
@@ -230,8 +196,7 @@ def test_conformity(calibrated, rule):
 def test_monte_carlo_interval_is_the_one_that_is_judged_and_signed(calibrated, tmp_path):
     """An interval that is not symmetric: limits, guard band and DCC take its ends, not value -+ U."""
     etree = pytest.importorskip("lxml.etree")
-    from piga.certificate.dcc.reader import read_dcc
-    from piga.certificate.dcc.writer import dcc_document
+    from piga.certificate.dcc.document import dcc_document, read_dcc
     from piga.certificate.dcc.xml_signature import written
 
     _, cal = calibrated

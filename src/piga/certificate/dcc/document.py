@@ -242,7 +242,13 @@ def calibration_of(root: etree._Element, path: Path) -> Calibration:
         ) from None
     release = root.findtext("dcc:administrativeData/dcc:dccSoftware/dcc:software/dcc:release", "", NAMES)
     before = _attached(root, BEFORE, path)
-    again = _write(file, calibration, None if before is None else calibration_from_bytes(before, path), release)
+    former = None if before is None else calibration_from_bytes(before, path)
+    try:
+        again = _write(file, calibration, former, release)
+    except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
+        raise DataError(
+            f"{path}: the attached data do not fit the attached calibration ({error})", remedy=AGAIN
+        ) from None
     compare_trees(root, again, path, words=release == _own_release())
     return calibration
 
