@@ -112,7 +112,7 @@ def forms() -> Chapter:
         plot.line(t, np.degrees(exact), "integrated", "after")
         plot.points(t[dots], np.degrees(published[dots]), "published form", "before")
     figure = plot.caption(
-        "Points: published form. Line: integration of the equation of motion without any closed form."
+        "Points: published form. Line: the equation of motion integrated numerically (DOP853)."
     )
     return chapter_of("closed-forms", values, (figure,))
 
