@@ -79,7 +79,7 @@ class _Model(msgspec.Struct, frozen=True):
     terms: tuple[str, ...]
     phase: Phases
     phase_source: PhaseSource
-    method: Method
+    method: Method | Literal["published"]
     temperature_reference: _Level = _Level(293.15, "K")
     time_reference: Amount = Amount(0.0, "s")
 
@@ -279,7 +279,8 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     coefficients = tuple(_coefficient(c) for c in document.coefficients)
     matrix = _check(path, document, coefficients, runs)
     model, noise, residual, found = document.model, document.noise, document.residual, document.identifiability
-    coloured, hashes = noise.coloured, document.provenance.input_sha256
+    coloured: Any = noise.coloured
+    hashes = document.provenance.input_sha256
     surplus = document.surplus_observations  # the first version called it degrees of freedom
     return Calibration(
         serial=document.instrument.serial,
