@@ -72,7 +72,7 @@ def solved(example: Example) -> Solved:
     """Solve an example with piga's closed form, piga's propagator for records, SciPy's DOP853, and the published form."""
     t = np.linspace(0.0, DURATION, round(DURATION / _STEP) + 1)
     f = np.tile(np.array(example.force), (t.size, 1))
-    sampled = propagate(INSTRUMENT, t, f, with_rate=True)
+    sampled = propagate(INSTRUMENT, t, f, with_rate=True, between="linear")
     closed = closed_form(INSTRUMENT, t, *example.force)
     _, published = published_closed_form(example.number, INSTRUMENT, t, *example.force)
     return Solved(t, closed, sampled, _integrated(example, t), published)

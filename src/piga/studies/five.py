@@ -44,7 +44,7 @@ def real_record() -> Run:
     fine = np.linspace(0.0, _END, round(_END / _STEP) * _FINE + 1)
     t = fine[::_FINE]
     model = ErrorModel(k0=TRUTH["k0"] * G0, k1=TRUTH["k1"], k2=TRUTH["k2"] / G0)
-    alpha = propagate(_INSTRUMENT, fine, profile(fine), error_model=model)[::_FINE]
+    alpha = propagate(_INSTRUMENT, fine, profile(fine), error_model=model, between="linear")[::_FINE]
     stream = np.random.default_rng(_SEED)
     walk = _WALK * math.sqrt(_STEP) * np.cumsum(stream.standard_normal(t.size))
     psi = alpha - alpha[0] + walk + _COUNT_NOISE * stream.standard_normal(t.size)

@@ -142,7 +142,7 @@ def _compensation_figure(before: Array, model: Array, formula: Array, exact: Arr
 def phase_walk() -> tuple[Array, Array, Array]:
     """Time [s], phase of the published model minus the true phase [rad] on the ramp, and K V r^2/2 [rad]."""
     log = record("ramp")
-    alpha = propagate(INSTRUMENT, log.t, log.f)
+    alpha = propagate(INSTRUMENT, log.t, log.f, between="linear")
     predicted = model_phase(log)
     constant, lead = closed_form_phase()
     return log.t, predicted + constant - lead - alpha, 0.5 * RATIO**2 * predicted
