@@ -10,8 +10,8 @@ import re
 import tempfile
 from pathlib import Path
 
-from piga.reports.render.axes import write_figure
-from piga.reports.shown import figure_of
+from piga.reports import write_figure
+from piga.reports.calibration.page import figures
 
 ROOT = Path(__file__).parents[1]
 PICTURES = {
@@ -35,7 +35,8 @@ def main() -> None:
         for cell in cells:
             exec(cell, names)
         target = ROOT / "docs" / "figures" / f"gallery-{name}.svg"
-        write_figure(figure_of(names[result], figure), target)
+        made = names[result]
+        write_figure(figures(made)[figure]() if figure else made.figure(), target)
         print(f"wrote {target.relative_to(ROOT)}")
 
 

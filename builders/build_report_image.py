@@ -20,7 +20,7 @@ from typing import Any
 from PIL import Image
 
 from piga.records.calibration import Calibration
-from piga.reports.calibration.page import calibration_page
+from piga.reports.calibration.page import page as calibration_page
 from piga.reports.render.page import Page, Table
 
 OUT = Path(__file__).parents[1] / "docs" / "images" / "report.png"

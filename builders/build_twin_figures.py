@@ -21,6 +21,7 @@ from tests.compensation.sets.twin_triad import spectrum
 
 from piga._kernels.motion import servo
 from piga.calibration.calibrate import calibrate
+from piga.calibration.orders import order_spectrum
 from piga.earth import Site
 from piga.instrument import ErrorModel, Instrument, propagate
 from piga.instrument.twin.electronics import Electronics
@@ -36,8 +37,7 @@ from piga.reports.calibration.figures import spectrum_figure
 from piga.reports.calibration.tables import scale_factor
 from piga.reports.render.axes import write_figure
 from piga.reports.render.figure import Axis, Figure, Panel, Series
-from piga.reports.render.orders import order_spectrum
-from piga.reports.stand import loop_figures, servo_figure
+from piga.reports.stand import bode_figure, pole_figure, servo_figure, step_figure
 from piga.stand import DividingHead, Specimen, read_run, read_scenario, run_scenario, simulate_test
 from piga.stand.write_run import coefficients, predicted_angle_error, run_file_text, write_data
 from piga.units import ARCSEC, G0
@@ -84,7 +84,7 @@ def record(study, corner, rows, conditions, units=None):
 
 def stiffening():
     t, f = constant((2 * G0, G0, 0.0), 10.0, 5e-3)
-    quasi = propagate(Instrument(EXAMPLE.K, 1e-3, 0.2), t, f, between="linear")
+    quasi = propagate(Instrument(EXAMPLE.K, 1e-3, 0.2), t, f)
     factors = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0])
     errors, rows = [], {}
     for factor in factors:
@@ -294,9 +294,9 @@ def speed():
     noise[:, 2] = 1e-7 * np.random.default_rng(1).standard_normal(t.size)
     run_twin(EXAMPLE, t[:10], f[:10])
     inst = Instrument(EXAMPLE.K, 1e-3)
-    propagate(inst, t[:10], f[:10], between="linear")
+    propagate(inst, t[:10], f[:10])
     started = time.perf_counter()
-    propagate(inst, t, f, between="linear")
+    propagate(inst, t, f)
     row("quasi-steady", f"{time.perf_counter() - started:.2f}")
     for name, p in PRESETS.items():
         for label, held in (("quiet", None), ("pick-off noise", noise)):
@@ -306,7 +306,7 @@ def speed():
 
 
 def loop():
-    for figure in loop_figures(EXAMPLE):
+    for figure in (bode_figure(EXAMPLE), step_figure(EXAMPLE), pole_figure(EXAMPLE)):
         save(replace(figure, key=f"twin-{figure.key}"))
     rows = {}
     for name, p in PRESETS.items():
@@ -392,7 +392,7 @@ def missing_harmonic():
 
 def lock():
     test = run_scenario(read_scenario(Path(__file__).parents[1] / "examples" / "twin-spin-up.toml"))
-    save(replace(servo_figure(test), key="twin-lock"))
+    save(replace(servo_figure(test, test.motion), key="twin-lock"))
     changes = test.motion.lock_changes()
     print(f"first lost {changes[0]}, last recovered {changes[-1]}, {len(changes)} changes")
 

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 import piga
-from piga.results import ByValue, key_of, same
+from piga.results import ByValue, same
 from tests.short_record import a_run, pickled
 
 
@@ -34,11 +34,8 @@ def held(**changes) -> Held:
 
 def test_equal_means_equal_values():
     assert held() == held()
-    assert hash(held()) == hash(held())
     assert held() == held(values=np.array([1, math.nan, 0.0]))
-    assert hash(held()) == hash(held(values=np.array([1, math.nan, 0.0])))
     assert held() == held(ignored=1)
-    assert len({held(), held(), held(name="b")}) == 2
 
 
 @pytest.mark.parametrize(
@@ -82,21 +79,10 @@ def test_other_kinds_are_not_equal_and_nothing_raises():
     assert held() != "a"
     assert not same(np.arange(3), (0, 1, 2))
     assert same([np.arange(2)], [np.arange(2)])
-    assert hash(held(more=({"a": [1]}, {1, 2}))) == hash(held(more=({"a": [1]}, {1, 2})))
-
-
-def test_the_hash_of_a_long_array_looks_at_its_ends():
-    long = np.zeros(1_000_000)
-    assert key_of(long) == key_of(long.copy())
-    assert len(key_of(long)[1]) == 128
-    changed = long.copy()
-    changed[-1] = 1.0
-    assert key_of(long) != key_of(changed)
 
 
 def test_runs_and_calibrations_compare(run, cal):
     assert run == a_run()
-    assert hash(run) == hash(a_run())
     moved = replace(run, t=run.t + 1.0)
     assert run != moved
     assert cal == copy.copy(cal)
@@ -107,7 +93,6 @@ def test_a_calibration_is_itself_after_reading_back(cal, tmp_path):
     cal.to_json(tmp_path / "c.json")
     again = piga.Calibration.from_json(tmp_path / "c.json")
     assert again == cal
-    assert hash(again) == hash(cal)
     assert again != replace(cal, serial="T-2")
     assert again != replace(cal, covariance=2.0 * cal.covariance)
 
@@ -133,6 +118,5 @@ def test_a_copy_keeps_the_residuals(cal):
 
 def test_a_calibration_travels_to_another_process(run, cal):
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        answer = pool.apply(key_of, (cal,))
+        assert pool.apply(copy.copy, (cal,)) == cal
         assert pool.apply(copy.copy, (run,)) == run
-    assert answer == key_of(cal)

@@ -15,7 +15,6 @@ import pytest
 import uncertainties
 
 import piga
-from piga.results import above
 from piga.units import G0
 
 
@@ -134,11 +133,8 @@ def test_exact_coefficients_correlate_with_none():
 
 
 def test_without_a_library_the_extra_is_named(cal, monkeypatch):
-    import piga.formats.tables as module
-
     monkeypatch.setitem(sys.modules, "uncertainties", None)
     assert "GTC" in type(next(iter(cal.correlated().values()))).__module__
     monkeypatch.setitem(sys.modules, "GTC", None)
     with pytest.raises(piga.MissingPackageError, match=r"piga\[notebook\]"):
         cal.correlated()
-    assert above("correlated") is module.correlated

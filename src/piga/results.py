@@ -1,7 +1,8 @@
-"""What every result does in a notebook: compare, hash, copy, show itself, and leave as a table.
+"""What every result does in a notebook: compare, copy, show itself, and leave as a table.
 
-The methods live on the lowest floor, because plain data are made there. What they show is made by the rooms above. Such a
-room is loaded by its name when the method is called (:data:`DOORS`), so data never import their reports.
+The methods live on the lowest floor, because plain data are made there. What they show is made by the rooms above. A method
+imports its room when it is called, so data never load their reports. The module that shows a kind of result has three
+functions: ``page(result)`` for the report, ``brief(result)`` for terminal and notebook, ``figures(result)`` by name.
 """
 
 from __future__ import annotations
@@ -11,60 +12,26 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import EXTRAS, missing_package
+from piga import doors
+from piga.errors import ArgumentError
 
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
     import xarray as xr
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Canvas
+
+    from piga.reports.render.figure import Figure
 
 Array = NDArray[np.float64]
 """An array of numbers."""
-SAMPLED = 64
-"""Elements at each end of an array that its hash looks at."""
-
-DOORS = {
-    "arrow": "piga.formats.tables:arrow",
-    "dataframe": "piga.formats.tables:dataframe",
-    "dataset": "piga.formats.tables:dataset",
-    "instrument": "piga.instrument.parameters:instrument_of",
-    "error_model": "piga.instrument.parameters:error_model_of",
-    "html": "piga.reports.shown:html_of",
-    "summary": "piga.reports.shown:summary_of",
-    "report": "piga.reports.shown:write_report",
-    "figure": "piga.reports.shown:figure_of",
-    "draw": "piga.reports.render.axes:draw",
-    "run_from_table": "piga.stand.run_reference:run_from_table",
-    "stand_reference": "piga.stand.run_reference:stand_reference",
-    "correlated": "piga.formats.tables:correlated",
-}
-"""Functions of upper rooms that methods of results call: ``module:function`` by what they do."""
-
-
-def above(name: str) -> Callable[..., Any]:
-    """The function of an upper room with this name in :data:`DOORS`.
-
-    Raises
-    ------
-    MissingPackageError
-        If the room needs a package that is not installed. The message names the extra.
-    """
-    module, _, function = DOORS[name].partition(":")
-    try:
-        loaded: Callable[..., Any] = getattr(import_module(module), function)
-    except ModuleNotFoundError as error:
-        package = (error.name or "").partition(".")[0]
-        if package in EXTRAS:
-            raise missing_package(package) from None
-        raise
-    return loaded
 
 
 def lazy(room: str, modules: dict[str, str]) -> Callable[[str], Any]:
@@ -105,29 +72,8 @@ def _same_arrays(one: Any, other: Any) -> bool:
     return bool(np.array_equal(one, other, equal_nan=one.dtype.kind in "fc" and other.dtype.kind in "fc"))
 
 
-def key_of(value: Any) -> Any:
-    """A hashable key. Equal values (:func:`same`) have equal keys; of an array only shape and ends count."""
-    if isinstance(value, np.ndarray):
-        flat = value.reshape(-1)
-        ends = np.concatenate((flat[:SAMPLED], flat[-SAMPLED:])).tolist()
-        return value.shape, tuple(key_of(number) for number in ends)
-    if isinstance(value, float):
-        return "nan" if math.isnan(value) else value
-    if is_dataclass(value):
-        return type(value).__name__, *(key_of(getattr(value, name)) for name in _compared(value))
-    if isinstance(value, Mapping):
-        return frozenset((key, key_of(item)) for key, item in value.items())
-    if isinstance(value, (tuple, list)):
-        return tuple(key_of(item) for item in value)
-    try:
-        hash(value)
-    except TypeError:
-        return type(value).__name__
-    return value
-
-
 class ByValue:
-    """Base of dataclasses that hold arrays. Equal means equal values, field by field; the hash fits.
+    """Base of dataclasses that hold arrays. Equal means equal values, field by field. There is no hash.
 
     A field with ``compare=False`` does not count. Declare such a dataclass with ``eq=False``. A result is not equal to an
     array or a table: NumPy and pandas leave the comparison to the result, and do not compare element by element.
@@ -141,8 +87,7 @@ class ByValue:
             return False if hasattr(other, "__array__") else NotImplemented
         return same(self, other)
 
-    def __hash__(self) -> int:
-        return hash(key_of(self))
+    __hash__ = None  # type: ignore[assignment]
 
 
 def _compared(result: Any) -> list[str]:
@@ -155,7 +100,29 @@ MOST_LINES, WIDE = 10, 160
 """Lines of a ``repr``, and letters of a line."""
 
 
-class Result(ByValue):
+class Shown:
+    """Base of results that a notebook shows: by the ``brief`` of the module that shows them."""
+
+    def _subject(self) -> ModuleType:
+        """The module that shows this result. Here: names and values."""
+        return doors.shown_plainly()
+
+    def heading(self) -> str:
+        """The first line of what is shown."""
+        return type(self).__name__
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """What a notebook shows of the result: names and values in words."""
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str | None:
+        try:
+            return doors.pages().card_html(self._subject().brief(self))
+        except ImportError:  # without the packages of the report the notebook shows ``repr``
+            return None
+
+
+class Result(ByValue, Shown):
     """Base of results. ``repr`` has at most ten lines, and a notebook shows a table."""
 
     def in_brief(self) -> list[tuple[str, str]]:
@@ -167,57 +134,51 @@ class Result(ByValue):
         lines = [f"<{type(self).__name__}", *first_lines(rows, MOST_LINES - 1)]
         return "\n  ".join(shortened(line) for line in lines) + ">"
 
-    def _repr_html_(self) -> str | None:
-        return html_of(self)
 
-
-class Reported:
+class Reported(Shown):
     """Base of results that have a summary and a report page."""
 
     def summary(self) -> str:
         """The summary that the command prints, as plain text."""
-        return above("summary")(self)
+        return doors.pages().page_text(self._subject().brief(self))
 
     def report(self, path: str | Path) -> Path:
-        """Write the report page: one HTML file that opens offline. Returns its path."""
-        return above("report")(self, path)
+        """Write the report page: one HTML file that opens offline. Returns its path.
+
+        Raises
+        ------
+        ArgumentError
+            If the name does not end in .html.
+        """
+        from piga.output import write_whole
+
+        target = Path(path)
+        if target.suffix != ".html":
+            raise ArgumentError(f"report {target}: the name must end in .html", remedy="e.g. report.html")
+        page = self._subject().page(self)
+        return write_whole(
+            target, lambda part: doors.pages().write_page(page, part), remedy="choose another path"
+        )
 
 
-class Plots:
-    """The figures of one result. Each method draws one of the report's figures with Matplotlib.
+def drawn(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
+    """A figure of a report, drawn with Matplotlib in the colours, labels and units of the report.
 
-    ``ax`` is the axes to draw on, one for each panel of the figure. None: a new figure. The colours, labels and units are
-    those of the report.
+    ``ax`` is the axes to draw on, one for each panel of the figure. None: a new figure.
     """
-
-    __slots__ = ("_result",)
-
-    def __init__(self, result: object) -> None:
-        self._result = result
-
-    def _draw(self, name: str, ax: Axes | Sequence[Axes] | None) -> Figure:
-        return above("draw")(above("figure")(self._result, name), ax)
+    return doors.drawing().draw(figure, ax)
 
 
-def plotted(result: object, ax: Axes | Sequence[Axes] | None, name: str = "") -> Figure:
-    """The figure of a result, drawn with Matplotlib."""
-    return Plots(result)._draw(name, ax)
-
-
-class Plotted:
+class Plotted(Shown):
     """Base of results with one figure. Their class says what it shows."""
 
-    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """The figure of the report for this result, drawn with Matplotlib. See :class:`piga.results.Plots` for ``ax``."""
-        return plotted(self, ax)
+    def figure(self) -> Figure:
+        """The figure of the report for this result, as plain data."""
+        return next(iter(self._subject().figures(self).values()))()
 
-
-def html_of(result: object) -> str | None:
-    """What a notebook shows. None without the packages of the report: the notebook then shows ``repr``."""
-    try:
-        return above("html")(result)
-    except ImportError:
-        return None
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
+        """The figure of the report for this result, drawn with Matplotlib. See :func:`piga.results.drawn` for ``ax``."""
+        return drawn(self.figure(), ax)
 
 
 def first_lines(lines: list[str], most: int, where: str = "") -> list[str]:
@@ -294,7 +255,7 @@ class Tabular:
 
     def to_arrow(self) -> pa.Table:
         """The table as a ``pyarrow.Table``. The metadata of each field hold its unit."""
-        return above("arrow")(self)
+        return doors.tables().arrow(self)
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
         """The table as an Arrow stream (PyCapsule interface), e.g. for ``polars.DataFrame(run)``.
@@ -311,7 +272,7 @@ class Tabular:
         MissingPackageError
             If pandas is not installed.
         """
-        return above("dataframe")(self)
+        return doors.tables().dataframe(self)
 
     def to_xarray(self) -> xr.Dataset:
         """The table as an xarray data set. Each variable has its unit in ``attrs["units"]``.
@@ -321,4 +282,4 @@ class Tabular:
         MissingPackageError
             If xarray is not installed.
         """
-        return above("dataset")(self)
+        return doors.tables().dataset(self)

@@ -88,14 +88,7 @@ def run_of(
     if errors:
         model = ErrorModel(**{name: value * si_factor(name) for name, value in errors.items()})
     alpha, rate = piga.propagate(
-        instrument(phi, **shape),
-        t,
-        f,
-        base_rate,
-        True,
-        error_model=model,
-        temperature=temperature,
-        between="linear",
+        instrument(phi, **shape), t, f, base_rate, True, error_model=model, temperature=temperature
     )
     output = rate if kind == "rate" else alpha - phi
     return Run.from_arrays(

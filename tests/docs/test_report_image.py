@@ -15,7 +15,7 @@ from builders import build_report_image
 from builders.build_report_image import OUT, numbers_file, renew, shown, stale
 
 from piga.records.calibration.document import calibration_to_bytes
-from piga.reports.calibration.page import calibration_page
+from piga.reports.calibration.page import page as calibration_page
 from tests.reports.example import calibration
 
 

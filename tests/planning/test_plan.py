@@ -26,8 +26,9 @@ from piga.planning.criterion import Criterion, best_mixture
 from piga.planning.mounting import plan_mounting
 from piga.planning.plan import plan_document, plan_test, scenario_text
 from piga.planning.plan_file import read_plan
-from piga.reports.planning import plan_page, plan_text
-from piga.reports.render.page import page_html
+from piga.reports.planning import brief as plan_brief
+from piga.reports.planning import page as plan_page
+from piga.reports.render.page import page_html, page_text
 from piga.stand import read_scenario, run_scenario
 from tests.chance import assert_variance
 from tests.planning.cases import request
@@ -347,7 +348,7 @@ def test_page_text_and_document(tmp_path):
     html = page_html(plan_page(plan, mounting))
     for words in ("Planned test of plan-test", "Distance from the lock zone", "Skew of the instrument"):
         assert words in html
-    text = plan_text(plan, mounting)
+    text = page_text(plan_brief(plan, mounting))
     assert "left out 90 deg: locked" in text
     shown = next(line.split() for line in text.splitlines() if line.startswith("  k0 "))
     assert float(shown[1]) == pytest.approx(1e6 * plan.best.std("k0"), rel=0.006)

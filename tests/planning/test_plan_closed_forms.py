@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 from piga.cli.main import app
 from piga.planning.plan import Plan, plan_document, plan_test, scenario_text
-from piga.reports.planning import plan_text
+from piga.reports.planning import brief as plan_brief
+from piga.reports.render.page import page_text
 from piga.stand import read_scenario
 from tests.planning.cases import request
 
@@ -64,7 +65,7 @@ def test_document_text_and_scenario(plan: Plan, tmp_path: Path) -> None:
     assert document["cheapest"]["duration_s"] == plan.cheapest.plan.duration  # type: ignore[union-attr]
     planned = document["planned"]["standard_uncertainty"]["k0"]
     assert planned == {"type_a": plan.best.std("k0"), "combined": plan.best.combined("k0"), "unit": "g"}
-    text = plan_text(plan, None)
+    text = page_text(plan_brief(plan, None))
     assert "left out 60 deg: within 700 times the lock zone" in text
     (tmp_path / "s.toml").write_text(scenario_text(plan), encoding="utf-8")
     segments = read_scenario(tmp_path / "s.toml").stand.segments()

@@ -11,7 +11,9 @@ from piga.instrument import Instrument, closed_form
 from piga.instrument.twin.parameters import PRESETS
 from piga.reports.render.figure import Figure
 from piga.reports.render.page import page_html
-from piga.reports.stand import locking_figure, simulation_figures, simulation_page, simulation_text
+from piga.reports.stand import figures as simulation_figures
+from piga.reports.stand import locking_figure
+from piga.reports.stand import page as simulation_page
 from piga.stand import (
     DividingHead,
     Imperfections,
@@ -63,24 +65,15 @@ def test_page_shows_stand_output_servo_and_truth():
     stand = DividingHead(SITE, (0.0, 1.0), dwell=1.0, move=1.0)
     specimen = Specimen(INST, twin=replace(PRESETS["example"], torque_limit=0.01))
     test = simulate_test(stand, specimen, COUNTS, model="twin", imperfections=Imperfections(gravity=1e-5))
-    keys = [figure.key for figure in simulation_figures(test)]
-    assert keys == [
-        "stand",
-        "imperfections",
-        "output",
-        "locking",
-        "servo",
-        "loop-bode",
-        "loop-step",
-        "loop-poles",
-    ]
-    for figure in simulation_figures(test):
+    drawn = simulation_figures(test)
+    assert list(drawn) == ["stand", "imperfections", "output", "locking", "servo", "bode", "step", "poles"]
+    for figure in (make() for make in drawn.values()):
         assert isinstance(figure, Figure)
         assert all(panel.x.quantity and panel.y.quantity for panel in figure.panels)
     html = page_html(simulation_page(test, "S-1"))
     for words in ("Simulated test of S-1", "pendulosity", "gravity", "tan_beta"):
         assert words in html
-    text = simulation_text(test)
+    text = test.summary()
     assert "servo twin" in text
     shown = next(line.split() for line in text.splitlines() if line.startswith("  k0 "))
     k0 = next(value.value for value in coefficients(test) if value.name == "k0")

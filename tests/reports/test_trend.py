@@ -11,8 +11,10 @@ import pytest
 
 from piga.reports.render.axes import draw
 from piga.reports.render.interactive import figure_spec
-from piga.reports.render.page import page_html
-from piga.reports.trend import scale_of, trend_document, trend_figure, trend_page, trend_text
+from piga.reports.render.page import page_html, page_text
+from piga.reports.trend import brief as trend_brief
+from piga.reports.trend import page as trend_page
+from piga.reports.trend import scale_of, trend_document, trend_figure
 from piga.trend.history import find_trend
 from tests.trend.history import START, history, record
 
@@ -87,7 +89,7 @@ def test_time_is_shown_as_dates(days, step, form):
 def test_few_days(days):
     result = instrument(days=days) if days > 1 else find_trend(history([0, 0.0003], [1.0, 1.1], 0.1))
     assert page_html(trend_page(result, at=AT))
-    text = trend_text(result, at=AT)
+    text = page_text(trend_brief(result, at=AT))
     assert "no alarm" in text
     assert text.isascii()
     json.dumps(trend_document(result, at=AT), allow_nan=False)
@@ -95,7 +97,7 @@ def test_few_days(days):
 
 def test_text_and_document():
     made = instrument()
-    text = trend_text(made, at=AT)
+    text = page_text(trend_brief(made, at=AT))
     assert text.isascii()
     assert "alarm: k0: record r7-0" in text
     document = trend_document(made, at=AT)

@@ -185,8 +185,8 @@ def test_calibration_of_a_twin_run_is_off_by_the_predicted_model_error(kind, tmp
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="minutes of twin need compiled code")
 def test_second_harmonic_of_a_soft_servo_shows_at_order_two(tmp_path):
+    from piga.calibration.orders import order_spectrum
     from piga.reports.calibration.tables import scale_factor
-    from piga.reports.render.orders import order_spectrum
 
     stand = DividingHead(SITE, (math.pi / 4, 7 * math.pi / 4), dwell=120.0, move=5.0)
     soft = replace(PRESETS["example"], integral_gain=0.0)

@@ -9,12 +9,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piga import doors
 from piga.errors import ArgumentError
 from piga.results import Array, Plotted, Result
+
+if TYPE_CHECKING:
+    from piga.reports.render.figure import Figure
 
 PER_DECADE = 8
 """Averaging times per decade."""
@@ -50,6 +55,10 @@ class AllanDeviation(Result, Plotted):
     upper: Array
     degrees_of_freedom: Array
     stretches: NDArray[np.int64]
+
+    def figure(self) -> Figure:
+        """The deviation with its 68 % band."""
+        return doors.noise_figures().deviation_figure(self)
 
 
 def allan_deviation(

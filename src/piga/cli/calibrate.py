@@ -81,7 +81,7 @@ def calibrate(
 
             calibration = estimate(
                 items, names_in(terms), method, phases=phases, phase_source=phase_source,
-                per_run=names_in(per_run), progress=advance,
+                per_run=names_in(per_run), progress=advance.show,
             )  # fmt: skip
         with progress("writing the report" if report else "writing"):
             written = write_results(calibration, stage, report=report)
@@ -91,13 +91,7 @@ def calibrate(
 
         print_json(to_document(calibration))
         return
-    from piga.reports.calibration.page import calibration_text
-
-    say(calibration_text(calibration))
-    if calibration.diagnostics.model_comparison is not None:
-        from piga.reports.calibration.model_choice import comparison_text
-
-        say("\n".join(comparison_text(calibration.diagnostics.model_comparison)))
+    say(calibration.summary())
     for path in written:
         say(f"wrote {directory / path.name}")
 
@@ -159,10 +153,7 @@ def write_results(calibration: Calibration, directory: Path, *, report: bool = T
             written.append(directory / "residuals.parquet")
             job = beside.submit(write_residuals, calibration, written[-1])
         if report:
-            from piga.reports.calibration.page import write_calibration_report
-
-            written.append(directory / "report.html")
-            write_calibration_report(calibration, written[-1])
+            written.append(calibration.report(directory / "report.html"))
     if job is not None:
         job.result()
     return written
@@ -176,7 +167,6 @@ def demo(
 ) -> None:
     """Calibrate and compensate the shipped record, with a report."""
     from piga.compensation import compensate
-    from piga.reports.calibration.page import calibration_text
     from piga.stand import read_run
 
     names = (*CALIBRATION_RESULTS, "compensated.parquet", f"{EXAMPLE}.csv", f"{EXAMPLE}.toml")
@@ -187,12 +177,12 @@ def demo(
         with progress("calibrating") as advance:
             from piga.calibration.calibrate import calibrate as estimate
 
-            calibration = estimate([record], progress=advance)
+            calibration = estimate([record], progress=advance.show)
         with progress("writing the report"):
             written = [*write_results(calibration, folder), folder / "compensated.parquet"]
         with progress("compensating"):
             compensate(record, calibration).to_parquet(written[-1])
-    say(calibration_text(calibration))
+    say(calibration.summary())
     say("")
     run = out / run.name
     say(f"The record and its run file are in {out}; change {run.name} and run: piga calibrate {run}")

@@ -65,7 +65,8 @@ def check(
         if fix_suggestions:
             print_suggestions(run)
         raise
-    from piga.reports.check import check_document, check_text, prospects_text
+    from piga.reports.check import brief, check_document, page
+    from piga.reports.render.page import page_text, write_page
 
     prospects: tuple[TermProspect, ...] = ()
     if terms:
@@ -76,17 +77,12 @@ def check(
     if as_json:
         print_json(check_document(record, prospects))
     else:
-        say(check_text(record, str(run)))
-        if prospects:
-            say("Terms that the record determines, each beside the asked ones:")
-            say(prospects_text(prospects))
+        say(page_text(brief(record, str(run), prospects)))
     if fix_suggestions and not as_json:
         print_suggestions(run)
     if out is not None:
-        from piga.reports.check import write_check
-
         with results(out, "check", ("check.html",), files_named_in(run), force=force) as folder:
-            write_check(record, folder / "check.html")
+            write_page(page(record), folder / "check.html")
         if not as_json:
             say(f"wrote {out / 'check.html'}")
 

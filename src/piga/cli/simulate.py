@@ -45,14 +45,15 @@ def plan(
     from piga.planning.mounting import plan_mounting
     from piga.planning.plan import plan_document, plan_test, program_csv, scenario_text
     from piga.planning.plan_file import read_plan
-    from piga.reports.planning import plan_text, write_plan_report
+    from piga.reports.planning import brief, page
+    from piga.reports.render.page import page_text, write_page
 
     folder = out or plan_file.with_name(f"{plan_file.stem}-plan")
     with results(folder, "plan", PLAN_RESULTS, files_named_in(plan_file), force=force) as stage:
         request = read_plan(plan_file)
         with progress("planning") as advance:
             mounting = plan_mounting(request)
-            planned = plan_test(request, progress=advance)
+            planned = plan_test(request, progress=advance.show)
         document = plan_document(planned, mounting)
         written = [
             write_text(stage / "scenario.toml", scenario_text(planned)),
@@ -61,11 +62,11 @@ def plan(
         ]
         written.append(stage / "report.html")
         with progress("writing the report"):
-            write_plan_report(planned, mounting, written[-1])
+            write_page(page(planned, mounting), written[-1])
     if as_json:
         print_json(document)
         return
-    say(plan_text(planned, mounting))
+    say(page_text(brief(planned, mounting)))
     for path in written:
         say(f"wrote {folder / path.name}")
 
@@ -93,7 +94,8 @@ def simulate(
     json: Annotated[bool, typer.Option("--json", help="Print the truth as JSON.")] = False,
 ) -> None:
     """Simulate a test: a run to calibrate, and its truth."""
-    from piga.reports.stand import simulation_text, write_simulation_report
+    from piga.reports.render.page import write_page
+    from piga.reports.stand import page
     from piga.stand.scenario import read_scenario, run_scenario
     from piga.stand.write_run import run_file_text, truth_document, truth_text, write_data
 
@@ -101,16 +103,16 @@ def simulate(
     data = f"run.{read.table.run.format}"
     with results(out, "simulate", RESULTS, files_named_in(scenario), force=force) as folder:
         with progress("simulating") as advance:
-            test = run_scenario(read, model=model, seed=seed, force=unstable, progress=advance)
+            test = run_scenario(read, model=model, seed=seed, force=unstable, progress=advance.show)
         with progress("writing data and report"):
             write_data(test, folder / data)
             write_text(folder / "run.toml", run_file_text(read, test, data))
             write_text(folder / "truth.json", truth_text(read, test))
-            write_simulation_report(test, read.table.instrument.serial, folder / "report.html")
+            write_page(page(test, read.table.instrument.serial), folder / "report.html")
     if json:
         print_json(truth_document(read, test))
         return
-    say(simulation_text(test))
+    say(test.summary())
     for name in ("run.toml", data, "truth.json", "report.html"):
         say(f"wrote {out / name}")
 
@@ -137,10 +139,10 @@ def reproduce(
 
     names = chosen(only)
     chapters = []
-    with progress("reproducing", len(names)) as show:
+    with progress("reproducing", len(names)) as advance:
         for chapter in run_chapters(names):
             chapters.append(chapter)
-            show(len(chapters), len(names), chapter.id)
+            advance(1)
     reproduction = Reproduction(tuple(chapters))
     if json:
         print_json(reproduction.document())
@@ -181,8 +183,8 @@ def _write(reproduction: Reproduction, folder: Path) -> None:
     kinds = ("svg", "png") if find_spec("matplotlib") else ("svg",)
     if "png" not in kinds:
         note("piga: no PNG figures: they need the extra 'report' (pip install 'piga[report]')")
-    with progress("drawing", len(reproduction.figures)) as show:
-        for number, figure in enumerate(reproduction.figures):
-            show(number, len(reproduction.figures), figure.key)
+    with progress("drawing", len(reproduction.figures)) as advance:
+        for figure in reproduction.figures:
             for kind in kinds:
                 write_figure(figure, pictures / f"{figure.key}.{kind}")
+            advance(1)

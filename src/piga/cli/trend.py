@@ -62,7 +62,8 @@ def trend(
 
     For each coefficient: stability over time, drift per year, control limits, forecast, alarms.
     """
-    from piga.reports.trend import trend_text
+    from piga.reports.render.page import page_text
+    from piga.reports.trend import brief
     from piga.trend.history import find_trend
 
     gc.set_threshold(*RARELY)
@@ -75,20 +76,21 @@ def trend(
 
         print_json(trend_document(drifts, at=date))
         return
-    say(trend_text(drifts, at=date))
+    say(page_text(brief(drifts, date)))
     for path in written:
         say(f"wrote {path}")
 
 
 def _written(out: Path, inputs: list[Path], drifts: Trend, date: dt.datetime, force: bool) -> list[Path]:
     """Write trend.json and trend.html. Returns their paths."""
-    from piga.reports.trend import trend_document, write_trend_report
+    from piga.reports.render.page import write_page
+    from piga.reports.trend import page, trend_document
 
     document = trend_document(drifts, at=date)
     with results(out, "trend", ("trend.json", "trend.html"), inputs, force=force) as folder:
         paths = [write_json(folder / "trend.json", document)]
         paths.append(folder / "trend.html")
-        write_trend_report(drifts, paths[-1], at=date)
+        write_page(page(drifts, date), paths[-1])
     return [out / path.name for path in paths]
 
 

@@ -9,11 +9,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from piga import doors
 from piga._kernels import arithmetic as kernels
 from piga.compensation.model import FLAGS, MEANING
 from piga.errors import ArgumentError
@@ -22,6 +23,11 @@ from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.run import Run
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from piga.reports.render.figure import Figure
 
 WRITTEN_UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
 """Unit of each column that is neither a force nor an increment."""
@@ -231,6 +237,13 @@ class Compensated(Result, Plotted, Reported, Tabular):
     def __copy__(self) -> Compensated:
         return replace(self)
 
+    def heading(self) -> str:
+        """The first line in a notebook."""
+        return "Compensated record"
+
+    def _subject(self) -> ModuleType:
+        return doors.shown_compensation()
+
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the compensation."""
         facts = [
@@ -310,6 +323,14 @@ class CompensatedSet(Result, Plotted, Tabular):
     flags: NDArray[np.int32]
     misfit: Array = field(default_factory=lambda: np.zeros((0, 0)))
     each: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
+
+    def figure(self) -> Figure:
+        """Force in the common frame and its uncertainty."""
+        return doors.shown_compensation().plain_figure(self)
+
+    def heading(self) -> str:
+        """The first line in a notebook."""
+        return "Compensated record"
 
     @property
     def size(self) -> int:

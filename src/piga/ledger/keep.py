@@ -228,7 +228,7 @@ def _request(calibration: Calibration) -> dict[str, Any]:
 
 def _report(calibration: Calibration, draft: Draft) -> str:
     """The report, with blanks for data that are known only when the record gets its place."""
-    from piga.reports.calibration.page import calibration_page
+    from piga.reports.calibration.page import page as calibration_page
     from piga.reports.calibration.tables import facts_table
     from piga.reports.render.page import Section, Text, page_html
 

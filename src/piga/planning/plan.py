@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
+from piga import doors
 from piga._version import __version__
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.planning.candidates import (
@@ -48,6 +49,9 @@ from piga.stand.scenario import DividingHeadTable
 from piga.stand.write_run import given_values
 from piga.threads import one_thread
 from piga.units import G0
+
+if TYPE_CHECKING:
+    from types import ModuleType
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,9 @@ class Plan(Result, Plotted, Reported):
     def reference(self) -> Prediction:
         """The standard plan with the most positions."""
         return self.standard[-1]
+
+    def _subject(self) -> ModuleType:
+        return doors.shown_plan()
 
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the plan."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from piga import doors
 from piga.platform.alignment import Alignment, align
 from piga.platform.analysis import (
     Lines,
@@ -36,6 +37,9 @@ from piga.platform.simulate import PlatformRun, simulate
 from piga.progress import Progress, Steps
 from piga.results import Array, Plotted, Result, finite
 from piga.units import ARCMIN
+
+if TYPE_CHECKING:
+    from piga.reports.render.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,10 @@ class ModelComparisonRun(Result, Plotted):
     run: PlatformRun
     preparation: Preparation
     models: Mapping[Model, ModelRun]
+
+    def figure(self) -> Figure:
+        """Lines at the case-rotation period against the day."""
+        return doors.platform_figures().lines_figure(self)
 
     def in_brief(self) -> list[tuple[str, str]]:
         """Duration, and what each model leaves on the last day."""

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga import earth
+from piga import doors, earth
 from piga.platform.estimate import (
     LeastSquares,
     Reduced,
@@ -38,6 +39,9 @@ from piga.progress import Progress, report
 from piga.results import Array, Plotted, Result
 from piga.threads import one_thread
 from piga.units import ARCSEC
+
+if TYPE_CHECKING:
+    from piga.reports.render.figure import Figure
 
 UNKNOWN_PHASE = float(np.pi / np.sqrt(3.0))
 """Standard uncertainty [rad] of an unknown phase (uniform over a turn)."""
@@ -256,6 +260,10 @@ class GrowingIdentification(Result, Plotted):
     def stds(self) -> Array:
         """Standard uncertainties (k, p) of the unknowns."""
         return np.array([np.sqrt(np.diag(part.covariance)) for part in self.parts])
+
+    def figure(self) -> Figure:
+        """Estimates against the length of the record."""
+        return doors.platform_figures().convergence_figure(self)
 
     def in_brief(self) -> list[tuple[str, str]]:
         """The result of the whole record."""

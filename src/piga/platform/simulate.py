@@ -9,11 +9,12 @@ import csv
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga import earth
+from piga import doors, earth
 from piga._kernels.platform.motion import Base, Gyros, TrueRows, simulate_platform, solve_triad
 from piga.errors import ArgumentError, DataError
 from piga.frames import rotation_vector_to_matrix
@@ -30,6 +31,9 @@ from piga.platform.geometry import (
 from piga.platform.scenario import MotionPlan, Oscillation, PigaSensors, Place, PlatformScenario, Sensors
 from piga.records.limits import read_whole
 from piga.results import Array, Plotted, Result
+
+if TYPE_CHECKING:
+    from piga.reports.render.figure import Figure
 
 MAX_TRACK = 256 << 20
 """Largest file of a track [bytes]: some three million rows."""
@@ -228,7 +232,7 @@ def gimbal_angles(sensors: PigaSensors, times: Array, force: Array, spin: Array)
     angles = []
     for axes, alpha0 in zip(mounting_axes(sensors), sensors.alpha0, strict=True):
         instrument = Instrument(sensors.scale_factor, float(np.arctan(sensors.tan_beta)), alpha0)
-        angles.append(propagate(instrument, times, force @ axes.T, inner @ axes.T, between="linear"))
+        angles.append(propagate(instrument, times, force @ axes.T, inner @ axes.T))
     increments = np.stack(angles)
     if sensors.counts_per_revolution > 0.0:
         quantum = 2.0 * np.pi / sensors.counts_per_revolution
@@ -363,6 +367,10 @@ class PlatformRun(Result, Plotted):
     scenario: PlatformScenario
     readouts: Readouts
     truth: Truth
+
+    def figure(self) -> Figure:
+        """What is read on the platform."""
+        return doors.platform_figures().readouts_figure(self)
 
     def in_brief(self) -> list[tuple[str, str]]:
         """Place, time, motion and cases."""

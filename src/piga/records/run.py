@@ -11,12 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from piga import doors
 from piga.errors import ArgumentError
 from piga.records.arrays import stored
 from piga.records.calibration import Event, Quality, counted
@@ -24,7 +25,10 @@ from piga.records.distribution import GivenParameter
 from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
 from piga.records.terms import check_terms
 from piga.records.text_files import RENAMED
-from piga.results import Array, Column, Plotted, Reported, Result, Tabular, above
+from piga.results import Array, Column, Plotted, Reported, Result, Tabular
+
+if TYPE_CHECKING:
+    from types import ModuleType
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -122,6 +126,13 @@ class Run(Result, Plotted, Reported, Tabular):
         columns["segment"] = Column(self.segment_index[part].astype(np.int32), "1", self.labels)
         return columns | {"row": Column(self.row[part])}
 
+    def _subject(self) -> ModuleType:
+        return doors.shown_record()
+
+    def heading(self) -> str:
+        """The first line in a notebook."""
+        return f"Record of {self.serial or 'an instrument'}"
+
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the record."""
         from piga.units import from_si
@@ -209,7 +220,7 @@ class Run(Result, Plotted, Reported, Tabular):
         if f is None:
             if stand is None:
                 raise ArgumentError("f: there is neither a reference nor a stand", remedy="give f or stand")
-            f, rate = above("stand_reference")(stand, Path(), t, places, names)
+            f, rate = doors.run_reference().stand_reference(stand, Path(), t, places, names)
             base_rate = rate if base_rate is None else base_rate
         f = np.ascontiguousarray(f, dtype=float)
         check_arrays(t, output, f, base_rate, temperature, places, kind)
@@ -325,7 +336,7 @@ class Run(Result, Plotted, Reported, Tabular):
             "uncertainty": msgspec.to_builtins(_table("uncertainty", uncertainty, UncertaintyTable)),
             "stand": stand,
         }
-        return above("run_from_table")(table, columns, tables, dict(units or {}))
+        return doors.run_reference().run_from_table(table, columns, tables, dict(units or {}))
 
     def between(self, start: float | str, stop: float | str) -> Run:
         """The samples with ``start <= t <= stop`` [s; or text, e.g. ``"8 min"``], as a run.

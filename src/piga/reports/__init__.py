@@ -1,20 +1,24 @@
 """Reports: figures as data, tables, self-contained pages.
 
-A report is built in three steps. First, figures: a :class:`Figure` of :class:`Panel` and :class:`Series`, with
-quantity and unit on every axis. Second, a :class:`Page` of sections and blocks. Both are plain data. Third,
-:func:`write_page` writes the file. :mod:`piga.reports.render.numbers` formats numbers.
+A report is built in three steps. First, figures: a :class:`Figure`, made curve by curve with :class:`Plot`; each axis has
+quantity and unit. Second, a :class:`Page` of sections and blocks. Both are plain data. Third, :func:`write_page` writes
+the file, and :func:`page_text` the lines for a terminal. :mod:`piga.reports.render.numbers` formats numbers.
 
->>> from piga.reports import Axis, Figure, FigureBlock, Page, Panel, Section, Series, Text, page_html
->>> curve = Series([0.0, 1.0, 2.0], [0.0, 1.0, 4.0], name="measured", role="data")
->>> figure = Figure("drift", "Drift.", (Panel(Axis("time", "s"), Axis("angle", "arcsec"), (curve,)),))
+>>> from piga.reports import FigureBlock, Page, Plot, Section, Text, page_html
+>>> plot = Plot("drift", "Drift.", "time [s]", "angle [arcsec]")
+>>> figure = plot.line([0.0, 1.0, 2.0], [0.0, 1.0, 4.0], "measured").caption("Good: a level line.")
 >>> page = Page("A test", sections=(Section("Drift", "part", (Text("It grows."), FigureBlock(figure))),))
 >>> page_html(page).startswith("<!DOCTYPE html>")
 True
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from piga.reports.render.figure import Axis, Figure, Panel, Series
+from piga.reports.render.figure import Axis, Figure, Panel, Plot, Series
 from piga.reports.render.page import (
     Cell,
     FigureBlock,
@@ -23,20 +27,17 @@ from piga.reports.render.page import (
     Section,
     Table,
     TableColumn,
+    TableOf,
     Text,
     Tile,
     page_html,
+    page_text,
     write_page,
 )
-from piga.results import lazy
 
 if TYPE_CHECKING:
-    from piga.reports.calibration.page import calibration_page, write_calibration_report
-    from piga.reports.check import write_check
-    from piga.reports.planning import write_plan_report
-    from piga.reports.render.axes import draw, figure_svg, write_figure
-    from piga.reports.trend import write_trend_report
-
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
 
 __all__ = [
     "Axis",
@@ -46,32 +47,47 @@ __all__ = [
     "Notice",
     "Page",
     "Panel",
+    "Plot",
     "Section",
     "Series",
     "Table",
     "TableColumn",
+    "TableOf",
     "Text",
     "Tile",
-    "calibration_page",
     "draw",
-    "figure_svg",
     "page_html",
-    "write_calibration_report",
-    "write_check",
+    "page_text",
     "write_figure",
     "write_page",
-    "write_plan_report",
-    "write_trend_report",
 ]
 
-__getattr__ = lazy(
-    "piga.reports",
-    {
-        "calibration.page": "calibration_page write_calibration_report",
-        "check": "write_check",
-        "planning": "write_plan_report",
-        "render.axes": "draw figure_svg write_figure",
-        "trend": "write_trend_report",
-    },
-)
-"""Pages of the subjects, and Matplotlib, are imported when they are used."""
+
+def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
+    """Draw a figure with Matplotlib. ``ax``: the axes to draw on, one for each panel; None: a new figure.
+
+    Raises
+    ------
+    ArgumentError
+        If the number of axes is not the number of panels.
+    MissingPackageError
+        If Matplotlib is not installed.
+    """
+    from piga.reports.render import axes
+
+    return axes.draw(figure, ax)
+
+
+def write_figure(figure: Figure, path: Path, *, width: float = 7.2, dpi: int = 300) -> Path:
+    """Write a figure as ``.svg``, ``.pdf`` or ``.png``, ``width`` [inch] wide. The same figure gives the same bytes.
+
+    Raises
+    ------
+    ArgumentError
+        If the file name ends otherwise.
+    MissingPackageError
+        If Matplotlib is not installed.
+    """
+    from piga.reports.render import axes
+
+    return axes.write_figure(figure, path, width=width, dpi=dpi)

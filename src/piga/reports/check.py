@@ -1,4 +1,4 @@
-"""Report on a record before its calibration: its faults, and a figure of time, output and reference."""
+"""A record before its calibration: its faults, and a figure of time, output and reference."""
 
 from __future__ import annotations
 
@@ -14,85 +14,75 @@ from piga.calibration import TermProspect
 from piga.calibration.model.request import lost_phase
 from piga.records.run import Run
 from piga.records.spool import spans, steps
-from piga.reports.render.decimate import POINTS, envelope_rows
-from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Role, Series
+from piga.reports.render.envelope import POINTS, Envelope
+from piga.reports.render.figure import XYZ, Figure, Plot
+from piga.reports.render.numbers import count
 from piga.reports.render.page import (
     FigureBlock,
     Notice,
     Page,
     Section,
+    Table,
     TableOf,
     Text,
     Tile,
     named_values,
-    write_page,
 )
 from piga.units import G0
 
 _BLOCK = 1 << 20
-"""Samples whose outline is drawn at a time."""
+"""Samples whose envelope is drawn at a time."""
+
+
+def figures(run: Run) -> dict[str, Callable[[], Figure]]:
+    """The figure of a record."""
+    return {"record": partial(record_figure, run)}
 
 
 def record_figure(run: Run) -> Figure:
     """Interval between samples, output and reference against time, broken where a stretch begins."""
-    turns = "rev" if run.kind == "angle" else "deg/s"
-    scale = 1.0 / (2.0 * np.pi) if run.kind == "angle" else 180.0 / np.pi
-    time = Axis("time since the first sample", "s")
-    forces = tuple(
-        _thin(run, partial(_scaled, run.f[:, i], 1.0 / G0), f"a_{role.upper()}", role)
-        for i, role in enumerate(XYZ)
+    unit, scale = ("rev", 1.0 / (2.0 * np.pi)) if run.kind == "angle" else ("deg/s", 180.0 / np.pi)
+    time = "time since the first sample [s]"
+    plot = Plot("record", "The record as it would be calibrated.", height=2.1)
+    plot.panel(time, "log interval [s]", "Time base").line(
+        *_curve(run, partial(steps, run.t)), "inside a stretch"
     )
-    intervals = [_thin(run, partial(steps, run.t), "inside a stretch", "data")]
-    some = np.flatnonzero(run.begins)[1:]
-    some = some[run.t[some] != run.t[some - 1]][:POINTS]
-    if some.size:
-        gap = np.abs(run.t[some] - run.t[some - 1])
-        intervals.append(Series(run.t[some] - run.t[0], gap, "across a break", mark="points", role="warning"))
-    output = _thin(run, partial(_scaled, run.output, scale), "output", "after")
-    panels = (
-        Panel(time, Axis("interval", "s", log=True), tuple(intervals), title="Time base"),
-        Panel(time, Axis("output", turns), (output,), title="Output as unwrapped"),
-        Panel(time, Axis("specific force", "g"), forces, title="Reference"),
-    )
-    return Figure(
-        "record",
-        "The record as it would be calibrated.",
-        panels,
-        caption="A good record has one interval throughout, an output without steps, and a reference that is the "
-        "test that was meant. Marks above the line are breaks; no increment is formed across them.",
-        height=2.1,
+    breaks = np.flatnonzero(run.begins)[1:]
+    breaks = breaks[run.t[breaks] != run.t[breaks - 1]][:POINTS]
+    if breaks.size:
+        gap = np.abs(run.t[breaks] - run.t[breaks - 1])
+        plot.points(run.t[breaks] - run.t[0], gap, "across a break", "warning")
+    plot.panel(time, f"output [{unit}]", "Output as unwrapped")
+    plot.line(*_curve(run, lambda part: run.output[part] * scale), "output", "after")
+    plot.panel(time, "specific force [g]", "Reference")
+    for i, role in enumerate(XYZ):
+        plot.line(*_curve(run, partial(_force, run.f[:, i])), f"a_{role.upper()}", role)
+    return plot.caption(
+        "A good record has one interval throughout, an output without steps, and a reference that is the "
+        "test that was meant. Marks above the line are breaks; no increment is formed across them."
     )
 
 
-def _scaled(values: np.ndarray, factor: float, part: slice) -> np.ndarray:
-    return values[part] * factor
+def _force(f: np.ndarray, part: slice) -> np.ndarray:
+    return f[part] / G0
 
 
-def _thin(run: Run, values: Callable[[slice], np.ndarray], name: str, role: Role) -> Series:
-    """A quantity against time, broken where a stretch begins; of a long record its outline."""
-    times, shown = [], []
-    limit = max(POINTS // (1 + run.size // _BLOCK), 8)
+def _curve(run: Run, values: Callable[[slice], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """A quantity against time, broken where a stretch begins; of a long record its envelope."""
+    envelope = Envelope()
     for start in range(0, run.size, _BLOCK):
         part = slice(start, min(start + _BLOCK, run.size))
-        y = np.where(run.begins[part], np.nan, values(part))
-        rows = envelope_rows(y, limit)
-        times.append(run.t[part][rows] - run.t[0])
-        shown.append(y[rows])
-    return Series(np.concatenate(times), np.concatenate(shown), name, role=role)
+        envelope.add(run.t[part] - run.t[0], curve=np.where(run.begins[part], np.nan, values(part)))
+    return envelope.curve("curve")
 
 
-def check_page(run: Run) -> Page:
+def page(run: Run) -> Page:
     """The page of ``piga check --out``."""
     quality = run.quality
     share = 100.0 * quality.used / max(quality.rows, 1)
+    used = f"of {count(quality.rows)} ({share:.6g} %)"
     tiles = (
-        Tile(
-            "Rows used",
-            f"{quality.used}",
-            "",
-            f"of {quality.rows} ({share:.6g} %)",
-            "good" if share > 99 else "doubtful",
-        ),
+        Tile("Rows used", count(quality.used), "", used, "good" if share > 99 else "doubtful"),
         Tile("Findings", f"{len(quality.events)}", "", "kinds", "good" if not quality.events else "doubtful"),
         Tile("Segments", f"{len(run.labels)}", "", calibration_words(run), ""),
         Tile("Recorded", f"{run.duration:.6g}", "s", f"{int(run.begins.sum())} stretches", ""),
@@ -100,8 +90,8 @@ def check_page(run: Run) -> Page:
     table = (
         TableOf(quality.events)
         .text("finding", lambda event: event.kind)
-        .number("count", lambda event: str(event.count))
-        .number("first row", lambda event: "" if event.first_row is None else str(event.first_row))
+        .number("count", lambda event: count(event.count))
+        .number("first row", lambda event: "" if event.first_row is None else count(event.first_row))
         .text("what is done", lambda event: event.detail)
         .table("All findings")
     )
@@ -117,6 +107,46 @@ def check_page(run: Run) -> Page:
             Section("Origin", "origin", (Text("Files that were read, by digest."), digests)),
         ),
         kicker="piga check",
+    )
+
+
+def brief(run: Run, name: str = "", prospects: Sequence[TermProspect] = ()) -> Page:
+    """What is in a record, for the terminal. ``name`` is the run file; ``prospects`` say what the record determines."""
+    document, phase = check_document(run), "lost between segments"
+    if document["phase_kept"]:
+        phase = "kept through the whole record"
+    low, high = document["force_g"]
+    rows = [
+        (
+            "segments",
+            f"{len(run.labels)}, {document['duration_s']:.6g} s recorded, {document['rate_hz']:.6g} Hz",
+        ),
+        ("reference", f"|f| {low:.6g} to {high:.6g} g"),
+        ("phase", phase),
+        ("calibrate", document["calibration"]),
+    ]
+    for event in run.quality.events:
+        row = "" if event.first_row is None else f", first at row {event.first_row}"
+        detail = f": {event.detail}" if event.detail else ""
+        rows.append(("found", f"{event.count} x {event.kind}{row}{detail}"))
+    if not run.quality.events:
+        rows.append(("findings", "none"))
+    sections = [Section("", "record", (named_values("", "", rows),))]
+    if prospects:
+        sections.append(Section("", "terms", (prospects_table(prospects),)))
+    title = f"{name or 'record'}: instrument {run.serial}, {run.size} of {run.quality.rows} rows used"
+    return Page(title, sections=tuple(sections))
+
+
+def prospects_table(prospects: Sequence[TermProspect]) -> Table:
+    """Which terms the record determines."""
+    return (
+        TableOf(prospects)
+        .text("asked", lambda prospect: "asked" if prospect.asked else "")
+        .text("term", lambda prospect: prospect.term)
+        .text("what the record says", lambda prospect: prospect.words())
+        .text("remedy", lambda prospect: prospect.remedy if prospect.asked else "")
+        .table()
     )
 
 
@@ -141,39 +171,6 @@ def check_document(record: Run, prospects: Sequence[TermProspect] = ()) -> dict[
     }
 
 
-def check_text(record: Run, name: str = "") -> str:
-    """What is in a record, as lines for the terminal. ``name`` is the run file."""
-    document, phase = check_document(record), "lost between segments"
-    if document["phase_kept"]:
-        phase = "kept through the whole record"
-    low, high = document["force_g"]
-    lines = [
-        f"{name or 'record'}: instrument {record.serial}, {record.size} of {record.quality.rows} rows used",
-        f"  segments   {len(record.labels)}, {document['duration_s']:.6g} s recorded, {document['rate_hz']:.6g} Hz",
-        f"  reference  |f| {low:.6g} to {high:.6g} g",
-        f"  phase      {phase}",
-        f"  calibrate  {document['calibration']}",
-    ]
-    for event in record.quality.events:
-        row = "" if event.first_row is None else f", first at row {event.first_row}"
-        lines.append(
-            f"  found      {event.count} x {event.kind}{row}{': ' + event.detail if event.detail else ''}"
-        )
-    return "\n".join(lines if record.quality.events else [*lines, "  findings   none"])
-
-
-def prospects_text(prospects: Sequence[TermProspect]) -> str:
-    """Which terms the record determines, as lines for the terminal."""
-    width = max(len(prospect.term) for prospect in prospects)
-    lines = []
-    for prospect in prospects:
-        mark = "asked" if prospect.asked else ""
-        lines.append(f"  {mark:<9}  {prospect.term:<{width}}  {prospect.words()}")
-        if prospect.remedy and prospect.asked:
-            lines.append(f"{'':{width + 15}}remedy: {prospect.remedy}")
-    return "\n".join(lines)
-
-
 def calibration_words(run: Run) -> str:
     """Description of a calibration with this run file."""
     possible = "" if calibration_possible(run) else " (not possible: the phase was lost)"
@@ -183,8 +180,3 @@ def calibration_words(run: Run) -> str:
 def calibration_possible(run: Run) -> bool:
     """False if one phase is asked for and the record has lost it."""
     return lost_phase(run, run.model.terms, run.model.phases, run.estimation.method) is None
-
-
-def write_check(run: Run, path: Path) -> Path:
-    """Write the page of ``piga check`` for the record ``run`` to ``path``."""
-    return write_page(check_page(run), path)

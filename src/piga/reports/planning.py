@@ -1,10 +1,10 @@
-"""The page of a planned test, its figures, and its summary for the terminal."""
+"""A planned test shown: its page, its figures, and what terminal and notebook show."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,8 @@ from piga.planning.candidates import Candidate, Prediction
 from piga.planning.mounting import Mounting
 from piga.planning.plan import Plan
 from piga.records.terms import meaning_of, shown_unit, unit_of
-from piga.reports.render.decimate import envelope_rows
-from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.envelope import envelope_rows
+from piga.reports.render.figure import Axis, Figure, Plot, Role, named_axis
 from piga.reports.render.numbers import pretty_unit, printed, short, significant
 from piga.reports.render.page import (
     Block,
@@ -30,7 +30,6 @@ from piga.reports.render.page import (
     Tile,
     Tone,
     named_values,
-    write_page,
 )
 from piga.units import G0
 
@@ -47,37 +46,38 @@ def _forces(candidates: tuple[Candidate, ...]) -> tuple[Array, Array]:
     return f[:, 0], np.copysign(np.hypot(f[:, 1], f[:, 2]), np.where(np.abs(f[:, 1]) > 1e-9, f[:, 1], f[:, 2]))
 
 
+def figures(plan: Plan) -> dict[str, Callable[[], Figure]]:
+    """The figures of a plan by name."""
+    return {
+        "positions": partial(dwell_figure, plan),
+        "uncertainty": partial(uncertainty_figure, plan),
+        "duration": partial(duration_figure, plan),
+        "lock": partial(lock_figure, plan),
+    }
+
+
 def dwell_figure(plan: Plan) -> Figure:
     """Chosen positions in the plane of the forces, and the time in each."""
-    x, y = _forces(plan.candidates)
     chosen = tuple(visit.candidate for visit in plan.best.visits)
-    cx, cy = _forces(chosen)
     named = tuple(f"{v.candidate.label}: {short(v.dwell)} s" for v in plan.best.visits)
-    places = [Series(x, y, "candidate", "points", "muted", text=tuple(c.label for c in plan.candidates))]
+    plot = Plot("plan-positions", "Chosen positions and the time in each", columns=2)
+    plot.panel("force along X0 [g]", "force across [g]", "Positions", equal=True)
+    labels = tuple(c.label for c in plan.candidates)
+    plot.points(*_forces(plan.candidates), "candidate", "muted", text=labels)
     if plan.excluded:
-        ex, ey = _forces(tuple(item.candidate for item in plan.excluded))
         reasons = tuple(f"{item.candidate.label}: {item.reason}" for item in plan.excluded)
-        places.append(Series(ex, ey, "excluded", "points", "warning", text=reasons))
-    places.append(Series(cx, cy, "chosen", "points", "after", text=named))
-    number = np.arange(1, len(chosen) + 1)
+        excluded = tuple(item.candidate for item in plan.excluded)
+        plot.points(*_forces(excluded), "excluded", "warning", text=reasons)
+    plot.points(*_forces(chosen), "chosen", "after", text=named)
     dwells = [visit.dwell for visit in plan.best.visits]
-    time = Series(number, dwells, "dwell", "bars", "after", text=named)
-    return Figure(
-        "plan-positions",
-        "Chosen positions and the time in each",
-        (
-            Panel(
-                Axis("force along X0", "g"), Axis("force across", "g"), tuple(places), "Positions", equal=True
-            ),
-            Panel(
-                Axis("visit in the order of the table", "", limits=(0.4, len(chosen) + 0.6)),
-                Axis("dwell", "s", limits=(0.0, 1.1 * max(dwells))),
-                (time,),
-                "Dwell",
-            ),
-        ),
-        "The whole time goes to a few positions; the others would add less per second, moves counted.",
-        columns=2,
+    plot.panel(
+        named_axis("visit", tuple(visit.label for visit in chosen)),
+        Axis("dwell", "s", limits=(0.0, 1.1 * max(dwells))),
+        "Dwell",
+    )
+    plot.line(np.arange(1, len(chosen) + 1), dwells, "dwell", "after", mark="bars", text=named)
+    return plot.caption(
+        "The whole time goes to a few positions; the others would add less per second, moves counted."
     )
 
 
@@ -85,61 +85,41 @@ def uncertainty_figure(plan: Plan) -> Figure:
     """Predicted standard uncertainty of each coefficient over that of the plan, for the standard plans."""
     number = np.arange(1, len(plan.names) + 1)
     roles: tuple[Role, ...] = ("z", "y", "x", "before")
-    series = [Series(number, np.ones(number.size), "planned", "line+points", "after")]
+    plot = Plot(
+        "plan-uncertainty", "Uncertainty of the standard plans over that of this plan",
+        named_axis("coefficient", tuple(plan.names)), "log standard uncertainty, ratio",
+    )  # fmt: skip
+    plot.marked(number, np.ones(number.size), "planned", "after")
     for k, prediction in enumerate(plan.standard):
         ratio = np.array([prediction.std(name) / plan.best.std(name) for name in plan.names])
-        shift = number + 0.09 * (k - 0.5 * (len(plan.standard) - 1))
+        place = number + 0.09 * (k - 0.5 * (len(plan.standard) - 1))
         known = np.isfinite(ratio)
         if known.any():
             text = tuple(f"{n}: {short(r)}" for n, r, ok in zip(plan.names, ratio, known, strict=True) if ok)
-            role = roles[k % len(roles)]
-            series.append(Series(shift[known], ratio[known], prediction.name, "points", role, text=text))
-    listed = ", ".join(f"{k} {name}" for k, name in zip(number, plan.names, strict=True))
-    return Figure(
-        "plan-uncertainty",
-        "Uncertainty of the standard plans over that of this plan",
-        (
-            Panel(
-                Axis(f"coefficient: {listed}", "", limits=(0.5, number.size + 0.5)),
-                Axis("standard uncertainty, ratio", "1", log=True),
-                tuple(series),
-            ),
-        ),
+            plot.points(place[known], ratio[known], prediction.name, roles[k % len(roles)], text=text)
+    return plot.caption(
         "Type A, same total time. Above 1 the standard plan is less certain; a plan without a point cannot separate "
-        "the terms.",
+        "the terms."
     )
 
 
 def duration_figure(plan: Plan) -> Figure:
     """Uncertainty against duration, relative to the plan, per coefficient."""
     hours = np.array([duration for duration, _, _ in plan.stretched]) / 60.0
-    panels = []
+    plot = Plot("plan-duration", "Uncertainty against duration", columns=2, height=2.6)
     for name in plan.names:
-        own = np.array([a.std(name) for _, a, _ in plan.stretched]) / plan.best.std(name)
-        usual = np.array([b.std(name) for _, _, b in plan.stretched]) / plan.best.std(name)
-        curves = [Series(hours, own, "planned", "line+points", "after")]
+        best = plan.best.std(name)
+        planned = np.array([a.std(name) for _, a, _ in plan.stretched]) / best
+        usual = np.array([b.std(name) for _, _, b in plan.stretched]) / best
+        plot.panel("log duration of the test [min]", "log u over that of the plan", name)
+        plot.marked(hours, planned, "planned", "after")
         known = np.isfinite(usual)
         if known.any():
-            label = plan.stretched[-1][2].name
-            curves.append(Series(hours[known], usual[known], label, "line+points", "before"))
-        middle = plan.request.duration / 60.0
-        curves.append(Series(hours, np.sqrt(middle / hours), "1/sqrt(time)", "line", "muted", dashed=True))
-        panels.append(
-            Panel(
-                Axis("duration of the test", "min", log=True),
-                Axis("u over that of the plan", "1", log=True),
-                tuple(curves),
-                name,
-            )
-        )
-    return Figure(
-        "plan-duration",
-        "Uncertainty against duration",
-        tuple(panels),
+            plot.marked(hours[known], usual[known], plan.stretched[-1][2].name, "before")
+        plot.dashed(hours, np.sqrt(plan.request.duration / 60.0 / hours), "1/sqrt(time)", "muted")
+    return plot.caption(
         "Type A. With the angle random walk alone the curves fall as one over the root of the time; where quantisation "
-        "rules, longer dwells gain more.",
-        columns=2,
-        height=2.6,
+        "rules, longer dwells gain more."
     )
 
 
@@ -147,48 +127,30 @@ def lock_figure(plan: Plan) -> Figure:
     """Distance of every candidate from the lock zone, and its gain per second."""
     number = np.arange(1, len(plan.candidates) + 1)
     margin = np.array([min(c.margin, SHOWN) for c in plan.candidates])
-    shown = np.maximum(margin, 1e-2)
-    limit = plan.request.settings.margin
     labels = tuple(f"{c.label}: {short(c.margin)}" for c in plan.candidates)
-    return Figure(
-        "plan-lock",
-        "Distance from the lock zone",
-        (
-            Panel(
-                Axis("candidate, in the order of the stand", ""),
-                Axis("|a_x| over a_t tan(beta)", "1", log=True),
-                (
-                    Series(number, shown, "candidate", "points", "data", text=labels),
-                    Series(
-                        [0, number.size + 1], [limit, limit], "wanted margin", "line", "warning", dashed=True
-                    ),
-                    Series([0, number.size + 1], [1.0, 1.0], "lock zone", "line", "before"),
-                ),
-            ),
-        ),
+    ends = [0, number.size + 1]
+    plot = Plot(
+        "plan-lock", "Distance from the lock zone", "candidate, in the order of the stand",
+        "log |a_x| over a_t tan(beta)",
+    )  # fmt: skip
+    plot.points(number, np.maximum(margin, 1e-2), "candidate", text=labels)
+    plot.level(ends, plan.request.settings.margin, "wanted margin", "warning")
+    plot.line(ends, [1.0, 1.0], "lock zone", "before")
+    return plot.caption(
         "Below the solid line the output stands still whatever the input; positions below the dashed line are left out. "
-        "Values beyond 0.01 and 10 000 are drawn there.",
+        "Values beyond 0.01 and 10 000 are drawn there."
     )
 
 
 def mounting_figure(mounting: Mounting) -> Figure:
     """Margin against skew, and along the profile for the best mounting."""
     degrees = np.degrees(mounting.skews)
-    best = np.clip(mounting.margins.max(axis=1), 1e-2, SHOWN)
-    worst = np.clip(mounting.margins.min(axis=1), 1e-2, SHOWN)
-    limits = [mounting.limit, mounting.limit]
-    ends = [float(degrees[0]), float(degrees[-1])]
-    skew = Panel(
-        Axis("skew of the instrument", "deg"),
-        Axis("least |a_x| over a_t tan(beta)", "1", log=True),
-        (
-            Series(degrees, best, "best direction", "line", "after"),
-            Series(degrees, worst, "worst direction", "line", "before"),
-            Series(ends, limits, "wanted margin", "line", "warning", dashed=True),
-        ),
-        "Margin against skew",
-    )
-    curves = []
+    plot = Plot("plan-mounting", "Skew of the instrument on the platform")
+    plot.panel("skew of the instrument [deg]", "log least |a_x| over a_t tan(beta)", "Margin against skew")
+    plot.line(degrees, np.clip(mounting.margins.max(axis=1), 1e-2, SHOWN), "best direction", "after")
+    plot.line(degrees, np.clip(mounting.margins.min(axis=1), 1e-2, SHOWN), "worst direction", "before")
+    plot.level(degrees, mounting.limit, "wanted margin", "warning")
+    plot.panel("time [s]", "log |a_x| over a_t tan(beta)", "Along the profile")
     names: tuple[tuple[str, Array, Role], ...] = (
         ("not skewed", mounting.unskewed_history, "before"),
         (f"skew {math.degrees(mounting.skew):.3g} deg", mounting.margin_history, "after"),
@@ -196,17 +158,10 @@ def mounting_figure(mounting: Mounting) -> Figure:
     for name, history, role in names:
         values = np.clip(history, 1e-2, SHOWN)
         rows = envelope_rows(np.log(values), POINTS)
-        curves.append(Series(mounting.t[rows], values[rows], name, "line", role))
-    span = [float(mounting.t[0]), float(mounting.t[-1])]
-    curves.append(Series(span, limits, "wanted margin", "line", "warning", dashed=True))
-    along = Panel(
-        Axis("time", "s"), Axis("|a_x| over a_t tan(beta)", "1", log=True), tuple(curves), "Along the profile"
-    )
-    return Figure(
-        "plan-mounting",
-        "Skew of the instrument on the platform",
-        (skew, along),
-        "The instrument measures where the margin is above 1. Values beyond 0.01 and 10 000 are drawn there.",
+        plot.line(mounting.t[rows], values[rows], name, role)
+    plot.level(mounting.t, mounting.limit, "wanted margin", "warning")
+    return plot.caption(
+        "The instrument measures where the margin is above 1. Values beyond 0.01 and 10 000 are drawn there."
     )
 
 
@@ -218,13 +173,8 @@ _CRITERIA = {
 }
 
 
-def write_plan_report(plan: Plan, mounting: Mounting | None, path: Path) -> None:
-    """Write the page of ``plan`` to ``path``; ``mounting`` adds how to mount the instrument, or is None."""
-    write_page(plan_page(plan, mounting), path)
-
-
-def plan_page(plan: Plan, mounting: Mounting | None) -> Page:
-    """The page of a planned test."""
+def page(plan: Plan, mounting: Mounting | None = None) -> Page:
+    """The page of a planned test; ``mounting`` adds how to mount the instrument."""
     lead = Text(f"Least is {_CRITERIA[plan.request.settings.criterion]}.", lead=True)
     places, spread = FigureBlock(dwell_figure(plan)), FigureBlock(uncertainty_figure(plan))
     sections = [
@@ -370,30 +320,30 @@ def mounting_text(mounting: Mounting) -> str:
     )
 
 
-def plan_text(plan: Plan, mounting: Mounting | None) -> str:
-    """Lines for the terminal."""
-    lines = [
-        f"planned: {len(plan.best.visits)} visits, {plan.best.recorded:.6g} s recorded in {plan.best.duration:.6g} s"
+def brief(plan: Plan, mounting: Mounting | None = None) -> Page:
+    """The plan for terminal and notebook."""
+    facts = [
+        (
+            "efficiency",
+            f"{100.0 * plan.efficiency:.1f} % of the bound; {len(plan.excluded)} candidates left out",
+        ),
+        *((f"left out {item.candidate.label}", item.reason) for item in plan.excluded),
     ]
-    lines += [f"  {v.candidate.label:<16}{v.dwell:>10.2f} s" for v in plan.best.visits]
-    heads = "".join(f"{p.name.replace(' positions', ' pos.'):>12}" for p in plan.standard)
-    lines.append(f"  {'coefficient':<14}{'u (Type A)':>12} {'unit':<10}{heads}   (times the plan's u)")
-    for name in plan.names:
-        ratios = "".join(f"{short(p.std(name) / plan.best.std(name)):>12}" for p in plan.standard)
-        scale, unit = shown_unit(name, unit_of(name))
-        lines.append(f"  {name:<14}{significant(plan.best.std(name) * scale, 3):>12} {unit:<10}{ratios}")
-    lines += [f"  {p.name}: {p.refusal}" for p in plan.standard if p.refusal]
-    lines.append(
-        f"  efficiency {100.0 * plan.efficiency:.1f} % of the bound; {len(plan.excluded)} candidates left out"
-    )
-    lines += [f"    left out {item.candidate.label}: {item.reason}" for item in plan.excluded]
     if plan.cheapest is not None:
         cheapest = plan.cheapest
-        lines.append(
-            f"  wanted uncertainties: {cheapest.refusal}"
-            if cheapest.plan is None
-            else f"  wanted uncertainties: {cheapest.plan.duration:.6g} s (bound {cheapest.bound:.6g} s)"
+        shortest = (
+            "" if cheapest.plan is None else f"{cheapest.plan.duration:.6g} s (bound {cheapest.bound:.6g} s)"
         )
+        facts.append(("wanted uncertainties", shortest or cheapest.refusal))
     if mounting is not None:
-        lines.append(f"  mounting: {mounting_text(mounting)}")
-    return "\n".join(lines)
+        facts.append(("mounting", mounting_text(mounting)))
+    best = plan.best
+    return Page(
+        f"Planned test of {plan.request.table.instrument.serial}: {len(best.visits)} visits, {best.recorded:.6g} s recorded "
+        f"in {best.duration:.6g} s",
+        sections=(
+            Section("", "visits", (visit_table(plan),)),
+            Section("", "uncertainty", (uncertainty_table(plan),)),
+            Section("", "facts", (named_values("", "", facts), FigureBlock(dwell_figure(plan)))),
+        ),
+    )

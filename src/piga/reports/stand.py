@@ -1,11 +1,11 @@
-"""The page of a simulated test, its figures, and its summary for the terminal."""
+"""A simulated test shown: its page, its figures, and what terminal and notebook show."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,10 @@ from piga._version import __version__
 from piga.instrument import Instrument, dead_zone, mean_rate
 from piga.instrument.twin.linear import analyse_loop, loop_poles, open_loop, step_response
 from piga.instrument.twin.parameters import TwinParameters
+from piga.instrument.twin.run import TwinMotion
 from piga.records.terms import shown_unit
-from piga.reports.render.decimate import thin
-from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Role, Series
+from piga.reports.render.envelope import thin
+from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, printed, short, significant
 from piga.reports.render.page import (
     Block,
@@ -28,7 +29,7 @@ from piga.reports.render.page import (
     TableOf,
     Text,
     Tile,
-    write_page,
+    named_values,
 )
 from piga.stand.simulate import SimulatedTest
 from piga.stand.write_run import TrueValue, coefficients, imperfection_values, predictions
@@ -70,33 +71,21 @@ def locking_figure(
         float(dead_zone(one, force, 0.0)[1]) for one, (force, _) in zip(instruments, curves, strict=True)
     ]
     limit = reach * (max(borders) or 1e-3 * G0)
-    series = [_ideal(inst, limit)]
+    plot = Plot(
+        "locking", "Locking of the output rate by transverse specific force",
+        "specific force along the input axis a_x [mg]", "mean output rate [deg/s]", height=3.6,
+    )  # fmt: skip
+    ends = np.array([-limit, limit])
+    plot.dashed(ends / G0 * 1e3, np.degrees(inst.scale_factor * ends), "ideal: K a_x")
     for k, (one, (force, angle)) in enumerate(zip(instruments, curves, strict=True)):
         a_x = _spread(limit, borders[k])
-        rate = np.degrees(mean_rate(one, a_x, force, 0.0))
         name = f"a_t = {force / G0:.3g} g, beta = {angle / ARCSEC:.4g} arcsec"
-        series.append(Series(a_x / G0 * 1e3, rate, name, role=_ROLES[k % len(_ROLES)]))
-    widest = max(borders) / G0 * 1e3
-    panel = Panel(
-        Axis("specific force along the input axis a_x", "mg"), Axis("mean output rate", "deg/s"), tuple(series)
-    )
-    return Figure(
-        "locking",
-        "Locking of the output rate by transverse specific force",
-        (panel,),
-        caption=(
-            "Inside the dead zone |a_x| < a_t tan(beta) the gimbal comes to rest although there is specific "
-            f"force along the input axis; the widest plateau reaches to {widest:.3g} mg. Outside, the mean "
-            "rate is K sqrt(a_x^2 - a_t^2 tan^2(beta)) and approaches the ideal line from below."
-        ),
-        height=3.6,
-    )
-
-
-def _ideal(inst: Instrument, limit: float) -> Series:
-    a_x = np.array([-limit, limit])
-    return Series(
-        a_x / G0 * 1e3, np.degrees(inst.scale_factor * a_x), "ideal: K a_x", role="reference", dashed=True
+        rate = np.degrees(mean_rate(one, a_x, force, 0.0))
+        plot.line(a_x / G0 * 1e3, rate, name, _ROLES[k % len(_ROLES)])
+    return plot.caption(
+        "Inside the dead zone |a_x| < a_t tan(beta) the gimbal comes to rest although there is specific "
+        f"force along the input axis; the widest plateau reaches to {max(borders) / G0 * 1e3:.3g} mg. Outside, the mean "
+        "rate is K sqrt(a_x^2 - a_t^2 tan^2(beta)) and approaches the ideal line from below."
     )
 
 
@@ -109,55 +98,57 @@ def _spread(limit: float, border: float) -> NDArray[np.float64]:
 Array = NDArray[np.float64]
 
 
-def simulation_figures(test: SimulatedTest) -> tuple[Figure, ...]:
-    """All figures of a simulated test, in reading order."""
-    figures = [stand_figure(test), output_figure(test)]
+Drawn = dict[str, Callable[[], Figure]]
+"""Functions that draw figures, by name."""
+
+
+def figures(test: SimulatedTest) -> Drawn:
+    """All figures of a simulated test by name, in reading order."""
+    drawn: Drawn = {"stand": partial(stand_figure, test)}
+    if np.any(test.profile.force - test.profile.reference):
+        drawn["imperfections"] = partial(imperfection_figure, test)
+    drawn["output"] = partial(output_figure, test)
     if test.specimen.instrument.tan_beta:
-        figures.append(lock_zone_figure(test))
-    change = test.profile.force - test.profile.reference
-    if np.any(change):
-        figures.insert(1, imperfection_figure(test))
+        drawn["locking"] = partial(lock_zone_figure, test)
     if test.motion is not None:
-        figures += [servo_figure(test), *loop_figures(test.specimen.design)]
-    return tuple(figures)
+        drawn["servo"] = partial(servo_figure, test, test.motion)
+        design = test.specimen.design
+        drawn["bode"], drawn["step"] = partial(bode_figure, design), partial(step_figure, design)
+        drawn["poles"] = partial(pole_figure, design)
+    return drawn
 
 
-def _time(test: SimulatedTest) -> tuple[Array, Axis]:
-    """Time since the start, and its axis."""
+def _time(test: SimulatedTest) -> tuple[Array, str]:
+    """Time since the start, and the text of its axis."""
     t = test.profile.t - test.profile.t[0]
     scale, unit = (3600.0, "h") if t[-1] > 3 * 3600.0 else (1.0, "s")
-    return t / scale, Axis("time", unit)
+    return t / scale, f"time [{unit}]"
 
 
-def _components(t: Array, values: Array) -> tuple[Series, ...]:
-    return tuple(Series(*thin(t, values[:, k]), f"{role.upper()}0", role=role) for k, role in enumerate(XYZ))
+def _components(plot: Plot, t: Array, values: Array) -> Plot:
+    for k, role in enumerate(XYZ):
+        plot.line(*thin(t, values[:, k]), f"{role.upper()}0", role)
+    return plot
 
 
 def stand_figure(test: SimulatedTest) -> Figure:
     """Specific force and base rate of the reference."""
     t, time = _time(test)
-    force = Panel(
-        time,
-        Axis("specific force", "g"),
-        _components(t, test.profile.reference / G0),
-        "Specific force",
-    )
-    degrees = np.degrees(test.profile.reference_rate)
-    rate = Panel(time, Axis("base rate", "deg/s"), _components(t, degrees), "Base rate")
-    caption = (
+    plot = Plot("stand", "The stand", height=4.6)
+    _components(plot.panel(time, "specific force [g]", "Specific force"), t, test.profile.reference / G0)
+    _components(plot.panel(time, "base rate [deg/s]", "Base rate"), t, np.degrees(test.profile.reference_rate))
+    return plot.caption(
         f"What the {test.stand.kind} does in base axes, as the lab's log states it; moves between segments "
         "are shown, but not recorded."
     )
-    return Figure("stand", "The stand", (force, rate), caption, height=4.6)
 
 
 def imperfection_figure(test: SimulatedTest) -> Figure:
     """Specific force that the instrument feels, less the reference."""
     t, time = _time(test)
-    change = (test.profile.force - test.profile.reference) / MICRO_G
-    panel = Panel(time, Axis("true less reference", "ug"), _components(t, change))
-    caption = "What the imperfections change: the instrument feels it, the log does not show it."
-    return Figure("imperfections", "Imperfections of the stand", (panel,), caption)
+    plot = Plot("imperfections", "Imperfections of the stand", time, "true less reference [µg]")
+    _components(plot, t, (test.profile.force - test.profile.reference) / MICRO_G)
+    return plot.caption("What the imperfections change: the instrument feels it, the log does not show it.")
 
 
 def lock_zone_figure(test: SimulatedTest) -> Figure:
@@ -169,54 +160,33 @@ def lock_zone_figure(test: SimulatedTest) -> Figure:
 def output_figure(test: SimulatedTest) -> Figure:
     """Output angle, and the indicated specific force less the true one."""
     t, time = _time(test)
-    turns = Series(*thin(t, test.alpha / (2.0 * math.pi)), name="gimbal angle")
     p = test.profile
     error = test.rate / test.specimen.instrument.scale_factor - p.force[:, 0]
     recorded = np.where(p.recorded, error / MICRO_G, np.nan)
-    indicated = Series(*thin(t, recorded), name="indicated less true", role="model")
-    return Figure(
-        "output",
-        "The output",
-        (
-            Panel(time, Axis("gimbal angle", "rev"), (turns,), "Gimbal angle"),
-            Panel(time, Axis("rate/K less a_x", "ug"), (indicated,), "Error of the uncoupled model"),
-        ),
+    plot = Plot("output", "The output", height=4.6)
+    plot.panel(time, "gimbal angle [rev]", "Gimbal angle")
+    plot.line(*thin(t, test.alpha / (2.0 * math.pi)), "gimbal angle")
+    plot.panel(time, "rate/K less a_x [µg]", "Error of the uncoupled model")
+    plot.line(*thin(t, recorded), "indicated less true", "model")
+    return plot.caption(
         "Revolutions of the outer gimbal, and what calibration has to explain: the rate over K less the true "
-        "specific force along the input axis (recorded segments; base rate and all errors included).",
-        height=4.6,
+        "specific force along the input axis (recorded segments; base rate and all errors included)."
     )
 
 
-def servo_figure(test: SimulatedTest) -> Figure:
+def servo_figure(test: SimulatedTest, motion: TwinMotion) -> Figure:
     """Tilt from pick-off null and torque of the motor."""
-    motion = test.motion
-    if motion is None:
-        raise ValueError("the quasi-steady model has no servo")
     t, time = _time(test)
     tilt = (motion.beta - test.specimen.design.pick_off_null) / ARCSEC
-    panels = [
-        Panel(time, Axis("tilt from null", "arcsec"), (Series(*thin(t, tilt), name="tilt"),), "Tilt"),
-        Panel(
-            time,
-            Axis("motor torque", "mNm"),
-            (Series(*thin(t, 1e3 * motion.torque), name="torque", role="model"),),
-            "Torque motor",
-        ),
-    ]
+    plot = Plot("servo", "The servo", height=4.6)
+    plot.panel(time, "tilt from null [arcsec]", "Tilt").line(*thin(t, tilt), "tilt")
+    plot.panel(time, "motor torque [mNm]", "Torque motor")
+    plot.line(*thin(t, 1e3 * motion.torque), "torque", "model")
     changes = motion.lock_changes()
-    words = f" Lock is lost {sum(c == 'lost' for _, c in changes)} times." if changes else ""
-    return Figure(
-        "servo",
-        "The servo",
-        tuple(panels),
-        "The gravity torque on the outer axis ripples the tilt once a revolution; the motor holds it." + words,
-        height=4.6,
+    lost = f" Lock is lost {sum(c == 'lost' for _, c in changes)} times." if changes else ""
+    return plot.caption(
+        f"The gravity torque on the outer axis ripples the tilt once a revolution; the motor holds it.{lost}"
     )
-
-
-def loop_figures(p: TwinParameters) -> tuple[Figure, ...]:
-    """Bode diagram, step response and poles of the servo loop."""
-    return bode_figure(p), step_figure(p), pole_figure(p)
 
 
 def bode_figure(p: TwinParameters) -> Figure:
@@ -224,36 +194,18 @@ def bode_figure(p: TwinParameters) -> Figure:
     analysis = analyse_loop(p)
     hertz = np.geomspace(1e-2 * max(analysis.crossover, 1.0), 30.0 * p.nutation, 600) / (2.0 * math.pi)
     response = open_loop(p, 2.0 * math.pi * hertz)
-    cross = np.full(2, analysis.crossover / (2.0 * math.pi))
-    gain = 20.0 * np.log10(np.abs(response))
-    phase = np.degrees(np.unwrap(np.angle(response)))
+    cross = analysis.crossover / (2.0 * math.pi)
+    gain, phase = 20.0 * np.log10(np.abs(response)), np.degrees(np.unwrap(np.angle(response)))
     across = Axis("frequency", "Hz", log=True, limits=(float(hertz[0]), float(hertz[-1])))
-    panels = (
-        Panel(
-            across,
-            Axis("gain", "dB"),
-            (
-                Series(hertz, gain, name="open loop"),
-                Series(cross, [gain.min(), gain.max()], name="crossover", role="muted", dashed=True),
-            ),
-            "Gain",
-        ),
-        Panel(
-            across,
-            Axis("phase", "deg"),
-            (
-                Series(hertz, phase, name="open loop"),
-                Series(hertz[[0, -1]], [-180.0, -180.0], name="-180 deg", role="warning", dashed=True),
-            ),
-            "Phase",
-        ),
+    plot = Plot("loop-bode", "Open servo loop", height=4.6)
+    plot.panel(across, "gain [dB]", "Gain").line(hertz, gain, "open loop")
+    plot.dashed([cross, cross], [gain.min(), gain.max()], "crossover", "muted")
+    plot.panel(across, "phase [deg]", "Phase").line(hertz, phase, "open loop")
+    plot.level(hertz, -180.0, "-180 deg", "warning")
+    return plot.caption(
+        f"Crossover {cross:.3g} Hz, phase margin {math.degrees(analysis.phase_margin):.3g} deg, gain margin "
+        f"{_margin(analysis.gain_margin)}, nutation {analysis.nutation / (2 * math.pi):.3g} Hz."
     )
-    caption = (
-        f"Crossover {analysis.crossover / (2 * math.pi):.3g} Hz, phase margin "
-        f"{math.degrees(analysis.phase_margin):.3g} deg, gain margin {_margin(analysis.gain_margin)}, "
-        f"nutation {analysis.nutation / (2 * math.pi):.3g} Hz."
-    )
-    return Figure("loop-bode", "Open servo loop", panels, caption, height=4.6)
 
 
 def _margin(gain_margin: float) -> str:
@@ -264,15 +216,9 @@ def step_figure(p: TwinParameters) -> Figure:
     """Response of the output rate to a step of specific force."""
     slowest = -float(np.max(loop_poles(p).real))
     t = np.linspace(0.0, min(8.0 / slowest, 60.0 / p.nutation) if slowest > 0.0 else 30.0 / p.nutation, 800)
-    response = Series(1e3 * t, step_response(p, t), name="rate/(K a)")
-    final = Series([0.0, 1e3 * t[-1]], [1.0, 1.0], name="quasi-steady", role="muted", dashed=True)
-    panel = Panel(Axis("time after the step", "ms"), Axis("rate/(K a_x)", "1"), (response, final))
-    return Figure(
-        "loop-step",
-        "Step response",
-        (panel,),
-        "Output rate after a step of specific force along the input axis.",
-    )
+    plot = Plot("loop-step", "Step response", "time after the step [ms]", "rate/(K a_x)")
+    plot.line(1e3 * t, step_response(p, t), "rate/(K a)").level(1e3 * t, 1.0, "quasi-steady", "muted")
+    return plot.caption("Output rate after a step of specific force along the input axis.")
 
 
 def pole_figure(p: TwinParameters) -> Figure:
@@ -280,31 +226,27 @@ def pole_figure(p: TwinParameters) -> Figure:
     poles = loop_poles(p)
     bound = 1.15 * float(np.max(np.abs(poles.imag), initial=0.2 * float(np.max(np.abs(poles)))))
     stable, other = poles[poles.real < 0.0], poles[poles.real >= 0.0]
-    series = [Series(stable.real, stable.imag, name="stable pole", mark="points")]
+    plot = Plot("loop-poles", "Poles of the closed loop", "real part [1/s]", "imaginary part [1/s]")
+    plot.points(stable.real, stable.imag, "stable pole")
     if other.size:
-        series.append(Series(other.real, other.imag, name="unstable pole", mark="points", role="warning"))
-    series.append(Series([0.0, 0.0], [-bound, bound], name="stability border", role="muted", dashed=True))
-    panel = Panel(Axis("real part", "1/s"), Axis("imaginary part", "1/s"), tuple(series))
-    caption = "All poles lie left of the border: the loop is stable."
-    if other.size:
-        caption = "A pole lies on or right of the border: the loop is unstable."
-    return Figure("loop-poles", "Poles of the closed loop", (panel,), caption)
+        plot.points(other.real, other.imag, "unstable pole", "warning")
+    plot.dashed([0.0, 0.0], [-bound, bound], "stability border", "muted")
+    return plot.caption(
+        "A pole lies on or right of the border: the loop is unstable."
+        if other.size
+        else "All poles lie left of the border: the loop is stable."
+    )
 
 
 _MODELS = {"quasi-steady": "quasi-steady model", "twin": "servo twin"}
 
 
-def write_simulation_report(test: SimulatedTest, serial: str, path: Path) -> None:
-    """Write the page of a simulated test as one HTML file that opens offline."""
-    write_page(simulation_page(test, serial), path)
-
-
-def simulation_page(test: SimulatedTest, serial: str) -> Page:
+def page(test: SimulatedTest, serial: str = "simulated") -> Page:
     """The page of a simulated test."""
-    figures = {figure.key: figure for figure in simulation_figures(test)}
-    sections = [_stand_section(test, figures), _output_section(figures)]
+    drawn = figures(test)
+    sections = [_stand_section(test, drawn), _output_section(drawn)]
     if test.motion is not None:
-        sections += [_servo_section(test, figures), _design_section(test.specimen.design)]
+        sections += [_servo_section(test, drawn), _design_section(test.specimen.design)]
     sections.append(_truth_section(test))
     duration = test.profile.segments[-1].stop - test.profile.segments[0].start
     return Page(
@@ -351,32 +293,32 @@ def _tiles(test: SimulatedTest) -> tuple[Tile, ...]:
     return tuple(tiles)
 
 
-def _blocks(figures: dict[str, Figure], *keys: str) -> tuple[Block, ...]:
-    return tuple(FigureBlock(figures[key]) for key in keys if key in figures)
+def _blocks(drawn: Drawn, *names: str) -> tuple[Block, ...]:
+    return tuple(FigureBlock(drawn[name]()) for name in names if name in drawn)
 
 
-def _stand_section(test: SimulatedTest, figures: dict[str, Figure]) -> Section:
+def _stand_section(test: SimulatedTest, drawn: Drawn) -> Section:
     values = imperfection_values(test.imperfections)
     table: tuple[Block, ...] = ()
     if values:
         table = (_values_table(values, "Imperfections of the stand: true less assumed value."),)
-    return Section("The stand", "the-stand", (*_blocks(figures, "stand", "imperfections"), *table))
+    return Section("The stand", "the-stand", (*_blocks(drawn, "stand", "imperfections"), *table))
 
 
-def _output_section(figures: dict[str, Figure]) -> Section:
+def _output_section(drawn: Drawn) -> Section:
     lead = Text(
         "The lab sees the counts only. The lower panel is the truth that a calibration has to find.", lead=True
     )
-    return Section("The output", "the-output", (lead, *_blocks(figures, "output", "locking")))
+    return Section("The output", "the-output", (lead, *_blocks(drawn, "output", "locking")))
 
 
-def _servo_section(test: SimulatedTest, figures: dict[str, Figure]) -> Section:
+def _servo_section(test: SimulatedTest, drawn: Drawn) -> Section:
     blocks: list[Block] = []
     changes = test.motion.lock_changes() if test.motion is not None else ()
     if changes:
         when = ", ".join(f"{word} at {short(t, 4)} s" for t, word in changes[:6])
         blocks.append(Notice("warning", f"Pick-off or torque motor left their range: lock {when}."))
-    blocks += _blocks(figures, "servo", "loop-bode", "loop-step", "loop-poles")
+    blocks += _blocks(drawn, "servo", "bode", "step", "poles")
     blocks.append(
         _values_table(
             predictions(test),
@@ -425,16 +367,15 @@ def _values_table(values: tuple[TrueValue, ...], caption: str) -> Table:
     )
 
 
-def simulation_text(test: SimulatedTest) -> str:
-    """A few lines for the terminal: what was simulated, and the truth."""
-    log = test.log
-    lines = [f"{test.stand.kind}, {_MODELS[test.model]}: {count(log.t.size)} rows, {len(log.labels)} segments"]
-    for value in coefficients(test):
-        scale, unit = shown_unit(value.name, value.unit)
-        lines.append(f"  {_name(value):<16}{significant(value.value * scale, 8):>16} {unit}")
+def brief(test: SimulatedTest) -> Page:
+    """What was simulated, and the truth, for terminal and notebook."""
+    blocks: list[Block] = [_values_table(coefficients(test), "")]
     if test.motion is not None:
         changes = test.motion.lock_changes()
-        lines.append(
-            f"  lock lost {sum(word == 'lost' for _, word in changes)} times" if changes else "  lock kept"
-        )
-    return "\n".join(lines)
+        lock = f"lost {sum(word == 'lost' for _, word in changes)} times" if changes else "kept"
+        blocks.append(named_values("", "", [("lock", lock)]))
+    rows = f"{count(test.log.t.size)} rows, {len(test.log.labels)} segments"
+    return Page(
+        f"{test.stand.kind}, {_MODELS[test.model]}: {rows}",
+        sections=(Section("", "truth", (*blocks, FigureBlock(stand_figure(test)))),),
+    )

@@ -1,19 +1,20 @@
-"""The page and the text of a trend: stability, drift, control chart, forecast; and its figure."""
+"""A trend shown: stability, drift, control chart and forecast on a page, in a terminal and as figures."""
 
 from __future__ import annotations
 
 import datetime as dt
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from piga._version import __version__
 from piga.records.terms import meaning_of, shown_unit
-from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
-from piga.reports.render.numbers import aligned, ascii_text, fixed, pretty_unit, printed, rounded, short, signed
+from piga.reports.render.figure import Axis, Figure, Plot, Role
+from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, short, signed
 from piga.reports.render.page import (
     ALONE,
     Block,
@@ -26,7 +27,6 @@ from piga.reports.render.page import (
     TableOf,
     Text,
     Tile,
-    write_page,
 )
 from piga.results import finite
 from piga.trend.history import YEAR, CoefficientTrend, Point, Trend
@@ -73,94 +73,74 @@ def _dates(start: dt.datetime, years: np.ndarray | float) -> np.ndarray:
     return start.timestamp() / DAY + np.asarray(years, dtype=float) * YEAR / DAY
 
 
-def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None) -> Figure:
+def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None = None) -> Figure:
     """Values and control chart of one coefficient; ``ahead`` is the time of the forecast in years since the start."""
-    start, scale = drifts.start, scale_of(trend)
-    panels = [_values(trend, start, scale, ahead)]
+    plot = Plot(f"trend-{trend.key.replace('_', '-')}", f"{trend.key} over time.", height=2.7)
+    _add_values(plot, trend, drifts.start, ahead)
     if np.isfinite(trend.chart.score).any():
-        panels.append(_control(trend, start))
-    return Figure(
-        f"trend-{trend.key.replace('_', '-')}",
-        f"{trend.key} over time.",
-        tuple(panels),
-        caption="Above, the values with the 95 % interval of each record's own uncertainty, the line through the "
+        _add_control(plot, trend, drifts.start)
+    return plot.caption(
+        "Above, the values with the 95 % interval of each record's own uncertainty, the line through the "
         "days, and the band in which a further record is expected. Below, how far each day lies from what the days "
         "before forecast, and the moving average of these scores. Good: points in the band, scores within ±3, "
-        "the average within its own limits.",
-        height=2.7,
+        "the average within its own limits."
     )
 
 
-def _values(trend: CoefficientTrend, start: dt.datetime, scale: TrendScale, ahead: float | None) -> Panel:
-    series: list[Series] = []
+def _add_values(plot: Plot, trend: CoefficientTrend, start: dt.datetime, ahead: float | None) -> None:
+    scale = scale_of(trend)
+    plot.panel(DATE, Axis(scale.quantity, scale.unit), trend.key)
     if trend.model.line is not None:
-        series += _line(trend, start, scale, max(float(trend.points[-1].time), ahead or 0.0))
-    outside = [point for point in trend.points if point.outside]
-    inside = [point for point in trend.points if not point.outside]
-    series.append(_points(inside, start, scale, "records", "data"))
-    if outside:
-        series.append(_points(outside, start, scale, "out of control", "warning"))
+        grid = np.linspace(trend.points[0].time, max(float(trend.points[-1].time), ahead or 0.0), _GRID)
+        further = [trend.next_record(float(time)) for time in grid]
+        middle = scale.shown(np.array([forecast.value for forecast in further]))
+        half = np.array([forecast.half_width() for forecast in further]) * scale.factor
+        x = _dates(start, grid)
+        plot.band(x, middle - half, middle + half, "95 % of further records").line(x, middle, "line", "model")
+    kinds: tuple[tuple[str, Role, bool], ...] = (
+        ("records", "data", False),
+        ("out of control", "warning", True),
+    )
+    for name, role, outside in kinds:
+        those = [point for point in trend.points if point.outside == outside]
+        if those or not outside:
+            plot.points(
+                _dates(start, np.array([point.time for point in those])),
+                scale.shown(np.array([point.value for point in those])),
+                name,
+                role,
+                error=np.array([point.own_half_width for point in those]) * scale.factor,
+                text=tuple(point.record for point in those),
+            )
     if ahead is not None and trend.model.line is not None:
         forecast = trend.coefficient_at(ahead)
-        series.append(
-            Series(
-                np.atleast_1d(_dates(start, ahead)),
-                np.atleast_1d(scale.shown(forecast.value)),
-                "forecast of the coefficient",
-                mark="points",
-                role="after",
-                error=np.array([forecast.half_width() * scale.factor]),
-            )
-        )
-    return Panel(DATE, Axis(scale.quantity, scale.unit), tuple(series), title=trend.key)
+        at, value = _dates(start, ahead), scale.shown(forecast.value)
+        error = [forecast.half_width() * scale.factor]
+        plot.points([at], [value], "forecast of the coefficient", "after", error=error)
 
 
-def _points(points: list[Point], start: dt.datetime, scale: TrendScale, name: str, role: Role) -> Series:
-    return Series(
-        _dates(start, np.array([point.time for point in points])),
-        scale.shown(np.array([point.value for point in points])),
-        name,
-        mark="points",
-        role=role,
-        error=np.array([point.own_half_width for point in points]) * scale.factor,
-        text=tuple(point.record for point in points),
-    )
-
-
-def _line(trend: CoefficientTrend, start: dt.datetime, scale: TrendScale, last: float) -> list[Series]:
-    grid = np.linspace(trend.points[0].time, last, _GRID)
-    further: list[Forecast] = [trend.next_record(float(time)) for time in grid]
-    middle = scale.shown(np.array([forecast.value for forecast in further]))
-    half = np.array([forecast.half_width() for forecast in further]) * scale.factor
-    x = _dates(start, grid)
-    return [
-        Series(x, middle - half, "95 % of further records", mark="band", role="muted", upper=middle + half),
-        Series(x, middle, "line", role="model"),
-    ]
-
-
-def _control(trend: CoefficientTrend, start: dt.datetime) -> Panel:
+def _add_control(plot: Plot, trend: CoefficientTrend, start: dt.datetime) -> None:
     chart, limit = trend.chart, TREND.control_limit
     seen = np.isfinite(chart.score)
     x = _dates(start, chart.time[seen])
     ends = x[[0, -1]] if x.size > 1 else x[[0, 0]] + np.array([-0.5, 0.5])
-    series = [
-        Series(x, chart.score[seen], "score of a day", mark="points", role="data"),
-        Series(x, chart.average[seen], "moving average", role="model"),
-        Series(x, chart.limit[seen], "limit of the average", role="model", dashed=True),
-        Series(x, -chart.limit[seen], "", role="model", dashed=True),
-        Series(ends, [limit, limit], "limit of a score", role="warning", dashed=True),
-        Series(ends, [-limit, -limit], "", role="warning", dashed=True),
-    ]
-    return Panel(DATE, Axis("deviation from the forecast", "std"), tuple(series), title="Control chart")
+    plot.panel(DATE, "deviation from the forecast [std]", "Control chart")
+    plot.points(x, chart.score[seen], "score of a day").line(x, chart.average[seen], "moving average", "model")
+    plot.dashed(x, chart.limit[seen], "limit of the average", "model").dashed(
+        x, -chart.limit[seen], "", "model"
+    )
+    plot.level(ends, limit, "limit of a score", "warning").level(ends, -limit, "", "warning")
 
 
-def write_trend_report(drifts: Trend, path: Path, *, at: dt.datetime | None = None) -> Path:
-    """Write the page of the trend ``drifts`` to ``path``; ``at`` is the date of the forecast."""
-    return write_page(trend_page(drifts, at=at), path)
+def figures(drifts: Trend) -> dict[str, Callable[[], Figure]]:
+    """The figure of each coefficient by its key; the first one also by no key."""
+    by_key: dict[str, Callable[[], Figure]] = {
+        trend.key: partial(trend_figure, drifts, trend) for trend in drifts.coefficients
+    }
+    return by_key | {"": next(iter(by_key.values()))}
 
 
-def trend_page(drifts: Trend, *, at: dt.datetime | None = None) -> Page:
+def page(drifts: Trend, at: dt.datetime | None = None) -> Page:
     """Alarms first, then stability and drift of each coefficient, with a forecast for ``at`` where it is given."""
     ahead = None if at is None else drifts.years(at)
     span = drifts.years(drifts.times[-1])
@@ -179,6 +159,21 @@ def trend_page(drifts: Trend, *, at: dt.datetime | None = None) -> Page:
         sections=tuple(sections),
         kicker="piga · trend",
         footer=f"Made by piga {__version__}. {ALONE}",
+    )
+
+
+def brief(drifts: Trend, at: dt.datetime | None = None) -> Page:
+    """Stability, drift, alarms and remarks for terminal and notebook, and the figure of the first coefficient."""
+    notices = [Notice("problem", f"alarm: {alarm}") for alarm in drifts.alarms] or [Notice("good", "no alarm")]
+    notices += [Notice("info", remark) for remark in drifts.remarks]
+    drawn = [FigureBlock(trend_figure(drifts, trend)) for trend in drifts.coefficients[:1]]
+    first, last = drifts.times[0], drifts.times[-1]
+    return Page(
+        f"Trend of {drifts.serial}: {len(drifts.records)} records, {first:%Y-%m-%d} to {last:%Y-%m-%d}",
+        sections=(
+            Section("", "stability", (summary_table(drifts, at),)),
+            Section("", "alarms", (*notices, *drawn)),
+        ),
     )
 
 
@@ -299,23 +294,6 @@ def _expected(forecast: Forecast | None, scale: float) -> str:
 def _score(point: Point) -> Cell:
     score = "–" if point.forecast is None else printed(signed(point.score, 1))
     return Cell(score, "bad" if point.outside else "")
-
-
-def trend_text(drifts: Trend, *, at: dt.datetime | None = None) -> str:
-    """Summary for the terminal."""
-    table = summary_table(drifts, at)
-    lines = [[column.heading for column in table.columns]]
-    lines += [[_ascii(cell.text) for cell in row] for row in table.cells]
-    head = f"Trend of {drifts.serial}: {len(drifts.records)} records, {drifts.times[0]:%Y-%m-%d} to {drifts.times[-1]:%Y-%m-%d}"
-    alarms = [f"alarm: {alarm}" for alarm in drifts.alarms] or ["no alarm"]
-    remarks = [_ascii(f"note: {remark}") for remark in drifts.remarks]
-    return "\n".join(
-        [head, "", *(f"  {line}".rstrip() for line in aligned(lines, left={0, 1})), "", *alarms, *remarks]
-    )
-
-
-def _ascii(text: str) -> str:
-    return ascii_text(text.replace("±", "+-"))
 
 
 def trend_document(drifts: Trend, *, at: dt.datetime | None = None) -> dict[str, Any]:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piga import doors
 from piga.errors import ArgumentError
 from piga.instrument import ErrorModel, Instrument, propagate
 from piga.instrument.twin.electronics import (
@@ -33,6 +34,10 @@ from piga.results import Array, Plotted, Reported, Result
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.profile import Profile, Segment, Stand, sample_stand
 from piga.units import G0
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
 
 Model = Literal["quasi-steady", "twin"]
 Harmonics = Mapping[int, tuple[float, float]]
@@ -116,6 +121,9 @@ class SimulatedTest(Result, Plotted, Reported):
     motion: TwinMotion | None
     phases: tuple[float, ...]
     log: Log
+
+    def _subject(self) -> ModuleType:
+        return doors.shown_test()
 
     def to_run(self, serial: str = "simulated", *, model: ModelTable | dict[str, object] | None = None) -> Run:
         """The log as a run, for :func:`piga.calibrate`. The nominal scale factor is the true one.
@@ -281,7 +289,6 @@ def _quasi_steady(
             with_rate=True,
             error_model=specimen.error_model,
             temperature=kelvin,
-            between="linear",
         )
         alpha = alpha + walk
         new_rate = specimen.instrument.scale_factor * _forces_of_angle(specimen, alpha, *felt)

@@ -19,12 +19,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from piga import doors
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration, CalibrationFigures, Coefficient
 from piga.records.calibration.coefficient import TYPE_A_ONLY, Coverage, coverage_factor, is_of_reference
 from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
-from piga.results import Array, Reported, Result, plotted
+from piga.results import Array, Reported, Result, drawn
 from piga.threads import one_thread
 from piga.trend.outlook import Outlook, outlook
 from piga.trend.trend_line import (
@@ -38,6 +39,8 @@ from piga.trend.trend_line import (
 )
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -168,8 +171,11 @@ class Trend(Result, Reported):
         return (date - self.start).total_seconds() / YEAR
 
     def plot(self, key: str = "", ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Values of the coefficient ``key`` (the first one) and its control chart. See :class:`piga.results.Plots`."""
-        return plotted(self, ax, key)
+        """Values of the coefficient ``key`` (the first one) and its control chart. See :func:`piga.results.drawn`."""
+        return drawn(doors.shown_trend().figures(self)[key](), ax)
+
+    def _subject(self) -> ModuleType:
+        return doors.shown_trend()
 
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the trend."""

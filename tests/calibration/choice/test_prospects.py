@@ -12,7 +12,7 @@ import pytest
 import piga
 from piga.calibration import term_prospects
 from piga.records.terms import UNITS
-from piga.reports.check import check_document, prospects_text
+from piga.reports.check import check_document, prospects_table
 from tests.calibration.made.synthetic import record
 
 pytestmark = pytest.mark.only_compiled
@@ -49,9 +49,9 @@ def test_one_level_cannot_tell_powers_apart():
     assert by_term["k0"].determined
     assert not by_term["m_Z"].determined  # a_Z never changes
     assert by_term["m_Z"].words() == by_term["m_Z"].reason
-    text = prospects_text(tuple(by_term.values()))
-    assert "asked      k0" in text
-    assert "determined, u = " in text
+    rows = {row[1].text: row for row in prospects_table(tuple(by_term.values())).cells}
+    assert rows["k0"][0].text == "asked"
+    assert "determined, u = " in rows["k0"][2].text
 
 
 def test_an_asked_term_that_fails_leaves_the_others_their_verdict():

@@ -24,9 +24,10 @@ from piga.certificate.statements import verdicts
 from piga.records.calibration import Calibration
 from piga.records.calibration.document import calibration_to_bytes, to_document
 from piga.records.run_file import UncertaintyTable
-from piga.reports.calibration.page import calibration_page, calibration_text
+from piga.reports.calibration.page import page as calibration_page
 from piga.reports.render.page import page_html
-from piga.reports.trend import trend_document, trend_page
+from piga.reports.trend import page as trend_page
+from piga.reports.trend import trend_document
 from piga.trend.history import find_trend
 from piga.units import G0
 from tests.certificate.certificate_data import changed, complete
@@ -93,7 +94,7 @@ def same(text: str, half: float, key: str, unit: str) -> None:
 def test_json_and_terminal(calibrated):
     freedom, cal = calibrated
     stated = {c["name"]: c for c in json.loads(calibration_to_bytes(cal))["coefficients"]}
-    text = calibration_text(cal).split("coefficient  ")[1].split("\n\n")[0]
+    text = cal.summary().split("Coefficient  ")[1].split("\n\n")[0]
     lines = {line.split()[0]: line.split() for line in text.splitlines()[1:]}
     for key in TERMS:
         k, half = expected(freedom, cal, key)
@@ -109,7 +110,7 @@ def test_page(calibrated):
     page = page_html(calibration_page(cal))
     for key in TERMS:
         k, half = expected(freedom, cal, key)
-        row = cells(page, key, "Expanded uncertainty U")
+        row = cells(page, key, "U (95 %)")
         same(row[3], half, key, row[4])
         assert float(row[-1]) == pytest.approx(k, abs=0.0051)
 

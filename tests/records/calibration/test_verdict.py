@@ -16,9 +16,11 @@ from piga.records.calibration import BudgetEntry, Diagnostics
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.document import calibration_to_bytes
 from piga.records.calibration.verdict import THRESHOLDS, verdict
-from piga.reports.calibration.page import calibration_page, calibration_text
-from piga.reports.render.page import page_html
-from piga.reports.trend import trend_document, trend_page, trend_text
+from piga.reports.calibration.page import page as calibration_page
+from piga.reports.render.page import page_html, page_text
+from piga.reports.trend import brief as trend_brief
+from piga.reports.trend import page as trend_page
+from piga.reports.trend import trend_document
 from piga.units import G0
 from tests.reports.example import calibration
 
@@ -65,7 +67,7 @@ def body(page: str) -> str:
 def test_a_sound_calibration_is_good_and_warns_of_nothing(sound):
     assert sound.verdict.level == "good"
     assert sound.verdict.doubts == ()
-    assert "Every test that was made holds" in calibration_text(sound).splitlines()[0]
+    assert "Every test that was made holds" in sound.summary().splitlines()[0]
     with warnings.catch_warnings():
         warnings.simplefilter("error", piga.PigaWarning)
         piga.calibrate(rate_log(uncertainty=KNOWN), TERMS, "rate")
@@ -81,7 +83,7 @@ def test_coloured_residuals_are_said_everywhere_and_nothing_is_green(coloured):
     assert page.tiles[0].tone != "good"
     text, said = body(page_html(page)), "he whitened residuals are not white (Ljung-Box, p "
     assert 0 < text.index(said) < text.index("Degrees of freedom"), "the verdict stands above the tiles"
-    assert said in " ".join(calibration_text(coloured).split("Calibration of")[0].split())
+    assert said in " ".join(coloured.summary().split("Calibration of")[0].split())
     assert said in repr(coloured)
     document = json.loads(calibration_to_bytes(coloured))
     assert any(said in doubt["what"] for doubt in document["verdict"]["does_not_hold"])
@@ -104,11 +106,11 @@ def test_without_uncertainty_every_output_says_type_a_only(alone):
     times = [dt.datetime(2024, 1, day, tzinfo=dt.UTC) for day in (1, 2)]
     trend = find_trend([("a", times[0], alone), ("b", times[1], again)])
     outputs = {
-        "terminal": " ".join(calibration_text(alone).split()),
+        "terminal": " ".join(alone.summary().split()),
         "page": body(page_html(calibration_page(alone))),
         "json": calibration_to_bytes(alone).decode(),
         "repr": " ".join(repr(alone).split()),
-        "trend": trend_text(trend),
+        "trend": page_text(trend_brief(trend)),
         "trend page": body(page_html(trend_page(trend))),
         "trend json": json.dumps(trend_document(trend)),
     }

@@ -1,6 +1,7 @@
 """The comparison of term sets fits a terminal of 80 columns, whatever its figures."""
 
-from piga.reports.calibration.model_choice import comparison_text
+from piga.reports.calibration.model_choice import comparison_brief
+from piga.reports.render.page import Page, page_text
 
 TERMS = ["scale_factor", "tan_beta", "k0", "m_Y"]
 LONG = [*TERMS, "k2", "k3", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "m_Z"]
@@ -15,6 +16,7 @@ def result(terms, above):
 
 
 DOCUMENT = {
+    "noise_terms": ["scale_factor"], "observations": 4000,
     "best": TERMS, "best_prediction": TERMS, "parted_by": "segment", "folds": 24, "parts": 24,
     "sets": [
         result(["scale_factor", "tan_beta"], 9.93e7), result(TERMS, 0.0), result(["k0"], 950782.0),
@@ -23,17 +25,22 @@ DOCUMENT = {
 }  # fmt: skip
 
 
-def test_no_line_is_wider_than_80_columns_and_no_word_is_broken():
-    lines = comparison_text(DOCUMENT)
-    assert max(map(len, lines)) <= 80
+def lines_of(document):
+    return page_text(Page("", sections=(comparison_brief(document),)), width=100).splitlines()
+
+
+def test_no_line_is_wider_than_the_terminal_and_no_word_is_broken():
+    lines = lines_of(DOCUMENT)
+    assert max(map(len, lines)) <= 100
     assert "\n".join(lines).isascii()
     words = set(" ".join(lines).replace(",", " ").replace("(", " ").replace(")", " ").split())
     assert {"scale_factor", "tan_beta", "k_YZ", "separate"} <= words
 
 
 def test_the_best_comes_first_and_figures_stand_under_their_heads():
-    lines = comparison_text(DOCUMENT)
-    assert lines[2].split()[0] == "2"
-    assert "9.93e7" in lines[4]
-    assert len({len(line) for line in lines[1:5]}) == 1
-    assert any(line.strip().startswith("2: scale_factor, tan_beta, k0, m_Y (least BIC") for line in lines)
+    lines = lines_of(DOCUMENT)
+    heads = next(k for k, line in enumerate(lines) if line.startswith("  set"))
+    assert lines[heads + 1].split()[0] == "2"
+    assert "9.93e7" in lines[heads + 3]
+    assert len({len(line) for line in lines[heads : heads + 4]}) == 1
+    assert any("set 2  scale_factor, tan_beta, k0, m_Y (least BIC" in line for line in lines)

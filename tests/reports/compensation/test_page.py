@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
 import subprocess
 import sys
@@ -17,7 +18,6 @@ from piga.compensation import FLAGS, Compensated
 from piga.compensation.compensator import NO_RATES, NONE, Chunk
 from piga.records.calibration import Residuals
 from piga.reports.compensation import outline as compensation_outline
-from piga.reports.compensation import page as compensation
 from piga.reports.compensation.figures import correction_spectrum, flag_figure, force_figure, in_windows
 from piga.reports.compensation.outline import outline_of
 from piga.units import G0
@@ -29,6 +29,7 @@ from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant
 def watched(monkeypatch):
     """The outline that the command filled."""
     collected = []
+    compensation = importlib.import_module("piga.reports.compensation.page")
     real = compensation.compensation_page
 
     def page(outline, facts, whole=None):
@@ -71,8 +72,7 @@ def digest(path):
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-@pytest.mark.parametrize("resumed", [False, True])
-def test_inputs_are_stated_as_they_were_read(tmp_path, monkeypatch, capsys, resumed):
+def test_inputs_are_stated_as_they_were_read(tmp_path, monkeypatch, capsys):
     """Every input is replaced while the rows are computed: page, file and summary have the digests of what was read."""
     run, page = write(tmp_path), tmp_path / "page.html"
     files = [tmp_path / name for name in ("run.toml", "run.parquet", "run.json")]
@@ -85,17 +85,15 @@ def test_inputs_are_stated_as_they_were_read(tmp_path, monkeypatch, capsys, resu
         real(*inputs)
 
     monkeypatch.setattr(KERNEL, "run_kernel", replaced)
-    more = ("--resume",) if resumed else ("--report", page)
-    code, text, _ = compensated(tmp_path, monkeypatch, capsys, run, *more, "--json")
+    code, text, _ = compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--json")
     assert code == 0
     assert digest(files[1]) != known[1]["sha256"]
     assert json.loads(text)["inputs"] == known
     metadata = pa.parquet.read_schema(tmp_path / "out.parquet").metadata
     assert json.loads(metadata[b"piga.inputs"]) == known
-    if not resumed:
-        html = page.read_text(encoding="utf-8")
-        assert all(one["sha256"] in html for one in known)
-        assert not any(digest(path) in html for path in files)
+    html = page.read_text(encoding="utf-8")
+    assert all(one["sha256"] in html for one in known)
+    assert not any(digest(path) in html for path in files)
 
 
 def test_streamed_and_whole_show_the_same(tmp_path, monkeypatch, capsys, watched):
@@ -187,7 +185,7 @@ def test_memory_is_bounded_and_extremes_are_kept():
 
 @pytest.mark.parametrize(
     ("option", "more"),
-    [("--report", ()), ("--out", ()), ("--out", ("--resume",))],
+    [("--report", ()), ("--out", ())],
 )
 def test_a_path_that_cannot_be_written_is_told_by_its_option(tmp_path, monkeypatch, capsys, option, more):
     monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
@@ -219,10 +217,7 @@ def test_a_report_of_a_set_that_cannot_be_written_is_told_by_its_option(tmp_path
 
 def test_a_report_that_cannot_be_is_refused(tmp_path, monkeypatch, capsys):
     run = write(tmp_path)
-    for words, says in (
-        (("--report", tmp_path / "page.pdf"), "must end in .html"),
-        (("--report", tmp_path / "page.html", "--resume"), "cannot be used with --resume"),
-    ):
+    for words, says in ((("--report", tmp_path / "page.pdf"), "must end in .html"),):
         code, _, err = compensated(tmp_path, monkeypatch, capsys, run, *words)
         assert code == 2
         assert says in err

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from piga import doors
 from piga.records.calibration.coefficient import (
     TYPE_A_ONLY,
     BudgetEntry,
@@ -38,17 +39,17 @@ from piga.results import (
     ByValue,
     Column,
     Correlated,
-    Plots,
     Reported,
     Result,
     Tabular,
-    above,
+    drawn,
     first_lines,
-    html_of,
     shortened,
 )
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -120,14 +121,20 @@ class CalibrationFigures(Result):
         return CalibrationFigures(serial, terms, coefficients, type_b, bool(budget))
 
 
-class CalibrationPlots(Plots):
-    """Figures of a calibration. See :class:`piga.results.Plots` for ``ax``.
+class CalibrationPlots:
+    """Figures of a calibration. See :func:`piga.results.drawn` for ``ax``.
 
     Raises
     ------
     CalibrationError
         If the calibration has no data for the figure, for instance no residuals after reading calibration.json.
     """
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._calibration = calibration
+
+    def _draw(self, name: str, ax: Axes | Sequence[Axes] | None) -> Figure:
+        return drawn(doors.shown_calibration().figures(self._calibration)[name](), ax)
 
     def residuals(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Residuals against time, before and after calibration: two panels."""
@@ -250,8 +257,8 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         ]
         return "\n  ".join([named, *(shortened(line) for line in lines)]) + ">"
 
-    def _repr_html_(self) -> str | None:
-        return html_of(self)
+    def _subject(self) -> ModuleType:
+        return doors.shown_calibration()
 
     @property
     def plot(self) -> CalibrationPlots:
@@ -317,7 +324,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         MissingPackageError
             If the library is not installed.
         """
-        return above("correlated")(self, library, si=si)
+        return doors.tables().correlated(self, library, si=si)
 
     def __getitem__(self, key: str) -> Coefficient:
         for coefficient in self.coefficients:
@@ -349,7 +356,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         A scale factor that was not estimated is the nominal one. ``alpha0`` [rad] is the gimbal angle at the start. It belongs
         to a run, so a calibration does not know it.
         """
-        return above("instrument")(self, alpha0)
+        return doors.parameters().instrument_of(self, alpha0)
 
     def error_model(self) -> ErrorModel:
         """The other coefficients as an error model (SI), to propagate or simulate with.
@@ -360,7 +367,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
             If a coefficient has no place in the exact motion and is left out: a harmonic from the second on, or a term of
             the servo. The message names it.
         """
-        return above("error_model")(self)
+        return doors.parameters().error_model_of(self)
 
     @classmethod
     def from_coefficients(

@@ -16,7 +16,8 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
-from piga.results import MOST_LINES, ByValue, Column, Result, Tabular, first_lines, html_of, shortened
+from piga.records.terms import meaning_of
+from piga.results import MOST_LINES, ByValue, Column, Result, Shown, Tabular, first_lines, shortened
 
 PROBABILITY = 0.95
 """Coverage probability of every interval that piga states."""
@@ -186,7 +187,7 @@ class SIValue(float):
 
 
 @dataclass(frozen=True, eq=False)
-class Coefficient(ByValue):
+class Coefficient(ByValue, Shown):
     """One coefficient: value and standard uncertainty in ``unit``, the unit of calibration.json. ``si`` gives it in SI.
 
     ``value``, ``std``, ``expanded`` and ``limits`` are in ``unit``. Everything else in piga is SI: arrays, ``Run``,
@@ -264,8 +265,19 @@ class Coefficient(ByValue):
         """Ends of the 95 % coverage interval."""
         return self.coverage.low, self.coverage.high
 
-    def _repr_html_(self) -> str | None:
-        return html_of(self)
+    def heading(self) -> str:
+        """Key and meaning."""
+        return f"{self.key}: {meaning_of(self.name)}"
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """Value, uncertainty and interval in words."""
+        low, high = self.limits
+        return [
+            ("value", f"{self.value:.9g} {self.unit}"),
+            ("standard uncertainty", f"{self.std:.3g} {self.unit}"),
+            ("95 % interval", f"{low:.9g} to {high:.9g} {self.unit}"),
+            ("in SI", repr(self.si)),
+        ]
 
 
 def short_way(turn: ArrayLike) -> NDArray[np.float64]:
@@ -351,7 +363,7 @@ class BudgetEntry(Result):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BudgetTable(ByValue, Tabular):
+class BudgetTable(ByValue, Shown, Tabular):
     """The uncertainty budget: its sources in order. As a table it has one row for each source and coefficient.
 
     It is iterated and indexed as a tuple of :class:`BudgetEntry` is. It is not a tuple itself, because tools that read
@@ -378,8 +390,13 @@ class BudgetTable(ByValue, Tabular):
         lines = ["<BudgetTable", *first_lines(rows, MOST_LINES - 1)]
         return "\n  ".join(shortened(line) for line in lines) + ">"
 
-    def _repr_html_(self) -> str | None:
-        return html_of(self)
+    def heading(self) -> str:
+        """The first line in a notebook."""
+        return "Uncertainty budget"
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """Sources with type and distribution."""
+        return [(entry.source, f"type {entry.type}, {entry.distribution}") for entry in self]
 
     def table_columns(self) -> dict[str, Column]:
         """Source, type and distribution, the coefficient, and the contribution in the unit of the coefficient."""

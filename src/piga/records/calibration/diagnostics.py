@@ -7,14 +7,18 @@ and Monte Carlo.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from piga import doors
 from piga.records.calibration.coefficient import Number
 from piga.results import Array, Column, Plotted, Result, Tabular
+
+if TYPE_CHECKING:
+    from piga.reports.render.figure import Figure
 
 Count = Annotated[int, Meta(ge=0)]
 """A number of rows or events. This limit and the next two are checked when a record is read."""
@@ -99,6 +103,10 @@ class Residuals(Result, Plotted, Tabular):
     segment: NDArray[np.int32]
     run: NDArray[np.int32] | None = None
     unit: str = "rad"
+
+    def figure(self) -> Figure:
+        """Residuals against time, before and after."""
+        return doors.noise_figures().residual_figure(self)
 
     def table_columns(self) -> dict[str, Column]:
         """One row for each used sample. ``segment`` and ``run`` are indices."""

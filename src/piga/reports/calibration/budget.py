@@ -1,4 +1,4 @@
-"""The uncertainty budget of a calibration: tables of the page, and lines for the terminal."""
+"""The uncertainty budget of a calibration as tables."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import replace
 from piga.records.calibration import BudgetEntry, Calibration, Coefficient
 from piga.records.terms import shown_unit
 from piga.reports.calibration.tables import TABLES, common_coefficients
-from piga.reports.render.numbers import ascii_text, pretty_unit, printed, short
-from piga.reports.render.page import Cell, Table, TableColumn
+from piga.reports.render.numbers import pretty_unit, printed, short
+from piga.reports.render.page import Cell, Table, TableOf
 
 DESCRIBED = 5
 """Columns of the budget that describe a source: name, type, distribution, standard uncertainty, degrees of freedom."""
@@ -22,21 +22,52 @@ def budget_table(cal: Calibration) -> Table:
     """
     coefficients = common_coefficients(cal)[: TABLES.coefficients]
     sources = _sources(cal, coefficients)
-    names = [shown_unit(c.name, c.unit) for c in coefficients]
-    columns = (
-        TableColumn("Source", align="text"),
-        TableColumn("Type", align="text"),
-        TableColumn("Distribution", align="text"),
-        TableColumn("Standard uncertainty", align="text"),
-        TableColumn("Degrees of freedom"),
-        *(TableColumn(c.key, pretty_unit(unit)) for c, (_, unit) in zip(coefficients, names, strict=True)),
-    )
     total = {c.key: math.hypot(*(source.contribution(c) for source in sources)) for c in coefficients}
-    rows = [_budget_row(source, coefficients, total) for source in sources]
-    if len(sources) > 1:
-        rows.append(("Combined", "", "", "–", "", *_cells(total, coefficients, {})))
-    note = "Sensitivity times standard uncertainty of the source, and its share of the combined variance."
-    return Table(columns, tuple(rows), notes=(note,))
+    table = (
+        TableOf(sources)
+        .text("Source", lambda row: row.source)
+        .text("Type", lambda row: row.type)
+        .text("Distribution", lambda row: row.distribution)
+        .text("Standard uncertainty", _entered)
+        .number("Degrees of freedom", _degrees)
+        .across(
+            coefficients,
+            lambda c: c.key,
+            lambda row, c: _contribution(row.contribution(c), c, total[c.key]),
+            lambda c: pretty_unit(shown_unit(c.name, c.unit)[1]),
+        )
+        .table(
+            notes=(
+                "Sensitivity times standard uncertainty of the source, and its share of the combined variance.",
+            )
+        )
+    )
+    if len(sources) < 2:
+        return table
+    whole = [_contribution(total[c.key], c) for c in coefficients]
+    combined: tuple[str | Cell, ...] = ("Combined", "", "", "–", "", *whole)
+    return replace(table, rows=(*table.rows, combined))
+
+
+def _entered(row: BudgetEntry) -> str:
+    given = row.standard_uncertainty
+    return f"{printed(short(given.value))} {pretty_unit(given.unit)}".strip() if given else "–"
+
+
+def _degrees(row: BudgetEntry) -> str:
+    if row.type == "A":
+        return "see above"
+    degrees = row.degrees_of_freedom
+    return "∞" if degrees is None else printed(short(degrees, 3)) if degrees else ""
+
+
+def _contribution(part: float, c: Coefficient, whole: float = 0.0) -> Cell:
+    """Contribution to a coefficient, with its share of the variance ``whole`` squared."""
+    part = abs(part)
+    if part <= TABLES.negligible * c.std:
+        return Cell("–", "quiet")
+    share = f" ({100.0 * (part / whole) ** 2:.0f} %)" if whole > 0.0 else ""
+    return Cell(printed(short(part * shown_unit(c.name, c.unit)[0], 2)) + share)
 
 
 def budget_shares(cal: Calibration) -> tuple[list[str], dict[str, list[float]]]:
@@ -98,42 +129,8 @@ def budget_tables(cal: Calibration) -> tuple[Table, ...]:
     whole = budget_table(cal)
     sources = whole.only(range(DESCRIBED))
     rows = tuple((source_in_words(str(row[0])), *row[1:]) for row in sources.rows if row[1])
-    sources = replace(sources, rows=rows, notes=())
     contributions = whole.only([0, *range(DESCRIBED, len(whole.columns))])
-    return (sources, *contributions.parts(1, TABLES.across))
-
-
-def _cells(
-    contributions: dict[str, float], coefficients: list[Coefficient], total: dict[str, float]
-) -> list[Cell]:
-    """Contributions to the coefficients, with their shares of the variances ``total`` squared."""
-    cells = []
-    for coefficient in coefficients:
-        part = abs(contributions.get(coefficient.key, 0.0))
-        amount, whole = (
-            part * shown_unit(coefficient.name, coefficient.unit)[0],
-            total.get(coefficient.key, 0.0),
-        )
-        share = f" ({100.0 * (part / whole) ** 2:.0f} %)" if whole > 0.0 else ""
-        shown = part > TABLES.negligible * coefficient.std
-        cells.append(Cell(printed(short(amount, 2)) + share) if shown else Cell("–", "quiet"))
-    return cells
-
-
-def _budget_row(
-    source: BudgetEntry, coefficients: list[Coefficient], total: dict[str, float]
-) -> tuple[str | Cell, ...]:
-    given, degrees = source.standard_uncertainty, source.degrees_of_freedom
-    entered = f"{printed(short(given.value))} {pretty_unit(given.unit)}".strip() if given else "–"
-    known = "∞" if degrees is None else printed(short(degrees, 3)) if degrees else ""
-    return (
-        source.source,
-        source.type,
-        source.distribution,
-        entered,
-        "see above" if source.type == "A" else known,
-        *_cells(source.contributions, coefficients, total),
-    )
+    return (replace(sources, rows=rows, notes=()), *contributions.parts(1, TABLES.across))
 
 
 def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
@@ -145,67 +142,22 @@ def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
     ]
     if not rows:
         return ()
-    coefficients = common_coefficients(cal)[: TABLES.coefficients]
-    units = [shown_unit(c.name, c.unit) for c in coefficients]
-    columns = (
-        TableColumn("Source", align="text"),
-        TableColumn("Change for", align="text"),
-        *(TableColumn(c.key, pretty_unit(unit)) for c, (_, unit) in zip(coefficients, units, strict=True)),
-    )
-    cells = tuple(
-        (
-            row.source,
-            f"1 {pretty_unit(given)}".strip(),
-            *(_sensitivity(row, c, scale) for c, (scale, _) in zip(coefficients, units, strict=True)),
+    table = (
+        TableOf(rows)
+        .text("Source", lambda row: row[0].source)
+        .text("Change for", lambda row: f"1 {pretty_unit(row[1])}".strip())
+        .across(
+            common_coefficients(cal)[: TABLES.coefficients],
+            lambda c: c.key,
+            lambda row, c: _sensitivity(row[0], c),
+            lambda c: pretty_unit(shown_unit(c.name, c.unit)[1]),
         )
-        for row, given in rows
     )
-    return Table(columns, cells).parts(2, TABLES.sensitivities_across)
+    return table.table().parts(2, TABLES.sensitivities_across)
 
 
-def _sensitivity(row: BudgetEntry, coefficient: Coefficient, scale: float) -> str | Cell:
-    sensitivity = row.sensitivities.get(coefficient.key)
-    if sensitivity is None or abs(row.contribution(coefficient)) <= TABLES.negligible * coefficient.std:
+def _sensitivity(row: BudgetEntry, c: Coefficient) -> str | Cell:
+    sensitivity = row.sensitivities.get(c.key)
+    if sensitivity is None or abs(row.contribution(c)) <= TABLES.negligible * c.std:
         return Cell("–", "quiet")
-    return printed(short(sensitivity.value * scale, 3))
-
-
-def budget_text(cal: Calibration) -> list[str]:
-    """The budget for the terminal, coefficient by coefficient; nothing without a source of Type B."""
-    if not any(row.type == "B" for row in cal.budget):
-        return []
-    blocks = [(c, _text_rows(cal, c)) for c in common_coefficients(cal)]
-    width = [max(len(row[i]) for _, rows in blocks for row in rows) for i in range(6)]
-    lines = [f"  uncertainty budget (sources below {100 * TABLES.slight:.0f} % of a variance left out)"]
-    for coefficient, rows in blocks:
-        lines.append(f"  {coefficient.key} [{shown_unit(coefficient.name, coefficient.unit)[1]}]")
-        for source, kind, u, sensitivity, part, share in rows:
-            lines.append(
-                f"    {source:<{width[0]}} {kind} {u:>{width[2]}}  {sensitivity:<{width[3]}}  "
-                f"{part:>{width[4]}} {share:>{width[5]}}"
-            )
-    return lines
-
-
-def _text_rows(cal: Calibration, coefficient: Coefficient) -> list[tuple[str, ...]]:
-    """Source, type, standard uncertainty, sensitivity, contribution and share of a coefficient's budget."""
-    whole = math.hypot(*(row.contribution(coefficient) for row in cal.budget))
-    scale, rows = shown_unit(coefficient.name, coefficient.unit)[0], []
-    for row in cal.budget:
-        part = abs(row.contribution(coefficient))
-        share = (part / whole) ** 2 if whole else 0.0
-        if share < TABLES.slight:
-            continue
-        given, effect = row.standard_uncertainty, row.sensitivities.get(coefficient.key)
-        entered = f"{short(given.value)} {given.unit}" if given else ""
-        sensitivity = f"{short(effect.value * scale, 3)} per {given.unit}" if given and effect else ""
-        shown = (
-            row.source,
-            row.type,
-            entered,
-            sensitivity,
-            short(part * scale, 2),
-            f"{100 * share:.0f} %",
-        )
-        rows.append(tuple(map(ascii_text, shown)))
-    return rows
+    return printed(short(sensitivity.value * shown_unit(c.name, c.unit)[0], 3))

@@ -1,27 +1,36 @@
-"""The calibration report: a page for the screen and for print, and the summary for the terminal."""
+"""A calibration shown: the report page, what terminal and notebook show, and figures by name."""
 
 from __future__ import annotations
 
 import math
-import textwrap
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+from piga.errors import CalibrationError
 from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
-from piga.records.calibration.verdict import COUNTED, THRESHOLDS, whitened_rms
+from piga.records.calibration.verdict import COUNTED, THRESHOLDS, Doubt, Verdict, whitened_rms
 from piga.records.terms import meaning_of, shown_unit
-from piga.reports.calibration.budget import budget_tables, budget_text, sensitivity_tables
-from piga.reports.calibration.figures import budget_figure, calibration_figures, elapsed_time
-from piga.reports.calibration.model_choice import comparison_sections
+from piga.reports.calibration.budget import budget_tables, sensitivity_tables
+from piga.reports.calibration.figures import (
+    BEAT,
+    budget_figure,
+    calibration_figures,
+    convergence_figure,
+    elapsed_time,
+    residual_figure,
+    segment_figure,
+)
+from piga.reports.calibration.model_choice import comparison_brief, comparison_sections
 from piga.reports.calibration.tables import (
     LEVERAGE_LEAD,
     OWN_TABLES,
     PROPAGATION_LEAD,
-    coefficient_figures,
     coefficient_table,
     common_coefficients,
     correlation_table,
-    factor,
     facts_table,
     freedom,
     judgement,
@@ -36,19 +45,9 @@ from piga.reports.calibration.tables import (
     selectable_segments,
     sentence,
 )
-from piga.reports.render.decimate import outline
+from piga.reports.render.envelope import outline
 from piga.reports.render.figure import Figure
-from piga.reports.render.numbers import (
-    aligned,
-    ascii_text,
-    count,
-    pretty_unit,
-    printed,
-    relative,
-    rounded,
-    short,
-    significant,
-)
+from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, short, significant
 from piga.reports.render.page import (
     ALONE,
     Block,
@@ -56,10 +55,11 @@ from piga.reports.render.page import (
     Notice,
     Page,
     Section,
+    Table,
     Text,
     Tile,
     Tone,
-    write_page,
+    named_values,
 )
 from piga.units import ARCSEC, G0
 
@@ -99,32 +99,6 @@ def segments_in_words(cal: Calibration) -> str:
     return runs + ("one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments")
 
 
-def calibration_text(cal: Calibration) -> str:
-    """Summary for the terminal: aligned plain ASCII text, one coefficient a line."""
-    used = f"{cal.quality.used} of {cal.quality.rows}"
-    name = cal.serial or "an instrument"
-    made = [
-        f"Calibration of {name} from {files_in_words(cal)}",
-        f"  {segments_in_words(cal)}, {period_in_words(total_duration(cal))}, {used} rows used",
-        f"  method {cal.method}, phases {cal.phases}, terms {' '.join(cal.terms)}",
-    ]
-    head = [f"Coefficients of {name}, given"] if cal.given else made
-    lines = [*_wrapped(cal.verdict.lines()), "", *head, "", *_text_table(cal)]
-    if not cal.given:
-        remarks = _wrapped([f"remark: {remark}" for remark in cal.remarks])
-        lines += ["", *_text_figures(cal), *budget_text(cal), *remarks]
-    return "\n".join(lines)
-
-
-def _wrapped(lines: list[str]) -> list[str]:
-    """Lines of at most 100 letters, their continuations indented."""
-    return [
-        part
-        for line in lines
-        for part in textwrap.wrap(line, 100, subsequent_indent=" " * (len(line) - len(line.lstrip()) + 4))
-    ]
-
-
 def _rate_noise(cal: Calibration) -> dict[str, str]:
     """Noise of the rate that was found, in words: ``drift``, ``scatter`` from segment to segment, ``coloured``."""
 
@@ -138,46 +112,6 @@ def _rate_noise(cal: Calibration) -> dict[str, str]:
     return found | ({} if noise is None else {"coloured": f"{noise.words}, {size(noise.rms)}"})
 
 
-def _text_table(cal: Calibration) -> list[str]:
-    half = "k u (95 %)" if cal.type_a_only else "U (95 %)"
-    lines = [("coefficient", "value", "u", half, "unit", "dof", "k")]
-    for coefficient in cal.coefficients:
-        if not coefficient.determined:
-            lines.append((coefficient.key, "not determined", "-", "-", coefficient.unit, "-", "-"))
-            continue
-        figures = coefficient_figures(coefficient)
-        lines.append((coefficient.key, *figures, freedom(coefficient), factor(coefficient)))
-    return [f"  {line}" for line in aligned([tuple(map(ascii_text, line)) for line in lines], left={0, 4})]
-
-
-def _text_figures(cal: Calibration) -> list[str]:
-    unit = residual_quantity(cal)[1]
-
-    def angle(before: float, after: float) -> str:
-        return f"{short(before / ARCSEC)} -> {short(after / ARCSEC)} {unit} (before -> after)"
-
-    white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
-    noise = f"{white} arcsec white, {walk} arcsec/sqrt(s) walk"
-    of_rate = {"drift": "bias drift", "scatter": "scatter of segments", "coloured": "coloured noise"}
-    rows = [
-        ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
-        ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
-        ("noise of the angle", noise),
-        *((of_rate[kind], words) for kind, words in _rate_noise(cal).items()),
-        ("condition number", short(cal.condition)),
-    ]
-    rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
-    rows += [
-        (
-            f"noise of run {run.name}",
-            f"{short(run.angle_rms / ARCSEC)} arcsec white, {short(run.angle_random_walk / ARCSEC)} arcsec/sqrt(s) walk",
-        )
-        for run in cal.runs
-    ]
-    wide = max(len(name) for name, _ in rows)
-    return [ascii_text(f"  {name:<{wide}}  {text}") for name, text in rows]
-
-
 _METHODS = {
     "information": "whitened linear least squares in the angle domain",
     "rate": "linear least squares on the rate",
@@ -187,42 +121,146 @@ _METHODS = {
 }
 
 
-def write_calibration_report(cal: Calibration, path: Path) -> Path:
-    """Write the report of the calibration ``cal`` to ``path``: one HTML file that opens offline."""
-    return write_page(calibration_page(cal), path)
+def figures(cal: Calibration) -> dict[str, Callable[[], Figure]]:
+    """The figures by name. One that the calibration has no data for is refused when it is called."""
+    names = (
+        "residuals", "orders", "ripple", "segments", "budget", "allan", "whiteness", "outliers", "convergence",
+    )  # fmt: skip
+    return {name: partial(figure, cal, name) for name in names}
 
 
-def calibration_page(cal: Calibration) -> Page:
-    """The report of the calibration ``cal`` as a page."""
-    figures = {figure.key: figure for figure in calibration_figures(cal)}
-    sections = (
-        (_tested(cal), _coefficients(cal), _provenance(cal))
-        if cal.given
-        else (
-            _tested(cal),
-            *_runs(cal),
-            _coefficients(cal),
-            _residuals(figures),
-            *_convergence(figures),
-            _orders(figures),
-            _segments(cal, figures),
-            _budget(cal, budget_figure(cal)),
-            _identifiability(cal, figures),
-            *comparison_sections(cal),
-            _quality(cal, figures),
-            _provenance(cal),
+NO_FIGURE = {
+    "segments": "calibrate a record: these coefficients have no segments",
+    "budget": "calibrate a record, or read a calibration.json that has a budget",
+    "convergence": "calibrate in this process with method='recursive'",
+}
+"""What to do where a calibration lacks the data of a figure. All other figures need residuals."""
+
+
+def figure(cal: Calibration, name: str) -> Figure:
+    """A figure of the report by its name.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration has no data for it.
+    """
+    known = {"segments": segment_figure, "budget": budget_figure, "convergence": convergence_figure}
+    lacks = (name == "segments" and not cal.segments) or (name == "budget" and not cal.budget)
+    if name in known:
+        drawn = None if lacks else known[name](cal)
+    else:
+        drawn = next((f for key, f in calibration_figures(cal).items() if key.startswith(name)), None)
+    if drawn is None:
+        other = "calibrate a record that has what the figure shows"
+        if name not in NO_FIGURE and cal.residuals is None and not cal.given:
+            other = "calibrate the record in this process: calibration.json and pickles hold no residuals"
+        raise CalibrationError(
+            f"plot.{name}: this calibration has no data for the figure", remedy=NO_FIGURE.get(name, other)
         )
+    return drawn
+
+
+def brief(cal: Calibration) -> Page:
+    """The calibration for terminal and notebook: verdict, coefficients, noise and budget."""
+    blocks: list[Block] = [replace(coefficient_table(cal, every=True), notes=())]
+    name = cal.serial or "an instrument"
+    if cal.given:
+        section = Section("", "coefficients", tuple(blocks))
+        return Page(f"Coefficients of {name}, given", sections=(section,), judgement=judgement(cal))
+    sections = [Section("", "coefficients", tuple(blocks)), Section("", "noise", (_noise_table(cal),))]
+    if any(row.type == "B" for row in cal.budget):
+        sections.append(Section("Uncertainty budget", "budget", budget_tables(cal)))
+    if cal.diagnostics.model_comparison:
+        sections.append(comparison_brief(cal.diagnostics.model_comparison))
+    if cal.remarks:
+        remarks = tuple(Notice("warning", remark) for remark in cal.remarks)
+        sections.append(Section("", "remarks", remarks))
+    if cal.residuals is not None and cal.residuals.t.size and not cal.runs:
+        drawn = residual_figure(cal.residuals, residual_quantity(cal))
+        sections.append(Section("", "residuals", (FigureBlock(drawn),)))
+    used = f"{count(cal.quality.used)} of {count(cal.quality.rows)} rows used"
+    return Page(
+        f"Calibration of {name} from {files_in_words(cal)}",
+        f"{segments_in_words(cal)}, {period_in_words(total_duration(cal))}, {used}\n"
+        f"method {cal.method}, phases {cal.phases}, terms {' '.join(cal.terms)}",
+        sections=tuple(sections),
+        judgement=judgement(cal),
     )
+
+
+def _noise_table(cal: Calibration) -> Table:
+    """Residuals, noise and findings in the data, as names and values."""
+    unit = residual_quantity(cal)[1]
+
+    def angle(before: float, after: float) -> str:
+        return f"{short(before / ARCSEC)} -> {short(after / ARCSEC)} {unit} (before -> after)"
+
+    def noise(white: float, walk: float) -> str:
+        return f"{short(white / ARCSEC)} arcsec white, {short(walk / ARCSEC)} arcsec/√s walk"
+
+    of_rate = {"drift": "bias drift", "scatter": "scatter of segments", "coloured": "coloured noise"}
+    rows = [
+        ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
+        ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
+        ("noise of the angle", noise(cal.angle_rms, cal.angle_random_walk)),
+        *((of_rate[kind], words) for kind, words in _rate_noise(cal).items()),
+        ("condition number", printed(short(cal.condition))),
+        *((f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events),
+        *((f"noise of run {run.name}", noise(run.angle_rms, run.angle_random_walk)) for run in cal.runs),
+    ]
+    return named_values("", "", rows)
+
+
+def page(cal: Calibration) -> Page:
+    """The report of a calibration."""
+    shown = {} if cal.given else calibration_figures(cal)
+    shares = budget_figure(cal) if len(cal.budget) > 1 else None
+    shown |= {} if shares is None else {"budget": shares}
+    lines = shown["orders"].notes[:-1] if "orders" in shown else ()
     return Page(
         title=f"Calibration of {cal.serial or 'an instrument'}",
         subtitle=_subtitle(cal),
         tiles=_tiles(cal),
-        sections=sections,
-        judgement=judgement(cal),
+        sections=_sections(cal, shown),
+        judgement=judgement(cal, verdict=_with_lines(cal.verdict, lines)),
         kicker="piga · gyro accelerometer calibration",
         footer=f"Made by {cal.provenance.software} on {cal.provenance.created}. {ALONE}",
         segments=selectable_segments(cal),
     )
+
+
+def _sections(cal: Calibration, shown: dict[str, Figure]) -> tuple[Section, ...]:
+    if cal.given:
+        return _tested(cal), _coefficients(cal), _provenance(cal)
+    return (
+        _tested(cal),
+        *_runs(cal),
+        _coefficients(cal),
+        _residuals(shown),
+        *_convergence(shown),
+        _orders(shown),
+        _segments(cal, shown),
+        _budget(cal, shown),
+        _identifiability(cal, shown),
+        *comparison_sections(cal),
+        _quality(cal, shown),
+        _provenance(cal),
+    )
+
+
+def _with_lines(verdict: Verdict, lines: tuple[str, ...]) -> Verdict:
+    """The verdict with the lines of the order spectrum: explained ones hold, others are doubts."""
+    holds = tuple(f"l{line[1:].removesuffix('.')}" for line in lines if BEAT in line)
+    doubts = tuple(
+        Doubt(
+            line.removesuffix("."),
+            "see the figure of revolution orders; a harmonic term, the encoder or a bearing may make it",
+        )
+        for line in lines
+        if BEAT not in line
+    )
+    return replace(verdict, holds=verdict.holds + holds, doubts=verdict.doubts + doubts)
 
 
 def _subtitle(cal: Calibration) -> str:
@@ -362,53 +400,52 @@ def _coefficients(cal: Calibration) -> Section:
     return Section("Coefficients", "coefficients", tuple(blocks))
 
 
-def _residuals(figures: dict[str, Figure]) -> Section:
+def _residuals(shown: dict[str, Figure]) -> Section:
     lead = (
         "What is left of the measured angle when the model is taken away: what the calibration explains is gone after "
         "it, and what it leaves should be noise."
     )
     missing = "The residuals are not part of this record: run the calibration again to see them."
-    drawn: list[Block] = [FigureBlock(f) for key, f in figures.items() if key.startswith("residual-time")]
+    drawn: list[Block] = [FigureBlock(f) for name, f in shown.items() if name.startswith("residuals")]
     blocks = drawn or [Notice("info", missing)]
     return Section("Residuals against time", "residuals", (Text(lead, lead=True), *blocks))
 
 
-def _convergence(figures: dict[str, Figure]) -> tuple[Section, ...]:
+def _convergence(shown: dict[str, Figure]) -> tuple[Section, ...]:
     """The history of a recursive estimate, when there is one."""
-    if "convergence" not in figures:
+    if "convergence" not in shown:
         return ()
     lead = "How the estimates settled while the record came in, sample by sample."
-    return (Section("Convergence", "history", (Text(lead, lead=True), FigureBlock(figures["convergence"]))),)
+    return (Section("Convergence", "history", (Text(lead, lead=True), FigureBlock(shown["convergence"]))),)
 
 
-def _orders(figures: dict[str, Figure]) -> Section:
+def _orders(shown: dict[str, Figure]) -> Section:
     lead = (
         "The same residuals against the rotation of the output: errors of the instrument repeat with the turn, noise "
         "does not. Good: lines and lobes before calibration, none after."
     )
     missing = "No segment with residuals turns at least twice, so no revolution order can be told from drift."
-    keys = ("residual-order", "ripple-polar")
-    drawn: list[Block] = [FigureBlock(figures[key]) for key in keys if key in figures]
+    drawn: list[Block] = [FigureBlock(shown[name]) for name in ("orders", "ripple") if name in shown]
     blocks = drawn or [Notice("info", missing)]
     return Section("Residuals against rotation", "rotation", (Text(lead, lead=True), *blocks))
 
 
-def _segments(cal: Calibration, figures: dict[str, Figure]) -> Section:
+def _segments(cal: Calibration, shown: dict[str, Figure]) -> Section:
     lead = (
         "Residuals of each part of the record. Good: one level everywhere; an odd segment points to the test."
     )
     blocks: list[Block] = [Text(lead, lead=True)]
-    blocks += [FigureBlock(figures["segment-rms"])] if "segment-rms" in figures else []
+    blocks += [FigureBlock(shown["segments"])] if "segments" in shown else []
     return Section("Segments", "segments", (*blocks, segment_table(cal)))
 
 
-def _budget(cal: Calibration, figure: Figure | None) -> Section:
+def _budget(cal: Calibration, shown: dict[str, Figure]) -> Section:
     lead = (
         "Where the uncertainty of each coefficient comes from, as standard uncertainties. Good: the fit (type A) and "
         "the largest source of type B are of the same size; otherwise the larger one is what to improve."
     )
     blocks: list[Block] = [Text(lead, lead=True), *budget_tables(cal)]
-    blocks += [FigureBlock(figure)] if figure is not None and len(cal.budget) > 1 else []
+    blocks += [FigureBlock(shown["budget"])] if "budget" in shown else []
     sensitivities = sensitivity_tables(cal)
     if sensitivities:
         text = (
@@ -425,14 +462,14 @@ def _budget(cal: Calibration, figure: Figure | None) -> Section:
     return Section("Uncertainty budget", "budget", tuple(blocks))
 
 
-def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
+def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
     lead = (
         "How well this record tells the coefficients apart, and whether the residuals are the noise they should be. "
         "Good: whitened residuals that look like white noise of size one. Doubts stand in the verdict at the top."
     )
     blocks: list[Block] = [Text(lead, lead=True)]
     blocks += [Notice("info", f"{sentence(remark)}.") for remark in cal.remarks]
-    blocks += [FigureBlock(figures[key]) for key in ("whiteness", "allan") if key in figures]
+    blocks += [FigureBlock(shown[name]) for name in ("whiteness", "allan") if name in shown]
     white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
     of_rate = _rate_noise(cal)
     rows = [
@@ -450,7 +487,7 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
     return Section("Identifiability and noise", "identifiability", tuple(blocks))
 
 
-def _quality(cal: Calibration, figures: dict[str, Figure]) -> Section:
+def _quality(cal: Calibration, shown: dict[str, Figure]) -> Section:
     lead = (
         "What was found, repaired or left out while reading the data. Good: nothing, or little and explained."
     )
@@ -471,8 +508,8 @@ def _quality(cal: Calibration, figures: dict[str, Figure]) -> Section:
             "Samples of the output that do not lie on its path were left out; an increment reaches across a spike, "
             "none is formed across a jump."
         )
-        shown = [FigureBlock(figures["outliers"])] if "outliers" in figures else []
-        blocks = (*blocks, Text(text, lead=True), *shown, outlier_table(cal))
+        drawn = [FigureBlock(shown["outliers"])] if "outliers" in shown else []
+        blocks = (*blocks, Text(text, lead=True), *drawn, outlier_table(cal))
     return Section("Data quality", "quality", (Text(lead, lead=True), *blocks))
 
 

@@ -11,9 +11,10 @@ import numpy as np
 
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration.coefficient import TYPE_A_ONLY
+from piga.records.calibration.verdict import Verdict
 from piga.records.terms import shown_unit, term_words
 from piga.reports.render.numbers import count, fixed, pretty_unit, printed, relative, rounded, short, signed
-from piga.reports.render.page import Cell, Judgement, Table, TableColumn, TableOf, named_values
+from piga.reports.render.page import Cell, Judgement, Table, TableOf, named_values
 from piga.units import ARCSEC, G0
 
 
@@ -47,9 +48,12 @@ class TableSettings:
 TABLES = TableSettings()
 
 
-def judgement(cal: Calibration, subject: str = "") -> Judgement:
-    """The verdict on a calibration as the box of a page. ``subject`` names the calibration on pages about something else."""
-    verdict = cal.verdict
+def judgement(cal: Calibration, subject: str = "", verdict: Verdict | None = None) -> Judgement:
+    """The verdict on a calibration as the box of a page. ``subject`` names the calibration on pages about something else.
+
+    ``verdict`` is taken in place of the calibration's own.
+    """
+    verdict = verdict or cal.verdict
     problems = tuple((sentence(doubt.what), doubt.remedy) for doubt in verdict.doubts)
     return Judgement(verdict.level, f"{subject}{verdict.headline}", problems, verdict.holds)
 
@@ -71,20 +75,42 @@ def scale_factor(cal: Calibration) -> float:
     return next(estimated, cal.scale_factor_nominal)
 
 
-def coefficient_table(cal: Calibration) -> Table:
-    """Coefficients with standard and expanded uncertainty."""
-    rows = [_coefficient_row(coefficient) for coefficient in common_coefficients(cal)]
-    columns = (
-        TableColumn("Coefficient", align="text"),
-        TableColumn("Value"),
-        TableColumn("Standard uncertainty u"),
-        TableColumn("k u for 95 %, Type A only" if cal.type_a_only else "Expanded uncertainty U"),
-        TableColumn("Unit", align="text"),
-        TableColumn("u / value"),
-        TableColumn("ν"),
-        TableColumn("k"),
+def coefficient_table(cal: Calibration, *, every: bool = False) -> Table:
+    """Coefficients with standard uncertainty u and expanded uncertainty, each rounded by its own uncertainty.
+
+    ``every``: with those of single segments.
+    """
+    return (
+        TableOf(map(Shown, cal.coefficients if every else common_coefficients(cal)))
+        .text("Coefficient", lambda row: row.name)
+        .number("Value", lambda row: row.value)
+        .number("u", lambda row: row.std)
+        .number("k u (95 %)" if cal.type_a_only else "U (95 %)", lambda row: row.wide)
+        .text("Unit", lambda row: row.unit)
+        .number("u / value", lambda row: row.relative)
+        .number("dof", lambda row: row.freedom)
+        .number("k", lambda row: row.factor)
+        .table(notes=_coefficient_notes(cal))
     )
-    return Table(columns, tuple(rows), notes=_coefficient_notes(cal))
+
+
+class Shown:
+    """A coefficient as its cells of a table. What is not known is a dash."""
+
+    def __init__(self, c: Coefficient) -> None:
+        scale, unit = shown_unit(c.name, c.unit)
+        value, std = c.value * scale, c.std * scale
+        number, wide = rounded(value, std), rounded(value, c.expanded * scale)
+        self.name = named(c)
+        self.unit = pretty_unit(unit if c.determined else c.unit) or "1"
+        if not c.determined:
+            self.value: str | Cell = Cell("not determined", "doubtful")
+            self.std = self.wide = self.freedom = self.factor = "–"
+            self.relative: str | Cell = "–"
+            return
+        self.value, self.std = printed(number.value), printed(number.uncertainty)
+        self.wide, self.freedom, self.factor = printed(wide.uncertainty), freedom(c), factor(c)
+        self.relative = Cell(relative(value, std), "doubtful" if std > abs(value) else "")
 
 
 def freedom(coefficient: Coefficient) -> str:
@@ -124,53 +150,26 @@ def named(coefficient: Coefficient) -> Cell:
     )
 
 
-def coefficient_figures(coefficient: Coefficient) -> tuple[str, str, str, str]:
-    """Value, standard and expanded uncertainty, each rounded by its own uncertainty, and their unit."""
-    scale, unit = shown_unit(coefficient.name, coefficient.unit)
-    number = rounded(coefficient.value * scale, coefficient.std * scale)
-    wide = rounded(coefficient.value * scale, coefficient.expanded * scale)
-    return number.value, number.uncertainty, wide.uncertainty, unit
-
-
-def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
-    if not coefficient.determined:
-        unit = pretty_unit(coefficient.unit)
-        return named(coefficient), Cell("not determined", "doubtful"), "–", "–", unit, "–", "–", "–"
-    *figures, unit = coefficient_figures(coefficient)
-    scale = shown_unit(coefficient.name, coefficient.unit)[0]
-    value, std = coefficient.value * scale, coefficient.std * scale
-    return (
-        named(coefficient),
-        *map(printed, figures),
-        pretty_unit(unit),
-        Cell(relative(value, std), "doubtful" if std > abs(value) else ""),
-        freedom(coefficient),
-        factor(coefficient),
-    )
-
-
 def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
-    basis = "k from Student's t with the effective degrees of freedom ν of each coefficient (JCGM 100, G.4)"
+    half = "k u" if cal.type_a_only else "U"
+    wide = "k u" if cal.type_a_only else "U = k u"
+    basis = "k from Student's t with the effective degrees of freedom (dof) of each coefficient (JCGM 100, G.4)"
     notes = [
-        f"{'' if cal.type_a_only else 'U = '}k u is for 95 % coverage, {basis}. The unit g is 9.80665 m/s² exactly."
+        f"u: standard uncertainty. {wide}: for 95 % coverage, {basis}. The unit g is 9.80665 m/s² exactly."
     ]
     if cal.type_a_only:
         notes.insert(0, f"{TYPE_A_ONLY}.")
-    half = "k u" if cal.type_a_only else "U"
-    for coefficient in common_coefficients(cal):
-        if coefficient.name == "tan_beta":
-            beta = math.atan(coefficient.value) / ARCSEC
-            text = rounded(beta, coefficient.std / ARCSEC / (1.0 + coefficient.value**2)).concise
-            notes.append(f"tan_beta corresponds to β = {printed(text)}″.")
-        if coefficient.interval is not None:
+    for c in common_coefficients(cal):
+        if c.name == "tan_beta":
+            beta = rounded(math.atan(c.value) / ARCSEC, c.std / ARCSEC / (1.0 + c.value**2))
+            notes.append(f"tan_beta corresponds to β = {printed(beta.concise)}″.")
+        if c.interval is not None:
             notes.append(
-                f"{coefficient.name}: shortest 95 % interval {monte_carlo_interval(coefficient)} by Monte Carlo (JCGM "
-                f"101); {half} is its half-width."
+                f"{c.name}: shortest 95 % interval {monte_carlo_interval(c)} by Monte Carlo (JCGM 101); {half} is its "
+                "half-width."
             )
-        if coefficient.std > abs(coefficient.value):
-            notes.append(
-                f"{coefficient.key} is smaller than its own uncertainty: this record does not show it."
-            )
+        if c.std > abs(c.value):
+            notes.append(f"{c.key} is smaller than its own uncertainty: this record does not show it.")
     return tuple(notes)
 
 
@@ -185,11 +184,13 @@ def correlation_table(cal: Calibration) -> Table | None:
     with np.errstate(invalid="ignore", divide="ignore"):
         matrix = covariance / np.outer(std, std)
     names = [cal.coefficients[row].key for row in index]
-    rows: list[tuple[str | Cell, ...]] = []
-    for i, name in enumerate(names):
-        rows.append((name, *(_correlation(matrix[i, j], i == j) for j in range(len(names)))))
-    columns = (TableColumn("", align="text"), *(TableColumn(name) for name in names))
-    return Table(columns, tuple(rows), upright=True)
+    rows = range(len(names))
+    return (
+        TableOf(rows)
+        .text("", lambda i: names[i])
+        .across(rows, lambda j: names[j], lambda i, j: _correlation(matrix[i, j], i == j))
+        .table(upright=True)
+    )
 
 
 def _correlation(value: float, diagonal: bool) -> Cell:
@@ -375,29 +376,18 @@ def leverage_tables(cal: Calibration) -> tuple[Table, ...]:
     if not leverage:
         return ()
     most = sorted(leverage, key=lambda label: -leverage[label].leverage)[: TABLES.leverage]
-    names = [c.name for c in common_coefficients(cal)]
-    columns = (
-        TableColumn("Segment", align="text"),
-        TableColumn("Leverage"),
-        *(TableColumn(name) for name in names),
-    )
     labels = [segment.label for segment in cal.segments]
-    at = tuple(labels.index(label) if labels.count(label) == 1 else None for label in leverage if label in most)
-    rows: tuple[tuple[str | Cell, ...], ...] = tuple(
-        (
-            label,
-            f"{row.leverage:.2f}",
-            *(_share(row.share.get(name), row.shift.get(name)) for name in names),
-        )
-        for label, row in leverage.items()
-        if label in most
+    chosen = [label for label in leverage if label in most]
+    table = TableOf(chosen).text("Segment", str)
+    table.number("Leverage", lambda label: f"{leverage[label].leverage:.2f}")
+    names = [c.name for c in common_coefficients(cal)]
+    table.across(
+        names, str, lambda label, name: _share(leverage[label].share.get(name), leverage[label].shift.get(name))
     )
-    notes = (
-        (f"The {TABLES.leverage} of {len(leverage)} segments with the most leverage.",)
-        if len(leverage) > TABLES.leverage
-        else ()
-    )
-    return Table(columns, rows, notes=notes, segments=at).parts(2, TABLES.sensitivities_across)
+    more = f"The {TABLES.leverage} of {len(leverage)} segments with the most leverage."
+    at = tuple(labels.index(label) if labels.count(label) == 1 else None for label in chosen)
+    whole = table.table(notes=(more,) if len(leverage) > TABLES.leverage else (), segments=at)
+    return whole.parts(2, TABLES.sensitivities_across)
 
 
 def _share(share: float | None, shift: float | None) -> Cell:
@@ -414,32 +404,29 @@ def propagation_tables(cal: Calibration) -> tuple[Table, ...]:
     monte_carlo = cal.diagnostics.monte_carlo
     if monte_carlo is None:
         return ()
-    columns = (
-        TableColumn("Coefficient", align="text"),
-        TableColumn("Unit", align="text"),
-        TableColumn("u, first order"),
-        TableColumn("u, Monte Carlo"),
-        TableColumn("95 %, first order"),
-        TableColumn("95 %, symmetric"),
-        TableColumn("95 %, shortest"),
-        TableColumn("Tolerance"),
-        TableColumn("Agreement", align="text"),
+    tried = [
+        (c, monte_carlo.coefficients[c.key], *shown_unit(c.name, c.unit))
+        for c in cal.coefficients
+        if c.key in monte_carlo.coefficients
+    ]
+    table = (
+        TableOf(tried)
+        .text("Coefficient", lambda row: row[0].key)
+        .text("Unit", lambda row: pretty_unit(row[3]))
+        .number("u, first order", lambda row: printed(short(row[0].std * row[2], 3)))
+        .number("u, Monte Carlo", lambda row: printed(short(row[1].std * row[2], 3)))
+        .number("95 %, first order", lambda row: _interval(row[1].first_order, row[2]))
+        .number("95 %, symmetric", lambda row: _interval(row[1].symmetric, row[2]))
+        .number("95 %, shortest", lambda row: _interval(row[1].shortest, row[2]))
+        .number("Tolerance", lambda row: printed(short(row[1].tolerance * row[2], 1)))
+        .text("Agreement", lambda row: _agreement(row[1].validated))
+        .table(notes=(f"{monte_carlo.trials} trials.",))
     )
-    rows: list[tuple[str | Cell, ...]] = []
-    for c in cal.coefficients:
-        row = monte_carlo.coefficients.get(c.key)
-        if row is None:
-            continue
-        scale, unit = shown_unit(c.name, c.unit)
-        intervals = (_interval(ends, scale) for ends in (row.first_order, row.symmetric, row.shortest))
-        verdict = Cell("yes", "good") if row.validated else Cell("no: Monte Carlo holds", "doubtful")
-        rows.append(
-            (
-                c.key, pretty_unit(unit), printed(short(c.std * scale, 3)), printed(short(row.std * scale, 3)),
-                *intervals, printed(short(row.tolerance * scale, 1)), verdict,
-            )
-        )  # fmt: skip
-    return (Table(columns, tuple(rows), notes=(f"{monte_carlo.trials} trials.",)),)
+    return (table,)
+
+
+def _agreement(validated: bool) -> Cell:
+    return Cell("yes", "good") if validated else Cell("no: Monte Carlo holds", "doubtful")
 
 
 def _interval(ends: tuple[float, float], scale: float) -> str:

@@ -1,1 +1,6 @@
-"""The pages of a compensated record, of one instrument or of a set."""
+"""Reports of a compensation, for one instrument and for several that were solved together."""
+
+from piga.reports.compensation.figures import plain_set_figure as plain_figure
+from piga.reports.compensation.page import brief, figures, page
+
+__all__ = ["brief", "figures", "page", "plain_figure"]

@@ -11,14 +11,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.orders import ORDERS, order_grid, order_spectrum, segment_slices
 from piga.compensation import FLAGS, Compensated, CompensatedSet
 from piga.records.calibration import Residuals
 from piga.records.run import Run
 from piga.records.spool import BLOCK, spans, trim
-from piga.reports.compensation.outline import CORRECTION, FORCE, RAW, CompensationOutline, SetOutline
-from piga.reports.render.decimate import POINTS, envelope_rows, leading_part
+from piga.reports.compensation.outline import (
+    CORRECTION,
+    FORCE,
+    RAW,
+    CompensationOutline,
+    SetOutline,
+    outline_of,
+)
+from piga.reports.render.envelope import POINTS, envelope_rows, leading_part
 from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Role, Series
-from piga.reports.render.orders import TURNS_NEEDED, order_grid, order_spectrum, segment_slices
 from piga.units import G0, MICRO_G
 
 Array = NDArray[np.float64]
@@ -161,6 +168,16 @@ def force_figure(outline: CompensationOutline) -> Figure:
     )
 
 
+def result_figure(result: Compensated) -> Figure:
+    """Force, correction and uncertainty; without its record the compensated force alone."""
+    if result.made_from is None:
+        return plain_force_figure(result)
+    run, calibration = result.made_from
+    outline = outline_of(run.kind, calibration)
+    outline.record(run, result)
+    return force_figure(outline)
+
+
 def plain_force_figure(result: Compensated) -> Figure:
     """Compensated force and its uncertainty, without the record that they come from."""
     t = result.t - result.t[0]
@@ -209,7 +226,7 @@ def correction_spectrum(outline: CompensationOutline) -> tuple[Array, Array]:
     parts = [part for part in segment_slices(leading.segment) if part.stop - part.start > 8]
     turns = [float(np.ptp(leading.psi[part])) / (2.0 * np.pi) for part in parts]
     for part, some in zip(parts, turns, strict=True):
-        shown = order * some >= TURNS_NEEDED
+        shown = order * some >= ORDERS.turns
         if some < 0.499 * max(turns) or not shown.any():
             continue
         amplitude, duration = _demodulated(leading, part, outline.scale_factor, order)

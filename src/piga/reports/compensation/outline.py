@@ -22,7 +22,7 @@ from piga.records.calibration import Calibration, Residuals
 from piga.records.run import Run
 from piga.records.spool import Arrays
 from piga.reports.calibration.tables import scale_factor
-from piga.reports.render.decimate import SHOWN
+from piga.reports.render.envelope import SHOWN
 
 Array = NDArray[np.float64]
 

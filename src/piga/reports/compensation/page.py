@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from piga._version import __version__
 from piga.compensation import Compensated, Mounted
 from piga.compensation.model import FLAGS, MEANING
 from piga.compensation.result import Inputs
+from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.run import Run
 from piga.records.terms import shown_unit
@@ -22,11 +24,12 @@ from piga.reports.compensation.figures import (
     force_figure,
     misfit_figure,
     orders_figure,
+    result_figure,
     set_force_figure,
 )
-from piga.reports.compensation.outline import CORRECTION, CompensationOutline, SetOutline
-from piga.reports.render.decimate import SHOWN
-from piga.reports.render.figure import XYZ
+from piga.reports.compensation.outline import CORRECTION, CompensationOutline, SetOutline, outline_of
+from piga.reports.render.envelope import SHOWN
+from piga.reports.render.figure import XYZ, Figure
 from piga.reports.render.numbers import count, pretty_unit, printed, rounded, short
 from piga.reports.render.page import (
     ALONE,
@@ -60,6 +63,40 @@ class CompensationFacts:
     files: Inputs
     options: dict[str, str]
     repairs: dict[str, int] = field(default_factory=dict)
+
+
+def figures(result: Compensated) -> dict[str, Callable[[], Figure]]:
+    """The figure of a compensation in memory."""
+    return {"force": partial(result_figure, result)}
+
+
+def brief(result: Compensated) -> Page:
+    """What a notebook and the terminal show of a compensation in memory."""
+    facts = named_values("", "", result.in_brief())
+    return Page(
+        result.heading(), sections=(Section("", "result", (facts, FigureBlock(result_figure(result)))),)
+    )
+
+
+def page(result: Compensated) -> Page:
+    """The page of a compensation in memory.
+
+    Raises
+    ------
+    CalibrationError
+        If the compensation was read or copied without its record.
+    """
+    if result.made_from is None:
+        raise CalibrationError(
+            "report: this compensation was read or copied without its record and calibration",
+            remedy="compensate again: piga.compensate(run, cal)",
+        )
+    run, calibration = result.made_from
+    outline = outline_of(run.kind, calibration)
+    outline.record(run, result)
+    data = (Path(run.source).name or "arrays in memory", next(iter(run.input_sha256.values()), ""))
+    facts = CompensationFacts(calibration, (("record", ""), data), {"method": result.method})
+    return compensation_page(outline, facts, (run, result))
 
 
 def coefficient_words(c: Coefficient) -> tuple[str, str]:

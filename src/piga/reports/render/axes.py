@@ -26,7 +26,7 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
-from piga.reports.render.decimate import envelope_rows
+from piga.reports.render.envelope import envelope_rows
 from piga.reports.render.figure import INK, LIGHT, Axis, Figure, Panel, Series, bar_width
 
 WIDTH = 7.2

@@ -18,7 +18,7 @@ from typing import Any, Final, Literal, Self, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga.results import Result
+from piga.results import Plotted, Result
 
 Mark = Literal["line", "points", "line+points", "bars", "band", "steps"]
 Role = Literal["data", "model", "before", "after", "reference", "warning", "x", "y", "z", "muted"]
@@ -113,7 +113,7 @@ class Panel:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Figure(Result):
+class Figure(Result, Plotted):
     """One or more panels, side by side or stacked (then they share the x axis when alike).
 
     ``key`` is the figure's identifier (file name and anchor: letters, digits, hyphens; unique in a page);
@@ -128,6 +128,18 @@ class Figure(Result):
     columns: int = 1
     height: float = 3.2
     notes: tuple[str, ...] = ()
+
+    def heading(self) -> str:
+        """The first line in a notebook."""
+        return self.title
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """Caption and axes."""
+        return [("caption", self.caption), ("panels", self.description)]
+
+    def figure(self) -> Figure:
+        """The figure itself."""
+        return self
 
     @property
     def grid(self) -> tuple[int, int]:

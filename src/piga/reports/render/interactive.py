@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga.reports.render.decimate import envelope_rows
+from piga.reports.render.envelope import envelope_rows
 from piga.reports.render.figure import GRID, INK, LIGHT, SOFT, Axis, Figure, Panel, Series, bar_width
 
 _PIXELS_PER_INCH = 96

@@ -16,6 +16,7 @@ _DIGITS, _RAISED = "-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"
 _RAISE, _LOWER = str.maketrans(_DIGITS, _RAISED), str.maketrans(_RAISED, _DIGITS)
 _ASCII = str.maketrans({
     "−": "-", "–": "-", "±": "+/-", "×": "x", "∞": "inf", "µ": "u", "²": "^2", "³": "^3", "\u00a0": "", "\u202f": "",
+    "″": "arcsec", "°": "deg", "→": "->", "…": "...", "ν": "nu", "β": "beta", "φ": "phi", "χ": "chi", "ψ": "psi",
 })  # fmt: skip
 _PRETTY = (("^2", "²"), ("^3", "³"), ("sqrt(s)", "√s"), ("arcsec", "″"), ("degC", "°C"))
 

@@ -12,21 +12,24 @@ import hashlib
 import json
 import math
 import re
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Generic, Literal, Self, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 
-from piga.errors import MissingPackageError
+from piga.errors import MissingPackageError, needed
 from piga.reports.render.figure import Figure
+from piga.reports.render.numbers import aligned, ascii_text
 
 Tone = Literal["", "good", "doubtful", "bad", "quiet"]
 Kind = Literal["info", "good", "warning", "problem"]
 Align = Literal["text", "number"]
 Item = TypeVar("Item")
+Other = TypeVar("Other")
 ALONE = "This file holds all it shows: it opens without a network, and prints on A4."
 """Last sentence of a page's footer."""
 
@@ -45,6 +48,8 @@ class Tile:
 @dataclass(frozen=True)
 class Text:
     """Paragraphs of plain text, separated by blank lines. ``lead`` marks what the reader is to look for."""
+
+    block: ClassVar = "text"
 
     text: str
     lead: bool = False
@@ -93,6 +98,8 @@ class Table:
     of number columns: a matrix with long names then fits the page. ``segments`` is the index of the segment of each row,
     for a table whose rows are segments: the reader can select one.
     """
+
+    block: ClassVar = "table"
 
     columns: tuple[TableColumn, ...]
     rows: tuple[tuple[str | Cell, ...], ...]
@@ -161,10 +168,26 @@ class TableOf(Generic[Item]):
         self._cells.append(cell)
         return self
 
+    def across(
+        self,
+        others: Iterable[Other],
+        heading: Callable[[Other], str],
+        cell: Callable[[Item, Other], str | Cell],
+        unit: Callable[[Other], str] = lambda _: "",
+    ) -> Self:
+        """Add a column of numbers for each of the others: its heading and unit, and the cell of an item."""
+        for other in others:
+            self.number(heading(other), partial(_with_other, cell, other), unit(other))
+        return self
+
     def table(self, caption: str = "", notes: tuple[str, ...] = (), **more: Any) -> Table:
         """The table; ``more`` as for :class:`Table`."""
         rows = tuple(tuple(cell(item) for cell in self._cells) for item in self._items)
         return Table(tuple(self._columns), rows, caption, notes, **more)
+
+
+def _with_other(cell: Callable[[Item, Other], str | Cell], other: Other, item: Item) -> str | Cell:
+    return cell(item, other)
 
 
 def named_values(
@@ -179,12 +202,16 @@ def named_values(
 class FigureBlock:
     """A figure with its caption."""
 
+    block: ClassVar = "figure"
+
     figure: Figure
 
 
 @dataclass(frozen=True)
 class Notice:
     """An important remark: ``info``, ``good``, ``warning`` or ``problem``."""
+
+    block: ClassVar = "notice"
 
     kind: Kind
     text: str
@@ -262,27 +289,77 @@ def page_html(page: Page) -> str:
     )
 
 
-@dataclass(frozen=True)
-class Card:
-    """What a notebook shows of a result: a title, a verdict, tables of the report, and one small figure."""
+def page_text(page: Page, *, width: int = 100, plain: bool = True) -> str:
+    """The page for a terminal of so many columns: verdict, title, tables, remarks. ``plain``: pure ASCII."""
+    told = ascii_text if plain else str
+    lines = []
+    if page.judgement is not None:
+        lines.append(f"verdict: {page.judgement.headline}")
+        for what, remedy in page.judgement.problems:
+            lines.append(f"  does not hold: {what}" + (f": {remedy}" if remedy else ""))
+        lines += [*(f"  holds: {what}" for what in page.judgement.holds), ""]
+    lines += [page.title, *(f"  {line}" for line in page.subtitle.splitlines())]
+    for number, section in enumerate(page.sections):
+        lines += [""] if number or section.title or page.subtitle else []
+        lines += [section.title] if section.title else []
+        for k, block in enumerate(section.blocks):
+            lines += [""] if k and isinstance(block, Table) else []
+            lines += _block_lines(block, told, width)
+    return "\n".join(part for line in lines for part in _wrapped(told(line), width)).strip("\n")
 
-    title: str
-    subtitle: str = ""
-    judgement: Judgement | None = None
-    tables: tuple[Table, ...] = ()
-    figure: Figure | None = None
+
+def _block_lines(block: Block, told: Callable[[str], str], width: int) -> list[str]:
+    if isinstance(block, Text):
+        return [f"  {paragraph}" for paragraph in block.paragraphs]
+    if isinstance(block, Notice):
+        return [f"remark: {block.text}" if block.kind == "warning" else block.text]
+    if isinstance(block, FigureBlock):
+        return []
+    caption = [f"  {block.caption}"] if block.caption else []
+    return [*caption, *_table_lines(block, told, width), *(f"  {note}" for note in block.notes)]
 
 
-def card_html(card: Card) -> str:
-    """The card as a piece of HTML, for a notebook. It needs no script and no network; its figure needs Matplotlib."""
-    text: str = template("card.html.jinja").render(card=card, svg=_picture(card.figure))
+_WHOLE = "\x00"
+"""Begins a line that is not wrapped."""
+
+
+def _table_lines(table: Table, told: Callable[[str], str], width: int) -> list[str]:
+    """Rows with their columns below each other; a long text in the last column goes on below itself."""
+    heads = [f"{column.heading} [{column.unit}]" if column.unit else column.heading for column in table.columns]
+    rows = [list(map(told, row)) for row in (heads, *([cell.text for cell in row] for row in table.cells))]
+    left = {k for k, column in enumerate(table.columns) if column.align == "text"}
+    last = len(heads) - 1
+    lines = []
+    start = 2 + sum(max(len(row[k]) for row in rows) + 2 for k in range(last))
+    for line in aligned(rows, left):
+        whole = f"  {line}".rstrip()
+        if last in left and start < width - 20 and len(whole) > width:
+            lines += textwrap.wrap(
+                whole[start:], width, initial_indent=whole[:start], subsequent_indent=" " * start
+            )
+        else:
+            lines.append(whole)
+    return [f"{_WHOLE}{line}" for line in (lines if any(heads) else lines[1:])]
+
+
+def _wrapped(line: str, width: int) -> list[str]:
+    """Lines of at most ``width`` letters, their continuations indented."""
+    if line.startswith(_WHOLE) or len(line) <= width:
+        return [line.removeprefix(_WHOLE)]
+    indent = " " * (len(line) - len(line.lstrip()))
+    return textwrap.wrap(line.strip(), width, initial_indent=indent, subsequent_indent=f"{indent}    ")
+
+
+def card_html(page: Page) -> str:
+    """A brief page as a piece of HTML, for a notebook. It needs no script and no network; its figure needs Matplotlib."""
+    blocks = [block for section in page.sections for block in section.blocks]
+    figures = "".join(map(_picture, page.figures()[:1]))
+    text: str = template("card.html.jinja").render(page=page, blocks=blocks, svg=figures)
     return text
 
 
-def _picture(figure: Figure | None) -> str:
+def _picture(figure: Figure) -> str:
     """The figure as SVG; empty where Matplotlib is not installed."""
-    if figure is None:
-        return ""
     try:
         from piga.reports.render.axes import figure_svg
     except MissingPackageError:
@@ -331,11 +408,9 @@ def resource(folder: str, name: str) -> str:
 @lru_cache(maxsize=4)
 def template(name: str) -> Any:
     """A template of this package, ready to render: everything is escaped, unknown names are errors."""
-    import jinja2
-
+    jinja2 = needed("jinja2")
     loader = jinja2.FunctionLoader(lambda name: resource("templates", name))
     environment = jinja2.Environment(
         loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
-    environment.tests["block"] = lambda block, kind: type(block).__name__ == kind
     return environment.get_template(name)

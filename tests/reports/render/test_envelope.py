@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from piga.reports.render.decimate import envelope_rows, thin
+from piga.reports.render.envelope import envelope_rows, thin
 
 CURVES = arrays(
     float, st.integers(1, 400), elements=st.one_of(st.floats(-1e6, 1e6), st.sampled_from([np.nan, np.inf]))

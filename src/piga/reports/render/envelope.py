@@ -1,6 +1,6 @@
-"""Reduce the points of a curve without a visible change: extremes and gaps are kept.
+"""The envelope of a long curve: few points that keep its extremes and its gaps. In memory, and as a stream.
 
-Of a very long record, figures show the outline and the first part of every segment.
+Of a very long record, figures show the envelope and the first part of every segment.
 """
 
 from __future__ import annotations
@@ -15,14 +15,20 @@ from numpy.typing import ArrayLike, NDArray
 from piga.records.calibration import Residuals
 from piga.records.spool import gathered, spans, trim
 
+Array = NDArray[np.float64]
+
 POINTS = 2000
 """Points that a drawn curve keeps at most."""
 TRIM_BUCKETS = 64
 """Buckets after which resident pages of a mapped record are given back."""
+SHOWN = 1 << 20
+"""Samples that figures work on at most."""
+OUTLINE = 50_000
+"""Points of the residuals of a very long record."""
 
 
 def envelope_rows(y: ArrayLike, limit: int = POINTS) -> NDArray[np.int64]:
-    """Rows of ``y`` that keep its outline: lowest, highest and one gap row of each bucket, and both ends.
+    """Rows of ``y`` that keep its envelope: lowest, highest and one gap row of each bucket, and both ends.
 
     Parameters
     ----------
@@ -49,7 +55,7 @@ def envelope_rows(y: ArrayLike, limit: int = POINTS) -> NDArray[np.int64]:
     return np.unique(np.array(kept, dtype=np.int64))
 
 
-def _bucket_rows(values: NDArray) -> list[int]:
+def _bucket_rows(values: NDArray[Any]) -> list[int]:
     low, high = int(np.argmin(values)), int(np.argmax(values))
     if np.isfinite(values[low]) and np.isfinite(values[high]):
         return [low, high]
@@ -60,19 +66,45 @@ def _bucket_rows(values: NDArray) -> list[int]:
     return [gap, int(finite[np.argmin(values[finite])]), int(finite[np.argmax(values[finite])])]
 
 
-def thin(x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def thin(x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
     """``x`` and ``y`` reduced to at most :data:`POINTS` points by :func:`envelope_rows`."""
     rows = envelope_rows(y)
     return np.asarray(x, dtype=float)[rows], np.asarray(y, dtype=float)[rows]
 
 
-SHOWN = 1 << 20
-"""Samples that figures work on at most."""
-OUTLINE = 50_000
+class Envelope:
+    """The envelope of curves that come part by part, over one time. Memory does not grow with them.
+
+    Rows are kept whole until there are ``2 kept``; then the envelope of each curve stays, and later parts are thinned to the
+    same share before they are added.
+    """
+
+    def __init__(self, kept: int = POINTS) -> None:
+        self._kept, self._share = kept, 1
+        self._t: dict[str, list[Array]] = {}
+        self._y: dict[str, list[Array]] = {}
+
+    def add(self, t: Array, **curves: Array) -> None:
+        """Append a part: times (n,) and the values of each curve (n,)."""
+        for name, y in curves.items():
+            times, values = self._t.setdefault(name, []), self._y.setdefault(name, [])
+            rows = envelope_rows(y, max(8, y.size // self._share))
+            times.append(np.asarray(t, dtype=float)[rows])
+            values.append(np.asarray(y, dtype=float)[rows])
+        if max(sum(part.size for part in parts) for parts in self._t.values()) > 2 * self._kept:
+            self._share *= 2
+            for name in self._t:
+                t_all, y_all = np.concatenate(self._t[name]), np.concatenate(self._y[name])
+                rows = envelope_rows(y_all, self._kept)
+                self._t[name], self._y[name] = [t_all[rows]], [y_all[rows]]
+
+    def curve(self, name: str) -> tuple[Array, Array]:
+        """Times and values of a curve's envelope."""
+        return np.concatenate(self._t[name]), np.concatenate(self._y[name])
 
 
 def outline(residuals: Residuals) -> Residuals:
-    """Rows that keep the outline of the residuals against time; all of a short record."""
+    """Rows that keep the envelope of the residuals against time; all of a short record."""
     if residuals.t.size <= SHOWN:
         return residuals
     edges = _edges(residuals.segment)

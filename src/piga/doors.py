@@ -1,0 +1,109 @@
+"""Doors to upper rooms: what a method of a result imports when it is called, and not before.
+
+Data are made on the lower floors and shown on the upper ones, so ``cal.report()`` has to reach upwards. These functions are
+the only upward imports of the package; the import contract names this module alone. A module that shows a kind of result
+has ``page(result)`` for the report, ``brief(result)`` for terminal and notebook, and ``figures(result)``: functions by
+name, each of which makes one figure.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+
+def shown_plainly() -> ModuleType:
+    """Shows names and values of any result."""
+    from piga.reports.render import brief
+
+    return brief
+
+
+def shown_calibration() -> ModuleType:
+    """Shows a calibration."""
+    from piga.reports.calibration import page
+
+    return page
+
+
+def shown_record() -> ModuleType:
+    """Shows a record before its calibration."""
+    from piga.reports import check
+
+    return check
+
+
+def shown_compensation() -> ModuleType:
+    """Shows a compensated record or set."""
+    from piga.reports import compensation
+
+    return compensation
+
+
+def shown_test() -> ModuleType:
+    """Shows a simulated test."""
+    from piga.reports import stand
+
+    return stand
+
+
+def shown_plan() -> ModuleType:
+    """Shows a planned test."""
+    from piga.reports import planning
+
+    return planning
+
+
+def shown_trend() -> ModuleType:
+    """Shows a trend."""
+    from piga.reports import trend
+
+    return trend
+
+
+def noise_figures() -> ModuleType:
+    """Figures of residuals and noise."""
+    from piga.reports.calibration import figures
+
+    return figures
+
+
+def platform_figures() -> ModuleType:
+    """Figures of the platform."""
+    from piga.reports.platform import figures
+
+    return figures
+
+
+def pages() -> ModuleType:
+    """Pages as HTML, card and text."""
+    from piga.reports.render import page
+
+    return page
+
+
+def drawing() -> ModuleType:
+    """Figures drawn with Matplotlib."""
+    from piga.reports.render import axes
+
+    return axes
+
+
+def tables() -> ModuleType:
+    """Tables for other tools."""
+    from piga.formats import tables
+
+    return tables
+
+
+def parameters() -> ModuleType:
+    """Instruments and error models."""
+    from piga.instrument import parameters
+
+    return parameters
+
+
+def run_reference() -> ModuleType:
+    """Records from tables and stands."""
+    from piga.stand import run_reference
+
+    return run_reference
