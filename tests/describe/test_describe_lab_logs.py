@@ -69,7 +69,7 @@ def test_numbers_are_those_of_the_record(tmp_path: Path, name: str) -> None:
     ("iso.csv", "time", {"column": "timestamp", "stamp": "iso"}),
     ("folded.tsv", "header_row", 5),
     ("folded.tsv", "units_row", 6),
-    ("head-angle.csv", "segment", "Teilkopfwinkel"),
+    ("head-angle.csv", "segment", {"holds_of": "Teilkopfwinkel"}),
     ("centrifuge.csv", "segment", "level"),
 ])  # fmt: skip
 def test_what_is_guessed(name: str, key: str, value: object) -> None:

@@ -22,7 +22,7 @@ from piga.results import Array
 from piga.units import G0, parse_unit
 
 Kind = Literal[
-    "time", "date", "counts", "angle", "rate", "force", "base-rate", "temperature", "segment", "sequence",
+    "time", "date", "counts", "pulses", "angle", "rate", "force", "base-rate", "temperature", "segment", "sequence",
     "stand-angle", "stand-speed", "other",
 ]  # fmt: skip
 """What a column holds. ``angle`` and ``rate`` are those of the outer gimbal, ``stand-...`` those of the machine."""
@@ -134,6 +134,7 @@ WORDS: dict[str, str] = {
     "time": "time",
     "date": "date",
     "counts": "output in counts",
+    "pulses": "pulses of each sample",
     "angle": "output angle",
     "rate": "output rate",
     "force": "specific force",

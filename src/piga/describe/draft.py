@@ -256,7 +256,7 @@ class RunFileDraft:
         for one in self.open:
             whole.put(one.key, setting(f"{one.key}={one.example}")[1])
         output = whole.document["data"].get("output")
-        if isinstance(output, Mapping) and output.get("kind") == "counts":
+        if isinstance(output, Mapping) and output.get("kind") in ("counts", "pulses"):
             whole.document["instrument"].setdefault("counts_per_revolution", 72000)
         return whole
 
@@ -287,7 +287,7 @@ class RunFileDraft:
             missing.append("data.sample_rate")
         if "scale_factor" not in own:
             missing.append("instrument.scale_factor")
-        counted = isinstance(data.get("output"), Mapping) and data["output"].get("kind") == "counts"
+        counted = isinstance(data.get("output"), Mapping) and data["output"].get("kind") in ("counts", "pulses")
         if counted and "counts_per_revolution" not in own and "instrument.scale_factor" not in missing:
             missing.append("instrument.counts_per_revolution")
         if stand is not None:

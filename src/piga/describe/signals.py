@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.describe.columns import WORDS, ColumnGuess, Values
 from piga.describe.draft import RunFileDraft, number_in, quantity_text
 from piga.describe.log import LogDescription
 from piga.errors import ArgumentError, UnitError
+from piga.reading.positions import positions
 from piga.results import Array
 from piga.stand.scenario import head_positions
 from piga.units import G0, parse_unit, to_si
@@ -31,6 +32,8 @@ USUAL_COUNTS = tuple(
         | {2**k for k in range(8, 25)}
     )
 )
+COUNTED = ("counts", "pulses")
+"""Kinds of an output that needs the counts per revolution."""
 LEAST_RELATED = 0.9
 """Least correlation of the output rate with the specific force along an axis that is taken for the input axis."""
 
@@ -46,12 +49,10 @@ def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
     reasons = [column.reason]
     x = log.numbers.get(column.name, np.empty(0))
     if column.kind == "counts" and _of_each_sample(log, x):
-        draft.comments["data."] = [
-            f"{column.name} holds the pulses of each sample, not a running count: it follows the specific force itself.",
-            f"piga reads a running count. Add a column with the running sum of {column.name} to the log.",
-        ]
-        return None
-    if column.kind == "counts":
+        column = replace(column, kind="pulses")
+        value["kind"] = "pulses"
+        reasons.append("it follows the specific force itself: the pulses of each sample, which are summed")
+    elif column.kind == "counts":
         bits = _counter_bits(x)
         if bits is not None:
             draft.put(
@@ -73,6 +74,8 @@ def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
 def _of_each_sample(log: LogDescription, x: Array) -> bool:
     """True if counts, not their steps, follow the specific force: they are the pulses of each sample."""
     forces = [log.numbers[one.name] for one in log.of("force") if one.name in log.numbers]
+    angles = [one for one in log.of("stand-angle") if one.name in log.numbers]
+    forces += [np.cos(log.numbers[one.name] * parse_unit(one.unit).factor) for one in angles]
     themselves = max((abs(_correlation(x, level)) for level in forces), default=0.0)
     steps = max((abs(_correlation(np.diff(x), level[1:])) for level in forces), default=0.0)
     return themselves > 0.99 and steps < 0.5
@@ -138,11 +141,14 @@ def from_input_axis(
         )
         names = [*names[first:], *names[:first]]
     if related[first] < 0.0 and abs(related[first]) >= LEAST_RELATED:
-        words.append(
-            f"CHECK: the output falls where {names[0]} is positive. piga wants it to rise: change the sign of the output, "
-            "or of X0 and one other axis, in the log"
-        )
+        _falls(draft, f"the output falls where {names[0]} is positive")
     return names, words
+
+
+def _falls(draft: RunFileDraft, why: str) -> None:
+    """Turn the output round: it falls with the specific force along X0."""
+    draft.document["data"]["output"]["direction"] = -1
+    draft.comments.setdefault("data.output", []).append(f"direction = -1: {why}")
 
 
 def _related(draft: RunFileDraft, log: LogDescription, output: ColumnGuess, name: str) -> float:
@@ -177,6 +183,7 @@ def _rate_and_level(
     seconds = _seconds(draft, log, x.size)
     if seconds is None:
         return None
+    x = np.cumsum(np.nan_to_num(x)) if output.kind == "pulses" else x
     with np.errstate(divide="ignore", invalid="ignore"):
         rate = np.diff(x) / np.diff(seconds)
     return np.where(np.isfinite(rate), rate, np.nan), 0.5 * (force[1:] + force[:-1])
@@ -204,10 +211,10 @@ def put_instrument(draft: RunFileDraft, log: LogDescription, output: ColumnGuess
     if slope is None:
         return
     if "scale_factor" in own:
-        if output.kind == "counts" and "counts_per_revolution" not in own:
+        if output.kind in COUNTED and "counts_per_revolution" not in own:
             _counts_of(draft, slope)
         return
-    if output.kind != "counts":
+    if output.kind not in COUNTED:
         factor = parse_unit(output.unit).factor
     elif "counts_per_revolution" in own:
         factor = 2.0 * math.pi / float(own["counts_per_revolution"])
@@ -272,6 +279,8 @@ def _slope(draft: RunFileDraft, log: LogDescription, output: ColumnGuess) -> flo
     slope = float(np.median(rate[good] / level[good]))
     good &= np.abs(rate - slope * level) < 0.2 * np.abs(slope * level)  # no folds, no moves
     mean = float(np.sum(rate[good] * level[good]) / np.sum(level[good] ** 2)) if good.any() else 0.0
+    if mean < 0.0 and "direction" not in draft.document["data"]["output"]:
+        _falls(draft, "it falls where the input axis points up")
     return abs(mean) if mean else None
 
 
@@ -281,8 +290,6 @@ EARTH = (
 )
 LEAST_SWING = 0.01
 """Transverse specific force [g] from which on ``tan_beta`` is asked for."""
-SHORT_HOLD = 0.05
-"""A value of the stand that is held for a smaller share of the longest hold belongs to a move."""
 
 
 def put_reference(
@@ -328,9 +335,15 @@ def _holds(draft: RunFileDraft, log: LogDescription, column: ColumnGuess) -> lis
     if log.labels is not None and log.labels.size == x.size:
         change = np.flatnonzero(np.diff(log.labels) != 0) + 1
         names = [log.label_names[code] if code >= 0 else "" for code in log.labels[np.r_[0, change]]]
+    elif spans := positions(x):
+        still = sum(stop - start for start, stop in spans)
+        share = f"{len(spans)} times, in {100 * still // x.size} % of the rows"
+        why = f"no column numbers the positions; {column.name} stands still {share}. The rows between are not used"
+        draft.put("data.segment", {"holds_of": column.name}, why)
+        return [(str(k + 1), float(np.nanmean(x[start:stop]))) for k, (start, stop) in enumerate(spans)]
     elif Values.of(x).stepped:
         change = np.flatnonzero(np.diff(x) != 0) + 1
-        names = _still(draft, log, x, change)
+        names = [f"{value:.12g}" for value in x[np.r_[0, change]]]
         draft.put(
             "data.segment",
             column.name,
@@ -340,23 +353,6 @@ def _holds(draft: RunFileDraft, log: LogDescription, column: ColumnGuess) -> lis
         return None
     parts = np.split(x, change)
     return [(name, float(np.nanmean(part))) for name, part in zip(names, parts, strict=True) if name]
-
-
-def _still(draft: RunFileDraft, log: LogDescription, x: Array, change: NDArray[np.int64]) -> list[str]:
-    """Name of each hold. The rows in which the stand moves are left out; they have no name."""
-    starts = np.r_[0, change]
-    lengths = np.diff(np.r_[starts, x.size])
-    moving = lengths < max(SHORT_HOLD * lengths.max(), 2)
-    if log.rows is not None and moving.any():
-        edges = np.flatnonzero(np.diff(np.r_[False, moving, False]))
-        ends = starts + lengths - 1
-        moves = [
-            {"rows": [int(log.rows[starts[a]]), int(log.rows[ends[b - 1]])], "reason": "the stand moves"}
-            for a, b in zip(edges[::2], edges[1::2], strict=True)
-        ]
-        draft.put("data.leave_out", moves, f"{len(moves)} moves of the stand between the positions")
-        return ["" if part else f"{value:.12g}" for part, value in zip(moving, x[starts], strict=True)]
-    return [f"{value:.12g}" for value in x[starts]]
 
 
 def _head(

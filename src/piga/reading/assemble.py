@@ -30,10 +30,11 @@ from piga.reading.checks import (
     stuck_extremes,
 )
 from piga.reading.columns import RawColumns, collect, read_columns
+from piga.reading.positions import segment_by_positions, settling
 from piga.records.arrays import empty, scaled, stored, taken
 from piga.records.calibration import Event, Quality, counted
 from piga.records.run import Run, TimeBase, drop_repeats, examine_time
-from piga.records.run_file import DataTable, RunFile, read_run_file
+from piga.records.run_file import DataTable, PositionColumn, RunFile, read_run_file
 from piga.records.text_files import toml_bytes
 from piga.results import Array
 from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
@@ -42,6 +43,8 @@ StandReference = Callable[
     [dict[str, Any], Path, Array, NDArray[np.int32], tuple[str, ...]], tuple[Array, Array]
 ]
 """Specific force and base rate of a ``[stand]`` table: (table, folder, t, segment, labels) to (n, 3) each."""
+LOST_ANGLE, LOST_SHARE = 0.1, 0.01
+"""Angle [rad] and share of the turn in a gap by which the output may differ from the rates on both sides (coupling, noise)."""
 WHOLE = 1e-9
 """Tolerance [rev] of the test for whole turns. A range in units such as mrad is never exactly whole."""
 
@@ -100,6 +103,10 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: St
         If the columns do not hold what the run file says. The message names file, row, column and remedy.
     """
     data, rows_read = run_file.data, raw.count
+    if isinstance(data.segment, PositionColumn):
+        _find_positions(raw, data.segment.holds_of)
+    if data.output.kind == "pulses":
+        raw.numbers[data.output.column] = _summed(raw.numbers[data.output.column])
     t = _used_rows(raw, data)
     base = examine_time(t, raw.segment, raw.rows)
     raw.events += base.events
@@ -111,8 +118,9 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: St
     scale = _output_scale(run_file, raw)
     scale_factor = to_si(run_file.instrument.scale_factor, "rad/s/g")
     output, lost = _output(data, raw, base, scale, 1.2 * scale_factor * largest_size(f[:, 0]) * base.nominal)
-    if data.output.kind == "counts" and run_file.instrument.counter_bits is None:
+    if data.output.counted and run_file.instrument.counter_bits is None:
         raw.events += _resets(raw, t, output, base, f, scale_factor, lost)
+        raw.events += _lost_in_gaps(raw, t, output, base, lost)
     resolution = scale.factor if scale.counts else 0.0
     raw.events += _doubtful(data, raw, t, output, f, base, scale_factor, resolution)
     segment, labels, groups = _split_lost(raw, lost)
@@ -159,6 +167,11 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
         raw.events += left_out_rows(data.leave_out, usable, raw.rows, raw.path)
         _check_masked(raw, usable)
     t = _time(raw, data)
+    if data.settle is not None:
+        early, events = settling(t, raw.segment, to_si(data.settle, "s"), raw.rows)
+        usable &= ~early
+        raw.events += events
+        _check_masked(raw, usable)
     raw.events += drop_repeats(t, raw.segment, usable, list(raw.numbers.values()), raw.rows)
     if usable.all():
         return t
@@ -166,6 +179,29 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
         raw.numbers[name] = taken(values, usable)
     raw.rows, raw.segment = taken(raw.rows, usable), taken(raw.segment, usable)
     return taken(t, usable)
+
+
+def _find_positions(raw: RawColumns, name: str) -> None:
+    """Segments of a record without a column that numbers them: where the stand stands still.
+
+    Raises
+    ------
+    DataError
+        If it never does.
+    """
+    raw.segment, raw.labels, events = segment_by_positions(raw.numbers[name], raw.rows, name)
+    raw.events += events
+    if not raw.labels:
+        raise DataError(
+            f"{raw.path}: column '{name}' nowhere stands still, so it tells no position",
+            remedy="name the column that logs the angle or the speed of the stand, or one that numbers the positions",
+            where=Where(raw.path, columns=(name,)),
+        )
+
+
+def _summed(pulses: Array) -> Array:
+    """The running count of the pulses of each sample. A row without a number stays one; its pulses are lost."""
+    return np.where(np.isfinite(pulses), np.cumsum(np.nan_to_num(pulses)), np.nan)
 
 
 def _check_masked(raw: RawColumns, usable: NDArray[np.bool_]) -> None:
@@ -177,7 +213,7 @@ def _check_masked(raw: RawColumns, usable: NDArray[np.bool_]) -> None:
             remedy="check the columns in [data]",
             where=Where(raw.path),
         )
-    reasons = ("missing-value", "saturated", "no-segment", "not-finite", "left-out")
+    reasons = ("missing-value", "saturated", "no-segment", "not-finite", "left-out", "moving", "settling")
     if bad and not any(event.kind in reasons for event in raw.events):
         row = int(raw.rows[int(np.argmin(usable))])
         raw.events.append(Event("not-finite", bad, row, "the row is not used"))
@@ -279,7 +315,7 @@ def _output_scale(run_file: RunFile, raw: RawColumns) -> OutputScale:
         factor = 2.0 * np.pi / revolution
         span = None if instrument.counter_bits is None else 2.0**instrument.counter_bits
     whole = span is None or abs(span / revolution - round(span / revolution)) <= WHOLE
-    return OutputScale(factor, span, whole, counts=output.kind == "counts")
+    return OutputScale(factor, span, whole, counts=output.counted)
 
 
 def _output(
@@ -288,11 +324,21 @@ def _output(
     """Output in SI, and the samples at which the number of turns was lost. ``largest``: step that the reference allows [rad]."""
     name = data.output.column
     if data.output.kind == "rate":
-        return _si(raw, name, scale.factor), np.zeros(raw.count, np.bool_)
+        return _si(raw, name, scale.factor * data.output.direction), np.zeros(raw.count, np.bool_)
     reading = Reading(raw.path, name, raw.numbers[name], raw.rows, base.begins, largest, base.nominal, scale)
     output, lost, events = reading.output()
     raw.events += events
-    return output, lost
+    if data.output.kind == "pulses":
+        raw.events += _lost_pulses(raw, base, lost)
+    return scaled(output, -1.0) if data.output.direction < 0 else output, lost
+
+
+def _lost_pulses(raw: RawColumns, base: TimeBase, lost: NDArray[np.bool_]) -> list[Event]:
+    """Mark stretches before which rows of the log are missing: their pulses were not summed, so the phase is new."""
+    at = np.flatnonzero(base.begins)[1:]
+    gone = at[base.missing_before(at, raw.rows)]
+    lost[gone] = True
+    return counted("pulses-lost", gone, raw.rows, "the pulses of missing rows are not known; the phase is new")
 
 
 def _resets(
@@ -318,6 +364,33 @@ def _resets(
     gone = at[(interval > 0.0) & (np.abs(psi[at] - psi[at - 1]) > allowed)]
     lost[gone] = True
     return counted("counter-reset", gone, raw.rows, "between two stretches; the phase is new")
+
+
+def _lost_in_gaps(
+    raw: RawColumns, t: Array, psi: Array, base: TimeBase, lost: NDArray[np.bool_]
+) -> list[Event]:
+    """Mark gaps inside a position over which the output did not turn as it does on both sides: counts were lost.
+
+    The rates on both sides are those of the stretches before and after, of which each must have turned once.
+    """
+    bounds = np.append(np.flatnonzero(base.begins), t.size)
+    gone = []
+    for k in range(1, bounds.size - 1):
+        before, at, after = bounds[k - 1], bounds[k], bounds[k + 1]
+        if raw.segment[at] != raw.segment[at - 1] or lost[at] or t[at] <= t[at - 1]:
+            continue
+        turned = psi[at - 1] - psi[before], psi[after - 1] - psi[at]
+        spans = t[at - 1] - t[before], t[after - 1] - t[at]
+        if min(map(abs, turned)) < 2.0 * np.pi or min(spans) <= 0.0:
+            continue
+        rates = turned[0] / spans[0], turned[1] / spans[1]
+        expected = 0.5 * (rates[0] + rates[1]) * (t[at] - t[at - 1])
+        allowed = LOST_ANGLE + (abs(rates[0] - rates[1]) + LOST_SHARE * abs(rates[0])) * (t[at] - t[at - 1])
+        if abs(psi[at] - psi[at - 1] - expected) > allowed:
+            gone.append(at)
+    where = np.array(gone, dtype=np.int64)
+    lost[where] = True
+    return counted("counts-lost", where, raw.rows, "the counter lost counts in the gap; the phase is new")
 
 
 def _doubtful(

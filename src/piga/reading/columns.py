@@ -61,12 +61,12 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
 
         stamp = (data.time.column, data.time.stamp) if data.time and data.time.stamp else None
         return TextStream(
-            path, numeric, data.segment, separator=data.delimiter, decimal=data.decimal, encoding=data.encoding,
+            path, numeric, data.label_column, separator=data.delimiter, decimal=data.decimal, encoding=data.encoding,
             rows=HeadRows(data.skip_rows, data.header_row, data.units_row), stamp=stamp, missing=data.missing,
             mask_damaged=data.damaged_rows == "mask",
         )  # fmt: skip
     _only_text(path, data)
-    return columns_stream(path, numeric, data.sheet, data.segment)
+    return columns_stream(path, numeric, data.sheet, data.label_column)
 
 
 def columns_stream(
@@ -210,18 +210,18 @@ def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
         codes.append(np.zeros(chunk.rows.size, np.int32) if chunk.codes is None else chunk.codes)
         if len(stream.label_names) > MAX_SEGMENTS:
             raise DataError(
-                f"{path}: column '{data.segment}' has more than {MAX_SEGMENTS} different segments",
+                f"{path}: column '{data.label_column}' has more than {MAX_SEGMENTS} different segments",
                 remedy="name the column that numbers the positions",
-                where=Where(path, columns=(str(data.segment),)),
+                where=Where(path, columns=(str(data.label_column),)),
             )
     long = next((name for name in stream.label_names if len(name) > MOST_NAME_LETTERS), None)
     if long is not None:
         raise DataError(
-            f"{path}: column '{data.segment}': the label '{long[:40]}...' has {len(long)} characters",
+            f"{path}: column '{data.label_column}': the label '{long[:40]}...' has {len(long)} characters",
             remedy=f"use {MOST_NAME_LETTERS} or fewer",
-            where=Where(path, columns=(str(data.segment),)),
+            where=Where(path, columns=(str(data.label_column),)),
         )
-    file_rows, labels = rows.finish(), stream.label_names if data.segment else ["all"]
+    file_rows, labels = rows.finish(), stream.label_names if data.label_column else ["all"]
     segment, names = segments_of_visits(codes.finish(), labels)
     bare = np.flatnonzero(segment < 0)
     events = stream.events()

@@ -550,6 +550,11 @@ class TimeBase:
     begins: NDArray[np.bool_]
     nominal: float
     events: tuple[Event, ...]
+    step: Array = field(default_factory=lambda: np.empty(0))
+
+    def missing_before(self, at: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """True where more time passed before a sample than the rows of the log since the sample before account for."""
+        return self.step[at] > (rows[at] - rows[at - 1] + 0.5) * self.nominal
 
 
 def median(values: Array) -> float:
@@ -604,4 +609,4 @@ def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64]) 
     none = "no increment is formed across it"
     events = counted("time-jump-back", backs, rows, none)
     events += counted("gap", gaps, rows, f"longest {longest:.6g} s, about {missing} samples missing; {none}")
-    return TimeBase(stored(begins), nominal, tuple(events))
+    return TimeBase(stored(begins), nominal, tuple(events), step)

@@ -163,12 +163,28 @@ class TimeColumn(TomlTable, frozen=True):
 
 
 class OutputColumn(TomlTable, frozen=True):
-    """The output column: counts, angle or rate. ``wraps_at`` is the value at which a logged angle folds back."""
+    """The output column: a running count, pulses of each sample, an angle or a rate.
+
+    ``wraps_at`` is the value at which a logged angle folds back. ``direction`` is -1 if the output falls where the specific
+    force along X0 is positive.
+    """
 
     column: str
-    kind: Literal["counts", "angle", "rate"]
+    kind: Literal["counts", "pulses", "angle", "rate"]
     unit: str | None = None
     wraps_at: Quantity | None = None
+    direction: Literal[1, -1] = 1
+
+    @property
+    def counted(self) -> bool:
+        """True for counts and pulses."""
+        return self.kind in ("counts", "pulses")
+
+
+class PositionColumn(TomlTable, frozen=True):
+    """The angle or speed of the stand as logged. Each time at which it stands still is a segment; moves and ramps are left out."""
+
+    holds_of: str
 
 
 class SequenceColumn(TomlTable, frozen=True):
@@ -202,7 +218,8 @@ class DataTable(TomlTable, frozen=True):
     sample_rate: Quantity | None = None
     base_rate: Columns | None = None
     temperature: ColumnTable | None = None
-    segment: str | None = None
+    segment: str | PositionColumn | None = None
+    settle: Seconds | None = None
     delimiter: str | None = None
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
@@ -224,7 +241,13 @@ class DataTable(TomlTable, frozen=True):
         for group in (self.reference, self.base_rate):
             names += group.columns if group else []
         names += [self.sequence.column] if self.sequence else []
+        names += [self.segment.holds_of] if isinstance(self.segment, PositionColumn) else []
         return list(dict.fromkeys(names))
+
+    @property
+    def label_column(self) -> str | None:
+        """The column that names the segments, if one does."""
+        return self.segment if isinstance(self.segment, str) else None
 
 
 class ModelTable(TomlTable, frozen=True):
@@ -436,7 +459,7 @@ def _check_time(time: TimeColumn) -> None:
 
 def _check_output(run_file: RunFile) -> None:
     data, instrument, output = run_file.data, run_file.instrument, run_file.data.output
-    if output.kind == "counts":
+    if output.counted:
         if instrument.counts_per_revolution is None:
             raise RunFileError(
                 "[instrument] counts_per_revolution is missing, but [data] output is in counts", remedy="add it"
@@ -448,7 +471,7 @@ def _check_output(run_file: RunFile) -> None:
             )
         if output.unit not in (None, "count", "counts", "1"):
             raise RunFileError(
-                f"[data] output: unit '{output.unit}' cannot be used with kind 'counts'",
+                f"[data] output: unit '{output.unit}' cannot be used with kind '{output.kind}'",
                 remedy="leave the unit out, or set kind to 'angle' or 'rate'",
             )
     else:
@@ -491,7 +514,9 @@ def _check_faults(run_file: RunFile) -> None:
             )
         if not low < high:
             raise RunFileError(f"[data] range: '{name}': {low:g} is not below {high:g}", remedy="swap them")
-    if data.segment in data.number_columns():
+    if data.settle is not None and not to_si(data.settle, "s", what="[data] settle") >= 0.0:
+        raise RunFileError("[data] settle: must be zero or more", remedy="e.g. '20 s'")
+    if data.label_column in data.number_columns():
         raise RunFileError(
             f"[data] segment: '{data.segment}' is a number column that is in use already",
             remedy="name another column for the segments",

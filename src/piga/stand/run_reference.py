@@ -360,7 +360,7 @@ def run_from_table(
     try:
         run_file = msgspec.convert(tables | {"data": _data(columns, units)}, RunFile)
         check_run_file(run_file)
-        stream = TableStream(arrow, run_file.data.number_columns(), run_file.data.segment)
+        stream = TableStream(arrow, run_file.data.number_columns(), run_file.data.label_column)
         stream.units |= {name: unit for name, unit in units.items() if name in stream.units}
         return read_stream(WHERE, run_file, stream, stand_reference)
     except msgspec.ValidationError as error:

@@ -175,7 +175,7 @@ def robust_values(design: Design) -> Array:
         if step < OUTLIERS.absolute_fits:
             weights = [1.0 / np.sqrt(np.maximum(size, 0.1 * spread) / spread) for size in sizes]
         else:
-            weights = [np.maximum(1.0 - (size / (OUTLIERS.tukey * spread)) ** 2, 0.0) for size in sizes]
+            weights = [1.0 - np.minimum(size / (OUTLIERS.tukey * spread), 1.0) ** 2 for size in sizes]
         try:
             values = _weighted(design, parts, weights)
         except np.linalg.LinAlgError:

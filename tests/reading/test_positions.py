@@ -1,0 +1,173 @@
+"""Positions told by the column of the stand: holds, moves, ramps; settling, pulses, direction, counts lost in a gap."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import piga
+from piga.errors import DataError
+from piga.reading.positions import positions
+
+RATE = 100.0
+K = 0.8884
+"""Nominal scale factor [rad/s/g]."""
+
+
+def stand(levels, dwell, move, noise, resolution, seed=0):
+    """A column of a stand: holds joined by straight moves; the rows of the true holds."""
+    rng = np.random.default_rng(seed)
+    parts, spans, at = [], [], 0
+    for k, level in enumerate(levels):
+        if k and move:
+            parts.append(np.linspace(levels[k - 1], level, move + 2)[1:-1])
+            at += move
+        parts.append(np.full(dwell, level))
+        spans.append((at, at + dwell))
+        at += dwell
+    x = np.concatenate(parts) + noise * rng.standard_normal(at)
+    return (np.round(x / resolution) * resolution if resolution else x), spans
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 2e-3])
+@pytest.mark.parametrize("resolution", [0.0, 1e-3])
+@pytest.mark.parametrize("move", [0, 7, 300, 3000])
+def test_holds_are_found_and_moves_are_not(noise, resolution, move):
+    levels = [0.0, 15.0, 45.0, 180.0, 195.0, 359.0]
+    x, spans = stand(levels, 2000, move, noise, resolution)
+    found = positions(x)
+    assert len(found) == len(levels)
+    for (start, stop), (first, end) in zip(found, spans, strict=True):
+        assert first <= start < stop <= end, "rows of a move are in a position"
+        assert stop - start > 0.97 * (end - first), "rows of a position are lost"
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.integers(0, 35), min_size=2, max_size=12),
+    st.integers(200, 4000),
+    st.integers(0, 600),
+    st.integers(0, 99),
+)
+def test_any_order_of_positions(tens, dwell, move, seed):
+    levels = [10.0 * level for level, _ in itertools.groupby(tens)]
+    if len(levels) < 2:
+        return
+    x, spans = stand(levels, dwell, move, 1e-4, 0.0, seed)
+    found = positions(x)
+    assert len(found) == len(levels)
+    assert all(first <= a < b <= end for (a, b), (first, end) in zip(found, spans, strict=True))
+
+
+@pytest.mark.parametrize(
+    "x", [np.linspace(0, 360, 50_000), np.sin(np.arange(50_000) / 500), np.full(20, np.nan)]
+)
+def test_a_column_that_never_stands_still(x):
+    assert positions(x) == []
+
+
+def head_log(folder: Path, *, kind="counts", direction=1, gap=0, lost=0, move=300, noise=1e-4) -> Path:
+    """A log of a dividing head with recorded moves and without labels, and its run file."""
+    angles = [0.0, 30.0, 60.0, 120.0, 150.0, 180.0, 210.0, 240.0, 300.0, 330.0]
+    x, _ = stand(angles, 3000, move, 0.0, 0.0)
+    t = np.arange(x.size) / RATE
+    rate = K * np.cos(np.radians(x))
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) / RATE)])
+    counts = np.floor(turned / (2 * np.pi) * 36_000)
+    pulses = np.diff(counts, prepend=counts[:1])
+    keep = np.ones(x.size, bool)
+    if gap:
+        at = 3000 + move + 1500
+        keep[at : at + gap] = False
+        counts[at + gap :] -= lost * (counts[at + gap] - counts[at - 1])
+    seen = x + noise * np.random.default_rng(1).standard_normal(x.size)
+    output = direction * (pulses if kind == "pulses" else counts)
+    table = np.column_stack([t, output, seen])[keep]
+    np.savetxt(
+        folder / "log.csv", table, delimiter=",", header="t,n,angle", comments="", fmt=["%.2f", "%.0f", "%.6f"]
+    )
+    (folder / "run.toml").write_text(
+        f"""[instrument]
+serial = "T-1"
+scale_factor = "{K} rad/s/g"
+counts_per_revolution = 36000
+[data]
+file = "log.csv"
+output = {{ column = "n", kind = "{kind}", direction = {direction} }}
+time = {{ column = "t", unit = "s" }}
+segment = {{ holds_of = "angle" }}
+[stand]
+kind = "dividing-head"
+latitude = "0 deg"
+gravity = "9.80665 m/s^2"
+positions = {[f"{angle} deg" for angle in angles]}
+"""
+    )
+    return folder / "run.toml"
+
+
+def test_a_log_with_moves_gives_the_positions_alone(tmp_path):
+    text = head_log(tmp_path).read_text().replace("base_rate = false\n", "")
+    (tmp_path / "run.toml").write_text(text)
+    run = piga.read_run(tmp_path / "run.toml")
+    assert run.labels == tuple(str(k + 1) for k in range(10))
+    moving = next(event for event in run.quality.events if event.kind == "moving")
+    assert 9 * 300 <= moving.count <= 9 * 300 + 10 * 40
+    still = np.abs(np.diff(run.f[:, 0])[~run.begins[1:]]).max()
+    assert still == 0.0, "a row of a move is in a position"
+    assert (
+        np.abs(np.diff(run.output)[~run.begins[1:]] * RATE - K * run.f[1:, 0][~run.begins[1:]] / 9.80665).max()
+        < 0.02
+    )
+
+
+@pytest.mark.parametrize("kind", ["counts", "pulses"])
+@pytest.mark.parametrize("direction", [1, -1])
+def test_pulses_and_falling_outputs_are_the_same_record(tmp_path, kind, direction):
+    reference = piga.read_run(_without_rate(head_log(tmp_path)))
+    (tmp_path / "b").mkdir()
+    run = piga.read_run(_without_rate(head_log(tmp_path / "b", kind=kind, direction=direction)))
+    assert np.allclose(np.diff(run.output), np.diff(reference.output), atol=1e-12)
+    assert len(run.labels) == len(reference.labels) == 10
+    assert set(run.phase_group) == {0}
+
+
+def _without_rate(path: Path) -> Path:
+    path.write_text(path.read_text().replace("base_rate = false\n", ""))
+    return path
+
+
+@pytest.mark.parametrize(("lost", "kinds"), [(0.0, set()), (1.0, {"counts-lost"}), (0.3, {"counts-lost"})])
+def test_counts_lost_in_a_gap_begin_a_phase_anew(tmp_path, lost, kinds):
+    run = piga.read_run(_without_rate(head_log(tmp_path, gap=500, lost=lost)))
+    assert {event.kind for event in run.quality.events} & {"counts-lost"} == kinds
+    assert len(set(run.phase_group)) == 1 + len(kinds)
+
+
+def test_pulses_of_missing_rows_are_lost(tmp_path):
+    run = piga.read_run(_without_rate(head_log(tmp_path, kind="pulses", gap=500)))
+    assert "pulses-lost" in {event.kind for event in run.quality.events}
+    assert len(set(run.phase_group)) == 2
+
+
+def test_settle_leaves_out_the_beginning_of_each_position(tmp_path):
+    path = _without_rate(head_log(tmp_path))
+    whole = piga.read_run(path)
+    path.write_text(path.read_text().replace("[stand]", 'settle = "2 s"\n[stand]'))
+    run = piga.read_run(path)
+    (event,) = (event for event in run.quality.events if event.kind == "settling")
+    assert event.count == whole.size - run.size == 10 * 200
+
+
+def test_a_stand_that_never_stands_still_is_refused(tmp_path):
+    path = _without_rate(head_log(tmp_path))
+    rows = np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
+    rows[:, 2] = np.linspace(0.0, 360.0, rows.shape[0])
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,n,angle", comments="")
+    with pytest.raises(DataError, match="nowhere stands still"):
+        piga.read_run(path)
