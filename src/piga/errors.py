@@ -12,6 +12,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+MOST_MESSAGE = 20_000
+"""Most characters of a message. A longer one quotes a text that is much longer than anything a person wrote: it is cut."""
+
 
 @dataclass(frozen=True)
 class Where:
@@ -71,6 +74,8 @@ class PigaError(Exception):
         columns: Sequence[str] = (),
         fixes: Sequence[Fix] = (),
     ) -> None:
+        if len(message) > MOST_MESSAGE:
+            message = f"{message[: MOST_MESSAGE // 2]} ... {message[-MOST_MESSAGE // 10 :]}"
         self.message = message
         self.remedy = remedy
         self.where = where

@@ -159,3 +159,42 @@ def test_labels_of_parquet_in_their_order(tmp_path: Path) -> None:
         run = piga.read_run(write_run(tmp_path, "run.parquet", data='segment = "seg"'))
         assert run.labels == ("b", "a", "c")
         assert np.bincount(run.segment_index).tolist() == [20, 10, 10]
+
+
+@pytest.mark.parametrize("place", [".", "folder", "/dev/null"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("check",),
+        ("calibrate",),
+        ("init",),
+        ("plan",),
+        ("convert", "--out", "o.parquet"),
+        ("simulate", "--out", "o"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_folder_in_place_of_a_file_is_one_sentence(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: tuple[str, ...],
+    place: str,
+) -> None:
+    (tmp_path / "folder").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert exit_code(command[0], place, *command[1:]) == 2
+    message = capsys.readouterr().err
+    assert "folder" in message or "device" in message
+    assert "Traceback" not in message
+    assert message.count("remedy:") == 1
+
+
+def test_a_long_text_is_not_quoted_whole(tmp_path: Path) -> None:
+    run = write_run(tmp_path, instrument=f'counter_bits = "{"x" * 500_000}"', data=f'sheet = "{"y" * 400_000}"')
+    with pytest.raises(PigaError) as caught:
+        read_run_file(run)
+    assert len(str(caught.value)) < 25_000
+    error = PigaError("a" * 30_000 + "the end", remedy="shorten it")
+    assert len(error.message) < 13_000
+    assert error.message.endswith("the end")

@@ -72,7 +72,7 @@ def calibrate(
     Writes calibration.json, residuals.parquet and report.html. Several runs of one instrument are calibrated together.
     """
     default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
-    directory = out or runs[0].with_name(default)
+    directory = out or runs[0].parent / default
     inputs = [path for run in runs for path in files_named_in(run)]
     with results(directory, "calibrate", CALIBRATION_RESULTS, inputs, force=force) as stage:
         items = read_items(runs) if compare is None else _with_sets(read_items(runs), compare)

@@ -54,7 +54,7 @@ def init(
     from piga.describe import describe_log, draft_run_file, setting
     from piga.records.run_file import read_run_file
 
-    target = out or log.with_name(f"{log.name.split('.')[0]}.toml")
+    target = out or log.parent / f"{log.name.split('.')[0] or 'run'}.toml"
     if target.suffix != ".toml":
         raise ArgumentError(f"--out {target}: the name must end in .toml", remedy="e.g. run.toml")
     check_outputs([target], [log], force=force)

@@ -48,7 +48,7 @@ def plan(
     from piga.reports.planning import brief, page
     from piga.reports.render.page import page_text, write_page
 
-    folder = out or plan_file.with_name(f"{plan_file.stem}-plan")
+    folder = out or plan_file.parent / f"{plan_file.stem}-plan"
     with results(folder, "plan", PLAN_RESULTS, files_named_in(plan_file), force=force) as stage:
         request = read_plan(plan_file)
         with progress("planning") as advance:

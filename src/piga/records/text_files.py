@@ -176,7 +176,7 @@ def files_named_in(path: Path) -> list[Path]:
         if at in named:
             continue
         named[at] = None
-        sidecar = at.with_name(at.name + ".sha256")
+        sidecar = Path(f"{at}.sha256")
         named |= {sidecar: None} if sidecar.exists() else {}
         if at.suffix == ".toml":
             with suppress(RunFileError, OSError):

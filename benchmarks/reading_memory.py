@@ -1,0 +1,86 @@
+"""Largest private memory while a record is read and calibrated: ``python benchmarks/reading_memory.py csv|parquet ROWS``.
+
+Pages of mapped files are not counted, because the system takes them back.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv, parquet
+
+import piga
+
+RUN = """\
+[instrument]
+serial = "bench"
+scale_factor = "0.8884 rad/s/g"
+[data]
+file = "run.{kind}"
+time = {{ column = "t", unit = "s" }}
+output = {{ column = "psi", kind = "angle", unit = "rad" }}
+reference = {{ columns = ["fx", "fy", "fz"], unit = "m/s^2" }}
+[model]
+terms = ["scale_factor", "k0"]
+"""
+
+
+def private() -> float:
+    """Memory without mapped files [MB]."""
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    return int(status.partition("RssAnon:")[2].split()[0]) / 1000.0
+
+
+def write(folder: Path, kind: str, rows: int) -> Path:
+    t = np.arange(rows) / 1000.0
+    f = 9.80665 * np.column_stack([np.cos(t / 400.0), np.sin(t / 400.0), np.full(rows, 0.01)])
+    psi = np.cumsum(0.0906e-3 * f[:, 0]) + 2e-5 * np.random.default_rng(1).standard_normal(rows)
+    table = pa.table({"t": np.round(t, 3), "psi": psi, "fx": f[:, 0], "fy": f[:, 1], "fz": f[:, 2]})
+    (csv.write_csv if kind == "csv" else parquet.write_table)(table, folder / f"run.{kind}")
+    (folder / "run.toml").write_text(RUN.format(kind=kind), encoding="utf-8")
+    return folder / "run.toml"
+
+
+def measure(path: Path) -> dict[str, float]:
+    """The largest memory of each step [MB]."""
+    peaks, step = {"read": 0.0, "calibrated": 0.0}, ["read"]
+
+    def watch() -> None:
+        while step:
+            peaks[step[-1]] = max(peaks[step[-1]], private())
+            time.sleep(0.01)
+
+    thread = threading.Thread(target=watch)
+    thread.start()
+    try:
+        run = piga.read_run(path)
+        step.append("calibrated")
+        piga.calibrate(run)
+    finally:
+        step.clear()
+        thread.join()
+    return peaks
+
+
+def main() -> None:
+    kind, rows = sys.argv[1], int(sys.argv[2])
+    warnings.simplefilter("ignore")
+    with tempfile.TemporaryDirectory(dir="/var/tmp") as name:
+        write(Path(name), kind, rows)
+        pa.default_memory_pool().release_unused()
+        begun = private()
+        size = (Path(name) / f"run.{kind}").stat().st_size / 1e6
+        print(f"{kind} of {size:.0f} MB, {rows} rows, a column is {8e-6 * rows:.0f} MB; {begun:.0f} MB before")
+        for step, peak in measure(Path(name) / "run.toml").items():
+            print(f"{step}: {peak:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()
