@@ -6,10 +6,8 @@ Input columns are in SI: ``t, output, fx, fy, fz`` and optionally ``wx, wy, wz, 
 
 from __future__ import annotations
 
-import io
 import math
 import re
-import struct
 from collections.abc import Iterator, Mapping
 from typing import IO, Any
 
@@ -20,7 +18,7 @@ from piga.compensation.result import Compensated, schema_of
 from piga.errors import ArgumentError, DataError
 from piga.formats.columns import numbers_of
 from piga.formats.parquet import number_column
-from piga.records.limits import FREE_UNPACKED, MAX_RATIO, MAX_UNPACKED, first_line
+from piga.records.limits import first_line
 
 FORCE = ("fx", "fy", "fz")
 RATE = ("wx", "wy", "wz")
@@ -29,6 +27,8 @@ MAX_LINE = 1 << 16
 """Longest line [characters]; a row of eleven numbers has about 250."""
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 KNOWN = (*NEEDED, *RATE, "temperature", "angle")
+MOST_ROWS = 1 << 22
+"""Most rows of a record batch."""
 
 
 def chunk_of(columns: Mapping[str, Any]) -> dict[str, Any]:
@@ -146,12 +146,10 @@ def _batches(source: IO[bytes]) -> Iterator[Any]:
     import pyarrow as pa
 
     try:
-        reader = pa.ipc.MessageReader.open_stream(Bounded(source))
+        reader = pa.ipc.MessageReader.open_stream(source)
         first = _message(reader)
-        if first is None:
-            raise EOFError("it is empty")
-        if first.type != "schema":  # the library reads whatever lies there as a schema
-            raise ValueError(f"a message of type '{first.type}' instead of the schema")
+        if first is None or first.type != "schema":  # the library reads whatever lies there as a schema
+            raise ValueError("it does not begin with a schema")
         schema = pa.ipc.read_schema(first)
         _check_names(schema.names)
         for field in schema:
@@ -160,7 +158,14 @@ def _batches(source: IO[bytes]) -> Iterator[Any]:
                     f"standard input: column '{field.name}' holds {str(field.type)[:60]}, not numbers",
                     remedy="send doubles or integers",
                 )
-        while (batch := _next(reader, schema)) is not None:
+        while (message := _message(reader)) is not None:
+            batch = pa.ipc.read_record_batch(message, schema)
+            batch.validate(full=True)
+            if batch.num_rows > MOST_ROWS:
+                raise DataError(
+                    f"standard input: a batch of {batch.num_rows} rows, more than {MOST_ROWS}",
+                    remedy="send smaller batches",
+                )
             yield batch
     except (pa.ArrowException, OSError, EOFError, ValueError, MemoryError) as error:
         raise DataError(
@@ -169,103 +174,12 @@ def _batches(source: IO[bytes]) -> Iterator[Any]:
         ) from None
 
 
-def _next(reader: Any, schema: Any) -> Any:
-    """The next batch; None at the end. Its size is checked before it is unpacked, then its buffers are checked."""
-    import pyarrow as pa
-
-    message = _message(reader)
-    if message is None:
-        return None
-    if message.type != "record batch":
-        raise ValueError(f"a {message.type} among the batches")
-    packed = 0 if message.body is None else message.body.size
-    unpacked = unpacked_size(bytes(message.metadata), b"" if message.body is None else message.body)
-    if unpacked > MAX_UNPACKED or (unpacked > FREE_UNPACKED and unpacked > MAX_RATIO * packed):
-        raise DataError(
-            f"standard input: a batch of {packed} bytes unpacks to {unpacked}",
-            remedy="send smaller batches, without compression",
-        )
-    batch = pa.ipc.read_record_batch(message, schema)
-    batch.validate(full=True)
-    return batch
-
-
 def _message(reader: Any) -> Any:
     """The next message; None at the end of the stream."""
     try:
         return reader.read_next_message()
     except StopIteration:
         return None
-
-
-class Bounded(io.RawIOBase):
-    """A source with a limit on one read: the size of a batch. A damaged length then allocates no memory."""
-
-    def __init__(self, source: IO[bytes]) -> None:
-        self._source = source
-
-    def readable(self) -> bool:
-        """Always True; Arrow calls this method."""
-        return True
-
-    def read(self, size: int = -1) -> bytes:
-        """Read bytes; OSError for more than a batch may have."""
-        if not 0 <= size <= MAX_UNPACKED:
-            raise OSError(f"a message of {size} bytes, more than {MAX_UNPACKED >> 20} MiB")
-        return self._source.read(size)
-
-
-def unpacked_size(metadata: bytes, body: Any) -> int:
-    """Bytes of an unpacked record batch, from its metadata (``Message`` of Arrow's ``Message.fbs``).
-
-    Sum of its rows as doubles and of its buffers. A compressed buffer begins with its unpacked length.
-
-    Raises
-    ------
-    ValueError
-        If the metadata or a buffer points outside the message.
-    """
-    try:
-        root = struct.unpack_from("<I", metadata)[0]
-        batch = _place(metadata, _field(metadata, root, 2))
-        rows = struct.unpack_from("<q", metadata, _field(metadata, batch, 0))[0]
-        columns = struct.unpack_from("<I", metadata, _place(metadata, _field(metadata, batch, 1)))[0]
-        buffers = _place(metadata, _field(metadata, batch, 2))
-        count = struct.unpack_from("<I", metadata, buffers)[0]
-        places = [struct.unpack_from("<qq", metadata, buffers + 4 + 16 * k) for k in range(count)]
-        compressed = _field(metadata, batch, 3) != 0
-        total = 8 * rows * columns
-        for start, length in places:
-            if min(start, length) < 0 or start + length > len(body):
-                raise ValueError("a buffer outside of its message")
-            size = length
-            if compressed and length:
-                size = struct.unpack_from("<q", body, start)[0]
-                size = length - 8 if size == -1 else size
-            if size < 0:
-                raise ValueError("a buffer of negative length")
-            total += size
-    except struct.error:
-        raise ValueError("damaged metadata") from None
-    if rows < 0:
-        raise ValueError("a negative number of rows")
-    return int(total)
-
-
-def _field(data: bytes, table: int, index: int) -> int:
-    """Position of a field in a flatbuffer's table; 0 if the table does not have it."""
-    entries = table - struct.unpack_from("<i", data, table)[0]
-    if entries < 0 or 4 + 2 * index >= struct.unpack_from("<H", data, entries)[0]:
-        return 0
-    place = struct.unpack_from("<H", data, entries + 4 + 2 * index)[0]
-    return table + place if place else 0
-
-
-def _place(data: bytes, reference: int) -> int:
-    """Position that a reference of a flatbuffer points to."""
-    if not reference:
-        raise ValueError("damaged metadata")
-    return int(reference + struct.unpack_from("<I", data, reference)[0])
 
 
 def _check_names(names: list[str]) -> None:
