@@ -31,7 +31,7 @@ def synthetic() -> piga.Run:
     t = np.arange(ROWS) * 0.01
     f = G0 * np.column_stack([1.0 + 0.5 * np.sin(0.126 * t), 3.0 * np.cos(0.09 * t), 2.0 * np.sin(0.21 * t)])
     inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec", alpha0=0.5)
-    alpha = piga.propagate(inst, t, f + np.array([1e-3 * G0, 0.0, 0.0]))
+    alpha = piga.propagate(inst, t, f + np.array([1e-3 * G0, 0.0, 0.0]), between="linear")
     count = 2.0 * np.pi / 72000
     output = np.round((alpha + 1e-5 * rng.standard_normal(ROWS)) / count) * count
     return piga.Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", resolution=count)

@@ -1,22 +1,28 @@
-"""The tables of intervals on the page 'Accuracy and limits', from a collected campaign.
+"""Do the 95 % intervals hold? The tables of intervals on the page 'Accuracy and limits'.
 
-Run ``piga campaign run examples/campaigns/coverage.toml --out DIR`` and ``piga campaign collect DIR``, then
-``python -m benchmarks.intervals DIR``; likewise with ``interval-cases.toml`` and ``coloured.toml``. A row is replaced by a
-campaign of at least as many tests. A row of another version is also replaced by fewer, but at least ``FEWEST`` tests.
+``python -m benchmarks.intervals coverage [--case NAME ...] [--repeats N] [--workers N] [--record]`` simulates and
+calibrates the cases of ``benchmarks/cases/coverage.toml``; likewise ``interval-cases`` and ``coloured``. It prints a row for
+each case. ``--record`` puts the rows into ``docs/measured``.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import tomllib
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from itertools import repeat
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from benchmarks import measured
+from benchmarks.constant_force import ConstantForce, Joint, read_cases
 
-from piga.campaign.subjects import NOISE_DOUBTED
+from piga.campaign.subjects import NOISE_DOUBTED, Outcome, of_calibration
 
-TABLES = {"coverage.toml": "intervals", "interval-cases.toml": "interval-cases"}
+CASES = Path(__file__).with_name("cases")
+TABLES = {"coverage": "intervals", "interval-cases": "interval-cases", "coloured": "coloured-intervals"}
 COLOURED = {
     "head-flicker": "angle log, flicker of 3e-6 rad/s a decade",
     "head-markov": "angle log, Markov noise of 3e-6 rad/s and 5 s",
@@ -25,112 +31,116 @@ COLOURED = {
     "rate-markov": "rate log, Markov noise of 3e-6 rad/s and 5 s",
     "rate-cycle": "rate log, wave of 5 µg and 1500 s",
 }
-"""Rows of the table of coloured noise by the cases of ``coloured.toml``. The table is written as a whole."""
-COMMAND = "piga campaign run examples/campaigns/{} --out DIR"
-FEWEST = 300
-"""Fewest tests that replace a row of another version."""
+"""Rows of the table of coloured noise by the cases of ``coloured.toml``."""
 
 
-def row_values(group: dict[str, Any]) -> dict[str, measured.Value]:
-    """The columns of a row, from the document of a group."""
-    coefficients = group["coefficients"]
-    share = [100.0 * c["coverage"] for c in coefficients]
-    ratio = [c["variance_over_bound"] for c in coefficients]
+class Plan(NamedTuple):
+    """Tests to compute of one case: its number, name, records, and records with a Cramer-Rao bound."""
+
+    number: int
+    name: str
+    repeats: int
+    bounds: int
+
+
+def plans(name: str, repeats: int | None = None) -> tuple[int, list[Plan]]:
+    """Seed and cases of a file."""
+    document = tomllib.loads((CASES / f"{name}.toml").read_text(encoding="utf-8"))
+    head = document["campaign"]
+    return head["seed"], [
+        Plan(
+            number,
+            case["name"],
+            repeats or case.get("repeats", head["repeats"]),
+            case.get("bounds", head["bounds"]),
+        )
+        for number, case in enumerate(document["case"])
+    ]
+
+
+@cache
+def tests_of(name: str) -> dict[str, ConstantForce | Joint]:
+    """The tests of a file, read once in each process."""
+    return read_cases(CASES / f"{name}.toml")
+
+
+def one(name: str, seed: int, plan: Plan, number: int) -> Outcome:
+    """Simulate and calibrate one record; its random numbers depend on seed, case and number alone."""
+    test: Any = tests_of(name)[plan.name]
+    run = test.record(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(plan.number, number))))
+    calibration = test.calibrate(run)
+    bound = np.sqrt(np.diag(test.bound(run))) if number < plan.bounds else None
+    return of_calibration(calibration, test.truths(calibration), bound)
+
+
+def row(outcomes: list[Outcome]) -> dict[str, measured.Value]:
+    """The columns of a case: worst and best coefficient, bias, variance over the bound, NEES, misses."""
+    low, high, truth, error, bound = (
+        np.array([getattr(outcome, key) for outcome in outcomes])
+        for key in ("low", "high", "truth", "error", "bound")
+    )
+    held = (low <= truth) & (truth <= high)
+    share, spread = 100.0 * held.mean(axis=0), error.std(axis=0, ddof=1)
+    missed = [outcome for outcome, all_held in zip(outcomes, held.all(axis=1), strict=True) if not all_held]
+    warned = np.mean([NOISE_DOUBTED in outcome.seen for outcome in missed]) if missed else 1.0
     values: dict[str, measured.Value] = {
-        "tests": group["records"],
-        "records": group["records"],
-        "coverage": (round(min(share), 1), round(max(share), 1)),
-        "intervals hold, on average": round(sum(share) / len(share), 1),
-        "worst coefficient": round(min(share), 1),
-        "largest bias / sigma": round(max(abs(c["bias_over_sigma"]) for c in coefficients), 3),
-        "NEES": round(group["nees"], 3),
-        "NEES expected": round(group["nees_expected"], 3),
+        "tests": len(outcomes),
+        "records": len(outcomes),
+        "coverage": (round(share.min(), 1), round(share.max(), 1)),
+        "intervals hold": (round(share.min(), 1), round(share.max(), 1)),
+        "intervals hold, on average": round(share.mean(), 1),
+        "worst coefficient": round(share.min(), 1),
+        "largest bias / sigma": round(np.abs(error.mean(axis=0) / spread).max(), 3),
+        "NEES": round(float(np.mean([outcome.nees for outcome in outcomes])), 3),
+        "NEES expected": round(float(np.mean([outcome.nees_expected for outcome in outcomes])), 3),
+        "misses": len(missed),
+        "misses with a warning": round(100.0 * float(warned)),
     }
-    if None not in ratio:
-        values["variance / bound"] = (round(min(ratio), 2), round(max(ratio), 2))
+    if np.isfinite(bound).any():
+        ratio = spread**2 / np.nanmean(bound**2, axis=0)
+        values["variance / bound"] = (round(ratio.min(), 2), round(ratio.max(), 2))
     return values
 
 
-def put_down(collected: dict[str, Any], folder: Path = measured.FOLDER) -> list[str]:
-    """Replace the rows that this campaign knows at least as well; says what became of every group."""
-    campaign = collected["campaign"]
-    name = TABLES.get(campaign, "intervals")
-    figures: dict[str, list[measured.Figure]] = {}
-    for figure in measured.load(name, folder)[1]:
-        if "scenario" in figure:
-            figures.setdefault(figure["scenario"], []).append(figure)
-    said = []
-    for group in collected["groups"]:
-        label, records = group["name"], group["records"]
-        row = figures.get(label, [])
-        shown = next((f for f in row if f["column"] in ("tests", "records")), None)
-        if shown is None:
-            said.append(f"{label}: has no row in docs/measured/{name}.json")
-        elif group["failed"] or records < group["planned"]:
-            said.append(f"{label}: records are missing or failed; the row stays")
-        elif records < shown["value"] and (shown["version"] == collected["version"] or records < FEWEST):
-            said.append(f"{label}: {records} tests; the row of {shown['value']} tests stays")
-        else:
-            values = row_values(group)
-            new = {f["name"]: values[f["column"]] for f in row if f["column"] in values}
-            for figure in row:
-                if "reported" in figure:
-                    new[figure["name"]] = round(100.0 * group["seen"].get(figure["reported"], 0.0), 1)
-            measured.record(name, new, folder, command=COMMAND.format(campaign))
-            said.append(f"{label}: {records} tests put down")
-    return said
-
-
-def coloured_row(group: dict[str, Any]) -> dict[str, measured.Value]:
-    """The columns of a row of coloured noise; shares in percent, of the misses 100 if there are none."""
-    share = [100.0 * c["coverage"] for c in group["coefficients"]]
-    warned = group["seen_where_missed"].get(NOISE_DOUBTED, 0.0) if group["missed"] else 1.0
-    return {
-        "records": group["records"],
-        "intervals hold": (round(min(share), 1), round(max(share), 1)),
-        "misses": group["missed"],
-        "misses with a warning": round(100.0 * warned),
-    }
-
-
-def put_down_coloured(collected: dict[str, Any], folder: Path = measured.FOLDER) -> list[str]:
-    """Replace the table of coloured noise, if the campaign is complete and has as many tests as the table."""
-    groups = {group["name"]: group for group in collected["groups"]}
-    shown = [f["value"] for f in measured.load("coloured-intervals", folder)[1] if f["column"] == "records"]
-    short = [
-        name
-        for name in COLOURED
-        if (group := groups.get(name)) is None or group["failed"] or group["records"] < group["planned"]
-    ]
-    if short:
-        return [f"{', '.join(short)}: records are missing or failed; the table stays"]
-    records = min(groups[name]["records"] for name in COLOURED)
-    if records < min(shown):
-        return [f"{records} tests; the table of {min(shown)} tests stays"]
-    rows = {row: coloured_row(groups[name]) for name, row in COLOURED.items()}
-    measured.write(
-        "coloured-intervals",
-        "record",
-        rows,
-        {column: "%" for column in next(iter(rows.values())) if column not in ("records", "misses")},
-        folder=folder,
-        command=COMMAND.format("coloured.toml"),
-        conditions="dividing head, 24 positions of 60 s in the order of their angle, 5 Hz; angle logs with 2.5e-5 rad of white "
-        "noise and a walk of 1e-6 rad/√s, rate logs with a walk of 2e-5 rad/√s. Intervals: worst and best coefficient. "
-        "Misses: records in which the interval of any coefficient misses. Warning: a doubt about the noise. Remark: share of "
-        "all records that have no doubt about the noise, but the remark on coloured noise that is not excluded",
-    )
-    return [f"{row}: {groups[name]['records']} tests put down" for name, row in COLOURED.items()]
+def put_down(name: str, rows: dict[str, tuple[dict[str, measured.Value], list[Outcome]]]) -> None:
+    """Replace the figures of these cases in their table."""
+    table = TABLES[name]
+    new: dict[str, measured.Value] = {}
+    for figure in measured.load(table)[1]:
+        case = next((c for c in rows if figure.get("scenario") == c or figure["row"] == COLOURED.get(c)), None)
+        if case is None:
+            continue
+        values, outcomes = rows[case]
+        if "reported" in figure:
+            new[figure["name"]] = round(100.0 * np.mean([figure["reported"] in o.seen for o in outcomes]), 1)
+        elif figure["column"] in values:
+            new[figure["name"]] = values[figure["column"]]
+    measured.record(table, new, command=f"python -m benchmarks.intervals {name}")
 
 
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="folder of the campaign, collected")
+    parser.add_argument("name", choices=TABLES)
+    parser.add_argument("--case", action="append", help="only this case; may be given again")
+    parser.add_argument("--repeats", type=int)
+    parser.add_argument("--workers", type=int)
+    parser.add_argument("--record", action="store_true")
     chosen = parser.parse_args()
-    document = json.loads((chosen.folder / "collected" / "collect.json").read_text(encoding="utf-8"))
-    put = put_down_coloured if document["campaign"] == "coloured.toml" else put_down
-    print("\n".join(put(document)))
+    seed, every = plans(chosen.name, chosen.repeats)
+    rows = {}
+    with ProcessPoolExecutor(chosen.workers) as pool:
+        for plan in [plan for plan in every if not chosen.case or plan.name in chosen.case]:
+            made = pool.map(
+                one, repeat(chosen.name), repeat(seed), repeat(plan), range(plan.repeats), chunksize=4
+            )
+            outcomes = list(made)
+            rows[plan.name] = row(outcomes), outcomes
+            print(
+                plan.name, ", ".join(f"{key} {value}" for key, value in rows[plan.name][0].items()), flush=True
+            )
+    if chosen.record:
+        put_down(chosen.name, rows)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ def a_run(**settings) -> piga.Run:
     t = np.arange(800) * 0.05
     f = G0 * np.column_stack([0.8 + 0.3 * np.sin(0.7 * t), 0.5 * np.cos(0.4 * t), 0.2 + 0 * t])
     inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=0.4)
-    psi = piga.propagate(inst, t, f) + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
+    psi = piga.propagate(inst, t, f, between="linear") + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
     settings.setdefault("segment", np.repeat([0, 1], 400))
     return piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, serial="T-1", **settings)
 

@@ -16,7 +16,7 @@ def a_record_with_a_gap() -> piga.Run:
     t[600:] += 0.02  # less than a gap
     f = G0 * np.column_stack([0.8 + 0.3 * np.sin(0.7 * t), 0.5 * np.cos(0.4 * t), 0.2 + 0 * t])
     inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=0.4)
-    return piga.Run.from_arrays(t, piga.propagate(inst, t, f), f, scale_factor=SCALE)
+    return piga.Run.from_arrays(t, piga.propagate(inst, t, f, between="linear"), f, scale_factor=SCALE)
 
 
 @pytest.mark.parametrize("edges", [[], [300], [299], [301], [1, 2, 450, 899]])
@@ -38,7 +38,7 @@ def test_a_segment_is_a_gap_without_time():
     t = np.arange(200) * 0.05
     f = G0 * np.column_stack([1.0 + 0 * t, 0.3 + 0 * t, 0 * t])
     inst = piga.Instrument(scale_factor=SCALE, beta="500 arcsec", alpha0=0.4)
-    psi = piga.propagate(inst, t, f)
+    psi = piga.propagate(inst, t, f, between="linear")
     cal = piga.Calibration.from_coefficients({"scale_factor": 0.8884, "tan_beta": inst.tan_beta, "phi": 0.0})
     marks = t == t[100]
     by_segment = piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, segment=np.repeat([0, 1], 100))
@@ -57,5 +57,7 @@ def test_propagate_turns_on_through_a_gap():
     fine = np.arange(0.0, 10.0, 0.01)
     f = np.tile([9.8, 4.0, 1.0], (fine.size, 1))
     kept = (fine < 3.0) | (fine > 7.0)
-    whole = piga.propagate(inst, fine, f)
-    assert piga.propagate(inst, fine[kept], f[kept])[-1] == pytest.approx(whole[-1], abs=1e-10)
+    whole = piga.propagate(inst, fine, f, between="linear")
+    assert piga.propagate(inst, fine[kept], f[kept], between="linear")[-1] == pytest.approx(
+        whole[-1], abs=1e-10
+    )

@@ -68,7 +68,7 @@ def test_closed_form_takes_a_force_as_propagate_does():
     assert piga.closed_form(inst, 10.0, f=np.array([9.8, 49.0, 1.0])) == wanted
     assert piga.closed_form(inst, 10.0, a_x=9.8, a_Y=49.0, a_Z=1.0) == wanted
     t = np.linspace(0.0, 10.0, 21)
-    along = piga.propagate(inst, t, np.tile([9.8, 49.0, 1.0], (21, 1)))
+    along = piga.propagate(inst, t, np.tile([9.8, 49.0, 1.0], (21, 1)), between="linear")
     assert along[-1] == pytest.approx(float(wanted[0]), abs=1e-12)
     for wrong in ({"f": [1.0, 2.0]}, {"f": 9.8}, {}, {"a_x": 1.0}, {"f": [1.0, 2.0, 3.0], "a_Y": 1.0}):
         with pytest.raises(piga.ArgumentError, match="f: "):

@@ -136,7 +136,9 @@ def long_calls(run: piga.Run, cal: piga.Calibration) -> dict[str, Callable[..., 
     inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=0.4)
     known = piga.Calibration.from_coefficients({"scale_factor": 0.8884, "tan_beta": inst.tan_beta, "phi": 0.0})
     runs = [
-        piga.Run.from_arrays(run.t, piga.propagate(inst, run.t, run.f @ a.T), run.f @ a.T, scale_factor=SCALE)
+        piga.Run.from_arrays(
+            run.t, piga.propagate(inst, run.t, run.f @ a.T, between="linear"), run.f @ a.T, scale_factor=SCALE
+        )
         for a in axes
     ]
     turning = turns_record()
@@ -159,7 +161,7 @@ def turns_record() -> piga.Run:
     t = np.arange(0.0, 120.0, 0.1)
     f = G0 * np.column_stack([np.where(t < 60.0, 1.0, -1.0), 0.05 + 0 * t, 0 * t])
     inst = piga.Instrument(scale_factor=SCALE, beta="100 arcsec", alpha0=0.4)
-    psi = piga.propagate(inst, t, f) + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
+    psi = piga.propagate(inst, t, f, between="linear") + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
     return piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, segment=t >= 60.0)
 
 

@@ -82,7 +82,7 @@ def test_rate_log() -> None:
     t = np.arange(20_001) * 0.01
     f = G0 * np.column_stack([1.0 + np.sin(0.3 * t), 3.0 * np.cos(0.2 * t), 0.5 + 0.0 * t])
     inst = piga.Instrument(scale_factor=SCALE, beta=BETA)
-    _, rate = piga.propagate(inst, t, f, with_rate=True)
+    _, rate = piga.propagate(inst, t, f, with_rate=True, between="linear")
     run = piga.Run.from_arrays(t, rate + 1e-5 * rng.standard_normal(t.size), f, scale_factor=SCALE, kind="rate")
     calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"])
     assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), abs=4.0 * calibration["tan_beta"].std)
@@ -98,7 +98,7 @@ def test_base_rate_is_part_of_the_model() -> None:
     force = G0 * np.column_stack([1.0 + 0.5 * np.sin(0.2 * fine), 2.0 * np.cos(0.11 * fine), 0.0 * fine])
     rate = np.tile([4.7e-5, -2e-5, 5.6e-5], (fine.size, 1))
     inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=0.3)
-    alpha = piga.propagate(inst, fine, force, base_rate=rate)[::20]
+    alpha = piga.propagate(inst, fine, force, base_rate=rate, between="linear")[::20]
     t, f, omega = fine[::20], force[::20], rate[::20]
     given = piga.Run.from_arrays(t, alpha, f, scale_factor="0.889 rad/s/g", base_rate=omega)
     calibration = piga.calibrate(given, ["scale_factor", "tan_beta", "k0"])
@@ -168,7 +168,7 @@ def test_trapezoid_of_the_coupling_would_be_biased() -> None:
     t = np.arange(0.0, 100.0, 0.1)
     f = np.tile(G0 * np.array([2.0, 3.0, 0.0]), (t.size, 1))
     inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec")
-    run = piga.Run.from_arrays(t, piga.propagate(inst, t, f), f, scale_factor=SCALE)
+    run = piga.Run.from_arrays(t, piga.propagate(inst, t, f, between="linear"), f, scale_factor=SCALE)
     estimate = piga.calibrate(run, ["tan_beta"])["tan_beta"].value
     truth = 0.00484817479568412
     assert estimate == pytest.approx(truth, rel=2e-6)
@@ -186,7 +186,7 @@ def ramp(kind: str) -> piga.Run:
     a_x = 2.06 * G0 * t / 100.0 if kind == "ramp" else np.full(t.size, 2.06 * G0)
     f = np.column_stack([a_x, 5.0 * a_x, 0.0 * a_x])
     inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=np.pi / 4)
-    _, rate = piga.propagate(inst, t, f, with_rate=True)
+    _, rate = piga.propagate(inst, t, f, with_rate=True, between="linear")
     return piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate")
 
 
@@ -223,7 +223,9 @@ def still(f: tuple[float, float, float], seconds: float = 60.0) -> piga.Run:
     t = np.arange(0.0, seconds, 0.05)
     force = np.tile(G0 * np.array(f), (t.size, 1))
     inst = piga.Instrument(scale_factor=SCALE, beta=BETA)
-    alpha = piga.propagate(inst, t, force) + 2e-5 * np.random.default_rng(2).standard_normal(t.size)
+    alpha = piga.propagate(inst, t, force, between="linear") + 2e-5 * np.random.default_rng(2).standard_normal(
+        t.size
+    )
     return piga.Run.from_arrays(t, alpha, force, scale_factor=SCALE)
 
 

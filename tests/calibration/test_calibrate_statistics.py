@@ -1,7 +1,7 @@
 """Intervals that hold and estimates that are efficient, over many simulated tests.
 
 Two hundred in the default suite, a thousand of every scenario in the slow one, ten thousand by
-``piga campaign run examples/campaigns/coverage.toml``.
+``python -m benchmarks.intervals coverage --repeats 10000``.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def pulled(beta: float, seed: int) -> piga.Run:
     for k in range(angles.size):
         part = segment == k
         start = piga.Instrument(scale_factor=SCALE, beta=beta, alpha0=float(rng.uniform(-3.0, 3.0)))
-        output[part] = piga.propagate(start, t[part], f[part])
+        output[part] = piga.propagate(start, t[part], f[part], between="linear")
     output += 1e-5 * rng.standard_normal(t.size)
     return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment)
 
@@ -151,7 +151,7 @@ def test_a_position_at_the_edge_of_lock_is_left_out() -> None:
     )
     segment = np.repeat(np.arange(4, dtype=np.int32), n)
     start = piga.Instrument(scale_factor=SCALE, beta=float(np.arctan(0.02)))
-    parts = [piga.propagate(start, t[:n], f[segment == k]) for k in range(4)]
+    parts = [piga.propagate(start, t[:n], f[segment == k], between="linear") for k in range(4)]
     output = np.concatenate(parts) + 1e-5 * np.random.default_rng(5).standard_normal(t.size)
     run = piga.Run.from_arrays(t + 1000.0 * segment, output, f, scale_factor=SCALE, segment=segment)
     calibration = piga.calibrate(run, ("scale_factor", "k0"), "revolutions")

@@ -16,9 +16,35 @@ if TYPE_CHECKING:
     from piga.campaign import Campaign
 
 ROOT = Path(__file__).parents[2]
-COVERAGE = ROOT / "examples" / "campaigns" / "coverage.toml"
 
+STAND = """
+[instrument]
+serial = "s"
+scale_factor = "0.8884 rad/s/g"
+[truth]
+beta = "74 arcsec"
+alpha0 = "0.8 rad"
+k0 = "3e-4 g"
+[electronics]
+sample_rate = "10 Hz"
+output = "angle"
+angle_noise = "5 arcsec"
+angle_random_walk = "4 arcsec/sqrt(s)"
+[stand]
+kind = "dividing-head"
+latitude = "40 deg"
+positions = "0:360:60 deg"
+dwell = "6 s"
+move = "2 s"
+settling_time = "0.5 s"
+[run]
+format = "csv"
+[model]
+terms = ["scale_factor", "k0"]
+"""
+"""A short test on a dividing head."""
 SMALL = """
+scenario = "stand.toml"
 [campaign]
 title = "Small"
 seed = 7
@@ -27,48 +53,23 @@ bounds = 3
 records_per_shard = 4
 
 [[case]]
-name = "white"
-[case.constant_force]
-tumble = { positions = 6 }
-seconds = "4 s"
-rate = "5 Hz"
-white = "2.5e-5 rad"
-truth = { k0 = 1.6e-3 }
-terms = ["scale_factor", "k0"]
+name = "walk"
 
 [[case]]
-name = "walk"
+name = "white"
 repeats = 7
-[case.constant_force]
-tumble = { positions = 6 }
-seconds = "4 s"
-rate = "5 Hz"
-white = "2.5e-5 rad"
-walk = "2e-5 rad/sqrt(s)"
-truth = { k0 = 1.6e-3 }
-terms = ["scale_factor", "k0"]
+set = { "electronics.angle_random_walk" = "0 arcsec/sqrt(s)" }
 """
 """17 records in 5 shards; the third shard has records of both cases."""
 
 
 def written(folder: Path, text: str = SMALL, name: str = "small.toml") -> Path:
-    """A campaign file in ``folder``."""
+    """A file in ``folder``, beside the scenario of the small campaigns."""
+    if not (folder / "stand.toml").exists():
+        (folder / "stand.toml").write_text(STAND, encoding="utf-8")
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def one_case(name: str, repeats: int, **values: object) -> str:
-    """One case of the coverage campaign, with other repeats; ``values`` are set in its table ``[campaign]``."""
-    head, *cases = COVERAGE.read_text(encoding="utf-8").split("[[case]]\n")
-    case = next(case for case in cases if case.startswith(f'name = "{name}"\n'))
-    body = case.rpartition("\n#")[0] or case
-    lines = [line for line in body.splitlines() if not line.startswith("repeats")]
-    own = "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
-    head = head.partition("[campaign]")[2].partition("\n#")[0]
-    given = ("repeats", *values)
-    kept = "\n".join(line for line in head.splitlines() if not line.startswith(given))
-    return f"[campaign]{kept}\nrepeats = {repeats}\n{own}\n[[case]]\n" + "\n".join(lines) + "\n"
 
 
 def start(*arguments: object, **variables: str) -> subprocess.Popen[str]:
@@ -83,7 +84,7 @@ def start(*arguments: object, **variables: str) -> subprocess.Popen[str]:
 def call(*arguments: object, **variables: str) -> tuple[int, str, str]:
     """Exit code, stdout and stderr of the command."""
     process = start(*arguments, **variables)
-    out, err = process.communicate(timeout=300)
+    out, err = process.communicate(timeout=600)
     return process.returncode, out, err
 
 
@@ -96,7 +97,7 @@ def children(process: subprocess.Popen[str]) -> list[psutil.Process]:
 
 
 def workers(process: subprocess.Popen[str]) -> list[psutil.Process]:
-    """Workers of the local pool (not the process that keeps track of resources)."""
+    """Workers of the local cluster (not the process that keeps track of resources)."""
     result = []
     for child in children(process):
         try:
@@ -110,7 +111,7 @@ def workers(process: subprocess.Popen[str]) -> list[psutil.Process]:
 def computed(path: Path, out: Path, shards: Iterable[int] | None = None) -> Campaign:
     """A campaign, all of it or some shards, computed in this process."""
     from piga.campaign import plan_campaign
-    from piga.campaign.shard import run_shard
+    from piga.campaign.shards import run_shard
 
     campaign = plan_campaign(path, out)
     for shard in range(campaign.shards) if shards is None else shards:
@@ -136,9 +137,17 @@ def collected(folder: Path) -> dict[str, bytes]:
     }
 
 
-def rows(folder: Path, columns: list[str] | None = None) -> list[dict[str, Any]]:
-    """All rows of the parts, in order."""
+def rows(folder: Path) -> list[dict[str, Any]]:
+    """All records of the parts in order; each has its row and the lists of its coefficients' columns."""
     from pyarrow import parquet
 
-    paths = sorted((folder / "parts").glob("part-*.parquet"))
-    return [row for path in paths for row in parquet.read_table(path, columns=columns).to_pylist()]
+    lists = ("name", "unit", "value", "u", "low", "high", "truth", "deviation", "z", "bound")
+    records: list[dict[str, Any]] = []
+    for path in sorted((folder / "parts").glob("part-*")):
+        for row in parquet.read_table(path).to_pylist():
+            if row["name"] is None:
+                records.append(row | {column: [] for column in lists})
+            else:
+                for column in lists:
+                    records[-1][column].append(row[column])
+    return records

@@ -74,11 +74,9 @@ def test_words_of_a_stop(tmp_path: Path) -> None:
 
 def test_a_bar_follows_the_library(capsys: pytest.CaptureFixture[str]) -> None:
     from piga.cli.bar import Bar
-    from piga.cli.common import Advance
 
     with Bar("working", 10) as bar:
-        Advance(10, bar.show)(3)
-        assert bar._bar.tasks[0].completed == 3
+        assert bar._bar.tasks[0].total == 10
         bar.show(5, 20, "segment 5")
         assert (bar._bar.tasks[0].completed, bar._bar.tasks[0].total) == (5, 20)
         assert bar._bar.tasks[0].description == "working: segment 5"

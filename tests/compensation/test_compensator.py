@@ -254,7 +254,7 @@ def drifting(seconds: float = 40.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     drift[:, 0] = 1e-5 * G0 * (t - 100.0)
     inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="200 arcsec")
     every = slice(None, None, 10)  # a smooth force between the samples of the record
-    return t[every], f[every], piga.propagate(inst, t, f + drift)[every]
+    return t[every], f[every], piga.propagate(inst, t, f + drift, between="linear")[every]
 
 
 @pytest.mark.compiled
@@ -283,7 +283,9 @@ def test_rows_outside_the_calibrated_range_are_flagged() -> None:
     assert (low, high) == (f[:, 0].min(), f[:, 0].max())
     strong = f * [2.0, 1.0, 1.0]
     inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="200 arcsec")
-    run = piga.Run.from_arrays(t, piga.propagate(inst, t, strong), strong, scale_factor="0.8884 rad/s/g")
+    run = piga.Run.from_arrays(
+        t, piga.propagate(inst, t, strong, between="linear"), strong, scale_factor="0.8884 rad/s/g"
+    )
     flagged = piga.compensate(run, calibration).flagged("out_of_range")
     assert flagged[1:].mean() > 0.5
 

@@ -88,7 +88,14 @@ def run_of(
     if errors:
         model = ErrorModel(**{name: value * si_factor(name) for name, value in errors.items()})
     alpha, rate = piga.propagate(
-        instrument(phi, **shape), t, f, base_rate, True, error_model=model, temperature=temperature
+        instrument(phi, **shape),
+        t,
+        f,
+        base_rate,
+        True,
+        error_model=model,
+        temperature=temperature,
+        between="linear",
     )
     output = rate if kind == "rate" else alpha - phi
     return Run.from_arrays(

@@ -35,7 +35,11 @@ def bench(runner: Runner) -> None:
     a_x = 1.0 + np.where(t > 60.0, 0.3 * np.sin(0.5 * (t - 60.0)), 0.0)
     f = G0 * np.column_stack([a_x, 0.6 + 0 * t, 0 * t])
     inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="74 arcsec", alpha0="50 deg")
-    psi = piga.propagate(inst, t, f) - inst.alpha0 + 2e-6 * np.random.default_rng(1).standard_normal(t.size)
+    psi = (
+        piga.propagate(inst, t, f, between="linear")
+        - inst.alpha0
+        + 2e-6 * np.random.default_rng(1).standard_normal(t.size)
+    )
     write_run(runner.folder, "run", t, psi, f)
     piga.calibrate(piga.read_run(runner.folder / "run.toml")).to_json(runner.folder / "calibration.json")
 
@@ -49,7 +53,7 @@ def triad(runner: Runner) -> None:
         axes = np.roll(np.eye(3, dtype=int), k, axis=1)
         inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="74 arcsec", alpha0=PHASES[k])
         own = f @ axes.T
-        write_run(runner.folder, name, t, piga.propagate(inst, t, own) - inst.alpha0, own)
+        write_run(runner.folder, name, t, piga.propagate(inst, t, own, between="linear") - inst.alpha0, own)
         piga.calibrate(piga.read_run(runner.folder / f"{name}.toml")).to_json(runner.folder / f"{name}.json")
         tables.append(
             f'[[triad.instrument]]\nrun = "{name}.toml"\ncalibration = "{name}.json"\naxes = {axes.tolist()}\n'

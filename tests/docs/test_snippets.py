@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from .pages import Block, blocks, name_of, pages
+from .pages import ROOT, Block, blocks, name_of, pages
 from .preparations import PREPARATIONS
 from .runner import Runner
 
@@ -76,3 +78,21 @@ def test_a_wrong_output_is_noticed(runner: Runner) -> None:
         runner.run(Block("text", "b 2", 4))
     with pytest.raises(AssertionError, match="no_such"):
         runner.run(Block("sh", "piga check no_such.toml", 4))
+
+
+@pytest.mark.only_compiled
+def test_the_readme_prints_what_its_comment_says(capsys: pytest.CaptureFixture[str]) -> None:
+    """The first numbers printed, to the digits of the comment; the truth lies within three standard uncertainties."""
+    (block,) = (b for b in blocks(ROOT / "README.md") if "piga.propagate" in b.text)
+    made: dict[str, Any] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        exec(block.text.partition("shipped =")[0], made)  # noqa: S102 - the block itself is the subject
+    line = next(line for line in block.text.splitlines() if line.startswith("print(cal["))
+    said, printed = line.partition("# ")[2].split(), capsys.readouterr().out.split()[:3]
+    for number, text in zip(printed, said, strict=True):
+        digits = len(text.partition("e")[0].replace(".", "").lstrip("0"))
+        assert float(f"{float(number):.{digits - 1}e}") == float(text), (number, text)
+    truth = {"scale_factor": 0.8884, "tan_beta": math.tan(math.radians(1000.0 / 3600.0)), "k0": 0.0}
+    for name, value in truth.items():
+        assert abs(made["cal"][name].value - value) < 3.0 * made["cal"][name].std, name

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from piga.studies import Case, Chapter
+from piga.studies import CHAPTERS, Case
+from piga.studies.case import Value, chapter_of, published_chapters
 
 CASE = Case("part.one", "[Wei2024]", "error", "g", 0.05, 0.0492, 0.005, "printed to one digit")
 
@@ -45,6 +46,24 @@ def test_document_has_the_keys_of_the_interface():
     assert replace(CASE, computed=math.inf).document()["computed"] is None
 
 
-def test_case_must_belong_to_its_chapter():
-    with pytest.raises(ValueError, match="does not belong"):
-        Chapter("other", "t", "s", "", (CASE,), ())
+def test_a_chapter_has_the_published_cases_and_no_others():
+    values = {"least-skew": 1000.0, "moves": Value(999.0, published=999.5, tolerance=0.6), "shortfall": 0.01}
+    chapter = chapter_of("mounting", values, ())
+    assert [case.id for case in chapter.cases] == [
+        "mounting.least-skew",
+        "mounting.moves",
+        "mounting.shortfall",
+    ]
+    assert [case.published for case in chapter.cases] == [1000.0, 999.5, None]
+    assert [case.verdict for case in chapter.cases] == ["pass", "pass", "info"]
+    with pytest.raises(ValueError, match="moves"):
+        chapter_of("mounting", {"least-skew": 1000.0, "shortfall": 0.01}, ())
+
+
+def test_the_file_of_published_numbers_is_that_of_the_chapters():
+    chapters = published_chapters()
+    assert list(chapters) == list(CHAPTERS)
+    for chapter in chapters.values():
+        for case in chapter.cases.values():
+            assert case.tolerance is None or case.tolerance >= 0.0
+            assert not case.limit or "upper limit" in case.note

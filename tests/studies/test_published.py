@@ -19,7 +19,7 @@ def small_ramp(kind: str) -> piga.Run:
     a_x = G0 * (0.5 + t / 20.0)
     f = np.column_stack([a_x, 5.0 * a_x, 0.0 * a_x])
     inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec", alpha0=np.pi / 4)
-    alpha, rate = piga.propagate(inst, t, f, with_rate=True)
+    alpha, rate = piga.propagate(inst, t, f, with_rate=True, between="linear")
     output = rate if kind == "rate" else alpha - np.pi / 4
     return piga.Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", kind=kind)
 

@@ -109,14 +109,12 @@ def jobs_in(folder: Path) -> list[int]:
 
 
 def test_progress_is_a_small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from piga.cli import common, job
+    from piga.cli import job
 
     monkeypatch.setattr(job, "BETWEEN", 0.0)
     note = job.Note(tmp_path / "progress", "reading", None)
     assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading", "share": None}
-    advance = common.Advance(None, note.show)
-    advance(25, 100)
-    advance(25)
+    note.show(50, 100, "")
     assert json.loads((tmp_path / "progress").read_text())["share"] == 0.5
     note.show(3, 4, "draws")
     assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading: draws", "share": 0.75}

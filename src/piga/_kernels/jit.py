@@ -135,7 +135,7 @@ def kernel(function: F) -> F:
 
 def inline(function: F) -> F:
     """Compile a small scalar function that is inlined into the kernels that call it."""
-    return _compiled(function, {"contract"})
+    return _compiled(function, {"contract"}, forceinline=True)
 
 
 def exact(function: F) -> F:

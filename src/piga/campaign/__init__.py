@@ -2,14 +2,13 @@
 
 from piga.campaign.campaign_file import CampaignPlan, read_campaign
 from piga.campaign.collect import Collected, collect, document
-from piga.campaign.manifest import Campaign, open_campaign, plan_campaign
-from piga.campaign.run import Progress, RunReport, run_campaign
+from piga.campaign.run import RunReport, run_campaign
+from piga.campaign.shards import Campaign, open_campaign, plan_campaign
 
 __all__ = [
     "Campaign",
     "CampaignPlan",
     "Collected",
-    "Progress",
     "RunReport",
     "collect",
     "document",

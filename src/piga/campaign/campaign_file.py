@@ -1,6 +1,6 @@
-"""Campaign files (TOML): scenarios, grids, drawn values and repeats, or an archive of run files; and the list of records.
+"""Campaign files (TOML): scenarios, grids, drawn values and repeats; and the list of records.
 
-The list of records is a function of the campaign file and of the files that it names. It does not depend on the machine.
+The list of records is a function of the campaign file and of the scenario files. It does not depend on the machine.
 Every record has a case and a repeat, and its random numbers start at ``SeedSequence(seed, spawn_key=(case, repeat))``.
 """
 
@@ -26,7 +26,7 @@ from piga.records.run_file import Quantity, TomlTable
 from piga.records.text_files import read_toml, toml_bytes, toml_document
 
 Count = Annotated[int, Meta(ge=1, le=1_000_000_000)]
-Subject = Literal["constant-force", "stand", "platform", "archive"]
+Subject = Literal["stand", "platform"]
 MOST_CASES = 1_000_000
 """Most cases of a campaign."""
 
@@ -50,8 +50,7 @@ class CampaignTable(TomlTable, frozen=True):
 class CaseTable(TomlTable, frozen=True):
     """``[[case]]``: one scenario with a name and with its own values.
 
-    ``scenario`` names a scenario file. ``set`` replaces values of it. ``constant_force`` describes a test in the campaign
-    file itself; several of them in ``joint`` are calibrated together.
+    ``scenario`` names a scenario file. ``set`` replaces values of it.
     """
 
     name: str
@@ -59,8 +58,6 @@ class CaseTable(TomlTable, frozen=True):
     set: dict[str, Any] = msgspec.field(default_factory=dict)
     repeats: Count | None = None
     bounds: Annotated[int, Meta(ge=0)] | None = None
-    constant_force: dict[str, Any] | None = None
-    joint: tuple[dict[str, Any], ...] = ()
 
 
 class DrawTable(TomlTable, frozen=True):
@@ -74,18 +71,6 @@ class DrawTable(TomlTable, frozen=True):
     values: tuple[Any, ...] = ()
 
 
-class ArchiveTable(TomlTable, frozen=True):
-    """``[archive]``: run files to calibrate again, and the store that holds their calibrations.
-
-    ``runs`` are patterns relative to the campaign file. ``terms`` and ``method`` replace those of the run files.
-    """
-
-    runs: str | tuple[str, ...]
-    store: str | None = None
-    terms: tuple[str, ...] | None = None
-    method: str | None = None
-
-
 class CampaignFile(TomlTable, frozen=True):
     """The whole file."""
 
@@ -94,7 +79,6 @@ class CampaignFile(TomlTable, frozen=True):
     case: tuple[CaseTable, ...] = ()
     grid: dict[str, tuple[Any, ...]] = msgspec.field(default_factory=dict)
     draw: dict[str, DrawTable] = msgspec.field(default_factory=dict)
-    archive: ArchiveTable | None = None
 
 
 @dataclass(frozen=True)
@@ -315,14 +299,31 @@ def read_campaign(path: str | Path) -> CampaignPlan:
     """
     path = Path(path)
     texts = {"": toml_bytes(path)}
+    _check_gone(path, toml_document(path, texts[""]))
     file = read_toml(path, CampaignFile, texts[""])
     for name in dict.fromkeys(n for n in (file.scenario, *(case.scenario for case in file.case)) if n):
         texts[name] = toml_bytes(path.parent / name)
     return plan_of(path, texts)
 
 
-def plan_of(path: Path, texts: Mapping[str, bytes], archive: int | None = None) -> CampaignPlan:
-    """The plan of a campaign whose files were read before. ``archive``: number of run files of an archive.
+def _check_gone(path: Path, document: Mapping[str, Any]) -> None:
+    """Name what takes the place of tables that earlier versions had."""
+    if "archive" in document:
+        raise RunFileError(
+            f"{path}: [archive] is no longer a campaign",
+            remedy="calibrate the records of a store again with: piga records reproduce --store FILE",
+        )
+    if any(
+        {"constant_force", "joint"} & set(case) for case in document.get("case", ()) if isinstance(case, dict)
+    ):
+        raise RunFileError(
+            f"{path}: [case.constant_force] is gone",
+            remedy="describe the test in a scenario file of 'piga simulate' and name it: scenario = 'FILE.toml'",
+        )
+
+
+def plan_of(path: Path, texts: Mapping[str, bytes]) -> CampaignPlan:
+    """The plan of a campaign whose files were read before.
 
     Raises
     ------
@@ -331,36 +332,15 @@ def plan_of(path: Path, texts: Mapping[str, bytes], archive: int | None = None) 
     """
     file = read_toml(path, CampaignFile, texts[""])
     documents = {n: toml_document(path.parent / n, raw) for n, raw in texts.items() if n}
-    documents |= {f"case {case.name}": _inline(case) for case in file.case if case.constant_force or case.joint}
-    if file.archive is not None:
-        return CampaignPlan(path, file, texts, _archive_groups(path, file, archive or 0), documents)
     plan = CampaignPlan(path, file, texts, tuple(_groups(path, file, documents)), documents)
     _check(plan)
     return plan
 
 
-def _inline(case: CaseTable) -> dict[str, Any]:
-    """The document of a test that is written in the campaign file itself."""
-    if case.joint:
-        return {"joint": [dict(table) for table in case.joint]}
-    return {"constant_force": dict(case.constant_force or {})}
-
-
-def _archive_groups(path: Path, file: CampaignFile, count: int) -> tuple[CampaignGroup, ...]:
-    if file.case or file.grid or file.draw or file.scenario:
-        raise RunFileError(
-            f"{path}: [archive] cannot be combined with a scenario, a case, a grid or a draw",
-            remedy="write two campaign files",
-        )
-    return (CampaignGroup("archive", "archive", "", {}, count, 1, 0, 0, 0),)
-
-
 def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, Any]]) -> Iterator[CampaignGroup]:
     """One group for each scenario and each point of the grid."""
     if file.scenario is None and not file.case:
-        raise RunFileError(
-            f"{path}: there is nothing to compute", remedy="give scenario, [[case]] or [archive]"
-        )
+        raise RunFileError(f"{path}: there is nothing to compute", remedy="give scenario or [[case]]")
     names = [case.name for case in file.case]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
@@ -373,13 +353,9 @@ def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, An
         raise RunFileError(f"{path}: more than {MOST_CASES} cases", remedy="make the grid coarser")
     first = start = 0
     for case in file.case or (CaseTable(""),):
-        name = f"case {case.name}"
-        scenario = name if name in documents else case.scenario or file.scenario
-        if scenario is None or (name in documents and case.scenario):
-            raise RunFileError(
-                f"{path}: case '{case.name}' needs one of scenario, constant_force and joint",
-                remedy="give one of them",
-            )
+        scenario = case.scenario or file.scenario
+        if scenario is None:
+            raise RunFileError(f"{path}: case '{case.name}' has no scenario", remedy="name a scenario file")
         subject = _subject(path, scenario, documents[scenario])
         for point in points:
             group = CampaignGroup(
@@ -399,15 +375,13 @@ def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, An
 
 def _subject(path: Path, scenario: str, document: Mapping[str, Any]) -> Subject:
     """Kind of a scenario, by its tables."""
-    if scenario.startswith("case ") and ("constant_force" in document or "joint" in document):
-        return "constant-force"
     if "stand" in document and "electronics" in document:
         return "stand"
     if "site" in document and "run" in document:
         return "platform"
     raise RunFileError(
         f"{path.parent / scenario}: is not a scenario of 'piga simulate' or 'piga platform'",
-        remedy="name a scenario file; put run files into [archive]",
+        remedy="name a scenario file; 'piga records reproduce' calibrates stored runs again",
     )
 
 

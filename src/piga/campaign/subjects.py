@@ -1,33 +1,28 @@
-"""Computation of one record: simulate and calibrate a test, run a platform, or calibrate a run file again; and its files."""
+"""Computation of one record: simulate and calibrate a test on a stand, or run a platform; and its files."""
 
 from __future__ import annotations
 
 import datetime as dt
-import hashlib
 import math
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.campaign.campaign_file import CampaignPlan, RecordName
-from piga.campaign.constant_force import ConstantForce, ConstantForceTable, Joint, errors
-from piga.errors import ArgumentError, DataError, PigaError, PigaWarning, RunFileError, UnitError
-from piga.records.run_file import EstimationTable, ModelTable, TomlTable, UncertaintyTable
+from piga.errors import ArgumentError, PigaError, PigaWarning, RunFileError, UnitError
+from piga.records.calibration.coefficient import changes
+from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
 from piga.records.text_files import convert_toml, toml_text
 from piga.results import finite
 from piga.stand.scenario import Scenario, ScenarioTable, run_scenario, scenario_of
-from piga.units import from_si
 
 if TYPE_CHECKING:
-    from piga.ledger.store import Store
     from piga.platform.scenario import PlatformScenario
     from piga.records import Calibration, Run
     from piga.stand.simulate import SimulatedTest
@@ -40,11 +35,11 @@ Array = NDArray[np.float64]
 class Outcome:
     """Numbers of one record, one entry per coefficient or quantity, in the units of calibration.json.
 
-    ``low`` and ``high`` are the ends of the 95 % interval. ``truth`` is the true value, or the stored one for an
-    archive. ``error`` is value minus truth; for a phase it is taken to the nearest turn. ``bound`` is the standard
+    ``low`` and ``high`` are the ends of the 95 % interval. ``truth`` is the true value. ``error`` is value minus truth;
+    for a phase it is taken to the nearest turn. ``bound`` is the standard
     deviation of Cramer and Rao. Unknown values are nan. ``nees`` is the mean square of all errors in their
     covariance, ``nees_expected`` its expected value for Student's t.
-    ``seen`` names what the calibration reports: kinds of noise, terms it suggests, and what it says of the noise.
+    ``seen`` names what the calibration reports: kinds of noise, terms it suggests, and a doubt about the noise.
     """
 
     names: tuple[str, ...]
@@ -61,27 +56,6 @@ class Outcome:
     nees_expected: float = math.nan
     notes: tuple[str, ...] = ()
     seen: tuple[str, ...] = ()
-    stored: str | None = None
-    verdict: str | None = None
-
-
-class ArchiveFile(NamedTuple):
-    """A run file of an archive: path as written, size, time, SHA-256, and the stored record (None: not in the store)."""
-
-    run: str
-    size: int
-    time_ns: int
-    sha256: str
-    stored: str | None
-
-
-@dataclass(frozen=True)
-class Archive:
-    """The run files of an archive, and the store that holds their calibrations."""
-
-    folder: Path
-    files: tuple[ArchiveFile, ...] = field(repr=False)
-    store: str | None
 
 
 def built(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> Any:
@@ -93,30 +67,9 @@ def built(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> A
         If a key is unknown or a value is invalid. The message names it.
     """
     try:
-        return _BUILDERS[record.group.subject](plan, record, document)
+        return (_stand if record.group.subject == "stand" else _platform)(plan, record, document)
     except (ArgumentError, UnitError) as error:
         raise RunFileError(error.message, remedy=error.remedy) from None
-
-
-class ConstantForceDocument(TomlTable, frozen=True):
-    """A test, or several tests to calibrate together."""
-
-    constant_force: ConstantForceTable | None = None
-    joint: tuple[ConstantForceTable, ...] = ()
-
-
-def _constant_force(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> ConstantForce | Joint:
-    name = record.group.name
-    read = convert_toml(plan.path, document, ConstantForceDocument)
-    if read.constant_force is not None:
-        return read.constant_force.build(name)
-    runs = tuple(table.build(f"{name}-{index}") for index, table in enumerate(read.joint, start=1))
-    if len(runs) < 2 or len({run.terms for run in runs}) > 1:
-        raise ArgumentError(
-            "joint needs two tests or more with the same terms",
-            remedy="write two [[case.joint]] tables with the same terms",
-        )
-    return Joint(name, runs)
 
 
 def _stand(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> Scenario:
@@ -145,14 +98,7 @@ def _platform(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) 
     return scenario_of_document(plan.path.parent / record.group.scenario, document)
 
 
-_BUILDERS: dict[str, Callable[[CampaignPlan, RecordName, dict[str, Any]], Any]] = {
-    "constant-force": _constant_force,
-    "stand": _stand,
-    "platform": _platform,
-}
-
-
-def compute(plan: CampaignPlan, record: RecordName, archive: Archive | None = None) -> Outcome:
+def compute(plan: CampaignPlan, record: RecordName) -> Outcome:
     """Compute a record.
 
     Raises
@@ -162,19 +108,9 @@ def compute(plan: CampaignPlan, record: RecordName, archive: Archive | None = No
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PigaWarning)
-        if record.group.subject == "archive":
-            if archive is None:
-                raise ArgumentError(
-                    "the campaign has an archive, but the list of its files is missing",
-                    remedy="plan the campaign first: piga campaign plan",
-                )
-            return _recalibrated(plan, archive, record.number)
         made = built(plan, record, plan.document(record))
-        with_bound = record.repeat < record.group.bounds
         if isinstance(made, Scenario):
-            return _simulated(plan, record, made, with_bound=with_bound)
-        if isinstance(made, (ConstantForce, Joint)):
-            return _synthetic(plan, record, made, with_bound=with_bound)
+            return _simulated(plan, record, made, with_bound=record.repeat < record.group.bounds)
         return _platform_run(plan, record, made)
 
 
@@ -186,22 +122,13 @@ def seed_of(plan: CampaignPlan, record: RecordName) -> int:
 # --- tests with known truth --------------------------------------------------------------------------
 
 
-def _synthetic(
-    plan: CampaignPlan, record: RecordName, test: ConstantForce | Joint, *, with_bound: bool
-) -> Outcome:
-    run: Any = test.record(np.random.default_rng(plan.sequence(record)))
-    calibration = test.calibrate(run)
-    bound = np.sqrt(np.diag(test.bound(run))) if with_bound else None
-    return of_calibration(calibration, test.truths(calibration), bound)
-
-
 def of_calibration(calibration: Calibration, truth: Array, bound: Array | None = None) -> Outcome:
     """The outcome of a calibration with its truth (nan where it is not known)."""
     coefficients = calibration.coefficients
     value, u = np.array([(c.value, c.std) for c in coefficients]).reshape(-1, 2).T
     low, high = np.array([c.limits for c in coefficients]).reshape(-1, 2).T
     degrees = np.array([c.degrees_of_freedom or math.inf for c in coefficients])
-    error = errors(calibration, truth)
+    error = changes(coefficients, truth, value)
     nees = expected = math.nan
     if np.isfinite(error).all() and error.size:
         with np.errstate(all="ignore"):
@@ -230,11 +157,11 @@ def of_calibration(calibration: Calibration, truth: Array, bound: Array | None =
 
 
 NOISE_DOUBTED = "doubt about the noise"
-"""Entry of ``seen``."""
+"""Entry of ``seen`` of a calibration whose verdict doubts the noise."""
 
 
 def _seen(calibration: Calibration) -> tuple[str, ...]:
-    """Kinds of noise that a calibration reports, terms that it suggests, and what it says of the noise."""
+    """Kinds of noise that a calibration reports, terms that it suggests, and a doubt about the noise."""
     coloured = calibration.coloured_noise
     levels = {
         "random walk": calibration.angle_random_walk,
@@ -338,93 +265,26 @@ def _platform_run(plan: CampaignPlan, record: RecordName, scenario: PlatformScen
     return Outcome(names, units, values, none, none, none, none, none, none, none)
 
 
-# --- archive -----------------------------------------------------------------------------------------
-
-
-def _recalibrated(plan: CampaignPlan, archive: Archive, number: int) -> Outcome:
-    """Calibrate a run file again. If there is a stored record, use its request and compare with it."""
-    from piga.calibration.calibrate import calibrate
-    from piga.stand import read_run
-
-    file = archive.files[number]
-    path, stored = archive.folder / file.run, file.stored
-    _check_unchanged(path, file.sha256)
-    wish: Mapping[str, Any] = {}
-    old: Calibration | None = None
-    if stored is not None and archive.store is not None:
-        store = _store(archive.store)
-        wish, old = store.record(stored).document.request, store.calibration(stored)
-    table = plan.file.archive
-    asked = table.terms if table is not None else None
-    calibration = calibrate(
-        read_run(path),
-        list(asked) if asked else wish.get("terms"),
-        (table.method if table else None) or wish.get("method"),
-        phases=wish.get("phase"),
-        phase_source=wish.get("phase_source"),
-    )
-    known = {} if old is None else {c.key: c.value for c in old.coefficients}
-    truth = np.array([known.get(c.key, math.nan) for c in calibration.coefficients])
-    outcome = replace(of_calibration(calibration, truth), nees=math.nan, nees_expected=math.nan)
-    return replace(outcome, stored=stored, verdict=None if old is None else _verdict(old, calibration))
-
-
-def _check_unchanged(path: Path, digest: str) -> None:
-    try:
-        now = hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise DataError(
-            f"{path}: cannot be read ({error.strerror or error})",
-            remedy="check that the file is there and that you may read it",
-        ) from None
-    if now != digest:
-        raise DataError(f"{path}: changed since the campaign was planned", remedy="plan the campaign again")
-
-
-def _verdict(old: Calibration, new: Calibration) -> str:
-    """Comparison of the new calibration with the stored one. Changed inputs are named."""
-    from piga.ledger.reproduce import compare_calibrations
-
-    if old.provenance.input_sha256 != new.provenance.input_sha256:
-        return "other inputs"
-    comparison = compare_calibrations(old, new)
-    return "identical" if comparison.identical else "within tolerance" if comparison.agrees else "different"
-
-
-@lru_cache(maxsize=2)
-def _store(where: str) -> Store:
-    from piga.ledger.store import open_store
-
-    return open_store(where)
-
-
 def reason(error: Exception) -> tuple[str, str]:
     """Class and message of an error, for the row of a record that failed."""
     text = str(error) if isinstance(error, PigaError) else f"{error}" or repr(error)
     return type(error).__name__, text[:2000]
 
 
-FILES = ("scenario.toml", "run*.toml", "run*.parquet", "run.csv", "truth.json")
+# --- files of a record -------------------------------------------------------------------------------
+
+
+FILES = ("scenario.toml", "run.toml", "run.parquet", "run.csv", "truth.json")
 """Names of the files of a record."""
 
 
 def write_record(plan: CampaignPlan, record: RecordName, folder: Path) -> list[str]:
     """Write the files of a record into ``folder``. Returns their names.
 
-    A scenario of a stand or a platform is written as it was used, with the seed of the record. A test of constant forces has no
-    scenario file; its log and its run file are written.
+    The scenario is written as it was used, with the seed of the record.
     """
     document = plan.document(record)
     made = built(plan, record, document)
-    if isinstance(made, Joint):
-        rng = np.random.default_rng(plan.sequence(record))
-        runs = zip(made.runs, made.record(rng), strict=True)
-        return [
-            name for k, (test, run) in enumerate(runs, 1) for name in _write_run(test, run, folder, f"run-{k}")
-        ]
-    if isinstance(made, ConstantForce):
-        run = made.record(np.random.default_rng(plan.sequence(record)))
-        return _write_run(made, run, folder, "run")
     seeded = _plain(document | {"run": document.get("run", {}) | {"seed": seed_of(plan, record)}})
     (folder / "scenario.toml").write_text(toml_text(seeded), encoding="utf-8", newline="\n")
     if isinstance(made, Scenario):
@@ -439,32 +299,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list):
         return [_plain(part) for part in value]
     return value.isoformat() if isinstance(value, dt.date | dt.time) else value
-
-
-def _write_run(test: ConstantForce, run: Run, folder: Path, name: str) -> list[str]:
-    """Log (Parquet) and run file of a test of constant forces."""
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    columns = {"t": run.t, "psi": run.output, "segment": run.segment_index}
-    columns |= {f"f{axis}": run.f[:, k] for k, axis in enumerate("xyz")}
-    if run.base_rate is not None:
-        columns |= {f"w{axis}": run.base_rate[:, k] for k, axis in enumerate("xyz")}
-    parquet.write_table(pa.table(columns), folder / f"{name}.parquet", compression="zstd")
-    output: dict[str, Any] = {"column": "psi", "kind": "angle", "unit": "rad"}
-    data: dict[str, Any] = {
-        "file": f"{name}.parquet",
-        "time": {"column": "t", "unit": "s"},
-        "output": output,
-        "reference": {"columns": ["fx", "fy", "fz"], "unit": "m/s^2"},
-        "segment": "segment",
-    }
-    if run.base_rate is not None:
-        data["base_rate"] = {"columns": ["wx", "wy", "wz"], "unit": "rad/s"}
-    instrument = {"serial": run.serial, "scale_factor": f"{from_si(run.scale_factor, 'rad/s/g')!r} rad/s/g"}
-    tables = {"instrument": instrument, "data": data, "model": {"terms": list(test.terms)}}
-    (folder / f"{name}.toml").write_text(toml_text(tables), encoding="utf-8", newline="\n")
-    return [f"{name}.toml", f"{name}.parquet"]
 
 
 def outcome_document(record: RecordName, outcome: Outcome) -> dict[str, Any]:

@@ -81,7 +81,7 @@ def calibrate(
 
             calibration = estimate(
                 items, names_in(terms), method, phases=phases, phase_source=phase_source,
-                per_run=names_in(per_run), progress=advance.show,
+                per_run=names_in(per_run), progress=advance,
             )  # fmt: skip
         with progress("writing the report" if report else "writing"):
             written = write_results(calibration, stage, report=report)
@@ -177,7 +177,7 @@ def demo(
         with progress("calibrating") as advance:
             from piga.calibration.calibrate import calibrate as estimate
 
-            calibration = estimate([record], progress=advance.show)
+            calibration = estimate([record], progress=advance)
         with progress("writing the report"):
             written = [*write_results(calibration, folder), folder / "compensated.parquet"]
         with progress("compensating"):

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import shlex
-import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import App, ForceOption, JsonOption, note, print_json, say, write_json
+from piga.cli.common import App, ForceOption, JsonOption, note, print_json, progress, say, write_json
 from piga.output import results
 
 if TYPE_CHECKING:
-    from piga.campaign.manifest import Campaign
-    from piga.campaign.run import Progress, RunReport
+    from piga.campaign.run import RunReport
+    from piga.campaign.shards import Campaign
 
 app = App(
     "campaign",
@@ -26,10 +23,8 @@ app = App(
 File = Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="Campaign file.", show_default=False)]
 Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the campaign.")]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the campaign.", show_default=False)]
-SET_ASIDE = 1
-"""Exit code if shards were set aside, or the run was stopped."""
-EVERY = 10.0
-"""Time between two lines of progress where there is no terminal [s]."""
+INCOMPLETE = 1
+"""Exit code if shards could not be computed, or the run was stopped."""
 
 
 @app.command()
@@ -38,7 +33,7 @@ def plan(campaign: File, out: Out, as_json: JsonOption = False) -> None:
 
     It computes a few records to measure how long they take.
     """
-    from piga.campaign.manifest import plan_campaign
+    from piga.campaign.shards import plan_campaign
 
     planned = plan_campaign(campaign, out)
     document = _plan_document(planned)
@@ -65,34 +60,29 @@ def run(
 ) -> None:
     """Compute all records that are not computed yet.
 
-    After any interruption give the same command again. It continues where it stopped. Ctrl-C finishes the running
-    shards. A second Ctrl-C drops them. The exit code is 1 if shards were set aside or the run was stopped.
+    After any interruption give the same command again: it continues where it stopped. Ctrl-C drops the shards under way.
+    The exit code is 1 if the run was stopped, or a worker died again and again at a shard.
     """
-    from piga.campaign.manifest import plan_campaign
     from piga.campaign.run import run_campaign
+    from piga.campaign.shards import plan_campaign
 
     planned = plan_campaign(campaign, out)
     again = _command("run", campaign, out, *_engine(workers, executor))
     try:
-        with_progress = _Shown()
-        report = run_campaign(planned, workers=workers, executor=executor, show=with_progress)
+        with progress("computing", every=10.0) as show:
+            report = run_campaign(planned, workers=workers, executor=executor, progress=show)
     except KeyboardInterrupt:
-        with_progress.end()
         note(f"piga: stopped; the shards under way are dropped\n  remedy: go on with: {again}")
-        raise SystemExit(SET_ASIDE) from None
-    with_progress.end()
+        raise SystemExit(INCOMPLETE) from None
     if as_json:
         print_json(_run_document(planned, report))
     else:
         say("\n".join(_run_lines(report)))
-    if report.stopped and report.done < report.shards:
-        note(f"piga: stopped\n  remedy: go on with: {again}")
-        raise SystemExit(SET_ASIDE)
     if report.set_aside:
         for shard, text in sorted(report.set_aside.items()):
-            note(f"piga: shard {shard} was set aside: {text}")
-        note(f"  remedy: find out why the worker dies (memory?), then try these shards again with: {again}")
-        raise SystemExit(SET_ASIDE)
+            note(f"piga: shard {shard} is not computed: {text}")
+        note(f"  remedy: find out why the worker dies (memory?), then try again with: {again}")
+        raise SystemExit(INCOMPLETE)
     if not as_json:
         say(f"collect with: piga campaign collect {shlex.quote(str(out))}")
 
@@ -100,7 +90,7 @@ def run(
 @app.command()
 def status(folder: Folder, as_json: JsonOption = False) -> None:
     """Show the progress of a campaign and its core hours."""
-    from piga.campaign.manifest import open_campaign
+    from piga.campaign.shards import open_campaign
 
     campaign = open_campaign(folder)
     document = _status(campaign)
@@ -116,21 +106,19 @@ def status(folder: Folder, as_json: JsonOption = False) -> None:
             f"cost: {document['core_hours']:.3g} core hours so far, "
             f"{document['core_hours_per_1000']:.3g} per thousand records"
         )
-    for entry in document["set_aside"]:
-        say(f"set aside: shard {entry['shard']}: {entry['reason']}")
 
 
 @app.command()
 def collect(folder: Folder, force: ForceOption = False, as_json: JsonOption = False) -> None:
     """Judge the records: coverage, bias, NEES, worst cases.
 
-    Writes collected/collect.json, coefficients.csv and report.html. Exit code 1 if shards were set aside.
+    Writes collected/collect.json, coefficients.csv and report.html. Exit code 1 if shards are missing.
     """
     from piga.campaign.collect import collect as collect_campaign
     from piga.campaign.collect import document as json_document
     from piga.campaign.collect import write_table
-    from piga.campaign.manifest import open_campaign
     from piga.campaign.page import collected_text, write_campaign_report
+    from piga.campaign.shards import open_campaign
 
     campaign = open_campaign(folder)
     collected = collect_campaign(campaign)
@@ -146,13 +134,9 @@ def collect(folder: Folder, force: ForceOption = False, as_json: JsonOption = Fa
     else:
         say(collected_text(collected))
         say(f"wrote {folder}/collected/{', '.join(names)}")
-    if collected.missing and not collected.set_aside:
+    if collected.missing:
         note(f"piga: {len(collected.missing)} of {collected.shards} shards are not computed yet")
-    if collected.set_aside:
-        note(
-            f"piga: {len(collected.set_aside)} shards were set aside: {', '.join(map(str, collected.set_aside))}"
-        )
-        raise SystemExit(SET_ASIDE)
+        raise SystemExit(INCOMPLETE)
 
 
 @app.command()
@@ -217,8 +201,6 @@ def _plan_document(campaign: Campaign) -> dict[str, Any]:
 
 
 def _plan_lines(campaign: Campaign) -> list[str]:
-    from piga.campaign.run import duration
-
     document, groups = _plan_document(campaign), campaign.plan.groups
     lines = [f"{campaign.plan.file.campaign.title or campaign.plan.path.name}"]
     lines += [f"  {group.records:>9} records  {group.label}" for group in groups[:30]]
@@ -228,7 +210,7 @@ def _plan_lines(campaign: Campaign) -> list[str]:
     seconds = document["seconds_per_record"]
     if seconds is not None:
         lines.append(
-            f"about {seconds:.2g} s a record, {duration(seconds * size)} a shard, "
+            f"about {seconds:.2g} s a record, {_time(seconds * size)} a shard, "
             f"{document['core_hours']:.2g} core hours in all"
         )
     return lines
@@ -241,7 +223,6 @@ def _run_document(campaign: Campaign, report: RunReport) -> dict[str, Any]:
         "records": campaign.manifest.records,
         "records_of_this_run": sum(r.records for r in report.reports),
         "failed_in_this_run": sum(r.failed for r in report.reports),
-        "stopped": report.stopped,
         "set_aside": [{"shard": k, "reason": text} for k, text in sorted(report.set_aside.items())],
         "workers": _workers(report),
     }
@@ -261,76 +242,41 @@ def _workers(report: RunReport) -> list[dict[str, Any]]:
 
 
 def _run_lines(report: RunReport) -> list[str]:
-    from piga.campaign.run import duration
-
     records, failed = (sum(getattr(r, name) for r in report.reports) for name in ("records", "failed"))
     lines = [f"{report.done} of {report.shards} shards done; {records} records in this run, {failed} failed"]
     workers = _workers(report)
     lines += [
-        f"  worker {w['worker']}: {w['shards']} shards, {w['records']} records, {duration(w['seconds'])} of processor time"
+        f"  worker {w['worker']}: {w['shards']} shards, {w['records']} records, {_time(w['seconds'])} of processor time"
         for w in workers[:16]
     ]
     lines += [f"  and {len(workers) - 16} more workers"] if len(workers) > 16 else []
     return lines
 
 
+def _time(seconds: float) -> str:
+    """A time as people say it."""
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5940.0 else f"{seconds / 3600:.1f} h"
+
+
 def _status(campaign: Campaign) -> dict[str, Any]:
     """Shards, records, failures and cost, from the parts."""
-    from pyarrow import parquet
+    from piga.campaign.collect import read_rows
 
-    from piga.campaign.collect import check_part
-
-    done = campaign.done()
+    parts = campaign.parts()
     failed, seconds, records = 0, 0.0, 0
-    for shard in done:
-        check_part(campaign, shard)
-        table = parquet.read_table(campaign.part(shard), columns=["error_class", "seconds"])
-        records += table.num_rows
-        failed += table.num_rows - table.column("error_class").null_count
-        seconds += sum(table.column("seconds").to_pylist())
-    aside = campaign.set_aside()
+    if parts:
+        heads, _ = read_rows(campaign, parts)
+        records, failed = heads.num_rows, heads.num_rows - heads.column("error_class").null_count
+        seconds = sum(heads.column("seconds").to_pylist())
     return {
         "campaign": str(campaign.plan.path),
         "shards": campaign.shards,
-        "shards_done": len(done),
+        "shards_done": len(parts),
         "records": campaign.manifest.records,
         "records_done": records,
         "failed": failed,
         "core_hours": seconds / 3600.0,
         "core_hours_per_1000": seconds / 3.6 / records if records else None,
-        "set_aside": [{"shard": shard, "reason": text} for shard, text in sorted(aside.items())],
     }
-
-
-class _Shown:
-    """Progress on stderr: one line that is written over on a terminal, else a line every ten seconds."""
-
-    def __init__(self) -> None:
-        self._terminal = sys.stderr is not None and sys.stderr.isatty()
-        self._last, self._begun = (0.0 if self._terminal else time.monotonic()), False
-        self._finishing = False
-
-    def __call__(self, progress: Progress) -> None:
-        now = time.monotonic()
-        said = progress.finishing and not self._finishing
-        if said:
-            self._finishing = True
-            self.end()
-            note("stopping: the shards under way are finished; press Ctrl-C again to drop them")
-        elif now - self._last < (0.5 if self._terminal else EVERY):
-            return
-        self._last = now
-        if not self._terminal:
-            note(progress.line())
-            return
-        width = os.get_terminal_size(sys.stderr.fileno()).columns - 1
-        sys.stderr.write(f"\r\x1b[2K{progress.line()[:width]}")
-        sys.stderr.flush()
-        self._begun = True
-
-    def end(self) -> None:
-        """Leave a clean line."""
-        if self._begun:
-            sys.stderr.write("\r\x1b[2K")
-            sys.stderr.flush()
-            self._begun = False

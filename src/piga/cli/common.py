@@ -6,6 +6,7 @@ import io
 import json
 import re
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -158,48 +159,59 @@ def names_in(text: str | None) -> list[str] | None:
 
 
 Show = Callable[[float, float | None, str], None]
-"""Function that shows progress: work done, the whole work if known, and what comes now."""
-
-
-class Advance:
-    """How far a command is. Library functions take ``show`` as ``progress``."""
-
-    def __init__(self, total: float | None, show: Show) -> None:
-        self.show = show
-        self._done, self._total = 0.0, total
-
-    def __call__(self, count: int, total: int | None = None, /) -> None:
-        """``count`` more of ``total`` are done."""
-        self._done += count
-        self._total = total or self._total
-        self.show(self._done, self._total, "")
-
+"""Function that shows progress: work done, the whole work if known, and what comes now (:mod:`piga.progress`)."""
 
 outlet: Callable[[str, int | None], Show] | None = None
 """Where progress goes instead of a bar; set by a process that runs a command for another program."""
 
 
 @contextmanager
-def progress(title: str, total: int | None = None) -> Iterator[Advance]:
-    """Progress bar on stderr, shown at once, and only on a terminal. Yields ``advance(n, total)``.
+def progress(title: str, total: int | None = None, *, every: float | None = None) -> Iterator[Show]:
+    """Progress bar on stderr, shown at once on a terminal. Yields the function that library calls take as ``progress``.
 
-    While kernels are compiled, which only the first command after an installation does, the line says so. If the command
-    is stopped, the message names ``title``.
+    ``every``: without a terminal, a line of text after so many seconds. If the command is stopped, the message names
+    ``title``.
     """
     try:
         if outlet is not None:
-            yield Advance(total, outlet(title, total))
-            return
-        if sys.stderr is None or not sys.stderr.isatty():
-            yield Advance(total, lambda _done, _total, _what: None)
-            return
-        from piga.cli.bar import Bar
+            yield outlet(title, total)
+        elif sys.stderr is not None and sys.stderr.isatty():
+            from piga.cli.bar import Bar
 
-        with Bar(title, total) as drawn:
-            yield Advance(total, drawn.show)
+            with Bar(title, total) as drawn:
+                yield drawn.show
+        else:
+            yield _lines(title, every)
     except KeyboardInterrupt as stop:
         stop.add_note(f"{DOING}{title}")
         raise
+
+
+def _lines(title: str, every: float | None) -> Show:
+    """Progress as lines on stderr, one after ``every`` seconds; None: no lines."""
+    last = time.monotonic()
+
+    def show(done: float, total: float | None, what: str) -> None:
+        nonlocal last
+        if every is None or time.monotonic() - last < every:
+            return
+        last = time.monotonic()
+        share = f" {done:g} of {total:g}" if total else ""
+        note(f"{title}{share}{': ' if what else ''}{what}")
+
+    return show
+
+
+def counting(show: Show) -> Callable[[int, int | None], None]:
+    """For calls that count: a function of the number done since its last call, and the whole number."""
+    done = 0
+
+    def advance(count: int, total: int | None = None) -> None:
+        nonlocal done
+        done += count
+        show(done, total, "")
+
+    return advance
 
 
 DOING = "while "

@@ -271,7 +271,7 @@ def _single(
         nonlocal summary
         with progress("compensating", record.size) as advance:
             summary = compensate_to_file(
-                record, calibration, path, kind, resampler=resampler, progress=advance.show, watch=watch,
+                record, calibration, path, kind, resampler=resampler, progress=advance, watch=watch,
                 inputs=inputs, **options.arguments(),
             )  # fmt: skip
 
@@ -329,7 +329,7 @@ def _together(
             summary.update(
                 compensate_set_files(
                     paths, mounted, path, kind, uncertainty=options.uncertainty, max_age_days=options.max_age,
-                    force=options.force, period=options.period, progress=advance.show,
+                    force=options.force, period=options.period, progress=advance,
                     watch=None if report is None else report.outline.piece, inputs=inputs,
                 )
             )  # fmt: skip

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from piga.cli.common import (
-    Advance,
     App,
     ForceOption,
+    Show,
     files_named_in,
     note,
     print_json,
@@ -100,13 +100,13 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
             remedy="align on a static scenario",
         )
     with progress("aligning") as advance:
-        preparation = prepare(run, advance.show)
+        preparation = prepare(run, advance)
         aligned = preparation.alignment
         if aligned is None:
             stretch = run.readouts.first(run.scenario.calibration_time)
             orders = run.scenario.compensation.orders
             aligned = align_platform(
-                stretch, run.scenario.place, preparation.knowledge, orders=orders, progress=advance.show
+                stretch, run.scenario.place, preparation.knowledge, orders=orders, progress=advance
             )
     document = alignment_document(aligned)
     with _results(out, "align", scenario, force, "alignment.json") as (folder, _):
@@ -133,9 +133,7 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
     s = run.scenario
     with progress("identifying") as advance:
         stretch, orders = run.readouts.first(s.calibration_time), s.compensation.orders
-        growing = identify_growing(
-            stretch, s.place, sources=sources_of(run), orders=orders, progress=advance.show
-        )
+        growing = identify_growing(stretch, s.place, sources=sources_of(run), orders=orders, progress=advance)
         identification = growing.parts[-1]
         sources = observability(stretch, identification)
     document = identification_document(identification, sources)
@@ -201,7 +199,7 @@ def compare(
     s = comparison.run.scenario
     with progress("budget") as advance:
         sources = standard_sources(comparison.preparation.alignment)
-        rows = error_budget(s, sources, progress=advance.show) if budget else ()
+        rows = error_budget(s, sources, progress=advance) if budget else ()
         lines = line_budget(s, comparison.preparation.identification) if budget else ()
     document = comparison.document()
     if rows:
@@ -219,7 +217,7 @@ def compare(
         write_json(folder / "comparison.json", document)
         _page(folder, comparison_page(comparison, rows, lines))
         if s.sensors.piga is not None:
-            _page(folder, capstone_page(capstone(s, progress=advance.show)), "capstone.html")
+            _page(folder, capstone_page(capstone(s, progress=advance)), "capstone.html")
             files.append("capstone.html")
     _finish(document, json, _comparison_lines(comparison), out, *files)
 
@@ -235,7 +233,7 @@ def _compared(scenario: PlatformScenario) -> ModelComparisonRun:
     from piga.platform.chain import compare as compare_models
 
     with progress("simulating and navigating") as advance:
-        return compare_models(scenario, progress=advance.show)
+        return compare_models(scenario, progress=advance)
 
 
 def _comparison_lines(comparison: ModelComparisonRun) -> list[str]:
@@ -264,9 +262,7 @@ def _finish(document: dict[str, Any], as_json: bool, lines: list[str], out: Path
 
 
 @contextmanager
-def _results(
-    out: Path, command: str, scenario: Path, force: bool, *names: str
-) -> Iterator[tuple[Path, Advance]]:
+def _results(out: Path, command: str, scenario: Path, force: bool, *names: str) -> Iterator[tuple[Path, Show]]:
     """A folder for the results and the page of a command, and the progress of writing them."""
     every, inputs = (*names, "report.html"), files_named_in(scenario)
     with (

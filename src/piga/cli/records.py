@@ -12,6 +12,7 @@ from piga.cli.common import (
     JsonOption,
     RunFileArgument,
     counted,
+    counting,
     names_in,
     note,
     print_json,
@@ -433,8 +434,8 @@ def verify(
     where = str(archive) if archive is not None else store
     if where is None:
         raise PigaError("nothing to verify", remedy="name an export, or give --store")
-    with progress("verifying") as advance:
-        verification = check(where, head or (), advance)
+    with progress("verifying") as show:
+        verification = check(where, head or (), counting(show))
     print_verification(verification, as_json=as_json)
     if not verification.sound:
         raise typer.Exit(2)
@@ -455,8 +456,8 @@ def export(
     """
     from piga.ledger.store.transfer import export_records
 
-    with opened(store) as kept, progress("exporting") as advance:
-        exported = export_records(kept, out, record, advance=advance)
+    with opened(store) as kept, progress("exporting") as show:
+        exported = export_records(kept, out, record, advance=counting(show))
     print_written(out, exported.records, exported.head, as_json=as_json)
 
 
@@ -501,10 +502,10 @@ def reproduce(
     results_by_record = []
     with opened(store) as kept:
         names = record or [entry.id for entry in kept.each()]
-        with progress("recomputing", len(names)) as advance:
-            for name in names:
+        with progress("recomputing", len(names)) as show:
+            for number, name in enumerate(names):
+                show(number, len(names), name)
                 results_by_record.append(recompute(kept, name))
-                advance(1)
         head = kept.head()
     if as_json:
         results = [reproduced_document(one) for one in results_by_record]
@@ -529,8 +530,8 @@ def backup(
     """
     from piga.ledger.store.transfer import backup as copy
 
-    with opened(store) as kept, progress("copying") as advance:
-        copied = copy(kept, out, advance=advance)
+    with opened(store) as kept, progress("copying") as show:
+        copied = copy(kept, out, advance=counting(show))
     print_written(out, copied.records, copied.head, as_json=as_json)
 
 

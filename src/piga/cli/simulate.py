@@ -53,7 +53,7 @@ def plan(
         request = read_plan(plan_file)
         with progress("planning") as advance:
             mounting = plan_mounting(request)
-            planned = plan_test(request, progress=advance.show)
+            planned = plan_test(request, progress=advance)
         document = plan_document(planned, mounting)
         written = [
             write_text(stage / "scenario.toml", scenario_text(planned)),
@@ -103,7 +103,7 @@ def simulate(
     data = f"run.{read.table.run.format}"
     with results(out, "simulate", RESULTS, files_named_in(scenario), force=force) as folder:
         with progress("simulating") as advance:
-            test = run_scenario(read, model=model, seed=seed, force=unstable, progress=advance.show)
+            test = run_scenario(read, model=model, seed=seed, force=unstable, progress=advance)
         with progress("writing data and report"):
             write_data(test, folder / data)
             write_text(folder / "run.toml", run_file_text(read, test, data))
@@ -139,10 +139,10 @@ def reproduce(
 
     names = chosen(only)
     chapters = []
-    with progress("reproducing", len(names)) as advance:
+    with progress("reproducing", len(names)) as show:
         for chapter in run_chapters(names):
             chapters.append(chapter)
-            advance(1)
+            show(len(chapters), len(names), chapter.id)
     reproduction = Reproduction(tuple(chapters))
     if json:
         print_json(reproduction.document())
@@ -183,8 +183,8 @@ def _write(reproduction: Reproduction, folder: Path) -> None:
     kinds = ("svg", "png") if find_spec("matplotlib") else ("svg",)
     if "png" not in kinds:
         note("piga: no PNG figures: they need the extra 'report' (pip install 'piga[report]')")
-    with progress("drawing", len(reproduction.figures)) as advance:
-        for figure in reproduction.figures:
+    with progress("drawing", len(reproduction.figures)) as show:
+        for number, figure in enumerate(reproduction.figures):
+            show(number, len(reproduction.figures), figure.key)
             for kind in kinds:
                 write_figure(figure, pictures / f"{figure.key}.{kind}")
-            advance(1)

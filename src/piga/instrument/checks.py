@@ -104,6 +104,6 @@ def explain(times: Array, first: int, **inputs: Array) -> NoReturn:
     for name, array in inputs.items():
         require_finite(name, array)
     raise ArgumentError(
-        f"{' or '.join(inputs)}: too large between index {first} and {first + 256}",
+        f"{' or '.join(inputs)}: too large at index {first} or {first + 1}",
         remedy="specific force is in m/s^2, rates in rad/s",
     )

@@ -194,7 +194,9 @@ def _segments(request: PlanRequest, candidate: Candidate) -> Design:
     outputs = []
     for start in range(STARTS):
         turned = Instrument(own.scale_factor, own.beta, own.alpha0 + 2.0 * math.pi * start / STARTS)
-        alpha, speed = propagate(turned, t, force, rate, with_rate=True, error_model=specimen.error_model)
+        alpha, speed = propagate(
+            turned, t, force, rate, with_rate=True, error_model=specimen.error_model, between="linear"
+        )
         outputs.append(speed if request.scenario.electronics.kind == "rate" else alpha)
     times = np.concatenate([t + k * (t[-1] + 2.0 * interval) for k in range(STARTS)])
     segment = np.repeat(np.arange(STARTS, dtype=np.int32), t.size)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piga import earth
+from piga.frames import rotation_vector_to_matrix
 from piga.platform.alignment import Alignment
 from piga.platform.analysis import case_rates, daily_lines, day_slices, theory_lines
 from piga.platform.geometry import local_axes
@@ -88,26 +87,16 @@ def error_budget(
     total = Perturbation()
     for perturbation in sources.values():
         total = total.plus(perturbation)
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        named = {**sources, "all together": total}
-        waiting = [(name, pool.submit(_row, run, quiet, name, moved)) for name, moved in named.items()]
-        rows = []
-        try:
-            for name, row in waiting:
-                steps(f"navigating with {name}")
-                rows.append(row.result())
-        except BaseException:  # stopped: what has not begun is not begun
-            for _, row in waiting:
-                row.cancel()
-            raise
+    rows = []
+    for name, moved in {**sources, "all together": total}.items():
+        steps(f"navigating with {name}")
+        rows.append(_row(run, quiet, name, moved))
     steps.finish()
     return tuple(rows)
 
 
 def perturbed_errors(run: PlatformRun, perturbation: Perturbation) -> Errors:
     """Errors of a full navigation run whose navigator or sensors have the error ``perturbation``."""
-    from piga.frames import rotation_vector_to_matrix
-
     readouts, place = run.readouts, run.scenario.place
     start = true_start(run.truth)
     axes = local_axes(place.latitude, place.longitude)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from piga.formats.parquet import number_column
@@ -91,33 +92,28 @@ def navigation_table(run: ModelRun) -> pa.Table:
 
 def identification_document(identification: Identification, sources: Sequence[Observability]) -> dict[str, Any]:
     """JSON document of ``piga platform identify``."""
-    return {
-        "sources": list(identification.sources),
-        "parameters": [
-            {"name": p.name, "value": p.value, "std": p.std, "unit": p.unit} for p in identification.parameters
-        ],
-        "covariance": {
-            "names": list(identification.names),
-            "values": identification.values.tolist(),
-            "matrix": identification.covariance.tolist(),
-        },
-        "noise": identification.noise,
-        "degrees_of_freedom": identification.degrees_of_freedom,
-        "condition": identification.condition,
-        "notes": list(identification.notes),
-        "observability": [
-            {
-                "source": o.source,
-                "condition": o.condition if np.isfinite(o.condition) else None,
-                "std_rad": {
-                    n: (float(v) if v < 1.0 else None) for n, v in zip(MISALIGNMENTS, o.std, strict=True)
-                },
-                "separable": o.separable,
-                "verdict": o.sentence,
-            }
-            for o in sources
-        ],
+    document = {
+        name: getattr(identification, name)
+        for name in ("sources", "parameters", "noise", "degrees_of_freedom", "condition", "notes")
     }
+    document["covariance"] = {
+        "names": identification.names,
+        "values": identification.values.tolist(),
+        "matrix": identification.covariance.tolist(),
+    }
+    document["observability"] = [
+        {
+            "source": o.source,
+            "condition": finite(o.condition),
+            "std_rad": {
+                n: (v if v < 1.0 else None) for n, v in zip(MISALIGNMENTS, o.std.tolist(), strict=True)
+            },
+            "separable": o.separable,
+            "verdict": o.sentence,
+        }
+        for o in sources
+    ]
+    return dict(msgspec.to_builtins(document))
 
 
 def alignment_document(alignment: Alignment) -> dict[str, Any]:
@@ -133,19 +129,19 @@ def alignment_document(alignment: Alignment) -> dict[str, Any]:
     }
 
 
+_BUDGET_KEYS = {
+    "source": "source",
+    "position_linear": "position_linear_m",
+    "position_full": "position_full_m",
+    "velocity_linear": "velocity_linear_m_s",
+    "velocity_full": "velocity_full_m_s",
+    "difference": "largest_difference_m",
+}
+
+
 def budget_document(rows: Sequence[BudgetRow]) -> list[dict[str, Any]]:
     """Error budget as JSON rows."""
-    return [
-        {
-            "source": b.source,
-            "position_linear_m": b.position_linear,
-            "position_full_m": b.position_full,
-            "velocity_linear_m_s": b.velocity_linear,
-            "velocity_full_m_s": b.velocity_full,
-            "largest_difference_m": b.difference,
-        }
-        for b in rows
-    ]
+    return [{key: getattr(row, name) for name, key in _BUDGET_KEYS.items()} for row in rows]
 
 
 def line_budget_document(rows: Sequence[LineRow]) -> list[dict[str, Any]]:

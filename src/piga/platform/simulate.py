@@ -232,7 +232,7 @@ def gimbal_angles(sensors: PigaSensors, times: Array, force: Array, spin: Array)
     angles = []
     for axes, alpha0 in zip(mounting_axes(sensors), sensors.alpha0, strict=True):
         instrument = Instrument(sensors.scale_factor, float(np.arctan(sensors.tan_beta)), alpha0)
-        angles.append(propagate(instrument, times, force @ axes.T, inner @ axes.T))
+        angles.append(propagate(instrument, times, force @ axes.T, inner @ axes.T, between="linear"))
     increments = np.stack(angles)
     if sensors.counts_per_revolution > 0.0:
         quantum = 2.0 * np.pi / sensors.counts_per_revolution

@@ -289,6 +289,7 @@ def _quasi_steady(
             with_rate=True,
             error_model=specimen.error_model,
             temperature=kelvin,
+            between="linear",
         )
         alpha = alpha + walk
         new_rate = specimen.instrument.scale_factor * _forces_of_angle(specimen, alpha, *felt)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
+from importlib.resources import files
 from typing import Any, Final, Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +17,7 @@ from piga.calibration.calibrate import calibrate
 from piga.compensation import compensate
 from piga.instrument import Instrument, propagate
 from piga.records import Calibration, Run
+from piga.records.run_file import TomlTable
 from piga.reports.render.figure import Figure
 from piga.results import finite
 from piga.studies.published import published_recursion
@@ -72,18 +76,19 @@ class Case:
 
     def document(self) -> dict[str, Any]:
         """The case in the JSON of ``piga reproduce``. A non-finite number becomes null."""
-        return {
-            "id": self.id,
-            "source": self.source,
-            "quantity": self.quantity,
-            "unit": self.unit,
-            "published": self.published,
-            "computed": finite(self.computed),
-            "difference": finite(self.difference),
-            "tolerance": self.tolerance,
-            "verdict": self.verdict,
-            "note": self.note,
-        }
+        keys = [
+            "id",
+            "source",
+            "quantity",
+            "unit",
+            "published",
+            "computed",
+            "difference",
+            "tolerance",
+            "verdict",
+            "note",
+        ]
+        return {key: finite(value) if isinstance(value := getattr(self, key), float) else value for key in keys}
 
 
 @dataclass(frozen=True)
@@ -97,10 +102,77 @@ class Chapter:
     cases: tuple[Case, ...]
     figures: tuple[Figure, ...]
 
-    def __post_init__(self) -> None:
-        for case in self.cases:
-            if not case.id.startswith(f"{self.id}."):
-                raise ValueError(f"case '{case.id}' does not belong to chapter '{self.id}'")
+
+class PublishedCase(TomlTable, frozen=True):
+    """A case as ``published.toml`` has it: all of :class:`Case` but the computed number."""
+
+    source: str
+    quantity: str
+    unit: str
+    note: str
+    published: float | None = None
+    tolerance: float | None = None
+    limit: bool = False
+
+
+class PublishedChapter(TomlTable, frozen=True):
+    """A chapter as ``published.toml`` has it; its cases by name, in order."""
+
+    title: str
+    source: str
+    text: str
+    cases: dict[str, PublishedCase]
+
+
+@cache
+def published_chapters() -> dict[str, PublishedChapter]:
+    """Every chapter of ``published.toml``, in the order of the publications."""
+    text = files("piga.data").joinpath("published.toml").read_bytes()
+    return msgspec.toml.decode(text, type=dict[str, PublishedChapter])
+
+
+@dataclass(frozen=True)
+class Value:
+    """A computed number with parts of its case that come from the run, too. ``words`` fill quantity and note."""
+
+    computed: float
+    published: float | None = None
+    tolerance: float | None = None
+    words: Mapping[str, float] = field(default_factory=dict)
+
+
+def chapter_of(
+    name: str, values: Mapping[str, float | Value], figures: Sequence[Figure], **words: float
+) -> Chapter:
+    """The chapter ``name`` with the computed ``values`` of its cases. ``words`` fill its text.
+
+    Raises
+    ------
+    ValueError
+        If ``values`` are not those of the published cases.
+    """
+    printed = published_chapters()[name]
+    if set(values) != set(printed.cases):
+        raise ValueError(f"{name}: the cases differ: {sorted(set(values) ^ set(printed.cases))}")
+    cases = []
+    for key, case in printed.cases.items():
+        given = values[key]
+        value = given if isinstance(given, Value) else Value(given)
+        cases.append(
+            Case(
+                id=f"{name}.{key}",
+                source=case.source,
+                quantity=case.quantity.format(**value.words),
+                unit=case.unit,
+                published=case.published if value.published is None else value.published,
+                computed=value.computed,
+                tolerance=case.tolerance if value.tolerance is None else value.tolerance,
+                note=case.note.format(**value.words),
+                limit=case.limit,
+            )
+        )
+    text = printed.text.format(**words)
+    return Chapter(name, printed.title, printed.source, text, tuple(cases), tuple(figures))
 
 
 Array = NDArray[np.float64]
@@ -135,7 +207,7 @@ def record(profile: ForceHistory) -> Run:
     t = np.arange(round(duration * rate) + 1) / rate
     a_x = RAMP_TOP * G0 * (t / duration if profile == "ramp" else np.ones_like(t))
     f = np.outer(a_x, [1.0, TRANSVERSE, 0.0])
-    _, output = propagate(INSTRUMENT, t, f, with_rate=True)
+    _, output = propagate(INSTRUMENT, t, f, with_rate=True, between="linear")
     return Run.from_arrays(t, output, f, scale_factor=SCALE, kind="rate", serial="published")
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from piga.calibration.calibrate import calibrate
 from piga.instrument import ErrorModel, Instrument, propagate
 from piga.records import Calibration, Run
-from piga.reports.render.figure import Axis, Figure, Panel, Series
-from piga.studies.case import SCALE, Case, Chapter, model_phase, velocity
+from piga.reports.render.figure import Figure, Plot, axis
+from piga.studies.case import SCALE, Chapter, Value, chapter_of, model_phase, velocity
 from piga.studies.published import published_recursion
 from piga.units import G0
 
@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 TERMS = ("tan_beta", "k0", "k1", "k2")
 TRUTH = {"tan_beta": 3.6e-4, "phi": math.radians(27.5), "k0": 1.60e-3, "k1": -2.37e-3, "k2": 1.98e-3}
 _DIGIT = {"tan_beta": 0.1e-4, "phi": math.radians(0.1), "k0": 1e-5, "k1": 1e-5, "k2": 1e-5}
-_UNITS = {"tan_beta": "1", "phi": "rad", "k0": "g", "k1": "1", "k2": "g/g^2"}
 _INSTRUMENT = Instrument(SCALE, math.atan(TRUTH["tan_beta"]), TRUTH["phi"])
 _STEP, _END, _FINE = 0.02, 257.0, 16
 _COUNT_NOISE, _WALK = 2e-5, 2e-6
@@ -45,7 +44,7 @@ def real_record() -> Run:
     fine = np.linspace(0.0, _END, round(_END / _STEP) * _FINE + 1)
     t = fine[::_FINE]
     model = ErrorModel(k0=TRUTH["k0"] * G0, k1=TRUTH["k1"], k2=TRUTH["k2"] / G0)
-    alpha = propagate(_INSTRUMENT, fine, profile(fine), error_model=model)[::_FINE]
+    alpha = propagate(_INSTRUMENT, fine, profile(fine), error_model=model, between="linear")[::_FINE]
     stream = np.random.default_rng(_SEED)
     walk = _WALK * math.sqrt(_STEP) * np.cumsum(stream.standard_normal(t.size))
     psi = alpha - alpha[0] + walk + _COUNT_NOISE * stream.standard_normal(t.size)
@@ -98,82 +97,15 @@ def published(*, real: bool) -> Calibration:
 
 def chapter() -> Chapter:
     """Error curve, fit overlay and recovered values, for the published method and piga's."""
-    cases = [*(case for name in TRUTH for case in _cases(name)), *_success_cases()]
-    text = (
-        "257 s at 50 Hz in three phases (rising to 120 s, steady to 200 s, fast changes to 257 s), a_Y up to 8 g, a_x up to "
-        "2.9 g. Published are the coefficients; they are the truth of two synthetic records. The first is the exact motion of "
-        f"such an instrument, read with {_COUNT_NOISE:g} rad of white noise and {_WALK:g} rad/sqrt(s) of random walk (the "
-        "publication prints no noise). The second is made by the published model itself, whose phase is the integral of "
-        "K a_x, without noise: only there the published method finds the truth. In the real motion k0, k1 and k2 turn the "
-        "gimbal as well and the predicted phase is lost; and with noise the first samples, met with P0 = 1e10 I, throw "
-        "the recursion far from its first guess."
-    )
-    figures = (_record_figure(), _fit_figure(), _history_figure())
-    return Chapter(
-        "five-coefficients", "The five-coefficient model", "[Wei2024] eq. 22-24", text, tuple(cases), figures
-    )
-
-
-def _cases(name: str) -> list[Case]:
-    ours, own_model, real = own()[name], published(real=False)[name], published(real=True)[name]
-    source, unit, true = "[Wei2024] eq. 22-24", _UNITS[name], TRUTH[name]
-    uncertainty = "expanded uncertainty stated by the calibration, three standard uncertainties (99.7 %)"
-    return [
-        Case(
-            f"five-coefficients.{name}",
-            source + ", our estimator",
-            f"{name} by the linear estimator, exact motion with noise",
-            unit,
-            true,
-            ours.value,
-            3.0 * ours.std,
-            f"{uncertainty}; the standard one is {ours.std:.2g}",
-        ),
-        Case(
-            f"five-coefficients.{name}-published",
-            source,
-            f"{name} by the published recursion, noiseless record of its own model",
-            unit,
-            true,
-            own_model.value,
-            0.5 * _DIGIT[name],
-            "half of the last printed digit",
-        ),
-        Case(
-            f"five-coefficients.{name}-real",
-            source,
-            f"{name} by the published recursion, exact motion with noise",
-            unit,
-            None,
-            real.value,
-            None,
-            "the publication shows no run on the exact motion: its phase does not turn with k0, k1 and k2, and is lost",
-        ),
-    ]
-
-
-def _success_cases() -> list[Case]:
+    values: dict[str, float | Value] = {}
+    for name in TRUTH:
+        ours = own()[name]
+        values[name] = Value(ours.value, tolerance=3.0 * ours.std, words={"std": ours.std})
+        values[f"{name}-published"] = published(real=False)[name].value
+        values[f"{name}-real"] = published(real=True)[name].value
     old, new = noisy_successes()
-    reason = (
-        f"not published: {_TRIALS} noisy records of the published model itself, random walk {_WALK:g} rad/sqrt(s); "
-        "all five coefficients found, within half of the printed digit (published) or four standard uncertainties (ours)"
-    )
-    return [
-        Case(
-            f"five-coefficients.successes{suffix}",
-            f"[Wei2024] eq. 22-24{whose}",
-            f"noisy records solved by the {method}, of {_TRIALS}",
-            "1",
-            None,
-            float(count),
-            None,
-            reason,
-        )
-        for suffix, whose, method, count in (
-            ("-published", "", "published recursion", old),
-            ("", ", our estimator", "linear estimator", new),
-        )
-    ]
+    values |= {"successes-published": float(old), "successes": float(new)}
+    return chapter_of("five-coefficients", values, (_record_figure(), _fit_figure(), _history_figure()))
 
 
 def _indicated_error(run: Run) -> tuple[Array, Array, Array]:
@@ -194,26 +126,13 @@ def _model_error(calibration: Calibration, force: Array, psi: Array) -> Array:
 def _record_figure() -> Figure:
     run = real_record()
     t, error, _ = _indicated_error(run)
-    force = Panel(
-        Axis("time", "s"),
-        Axis("specific force", "g"),
-        (
-            Series(run.t, run.f[:, 0] / G0, "a_x", role="x"),
-            Series(run.t, run.f[:, 1] / G0, "a_Y", role="z"),
-        ),
-    )
-    curve = Panel(
-        Axis("time", "s"),
-        Axis("error of the indication", "mg"),
-        (Series(t, 1e3 * error, "error", role="before"),),
-    )
-    return Figure(
-        "five-record",
-        "The 257 s record: input and error",
-        (force, curve),
+    plot = Plot("five-record", "The 257 s record: input and error", height=2.1)
+    plot.panel("time [s]", "specific force [g]")
+    plot.line(run.t, run.f[:, 0] / G0, "a_x", "x").line(run.t, run.f[:, 1] / G0, "a_Y", "z")
+    plot.panel("time [s]", "error of the indication [mg]").line(t, 1e3 * error, "error", "before")
+    return plot.caption(
         "Rising to 120 s, steady to 200 s, fast changes to 257 s. The error is bias, slope and bend of a_x with the "
-        "cross-coupling of up to 3 mg on top.",
-        height=2.1,
+        "cross-coupling of up to 3 mg on top."
     )
 
 
@@ -222,75 +141,53 @@ def _fit_figure() -> Figure:
     t, error, psi = _indicated_error(run)
     force = profile(t)
     fit = _model_error(own(), force, psi)
-    predicted = _INSTRUMENT.scale_factor * np.concatenate(
-        ([0.0], np.cumsum(0.5 * (run.f[1:, 0] + run.f[:-1, 0]) * _STEP))
-    )
-    old = _model_error(published(real=True), force, np.interp(t, run.t, predicted))
-    panels = []
+    old = _model_error(published(real=True), force, np.interp(t, run.t, model_phase(run)))
+    plot = Plot("five-fit", "Fit of the five coefficients", columns=2, height=2.4)
     for begin, end in ((100.0, 130.0), (215.0, 245.0)):
         part = (t > begin) & (t < end)
-        series = (
-            Series(t[part], 1e3 * error[part], "record", "points", "muted"),
-            Series(t[part], 1e3 * old[part], "published method", role="before"),
-            Series(t[part], 1e3 * fit[part], "linear estimator", role="after"),
-        )
-        panels.append(Panel(Axis("time", "s"), Axis("error of the indication", "mg"), series))
-    for left, role, title in (
-        (old, "before", "Left by the published method"),
-        (fit, "after", "Left by the linear estimator"),
-    ):
-        series = (Series(t, 1e3 * (error - left), role=role),)  # type: ignore[assignment, arg-type]
-        panels.append(Panel(Axis("time", "s"), Axis("residual", "mg"), series, title))
-    return Figure(
-        "five-fit",
-        "Fit of the five coefficients",
-        tuple(panels),
+        plot.panel("time [s]", "error of the indication [mg]")
+        plot.points(t[part], 1e3 * error[part], "record", "muted")
+        plot.line(t[part], 1e3 * old[part], "published method", "before")
+        plot.line(t[part], 1e3 * fit[part], "linear estimator", "after")
+    plot.panel("time [s]", "residual [mg]", "Left by the published method")
+    plot.line(t, 1e3 * (error - old), role="before")
+    plot.panel("time [s]", "residual [mg]", "Left by the linear estimator")
+    plot.line(t, 1e3 * (error - fit), role="after")
+    return plot.caption(
         "Above: thirty seconds of the rise and of the fast changes. Below: what each method leaves (means over 0.2 s). Good is "
-        "noise without a trace of the gimbal's turns.",
-        columns=2,
-        height=2.4,
+        "noise without a trace of the gimbal's turns."
     )
 
 
 _SHOWN = (
-    ("tan_beta", 1e3, Axis("tan(beta)", "1e-3", limits=(0.0, 0.7))),
-    ("phi", 180.0 / math.pi, Axis("phi", "deg", limits=(0.0, 40.0))),
-    ("k0", 1e3, Axis("k0", "mg", limits=(-4.0, 4.0))),
-    ("k1", 1e3, Axis("k1", "1e-3", limits=(-10.0, 10.0))),
-    ("k2", 1e3, Axis("k2", "mg/g^2", limits=(-2.0, 4.0))),
+    ("tan_beta", 1e3, axis("tan(beta) [1e-3]", limits=(0.0, 0.7))),
+    ("phi", 180.0 / math.pi, axis("phi [deg]", limits=(0.0, 40.0))),
+    ("k0", 1e3, axis("k0 [mg]", limits=(-4.0, 4.0))),
+    ("k1", 1e3, axis("k1 [1e-3]", limits=(-10.0, 10.0))),
+    ("k2", 1e3, axis("k2 [mg/g^2]", limits=(-2.0, 4.0))),
 )
 
 
 def _history_figure() -> Figure:
     t = real_record().t
-    ours, old = (
-        {k: v[::2] for k, v in (calibration.history or {}).items()}
-        for calibration in (own(), published(real=True))
-    )
-    panels = []
-    for name, scale, axis in _SHOWN:
-        when = t[ours["sample"].astype(int) - 1]
-        good = when > 20.0
-        value, half = scale * ours[name][good], 2.0 * scale * ours[f"u({name})"][good]
-        late = t[np.minimum(old["sample"].astype(int), t.size - 1)] > 20.0
-        series = (
-            Series(when[good], value - half, "95 % interval", "band", "after", upper=value + half),
-            Series([20.0, t[-1]], [scale * TRUTH[name]] * 2, "published value", role="reference", dashed=True),
-            Series(
-                t[old["sample"].astype(int) - 1][late],
-                scale * old[name][late],
-                "published method",
-                role="before",
-            ),
-            Series(when[good], value, "linear estimator", role="after"),
-        )
-        panels.append(Panel(Axis("time", "s"), axis, series))
-    return Figure(
-        "five-history",
-        "The five coefficients as the record comes in",
-        tuple(panels),
+    plot = Plot("five-history", "The five coefficients as the record comes in", columns=2, height=2.0)
+
+    def late(calibration: Calibration, name: str) -> tuple[Array, Array]:
+        """Times from 20 s on, and the history there, every second instant."""
+        history = calibration.history or {}
+        when = t[np.minimum(history["sample"][::2].astype(int), t.size) - 1]
+        return when[when > 20.0], history[name][::2][when > 20.0]
+
+    for name, scale, y in _SHOWN:
+        when, value = late(own(), name)
+        half = 2.0 * scale * late(own(), f"u({name})")[1]
+        plot.panel("time [s]", y)
+        plot.band(when, scale * value - half, scale * value + half, "95 % interval", "after")
+        plot.level([20.0, t[-1]], scale * TRUTH[name], "published value")
+        before, old = late(published(real=True), name)
+        plot.line(before, scale * old, "published method", "before")
+        plot.line(when, scale * value, "linear estimator", "after")
+    return plot.caption(
         "From 20 s on. The linear estimator runs into the published values inside its stated interval; the published method, "
-        "whose phase is predicted from the input, does not on the exact motion.",
-        columns=2,
-        height=2.0,
+        "whose phase is predicted from the input, does not on the exact motion."
     )

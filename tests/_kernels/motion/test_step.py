@@ -6,10 +6,17 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from piga._kernels.motion import samples as increments
-from piga._kernels.motion import step as block
-from piga._kernels.motion.samples import unimodular_functions
-from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, advance, split_turns, step_functions, unwrapped
+from piga._kernels.motion.samples import propagate_increments, unimodular_functions
+from piga._kernels.motion.step import (
+    GOOD,
+    TWO_PI_HIGH,
+    TWO_PI_LOW,
+    advance,
+    small_step,
+    split_turns,
+    step_functions,
+    unwrapped,
+)
 
 pytestmark = pytest.mark.compiled
 
@@ -44,38 +51,18 @@ def test_step_functions(x):
             assert abs(computed - reference) < 2e-15 * max(1, abs(reference))
 
 
-def _filled(m, size, seed=1):
-    w = np.zeros(block.SIZE)
-    rng = np.random.default_rng(seed)
-    for row in (block.STEP_A, block.STEP_Y, block.STEP_Z):
-        w[row : row + m] = rng.uniform(-size, size, m)
-    return w
-
-
 @pytest.mark.parametrize(("m", "size"), [(256, 0.02), (256, 0.5), (100, 0.5), (1, 0.1)])
-def test_chain_is_the_product_of_the_exponentials(m, size):
-    w = _filled(m, size)
-    assert block.matrices(w, m) == m
-    state = mp.matrix([mp.sin(mp.mpf("0.4")), mp.cos(mp.mpf("0.4"))])
-    p, q = float(state[0]), float(state[1])
-    state = mp.matrix([mp.mpf(p), mp.mpf(q)])
-    pairs = [state]
-    for j in range(m):
-        A, Y, Z = (mp.mpf(w[row + j]) / 2 for row in (block.STEP_A, block.STEP_Y, block.STEP_Z))
-        pairs.append(mp.expm(mp.matrix([[Y, A - Z], [-(A + Z), -Y]])) * pairs[-1])
-    none, rows = np.empty(0), np.empty((0, 3))
-    block.chain(w, m, p, q, none, rows, none)
-    for j in (1, m // 2, m // 2 + 1, m):
-        norm = mp.norm(pairs[j])
-        assert abs(w[block.PAIR_P + j] - pairs[j][0]) < 2e-16 * (m + 9) * norm
-        assert abs(w[block.PAIR_Q + j] - pairs[j][1]) < 2e-16 * (m + 9) * norm
-
-
-def test_large_steps_are_counted_out():
-    w = _filled(256, 0.1)
-    w[block.STEP_A + 17] = 1.5
-    w[block.STEP_Y + 200] = math.nan
-    assert block.matrices(w, 256) == 254
+def test_small_steps_are_the_product_of_the_exponentials(m, size):
+    increments = np.random.default_rng(1).uniform(-size, size, (m, 3))
+    p, q = math.sin(0.4), math.cos(0.4)
+    pair = mp.matrix([mp.mpf(p), mp.mpf(q)])
+    for j, step in enumerate(increments, start=1):
+        A, Y, Z = (mp.mpf(value) / 2 for value in step)
+        pair = mp.expm(mp.matrix([[Y, A - Z], [-(A + Z), -Y]])) * pair
+        p, q = small_step(p, q, *step)
+        norm = mp.norm(pair)
+        assert abs(p - pair[0]) < 2e-16 * (j + 9) * norm
+        assert abs(q - pair[1]) < 2e-16 * (j + 9) * norm
 
 
 @pytest.mark.parametrize("A", [1.9, -1.9, 0.4, 3.0, -7.5, 40.0])
@@ -88,44 +75,46 @@ def test_a_step_of_pure_turning_turns_by_it(A):
             assert 2.0 * math.pi * turns + rest == pytest.approx(start + count * A, abs=1e-12)
 
 
+def angle_after(t, dv, K=0.1, tan_beta=0.2):
+    alpha = np.empty(t.size)
+    assert propagate_increments(t, dv, np.empty((0, 3)), K, tan_beta, np.array([0.0, 0.0, 1.0]), alpha) == GOOD
+    return alpha
+
+
 def test_a_record_of_one_interval_has_no_slope():
-    w = np.zeros(block.SIZE)
-    increments.load_means(np.array([1.0, 3.0]), np.array([[0.5, -0.7, 0.9]]), np.empty((0, 3)), 1.0, 1.0, w[1:])
-    increments.edge_step(w, 1, 1, 1)
-    assert (w[block.STEP_A], w[block.STEP_Y], w[block.STEP_Z]) == pytest.approx((0.5, -0.7, 0.9), rel=1e-15)
+    alpha = angle_after(np.array([1.0, 3.0]), np.array([[0.5, -0.7, 0.9]]), 1.0, 1.0)
+    turns, rest, *_ = advance(0.0, 0.0, 0.0, 1.0, 0.5, -0.7, 0.9)
+    assert alpha[1] == pytest.approx(2.0 * math.pi * turns + rest, abs=1e-15)
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_angles_count_turns_both_ways(direction):
-    half = 0.3 + direction * 0.2 * np.arange(257)
-    w = np.zeros(block.SIZE)
-    w[block.PAIR_P : block.PAIR_P + 257] = np.sin(half)
-    w[block.PAIR_Q : block.PAIR_Q + 257] = np.cos(half)
-    alpha = np.empty(256)
-    turns = block.angles(w, 256, 5.0, alpha)
-    assert alpha == pytest.approx(10 * math.pi + 2 * half[1:], abs=1e-12)
-    assert turns == 5 + round(2 * half[-1] / (2 * math.pi))
+    t = np.arange(257.0)
+    alpha = angle_after(t, np.tile([4.0 * direction, 0.0, 0.0], (256, 1)))
+    assert alpha == pytest.approx(0.4 * direction * t, abs=1e-12)
 
 
 @pytest.mark.parametrize("m", [3, 5])
 def test_slopes_of_a_parabola_are_exact_in_every_interval(m):
-    """Mean rates of quadratic input over uneven intervals give the increments with the true slopes."""
+    """Mean rates of quadratic input over uneven intervals give the motion with the true slopes."""
     t = np.cumsum(np.r_[0.3, np.random.default_rng(m).uniform(0.5, 2.0, m)])
     c = np.array([[1.0, 0.4, -0.3], [0.2, -0.7, 0.9], [0.5, 0.1, -0.2]])
     integral = t[:, None] * c[0] + t[:, None] ** 2 / 2 * c[1] + t[:, None] ** 3 / 3 * c[2]
-    w = np.zeros(block.SIZE)
-    increments.load_means(t, np.diff(integral, axis=0), np.empty((0, 3)), 1.0, 1.0, w[1:])
-    increments.fill_edges(w, m, 0, 0)
-    increments.steps_from_means(w, m)
-    increments.edge_step(w, 1, 2, 3)
-    increments.edge_step(w, m, m - 1, m - 2)
-    h = np.diff(t)[:, None]
-    mean = np.diff(integral, axis=0) / h
-    (a, y, z), (sa, sy, sz) = mean.T, (c[1] + (t[1:] + t[:-1])[:, None] * c[2]).T
-    cross = h[:, 0] ** 3 / 12
-    for row, expected in (
-        (block.STEP_A, h[:, 0] * a + cross * (y * sz - z * sy)),
-        (block.STEP_Y, h[:, 0] * y + cross * (a * sz - z * sa)),
-        (block.STEP_Z, h[:, 0] * z - cross * (a * sy - y * sa)),
-    ):
-        assert w[row : row + m] == pytest.approx(expected, abs=1e-13)
+    gain = 0.1 * np.array([1.0, 0.2, 0.2])
+    h = np.diff(t)
+    mean, slope = (
+        np.diff(integral, axis=0) / h[:, None] * gain,
+        (c[1] + (t[1:] + t[:-1])[:, None] * c[2]) * gain,
+    )
+    turns, rest, p, q = 0.0, 0.0, 0.0, 1.0
+    expected = [0.0]
+    for k in range(m):
+        (a, y, z), (sa, sy, sz), cross = mean[k], slope[k], h[k] ** 3 / 12
+        step = (
+            h[k] * a + cross * (y * sz - z * sy),
+            h[k] * y + cross * (a * sz - z * sa),
+            h[k] * z - cross * (a * sy - y * sa),
+        )
+        turns, rest, p, q = advance(turns, rest, p, q, *step)
+        expected.append(2.0 * math.pi * turns + rest)
+    assert angle_after(t, np.diff(integral, axis=0)) == pytest.approx(np.array(expected), abs=1e-13)

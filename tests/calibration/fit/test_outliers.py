@@ -75,7 +75,7 @@ def test_increment_across_a_bad_sample_is_exact() -> None:
     fine = np.arange(12_000 * 16) * (0.005 / 16)
     force = G0 * np.column_stack([1.0 + 3.0 * np.sin(8.0 * fine), np.cos(0.3 * fine), 0.0 * fine])
     inst = piga.Instrument(scale_factor=SCALE, beta=BETA)
-    t, f, alpha = fine[::16], force[::16], piga.propagate(inst, fine, force)[::16]
+    t, f, alpha = fine[::16], force[::16], piga.propagate(inst, fine, force, between="linear")[::16]
     alpha = alpha + 1e-7 * np.random.default_rng(1).standard_normal(t.size)
     good = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE)
     output = alpha.copy()
@@ -100,7 +100,9 @@ def test_rate_log() -> None:
     rng = np.random.default_rng(35)
     t = np.arange(20_001) * 0.01
     f = G0 * np.column_stack([1.0 + np.sin(0.3 * t), 3.0 * np.cos(0.2 * t), 0.5 + 0.0 * t])
-    _, rate = piga.propagate(piga.Instrument(scale_factor=SCALE, beta=BETA), t, f, with_rate=True)
+    _, rate = piga.propagate(
+        piga.Instrument(scale_factor=SCALE, beta=BETA), t, f, with_rate=True, between="linear"
+    )
     rate = rate + 1e-5 * rng.standard_normal(t.size)
     bad = rng.choice(t.size, 2000, replace=False)
     rate[bad] += rng.standard_normal(bad.size)
@@ -118,7 +120,9 @@ def test_spikes_of_a_rate_log_do_not_turn_its_phase(size: float, bad: int) -> No
     """Their integral is radians: with it the coupling of the rest of the log would be at another phase."""
     t = 0.1 * np.arange(600)
     f = G0 * np.column_stack([0.2 + np.cos(0.05 * t), np.sin(0.05 * t), 0.3 + 0.0 * t])
-    _, rate = piga.propagate(piga.Instrument(scale_factor=SCALE, beta=BETA, alpha0=0.5), t, f, with_rate=True)
+    _, rate = piga.propagate(
+        piga.Instrument(scale_factor=SCALE, beta=BETA, alpha0=0.5), t, f, with_rate=True, between="linear"
+    )
     rng = np.random.default_rng(3)
     rate += 1e-6 * rng.standard_normal(t.size)
     rate[rng.choice(np.arange(200, 500), bad, replace=False)] += size
@@ -249,7 +253,7 @@ def few_readings(rng: np.random.Generator, count: int, readings: int) -> piga.Ru
     t, segment, f = positions(count, 4.0, (readings - 1) / 4.0)
     inst = piga.Instrument(scale_factor=SCALE, beta=BETA, alpha0=0.48)
     feels = f + np.array([TRUTH["k0"] * G0, 0.0, 0.0])
-    parts = [piga.propagate(inst, t[segment == k], feels[segment == k]) for k in range(count)]
+    parts = [piga.propagate(inst, t[segment == k], feels[segment == k], between="linear") for k in range(count)]
     output = np.concatenate(parts) - 0.48 + 2.5e-5 * rng.standard_normal(t.size)
     return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment)
 
@@ -276,7 +280,9 @@ def test_spikes_of_a_log_of_rates() -> None:
     """Each sample of a rate stands for itself: exactly the spoilt ones go, and the rest decides."""
     t = 0.1 * np.arange(600)
     f = G0 * np.column_stack([1.0 + np.sin(0.3 * t), 3.0 * np.cos(0.2 * t), 0.5 + 0.0 * t])
-    _, rate = piga.propagate(piga.Instrument(scale_factor=SCALE, beta=BETA), t, f, with_rate=True)
+    _, rate = piga.propagate(
+        piga.Instrument(scale_factor=SCALE, beta=BETA), t, f, with_rate=True, between="linear"
+    )
     rate += 1e-5 * np.random.default_rng(21).standard_normal(t.size)
     terms = ["scale_factor", "tan_beta", "k0"]
 

@@ -24,7 +24,11 @@ def fit_with(size: int, noise: Noise, stretches: int = 1) -> Fit:
     f[:, 0] = G0 * (1.0 + 0.1 * np.sin(t))
     segment = (np.arange(size) // (size // stretches)).astype(np.int32)
     run = piga.Run.from_arrays(
-        t, piga.propagate(piga.Instrument(SCALE, BETA), t, f), f, scale_factor=SCALE, segment=segment
+        t,
+        piga.propagate(piga.Instrument(SCALE, BETA), t, f, between="linear"),
+        f,
+        scale_factor=SCALE,
+        segment=segment,
     )
     return replace(fit_run(run, make_request(run, ["scale_factor"])), noise=noise)
 

@@ -70,7 +70,7 @@ def _run(
         start = piga.Instrument(
             scale_factor=f"{TRUE_SCALE} rad/s/g", beta=float(np.arctan(TRUTH["tan_beta"])), alpha0=alpha
         )
-        path = piga.propagate(start, t[part], feels[part])
+        path = piga.propagate(start, t[part], feels[part], between="linear")
         output[part] = path - phase + walk / np.sqrt(rate) * np.cumsum(rng.standard_normal(n))
         alpha = float(output[part][-1]) + phase + 1.0
     output += white * rng.standard_normal(t.size)

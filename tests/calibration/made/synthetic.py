@@ -51,7 +51,7 @@ def record(
         if per_segment:
             alpha = rng.uniform(-np.pi, np.pi) if label else PHI
         start = piga.Instrument(scale_factor=inst.scale_factor, beta=BETA, alpha0=alpha)
-        path = piga.propagate(start, t[part], feels[part])
+        path = piga.propagate(start, t[part], feels[part], between="linear")
         steps = np.diff(t[part], prepend=t[part][0])
         path = path + walk * np.cumsum(np.sqrt(steps) * rng.standard_normal(path.size))
         output[part] = path - PHI

@@ -109,7 +109,7 @@ def test_a_phase_that_no_sample_shows_is_not_determined_and_spoils_nothing() -> 
         time = 0.1 * np.arange(count) + 100.0 * number
         force = np.tile(9.8 * np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0]), (count, 1))
         force[np.abs(force) < 1e-12] = 0.0
-        turned = piga.propagate(inst, time - time[0], force) if count > 1 else np.zeros(1)
+        turned = piga.propagate(inst, time - time[0], force, between="linear") if count > 1 else np.zeros(1)
         t.append(time), f.append(force), segment.append(np.full(count, number, np.int32))
         psi.append(turned + 1e-5 * generator.standard_normal(count))
     run = piga.Run.from_arrays(

@@ -16,7 +16,7 @@ from .registry import F0, FORCE, LOCKED, PHI, TURN, K, Pair, T, equation
 
 @equation("axis-definition")
 def _axis() -> Iterator[Pair]:
-    alpha, rate = piga.propagate(instrument(PHI), T, FORCE, TURN, with_rate=True)
+    alpha, rate = piga.propagate(instrument(PHI), T, FORCE, TURN, with_rate=True, between="linear")
     n = np.column_stack([np.ones_like(alpha), TAN_BETA * np.sin(alpha), -TAN_BETA * np.cos(alpha)])
     yield (n * FORCE).sum(axis=1), (rate + (n * TURN).sum(axis=1)) / K, 1e-12
 
@@ -25,7 +25,7 @@ def _axis() -> Iterator[Pair]:
 def _single() -> Iterator[Pair]:
     run = run_of(T, FORCE, phi=PHI, kind="rate")
     calibration = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI})
-    alpha, rate = piga.propagate(instrument(PHI), T, FORCE, with_rate=True)
+    alpha, rate = piga.propagate(instrument(PHI), T, FORCE, with_rate=True, between="linear")
     literal = rate / K - TAN_BETA * (FORCE[:, 1] * np.sin(alpha) - FORCE[:, 2] * np.cos(alpha))
     yield literal, piga.compensate(run, calibration).ax, 1e-11
     yield literal, FORCE[:, 0], 1e-12

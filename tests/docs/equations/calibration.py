@@ -46,7 +46,7 @@ def _increment() -> Iterator[Pair]:
     t = np.linspace(0.0, 0.5, 2001)
     f = G0 * np.column_stack([0.8 + 0.4 * t, 4 + 0 * t, 1 - t])
     k0, k2 = 2e-3 * G0, 1e-4 / G0
-    psi = piga.propagate(instrument(PHI), t, f, error_model=ErrorModel(k0=k0, k2=k2)) - PHI
+    psi = piga.propagate(instrument(PHI), t, f, error_model=ErrorModel(k0=k0, k2=k2), between="linear") - PHI
     weights = np.full(t.size, 2.0)
     weights[1::2], weights[0], weights[-1] = 4.0, 1.0, 1.0
     p, q = TAN_BETA * np.cos(PHI), TAN_BETA * np.sin(PHI)

@@ -18,7 +18,7 @@ from .registry import F0, FORCE, LOCKED, PHI, TURN, K, Pair, T, equation, half_a
 
 @equation("motion-coupling")
 def _coupling() -> Iterator[Pair]:
-    alpha, rate = piga.propagate(instrument(PHI), T, FORCE, with_rate=True)
+    alpha, rate = piga.propagate(instrument(PHI), T, FORCE, with_rate=True, between="linear")
     a_x, a_Y, a_Z = FORCE.T
     literal = K * a_x + K * (a_Y * np.sin(alpha) - a_Z * np.cos(alpha)) * TAN_BETA
     yield literal, rate, 1e-14
@@ -27,7 +27,7 @@ def _coupling() -> Iterator[Pair]:
 
 @equation("motion-base")
 def _base() -> Iterator[Pair]:
-    alpha, rate = piga.propagate(instrument(PHI), T, FORCE, TURN, with_rate=True)
+    alpha, rate = piga.propagate(instrument(PHI), T, FORCE, TURN, with_rate=True, between="linear")
     u_x, u_Y, u_Z = (K * FORCE - TURN).T
     yield u_x + TAN_BETA * (u_Y * np.sin(alpha) - u_Z * np.cos(alpha)), rate, 1e-14
 

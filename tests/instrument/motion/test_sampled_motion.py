@@ -62,7 +62,7 @@ def test_constant_input_is_exact_whatever_the_step(steps):
         if case.t <= 0.0 or abs(case.turns) > 1e5 or case.case.startswith("many"):
             continue
         t = np.linspace(0.0, case.t, steps + 1)
-        alpha = propagate(case.inst, t, np.tile(case.force, (t.size, 1)))[-1]
+        alpha = propagate(case.inst, t, np.tile(case.force, (t.size, 1)), between="linear")[-1]
         reference = 2 * math.pi * case.turns + case.rest
         tolerance = 1e-12 + 100 * EPS * max(1.0, case.kappa) * max(1.0, abs(case.turns))
         assert abs(alpha - reference) < tolerance, case
@@ -75,12 +75,12 @@ def test_fourth_order_against_high_precision(record):
     errors = []
     for parts in (1, 2, 4, 8, 16):
         fine, force = refined(t, f, parts)
-        errors.append(np.abs(propagate(inst, fine, force)[::parts] - reference).max())
+        errors.append(np.abs(propagate(inst, fine, force, between="linear")[::parts] - reference).max())
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert orders[-1] == pytest.approx(4.0, abs=0.1)
     assert errors[-1] < 1e-7
     fine, force = refined(t, f, 400)
-    assert propagate(inst, fine, force)[::400] == pytest.approx(reference, abs=1e-12)
+    assert propagate(inst, fine, force, between="linear")[::400] == pytest.approx(reference, abs=1e-12)
 
 
 @pytest.mark.compiled
@@ -91,7 +91,7 @@ def test_agrees_with_dop853_with_base_rate(seed):
     f, omega = rng.normal(0.0, 3 * G0, (8, 3)), rng.normal(0.0, 0.2, (8, 3))
     fine, force = refined(t, f, 64)
     rates = refined(t, omega, 64)[1]
-    alpha, rate = propagate(INST, fine, force, rates, with_rate=True)
+    alpha, rate = propagate(INST, fine, force, rates, with_rate=True, between="linear")
     assert alpha[::64] == pytest.approx(dop853(INST, t, f, omega=omega), abs=1e-11)
     u = INST.scale_factor * force - rates
     expected = u[:, 0] + INST.tan_beta * (u[:, 1] * np.sin(alpha) - u[:, 2] * np.cos(alpha))
@@ -101,8 +101,8 @@ def test_agrees_with_dop853_with_base_rate(seed):
 @pytest.mark.compiled
 def test_constant_base_rate_may_be_given_once():
     t, f = np.linspace(0, 1, 5), np.ones((5, 3))
-    once = propagate(INST, t, f, [1e-4, 2e-4, -3e-4])
-    assert np.array_equal(once, propagate(INST, t, f, np.tile([1e-4, 2e-4, -3e-4], (5, 1))))
+    once = propagate(INST, t, f, [1e-4, 2e-4, -3e-4], between="linear")
+    assert np.array_equal(once, propagate(INST, t, f, np.tile([1e-4, 2e-4, -3e-4], (5, 1)), between="linear"))
 
 
 @pytest.mark.compiled
@@ -130,7 +130,9 @@ def test_error_model_against_dop853():
     errors = []
     for parts in (1, 2, 4, 8, 16):
         fine, force = refined(t, f, parts)
-        alpha = propagate(INST, fine, force, error_model=model, temperature=np.interp(fine, t, kelvin))
+        alpha = propagate(
+            INST, fine, force, error_model=model, temperature=np.interp(fine, t, kelvin), between="linear"
+        )
         errors.append(np.abs(alpha[::parts] - reference).max())
     assert errors[-1] < 1e-10
     assert math.log2(errors[-3] / errors[-2]) == pytest.approx(4.0, abs=0.3)
@@ -141,7 +143,7 @@ def test_quadratic_terms_of_a_linear_input_are_averaged_exactly():
     """Without coupling alpha = K integral(e): one step over a whole ramp has the exact integral."""
     inst = Instrument("0.8884 rad/s/g")
     model = ErrorModel(k2="1e-3 g/g^2", k3="1e-3 g/g^3")
-    alpha = propagate(inst, [0.0, 2.0], [[-G0, 0, 0], [3 * G0, 0, 0]], error_model=model)
+    alpha = propagate(inst, [0.0, 2.0], [[-G0, 0, 0], [3 * G0, 0, 0]], error_model=model, between="linear")
     mean = 1.0 + 1e-3 * (7.0 / 3.0) + 1e-3 * 5.0  # means of x, x^2, x^3 for x from -1 to 3
     assert alpha[-1] == pytest.approx(0.8884 * 2.0 * mean, abs=1e-14)
 
@@ -152,7 +154,7 @@ def test_turns_are_counted_through_steps_of_many_revolutions():
     t = np.arange(0.0, 5001.0, 100.0)
     force = (-3 * G0, 5 * G0, G0)
     reference, _ = closed_form(inst, t, *force)
-    alpha = propagate(inst, t, np.tile(force, (t.size, 1)))
+    alpha = propagate(inst, t, np.tile(force, (t.size, 1)), between="linear")
     assert alpha[0] == -100.0
     assert alpha == pytest.approx(reference, abs=1e-10)
     assert abs(alpha[-1]) > 13000
@@ -165,7 +167,7 @@ def test_a_million_samples_do_not_lose_the_angle():
     t = np.arange(1_000_001) * 1e-3
     force = (0.5 * G0, 5 * G0, 0.0)
     reference, _ = closed_form(INST, t[-1], *force)
-    alpha = propagate(INST, t, np.tile(force, (t.size, 1)))
+    alpha = propagate(INST, t, np.tile(force, (t.size, 1)), between="linear")
     assert alpha[-1] == pytest.approx(reference, abs=2e-12)
 
 
@@ -176,8 +178,15 @@ def test_a_thousand_million_turns_before_leave_the_fraction_alone():
     assert turns > 1.3e9
     t, f = np.arange(300) * 0.02, np.random.default_rng(3).normal(0.0, 20.0, (300, 3))
     far, near = Instrument(0.09, 0.02, start), Instrument(0.09, 0.02, rest)
-    assert np.array_equal(propagate_rate(far, t, f), propagate_rate(near, t, f))
-    assert np.abs(propagate(far, t, f) - start - (propagate(near, t, f) - rest)).max() < 4e-6
+    assert np.array_equal(
+        propagate_rate(far, t, f, between="linear"), propagate_rate(near, t, f, between="linear")
+    )
+    assert (
+        np.abs(
+            propagate(far, t, f, between="linear") - start - (propagate(near, t, f, between="linear") - rest)
+        ).max()
+        < 4e-6
+    )
 
 
 def piga_jit_is_off():
@@ -200,8 +209,8 @@ def test_time_reversal(force, alpha0):
     """Running the record backwards with the sign of everything turned returns to the start."""
     f = np.array(force)
     t = np.arange(len(f)) * 0.1
-    alpha = propagate(Instrument(0.09, 0.02, alpha0), t, f)
-    back = propagate(Instrument(0.09, 0.02, float(alpha[-1])), t, -f[::-1])
+    alpha = propagate(Instrument(0.09, 0.02, alpha0), t, f, between="linear")
+    back = propagate(Instrument(0.09, 0.02, float(alpha[-1])), t, -f[::-1], between="linear")
     assert back[::-1] == pytest.approx(alpha, abs=1e-12)
 
 
@@ -211,11 +220,13 @@ def test_time_reversal(force, alpha0):
 def test_mirror_and_rotation_of_the_transverse_frame(force, alpha0, turn):
     f = np.array(force)
     t = np.arange(len(f)) * 0.1
-    alpha = propagate(Instrument(0.09, 0.02, alpha0), t, f)
-    mirrored = propagate(Instrument(0.09, 0.02, -alpha0), t, f * [-1, 1, -1])
+    alpha = propagate(Instrument(0.09, 0.02, alpha0), t, f, between="linear")
+    mirrored = propagate(Instrument(0.09, 0.02, -alpha0), t, f * [-1, 1, -1], between="linear")
     assert mirrored == pytest.approx(-alpha, abs=1e-13)
     c, s = math.cos(turn), math.sin(turn)
-    turned = propagate(Instrument(0.09, 0.02, alpha0 + turn), t, f @ [[1, 0, 0], [0, c, s], [0, -s, c]])
+    turned = propagate(
+        Instrument(0.09, 0.02, alpha0 + turn), t, f @ [[1, 0, 0], [0, c, s], [0, -s, c]], between="linear"
+    )
     assert turned - turn == pytest.approx(alpha, abs=1e-12)
 
 
@@ -226,15 +237,17 @@ def test_composition(force, alpha0, cut):
     f = np.array(force)
     cut = min(cut, len(f) - 1)
     t = np.arange(len(f)) * 0.1
-    whole = propagate(Instrument(0.09, 0.02, alpha0), t, f)
-    rest = propagate(Instrument(0.09, 0.02, float(whole[cut])), t[cut:], f[cut:])
+    whole = propagate(Instrument(0.09, 0.02, alpha0), t, f, between="linear")
+    rest = propagate(Instrument(0.09, 0.02, float(whole[cut])), t[cut:], f[cut:], between="linear")
     assert rest == pytest.approx(whole[cut:], abs=1e-13)
 
 
 @pytest.mark.compiled
 def test_one_sample_and_zero_force():
-    assert np.array_equal(propagate(INST, [3.0], [[1.0, 2.0, 3.0]]), [0.4])
-    assert propagate(INST, [0.0, 1.0], np.zeros((2, 3))) == pytest.approx([0.4, 0.4], abs=1e-16)
+    assert np.array_equal(propagate(INST, [3.0], [[1.0, 2.0, 3.0]], between="linear"), [0.4])
+    assert propagate(INST, [0.0, 1.0], np.zeros((2, 3)), between="linear") == pytest.approx(
+        [0.4, 0.4], abs=1e-16
+    )
 
 
 @pytest.mark.compiled
@@ -243,9 +256,9 @@ def test_one_sample_and_zero_force():
 def test_no_memory_is_taken_beside_the_output(with_rate):
     n = 20_000 if piga_jit_is_off() else 500_000
     t, f, omega = np.arange(n) * 1e-3, np.ones((n, 3)), np.zeros((n, 3))
-    propagate(INST, t[:9], f[:9], omega[:9], with_rate=with_rate)
+    propagate(INST, t[:9], f[:9], omega[:9], with_rate=with_rate, between="linear")
     tracemalloc.start()
-    result = propagate(INST, t, f, omega, with_rate=with_rate)
+    result = propagate(INST, t, f, omega, with_rate=with_rate, between="linear")
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak - np.asarray(result).nbytes < 100_000
@@ -275,7 +288,7 @@ def test_no_memory_is_taken_beside_the_output(with_rate):
 )
 def test_bad_input_is_named_with_its_index(t, f, kwargs, message):
     with pytest.raises(piga.ArgumentError, match=message):
-        propagate(INST, t, f, **kwargs)
+        propagate(INST, t, f, **kwargs, between="linear")
 
 
 SHORT = Instrument(0.0906, 0.3, 0.4)
@@ -312,7 +325,7 @@ def test_increments_of_a_linear_force_lose_the_fifth_order_only(count: int, even
 def test_one_increment_is_a_constant_rate() -> None:
     t, f = np.array([0.0, 0.05]), np.tile(START, (2, 1))
     assert propagate_increments(SHORT, t, 0.05 * START[None, :]) == pytest.approx(
-        propagate(SHORT, t, f), abs=1e-15
+        propagate(SHORT, t, f, between="linear"), abs=1e-15
     )
 
 
@@ -322,7 +335,9 @@ def test_samples_of_a_linear_force_lose_the_fifth_order_only(count: int) -> None
     errors = []
     for h in (0.08, 0.04, 0.02):
         t = h * np.arange(count + 1)
-        errors.append(np.abs(propagate(SHORT, t, START + SLOPE * t[:, None]) - reference(t)).max())
+        errors.append(
+            np.abs(propagate(SHORT, t, START + SLOPE * t[:, None], between="linear") - reference(t)).max()
+        )
     assert np.log2(errors[0] / errors[2]) / 2.0 > 4.5
 
 
@@ -332,7 +347,7 @@ def test_the_rate_is_that_of_the_angle_whatever_the_step(h: float) -> None:
     """Steps of many turns are taken one by one: the rate at a sample must still be the one of its own angle."""
     t = h * np.arange(12)
     f = np.array([-30.0, 40.0, 3.0]) + np.sin(np.arange(12))[:, None]
-    alpha, rate = propagate(SHORT, t, f, with_rate=True)
+    alpha, rate = propagate(SHORT, t, f, with_rate=True, between="linear")
     u = SHORT.scale_factor * f
     expected = u[:, 0] + SHORT.tan_beta * (u[:, 1] * np.sin(alpha) - u[:, 2] * np.cos(alpha))
     assert rate == pytest.approx(expected, abs=1e-12 + 4.0 * np.spacing(np.abs(alpha).max()))
@@ -356,20 +371,25 @@ OMEGA = RNG.normal(0.0, 0.1, (3, T.size, 3))
 @pytest.mark.compiled
 @pytest.mark.parametrize("workers", [None, 1, 3])
 def test_rows_are_single_runs_to_the_bit(workers):
-    shared = propagate_fleet(FLEET, T, INPUTS[0], workers=workers)
-    assert np.array_equal(shared, [propagate(inst, T, INPUTS[0]) for inst in FLEET])
-    inputs = propagate_fleet(FLEET[1], T, INPUTS, workers=workers)
-    assert np.array_equal(inputs, [propagate(FLEET[1], T, f) for f in INPUTS])
-    paired = propagate_fleet(FLEET, T, INPUTS, OMEGA, output="rate", workers=workers)
-    single = [propagate_rate(inst, T, f, w) for inst, f, w in zip(FLEET, INPUTS, OMEGA, strict=True)]
+    shared = propagate_fleet(FLEET, T, INPUTS[0], workers=workers, between="linear")
+    assert np.array_equal(shared, [propagate(inst, T, INPUTS[0], between="linear") for inst in FLEET])
+    inputs = propagate_fleet(FLEET[1], T, INPUTS, workers=workers, between="linear")
+    assert np.array_equal(inputs, [propagate(FLEET[1], T, f, between="linear") for f in INPUTS])
+    paired = propagate_fleet(FLEET, T, INPUTS, OMEGA, output="rate", workers=workers, between="linear")
+    single = [
+        propagate_rate(inst, T, f, w, between="linear") for inst, f, w in zip(FLEET, INPUTS, OMEGA, strict=True)
+    ]
     assert np.array_equal(paired, single)
 
 
 @pytest.mark.compiled
 def test_one_base_rate_for_all():
-    rows = propagate_fleet(FLEET, T, INPUTS[0], [1e-4, 0.0, 5e-5])
-    assert np.array_equal(rows[2], propagate(FLEET[2], T, INPUTS[0], [1e-4, 0.0, 5e-5]))
-    assert np.array_equal(propagate_fleet(FLEET[:1], T, INPUTS[0]), [propagate(FLEET[0], T, INPUTS[0])])
+    rows = propagate_fleet(FLEET, T, INPUTS[0], [1e-4, 0.0, 5e-5], between="linear")
+    assert np.array_equal(rows[2], propagate(FLEET[2], T, INPUTS[0], [1e-4, 0.0, 5e-5], between="linear"))
+    assert np.array_equal(
+        propagate_fleet(FLEET[:1], T, INPUTS[0], between="linear"),
+        [propagate(FLEET[0], T, INPUTS[0], between="linear")],
+    )
 
 
 @pytest.mark.compiled
@@ -377,13 +397,13 @@ def test_faults_name_motion_and_index():
     bad = INPUTS.copy()
     bad[2, 5, 1] = math.nan
     with pytest.raises(piga.ArgumentError, match=r"motion 2: f: nan at index \(5, 1\)"):
-        propagate_fleet(FLEET, T, bad)
+        propagate_fleet(FLEET, T, bad, between="linear")
     with pytest.raises(piga.ArgumentError, match=r"do not match: .*'instruments': 2, 'f': 3"):
-        propagate_fleet(FLEET[:2], T, INPUTS)
+        propagate_fleet(FLEET[:2], T, INPUTS, between="linear")
     with pytest.raises(piga.ArgumentError, match="do not match"):
-        propagate_fleet([], T, INPUTS[0])
+        propagate_fleet([], T, INPUTS[0], between="linear")
     with pytest.raises(piga.ArgumentError, match="output"):
-        propagate_fleet(FLEET, T, INPUTS[0], output="velocity")
+        propagate_fleet(FLEET, T, INPUTS[0], output="velocity", between="linear")
 
 
 @pytest.mark.compiled
@@ -391,8 +411,8 @@ def test_faults_name_motion_and_index():
 def test_rate_is_the_same_with_and_without_the_angle(scale):
     """Small steps take the block path, large ones the step-by-step path."""
     t = T * scale / 0.02
-    alpha, rate = propagate(FLEET[2], t, INPUTS[1], with_rate=True)
-    assert np.array_equal(rate, propagate_rate(FLEET[2], t, INPUTS[1]))
+    alpha, rate = propagate(FLEET[2], t, INPUTS[1], with_rate=True, between="linear")
+    assert np.array_equal(rate, propagate_rate(FLEET[2], t, INPUTS[1], between="linear"))
     u = FLEET[2].scale_factor * INPUTS[1]
     expected = u[:, 0] + FLEET[2].tan_beta * (u[:, 1] * np.sin(alpha) - u[:, 2] * np.cos(alpha))
     assert rate == pytest.approx(expected, abs=1e-13)
@@ -402,3 +422,66 @@ def test_cores_without_affinity(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: None)
     assert available_cores() == 1
+
+
+def swaying(t):
+    """A smooth force and base rate with their integrals, whose direction turns."""
+    w = np.array([2.0, 1.3, 0.9])
+    size, mean = G0 * np.array([0.3, 3.0, 2.0]), G0 * np.array([0.4, 0.0, 1.0])
+    turn = np.array([0.05, -0.3, 0.2])
+    f, v = mean + size * np.sin(t[:, None] * w), mean * t[:, None] - size * np.cos(t[:, None] * w) / w
+    return f, v, turn * np.cos(1.7 * t[:, None]), turn * np.sin(1.7 * t[:, None]) / 1.7
+
+
+@pytest.mark.compiled
+def test_smooth_input_is_of_fourth_order_and_linear_input_of_second():
+    """Against exact increments on a grid 32 times finer."""
+    errors = {"smooth": [], "linear": []}
+    for parts in (40, 80, 160):
+        t, fine = np.linspace(0.0, 4.0, parts + 1), np.linspace(0.0, 4.0, 32 * parts + 1)
+        _, v, _, angle = swaying(fine)
+        exact = propagate_increments(INST, fine, np.diff(v, axis=0), np.diff(angle, axis=0))[::32]
+        f, _, omega, _ = swaying(t)
+        for between, left in errors.items():
+            left.append(np.abs(propagate(INST, t, f, omega, between=between) - exact).max())
+    assert math.log2(errors["smooth"][1] / errors["smooth"][2]) > 3.7
+    assert math.log2(errors["linear"][1] / errors["linear"][2]) == pytest.approx(2.0, abs=0.1)
+    assert errors["smooth"][2] < 1e-7 < errors["linear"][2]
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_three_samples_show_no_curve(n):
+    t, f = np.arange(float(n)), G0 * np.array([[0.2, 1.0, 2.0], [0.5, -1.0, 0.3], [0.1, 2.0, 1.0]])[:n]
+    assert propagate(INST, t, f, between="smooth").tolist() == propagate(INST, t, f, between="linear").tolist()
+
+
+@pytest.mark.compiled
+def test_a_step_of_the_force_does_not_ring():
+    """The samples beside a jump are straight: the second derivatives there have opposite signs."""
+    t = np.arange(40.0) * 0.1
+    f = np.tile([0.3 * G0, 0.0, 0.0], (40, 1))
+    f[20:, 0] = 0.5 * G0
+    smooth, linear = (propagate(INST, t, f, between=between) for between in ("smooth", "linear"))
+    assert smooth == pytest.approx(linear, abs=1e-14)
+
+
+def test_an_unknown_way_between_samples_is_refused():
+    with pytest.raises(piga.ArgumentError, match="between: 'cubic' is not known"):
+        propagate(INST, [0.0, 1.0], np.zeros((2, 3)), between="cubic")
+
+
+@pytest.mark.compiled
+def test_propagate_and_calibrate_mean_the_same_force_between_samples():
+    """Without noise K and k0 come back; with a linear force K was 8.3 ppm and k0 8.3 micro-g off."""
+    t = np.arange(0.0, 30.0, 0.01)
+    f = G0 * np.column_stack([1 + 0.3 * np.sin(t), 5 * np.cos(0.4 * t), 0 * t])
+    inst = Instrument("0.8884 rad/s/g", "1000 arcsec", 0.785)
+    left = {}
+    for between in ("smooth", "linear"):
+        run = piga.Run.from_arrays(t, propagate(inst, t, f, between=between), f, scale_factor="0.8884 rad/s/g")
+        with pytest.warns(piga.CalibrationWarning):
+            cal = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"])
+        left[between] = abs(cal["scale_factor"].value / 0.8884 - 1.0), abs(cal["k0"].value)
+    assert max(left["smooth"]) < 5e-9
+    assert min(left["linear"]) > 5e-6

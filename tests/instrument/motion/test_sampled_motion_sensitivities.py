@@ -64,7 +64,7 @@ def test_motion_is_that_of_propagate():
     rng = np.random.default_rng(5)
     t, f = np.arange(50) * 0.05, rng.normal(0.0, 20.0, (50, 3))
     result = sensitivities(INST, t, f)
-    alpha, rate = propagate(INST, t, f, with_rate=True)
+    alpha, rate = propagate(INST, t, f, with_rate=True, between="linear")
     assert result.alpha == pytest.approx(alpha, abs=1e-13)
     assert result.rate == pytest.approx(rate, abs=1e-13)
 

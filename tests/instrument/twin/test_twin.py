@@ -92,7 +92,12 @@ def test_steady_state_is_the_quasi_steady_equation_with_base_rate():
     t, f, omega = constant((G0, 0.5 * G0, -0.2 * G0), 2.0, omega=(0.01, 0.4, -0.2))
     motion = run_twin(p, t, f, omega)
     alpha = propagate(
-        Instrument(p.K, p.pick_off_null, 0.3), t, f, omega, error_model=ErrorModel(k2=predicted_k2(p))
+        Instrument(p.K, p.pick_off_null, 0.3),
+        t,
+        f,
+        omega,
+        error_model=ErrorModel(k2=predicted_k2(p)),
+        between="linear",
     )
     predicted = predicted_rate_error(p, t, motion.alpha, f, omega)
     shift = np.concatenate([[0.0], np.cumsum(0.5 * (predicted[1:] + predicted[:-1]) * np.diff(t))])
@@ -211,7 +216,7 @@ def test_stiff_servo_goes_to_the_quasi_steady_model_with_first_order():
     """All gains times s: the difference to the quasi-steady angle falls as 1/s."""
     t, f, _ = constant((2 * G0, G0, 0.0), 1.0 if SLOW_PYTHON else 5.0, 5e-3)
     inst = Instrument(EXAMPLE.K, 1e-3, 0.2)
-    quasi = propagate(inst, t, f)
+    quasi = propagate(inst, t, f, between="linear")
     factors = np.array([2.0, 4.0] if SLOW_PYTHON else [2.0, 4.0, 8.0, 16.0])
     errors = []
     for factor in factors:

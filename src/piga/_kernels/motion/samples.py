@@ -1,4 +1,8 @@
-"""Records of motion from samples of specific force: angles and rates."""
+"""Records of motion from samples of specific force, or from its increments: angles and rates. One loop over the samples.
+
+Between samples the input is linear, or smooth: then its mean over an interval is that of both ends less ``h^2/12`` of the second
+derivative in the middle, from the samples on both sides (:mod:`piga._kernels.arithmetic`). The calibration takes the same mean.
+"""
 
 from __future__ import annotations
 
@@ -7,117 +11,233 @@ from typing import NamedTuple
 
 import numpy as np
 
-from piga._kernels.arithmetic import double_arctangent
+from piga._kernels.arithmetic import bow_of, double_arctangent, limited
 from piga._kernels.jit import Array, inline, kernel
 from piga._kernels.motion.step import (
-    BLOCK,
     GOOD,
-    PAIR_P,
-    PAIR_Q,
-    RATE_A,
-    RATE_Y,
-    RATE_Z,
-    SIZE,
-    STEP_A,
-    STEP_Y,
-    STEP_Z,
+    SMALL_STEP,
+    TOO_LARGE,
     advance,
-    rates,
-    run_block,
+    magnus_increments,
+    small_step,
+    unit_pair,
     unwrapped,
 )
 
-LENGTH = PAIR_P
-"""Row of interval lengths [s] during :func:`steps_from_means`; it holds the pairs later."""
+Three = tuple[float, float, float]
+NONE = (0.0, 0.0, 0.0)
+BLOCK = 256
+"""Samples whose pairs are read together."""
+NORMALISED = 64
+"""Steps after which a pair is brought to unit length. A small step lets it grow by less than ``exp(1/2)``."""
 
 
-@kernel
-def load_means(t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, w: Array) -> int:
-    """Lengths [s] and mean rates ``a, y, z`` [rad/s] of the intervals between ``t``; how many have h > 0."""
-    positive = 0
-    coupling = K * tan_beta
-    for j in range(dv.shape[0]):
-        h = t[j + 1] - t[j]
-        positive += h > 0.0
-        per_second = 1.0 / h
-        w[LENGTH + j] = h
-        w[RATE_A + j] = K * dv[j, 0] * per_second
-        w[RATE_Y + j] = coupling * dv[j, 1] * per_second
-        w[RATE_Z + j] = coupling * dv[j, 2] * per_second
-    for j in range(dtheta.shape[0]):
-        per_second = 1.0 / w[LENGTH + j]
-        w[RATE_A + j] -= dtheta[j, 0] * per_second
-        w[RATE_Y + j] -= tan_beta * dtheta[j, 1] * per_second
-        w[RATE_Z + j] -= tan_beta * dtheta[j, 2] * per_second
-    return positive
+class MotionSamples(NamedTuple):
+    """A record of specific force, and the instrument's constants.
+
+    Times ``t`` (n,) [s], ``f`` (n, 3) [m/s^2], ``base_rate`` (n, 3) or (0, 3) [rad/s]; ``extra`` (n,) or (0,) [rad/s] is
+    added to ``u_x`` at the samples, and ``extra_mean`` (n - 1,) or (0,) to its mean over each step if the input is linear. The
+    offsets [rad/s] are added to the transverse rates. ``smooth``: how the input goes between samples.
+    """
+
+    t: Array
+    f: Array
+    base_rate: Array
+    extra: Array
+    extra_mean: Array
+    K: float
+    tan_beta: float
+    offset_y: float
+    offset_z: float
+    smooth: bool
 
 
 @inline
-def set_step(w: Array, j: int, sa: float, sy: float, sz: float) -> None:
-    """Increments of step ``j`` from the mean rates in column ``j + 1`` and their slopes [rad/s^2]."""
-    h, a, y, z = w[LENGTH + j + 1], w[RATE_A + j + 1], w[RATE_Y + j + 1], w[RATE_Z + j + 1]
-    cross = h * h * h * (1.0 / 12.0)
-    w[STEP_A + j] = h * a + cross * (y * sz - z * sy)
-    w[STEP_Y + j] = h * y + cross * (a * sz - z * sa)
-    w[STEP_Z + j] = h * z - cross * (a * sy - y * sa)
+def rates_at(samples: MotionSamples, k: int) -> Three:
+    """Effective rates ``a, y, z`` [rad/s] at a sample."""
+    f, K, tan_beta = samples.f, samples.K, samples.tan_beta
+    a, y, z = K * f[k, 0], K * tan_beta * f[k, 1] + samples.offset_y, K * tan_beta * f[k, 2] + samples.offset_z
+    if samples.base_rate.shape[0]:
+        a -= samples.base_rate[k, 0]
+        y -= tan_beta * samples.base_rate[k, 1]
+        z -= tan_beta * samples.base_rate[k, 2]
+    return a + (samples.extra[k] if samples.extra.size else 0.0), y, z
 
 
 @inline
-def slope(w: Array, at: int, to_before: float, to_after: float) -> float:
-    """Weighted rise of a mean rate from the interval before to here and from here to the one after."""
-    return to_before * (w[at + 1] - w[at]) + to_after * (w[at + 2] - w[at + 1])
+def second_derivatives(before: Three, here: Three, after: Three, h0: float, h1: float) -> Three:
+    """Second derivatives of three inputs [rad/s^3] from a sample and its neighbours, ``h0`` and ``h1`` [s] away."""
+    weight, per0, per1 = 2.0 / (h0 + h1), 1.0 / h0, 1.0 / h1
+    return (
+        weight * ((after[0] - here[0]) * per1 - (here[0] - before[0]) * per0),
+        weight * ((after[1] - here[1]) * per1 - (here[1] - before[1]) * per0),
+        weight * ((after[2] - here[2]) * per1 - (here[2] - before[2]) * per0),
+    )
 
 
-@kernel
-def steps_from_means(w: Array, m: int) -> None:
-    """Increments [rad] of ``m`` steps from the interval means in columns 0 to m + 1, order 4.
+@inline
+def bows(h: float, share: float, near: Three, far: Three) -> Three:
+    """Means of three smooth inputs over an interval ``h`` less the means of both ends [rad/s].
 
-    The slope in an interval is that of the parabola with the means of the interval and its neighbours.
+    The second derivatives ``near`` and ``far`` are taken ``share`` of the way from the one to the other.
     """
-    for j in range(m):
-        h0, h1, h2 = w[LENGTH + j], w[LENGTH + j + 1], w[LENGTH + j + 2]
-        lever0, lever2 = h1 + 2.0 * h0, h1 + 2.0 * h2
-        per_lever = 2.0 / (lever0 + lever2)
-        to_before, to_after = lever2 * per_lever / (h0 + h1), lever0 * per_lever / (h1 + h2)
-        set_step(
-            w, j,
-            slope(w, RATE_A + j, to_before, to_after),
-            slope(w, RATE_Y + j, to_before, to_after),
-            slope(w, RATE_Z + j, to_before, to_after),
-        )  # fmt: skip
+    return (
+        bow_of(h, limited(near[0] + share * (far[0] - near[0]), near[0], far[0])),
+        bow_of(h, limited(near[1] + share * (far[1] - near[1]), near[1], far[1])),
+        bow_of(h, limited(near[2] + share * (far[2] - near[2]), near[2], far[2])),
+    )
 
 
 @kernel
-def fill_edges(w: Array, m: int, lead: int, follow: int) -> None:
-    """Substitutes for the missing neighbours of the first and last interval of a record."""
-    for row in (LENGTH, RATE_A, RATE_Y, RATE_Z):
-        if lead == 0:
-            w[row] = w[row + 1]
-        if follow == 0:
-            w[row + m + 1] = w[row + m]
+def bows_at_end(samples: MotionSamples, k: int, near: Three) -> Three:
+    """Bows of the first or last interval, that begins at sample ``k``: second derivatives go on from the two next to it.
 
-
-@kernel
-def edge_step(w: Array, edge: int, near: int, far: int) -> None:
-    """Increments of the first or last step of a record: parabola through the three means next to it.
-
-    ``edge``, ``near``, ``far`` are columns; fewer intervals lower the degree.
+    ``near``: the nearest second derivatives. A record of less than four samples is linear.
     """
-    if near == edge:
-        set_step(w, edge - 1, 0.0, 0.0, 0.0)
-        return
-    side = 1.0 if near > edge else -1.0
-    h0, h1, h2 = w[LENGTH + edge], w[LENGTH + near], w[LENGTH + far]
-    slopes = np.empty(3)
-    for axis in range(3):
-        row = RATE_A + axis * (RATE_Y - RATE_A)
-        rise = 2.0 * side * (w[row + near] - w[row + edge]) / (h0 + h1)
-        slopes[axis] = rise
-        if far != near:
-            rise_far = 2.0 * side * (w[row + far] - w[row + near]) / (h1 + h2)
-            curvature = 3.0 * (rise_far - rise) / (h0 + h1 + h2)
-            slopes[axis] = rise - curvature * (h0 + 2.0 * h1) / 6.0
-    set_step(w, edge - 1, slopes[0], slopes[1], slopes[2])
+    t, n = samples.t, samples.t.size
+    if n < 4:
+        return NONE
+    i, j = (0, 1) if k == 0 else (k, k - 1)  # the interval, and the middle one of the three next to the end
+    h, far_h = t[i + 1] - t[i], (t[3] - t[2] if k == 0 else t[k - 1] - t[k - 2])
+    near_h, at = t[j + 1] - t[j], (2 if k == 0 else k - 1)
+    far = second_derivatives(
+        rates_at(samples, at - 1), rates_at(samples, at), rates_at(samples, at + 1),
+        t[at] - t[at - 1], t[at + 1] - t[at],
+    )  # fmt: skip
+    return bows(h, -(h + 2.0 * near_h) / (2.0 * (h + near_h + far_h)), near, far)
+
+
+@kernel
+def propagate_samples(state: Array, alpha: Array, rate: Array, samples: MotionSamples) -> int:
+    """Unwrapped angle [rad] and rate [rad/s] at each sample.
+
+    ``alpha`` and ``rate`` (n,): each of these may be empty. ``state``: turns, P, Q; updated. Returns ``GOOD``, or the sample at
+    which an unusable step begins. Pairs are turned into angles and rates by the block, for the vector registers.
+    """
+    t, n = samples.t, samples.t.size
+    pairs = np.empty((3, BLOCK))
+    turns, p, q = state[0], state[1], state[2]
+    here, bend, bend_after = rates_at(samples, 0), NONE, NONE
+    for k in range(n):
+        j = k % BLOCK
+        pairs[0, j], pairs[1, j], pairs[2, j] = turns, p, q
+        if j == BLOCK - 1 or k == n - 1:
+            first, stop = k - j, k + 1
+            if alpha.size:
+                read_angles(pairs, alpha[first:stop])
+            if rate.size:
+                read_rates(samples, pairs, first, rate[first:stop])
+        if k == n - 1:
+            break
+        h, after = t[k + 1] - t[k], rates_at(samples, k + 1)
+        A, Y, Z = magnus_increments(h, here[0], here[1], here[2], after[0], after[1], after[2])
+        if samples.smooth:
+            bend, bend_after = bend_after, NONE
+            if k < n - 2:
+                bend_after = second_derivatives(here, after, rates_at(samples, k + 2), h, t[k + 2] - t[k + 1])
+            if 0 < k < n - 2:
+                h0 = t[k] - t[k - 1]
+                a, y, z = bows(h, (h + 2.0 * h0) / (2.0 * (t[k + 2] - t[k - 1])), bend, bend_after)
+            else:
+                a, y, z = bows_at_end(samples, k, bend_after if k == 0 else bend)
+            A, Y, Z = A + h * a, Y + h * y, Z + h * z
+        elif samples.extra_mean.size:
+            A += h * samples.extra_mean[k]
+        if not (h > 0.0 and abs(A) + abs(Y) + abs(Z) < TOO_LARGE):
+            return k
+        turns, p, q = moved(turns, p, q, A, Y, Z, k)
+        here = after
+    state[0] = turns
+    state[1], state[2] = unit_pair(p, q)
+    return GOOD
+
+
+@kernel
+def read_angles(pairs: Array, alpha: Array) -> None:
+    """Unwrapped angles [rad] of turns and pairs."""
+    for j in range(alpha.size):
+        alpha[j] = unwrapped(pairs[0, j], double_arctangent(pairs[1, j], pairs[2, j]))
+
+
+@kernel
+def read_rates(samples: MotionSamples, pairs: Array, first: int, rate: Array) -> None:
+    """Rates ``a + y sin(alpha) - z cos(alpha)`` [rad/s] of pairs from sample ``first`` on."""
+    for j in range(rate.size):
+        p, q = pairs[1, j], pairs[2, j]
+        a, y, z = rates_at(samples, first + j)
+        rate[j] = a + (2.0 * p * q * y - (q * q - p * p) * z) / (p * p + q * q)
+
+
+@inline
+def moved(turns: float, p: float, q: float, A: float, Y: float, Z: float, k: int) -> tuple[float, float, float]:
+    """Turns and pair after step ``k``, of any size; the pair has ``Q >= 0`` and is not normalised."""
+    if A * A + Y * Y + Z * Z > SMALL_STEP:
+        p, q = unit_pair(p, q)
+        turns, _, p, q = advance(turns, double_arctangent(p, q), p, q, A, Y, Z)
+        return turns, p, q
+    p, q = small_step(p, q, A, Y, Z)
+    if q < 0.0:  # a turn is completed: upwards if P has the sign that Q had
+        turns += 1.0 if p > 0.0 else -1.0
+        p, q = -p, -q
+    if k % NORMALISED == 0:
+        p, q = unit_pair(p, q)
+    return turns, p, q
+
+
+@inline
+def mean_rates(t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, j: int) -> Three:
+    """Mean rates ``a, y, z`` [rad/s] of an interval, from its increments of velocity and of the base's angle."""
+    per = 1.0 / (t[j + 1] - t[j])
+    a, y, z = K * dv[j, 0], K * dv[j, 1], K * dv[j, 2]
+    if dtheta.shape[0]:
+        a, y, z = a - dtheta[j, 0], y - dtheta[j, 1], z - dtheta[j, 2]
+    return a * per, tan_beta * y * per, tan_beta * z * per
+
+
+@inline
+def slope_inside(before: float, here: float, after: float, h0: float, h1: float, h2: float) -> float:
+    """Slope in an interval ``h1`` [s] of the parabola with the means of the interval and its neighbours."""
+    lever0, lever2 = h1 + 2.0 * h0, h1 + 2.0 * h2
+    per_lever = 2.0 / (lever0 + lever2)
+    return per_lever * (lever2 / (h0 + h1) * (here - before) + lever0 / (h1 + h2) * (after - here))
+
+
+@inline
+def slope_at_end(here: float, near: float, far: float, h0: float, h1: float, h2: float) -> float:
+    """Slope towards the neighbours in an interval ``h0`` [s] at an end of the record, from the means of the next two."""
+    rise = 2.0 * (near - here) / (h0 + h1)
+    rise_far = 2.0 * (far - near) / (h1 + h2)
+    return rise - (rise_far - rise) * (h0 + 2.0 * h1) / (2.0 * (h0 + h1 + h2))
+
+
+@inline
+def slopes_of(
+    t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, j: int, around: tuple[Three, Three, Three]
+) -> Three:
+    """Slopes of the rates in interval ``j`` [rad/s^2]; ``around``: means of the interval before, of it and of the one after."""
+    n, (before, here, after) = dv.shape[0], around
+    h = t[j + 1] - t[j]
+    if n == 1:
+        return NONE
+    if 0 < j < n - 1:
+        h0, h2 = t[j] - t[j - 1], t[j + 2] - t[j + 1]
+        return (
+            slope_inside(before[0], here[0], after[0], h0, h, h2),
+            slope_inside(before[1], here[1], after[1], h0, h, h2),
+            slope_inside(before[2], here[2], after[2], h0, h, h2),
+        )
+    side, near = (1.0, after) if j == 0 else (-1.0, before)
+    i = 1 if j == 0 else j - 1
+    if n == 2:
+        per = side * 2.0 / (t[2] - t[0])
+        return per * (near[0] - here[0]), per * (near[1] - here[1]), per * (near[2] - here[2])
+    k = 2 if j == 0 else j - 2
+    far, h1, h2 = mean_rates(t, dv, dtheta, K, tan_beta, k), t[i + 1] - t[i], t[k + 1] - t[k]
+    return (
+        side * slope_at_end(here[0], near[0], far[0], h, h1, h2),
+        side * slope_at_end(here[1], near[1], far[1], h, h1, h2),
+        side * slope_at_end(here[2], near[2], far[2], h, h1, h2),
+    )
 
 
 @kernel
@@ -126,33 +246,32 @@ def propagate_increments(
 ) -> int:
     """Unwrapped angle [rad] at the ``n + 1`` times ``t`` from ``n`` velocity increments ``dv`` (n, 3) [m/s].
 
-    ``dtheta`` (n, 3) or (0, 3): turning of the base over each interval [rad]. ``state``: turns, P, Q.
+    ``dtheta`` (n, 3) or (0, 3): turning of the base over each interval [rad]. ``state``: turns, P, Q. Order 4: the slope in an
+    interval is that of the parabola with the means of the interval and its neighbours.
     """
-    w = np.empty(SIZE)
     turns, p, q = state[0], state[1], state[2]
-    alpha[0] = unwrapped(turns, double_arctangent(p, q))
-    n = dv.shape[0]
-    first = 0
-    while first < n:
-        m = min(BLOCK, n - first)
-        lead, follow = min(first, 1), min(n - first - m, 1)
-        end = first + m
-        low, high = first - lead, end + follow
-        columns = w[1 - lead :]
-        if load_means(t[low : high + 1], dv[low:high], dtheta[low:high], K, tan_beta, columns) < high - low:
-            return first
-        if lead == 0 or follow == 0:
-            fill_edges(w, m, lead, follow)
-        steps_from_means(w, m)
-        if lead == 0:
-            edge_step(w, 1, min(2, m + follow), min(3, m + follow))
-        if follow == 0:
-            edge_step(w, m, max(m - 1, 1 - lead), max(m - 2, 1 - lead))
-        usable, turns, p, q = run_block(w, m, (turns, p, q), alpha[first + 1 : end + 1])
-        if not usable:
-            return first
-        first += m
-    state[0], state[1], state[2] = turns, p, q
+    n, before = dv.shape[0], NONE
+    pairs = np.empty((3, BLOCK))
+    here = mean_rates(t, dv, dtheta, K, tan_beta, 0)
+    for j in range(n + 1):
+        i = j % BLOCK
+        pairs[0, i], pairs[1, i], pairs[2, i] = turns, p, q
+        if i == BLOCK - 1 or j == n:
+            read_angles(pairs, alpha[j - i : j + 1])
+        if j == n:
+            break
+        h = t[j + 1] - t[j]
+        after = mean_rates(t, dv, dtheta, K, tan_beta, j + 1) if j < n - 1 else NONE
+        (a, y, z), (sa, sy, sz) = here, slopes_of(t, dv, dtheta, K, tan_beta, j, (before, here, after))
+        cross = h * h * h * (1.0 / 12.0)
+        A = h * a + cross * (y * sz - z * sy)
+        Y, Z = h * y + cross * (a * sz - z * sa), h * z - cross * (a * sy - y * sa)
+        if not (h > 0.0 and abs(A) + abs(Y) + abs(Z) < TOO_LARGE):
+            return j
+        turns, p, q = moved(turns, p, q, A, Y, Z, j)
+        before, here = here, after
+    state[0] = turns
+    state[1], state[2] = unit_pair(p, q)
     return GOOD
 
 
@@ -258,95 +377,4 @@ def propagate_sensitivities(
             d_alpha[k, n] = carried[n]
             d_rate[k, n] = d1[0, n] + d1[1, n] * sine - d1[2, n] * cosine + stiffness * carried[n]
         r0[:], d0[:, :] = r1, d1
-    return GOOD
-
-
-class MotionSamples(NamedTuple):
-    """A record of specific force, linear between samples, and the instrument's constants.
-
-    Times ``t`` (n,) [s], ``f`` (n, 3) [m/s^2], ``base_rate`` (n, 3) or (0, 3) [rad/s]; ``extra`` (n,) or (0,) [rad/s] is
-    added to ``u_x`` at the samples and ``extra_mean`` (n - 1,) or (0,) to its mean over each step; the offsets [rad/s]
-    are added to the transverse rates.
-    """
-
-    t: Array
-    f: Array
-    base_rate: Array
-    extra: Array
-    extra_mean: Array
-    K: float
-    tan_beta: float
-    offset_y: float
-    offset_z: float
-
-
-@kernel
-def load_rates(samples: MotionSamples, start: int, stop: int, w: Array) -> None:
-    """Effective rates ``a, y, z`` [rad/s] at the samples ``start`` to ``stop - 1``, a block."""
-    f, K, tan_beta = samples.f[start:stop], samples.K, samples.tan_beta
-    base_rate, extra = samples.base_rate[start:stop], samples.extra[start:stop]
-    coupling = K * tan_beta
-    for j in range(f.shape[0]):
-        w[RATE_A + j] = K * f[j, 0]
-        w[RATE_Y + j] = coupling * f[j, 1] + samples.offset_y
-        w[RATE_Z + j] = coupling * f[j, 2] + samples.offset_z
-    for j in range(base_rate.shape[0]):
-        w[RATE_A + j] -= base_rate[j, 0]
-        w[RATE_Y + j] -= tan_beta * base_rate[j, 1]
-        w[RATE_Z + j] -= tan_beta * base_rate[j, 2]
-    for j in range(extra.size):
-        w[RATE_A + j] += extra[j]
-
-
-@kernel
-def steps_from_samples(t: Array, extra_mean: Array, w: Array, m: int) -> int:
-    """Increments [rad] of ``m`` steps with input linear between samples; returns how many have h > 0.
-
-    Mean of the ends plus the commutator of the fourth-order Magnus expansion [Blanes2009].
-    """
-    positive = 0
-    for j in range(m):
-        h = t[j + 1] - t[j]
-        positive += h > 0.0
-        a0, y0, z0 = w[RATE_A + j], w[RATE_Y + j], w[RATE_Z + j]
-        a1, y1, z1 = w[RATE_A + j + 1], w[RATE_Y + j + 1], w[RATE_Z + j + 1]
-        mean, cross = 0.5 * h, h * h * (1.0 / 12.0)
-        w[STEP_A + j] = mean * (a0 + a1) + cross * (y0 * z1 - z0 * y1)
-        w[STEP_Y + j] = mean * (y0 + y1) + cross * (a0 * z1 - z0 * a1)
-        w[STEP_Z + j] = mean * (z0 + z1) - cross * (a0 * y1 - y0 * a1)
-    for j in range(extra_mean.size):
-        w[STEP_A + j] += (t[j + 1] - t[j]) * extra_mean[j]
-    return positive
-
-
-@kernel
-def propagate_samples(state: Array, alpha: Array, rate: Array, samples: MotionSamples) -> int:
-    """Unwrapped angle [rad] and rate [rad/s] at each sample; input linear between samples.
-
-    ``alpha`` and ``rate`` (n,): each of these may be empty. ``state``: turns, P, Q; updated (the turns only if
-    ``alpha`` is wanted).
-    """
-    w = np.empty(SIZE)
-    t = samples.t
-    turns, p, q = state[0], state[1], state[2]
-    n = t.size
-    if alpha.size:
-        alpha[0] = unwrapped(turns, double_arctangent(p, q))
-    if n == 1:
-        load_rates(samples, 0, 1, w)
-        w[PAIR_P], w[PAIR_Q] = p, q
-        rates(w, rate)
-    first = 0
-    while first < n - 1:
-        m = min(BLOCK, n - 1 - first)
-        stop = first + m + 1
-        load_rates(samples, first, stop, w)
-        if steps_from_samples(t[first:stop], samples.extra_mean[first : stop - 1], w, m) < m:
-            return first
-        usable, turns, p, q = run_block(w, m, (turns, p, q), alpha[first + 1 : stop])
-        if not usable:
-            return first
-        rates(w, rate[first:stop])
-        first += m
-    state[0], state[1], state[2] = turns, p, q
     return GOOD

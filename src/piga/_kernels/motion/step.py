@@ -20,156 +20,37 @@ from piga._kernels import arithmetic as dd
 from piga._kernels.arithmetic import double_arctangent
 from piga._kernels.jit import Array, exact, inline, kernel
 
-BLOCK = 256
-HALF = BLOCK // 2
-_PITCH = BLOCK + 8
-RATE_A, RATE_Y, RATE_Z = 0, _PITCH, 2 * _PITCH
-STEP_A, STEP_Y, STEP_Z = 3 * _PITCH, 4 * _PITCH, 5 * _PITCH
-_G, _H, _B, _C = 6 * _PITCH, 7 * _PITCH, 8 * _PITCH, 9 * _PITCH
-PAIR_P, PAIR_Q = 10 * _PITCH, 11 * _PITCH
-_U, _V, _X, _Y = 12 * _PITCH, 13 * _PITCH, 14 * _PITCH, 15 * _PITCH
-SIZE = 16 * _PITCH
-
 SMALL_STEP = 1.0
-"""Largest ``A^2 + Y^2 + Z^2`` [rad^2] for which the series below and the turn count are valid."""
+"""Largest ``A^2 + Y^2 + Z^2`` [rad^2] for which the series of :func:`small_step` and the count of turns are valid."""
+GOOD = -1
+"""Result of the kernels for whole records if all samples are usable; otherwise they return the start of a bad step."""
+TOO_LARGE = 1e150
 
 _C1, _C2, _C3, _C4, _C5, _C6, _C7 = (1.0 / math.factorial(2 * k) for k in range(1, 8))
 _S0, _S1, _S2, _S3, _S4, _S5, _S6, _S7 = (0.5 / math.factorial(2 * k + 1) for k in range(8))
 
 
-@kernel
-def matrices(w: Array, m: int) -> int:
-    """Matrices of ``m`` steps from their increments; returns how many steps are small enough for it.
+@inline
+def small_step(p: float, q: float, A: float, Y: float, Z: float) -> tuple[float, float]:
+    """The pair after a small step, not normalised.
 
-    ``C - 1`` and ``S/2`` as Taylor series in ``x``, ``|x| <= 1/4``: truncation below 1e-18.
+    ``C - 1`` and ``S/2`` as Taylor series in ``x``, ``|x| <= 1/4``: truncation below 1e-18. The difference from the identity is
+    kept apart, so that the rounding of small steps does not add up in one direction. The terms are added in pairs (Estrin), because
+    the processor waits for a chain of them.
     """
-    small = 0
-    for j in range(m):
-        A, Y, Z = w[STEP_A + j], w[STEP_Y + j], w[STEP_Z + j]
-        square_a, square_t = A * A, Y * Y + Z * Z
-        small += square_a + square_t <= SMALL_STEP
-        x = 0.25 * (square_t - square_a)
-        c = x * (_C1 + x * (_C2 + x * (_C3 + x * (_C4 + x * (_C5 + x * (_C6 + x * _C7))))))
-        s = _S0 + x * (_S1 + x * (_S2 + x * (_S3 + x * (_S4 + x * (_S5 + x * (_S6 + x * _S7))))))
-        w[_G + j], w[_H + j] = c + s * Y, c - s * Y
-        w[_B + j], w[_C + j] = s * (A - Z), s * (A + Z)
-    return small
+    x = 0.25 * (Y * Y + Z * Z - A * A)
+    x2 = x * x
+    x4 = x2 * x2
+    c = x * (((_C1 + x * _C2) + x2 * (_C3 + x * _C4)) + x4 * ((_C5 + x * _C6) + x2 * _C7))
+    s = ((_S0 + x * _S1) + x2 * (_S2 + x * _S3)) + x4 * ((_S4 + x * _S5) + x2 * (_S6 + x * _S7))
+    return (p + (c + s * Y) * p) + s * (A - Z) * q, (q + (c - s * Y) * q) - s * (A + Z) * p
 
 
 @inline
-def transfer(w: Array, j: int, p: float, q: float) -> tuple[float, float]:
-    """The pair after step ``j``."""
-    return (p + w[_G + j] * p) + w[_B + j] * q, (q + w[_H + j] * q) - w[_C + j] * p
-
-
-@kernel
-def chain(w: Array, m: int, p: float, q: float) -> None:
-    """Pairs at all samples of a block that starts with ``(p, q)``, not normalised.
-
-    The second half of a full block is multiplied up as a matrix while the first half is applied to
-    a vector: two chains at once, each half as long.
-    """
-    w[PAIR_P], w[PAIR_Q] = p, q
-    if m < BLOCK:
-        for j in range(m):
-            p, q = transfer(w, j, p, q)
-            w[PAIR_P + 1 + j], w[PAIR_Q + 1 + j] = p, q
-        return
-    u, v, x, y = 1.0, 0.0, 0.0, 1.0
-    for j in range(HALF):
-        p, q = transfer(w, j, p, q)
-        u, v = transfer(w, HALF + j, u, v)
-        x, y = transfer(w, HALF + j, x, y)
-        w[PAIR_P + 1 + j], w[PAIR_Q + 1 + j] = p, q
-        w[_U + j], w[_V + j], w[_X + j], w[_Y + j] = u, v, x, y
-    for j in range(HALF):
-        w[PAIR_P + HALF + 1 + j] = w[_U + j] * p + w[_X + j] * q
-        w[PAIR_Q + HALF + 1 + j] = w[_V + j] * p + w[_Y + j] * q
-
-
-@kernel
-def rates(w: Array, rate: Array) -> None:
-    """Rate [rad/s] at the samples: ``a + y sin(alpha) - z cos(alpha)`` from the pairs."""
-    for j in range(rate.size):
-        p, q = w[PAIR_P + j], w[PAIR_Q + j]
-        square_p, square_q = p * p, q * q
-        pull = 2.0 * p * q * w[RATE_Y + j] - (square_q - square_p) * w[RATE_Z + j]
-        rate[j] = w[RATE_A + j] + pull / (square_p + square_q)
-
-
-@kernel
-def angles(w: Array, m: int, turns: float, alpha: Array) -> float:
-    """Unwrapped angle [rad] after each of ``m`` small steps; returns the turns at the last.
-
-    The first pair of the block has ``Q >= 0``. A turn is completed where ``Q`` changes sign: upwards
-    if ``P`` has the old sign of ``Q``.
-    """
-    negative = 0
-    for j in range(m):
-        negative += w[PAIR_Q + 1 + j] < 0.0
-        rest = double_arctangent(w[PAIR_P + 1 + j], w[PAIR_Q + 1 + j])
-        alpha[j] = turns * TWO_PI_HIGH + (turns * TWO_PI_LOW + rest)
-    if negative == 0:
-        return turns
-    before = False
-    for j in range(m):
-        p, q = w[PAIR_P + 1 + j], w[PAIR_Q + 1 + j]
-        if (q < 0.0) != before:
-            turns += 1.0 if (p < 0.0) == before else -1.0
-            before = not before
-        alpha[j] = turns * TWO_PI_HIGH + (turns * TWO_PI_LOW + double_arctangent(p, q))
-    return turns
-
-
-_TOO_LARGE = 1e150
-GOOD = -1
-"""Result of the kernels for whole records if all samples are usable; otherwise they return the start of a bad block."""
-
-
-@kernel
-def stepwise(
-    w: Array, m: int, turns: float, p: float, q: float, alpha: Array
-) -> tuple[bool, float, float, float]:
-    """Compute a block step by step, for steps of any size; False if an increment is not a usable number."""
-    rest = double_arctangent(p, q)
-    w[PAIR_P], w[PAIR_Q] = p, q
-    for j in range(m):
-        A, Y, Z = w[STEP_A + j], w[STEP_Y + j], w[STEP_Z + j]
-        if not abs(A) + abs(Y) + abs(Z) < _TOO_LARGE:
-            return False, turns, p, q
-        turns, rest, p, q = advance(turns, rest, p, q, A, Y, Z)
-        w[PAIR_P + 1 + j], w[PAIR_Q + 1 + j] = p, q
-        if alpha.size:
-            alpha[j] = unwrapped(turns, rest)
-    return True, turns, p, q
-
-
-@kernel
-def close_block(w: Array, m: int, turns: float, alpha: Array) -> tuple[float, float, float]:
-    """Angles (unless ``alpha`` is empty) from the pairs of a block; turns and unit pair at its end."""
-    if alpha.size:
-        turns = angles(w, m, turns, alpha)
-    p, q = w[PAIR_P + m], w[PAIR_Q + m]
-    scale = 1.0 / math.sqrt(p * p + q * q)
-    if q < 0.0:
-        scale = -scale
-    return turns, p * scale, q * scale
-
-
-@kernel
-def run_block(
-    w: Array, m: int, start: tuple[float, float, float], alpha: Array
-) -> tuple[bool, float, float, float]:
-    """Pairs and angles (unless ``alpha`` is empty) of a block whose increments are in ``w``.
-
-    ``start``: turns, P, Q.
-    """
-    turns, p, q = start
-    if matrices(w, m) < m:
-        return stepwise(w, m, turns, p, q, alpha)
-    chain(w, m, p, q)
-    turns, p, q = close_block(w, m, turns, alpha)
-    return True, turns, p, q
+def unit_pair(p: float, q: float) -> tuple[float, float]:
+    """The pair at unit length with ``Q >= 0``."""
+    scale = math.copysign(1.0 / math.sqrt(p * p + q * q), q)
+    return p * scale, q * scale
 
 
 TWO_PI = 2.0 * math.pi
@@ -177,7 +58,7 @@ TWO_PI_HIGH = 6.283185303211212  # the leading 27 bits of 2 pi: exact times any 
 TWO_PI_LOW = 3.968374318722162e-09
 
 
-@kernel
+@inline
 def unwrapped(turns: float, rest: float) -> float:
     """``2 pi turns + rest`` [rad], rounded once for up to 6e7 turns (and to an ulp beyond)."""
     return turns * TWO_PI_HIGH + (turns * TWO_PI_LOW + rest)
@@ -218,7 +99,7 @@ def half_turns(x: float, increment: float) -> float:
     return math.copysign(np.rint(math.sqrt(-x) / math.pi), increment)
 
 
-@kernel
+@inline
 def magnus_increments(
     h: float, a0: float, y0: float, z0: float, a1: float, y1: float, z1: float
 ) -> tuple[float, float, float]:

@@ -1,6 +1,6 @@
 r"""Exact motion under recorded input: one instrument or a fleet, and its derivatives.
 
-Specific force is linear between sample times. Each step is the exponential of a matrix of sl(2, R) acting on the
+Specific force is smooth or linear between sample times. Each step is the exponential of a matrix of sl(2, R) acting on the
 half-angle pair; the Magnus expansion [Blanes2009] makes it fourth order for input that is linear between samples, and
 exact where the ratio ``u_x : u_Y : u_Z`` is constant. Projective schemes of this kind: [Schiff1999]. Velocity
 increments use the same expansion; a constant segment is one step whatever its length. Derived in docs/theory/motion.
@@ -25,6 +25,9 @@ from piga.errors import ArgumentError
 from piga.instrument.checks import explain, float_array, require_finite, time_array
 from piga.instrument.parameters import ErrorModel, Instrument
 from piga.results import Array, Result
+
+Between = Literal["smooth", "linear"]
+"""How force and base rate go between samples."""
 
 _EMPTY = float_array("empty", np.empty(0))
 _EMPTY_VECTORS = float_array("empty", np.empty((0, 3)))
@@ -66,6 +69,7 @@ def sampled_input(
     base_rate: ArrayLike | None = None,
     error_model: ErrorModel | None = None,
     temperature: ArrayLike | None = None,
+    between: Between = "linear",
 ) -> MotionSamples:
     """Check shapes and prepare the input of :func:`propagate`; nothing is copied that is float64, C-order.
 
@@ -74,6 +78,8 @@ def sampled_input(
     ArgumentError
         If an input is empty or has another shape, or a single sample is not finite.
     """
+    if between not in ("smooth", "linear"):
+        raise ArgumentError(f"between: {between!r} is not known", remedy="use 'smooth' or 'linear'")
     times = time_array("t", t)
     force = float_array("f", f, (times.size, 3))
     omega = _EMPTY_VECTORS
@@ -101,6 +107,7 @@ def sampled_input(
         tan_beta=inst.tan_beta,
         offset_y=offset_y,
         offset_z=offset_z,
+        smooth=between == "smooth",
     )
 
 
@@ -133,6 +140,7 @@ def propagate(
     *,
     error_model: ErrorModel | None = ...,
     temperature: ArrayLike | None = ...,
+    between: Between = ...,
 ) -> Array: ...
 
 
@@ -146,6 +154,7 @@ def propagate(
     with_rate: Literal[True],
     error_model: ErrorModel | None = ...,
     temperature: ArrayLike | None = ...,
+    between: Between = ...,
 ) -> tuple[Array, Array]: ...
 
 
@@ -158,33 +167,37 @@ def propagate(
     *,
     error_model: ErrorModel | None = None,
     temperature: ArrayLike | None = None,
+    between: Between = "smooth",
 ) -> Array | tuple[Array, Array]:
     r"""Outer-gimbal angle under a recorded specific force, equation (2) of docs/theory/motion.
 
     .. math:: \alpha' = u_x + \tan\beta\,(u_Y\sin\alpha - u_Z\cos\alpha) + K e, \qquad u = K f - \Omega
 
-    The result is of fourth order in the sample interval for input that is linear between samples. It is exact where
-    the direction of the input is constant. Revolutions are counted exactly, also in steps of many revolutions. No
-    memory is needed besides input and output (an error model needs two vectors of the length of the record).
+    The result is of fourth order in the sample interval. It is exact where the direction of the input is constant.
+    Revolutions are counted exactly, also in steps of many revolutions. No memory is needed besides input and output (an
+    error model needs two vectors of the length of the record).
 
     Parameters
     ----------
     inst:
         The instrument; ``inst.alpha0`` is the angle at ``t[0]``.
     t:
-        Sample times [s], shape (n,), increasing, any spacing. The gimbal keeps turning in a gap, and the force there
-        is linear. A compensation forms no increment across a gap. :func:`propagate_segments` starts a new segment.
+        Sample times [s], shape (n,), increasing, any spacing. The gimbal keeps turning in a gap.
+        A compensation forms no increment across a gap. :func:`propagate_segments` starts a new segment.
     f:
-        Specific force in base axes at the sample times [m/s^2], shape (n, 3); linear between.
+        Specific force in base axes at the sample times [m/s^2], shape (n, 3).
     base_rate:
         Inertial rate of the base in base axes at the sample times [rad/s], shape (n, 3), or (3,) for
-        a constant one; linear between. None: the base does not turn.
+        a constant one. None: the base does not turn.
     with_rate:
         Return the rate as well.
     error_model:
         Errors of a real instrument; None: none.
     temperature:
         Temperature at the sample times [K], shape (n,); needed by ``k0_T`` and ``k1_T``.
+    between:
+        How force and base rate go between samples. ``"smooth"``: like the cubic through the four samples around an interval, as
+        :func:`piga.calibrate` takes them. ``"linear"``: straight. The two differ by ``h^2/12`` of the second derivative.
 
     Returns
     -------
@@ -208,7 +221,7 @@ def propagate(
     >>> round(float(alpha[-1]), 9)
     9.707147027
     """
-    record = sampled_input(inst, t, f, base_rate, error_model, temperature)
+    record = sampled_input(inst, t, f, base_rate, error_model, temperature, between)
     alpha = np.empty(record.t.size)
     rate = np.empty(record.t.size if with_rate else 0)
     run_samples(record, inst.alpha0, alpha, rate)
@@ -224,12 +237,13 @@ def propagate_rate(
     *,
     error_model: ErrorModel | None = None,
     temperature: ArrayLike | None = None,
+    between: Between = "smooth",
 ) -> Array:
     """Rate of the outer gimbal [rad/s] at the sample times, shape (n,), without its angle.
 
     Arguments and errors as in :func:`propagate`. It is faster, because no angle is computed.
     """
-    record = sampled_input(inst, t, f, base_rate, error_model, temperature)
+    record = sampled_input(inst, t, f, base_rate, error_model, temperature, between)
     rate = np.empty(record.t.size)
     run_samples(record, inst.alpha0, _NO_OUTPUT, rate)
     return rate
@@ -365,7 +379,7 @@ def sensitivities(
 ) -> Sensitivities:
     """Motion under recorded specific force with its derivatives, from the same matrices.
 
-    The derivatives are those of the discrete motion of :func:`piga.propagate`. They are exact to rounding, because no
+    The derivatives are those of :func:`piga.propagate` with ``between="linear"``. They are exact to rounding, because no
     finite differences are used.
 
     Parameters
@@ -407,6 +421,7 @@ def propagate_fleet(
     base_rate: ArrayLike | None = None,
     *,
     output: str = "angle",
+    between: Between = "smooth",
     workers: int | None = None,
 ) -> Array:
     """Angle or rate of many motions over the same times: the batch form of :func:`piga.propagate`.
@@ -426,6 +441,8 @@ def propagate_fleet(
         Inertial rate of the base [rad/s], base axes: shape (3,), (n, 3) or (m, n, 3).
     output:
         ``"angle"`` [rad] or ``"rate"`` [rad/s].
+    between:
+        As in :func:`piga.propagate`.
     workers:
         Threads; None: one per core.
 
@@ -462,7 +479,7 @@ def propagate_fleet(
         inst = fleet[i if len(fleet) > 1 else 0]
         rates = omega[i] if omega is not None and omega.ndim == 3 else omega
         try:
-            record = sampled_input(inst, times, force[i] if force.ndim == 3 else force, rates)
+            record = sampled_input(inst, times, force[i] if force.ndim == 3 else force, rates, between=between)
             angle, rate = (result[i], _NO_OUTPUT) if output == "angle" else (_NO_OUTPUT, result[i])
             run_samples(record, inst.alpha0, angle, rate)
         except ArgumentError as error:

@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, cast
@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, TypeVar, cast
 import msgspec
 import numpy as np
 
-from piga.errors import CalibrationError, PigaError, UnitError
+from piga.errors import CalibrationError, PigaError, UnitError, Where
 from piga.output import settle
 from piga.records.calibration import (
     Amount,
@@ -70,14 +70,9 @@ class _Level(msgspec.Struct, frozen=True):
     unit: str
 
 
-class _Nominal(msgspec.Struct, frozen=True):
-    value: Annotated[float, msgspec.Meta(gt=0.0, le=1e100)]
-    unit: str
-
-
 class _Instrument(msgspec.Struct, frozen=True):
     serial: str
-    scale_factor_nominal: _Nominal
+    scale_factor_nominal: _Level
 
 
 class _Model(msgspec.Struct, frozen=True):
@@ -140,18 +135,25 @@ class _Provenance(msgspec.Struct, frozen=True):
     options: dict[str, Any] = {}
 
 
-class _Document(msgspec.Struct, frozen=True):
+class _Figures(msgspec.Struct, frozen=True):
+    """The part of a document that the history of an instrument needs."""
+
     schema: str
     instrument: _Instrument
     model: _Model
     coefficients: tuple[_Coefficient, ...]
+    uncertainty_budget: tuple[BudgetEntry, ...] = ()
+
+
+class _Document(_Figures, frozen=True, kw_only=True):
+    """A whole document. Keys that are not named here, such as those of earlier or later versions, are ignored."""
+
     covariance: _Covariance
     noise: _Noise
     residual: _Residual
     quality: Quality
     identifiability: _Identifiability
     provenance: _Provenance
-    uncertainty_budget: tuple[BudgetEntry, ...] = ()
     surplus_observations: Level | None = None
     degrees_of_freedom: Level = math.inf
     diagnostics: Diagnostics = Diagnostics()
@@ -160,42 +162,55 @@ class _Document(msgspec.Struct, frozen=True):
     outliers: tuple[Outlier, ...] = ()
 
 
-class _Figures(msgspec.Struct, frozen=True):
-    """The part of a document that the history of an instrument needs."""
-
-    instrument: _Instrument
-    model: _Model
-    coefficients: tuple[_Coefficient, ...]
-    uncertainty_budget: tuple[BudgetEntry, ...] = ()
-    schema: Any = None
-
-
 def to_document(calibration: Calibration) -> dict[str, Any]:
-    """The record as plain JSON values (file units)."""
-    c = calibration
-    nominal = _Nominal(from_si(c.scale_factor_nominal, "rad/s/g"), "rad/s/g")
+    """The record as plain JSON values (file units).
+
+    The verdict is for people who read the file. piga does not read it back: it computes the verdict again from the record.
+    """
+    c, verdict = calibration, calibration.verdict
     expanded = "half_width_95" if c.type_a_only else "expanded"
+    coloured: Any = c.coloured_noise
+    angle = "rad/s" if c.diagnostics.residual_kind == "rate" else "rad"
     document: dict[str, Any] = {
         "schema": SCHEMA,
-        "instrument": _Instrument(c.serial, nominal),
-        "model": {
-            "terms": c.terms,
-            "phase": c.phases,
-            "phase_source": c.phase_source,
-            "method": c.method,
-            "temperature_reference": _Level(c.temperature_reference, "K"),
-            "time_reference": Amount(c.time_reference, "s"),
-        },
+        "instrument": _Instrument(c.serial, _Level(from_si(c.scale_factor_nominal, "rad/s/g"), "rad/s/g")),
+        "model": _Model(
+            c.terms,
+            cast("Phases", c.phases),
+            cast("PhaseSource", c.phase_source),
+            cast("Method", c.method),
+            _Level(c.temperature_reference, "K"),
+            Amount(c.time_reference, "s"),
+        ),
         "coefficients": [_stated(k, expanded) for k in c.coefficients],
         "covariance": {"names": [k.key for k in c.coefficients], "matrix": c.covariance.tolist()},
-        "noise": _noise(c),
-        "residual": _residual(c),
+        "noise": _Noise(
+            _Level(c.angle_rms, "rad"),
+            _Level(c.angle_random_walk, "rad/sqrt(s)"),
+            _Level(c.bias_drift, "rad/s/sqrt(s)"),
+            _Level(c.segment_scatter, "rad/s"),
+            coloured
+            and _Coloured(
+                coloured.kind, _Level(coloured.rms, "rad/s"), _Level(coloured.time, "s"), coloured.gain
+            ),
+        ),
+        "residual": _Residual(
+            _Level(c.residual_rms, angle),
+            _Level(c.residual_rms_before, angle),
+            _Level(c.residual_max_before, angle),
+            _Level(c.residual_max_after, angle),
+        ),
         "surplus_observations": c.surplus_observations,
         "quality": c.quality,
         "identifiability": _Identifiability(
             c.condition if math.isfinite(c.condition) else None, c.notes, c.remarks
         ),
-        "verdict": _verdict(c),
+        "verdict": {
+            "level": verdict.level,
+            "headline": verdict.headline,
+            "does_not_hold": [{"what": doubt.what, "remedy": doubt.remedy} for doubt in verdict.doubts],
+            "holds": verdict.holds,
+        },
         "diagnostics": c.diagnostics.document(),
         "segments": c.segments,
         "uncertainty_budget": [row.document() for row in c.budget],
@@ -206,35 +221,6 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     if c.outliers:
         document["outliers"] = c.outliers[: DOCUMENT.outliers]
     return cast("dict[str, Any]", msgspec.to_builtins(document, enc_hook=float))
-
-
-def _noise(c: Calibration) -> _Noise:
-    found: Any = c.coloured_noise
-    return _Noise(
-        _Level(c.angle_rms, "rad"),
-        _Level(c.angle_random_walk, "rad/sqrt(s)"),
-        _Level(c.bias_drift, "rad/s/sqrt(s)"),
-        _Level(c.segment_scatter, "rad/s"),
-        found and _Coloured(found.kind, _Level(found.rms, "rad/s"), _Level(found.time, "s"), found.gain),
-    )
-
-
-def _residual(c: Calibration) -> _Residual:
-    """Residual figures, of angles or of rates."""
-    unit = "rad/s" if c.diagnostics.residual_kind == "rate" else "rad"
-    figures = (c.residual_rms, c.residual_rms_before, c.residual_max_before, c.residual_max_after)
-    return _Residual(*(_Level(value, unit) for value in figures))
-
-
-def _verdict(c: Calibration) -> dict[str, Any]:
-    """The verdict, for people who read the file. piga does not read it back: it computes the verdict again from the record."""
-    verdict = c.verdict
-    return {
-        "level": verdict.level,
-        "headline": verdict.headline,
-        "does_not_hold": [{"what": doubt.what, "remedy": doubt.remedy} for doubt in verdict.doubts],
-        "holds": list(verdict.holds),
-    }
 
 
 def _stated(c: Coefficient, name: str) -> dict[str, Any]:
@@ -288,39 +274,49 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     CalibrationError
         As :func:`read_calibration`.
     """
-    document, runs = _decode(raw, path)
+    document = _decoded(raw, path, _Document)
+    runs = _runs(document, path)
     coefficients = tuple(_coefficient(c) for c in document.coefficients)
     matrix = _check(path, document, coefficients, runs)
-    condition = document.identifiability.condition
+    model, noise, residual, found = document.model, document.noise, document.residual, document.identifiability
+    coloured: Any = noise.coloured
+    hashes = document.provenance.input_sha256
+    surplus = document.surplus_observations  # the first version called it degrees of freedom
     return Calibration(
         serial=document.instrument.serial,
         scale_factor_nominal=_in_si(document.instrument.scale_factor_nominal, "rad/s/(m/s^2)", path),
-        terms=document.model.terms,
-        phases=document.model.phase,
-        phase_source=document.model.phase_source,
-        method=document.model.method,
+        terms=model.terms,
+        phases=model.phase,
+        phase_source=model.phase_source,
+        method=model.method,
         coefficients=coefficients,
         covariance=matrix,
-        surplus_observations=_surplus(document),
-        angle_rms=_in_si(document.noise.angle_rms, "rad", path),
-        angle_random_walk=_in_si(document.noise.angle_random_walk, "rad/sqrt(s)", path),
-        bias_drift=_level(document.noise.bias_drift),
-        segment_scatter=_level(document.noise.segment_scatter),
-        coloured_noise=_coloured_noise(document.noise.coloured),
-        residual_rms=document.residual.rms.value,
-        residual_rms_before=document.residual.rms_before.value,
-        residual_max_before=document.residual.max_before.value,
-        residual_max_after=document.residual.max_after.value,
+        surplus_observations=document.degrees_of_freedom if surplus is None else surplus,
+        angle_rms=_in_si(noise.angle_rms, "rad", path),
+        angle_random_walk=_in_si(noise.angle_random_walk, "rad/sqrt(s)", path),
+        bias_drift=0.0 if noise.bias_drift is None else noise.bias_drift.value,
+        segment_scatter=0.0 if noise.segment_scatter is None else noise.segment_scatter.value,
+        coloured_noise=coloured
+        and ColouredNoise(coloured.kind, coloured.rms.value, coloured.time.value, coloured.gain),
+        residual_rms=residual.rms.value,
+        residual_rms_before=residual.rms_before.value,
+        residual_max_before=residual.max_before.value,
+        residual_max_after=residual.max_after.value,
         quality=document.quality,
-        condition=math.inf if condition is None else condition,
-        notes=document.identifiability.notes,
-        remarks=document.identifiability.remarks,
+        condition=math.inf if found.condition is None else found.condition,
+        notes=found.notes,
+        remarks=found.remarks,
         budget=BudgetTable(document.uncertainty_budget),
         diagnostics=document.diagnostics,
         segments=document.segments,
-        provenance=_provenance(document.provenance),
-        temperature_reference=_in_si(document.model.temperature_reference, "K", path),
-        time_reference=_in_si(document.model.time_reference, "s", path),
+        provenance=Provenance(
+            {"input": hashes} if isinstance(hashes, str) else hashes,  # the first version named one input
+            document.provenance.software,
+            document.provenance.created,
+            document.provenance.options,
+        ),
+        temperature_reference=_in_si(model.temperature_reference, "K", path),
+        time_reference=_in_si(model.time_reference, "s", path),
         runs=runs,
         outliers=document.outliers,
     )
@@ -337,36 +333,14 @@ def figures_from_bytes(raw: bytes, path: Path) -> CalibrationFigures:
     CalibrationError
         As :func:`read_calibration`.
     """
-    document = _figures_of(raw) or _of_schema(raw, path, lambda: msgspec.json.decode(raw, type=_Figures))
+    document = _decoded(raw, path, _Figures)
     coefficients = tuple(_coefficient(c) for c in document.coefficients)
     wrong = next((fault for c in coefficients for fault in _faults(c)), None)
     if wrong is not None:
-        raise CalibrationError(f"{path}: {wrong}", remedy="calibrate again")
+        raise CalibrationError(f"{path}: {wrong}", remedy="calibrate again", where=Where(path))
     return CalibrationFigures.of(
         document.instrument.serial, document.model.terms, coefficients, document.uncertainty_budget
     )
-
-
-def _figures_of(raw: bytes) -> _Figures | None:
-    """The part that a history needs, decoded once; None if the schema is unknown."""
-    try:
-        document = msgspec.json.decode(raw, type=_Figures)
-    except (msgspec.MsgspecError, ValueError, RecursionError):
-        return None
-    return document if document.schema == SCHEMA else None
-
-
-def _provenance(provenance: _Provenance) -> Provenance:
-    """Provenance of the record. The first version named only one input, by its hash."""
-    hashes = provenance.input_sha256
-    named = {"input": hashes} if isinstance(hashes, str) else hashes
-    return Provenance(named, provenance.software, provenance.created, provenance.options)
-
-
-def _surplus(document: _Document) -> float:
-    """Number of observations minus coefficients. The first version called it degrees of freedom."""
-    surplus = document.surplus_observations
-    return document.degrees_of_freedom if surplus is None else surplus
 
 
 def _coefficient(entry: _Coefficient) -> Coefficient:
@@ -376,63 +350,53 @@ def _coefficient(entry: _Coefficient) -> Coefficient:
     )
 
 
-def _runs(document: _Document) -> tuple[RunRecord, ...]:
+def _runs(document: _Document, path: Path) -> tuple[RunRecord, ...]:
     """The runs of a joint record. The file calls their ``phases`` ``phase``."""
-    entries = [_renamed(run, "phase", "phases") for run in document.runs]
     try:
+        entries = [_renamed(run, "phase", "phases") for run in document.runs]
         return msgspec.convert(entries, tuple[RunRecord, ...])
     except msgspec.ValidationError as error:
-        text = str(error).replace("$", "$.runs", 1).replace("`phases`", "`phase`").replace(".phases", ".phase")
-        raise JsonError(text) from None
+        raise _not_valid(path, str(error).replace("$", "$.runs", 1).replace("phases", "phase")) from None
 
 
 def _renamed(entry: dict[str, Any], old: str, new: str) -> dict[str, Any]:
     return {new if key == old else key: value for key, value in entry.items()}
 
 
-def _decode(raw: bytes, path: Path) -> tuple[_Document, tuple[RunRecord, ...]]:
-    def read() -> tuple[_Document, tuple[RunRecord, ...]]:
-        document = decode_json(raw, _Document)
-        return document, _runs(document)
-
-    return _of_schema(raw, path, read)
-
-
-def _of_schema(raw: bytes, path: Path, read: Callable[[], T]) -> T:
-    """The result of ``read`` for a record of a known schema. Errors of ``read`` get the name of the file."""
+def _decoded(raw: bytes, path: Path, kind: type[T]) -> T:
+    """A record of the known schema. A whole one may hold no key twice."""
     try:
-        kind = schema_of(raw)
-        if isinstance(kind, str) and kind.startswith("piga.calibration/") and kind != SCHEMA:
-            raise CalibrationError(
-                f"{path}: schema '{kind}' is not known to this version",
-                remedy="update piga, or calibrate again",
-            )
-        if kind != SCHEMA:
-            raise CalibrationError(
-                f"{path}: is not a calibration record (it lacks the schema '{SCHEMA}')",
-                remedy="name a calibration.json",
-            )
-        return read()
+        schema = schema_of(raw)
+        if schema == SCHEMA:
+            return decode_json(raw, kind) if kind is _Document else msgspec.json.decode(raw, type=kind)
     except (JsonError, msgspec.MsgspecError, ValueError) as error:
+        raise _not_valid(path, str(error)) from None
+    if isinstance(schema, str) and schema.startswith("piga.calibration/"):
         raise CalibrationError(
-            f"{path}: not a valid calibration record: {error}", remedy="calibrate again"
-        ) from None
+            f"{path}: schema '{schema}' is not known to this version",
+            remedy="update piga, or calibrate again",
+            where=Where(path),
+        )
+    raise CalibrationError(
+        f"{path}: is not a calibration record (it lacks the schema '{SCHEMA}')",
+        remedy="name a calibration.json",
+        where=Where(path),
+    )
 
 
-def _coloured_noise(noise: _Coloured | None) -> ColouredNoise | None:
-    return None if noise is None else ColouredNoise(noise.kind, noise.rms.value, noise.time.value, noise.gain)
+def _not_valid(path: Path, why: str) -> CalibrationError:
+    return CalibrationError(
+        f"{path}: not a valid calibration record: {why}", remedy="calibrate again", where=Where(path)
+    )
 
 
-def _level(level: _Level | None) -> float:
-    """A noise level, which older files do not have."""
-    return 0.0 if level is None else level.value
-
-
-def _in_si(quantity: Amount | _Level | _Nominal, like: str, path: Path) -> float:
+def _in_si(quantity: Amount | _Level, like: str, path: Path) -> float:
     try:
         return quantity.value * conversion_factor(quantity.unit, like)
     except UnitError as error:
-        raise CalibrationError(f"{path}: {error.message}", remedy="calibrate again") from None
+        raise CalibrationError(
+            f"{path}: {error.message}", remedy="calibrate again", where=Where(path)
+        ) from None
 
 
 def _check(
@@ -481,6 +445,8 @@ def _contradictions(
     document: _Document, coefficients: tuple[Coefficient, ...], runs: set[str]
 ) -> Iterator[str]:
     """Contradictions between the parts of a record."""
+    if not document.instrument.scale_factor_nominal.value > 0.0:
+        yield "scale_factor_nominal is not positive"
     model, quality = document.model, document.quality
     keys = [c.key for c in coefficients]
     names = {c.name for c in coefficients}

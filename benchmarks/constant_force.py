@@ -2,25 +2,24 @@
 
 One step of the motion is a closed form (:mod:`piga._kernels.motion.step`). It shares no code with the
 estimator. A random walk is part of the motion. White noise and counting belong to the reading. The gimbal starts at a
-random angle in every segment. A record takes milliseconds, so campaigns of many thousands are possible.
+random angle in every segment. The cases of the accuracy page are in ``benchmarks/cases``.
 """
 
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 import piga
 from piga._kernels.motion.step import constant_steps
-from piga.errors import ArgumentError
 from piga.records.calibration.coefficient import changes
-from piga.records.run_file import Quantity, TomlTable
 from piga.units import G0, to_si
 
 Array = NDArray[np.float64]
@@ -33,135 +32,63 @@ PAUSE = 5.0
 """Default time between two segments [s]."""
 
 
-class TumbleTable(TomlTable, frozen=True):
-    """``tumble``: positions of a dividing head, evenly spaced from ``start``, once at each of the ``levels`` [g]."""
-
-    positions: int
-    levels: tuple[float, ...] = (1.0,)
-    start: Quantity = "0.13 rad"
-    side: float = 0.02
-
-
-class CentrifugeLevels(TomlTable, frozen=True):
-    """``centrifuge``: levels [g] of an arm that turns about Z0, with 1 g along Z0."""
-
-    levels: tuple[float, ...]
-    radius: Quantity = "1 m"
+FORCE_UNITS = {
+    "seconds": "s", "pause": "s", "rate": "Hz", "white": "rad", "walk": "rad/sqrt(s)", "count": "rad",
+    "drift": "rad/s/sqrt(s)", "scatter": "rad/s", "flicker": "rad/s", "markov": "rad/s", "markov_time": "s",
+    "cycle": "rad/s", "cycle_period": "s",
+}  # fmt: skip
+"""Unit of each quantity of a case, by its key."""
 
 
-class ConstantForceTable(TomlTable, frozen=True):
-    """``constant_force``: one test.
+def read_cases(path: Path) -> dict[str, ConstantForce | Joint]:
+    """The tests of a file of cases (TOML), by name.
 
-    Segments are given by ``forces`` [g], ``tumble`` or ``centrifuge``; several of these are joined in this order.
-    ``truth`` has the units of calibration.json. ``walk`` is the random walk of the angle, ``white`` the white noise of
-    the reading, ``count`` the step of the counter, ``drift`` the random walk of the rate (zero in the middle of the test),
-    ``scatter`` an offset of the rate that is new in each segment. Coloured noise of the rate: ``flicker`` is the standard
-    deviation of 1/f noise in a decade of frequency, ``markov`` that of a first-order Markov process with the correlation
-    time ``markov_time``, ``cycle`` the amplitude of a slow wave of any phase with the period ``cycle_period``. A log of
-    ``kind`` rate has the rate at each sample; its gimbal stands still between the segments.
+    Segments are given by ``forces`` [g], ``tumble`` or ``centrifuge``; several of these are joined in this order. ``truth``
+    has the units of calibration.json. ``walk`` is the random walk of the angle, ``white`` the white noise of the reading,
+    ``count`` the step of the counter, ``drift`` the random walk of the rate (zero in the middle of the test), ``scatter`` an
+    offset of the rate that is new in each segment. Coloured noise of the rate: ``flicker`` is the standard deviation of 1/f
+    noise in a decade of frequency, ``markov`` that of a first-order Markov process with the correlation time
+    ``markov_time``, ``cycle`` the amplitude of a slow wave with the period ``cycle_period``. A log of ``kind`` rate has the
+    rate at each sample; its gimbal stands still between the segments. Tests in ``joint`` are calibrated together.
     """
+    document = tomllib.loads(path.read_text(encoding="utf-8"))
+    tests: dict[str, ConstantForce | Joint] = {}
+    for case in document["case"]:
+        name = case["name"]
+        runs = tuple(_test(f"{name}-{k}", one) for k, one in enumerate(case.get("joint", ()), start=1))
+        tests[name] = Joint(name, runs) if runs else _test(name, case["constant_force"])
+    return tests
 
-    terms: tuple[str, ...]
-    forces: tuple[tuple[float, float, float], ...] = ()
-    tumble: TumbleTable | None = None
-    centrifuge: CentrifugeLevels | None = None
-    truth: dict[str, float] = msgspec.field(default_factory=dict)
-    seconds: Quantity = "20 s"
-    rate: Quantity = "10 Hz"
-    white: Quantity = 0.0
-    walk: Quantity = 0.0
-    count: Quantity = 0.0
-    drift: Quantity = 0.0
-    scatter: Quantity = 0.0
-    flicker: Quantity = 0.0
-    markov: Quantity = 0.0
-    markov_time: Quantity = "1 s"
-    cycle: Quantity = 0.0
-    cycle_period: Quantity = "1 s"
-    pause: Quantity = "5 s"
-    kind: Literal["angle", "rate"] = "angle"
 
-    def build(self, name: str) -> ConstantForce:
-        """The test.
+def _test(name: str, table: dict[str, Any]) -> ConstantForce:
+    forces, turning = _segments(table)
+    values = {key: to_si(table[key], unit) for key, unit in FORCE_UNITS.items() if key in table}
+    markov = (values.pop("markov", 0.0), values.pop("markov_time", 1.0))
+    cycle = (values.pop("cycle", 0.0), values.pop("cycle_period", 1.0))
+    truth = dict(table.get("truth", {}))
+    fixed = {key: truth.pop(key) for key in ("scale_factor", "tan_beta", "phi") if key in truth}
+    return ConstantForce(
+        name=name, forces=forces, turning=turning, truth=truth, terms=tuple(table["terms"]), markov=markov, cycle=cycle,
+        kind=table.get("kind", "angle"), **values, **fixed,
+    )  # fmt: skip
 
-        Raises
-        ------
-        ArgumentError
-            If it has no segments, or a value is not possible.
-        """
-        forces, turning = self._segments()
 
-        def si(key: str, unit: str) -> float:
-            value = to_si(getattr(self, key), unit, what=f"[constant_force] {key}")
-            if value < 0.0:
-                raise ArgumentError(
-                    f"[constant_force] {key}: {value:g} {unit} is negative", remedy="use zero or more"
-                )
-            return value
-
-        seconds, rate = si("seconds", "s"), si("rate", "Hz")
-        if seconds * rate < 4.0:
-            raise ArgumentError(
-                f"[constant_force]: {seconds * rate:g} samples in a segment", remedy="ask for at least 4"
-            )
-        for key in ("markov_time", "cycle_period"):
-            if si(key, "s") == 0.0:
-                raise ArgumentError(
-                    f"[constant_force] {key}: 0 s is not positive", remedy="write a positive time, e.g. '5 s'"
-                )
-        if self.kind == "rate" and (si("white", "rad") or si("count", "rad")):
-            raise ArgumentError("[constant_force] white, count: not allowed for a rate log", remedy="give walk")
-        known = ("scale_factor", "tan_beta", "phi", *PRODUCTS)
-        for key in (*self.truth, *self.terms):
-            if key not in known:
-                raise ArgumentError(
-                    f"[constant_force]: '{key}' is not a term of these tests",
-                    remedy=f"known: {', '.join(known)}",
-                )
-        truth = dict(self.truth)
-        return ConstantForce(
-            name,
-            forces,
-            seconds=seconds,
-            rate=rate,
-            scale_factor=truth.pop("scale_factor", SCALE),
-            tan_beta=truth.pop("tan_beta", 3.6e-4),
-            phi=truth.pop("phi", PHI),
-            truth=truth,
-            terms=self.terms,
-            turning=turning,
-            white=si("white", "rad"),
-            walk=si("walk", "rad/sqrt(s)"),
-            count=si("count", "rad"),
-            drift=si("drift", "rad/s/sqrt(s)"),
-            scatter=si("scatter", "rad/s"),
-            flicker=si("flicker", "rad/s"),
-            markov=(si("markov", "rad/s"), si("markov_time", "s")),
-            cycle=(si("cycle", "rad/s"), si("cycle_period", "s")),
-            pause=si("pause", "s"),
-            kind=self.kind,
+def _segments(table: dict[str, Any]) -> tuple[Array, Array | None]:
+    """Forces [g] of the segments, and the base rates of a centrifuge."""
+    parts, turning = [], None
+    if "forces" in table:
+        parts.append(np.array(table["forces"]))
+    if "tumble" in table:
+        given = table["tumble"]
+        start = to_si(given.get("start", "0.13 rad"), "rad")
+        parts.append(
+            tumble(given["positions"], tuple(given.get("levels", (1.0,))), start, given.get("side", 0.02))
         )
-
-    def _segments(self) -> tuple[Array, Array | None]:
-        """Forces [g] and, on a centrifuge, base rates [rad/s]."""
-        parts: list[Array] = [np.array(self.forces)] if self.forces else []
-        turning = None
-        if self.tumble is not None:
-            t = self.tumble
-            start = to_si(t.start, "rad", what="[constant_force.tumble] start")
-            parts.append(tumble(t.positions, t.levels, start, t.side))
-        if self.centrifuge is not None:
-            if parts:
-                raise ArgumentError(
-                    "[constant_force] centrifuge: cannot be combined with forces or tumble",
-                    remedy="write two tests under joint",
-                )
-            radius = to_si(self.centrifuge.radius, "m", what="[constant_force.centrifuge] radius")
-            forces, turning = centrifuge(self.centrifuge.levels, radius)
-            parts.append(forces)
-        if not parts:
-            raise ArgumentError("[constant_force] has no segments", remedy="give forces, tumble or centrifuge")
-        return np.vstack(parts), turning
+    if "centrifuge" in table:
+        given = table["centrifuge"]
+        forces, turning = centrifuge(given["levels"], to_si(given.get("radius", "1 m"), "m"))
+        parts.append(forces)
+    return np.vstack(parts), turning
 
 
 def products(a: Array, y: Array, z: Array) -> dict[str, Array]:

@@ -1,0 +1,414 @@
+"""The folder of a campaign: the manifest, and one part (Parquet) for each shard.
+
+``manifest.json`` holds the campaign file, the scenario files, the length of a shard and the software. A shard is a range of
+records. ``parts/part-NNNNN-DIGEST.parquet`` is its result. The digest is the SHA-256 of campaign, shard number and bytes, so
+a part that was altered, copied or renamed is refused. A shard is done if its part exists. Nothing else marks it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import re
+import socket
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from piga.campaign.campaign_file import CampaignPlan, plan_of, read_campaign
+from piga.campaign.subjects import Outcome, compute, reason
+from piga.errors import ArgumentError, DataError, PigaError
+from piga.output import write_whole
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+SCHEMA = "piga.campaign/2"
+MANIFEST, PARTS, LOCK = "manifest.json", "parts", "running.lock"
+_PART = re.compile(r"part-(\d{5,})-([0-9a-f]{32})\.parquet")
+
+
+@dataclass(frozen=True)
+class CutSettings:
+    """How a campaign is cut into shards.
+
+    A shard should last ``seconds``. ``fewest`` is the number of shards that a short campaign is cut into, so that several
+    workers have work. ``probes`` is the number of records that are timed, for at most ``patience`` seconds.
+    """
+
+    seconds: float = 120.0
+    fewest: int = 16
+    probes: int = 12
+    patience: float = 60.0
+
+
+CUT = CutSettings()
+
+
+class Manifest(msgspec.Struct, frozen=True):
+    """What ``manifest.json`` holds. ``texts`` are the campaign file (name "") and the scenario files, by name."""
+
+    schema: str
+    campaign: str
+    texts: dict[str, str]
+    records: int
+    records_per_shard: int
+    software: dict[str, str]
+    seconds_per_record: float | None = None
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A planned campaign in its folder."""
+
+    folder: Path
+    manifest: Manifest
+    plan: CampaignPlan
+
+    @property
+    def shards(self) -> int:
+        """Number of shards."""
+        return math.ceil(self.manifest.records / self.manifest.records_per_shard)
+
+    def records_of(self, shard: int) -> range:
+        """Numbers of the records of a shard."""
+        size = self.manifest.records_per_shard
+        return range(shard * size, min((shard + 1) * size, self.manifest.records))
+
+    def parts(self) -> dict[int, Path]:
+        """The part of each shard that is done, in the order of the shards."""
+        paths = sorted((self.folder / PARTS).glob("part-*.parquet"))
+        named = [(match, path) for path in paths if (match := _PART.fullmatch(path.name))]
+        found = {int(match[1]): path for match, path in reversed(named) if int(match[1]) < self.shards}
+        return dict(sorted(found.items()))
+
+    def missing(self) -> list[int]:
+        """Shards without a part, in order."""
+        done = self.parts()
+        return [shard for shard in range(self.shards) if shard not in done]
+
+    @cached_property
+    def key(self) -> str:
+        """SHA-256 of everything that determines the numbers and the shards."""
+        manifest = self.manifest
+        chosen = [
+            sorted(manifest.texts.items()),
+            manifest.records,
+            manifest.records_per_shard,
+            manifest.software,
+        ]
+        return hashlib.sha256(json.dumps(chosen, sort_keys=True).encode()).hexdigest()
+
+    def digest(self, shard: int, content: bytes) -> str:
+        """Digest that the name of a part carries."""
+        return hashlib.sha256(f"{self.key} {shard} ".encode() + content).hexdigest()[:32]
+
+
+# --- planning ----------------------------------------------------------------------------------------
+
+
+def software() -> dict[str, str]:
+    """Software that determines the numbers: version of piga, digest of its numeric source, versions of libraries."""
+    from piga.ledger.reproduce import NUMERIC_ROOMS, software_identity, source_digest
+
+    names = ("piga", "numpy", "scipy", "numba", "compiled")
+    known = {name: text for name, text in software_identity().items() if name in names}
+    return known | {"source_sha256": source_digest((*NUMERIC_ROOMS, "platform", "campaign"))}
+
+
+def open_campaign(folder: str | Path) -> Campaign:
+    """Open the folder of a planned campaign.
+
+    Raises
+    ------
+    PigaError
+        If it holds no campaign, or its manifest cannot be read.
+    """
+    folder = Path(folder)
+    path = folder / MANIFEST
+    try:
+        manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
+    except FileNotFoundError:
+        raise PigaError(
+            f"{folder}: holds no campaign", remedy="plan one: piga campaign plan CAMPAIGN.toml --out DIR"
+        ) from None
+    except OSError as error:
+        raise PigaError(
+            f"{path}: cannot be read ({error.strerror or error})", remedy="name the folder of a campaign"
+        ) from None
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise PigaError(
+            f"{path}: is damaged ({error})", remedy="delete it, then plan the campaign again; its parts stay"
+        ) from None
+    if manifest.schema != SCHEMA:
+        raise PigaError(
+            f"{path}: schema '{manifest.schema}' is not known",
+            remedy=f"this piga reads {SCHEMA}: plan the campaign again in another folder",
+        )
+    if manifest.records_per_shard < 1:
+        raise PigaError(f"{path}: is damaged (records_per_shard)", remedy="delete it, then plan again")
+    texts = {name: text.encode() for name, text in manifest.texts.items()}
+    plan = plan_of(Path(manifest.campaign), texts)
+    if plan.records != manifest.records:
+        raise PigaError(f"{path}: is damaged (records)", remedy="delete it, then plan the campaign again")
+    return Campaign(folder, manifest, plan)
+
+
+def plan_campaign(path: str | Path, folder: str | Path) -> Campaign:
+    """Plan a campaign in a folder, or open it if it is planned there already.
+
+    Raises
+    ------
+    PigaError
+        If the campaign file is not valid, or the folder holds another campaign or results of another version.
+    """
+    path, folder = Path(os.path.abspath(path)), Path(folder)  # noqa: PTH100 - symbolic links stay as they are named
+    plan = read_campaign(path)
+    texts = {name: raw.decode("utf-8") for name, raw in plan.texts.items()}
+    wanted = Manifest(SCHEMA, str(path), texts, plan.records, 1, software())
+    if (folder / MANIFEST).exists():
+        return _same(open_campaign(folder), wanted)
+    if folder.exists() and not folder.is_dir():
+        raise ArgumentError(f"--out {folder}: is a file", remedy="name a folder")
+    try:
+        (folder / PARTS).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise PigaError(
+            f"--out {folder}: cannot be written ({error.strerror or error})",
+            remedy="name a folder you may write to, with room",
+        ) from None
+    size, seconds = plan.file.campaign.records_per_shard, None
+    if size is None:
+        seconds = seconds_per_record(plan)
+        size = shard_size(plan.records, seconds)
+    manifest = msgspec.structs.replace(wanted, records_per_shard=size, seconds_per_record=seconds)
+    document = msgspec.json.format(msgspec.json.encode(manifest), indent=1)
+    write_whole(folder / MANIFEST, lambda part: part.write_bytes(document))
+    return open_campaign(folder)
+
+
+def _same(campaign: Campaign, wanted: Manifest) -> Campaign:
+    """The campaign that a folder holds, if it is the one that is wanted."""
+    has, folder = campaign.manifest, campaign.folder
+    if (has.texts, has.records) != (wanted.texts, wanted.records):
+        raise PigaError(
+            f"{folder}: holds another campaign, or its files changed since it was planned",
+            remedy="choose another --out",
+        )
+    if has.software != wanted.software:
+        changed = ", ".join(
+            f"{name} {has.software.get(name, '')[:12]} then, {text[:12]} now"
+            for name, text in wanted.software.items()
+            if has.software.get(name) != text
+        )
+        raise PigaError(
+            f"{folder}: was begun with other software ({changed}); records of different software must not "
+            "be mixed",
+            remedy="choose another --out, or continue with the earlier software",
+        )
+    return campaign
+
+
+def probes(plan: CampaignPlan) -> list[int]:
+    """Numbers of the records that represent all others: the last of each group, or an even selection of these.
+
+    The last repeats have no bound of Cramer and Rao. That bound takes far longer than the record itself.
+    """
+    ends = [group.start + group.records - 1 for group in plan.groups if group.records]
+    if len(plan.groups) == 1:
+        first = min(plan.groups[0].bounds, plan.records - 1)
+        step = (plan.records - 1 - first) / (CUT.probes - 1)
+        ends = [first + round(k * step) for k in range(CUT.probes)]
+    elif len(ends) > CUT.probes:
+        ends = [ends[round(k * (len(ends) - 1) / (CUT.probes - 1))] for k in range(CUT.probes)]
+    return sorted(set(ends))
+
+
+def compile_kernels(plan: CampaignPlan) -> None:
+    """Compute one record, so that the kernels are compiled before the workers start. The workers then load them."""
+    _try(plan, 0)
+
+
+def _try(plan: CampaignPlan, number: int) -> None:
+    with suppress(Exception):  # the record will be a row with the reason
+        compute(plan, plan.record(number))
+
+
+def seconds_per_record(plan: CampaignPlan) -> float:
+    """Processor time of a record [s], the mean of several; kernels are compiled before."""
+    began = time.monotonic()
+    spent: list[float] = []
+    for number in probes(plan):
+        _try(plan, number)
+        start = time.process_time()
+        _try(plan, number)
+        spent.append(time.process_time() - start)
+        if time.monotonic() - began > CUT.patience:
+            break
+    return max(sum(spent) / len(spent), 1e-6)
+
+
+def shard_size(records: int, seconds: float) -> int:
+    """Records of a shard: 1, 2 or 5 times a power of ten, for shards of ``CUT.seconds``, and at least ``CUT.fewest`` shards."""
+    wanted = min(CUT.seconds / seconds, max(1.0, records / CUT.fewest))
+    if wanted <= 1.0:
+        return 1
+    power = 10 ** math.floor(math.log10(wanted))
+    return next(step * power for step in (5, 2, 1) if step * power <= wanted)
+
+
+# --- computing a shard: the task of a worker ---------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ShardReport:
+    """Report of a worker on a finished shard: records, failed records, processor time [s], and its own name."""
+
+    shard: int
+    records: int
+    failed: int
+    seconds: float
+    worker: str
+
+
+def run_shard(folder: str, shard: int) -> ShardReport:
+    """Compute a shard and write its part. If the part is there already, nothing is computed.
+
+    Raises
+    ------
+    PigaError
+        If the worker has other software or does not see the folder, or if the part cannot be written.
+    """
+    import numba
+
+    campaign = _opened(folder, _stamp(folder))
+    worker = f"{socket.gethostname()}:{os.getpid()}"
+    if shard in campaign.parts():
+        return ShardReport(shard, 0, 0, 0.0, worker)
+    numba.set_num_threads(1)
+    began = time.process_time()
+    rows = [row for number in campaign.records_of(shard) for row in _rows(campaign, number)]
+    _write_part(campaign, shard, rows)
+    heads = [row for row in rows if row["name"] is None]
+    failed = sum(row["error_class"] is not None for row in heads)
+    return ShardReport(shard, len(heads), failed, time.process_time() - began, worker)
+
+
+def _stamp(folder: str) -> int:
+    """Time of the manifest [ns]. A cluster worker may outlive a campaign, and a folder may be planned again."""
+    try:
+        return (Path(folder) / MANIFEST).stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+@lru_cache(maxsize=1)
+def _opened(folder: str, _time: int) -> Campaign:
+    """The campaign, opened once in a worker; refused if this worker has other software than the campaign."""
+    host = socket.gethostname()
+    try:
+        campaign = open_campaign(folder)
+    except PigaError as error:
+        raise PigaError(
+            f"worker {host}: {error.message}",
+            remedy="every worker needs the folder of the campaign at the same path: use a shared disk",
+        ) from None
+    changed = [name for name, text in software().items() if campaign.manifest.software.get(name) != text]
+    if changed:
+        raise PigaError(
+            f"worker {host}: has other software than the campaign ({', '.join(changed)} differ)",
+            remedy="install the same version of piga and its packages on every machine",
+        )
+    return campaign
+
+
+def _rows(campaign: Campaign, number: int) -> list[dict[str, Any]]:
+    """The rows of a record: one of the record itself (no name), then one for each coefficient.
+
+    A record that fails is one row with its reason.
+    """
+    record = campaign.plan.record(number)
+    place = {"record": number, "case": record.case, "repeat": record.repeat, "name": None}
+    head: dict[str, Any] = place | {"error_class": None, "error": None}
+    rows: list[dict[str, Any]] = []
+    began = time.process_time()
+    try:
+        outcome = compute(campaign.plan, record)
+    except Exception as error:
+        head["error_class"], head["error"] = reason(error)
+    else:
+        head |= {"nees": outcome.nees, "nees_expected": outcome.nees_expected}
+        head |= {"notes": list(outcome.notes), "seen": list(outcome.seen)}
+        rows = [place | row for row in _coefficient_rows(outcome)]
+    head["seconds"] = time.process_time() - began
+    return [head, *rows]
+
+
+def _coefficient_rows(outcome: Outcome) -> list[dict[str, Any]]:
+    with np.errstate(all="ignore"):
+        columns = {
+            "name": outcome.names, "unit": outcome.units, "value": outcome.value, "u": outcome.u, "low": outcome.low,
+            "high": outcome.high, "degrees_of_freedom": outcome.degrees_of_freedom, "truth": outcome.truth,
+            "deviation": outcome.error, "z": outcome.error / outcome.u, "bound": outcome.bound,
+        }  # fmt: skip
+    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+
+
+def part_schema() -> pa.Schema:
+    """Columns of a part. Rows without a name are records, the others their coefficients."""
+    import pyarrow as pa
+
+    whole, number, text, texts = pa.int64(), pa.float64(), pa.string(), pa.list_(pa.string())
+    types = {
+        "record": whole, "case": whole, "repeat": whole, "name": text, "unit": text, "value": number, "u": number,
+        "low": number, "high": number, "degrees_of_freedom": number, "truth": number, "deviation": number, "z": number,
+        "bound": number, "error_class": text, "error": text, "nees": number, "nees_expected": number, "notes": texts,
+        "seen": texts, "seconds": number,
+    }  # fmt: skip
+    return pa.schema(list(types.items()))
+
+
+def _write_part(campaign: Campaign, shard: int, rows: list[dict[str, Any]]) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    schema = part_schema()
+    columns = [pa.array([row.get(f.name) for row in rows], f.type, from_pandas=True) for f in schema]
+    sink = pa.BufferOutputStream()
+    parquet.write_table(pa.Table.from_arrays(columns, schema=schema), sink, compression="zstd")
+    content = sink.getvalue().to_pybytes()
+    write_whole(
+        campaign.folder / PARTS / f"part-{shard:05d}-{campaign.digest(shard, content)}.parquet",
+        lambda part: part.write_bytes(content),
+        remedy="make room on the disk, then run the campaign again: it goes on where it stopped",
+    )
+
+
+def read_part(campaign: Campaign, shard: int, path: Path) -> pa.Table:
+    """The rows of a part, as they were written.
+
+    Raises
+    ------
+    DataError
+        If the part was cut short, altered, copied from another shard or campaign, or cannot be read.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    remedy = "delete it, then run the campaign again: it is computed anew"
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror or error})", remedy=remedy) from None
+    match = _PART.fullmatch(path.name)
+    if match is None or match[2] != campaign.digest(shard, content):
+        raise DataError(f"{path}: is damaged, or belongs to another campaign or shard", remedy=remedy)
+    return parquet.read_table(pa.BufferReader(content))
