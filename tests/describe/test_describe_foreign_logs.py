@@ -97,7 +97,7 @@ def test_moves_of_a_head_are_left_out(tmp_path: Path) -> None:
     run = try_run_file(draft, tmp_path / "run.toml")
     assert len(run.labels) == 6
     assert 0.97 * d["t"].size < run.size <= d["t"].size
-    assert {event.kind for event in run.quality.events} == {"moving"}
+    assert "moving" in {event.kind for event in run.quality.events}
 
 
 def test_pulses_of_each_sample_are_summed(tmp_path: Path) -> None:

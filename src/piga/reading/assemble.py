@@ -157,7 +157,10 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
         usable &= np.isfinite(values)
     _check_masked(raw, usable)
     limits = data.range or {}
+    stand = data.segment.holds_of if isinstance(data.segment, PositionColumn) else None
     for name, values in raw.numbers.items():
+        if name == stand:
+            continue  # it is meant to stay where it is
         declared = limits.get(name, (-np.inf, np.inf))
         raw.events += stuck_extremes(name, values, raw.rows, raw.segment, declared)
     if limits:
