@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from piga.platform import compare, compensator, theory_lines, true_knowledge
-from piga.platform.analysis import CHANNELS, daily_lines, fitted_lines
+from piga.platform.analysis import CHANNELS, daily_lines, fitted_lines, has_theory, theory_note
 from piga.platform.budget import line_budget
 from piga.platform.navigator import Errors
 from piga.platform.scenario import (
@@ -24,7 +24,7 @@ from piga.platform.scenario import (
     PlatformScenario,
     Rotation,
 )
-from tests.platform.conftest import ARCMIN, DEG, only_compiled, published
+from tests.platform.conftest import ARCMIN, AT_SEA, DEG, only_compiled, published
 
 DAY = 86400.0
 W1, W2 = 2.0 * np.pi / 480.0, 2.0 * np.pi / 560.0
@@ -322,3 +322,35 @@ def test_the_budget_shows_the_lines_of_each_misalignment():
     for row in (polar, equatorial, *together):
         for name in ("east_velocity", "heading", "roll"):
             assert row.full[name] == pytest.approx(row.theory[name], rel=0.01)
+
+
+@only_compiled
+@pytest.mark.parametrize("hours", [6.0, 12.0, 24.0])
+@pytest.mark.parametrize("kind", ["static", "sway", "turn"])
+def test_lines_of_a_base_that_stays_at_its_place_are_those_of_the_theory(kind, hours):
+    """No model: the neighbours at ``+- Earth rate`` are as large as the line itself, and do not leak into it."""
+    motion = {"static": MotionPlan(heading=HEADING), "sway": AT_SEA, "turn": MotionPlan("turn", turn_rate=0.01)}
+    s = published(
+        duration=hours * 3600.0,
+        step=4.0,
+        motion=motion[kind],
+        compensation=Compensation(("none",), misalignment="true", attitude="true"),
+    )
+    ran = compare(s).models["none"]
+    for channel in CHANNELS[:4]:
+        if kind == "turn" and channel == "roll":
+            assert np.isnan(ran.theory.amplitude[channel]).all()
+        else:
+            expected = ran.theory.amplitude[channel]
+            np.testing.assert_allclose(ran.lines.amplitude[channel], expected, rtol=2e-3, err_msg=channel)
+
+
+def test_a_moving_base_is_noted_where_no_theory_holds():
+    turning = published(motion=MotionPlan("turn", turn_rate=0.01))
+    assert theory_note(turning).startswith("the base turns")
+    assert has_theory(turning)
+    track = published(motion=MotionPlan("track"))
+    assert "no theory is shown" in theory_note(track)
+    assert not has_theory(track)
+    assert not has_theory(published(polar_rotation=Rotation(W1, 1)))
+    assert theory_note(published()) == ""

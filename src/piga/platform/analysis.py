@@ -21,6 +21,8 @@ CHANNELS = ("east_velocity", "north_velocity", "heading", "roll", "pitch")
 _SCHULER = float(np.sqrt(earth.GM / earth.SEMI_MAJOR_AXIS**3))
 _ALIKE = 1e-9
 """Largest relative difference of two rates that count as equal."""
+_NEIGHBOURS = 4.0 * 3600.0
+"""Shortest stretch [s] whose fit contains the neighbours of a line at ``+- Earth rate``. In shorter ones they are one line."""
 
 
 def channels(errors: Errors) -> dict[str, Array]:
@@ -46,7 +48,7 @@ def fitted_lines(times: Array, values: Array, rates: tuple[float, ...], latitude
     """Amplitudes (r, k) at the angular ``rates`` (r,) [rad/s] in the columns of ``values`` (n, k), at mid-stretch.
 
     All lines are fitted together with the other known components: the growth of each line over the stretch, the
-    neighbours of the first line (the polar gyro's) at ``rate +- Earth rate`` (on stretches of half a day and more),
+    neighbours of the first line (the polar gyro's) at ``rate +- Earth rate`` (on stretches of four hours and more),
     twice each rate, sum and difference of two rates, the Schuler oscillation with its Foucault split, and a cubic. A
     Hann window weights the samples, so the rest of the Schuler oscillation does not leak into the lines. The amplitude is
     NaN for a rate of zero, and for two rates that the stretch cannot separate (:func:`separable`).
@@ -67,7 +69,7 @@ def fitted_lines(times: Array, values: Array, rates: tuple[float, ...], latitude
 def separable(rates: tuple[float, ...], stretch: float) -> bool:
     """True if a stretch [s] can separate the lines at the case ``rates`` [rad/s].
 
-    The two lines must have at least one beat in the stretch. On stretches of half a day and more, they must also have
+    The two lines must have at least one beat in the stretch. On stretches of four hours and more, they must also have
     half a beat with the neighbours of the first line at ``+- Earth rate``.
     """
     if len(rates) < 2 or min(rates) <= 0.0:
@@ -79,7 +81,7 @@ def separable(rates: tuple[float, ...], stretch: float) -> bool:
 
 def _is_long(stretch: float) -> bool:
     """True if a stretch [s] is long enough to show the neighbours at ``+- Earth rate``."""
-    return stretch > 0.5 * DAY
+    return stretch > _NEIGHBOURS
 
 
 @lru_cache(maxsize=4)
@@ -146,6 +148,23 @@ def case_rates(scenario: PlatformScenario) -> tuple[float, ...]:
     return polar, equatorial
 
 
+def has_theory(scenario: PlatformScenario) -> bool:
+    """True if :func:`theory_lines` holds: the base stays at its place, and a case turns without reversals."""
+    turning = max(scenario.polar_rotation.rate, scenario.equatorial_rotation.rate) > 0.0
+    return scenario.motion.kind != "track" and turning and scenario.polar_rotation.turns == 0
+
+
+def theory_note(scenario: PlatformScenario) -> str:
+    """The reason why the lines of a moving base are shown without theory, or without that of roll and pitch; else empty."""
+    if scenario.motion.kind == "track":
+        return "the base changes its place: the closed form of the lines does not hold, and no theory is shown"
+    if scenario.motion.kind == "turn":
+        return (
+            "the base turns: its roll and pitch have no line at the case rate, and no theory of them is shown"
+        )
+    return ""
+
+
 def lines_note(scenario: PlatformScenario) -> str:
     """The reason why a day gives no amplitudes although both cases turn; empty if it gives them."""
     rates, stretch = case_rates(scenario), min(scenario.duration, DAY)
@@ -181,7 +200,7 @@ def daily_lines(errors: Errors, rates: float | tuple[float, ...], latitude: floa
 def theory_lines(
     scenario: PlatformScenario, compensator: CaseCompensator, known: Knowledge, days: list[slice], times: Array
 ) -> Lines:
-    """Closed-form line amplitudes of a static base, day by day (redundancy angle at mid-day) [He2014].
+    """Closed-form line amplitudes of a base that stays at its place, day by day (redundancy angle at mid-day) [He2014].
 
     The turn about the polar axis that the model leaves, ``d_r(c)``, has amplitude D at one cycle per
     case turn, and ``S = w_c^2 / (w_c^2 - w_s^2)`` with the Schuler rate w_s. Then east velocity
@@ -189,7 +208,7 @@ def theory_lines(
     ``D S sin(L)``, roll ``D S cos(L) cos(heading)``, pitch ``D S cos(L) sin(heading)``. The literature
     gives heading and roll without S; the longitude error, which turns the local axes about the same
     pole, adds it (docs/platform.md section 8). Cases at unequal speeds: ``m1`` stands at the polar case's
-    rate, ``m2`` at the equatorial one's. Position is not predicted (NaN).
+    rate, ``m2`` at the equatorial one's. Position is not predicted (NaN), nor are roll and pitch of a base that turns.
     """
     rates = case_rates(scenario)
     middles = [0.5 * float(times[d.start] + times[d.stop - 1]) for d in days]
@@ -206,7 +225,7 @@ def _channels_of_turn(scenario: PlatformScenario, turn: Array, rate: float) -> d
     latitude, heading = scenario.place.latitude, scenario.motion.heading
     turn = turn * rate**2 / (rate**2 - _SCHULER**2)
     east = gravity(latitude, scenario.place.height) * turn * np.cos(latitude) / rate
-    level = turn * np.cos(latitude)
+    level = turn * np.cos(latitude) * (np.nan if scenario.motion.kind == "turn" else 1.0)
     return {
         "east_velocity": east,
         "north_velocity": east * 2.0 * earth.EARTH_RATE * np.sin(latitude) * rate / (rate**2 - _SCHULER**2),

@@ -15,8 +15,10 @@ from piga.platform.analysis import (
     case_rates,
     daily_lines,
     day_slices,
+    has_theory,
     lines_note,
     theory_lines,
+    theory_note,
 )
 from piga.platform.identify import Identification, identify
 from piga.platform.navigator import (
@@ -119,8 +121,7 @@ def prepare(run: PlatformRun, progress: Progress | None = None) -> Preparation:
         notes += identification.notes
     elif c.misalignment == "identified":
         notes.append("the cases are at rest: nothing can be identified; the true misalignments are used")
-    if indistinct := lines_note(s):
-        notes.append(indistinct)
+    notes += [note for note in (lines_note(s), theory_note(s)) if note]
     known = true_knowledge(s) if identification is None else identification.knowledge
     aligned = None
     start = true_start(run.truth)
@@ -147,15 +148,14 @@ def _drift(s: PlatformScenario, aligned: Alignment | None) -> Array:
 
 
 def run_model(run: PlatformRun, preparation: Preparation, model: Model, *, every: int = 1) -> ModelRun:
-    """Navigate the run with one model; lines per day, and theory where the base is at rest."""
+    """Navigate the run with one model; lines per day, and theory where the base stays at its place."""
     s = run.scenario
     made = compensator(model, preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
     navigation = navigate(run.readouts, made, preparation.start, damping_time=s.damping_time, every=every)
     error = errors(navigation, run.truth, run.readouts)
     lines = daily_lines(error, case_rates(s), s.place.latitude)
     theory = None
-    turning = max(s.polar_rotation.rate, s.equatorial_rotation.rate) > 0.0
-    if run.truth.motion.at_rest and turning and s.polar_rotation.turns == 0:
+    if has_theory(s):
         theory = theory_lines(s, made, preparation.knowledge, day_slices(error.times), error.times)
     return ModelRun(made, navigation, error, lines, theory)
 
