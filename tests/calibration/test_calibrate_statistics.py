@@ -12,7 +12,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from scipy.stats import binom, chi2
+from scipy.stats import binom
 
 from piga.campaign import collect, document, plan_campaign, run_campaign
 from tests.calibration.made.scenarios import SCENARIOS
@@ -21,7 +21,7 @@ from tests.campaign.small import computed, one_case, written
 FEW = 10 if numba.config.DISABLE_JIT else 200
 REPEATS = 1000
 EXACT = ("static", "centrifuge", "near-critical", "walk")
-"""Scenarios whose noise levels are known so well that NEES is that of the normal distribution."""
+"""Scenarios whose output is not coarsely counted."""
 
 
 def figures(name: str, tests: int, folder: Path, workers: int = 0) -> dict[str, Any]:
@@ -45,37 +45,25 @@ def column(group: dict[str, Any], name: str) -> Any:
 
 @pytest.mark.only_compiled
 def test_intervals_hold_in_two_hundred_tests(tmp_path: Path) -> None:
-    """Coverage and NEES inside their 99.9 % bands; a covariance 1.3 times too large falls out of its band."""
+    """Coverage inside its 99.9 % band, with few degrees of freedom."""
     result = figures("static", FEW, tmp_path)
     low, high = binom.ppf([0.0005, 0.9995], FEW, 0.95) / FEW
     assert (column(result, "coverage") >= low).all()
     assert (column(result, "coverage") <= high).all()
-    size = len(result["coefficients"])
-    band = chi2.ppf([0.0005, 0.9995], FEW * size) / (FEW * size)
-    assert band[0] < result["nees"] < band[1]
-    if FEW > 100:
-        assert result["nees"] / 1.3 < band[0], "a covariance too large by 1.3 would go unnoticed"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(SCENARIOS))
 def test_coverage_bias_and_efficiency(name: str, tmp_path: Path) -> None:
-    """Coverage inside its 99.9 % band (one per cent more for the few degrees of freedom of coarse counts).
+    """Coverage inside its 99.9 % band (coarse counts may hold more).
 
-    Bias below 0.05 sigma, variance within 5 % of the bound for the mixes of counts and random walk, beyond
-    chance; NEES in its band, and out of it for a covariance 1.2 times too large.
+    Bias below 0.05 sigma, variance within 5 % of the bound for the mixes of counts and random walk, beyond chance.
     """
     result = figures(name, REPEATS, tmp_path, workers=2)
     low, high = binom.ppf([0.0005, 0.9995], REPEATS, 0.95) / REPEATS
-    slack = 0.0 if name in EXACT else 0.015 if name != "coarse-slow" else 0.04
-    assert column(result, "coverage").min() >= low - slack
-    assert column(result, "coverage").max() <= high + slack
+    assert column(result, "coverage").min() >= low - (0.0 if name in EXACT else 0.015)
+    assert column(result, "coverage").max() <= high + (0.05 if name.startswith("coarse") else 0.015)
     assert np.abs(column(result, "bias_over_sigma")).max() < 0.05 + 4.0 / np.sqrt(REPEATS)
     if name.startswith("mix"):
         ratio = column(result, "variance_over_bound")
         assert np.abs(ratio - 1.0).max() < 0.05 + 4.0 * np.sqrt(2.0 / REPEATS)
-    if name in EXACT:
-        size = len(result["coefficients"])
-        band = chi2.ppf([0.0005, 0.9995], REPEATS * size) / (REPEATS * size)
-        assert band[0] < result["nees"] < band[1]
-        assert not band[0] < result["nees"] / 1.2 < band[1], "a covariance too large by 1.2 would go unnoticed"

@@ -21,7 +21,7 @@ from piga.calibration.budget.uncertainty import (
     with_given_servo,
 )
 from piga.calibration.choice.model_choice import compare_models
-from piga.calibration.fit.one_run import Fit, fit_run, refine_counted, without_slow
+from piga.calibration.fit.one_run import Fit, fit_run, interval_of_run, without_scatter
 from piga.calibration.fit.residuals import (
     counted_products,
     diagnose,
@@ -30,13 +30,11 @@ from piga.calibration.fit.residuals import (
     segment_table,
 )
 from piga.calibration.history import history_of
-from piga.calibration.intervals.added_noise import include_noise
-from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
+from piga.calibration.intervals import Interval
 from piga.calibration.joint.joint_fit import (
     check_items,
     fit_jointly,
     joint_contributions,
-    joint_degrees,
     joint_sources,
 )
 from piga.calibration.joint.joint_result import joint_result
@@ -48,7 +46,7 @@ from piga.calibration.model.identifiability import (
     remarks_in_words,
 )
 from piga.calibration.model.request import Request, make_request
-from piga.calibration.model.solution import name_coefficients
+from piga.calibration.model.solution import asked_order, layout_of, name_coefficients
 from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
@@ -62,7 +60,6 @@ from piga.records.calibration import (
     BudgetTable,
     Calibration,
     Coefficient,
-    ColouredNoise,
     Diagnostics,
     Residuals,
     SegmentScatter,
@@ -162,27 +159,29 @@ def _calibration(
         return _of_whole_turns(run, request, steps)
     stated = stated_scatter(run)
     try:
-        fit = fit_run(run, request)
-        steps("finding the noise")
-        fit = include_noise(refine_counted(fit), stated)
-        coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance)
+        fit = fit_run(run, request, stated)
+        steps("finding the intervals")
+        interval = interval_of_run(fit)
+        coefficients, covariance = name_coefficients(fit.design, fit.solution, interval.covariance)
         spread = 0.0 if run.temperature is None else _range(run.temperature)
         refuse_useless(coefficients, largest_size(run.f), _range(run.t), spread)
     except (IdentifiabilityError, DataError) as error:
         raise with_advice(error, advise(run, request)) from None
     residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
-    candidates = Candidates(without_slow(fit))
+    candidates = Candidates(without_scatter(fit))
     steps("adding up the budget")
     budget = make_budget(fit, coefficients, covariance, steps)
     doubts = left_out_terms(candidates, coefficients)
     for doubt in doubts:
         budget = budget.with_row(doubt.row(coefficients))
     type_a, whole = budget.covariances(covariance)
-    degrees = type_a_degrees(fit) * share_of_type_a(type_a, covariance)
+    degrees = _degrees(fit, interval) * share_of_type_a(type_a, covariance)
     covariance = whole
     coefficients = combined(coefficients, covariance, budget.rows, degrees)
     steps("checking the intervals")
-    coefficients, monte_carlo = monte_carlo_intervals(fit, coefficients, budget, run.estimation.uncertainty)
+    coefficients, monte_carlo = monte_carlo_intervals(
+        fit, interval.covariance, degrees, coefficients, budget, run.estimation.uncertainty
+    )
     steps("looking for missing terms")
     said = find_remarks(fit, candidates, coefficients)
     history = history_of(fit) if request.method == "recursive" else None
@@ -206,6 +205,14 @@ def _moved_servo(run: Run) -> dict[str, dict[str, float]]:
     )
 
 
+def _degrees(fit: Fit, interval: Interval) -> Array:
+    """Degrees of freedom of Type A in the order of the coefficients."""
+    phases = fit.solution.phases.size
+    return interval.degrees[
+        asked_order(layout_of(fit.design, max(phases, 1)), fit.design.request.terms, phases)
+    ]
+
+
 def _range(values: Array) -> float:
     """Largest value minus smallest value."""
     low, high = extent(values)
@@ -227,7 +234,7 @@ def _examined(fit: Fit, residuals: Residuals) -> _Examined:
     design, run = fit.design, fit.design.run
     plain = Diagnostics(residual_kind="rate" if run.kind == "rate" else "angle", range=validity_ranges(run))
     tests = diagnose(residuals, plain, (partial(counted_products, design, fit.noise, fit.mode, residuals),))
-    scatter = segment_scatter(design, residuals, fit.noise, fit.coloured_rms)
+    scatter = segment_scatter(design, residuals, fit.noise)
     return _Examined(residuals, tests.with_scatter(scatter), scatter, segment_table(design, residuals))
 
 
@@ -258,11 +265,7 @@ def _assemble(
         **residual_figures(examined.residuals),
         quality=fit.design.run.quality,
         outliers=fit.outliers,
-        bias_drift=fit.noise.bias_drift,
         segment_scatter=fit.noise.segment_scatter,
-        coloured_noise=None
-        if fit.colour is None
-        else ColouredNoise(fit.colour.name, fit.colour.rms, fit.colour.time, fit.colour.gain),
         condition=fit.examination.condition,
         notes=notes,
         budget=BudgetTable(budget),
@@ -301,7 +304,7 @@ def _joint_calibration(
         fit.covariance
     )
     steps("looking for missing terms")
-    degrees = joint_degrees(fit) * share_of_type_a(type_a, fit.covariance)
+    degrees = fit.degrees * share_of_type_a(type_a, fit.covariance)
     doubts = left_out_of_runs(fit)
     rows = (
         *budget_rows(fit.coefficients, type_a, changes_by_source),

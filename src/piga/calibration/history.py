@@ -11,7 +11,7 @@ from piga.calibration.fit.one_run import Fit
 from piga.calibration.model.identifiability import examine
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
-from piga.calibration.noise.weighting import weighted_blocks
+from piga.calibration.weights import RATE, weighted_blocks
 from piga.results import Array
 
 POINTS = 400
@@ -45,14 +45,15 @@ def _growing(fit: Fit) -> Iterator[tuple[int, list[Reduction]]]:
     design, total = fit.design, fit.design.run.size
     points = POINTS if not design.has_phases else POINTS // 10
     marks = np.unique(np.linspace(min(total, 2 * len(design.names)), total, points).astype(np.int64))
-    summaries: list[Reduction] = []
+    variances = fit.noise.rate_variances(len(design.run.labels)).tolist()
+    parts: list[Reduction] = []
     segment = -1
-    for block, columns in weighted_blocks(design, fit.mode, fit.noise):
+    for block, columns in weighted_blocks(design, fit.mode, fit.noise, rate=True):
         if block.segment != segment:
             segment = block.segment
-            summaries.append(Reduction.empty(design.names))
+            parts.append(Reduction.empty((*design.names, RATE)))
         inside = marks[(marks > block.start) & (marks <= block.stop)].tolist()
         for start, stop in pairwise([block.start, *inside, block.stop]):
-            summaries[-1].absorb(np.ascontiguousarray(columns[:, start - block.start : stop - block.start]))
+            parts[-1].absorb(np.ascontiguousarray(columns[:, start - block.start : stop - block.start]))
             if stop in inside:
-                yield stop, [*summaries[:-1], Reduction.stacked(summaries[-1:])]
+                yield stop, [part.without((RATE,), own) for part, own in zip(parts, variances, strict=False)]

@@ -23,8 +23,7 @@ from piga.calibration.fit.servo import settled_design, with_mean_servo
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.identifiability import examine, refuse_if_confounded
 from piga.calibration.model.solution import name_coefficients, solve
-from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.weighting import reduce_segments, weighted_blocks, weighting_mode
+from piga.calibration.weights import Noise, reduce_segments, weighted_blocks, weighting_mode
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.instrument import Instrument, propagate
 from piga.planning.plan_file import PlanRequest, request_of
@@ -175,8 +174,6 @@ def _table(request: PlanRequest, candidate: Candidate) -> Array:
         rows = np.hstack(part)[:, -steps * per_step :].reshape(m, steps, per_step).swapaxes(0, 1)
         linear = np.cumsum(rows @ rows.swapaxes(1, 2), axis=0)
         information += jacobian.T @ linear @ jacobian / STARTS
-    if design.point:
-        information *= request.scenario.electronics.interval / noise.walk
     return _without_phase(information, request, design)
 
 
@@ -347,10 +344,6 @@ def predict(
         return Prediction(name, visits, duration, refusal=error.message.replace("record", "plan", 1))
     solution = solve(design, summaries)
     coefficients, covariance = name_coefficients(design, solution, solution.covariance)
-    if design.point:
-        covariance = covariance * (noise.walk / request.scenario.electronics.interval)
-        std = np.sqrt(np.diag(covariance))
-        coefficients = tuple(replace(c, std=float(s)) for c, s in zip(coefficients, std, strict=True))
     base = np.array([c.value for c in coefficients])
 
     def estimate(moved: Run) -> Array:

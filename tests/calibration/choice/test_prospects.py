@@ -40,7 +40,7 @@ def test_every_verdict_is_that_of_the_fit(levels, expected):
         assert bool(row.remedy) == bool(refusal)
         assert refusal.startswith(row.reason[:30])
         if fit is not None:
-            assert row.std == pytest.approx(fit, rel=0.25), row
+            assert 0.4 < row.std / fit < 2.5, row
 
 
 def test_one_level_cannot_tell_powers_apart():

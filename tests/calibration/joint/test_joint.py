@@ -15,8 +15,7 @@ import piga
 from piga.calibration.joint.summary import RunSummary
 from piga.formats.parquet import write_residuals
 from piga.records.calibration.document import to_document
-from piga.records.distribution import Spread
-from piga.records.run_file import UncertaintyTable
+from piga.records.run_file import Spread, UncertaintyTable
 from tests.calibration.made.scenarios import SCENARIOS
 from tests.calibration.made.scenarios_joint import TERMS, joint_test, scores
 from tests.chance import assert_variance
@@ -75,7 +74,7 @@ def test_joint_of_split_record_is_the_record() -> None:
     once = piga.calibrate(whole, terms, phases="per-segment")
     for name in terms:
         assert split[name].value == pytest.approx(once[name].value, abs=1e-5 * once[name].std)
-        assert split[name].std == pytest.approx(once[name].std, rel=1e-6)
+        assert split[name].std == pytest.approx(once[name].std, rel=0.3), "a slow change does not cross runs"
 
 
 def _rows(run: piga.Run, mask: np.ndarray) -> piga.Run:
@@ -114,12 +113,12 @@ def test_damaged_summary_is_refused(runs: list[piga.Run], tmp_path: Path) -> Non
     RunSummary.of(runs[0], ["scale_factor", "k0"]).to_json(path)
     document = json.loads(path.read_text())
     for change, words in (
-        (lambda d: d["parts"][0]["weight"][0].pop(), "its summaries are damaged"),
-        (lambda d: d["parts"][0]["weight"][0].__setitem__(0, "1.0"), "its summaries are damaged"),
-        (lambda d: d["parts"][0].update(unit=None), "its summaries are damaged"),
-        (lambda d: d["parts"][0].update(count=-1), "its summaries are damaged"),
-        (lambda d: d.update(noise=[1e-9]), "noise: two to four levels"),
-        (lambda d: d.update(noise=[1e-9, "much"]), "noise.walk"),
+        (lambda d: d["positions"][0]["part"]["factor"][0].pop(), "its summaries are damaged"),
+        (lambda d: d["positions"][0]["part"]["factor"][0].__setitem__(0, "1.0"), "its summaries are damaged"),
+        (lambda d: d["positions"][0]["part"].update(factor=None), "its summaries are damaged"),
+        (lambda d: d["positions"][0]["part"].update(count=-1), "its summaries are damaged"),
+        (lambda d: d["noise"].update(white=-1e-9), "its noise levels are damaged"),
+        (lambda d: d["noise"].update(walk="much"), "noise.walk"),
         (lambda d: d.pop("kind"), "kind"),
     ):
         damaged = json.loads(json.dumps(document))
@@ -206,7 +205,7 @@ def test_every_segment_with_its_own_phase(runs: list[piga.Run], together: piga.C
 
 @pytest.mark.parametrize("name", ["static", "coarse-slow"])
 def test_by_its_summary_as_the_run_alone(tmp_path: Path, name: str) -> None:
-    """One run by its summary is that run: Student's t for its noise levels, exact covariance of coarse counts."""
+    """One run by its summary is that run."""
     scenario = SCENARIOS[name]
     run = scenario.record(np.random.default_rng(5))
     RunSummary.of(run, scenario.terms).to_json(tmp_path / "s.json")
@@ -217,23 +216,19 @@ def test_by_its_summary_as_the_run_alone(tmp_path: Path, name: str) -> None:
     for a, b in zip(alone.coefficients, merged.coefficients, strict=True):
         assert (b.value - a.value) / a.std == pytest.approx(0.0, abs=1e-3)
         assert b.std == pytest.approx(a.std, rel=1e-3)
-        assert b.degrees_of_freedom == pytest.approx(
-            min(c.degrees_of_freedom for c in alone.coefficients), rel=1e-3
-        )
+        assert b.degrees_of_freedom == pytest.approx(a.degrees_of_freedom, rel=1e-3)
 
 
-def test_degrees_of_freedom_of_two_runs(runs: list[piga.Run], together: piga.Calibration) -> None:
-    """What both runs tell is known better than by either; a bounded source keeps its distribution.
+def test_degrees_of_freedom_of_two_runs(runs: list[piga.Run]) -> None:
+    """The positions of both runs together are more repetitions than those of either."""
+    terms = ["scale_factor", "tan_beta", "k0"]
+    alone, together = [piga.calibrate(run, terms) for run in runs], piga.calibrate(runs, terms)
+    for name in ("tan_beta", "k0"):
+        own = [one[name].degrees_of_freedom for one in alone]
+        assert together[name].degrees_of_freedom > 1.1 * min(own)
 
-    The second run alone shows a coloured noise by chance. Both together do not.
-    """
-    summaries = [RunSummary.of(run, TERMS) for run in runs]
-    assert max(noise.gain for noise in summaries[1].added) > 4.0
-    own = [summary.degrees_of_freedom for summary in summaries]
-    degrees = np.array([c.degrees_of_freedom for c in together.coefficients])
-    assert (degrees > 0.99 * min(own)).all()
-    assert (degrees < 1.01 * sum(own)).all()
-    assert degrees.max() > max(own)
+
+def test_a_bounded_source_keeps_its_distribution(runs: list[piga.Run]) -> None:
     spread = Spread(half_width="10 ppm", distribution="rectangular")
     moved = [replace(run, uncertainty=UncertaintyTable(reference_scale=spread)) for run in runs]
     assert piga.calibrate(moved, TERMS).budget[1].distribution == "rectangular"

@@ -11,7 +11,7 @@ import piga
 from piga.calibration.fit.one_run import Fit
 from piga.calibration.model.design import Design
 from piga.calibration.model.solution import solve
-from piga.calibration.noise.levels import Noise
+from piga.calibration.weights import Noise
 from tests.calibration.made.scenarios import Array, Scenario
 
 

@@ -51,7 +51,7 @@ def test_two_heads_hold_both_meanings_of_a_cube(stored):
     for meaning in (TRUTH["scale_factor"], BY_K3):
         assert abs(scale.value - meaning) < scale.expanded
     far = max(abs(scale.value - meaning) for meaning in (TRUTH["scale_factor"], BY_K3))
-    assert half_width(calibration, MEANING) == pytest.approx(far, rel=0.1)
+    assert half_width(calibration, MEANING) == pytest.approx(far, rel=0.2)
     note = next(note for note in calibration.notes if "cube of a_x" in note)
     by_servo, by_k3 = (float(re.search(rf"(0\.\d+) with {name}", note)[1]) for name in ("servo", "k3"))
     assert by_servo == pytest.approx(TRUTH["scale_factor"], rel=1e-6)

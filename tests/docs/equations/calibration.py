@@ -6,18 +6,13 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.integrate import quad
-from scipy.optimize import minimize_scalar
 
 import piga
-from piga._kernels.estimation.noise import innovation_weights, saw_tooth_covariance, whiten
+from piga._kernels.estimation.noise import innovation_weights, whiten
 from piga._kernels.estimation.regressors import coupling_columns, servo_columns
-from piga.calibration.intervals.added_noise import AddedNoise
-from piga.calibration.intervals.slow_noise import projected
+from piga.calibration.intervals import sandwich
 from piga.calibration.model.design import ServoState
-from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import KNOTS
-from piga.calibration.noise.levels import find_noise
-from piga.calibration.noise.weighting import DriftBasis
+from piga.calibration.model.reduction import Reduction, triangle
 from piga.calibration.remarks.leverage import all_but_one, leverages
 from piga.calibration.remarks.missing_terms import tested
 from piga.calibration.revolutions import ripple
@@ -74,24 +69,6 @@ def _whitening() -> Iterator[Pair]:
     yield literal, out[0], 1e-14
 
 
-@equation("calibration-counting")
-def _counting() -> Iterator[Pair]:
-    """Sum over the harmonics, pair by pair, for three readings on a path known to u, with a random walk."""
-    psi, t, c, q_w, u = np.array([0.0, 0.7, 2.4]), np.array([0.0, 1.0, 2.5]), 0.9, 2e-3, 0.02
-    m = np.arange(1.0, 61.0)
-    literal = np.empty((3, 3))
-    for j in range(3):
-        for k in range(3):
-            v = q_w * abs(t[j] - t[k]) - u**2 * (t[j] - t[k]) ** 2
-            wave = np.cos(2 * np.pi * m * (psi[j] - psi[k]) / c) * np.exp(-2 * np.pi**2 * m**2 * v / c**2)
-            literal[j, k] = np.sum(c**2 / (2 * np.pi**2 * m**2) * wave)
-    phase = 2 * np.pi * np.outer(m, psi) / c
-    parts = np.zeros((9, 3, 3))
-    power = c**2 / (2 * np.pi**2 * m**2)
-    saw_tooth_covariance(np.cos(phase), np.sin(phase), power, t, t, q_w / c**2, -(u**2) / c**2, parts)
-    yield literal, parts.sum(axis=0), 1e-6
-
-
 @equation("calibration-added-variable")
 def _added_variable() -> Iterator[Pair]:
     """Fall of the sum of squares and estimate of a candidate, from normal equations and from the library."""
@@ -128,67 +105,37 @@ def _leverage() -> Iterator[Pair]:
     yield 1 - np.diag(np.linalg.inv(total)) / literal, 1 - np.diag(np.linalg.inv(total)) / left, 1e-11
 
 
-@equation("calibration-drift")
-def _drift() -> Iterator[Pair]:
-    """Dense restricted likelihood of rows of unit variance (v_n = 1) with steps of variance v, and the library's parts."""
-    random = np.random.default_rng(5)
-    n, m, v = 90, 2, 0.3
-    B, X, y = random.standard_normal((n, KNOTS)), random.standard_normal((n, m)), random.standard_normal(n)
-    V = np.eye(n) + v * B @ B.T
-    inner = X.T @ np.linalg.solve(V, X)
-    residual = y - X @ np.linalg.solve(inner, X.T @ np.linalg.solve(V, y))
-    square = residual @ np.linalg.solve(V, residual)
-    literal = (n - m) * np.log(square) + np.linalg.slogdet(V)[1] + np.linalg.slogdet(inner)[1]
-    factor = np.linalg.qr(np.column_stack([B, X, y]), mode="r")
-    values, z2, rest, model = projected(factor, DriftBasis(0.0, 1.0))
-    size = 1.0 + v * values
-    yield literal, (n - m) * np.log(rest + np.sum(z2 / size)) + np.log(size).sum() + model, 1e-9
-
-
-@equation("calibration-faint")
-def _faint() -> Iterator[Pair]:
-    """The dense covariance of the estimate with white weights, and what scores in a summary add to its information."""
-    random = np.random.default_rng(6)
-    n, h, r, walk = 60, 0.1, 2.0, -0.01
-    X = random.standard_normal((n, 2))
-    white = r * (2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
-    gain = np.linalg.solve(X.T @ np.linalg.solve(white, X), np.linalg.solve(white, X).T)
-    scores = np.sqrt(h) * np.linalg.solve(white, X).T
-    added = AddedNoise("walk", walk, 1.0, False, (scores,)).per_unit([np.eye(2)])
-    inverse = gain @ white @ gain.T
-    yield gain @ (white + walk * h * np.eye(n)) @ gain.T, inverse + walk * inverse @ added @ inverse, 1e-12
-
-
-@equation("calibration-likelihood")
-def _likelihood() -> Iterator[Pair]:
-    """The ratio at which the dense likelihood is least is the one that the library finds."""
-    random = np.random.default_rng(11)
-    n, m, h = 300, 2, 0.05
-    X = np.column_stack([np.full(n, h), np.sin(np.arange(n) / 40.0)])
-    noise = 1e-3 * np.diff(random.standard_normal(n + 1)) + 3e-3 * np.sqrt(h) * random.standard_normal(n)
-    residual = noise - X @ np.linalg.lstsq(X, noise, rcond=None)[0]
-
-    def covariance(kappa: float) -> np.ndarray:
-        return (kappa * h + 2) * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
-
-    def information(log_ratio: float) -> float:
-        return np.linalg.slogdet(X.T @ np.linalg.solve(covariance(10.0**log_ratio / h), X))[1]
-
-    def objective(log_ratio: float) -> float:
-        V = covariance(10.0**log_ratio / h)
-        S = residual @ np.linalg.solve(V, residual)
-        return (n - m) * np.log(S) + np.linalg.slogdet(V)[1] + information(log_ratio)
-
-    literal = minimize_scalar(objective, bounds=(-2.0, 2.0), method="bounded", options={"xatol": 1e-6}).x
-    levels = find_noise(
-        residual,
-        np.full(n, h),
-        h,
-        m,
-        0.0,
-        information=lambda grid: np.array([information(float(g)) for g in grid]),
-    )
-    yield literal, np.log10(levels.walk * h / levels.white), 2e-2
+@equation("calibration-scatter")
+def _scatter() -> Iterator[Pair]:
+    """The printed sums, position by position, and the library's."""
+    random = np.random.default_rng(7)
+    rows = [random.standard_normal((5, 4)) for _ in range(6)]
+    A = [part[:, :3].T @ part[:, :3] for part in rows]
+    theta = np.linalg.solve(sum(A), sum(part[:, :3].T @ part[:, 3] for part in rows))
+    L = np.linalg.cholesky(np.linalg.inv(sum(A)))
+    B = [L.T @ own @ L for own in A]
+    g = [L.T @ part[:, :3].T @ (part[:, 3] - part[:, :3] @ theta) for part in rows]
+    literal_u, literal_nu = [], []
+    for c in np.eye(3):
+        d = []
+        for own in B:
+            value, vector = np.linalg.eigh(np.eye(3) - own)
+            d.append(c @ L @ (vector / np.sqrt(value)) @ vector.T)
+        z = np.array([one @ score for one, score in zip(d, g, strict=True)])
+        P = np.array(
+            [
+                [(d[j] @ B[j] @ d[j] if j == k else 0.0) - d[j] @ B[j] @ B[k] @ d[k] for k in range(6)]
+                for j in range(6)
+            ]
+        )
+        variance = np.diag(P)
+        w = (variance + 1e-3 * variance.mean()) ** -0.5
+        literal_u.append(np.sqrt((c @ L) @ (c @ L) * (w @ z**2) / (w @ variance)))
+        literal_nu.append((w @ variance) ** 2 / (w @ P**2 @ w))
+    parts = [triangle(np.column_stack([part[:, :3], part[:, 3] - part[:, :3] @ theta])) for part in rows]
+    u, nu = sandwich(parts, None, [])
+    yield np.array(literal_u), u, 1e-10
+    yield np.array(literal_nu), nu, 1e-9
 
 
 @equation("calibration-ripple")

@@ -1,12 +1,10 @@
-"""Noise of angle increments: whitening of a first-order moving average, and the saw-tooth error of counting.
+"""Noise of angle increments: whitening of a first-order moving average.
 
 An output angle has white angle noise (variance r) and angle random walk (q per second). The noise of its increment
 is ``w_n + e_n - e_(n-1)``. The variance is ``q h_n + 2 r``. The covariance of neighbours is ``-r``.
 In units of r, with ``kappa = q/r``, the innovations algorithm is a one-pole recursion:
 ``v_n = kappa h_n + 2 - 1/v_(n-1)``, ``i_n = d_n + i_(n-1)/v_(n-1)``, variance of ``i_n`` is ``r v_n``.
 It restarts where a stretch begins (``h = 0``).
-
-The saw-tooth is given by its harmonics along a path, and by their covariance for an uncertain path.
 """
 
 from __future__ import annotations
@@ -16,15 +14,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.arithmetic import fast_sine_cosine
-from piga._kernels.jit import Array, kernel, reducing_kernel
+from piga._kernels.jit import Array, kernel
 
 LARGE, SMALL = 2.0**300, 2.0**-300
 """Size above which the recurrence of the variances is scaled down, and the scale factor."""
-UNCHECKED = 16
-"""Rows between two looks at that size: each may be a gap of 1e9 sample intervals without an overflow."""
-CANDIDATES = 8
-"""Candidates of kappa whose likelihood is computed in one pass over the residuals."""
 
 
 @kernel
@@ -84,115 +77,32 @@ def whiten(columns: Array, carry: Array, scale: Array, state: Array, out: Array)
 
 
 @kernel
-def likelihoods(d: Array, h: Array, kappas: Array, out_log: Array, out_square: Array) -> None:
-    """Sums of ``log v`` and ``i^2/v`` of the residual increments for each of the candidates of kappa (k,).
+def rate_sums(d: Array, h: Array, edges: NDArray[np.int64], kappa: float, out: Array) -> float:
+    """Whiten residual increments ``d`` (n,) and their intervals ``h`` at ``kappa = q/r``, with r = 1, and sum by position.
 
-    With ``p_n = v_1 v_2 .. v_n`` and ``s_n = p_(n-1) i_n`` no step waits for a division:
-    ``p_n = (kappa h_n + 2) p_(n-1) - p_(n-2)``, ``s_n = s_(n-1) + p_(n-1) d_n`` and ``i_n^2/v_n = s_n^2/(p_(n-1) p_n)``. The sum
-    of the logarithms is the logarithm of the last p. Accumulates into ``out_log`` and ``out_square`` (k,).
+    Writes ``h'Wh``, ``h'Wd`` and ``d'Wd`` of the rows between ``edges`` (G + 1,) to ``out`` (G, 3). Returns the sum of the
+    logarithms of the variances of the innovations.
     """
-    candidates = kappas.size
-    state = np.empty((4, candidates))  # made here: aligned to whole vectors, which is three times as fast
-    before, product, total, square = state[0], state[1], state[2], state[3]
-    for k in range(candidates):
-        before[k] = total[k] = square[k] = 0.0
-        product[k] = 1.0
-    count = 0
-    for i in range(d.size + 1):
-        begins = i == d.size or h[i] == 0.0
-        if begins or count == UNCHECKED:
-            count = 0
-            for k in range(candidates):
-                if begins or product[k] > LARGE:
-                    out_log[k] += math.log(product[k])
-                    kept = 0.0 if begins else 1.0 / product[k]
-                    before[k] *= kept
-                    total[k] *= kept
-                    product[k] = 1.0
-        if begins or h[i] < 0.0:
-            continue
-        step, increment = h[i], d[i]
-        for k in range(candidates):
-            following = (kappas[k] * step + 2.0) * product[k] - before[k]
-            gathered = total[k] + product[k] * increment
-            square[k] += gathered * gathered / (product[k] * following)
-            before[k] = product[k]
-            product[k] = following
-            total[k] = gathered
-        count += 1
-    for k in range(candidates):
-        out_square[k] += square[k]
-
-
-NEGLIGIBLE = 1e-6
-"""Damping factor below which higher harmonics are left out."""
-WAVES = 64
-"""Samples whose waves are computed side by side."""
-
-
-@reducing_kernel
-def add_waves(
-    turned: Array, first: int, edges: NDArray[np.int64], work: Array, cosines: Array, sines: Array
-) -> None:
-    """Add ``exp(2 pi i m turned)``, m = 1 .. M, of a path [counts] to sums over bins (M, bins).
-
-    The first sample is ``first`` rows behind the start from which ``edges`` (bins + 1,) are counted. Samples of a bin
-    are worked on side by side, up to WAVES of them. ``work`` (4, WAVES) is scratch space.
-    """
-    harmonics = cosines.shape[0]
-    c, s, re, im = work[0], work[1], work[2], work[3]
-    at = j = 0
-    while j < turned.size:
-        if first + j >= edges[at + 1]:
-            at += 1
-            continue
-        left = edges[at + 1] - first - j
-        lanes = WAVES if left > WAVES else left
-        lanes = lanes if lanes < turned.size - j else turned.size - j
-        for k in range(lanes):
-            fraction = turned[j + k] - math.floor(turned[j + k])
-            s[k], c[k] = fast_sine_cosine(2.0 * math.pi * fraction)
-            re[k], im[k] = c[k], s[k]
-        for m in range(harmonics):
-            cosine, sine = 0.0, 0.0
-            for k in range(lanes):
-                cosine += re[k]
-                sine += im[k]
-                real = re[k] * c[k] - im[k] * s[k]
-                im[k] = re[k] * s[k] + im[k] * c[k]
-                re[k] = real
-            cosines[m, at] += cosine
-            sines[m, at] += sine
-        j += lanes
-
-
-@kernel
-def saw_tooth_covariance(
-    cosine: Array, sine: Array, power: Array, times: Array, ramp: Array, walk: float, spread: float, out: Array
-) -> None:
-    """Covariance of the saw-tooth between bins, by harmonic, added to ``out``.
-
-    ``cosine``, ``sine`` (M, J): means over each of J bins of the harmonics m = 1 .. M of the phase along the
-    path; ``power`` (M,): their variances. The difference of phase between two bins is uncertain with
-    variance ``walk |times_a - times_b| + spread (ramp_a - ramp_b)^2`` [counts^2], normally distributed: harmonic m is
-    damped by ``exp(-2 pi^2 m^2 variance)``. ``out`` (H + 1, J, J): harmonics 1 .. H, and all further ones together.
-    """
-    harmonics, bins = cosine.shape
-    last = out.shape[0] - 1
-    for a in range(bins):
-        for b in range(a + 1):
-            slope = ramp[a] - ramp[b]
-            variance = walk * abs(times[a] - times[b]) + spread * slope * slope
-            ratio = math.exp(-2.0 * math.pi**2 * variance)
-            square = ratio * ratio
-            damped = ratio
-            for m in range(harmonics):
-                value = power[m] * damped * (cosine[m, a] * cosine[m, b] + sine[m, a] * sine[m, b])
-                at = m if m < last else last
-                out[at, a, b] += value
-                if a != b:
-                    out[at, b, a] += value
-                ratio *= square
-                damped *= ratio
-                if damped < NEGLIGIBLE:
-                    break
+    logarithm, product = 0.0, 1.0
+    variance = unit = miss = 0.0
+    for g in range(edges.size - 1):
+        hh = hd = dd = 0.0
+        for i in range(edges[g], edges[g + 1]):
+            if h[i] <= 0.0:
+                if h[i] == 0.0:
+                    variance = 0.0
+                continue
+            gain = 1.0 / variance if variance > 0.0 else 0.0
+            variance = kappa * h[i] + 2.0 - gain
+            unit = h[i] + gain * unit
+            miss = d[i] + gain * miss
+            weight = 1.0 / variance
+            hh += weight * unit * unit
+            hd += weight * unit * miss
+            dd += weight * miss * miss
+            product *= variance
+            if product > LARGE:
+                logarithm += math.log(product)
+                product = 1.0
+        out[g, 0], out[g, 1], out[g, 2] = hh, hd, dd
+    return logarithm + math.log(product)

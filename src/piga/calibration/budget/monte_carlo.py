@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from piga.calibration.budget.uncertainty import Budget
 from piga.calibration.fit.one_run import Fit
@@ -31,6 +31,8 @@ class MonteCarloSettings:
     """Trials. They give an end of a 95 % interval to 0.6 % of u."""
     resolved: float = 0.02
     """Least tolerance [u]: three standard deviations of such an end."""
+    quantiles: int = 4000
+    """Quantiles of the scatter between which the trials are interpolated."""
     seed: int = 101
     """Fixed seed: the same record gives the same digits."""
     doubtful: float = 6.0
@@ -110,7 +112,7 @@ def shortest_interval(ordered: Array) -> Array:
 def propagate_distributions(
     base: Array,
     covariance: Array,
-    degrees: float,
+    degrees: ArrayLike,
     sources: list[Contribution],
     results: Callable[[Array], Array],
     first_order: Array,
@@ -120,7 +122,8 @@ def propagate_distributions(
     Parameters
     ----------
     base, covariance, degrees:
-        Linear parameters (n,), their Type A covariance and its degrees of freedom.
+        Linear parameters (n,), their Type A covariance, and its degrees of freedom: one number, or one for each parameter. Each
+        parameter then has its own t distribution, all with the same quantile of the scatter.
     sources:
         Sources of Type B.
     results:
@@ -128,27 +131,40 @@ def propagate_distributions(
     first_order:
         Limits of the first-order intervals to be tested, (2, m).
     """
+    from scipy.special import chdtri
+
     rng, trials = np.random.default_rng(MONTE_CARLO.seed), MONTE_CARLO.trials
     values, vectors = np.linalg.eigh(covariance)
     factor = vectors * np.sqrt(np.maximum(values, 0.0))
     draws = rng.standard_normal((trials, base.size)) @ factor.T
-    if math.isfinite(degrees):
-        draws *= np.sqrt(degrees / rng.chisquare(degrees, trials))[:, None]
+    quantile, grid = rng.uniform(size=trials), np.linspace(0.0, 1.0, MONTE_CARLO.quantiles + 2)[1:-1]
+    for column, own in enumerate(np.broadcast_to(degrees, base.size)):
+        if math.isfinite(own):
+            draws[:, column] *= np.interp(quantile, grid, np.sqrt(own / chdtri(own, 1.0 - grid)))
     for source in sources:
         draws += source_draws(source, trials, rng) @ np.atleast_2d(source.change)
     ordered = np.sort(results(base + draws), axis=0)
     std = ordered.std(axis=0, ddof=1)
     symmetric = np.quantile(ordered, (0.025, 0.975), axis=0)
-    delta = np.maximum(tolerance(std), MONTE_CARLO.resolved * std)
+    size = np.minimum(
+        std, 0.5 * np.ptp(symmetric, axis=0)
+    )  # the standard deviation of few degrees of freedom is unbounded
+    delta = np.maximum(tolerance(size), MONTE_CARLO.resolved * size)
     agrees = np.max(np.abs(first_order - symmetric), axis=0) <= delta
     return Propagated(trials, ordered.mean(axis=0), std, symmetric, shortest_interval(ordered), delta, agrees)
 
 
 def monte_carlo_intervals(
-    fit: Fit, coefficients: tuple[Coefficient, ...], budget: Budget, wanted: str
+    fit: Fit,
+    covariance: Array,
+    degrees: Array,
+    coefficients: tuple[Coefficient, ...],
+    budget: Budget,
+    wanted: str,
 ) -> tuple[tuple[Coefficient, ...], MonteCarlo | None]:
     """Coefficients with Monte Carlo intervals where the first order fails, and the comparison for the report.
 
+    ``covariance`` is that of the internal parameters by Type A, ``degrees`` the degrees of freedom of Type A of the coefficients.
     ``wanted`` is "gum", "monte-carlo" or "auto" (Monte Carlo when tan_beta is not well above its noise). Records with
     several phases, and methods other than whitened least squares, always use the first order.
     """
@@ -160,7 +176,7 @@ def monte_carlo_intervals(
     results = _results(fit, coefficients)
     jacobian = fit.solution.jacobians[0]
     base = fit.solution.values[0]
-    type_a = jacobian @ fit.covariance @ jacobian.T
+    type_a = jacobian @ covariance @ jacobian.T
     std = np.sqrt(np.diag(type_a))
     derivative = _derivative(results, base, std)
     sources = [
@@ -175,11 +191,13 @@ def monte_carlo_intervals(
         ),
         start=np.zeros_like(type_a),
     )
-    degrees = min(c.degrees_of_freedom for c in coefficients)
+    known = {c.name: own for c, own in zip(coefficients, degrees.tolist(), strict=True)}
+    turned = min(known.get("tan_beta", math.inf), known.get("phi", math.inf))
+    own = np.array([turned if name in ("p", "q") else known.get(name, math.inf) for name in fit.design.names])
     limits = np.array(
         [(c.value - c.coverage_factor * c.std, c.value + c.coverage_factor * c.std) for c in coefficients]
     )
-    propagated = propagate_distributions(base, type_a, max(degrees, 3.0), sources, results, limits.T)
+    propagated = propagate_distributions(base, type_a, np.maximum(own, 1.0), sources, results, limits.T)
     table = {
         c.key: MonteCarloCheck(
             float(propagated.mean[i]),

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from piga.calibration.intervals.added_noise import positive_root
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.progress import SILENT, Steps
@@ -183,10 +182,11 @@ def _in_segment(run: Run, moved: Run, segment: int) -> Run:
     return _felt(run, force)
 
 
-def stated_scatter(run: Run) -> Array:
+def stated_scatter(run: Run) -> tuple[float, ...]:
     """Variance [rad^2/s^2] of the mean rate of every segment (m,) by the sources with a new value in each segment.
 
-    It is the sum over these sources of the squared ``K`` times mean change of the axial specific force.
+    It is the sum over these sources of the squared ``K`` times mean change of the axial specific force. Empty without such a
+    source.
     """
     variance = np.zeros(len(run.labels))
     count = np.bincount(run.segment_index, minlength=variance.size)
@@ -197,7 +197,7 @@ def stated_scatter(run: Run) -> Array:
                 axial = source.moved.f[part, 0] - run.f[part, 0]
                 change += np.bincount(run.segment_index[part], axial, minlength=variance.size)
             variance += (run.scale_factor * change / count) ** 2
-    return variance
+    return tuple(variance.tolist()) if variance.any() else ()
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,9 @@ class Budget:
 
 def positive_part(covariance: Array) -> Array:
     """The matrix without negative eigenvalues of its correlations, which rounding can cause."""
-    root = positive_root(covariance)
+    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    value, vector = np.linalg.eigh(covariance / np.outer(std, std))
+    root = std[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
     positive: Array = root @ root.T
     return positive
 
@@ -238,7 +240,7 @@ def share_of_type_a(type_a: Array, covariance: Array) -> Array:
 
     Stated uncertainties say nothing about how well the noise is known (JCGM 100, eq. G.2b).
     """
-    share: Array = (np.diag(type_a) / np.maximum(np.diag(covariance), 1e-300)) ** 2
+    share: Array = np.maximum(np.diag(type_a) / np.maximum(np.diag(covariance), 1e-300), 1e-6) ** 2
     return share
 
 
@@ -265,7 +267,7 @@ def make_budget(
     changes_by_source = list(
         contributions(fit.design.run, base, lambda run: solved(reduced(run)), one_by_one, steps=steps)
     )
-    stated = fit.counted is None and bool(fit.weights.stated)
+    stated = bool(fit.noise.stated)
     in_fit = tuple(stated and source.draw == "segment" for source, _ in changes_by_source)
     changes = tuple(change for _, change in changes_by_source)
     type_a = Budget((), changes, in_fit).covariances(covariance)[0]

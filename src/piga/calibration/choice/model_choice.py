@@ -30,9 +30,8 @@ from piga.calibration.model.identifiability import (
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, harmonics_of, make_request, shared_of
 from piga.calibration.model.solution import Estimate, Layout, merged, name_parameters, solve_parts
-from piga.calibration.noise.counted import Counted
-from piga.calibration.noise.weighting import weighted_blocks
 from piga.calibration.remarks.missing_terms import CUBIC, constant_squares
+from piga.calibration.weights import weighted_blocks
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.progress import Progress, Steps
 from piga.reading.checks import largest_size
@@ -308,16 +307,6 @@ class Weighed:
         columns = tuple(dict.fromkeys((*request.terms, PROBE)))
         design = Design(fit.design.run, replace(request, terms=columns), fit.design.scale_factor)
         groups, per_segment = design.groups, design.per_segment
-        if fit.counted is not None:
-            return cls(
-                fit,
-                design,
-                fit.counted.reduce(design),
-                groups,
-                per_segment,
-                "segment",
-                _log_counted(fit.counted),
-            )
         edges, parted_by = row_edges(design.run, per_segment)
         parts, logarithm = _reduce(design, fit, edges)
         of_part = tuple(groups[int(design.run.segment_index[edge])] for edge in edges[:-1])
@@ -454,15 +443,8 @@ def _reduce(design: Design, fit: Fit, edges: NDArray[np.int64]) -> tuple[list[Re
             variance = innovation_weights(block.h, fit.noise.white, fit.noise.walk, variance, carry, scale)
             logarithm -= 2.0 * float(np.log(scale[scale > 0.0]).sum())
     if fit.mode == "samples":
-        parts = [part.scaled(1.0 / fit.sample_variance) for part in parts]
         logarithm = sum(part.count for part in parts) * math.log(fit.sample_variance)
     return parts, logarithm
-
-
-def _log_counted(counted: Counted) -> float:
-    """``ln|V|`` of the contrasts of a coarsely counted record."""
-    covariance = counted.stretches.covariance(counted.noise)
-    return float(np.linalg.slogdet(covariance)[1].sum())
 
 
 def _least(values: list[float | None]) -> int | None:

@@ -18,8 +18,7 @@ from piga._kernels.estimation.outliers import merge_rows, scan_samples
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import solve
-from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.weighting import Whitener, residual_increments
+from piga.calibration.weights import Noise, Whitener, residual_increments
 from piga.errors import DataError
 from piga.reading.checks import largest_size
 from piga.records.calibration import Event, Outlier
@@ -141,7 +140,7 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run, parameters
     for rows in spans(d.size):
         part, interval = np.asarray(d[rows]), np.asarray(h[rows])
         looked = np.flatnonzero(interval > 0.0)[::every]
-        white = part if mode == "samples" else whitener.apply_columns(part[None, :], interval)[0]
+        white = part if mode == "samples" else whitener.apply(part[None, :], interval)[0]
         for values, kept in ((part, misses), (white, whitened)):
             kept.append(np.abs(values[looked]))
         biggest, largest = max(biggest, largest_size(part)), max(largest, largest_size(white))
@@ -248,7 +247,7 @@ def later_noise(misses: Misses, noise: Noise, flags: Flags, parameters: int) -> 
     d, h = misses.d[None, :].copy(), misses.h.copy()
     d[:, flags == 2], h[flags == 2] = 0.0, 0.0
     merge_rows(d, h, flags == 1)
-    shown = np.abs(_thinned(Whitener("increments", noise, 1).apply_columns(d, h)[0][h > 0.0]))
+    shown = np.abs(_thinned(Whitener("increments", noise, 1).apply(d, h)[0][h > 0.0]))
     core = float(np.median(shown)) / NORMAL_MEDIAN * widened if shown.size else 1.0
     factor = min(max(core, 0.2), 1.0) ** 2
     return Noise(noise.white * factor, noise.walk * factor)

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.model.design import Design
-from piga.calibration.noise.counted import count_of
-from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.weighting import Whitener, rate_share, residual_increments
+from piga.calibration.weights import Noise, Whitener, rate_share, residual_increments
 from piga.reading.checks import largest_size
 from piga.records.calibration import Diagnostics, Residuals, SegmentScatter, SegmentSummary
 from piga.records.calibration.verdict import COUNTED
+from piga.records.run import Run
 from piga.records.spool import arrays_like, extent, mean, means, spans, square_sum, steps
 from piga.results import Array
 from piga.units import G0
@@ -58,9 +57,14 @@ def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Re
     run = design.run
     d, h = residual_increments(design, values)
     before = _nominal_increments(design)
-    whitened = _whitened(d, h, noise, mode)
-    if noise.stated and mode == "increments":
-        _take_stated_rates(whitened, _whitened(h, h, noise, mode), run.segment_index, noise)
+    whitened = _whitened(d, h, noise, mode, run.median_step)
+    if mode == "increments" and (noise.scatter > 0.0 or noise.stated):
+        _take_rates(
+            whitened,
+            _whitened(h, h, noise, mode, run.median_step),
+            run.segment_index,
+            noise.rate_variances(len(run.labels)),
+        )
     if mode != "samples":
         _stretch_angle(d, run.begins)
         _stretch_angle(before, run.begins)
@@ -77,27 +81,18 @@ def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Re
     )
 
 
-def _whitened(d: Array, h: Array, noise: Noise, mode: str) -> Array:
-    whitener, whitened = Whitener(mode, noise, 1), arrays_like(d).empty(d.size)
+def _whitened(d: Array, h: Array, noise: Noise, mode: str, step: float) -> Array:
+    whitener, whitened = Whitener(mode, noise, 1, step), arrays_like(d).empty(d.size)
     for part in spans(d.size):
-        whitened[part] = whitener.apply_columns(d[None, part], h[part])[0]
-    if mode == "samples":
-        size = math.sqrt(square_sum(d) / d.size) or 1.0
-        for part in spans(d.size):
-            whitened[part] /= size
+        whitened[part] = whitener.apply(d[None, part], h[part])[0]
     return whitened
 
 
-def _take_stated_rates(whitened: Array, own: Array, segment: NDArray[np.int32], noise: Noise) -> None:
-    """Whiten residuals for the stated scatter of the segments; ``own`` are whitened intervals. In place."""
-    size = len(noise.stated)
-    square, product = np.zeros(size), np.zeros(size)
-    for part in spans(whitened.size):
-        square += np.bincount(segment[part], own[part] ** 2, minlength=size)
-        product += np.bincount(segment[part], own[part] * whitened[part], minlength=size)
-    taken = rate_share(noise.stated, square) * product
-    for part in spans(whitened.size):
-        whitened[part] -= taken[segment[part]] * own[part]
+def _take_rates(whitened: Array, own: Array, segment: NDArray[np.int32], variances: Array) -> None:
+    """Whiten residuals for rates of the segments of these variances; ``own`` are whitened intervals. In place."""
+    square = np.bincount(segment, own**2, minlength=variances.size)
+    product = np.bincount(segment, own * whitened, minlength=variances.size)
+    whitened -= (rate_share(variances, square) * product)[segment] * own
 
 
 def _nominal_increments(design: Design) -> Array:
@@ -184,39 +179,30 @@ def root_mean_square(values: Array) -> float:
     return math.sqrt(square_sum(values) / values.size)
 
 
-def segment_scatter(design: Design, residuals: Residuals, noise: Noise, coloured: float) -> SegmentScatter:
+def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> SegmentScatter:
     """Scatter of the mean rates of the segments, relative to the scatter expected from the noise.
 
     In a segment of duration T with n samples, the slope of the residual angle has the variance ``12 r/(n T^2) + q/T`` for
-    white noise r and random walk q (an upper bound of the second part is 6/5 of it). A bias drift adds its variance
-    since the middle of the record. A scatter of the segments, stated or estimated, adds its own variance, and so does
-    ``coloured`` noise [rad/s]. The ratio
-    is the root mean square of slope over expected standard deviation.
+    white noise r and random walk q (an upper bound of the second part is 6/5 of it). A scatter of the segments, stated or
+    estimated, adds its own variance. The ratio is the root mean square of slope over expected standard deviation.
     """
     slopes, expected, slow = [], [], []
-    stated = noise.stated or (0.0,) * len(design.run.labels)
-    centre = 0.5 * float(residuals.t[0] + residuals.t[-1])
+    variances = noise.rate_variances(len(design.run.labels))
     for left, right in pairwise(design.run.segment_edges()):
         first, last = extent(residuals.t[left:right])
         duration = last - first
         if right - left < 10 or extent(design.run.begins[left + 1 : right])[1] or duration == 0.0:
             continue
         slopes.append(_slope(residuals.t[left:right], residuals.after[left:right]))
-        own = int(design.run.segment_index[left])
-        slow.append(
-            coloured**2
-            + stated[own]
-            + noise.scatter
-            + noise.drift * abs(float(residuals.t[left:right].mean()) - centre)
-        )
+        slow.append(variances[int(design.run.segment_index[left])])
         expected.append(12.0 * noise.white / ((right - left) * duration**2) + 1.2 * noise.walk / duration)
     if design.point or len(slopes) < 4 or min(expected) == 0.0:
         return SegmentScatter()
     slope, variance = np.array(slopes), np.array(expected)
     return SegmentScatter(
-        root_mean_square(slope / np.sqrt(variance + slow)),
+        root_mean_square(slope / np.sqrt(variance + np.array(slow))),
         root_mean_square(slope) / design.run.scale_factor / G0,
-        root_mean_square(slope / np.sqrt(variance)) if noise.slow > 0.0 or coloured > 0.0 else None,
+        root_mean_square(slope / np.sqrt(variance)) if noise.scatter > 0.0 else None,
     )
 
 
@@ -277,6 +263,23 @@ def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...
     )
 
 
+def count_of(run: Run) -> float:
+    """Angle of one count [rad]: as stated, or seen from steps that are all multiples of one value; else 0."""
+    if run.resolution > 0.0 or run.kind == "rate":
+        return run.resolution
+    steps = np.abs(np.diff(run.output[:4096]))
+    formed = ~run.begins[1 : steps.size + 1]
+    if run.left_out is not None:
+        formed &= ~(run.left_out[: steps.size] | run.left_out[1 : steps.size + 1])
+    steps = steps[formed]
+    different = np.unique(np.round(steps, 12))
+    if different.size < 2 or different.size > steps.size // 8:
+        return 0.0
+    count = float(np.diff(np.unique(np.concatenate(([0.0], different)))).min())
+    turns = steps / count
+    return count if np.abs(turns - np.round(turns)).max() < 1e-3 else 0.0
+
+
 def counted_products(design: Design, noise: Noise, mode: str, residuals: Residuals) -> Array | None:
     """Lagged products (1 + draws, lags + 1) of the whitened residuals and of simulated countings; None without counts.
 
@@ -309,7 +312,7 @@ def counted_products(design: Design, noise: Noise, mode: str, residuals: Residua
         error = count * np.round(noisy / count) - place - path
         increments = np.diff(error, prepend=error[0])
         increments[h <= 0.0] = 0.0
-        rows.append(_whitened(increments, h, noise, mode))
+        rows.append(_whitened(increments, h, noise, mode, run.median_step))
     for row, out in zip(rows, correlated, strict=True):
         kept = row[formed]
         add_lagged_products(kept - kept.mean(), out)

@@ -18,8 +18,7 @@ from piga.calibration.model.design import PHASELESS, STIFFNESS_COLUMNS, Design, 
 from piga.calibration.model.identifiability import examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Estimate, Layout, merged_groups, solve_parts
-from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.weighting import reduce_segments
+from piga.calibration.weights import Noise, reduce_segments
 from piga.errors import IdentifiabilityError
 from piga.records.calibration.coefficient import short_way
 from piga.records.terms import SERVO_TERMS

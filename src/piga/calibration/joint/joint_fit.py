@@ -7,22 +7,28 @@ data of a run are not needed: its summary is enough.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piga.calibration.budget.uncertainty import SharedSource
-from piga.calibration.fit.servo import at_state, mixture, state_of
-from piga.calibration.intervals.added_noise import AddedNoise
+from piga.calibration.fit.servo import at_state, state_of
+from piga.calibration.intervals import Interval, Repetition, find_interval
 from piga.calibration.joint.summary import LiveRun, RunSummary, prepare, run_name, summarise
 from piga.calibration.model.design import Names, ServoState, phaseless_columns
 from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import check_per_run, harmonics_of, make_request, shared_of
-from piga.calibration.model.solution import Estimate, Layout, Owner, name_parameters, solve_parts
-from piga.calibration.noise.settings import NOISE
+from piga.calibration.model.solution import (
+    Estimate,
+    Layout,
+    Owner,
+    asked_order,
+    name_parameters,
+    solve_parts,
+)
+from piga.calibration.weights import RATE
 from piga.errors import ArgumentError, CalibrationError
 from piga.progress import Steps
 from piga.records.calibration import Coefficient
@@ -40,8 +46,6 @@ class JointSettings:
     """Relative change of K above which the regressors of runs with base rotation are computed again."""
     same_servo: float = 0.02
     """Largest relative difference of a servo coefficient between runs that is accepted; different rates cause it."""
-    noise_step: float = 0.01
-    """Finite-difference step of a run's noise for d(variance)/d(noise), relative."""
 
 
 JOINT = JointSettings()
@@ -168,52 +172,43 @@ class MergedRuns:
         wanted = [self.wanted(index) for index, summary in enumerate(self.summaries) for _ in summary.parts]
         return state_of(self.layout, self.parts(None), wanted, known[0], runs=len(self.summaries))
 
-    def estimated(self, parts: list[Reduction], state: ServoState | None) -> Estimate:
-        """Estimate. Its covariance includes the noise that is not in the weights of the runs."""
-        plain = solve_parts(self.layout, parts)
-        added = np.zeros_like(plain.covariance)
-        for noise, per_unit in self.added(plain, state):
-            added += noise.variance * per_unit
-        return replace(plain, covariance=plain.covariance + added)
-
-    def added(self, plain: Estimate, state: ServoState | None) -> Iterator[tuple[AddedNoise, Array]]:
-        """Noise that is not in the weights of the runs, and the covariance per unit of each."""
+    def repetitions(self, state: ServoState | None) -> list[Repetition]:
+        """The positions of all runs, with the columns of the fit."""
+        result: list[Repetition] = []
         for index, summary in enumerate(self.summaries):
-            if not summary.added:
-                continue
-            first = self.first_group(index)
-            groups = range(first, first + len(summary.parts))
-            held, wanted = summary.columns(self.local, self.stored(index)), self.wanted(index)
-            jacobians = [
-                self.layout.jacobian(plain.amplitudes, plain.phases, group)
-                if plain.shift is None
-                else plain.jacobians[group]
-                for group in groups
-            ]
-            for noise in summary.added:
-                own = noise.select(summary.parts[0].names, held)
-                if state is not None:
-                    own = own.mixed([mixture(held, wanted, state, state.phases[g])[:-1, :-1] for g in groups])
-                meat = own.per_unit(jacobians)
-                yield noise, plain.inverse @ meat @ plain.inverse
+            first, wanted, known = self.first_group(index), (*self.wanted(index), RATE), self.known_servo(index)
+            stored = (*self.stored(index), RATE)
+            held = summary.choose(tuple(p.part for p in summary.positions), self.local, stored)
+            for position, part in zip(summary.positions, held, strict=True):
+                group = first + position.group
+                chosen = part if state is None else at_state(part, wanted, state, group, known)
+                name = f"{summary.name}:{position.name}"
+                result.append(replace(position, part=chosen, group=group, run=index, name=name))
+        return result
 
-    def named(self, estimate: Estimate) -> tuple[tuple[Coefficient, ...], Array]:
-        """Coefficients of all runs in file units, and their covariance."""
+    def interval(self, estimate: Estimate, state: ServoState | None) -> Interval:
+        """Covariance and degrees of freedom of the internal parameters, by the scatter of the positions of all runs."""
+        stated = any(summary.noise.stated for summary in self.summaries)
+        return find_interval(self.layout, estimate, self.repetitions(state), stated=stated)
+
+    def named(self, estimate: Estimate, covariance: Array) -> tuple[tuple[Coefficient, ...], Array]:
+        """Coefficients of all runs in file units, and their covariance, from that of the internal parameters."""
         owners: list[Owner] = []
         if self.layout.coupled:
             owners = [(label, summary.name) for summary in self.summaries for label in summary.labels]
         nominal = self.summaries[0].scale_factor
-        return name_parameters(self.layout, estimate, estimate.covariance, nominal, self.wish.terms, owners)
+        return name_parameters(self.layout, estimate, covariance, nominal, self.wish.terms, owners)
 
 
 @dataclass(frozen=True)
 class JointFit(MergedRuns):
-    """The solution of merged runs: those with raw data, estimate, named coefficients, state of the servo columns."""
+    """The solution of merged runs: those with raw data, estimate, named coefficients with their degrees of freedom, servo state."""
 
     live: tuple[LiveRun | None, ...]
     estimate: Estimate
     coefficients: tuple[Coefficient, ...]
     covariance: Array
+    degrees: Array
     examination: Examination
     servo: ServoState | None
 
@@ -267,7 +262,6 @@ def fit_jointly(
         live.append(prepared)
         summaries.append(summarise(prepared, own))
     _check_temperature(wish, summaries)
-    summaries = evident_together(summaries)
     steps("solving all runs together")
     merged = merge_runs(wish, summaries, live)
     scale_factor = _scale_factor(merged)
@@ -279,25 +273,8 @@ def fit_jointly(
     for i in stale:
         prepared_again = live[i]
         if prepared_again is not None:
-            again = summarise(prepared_again, wish.terms_of(i), scale_factor)
-            kept = {(noise.name, noise.otherwise) for noise in summaries[i].added}
-            summaries[i] = replace(again, added=tuple(n for n in again.added if (n.name, n.otherwise) in kept))
+            summaries[i] = summarise(prepared_again, wish.terms_of(i), scale_factor)
     return merge_runs(wish, summaries, live) if stale else merged
-
-
-def evident_together(summaries: list[RunSummary]) -> list[RunSummary]:
-    """The runs with their coloured noise if they show it together, else with a random walk in its place.
-
-    Of n runs, one shows coloured noise by chance n times as often as a single run does. The runs are of one instrument.
-    So their gains together must exceed the limit of a run by ``2 log n``.
-    """
-    gains = [max((noise.gain for noise in summary.added), default=0.0) for summary in summaries]
-    coloured = sum(gains) >= NOISE.colour_in_covariance + 2.0 * math.log(len(summaries))
-
-    def taken(noise: AddedNoise) -> bool:
-        return not noise.otherwise if coloured else noise.gain == 0.0
-
-    return [replace(summary, added=tuple(filter(taken, summary.added))) for summary in summaries]
 
 
 def _wish(
@@ -373,8 +350,11 @@ def merge_runs(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | Non
     parts = runs.parts(state)
     examination = examine_parts(runs.layout, parts)
     refuse_if_confounded(examination, len(summaries))
-    estimate = runs.estimated(parts, state)
-    coefficients, covariance = runs.named(estimate)
+    estimate = solve_parts(runs.layout, parts)
+    interval = runs.interval(estimate, state)
+    coefficients, covariance = runs.named(estimate, interval.covariance)
+    phases = len(coefficients) - runs.layout.size
+    degrees = interval.degrees[asked_order(runs.layout, wish.terms, phases)]
     return JointFit(
         wish=wish,
         summaries=runs.summaries,
@@ -384,6 +364,7 @@ def merge_runs(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | Non
         estimate=estimate,
         coefficients=coefficients,
         covariance=covariance,
+        degrees=degrees,
         examination=examination,
         servo=state,
     )
@@ -427,42 +408,14 @@ def joint_contributions(fit: JointFit, steps: Steps) -> Iterator[tuple[SharedSou
     base = np.array([c.value for c in fit.coefficients])
 
     def change(source: SharedSource, segment: int | None) -> Array:
-        named, _ = fit.named(solve_parts(fit.layout, fit.parts(fit.servo, source, segment)))
+        moved = solve_parts(fit.layout, fit.parts(fit.servo, source, segment))
+        named, _ = fit.named(moved, moved.covariance)
         return changes(named, base, np.array([c.value for c in named]))
 
     for number, source in enumerate(joint_sources(fit.summaries)):
         steps.parts(number, f"adding up the budget: {source.name}")
         draws = range(source.segments) if source.segments else (None,)
         yield source, np.array([change(source, segment) for segment in draws])
-
-
-def joint_degrees(fit: JointFit) -> Array:
-    """Degrees of freedom of the Type A variance of every coefficient (JCGM 100, eq. G.2b).
-
-    The variance is a sum of shares of the runs. Each share is as well known as the noise levels of its run. It is
-    the derivative of the variance by the scale of that noise. Noise that is not in the weights is a share of its own.
-    """
-    now = np.diag(fit.covariance)
-    known = np.zeros(now.size)
-    for index, summary in enumerate(fit.summaries):
-        parts = fit.parts(fit.servo)
-        first = fit.first_group(index)
-        for group in range(first, first + len(summary.parts)):
-            parts[group] = parts[group].scaled(1.0 / (1.0 + JOINT.noise_step))
-        summaries = list(fit.summaries)
-        summaries[index] = replace(
-            summary, added=tuple(noise.scaled(1.0 / (1.0 + JOINT.noise_step)) for noise in summary.added)
-        )
-        _, covariance = fit.named(replace(fit, summaries=tuple(summaries)).estimated(parts, fit.servo))
-        known += ((np.diag(covariance) - now) / JOINT.noise_step) ** 2 / summary.degrees_of_freedom
-    plain = solve_parts(fit.layout, fit.parts(fit.servo))
-    before = np.zeros(now.size)
-    for noise, per_unit in fit.added(plain, fit.servo):
-        _, covariance = fit.named(replace(plain, covariance=per_unit))
-        share = np.diag(covariance)
-        known += 0.5 * (noise.deviation * share) ** 2 + noise.shared * share * before
-        before = share
-    return now**2 / np.maximum(known, 1e-300)
 
 
 def check_items(items: object) -> list[Run | RunSummary]:

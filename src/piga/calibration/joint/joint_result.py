@@ -127,7 +127,7 @@ def _live_part(fit: JointFit, index: int, live: LiveRun, kind: str) -> _LivePart
     if len(values) != len(live.run.labels):
         values = np.tile(values[0], (len(live.run.labels), 1))
     residuals = find_residuals(design, values, live.fit.noise, live.fit.mode)
-    scatter = segment_scatter(design, residuals, live.fit.noise, live.fit.coloured_rms)
+    scatter = segment_scatter(design, residuals, live.fit.noise)
     products = partial(counted_products, design, live.fit.noise, live.fit.mode, residuals)
     if summary.kind != kind:
         residuals = _as_angles(residuals)

@@ -18,15 +18,14 @@ import numpy as np
 
 from piga._version import __version__
 from piga.calibration.budget.uncertainty import Source, sources, stated_scatter
-from piga.calibration.fit.one_run import Fit, fit_run, refine_counted, without_slow
+from piga.calibration.fit.one_run import Fit, fit_run, repetitions
 from piga.calibration.fit.residuals import find_residuals, root_mean_square, segment_table
-from piga.calibration.intervals.added_noise import AddedNoise, added_noise, include_noise
-from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
+from piga.calibration.intervals import Repetition
 from piga.calibration.model.design import PHASELESS, Design, given_servo
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
-from piga.calibration.model.solution import DRIFT_NAMES, drift_columns, merged
-from piga.calibration.noise.levels import Noise
+from piga.calibration.model.solution import merged
+from piga.calibration.weights import RATE, Noise, reduce_positions
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.output import settle
 from piga.reading.checks import largest_size
@@ -82,16 +81,14 @@ class RunSummary(Result):
         Name of the run (unique in a joint calibration), serial number of the instrument, nominal K [(rad/s)/(m/s^2)].
     terms, per_run, phases:
         As requested in its run file.
-    noise, degrees_of_freedom:
-        Noise levels of this run, and how well the levels in the weights are known: the least degrees of freedom of
-        its own coefficients.
-    added:
-        Noise that is in the covariance but not in the weights of the rows. The runs together decide whether coloured
-        noise is among it.
+    noise:
+        Levels of this run that weigh its rows.
     inner_scale_factor, turning:
         K inside the regressors; True if the regressors depend on it (a base rotation is recorded).
-    labels, parts:
-        Segment of each phase group (None: one phase for the run), and its summary.
+    labels:
+        Segment of each phase group (None: one phase for the run).
+    positions:
+        Triangle ``[columns | rate | y]`` of each position, with its phase group, the variance of its rate, and its times.
     sources:
         Sources of Type B, each with its moved summaries.
     stand, reference_id:
@@ -117,7 +114,7 @@ class RunSummary(Result):
     inner_scale_factor: float
     turning: bool
     labels: tuple[str | None, ...]
-    parts: tuple[Reduction, ...]
+    positions: tuple[Repetition, ...]
     sources: tuple[SourceSummary, ...]
     stand: str | None
     reference_id: str | None
@@ -131,9 +128,13 @@ class RunSummary(Result):
     software: str = ""
     created: str = ""
     outliers: tuple[Outlier, ...] = ()
-    degrees_of_freedom: float = math.inf
-    added: tuple[AddedNoise, ...] = ()
     known_servo: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def parts(self) -> tuple[Reduction, ...]:
+        """Triangle ``[columns | y]`` of each phase group, with the scatter of the positions in its weights."""
+        alone = [(p.group, p.part.without((RATE,), p.variance)) for p in self.positions]
+        return tuple(merged([part for own, part in alone if own == group]) for group in range(len(self.labels)))
 
     @classmethod
     @one_thread()
@@ -162,12 +163,11 @@ class RunSummary(Result):
     def to_json(self, path: str | Path) -> None:
         """Write the summary (schema ``piga.run-summary/2``): exact.
 
-        Infinite degrees of freedom are null.
+        Infinite degrees of freedom of a source are null.
         """
         document = {"schema": SCHEMA} | msgspec.to_builtins(self, enc_hook=_plain)
         document["phase"] = document.pop("phases")
-        document["noise"] = [self.noise.white, self.noise.walk, self.noise.drift, self.noise.scatter]
-        for part in (document, *document["sources"]):
+        for part in document["sources"]:
             if math.isinf(part["degrees_of_freedom"]):
                 part["degrees_of_freedom"] = None
         Path(path).write_text(
@@ -208,11 +208,11 @@ class RunSummary(Result):
     @property
     def count(self) -> int:
         """Number of observations."""
-        return sum(part.count for part in self.parts)
+        return sum(position.part.count for position in self.positions)
 
     def columns(self, local: tuple[str, ...], shared: tuple[str, ...]) -> tuple[str, ...]:
         """Names of the wanted columns in this summary. The ``k1`` of another run may be its scale factor."""
-        held = self.parts[0].names
+        held = self.positions[0].part.names
         return (*local, *("scale_factor" if name == "k1" and "k1" not in held else name for name in shared))
 
     def choose(
@@ -256,18 +256,12 @@ def run_name(run: Run, index: int) -> str:
 
 
 def prepare(run: Run, request: Request, name: str) -> LiveRun:
-    """Find the noise levels of a run by its own fit. Terms that the run alone cannot determine are left out of the fit.
-
-    A bias drift ties the segments together. If each segment has its own summary, the weights do not include the drift, however
-    significant it is.
-    """
+    """Find the weights of a run by its own fit. Terms that the run alone cannot determine are left out of the fit."""
     undetermined: list[str] = []
     terms, stated = request.terms, stated_scatter(run)
     while True:
-        wish = replace(request, terms=terms)
         try:
-            fit = refine_counted(fit_run(run, wish))
-            fit = include_noise(fit, stated, math.inf) if fit.design.per_segment else include_noise(fit, stated)
+            fit = fit_run(run, replace(request, terms=terms), stated)
         except IdentifiabilityError as error:
             dropped = _given_up(terms, error.terms)
             undetermined += [*dict.fromkeys((*error.terms, *dropped))]
@@ -302,6 +296,7 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
     inner = scale_factor or fit.design.scale_factor
     wish = replace(live.request, terms=columns, per_run=())
     design = Design(run, wish, inner)
+    positions = repetitions(design, fit.noise, reduce_positions(design, fit.mode, fit.noise))
     plain = fit.reduce(design)
     return RunSummary(
         name=live.name,
@@ -317,32 +312,13 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
         inner_scale_factor=inner,
         turning=run.base_rate is not None,
         labels=run.labels if design.per_segment else (None,),
-        parts=group_rows(plain, fit, design.groups),
+        positions=positions,
         sources=tuple(_source(s, plain, Design(s.moved, wish, inner), fit) for s in sources(run)),
         stand=None if run.stand is None else str(run.stand.get("kind")),
         reference_id=run.uncertainty.reference_id,
         undetermined=live.undetermined,
-        degrees_of_freedom=float(type_a_degrees(_as_weighted(fit)).min()),
-        added=added_noise(fit, design),
         known_servo=tuple(given_servo(run).items()),
         **_described(fit),
-    )
-
-
-def _as_weighted(fit: Fit) -> Fit:
-    """The fit without the noise that is not in its weights."""
-    return (
-        replace(
-            fit,
-            noise=fit.weights,
-            slow_part=None,
-            slow_deviation=0.0,
-            faint=None,
-            colour=None,
-            covariance=without_slow(fit).covariance if fit.colour is not None else fit.solution.covariance,
-        )
-        if fit.slow_part is not None or fit.faint is not None or fit.colour is not None
-        else fit
     )
 
 
@@ -359,22 +335,19 @@ def _source(source: Source, plain: list[Reduction], moved: Design, fit: Fit) -> 
     )
     rows, groups = fit.reduce(moved), moved.groups
     if source.draw != "segment":
-        return replace(summary, parts=group_rows(rows, fit, groups))
+        return replace(summary, parts=group_rows(rows, groups))
     alone = ([*plain[:s], rows[s], *plain[s + 1 :]] for s in range(len(plain)))
-    segments = [(own, _group(mixed, fit, groups, own)) for own, mixed in zip(groups, alone, strict=True)]
-    return replace(summary, segments=tuple(segments), in_fit=fit.counted is None and bool(fit.weights.stated))
+    segments = [(own, _group(mixed, groups, own)) for own, mixed in zip(groups, alone, strict=True)]
+    return replace(summary, segments=tuple(segments), in_fit=bool(fit.noise.stated))
 
 
-def group_rows(summaries: list[Reduction], fit: Fit, groups: tuple[int, ...]) -> tuple[Reduction, ...]:
-    """One summary per phase group of rows with unit variance, from summaries per segment."""
-    return tuple(_group(summaries, fit, groups, group) for group in range(max(groups) + 1))
+def group_rows(summaries: list[Reduction], groups: tuple[int, ...]) -> tuple[Reduction, ...]:
+    """One triangle per phase group, from triangles of segments."""
+    return tuple(_group(summaries, groups, group) for group in range(max(groups) + 1))
 
 
-def _group(summaries: list[Reduction], fit: Fit, groups: tuple[int, ...], group: int) -> Reduction:
-    part = merged([one for one, own in zip(summaries, groups, strict=True) if own == group])
-    if drift_columns(part):
-        part = part.without(DRIFT_NAMES)
-    return part.scaled(1.0 / fit.sample_variance) if fit.mode == "samples" else part
+def _group(summaries: list[Reduction], groups: tuple[int, ...], group: int) -> Reduction:
+    return merged([one for one, own in zip(summaries, groups, strict=True) if own == group])
 
 
 def _described(fit: Fit) -> dict[str, Any]:
@@ -442,14 +415,11 @@ def _array(_kind: type, value: Any) -> Array:
 
 
 def _restore(document: dict[str, Any]) -> None:
-    """Noise levels by name (missing in older versions), and infinite degrees of freedom. In place."""
-    noise, sources = document.get("noise"), document.get("sources")
-    if not isinstance(noise, list) or not 2 <= len(noise) <= 4:
-        raise JsonError("noise: two to four levels are needed")
+    """Infinite degrees of freedom, and the name of a key. In place."""
+    sources = document.get("sources")
     if "phase" in document:
         document["phases"] = document.pop("phase")
-    document["noise"] = dict(zip(("white", "walk", "drift", "scatter"), noise, strict=False))
-    for part in (document, *(sources if isinstance(sources, list) else ())):
+    for part in sources if isinstance(sources, list) else ():
         if isinstance(part, dict) and part.get("degrees_of_freedom", 0.0) is None:
             part["degrees_of_freedom"] = math.inf
 
@@ -457,8 +427,13 @@ def _restore(document: dict[str, Any]) -> None:
 def _damages(summary: RunSummary) -> Iterator[str]:
     """Contradictions between parts of a summary."""
     groups = len(summary.labels)
-    if not _whole(summary.parts, groups):
+    parts = tuple(position.part for position in summary.positions)
+    held = {position.group for position in summary.positions}
+    if not _whole(parts, len(parts)) or held != set(range(groups)):
         yield "summaries are"
+    levels = (summary.noise.white, summary.noise.walk, *(position.variance for position in summary.positions))
+    if not all(math.isfinite(level) and level >= 0.0 for level in levels):
+        yield "noise levels are"
     for source in summary.sources:
         drawn = source.draw == "segment"
         own = [group for group, _ in source.segments]
@@ -467,14 +442,6 @@ def _damages(summary: RunSummary) -> Iterator[str]:
             yield "summaries are"
         if bool(own) != drawn or any(not 0 <= group < groups for group in own):
             yield "sources are"
-    for noise in summary.added:
-        fits = len(noise.scores) == len(summary.parts) and all(
-            part.ndim == 2 and len(part) == len(own.names) and part.shape[1] == noise.scores[0].shape[1]
-            for part, own in zip(noise.scores, summary.parts, strict=True)
-        )
-        finite = np.isfinite([noise.variance, noise.deviation, noise.shared, noise.gain]).all()
-        if not fits or not finite or not all(np.isfinite(part).all() for part in noise.scores):
-            yield "added noise is"
 
 
 def _whole(parts: tuple[Reduction, ...], groups: int) -> bool:
@@ -482,7 +449,7 @@ def _whole(parts: tuple[Reduction, ...], groups: int) -> bool:
     for part in parts:
         size = len(part.names) + 1
         fits = part.factor.shape == (size, size) and part.count >= 0
-        known = all(name in ("p", "q", *PHASELESS) or check_name(name) for name in part.names)
+        known = all(name in ("p", "q", RATE, *PHASELESS) or check_name(name) for name in part.names)
         finite = np.isfinite(part.factor).all() and not np.tril(part.factor, -1).any()
         if not (fits and known and finite):
             return False

@@ -22,11 +22,6 @@ from piga.records.calibration import Coefficient
 from piga.records.terms import si_factor, unit_of
 from piga.results import Array
 
-KNOTS = 32
-"""Number of steps of a bias drift over a record; the rate is linear in time between them."""
-DRIFT_NAMES = tuple(f"drift step {k + 1}" for k in range(KNOTS))
-"""Names of the drift columns in a summary."""
-
 
 @dataclass(frozen=True)
 class SolutionSettings:
@@ -160,14 +155,13 @@ class Layout:
         return local + tuple(name if run is None else f"{name}[{run}]" for name, run in self.keys)
 
 
-def layout_of(design: Design, groups: int | None = None, extra: tuple[str, ...] = ()) -> Layout:
-    """The layout of one run: every shared and every ``extra`` column is one parameter in all groups.
+def layout_of(design: Design, groups: int | None = None) -> Layout:
+    """The layout of one run: every shared column is one parameter in all groups.
 
     ``groups`` is the number of phase groups; default: that of the design.
     """
     count = len(set(design.groups)) if groups is None else groups
-    shared = (*design.shared_names, *extra)
-    return Layout.of_one("p" in design.local_names, design.request.harmonics, shared, count)
+    return Layout.of_one("p" in design.local_names, design.request.harmonics, design.shared_names, count)
 
 
 @dataclass(frozen=True)
@@ -206,11 +200,6 @@ class Solution(Estimate):
     values: Array
 
 
-def drift_columns(summary: Reduction) -> tuple[str, ...]:
-    """Names of the bias drift columns, which follow those of the model; empty without a drift."""
-    return summary.names[-KNOTS:] if summary.names[-KNOTS:] == DRIFT_NAMES else ()
-
-
 def merged(summaries: list[Reduction]) -> Reduction:
     """Merge several summaries into one."""
     return Reduction.stacked(summaries)
@@ -227,16 +216,13 @@ def merged_groups(summaries: list[Reduction], groups: tuple[int, ...]) -> list[R
 def solve(design: Design, summaries: list[Reduction]) -> Solution:
     """Estimate from one summary per segment, with the phases of the design.
 
-    The summaries may cover only the first segments. Columns of a bias drift after those of the design are estimated
-    too, but not returned.
+    The summaries may cover only the first segments.
     """
     groups = design.groups[: len(summaries)]
     count = max(groups) + 1
     parts = merged_groups(summaries, groups)
-    layout, extra = layout_of(design, count), drift_columns(summaries[0])
-    estimate = solve_parts(layout_of(design, count, extra), parts)
-    if extra:
-        estimate = _without_last(estimate, layout.size, len(extra))
+    layout = layout_of(design, count)
+    estimate = solve_parts(layout, parts)
     if count == 1:
         linear = estimate.jacobians[0] @ np.append(estimate.amplitudes, np.zeros(estimate.phases.size))
         values = np.tile(linear, (len(groups), 1))
@@ -250,19 +236,6 @@ def solve(design: Design, summaries: list[Reduction]) -> Solution:
         estimate.jacobians,
         values,
         shift=estimate.shift,
-    )
-
-
-def _without_last(estimate: Estimate, size: int, extra: int) -> Estimate:
-    """The estimate without the ``extra`` amplitudes after the first ``size``, their columns and covariance."""
-    behind = np.arange(size, size + extra)
-    return Estimate(
-        estimate.amplitudes[:size],
-        estimate.phases,
-        np.delete(np.delete(estimate.covariance, behind, axis=0), behind, axis=1),
-        estimate.cost,
-        tuple(np.delete(jacobian[:-extra], behind, axis=1) for jacobian in estimate.jacobians),
-        shift=None if estimate.shift is None else np.delete(estimate.shift, behind),
     )
 
 
@@ -591,7 +564,8 @@ def name_parameters(
         Coefficient(name, float(value), float(s), unit_of(name), segment, run)
         for (name, segment, run), value, s in zip(named, values, std, strict=True)
     )
-    return _in_asked_order(terms, coefficients, result)
+    order = asked_order(layout, terms, len(owners))
+    return tuple(coefficients[i] for i in order), result[np.ix_(order, order)]
 
 
 def _make_tangent_positive(layout: Layout, values: Array, jacobian: Array) -> None:
@@ -617,14 +591,12 @@ def principal(phase: ArrayLike) -> Array:
     return np.pi - np.mod(np.pi - np.asarray(phase), 2.0 * np.pi)
 
 
-def _in_asked_order(
-    terms: tuple[str, ...], coefficients: tuple[Coefficient, ...], covariance: Array
-) -> tuple[tuple[Coefficient, ...], Array]:
-    """Coefficients in the order of the request; phi follows tan_beta."""
+def asked_order(layout: Layout, terms: tuple[str, ...], phases: int) -> list[int]:
+    """Indices of the internal parameters in the order of the coefficients: as requested, phi after tan_beta."""
+    names = [name for name, _ in layout.amplitude_keys] + ["phi"] * phases
     rank = {name: i for i, name in enumerate(terms)}
     rank["phi"] = rank.get("tan_beta", 0)
-    order = sorted(range(len(coefficients)), key=lambda i: (rank[coefficients[i].name], i))
-    return tuple(coefficients[i] for i in order), covariance[np.ix_(order, order)]
+    return sorted(range(len(names)), key=lambda i: (rank[names[i]], i))
 
 
 def parameter_rows(design: Design, solution: Solution, segment: int, rows: Array) -> Array:

@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import Request
 from piga.calibration.model.solution import least_squares
-from piga.calibration.noise.levels import starting_noise
-from piga.calibration.noise.weighting import Whitener
 from piga.calibration.remarks.missing_terms import smooth_step, term_values
+from piga.calibration.weights import Whitener, starting_noise
 from piga.errors import PigaError
 from piga.records.calibration import Calibration
 from piga.records.calibration.verdict import COUNTED
@@ -322,7 +321,7 @@ def _whitened(run: Run, sample: Sample, reading: AdviceReading, names: list[str]
     if sample.point:
         return columns
     noise = starting_noise(run.resolution, max(float(np.median(sample.h)), 1e-9))
-    return Whitener("increments", noise, len(columns)).apply_columns(columns, sample.h)
+    return Whitener("increments", noise, len(columns)).apply(columns, sample.h)
 
 
 def _without(rows: Array, free: int) -> Array:

@@ -40,7 +40,7 @@ def find_remarks(fit: Fit, candidates: Candidates, coefficients: tuple[Coefficie
     coefficients:
         Those of the result, with combined standard uncertainties.
     """
-    slow = fit.noise.slow > 0.0 or fit.colour is not None
+    slow = fit.noise.scatter > 0.0
     plain = candidates.fit
     known = _known_without_slow(fit, plain, coefficients) if slow else coefficients
     leverage, alone, moved = find_leverage(plain, known, slow)
@@ -67,7 +67,7 @@ def with_remarks(result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[
     advice = advise(fit.design.run, fit.design.request) if looks_wrong(result) else ()
     missing = () if advice else remarks.missing
     diagnostics = replace(result.diagnostics, leverage=remarks.leverage, advice=advice, missing_terms=missing)
-    also = f"; the {_slow_words(fit)} found may be the same effect" if _slow_words(fit) else ""
+    also = "; the scatter of the segments may be the same effect" if fit.noise.scatter > 0.0 else ""
     sources = [doubt.source for doubt in doubts]
     words = suggestions_in_words(missing, held=CUBIC_SOURCE in sources, turned=DAMPING_SOURCE in sources)
     said = {CUBIC_SOURCE} if any(entry.scale_factor_under for entry in missing) else set()
@@ -80,18 +80,9 @@ def with_remarks(result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[
     return replace(result, notes=(*cause, *result.notes, *remarks.alone), diagnostics=diagnostics)
 
 
-def _slow_words(fit: Fit) -> str:
-    """The slow noise of a fit; empty without one."""
-    if fit.colour is not None:
-        return "coloured noise"
-    if fit.noise.drift > 0.0:
-        return "bias drift"
-    return "scatter of the segments" if fit.noise.scatter > 0.0 else ""
-
-
 def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:
     """Coefficients with standard uncertainties without slow noise."""
-    named = [variances_of(one.design, one.solution, one.covariance) for one in (fit, plain)]
+    named = [variances_of(one.design, one.solution, one.solution.covariance) for one in (fit, plain)]
     return tuple(
         replace(c, std=math.sqrt(max(c.std**2 - noisy + quiet, quiet)))
         for c, noisy, quiet in zip(coefficients, *named, strict=True)

@@ -20,10 +20,10 @@ import numpy as np
 from scipy.special import chdtrc
 
 from piga.calibration.budget.uncertainty import budget_row
-from piga.calibration.fit.one_run import Fit, without_slow
+from piga.calibration.fit.one_run import Fit, repetitions, without_scatter
 from piga.calibration.fit.servo import at_state, settled_design
 from piga.calibration.joint.joint_fit import JointFit, merge_runs
-from piga.calibration.joint.summary import LiveRun, RunSummary, group_rows
+from piga.calibration.joint.summary import LiveRun, RunSummary
 from piga.calibration.model.design import Design, Names
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
@@ -36,6 +36,7 @@ from piga.calibration.remarks.missing_terms import (
     tested,
     with_term,
 )
+from piga.calibration.weights import reduce_positions
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.records.calibration import BudgetEntry, Coefficient
 from piga.records.calibration.coefficient import changes
@@ -137,7 +138,7 @@ def _with_terms(plain: Fit, extra: tuple[str, ...]) -> dict[str, float] | None:
     request = replace(plain.design.request, terms=(*plain.design.request.terms, *extra))
     raw = Design(plain.design.run, request, plain.design.scale_factor)
     try:
-        design = settled_design(raw, plain.mode, plain.weights)
+        design = settled_design(raw, plain.mode, plain.noise)
     except IdentifiabilityError:
         return None
     solution = solve(design, plain.reduce(design))
@@ -328,19 +329,13 @@ def _clear(rows: LeftOutRows, base: JointFit, names: Names, limit: float = LEFT_
         return None
     count = sum(summary.count for summary in rows.summaries)
     test = tested(_pieces(rows, after, names), list(names), names, count)
-    if test is None or test.probability > limit or _beside_slow_noise(after, names) > limit:
+    if test is None or test.probability > limit or _chance_by_scatter(after, names) > limit:
         return None
     return Wider(base, after, test)
 
 
-def _beside_slow_noise(fit: JointFit, names: Names) -> float:
-    """Probability of terms as large as these by chance, where a stored run has a slow noise; 0 where none has.
-
-    The factors of a stored run contain no segments. They do not include a scatter of segments. Its added noise includes it, and so
-    does the covariance of the fit.
-    """
-    if not any(summary.added for summary in fit.summaries):
-        return 0.0
+def _chance_by_scatter(fit: JointFit, names: Names) -> float:
+    """Probability of terms as large as these by chance, by the scatter of the positions."""
     at = [index for index, c in enumerate(fit.coefficients) if c.name in names]
     scores = np.array([fit.coefficients[index].value / fit.coefficients[index].std for index in at])
     covariance = fit.covariance[np.ix_(at, at)]
@@ -374,13 +369,12 @@ def _with_columns(
     """A run at hand with the columns of ``EXTRA``: its summary, and its segments with their phase groups."""
     terms = fit.wish.terms_of(index)
     wish = replace(live.request, terms=(*terms, *(name for name in EXTRA if name not in terms)), per_run=())
-    plain = without_slow(live.fit)
+    plain = without_scatter(live.fit)
     design = Design(live.run, wish, summary.inner_scale_factor)
     segments = plain.reduce(design)
-    parts = group_rows(segments, plain, design.groups)
-    alone = [group_rows([segment], plain, (0,))[0] for segment in segments]
-    wider = replace(summary, parts=parts, sources=(), added=())
-    return wider, tuple(zip(design.groups, alone, strict=True))
+    positions = repetitions(design, plain.noise, reduce_positions(design, plain.mode, plain.noise))
+    wider = replace(summary, positions=positions, sources=())
+    return wider, tuple(zip(design.groups, segments, strict=True))
 
 
 def _pieces(rows: LeftOutRows, fit: JointFit, names: Names) -> list[Array]:

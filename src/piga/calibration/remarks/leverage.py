@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piga.calibration.fit.one_run import Fit, whitened_rows
+from piga.calibration.fit.one_run import Fit
 from piga.calibration.fit.outliers import NORMAL_MEDIAN
 from piga.calibration.model.identifiability import SEPARATION, term_of
 from piga.calibration.model.reduction import Reduction
@@ -24,7 +24,7 @@ from piga.calibration.model.solution import (
     parameter_rows,
     solve_parts,
 )
-from piga.calibration.noise.weighting import SegmentBasis
+from piga.calibration.weights import Positions
 from piga.records.calibration import Coefficient, SegmentLeverage
 from piga.records.calibration.coefficient import short_way
 
@@ -88,24 +88,23 @@ def find_leverage(
     parts = _amplitude_parts(layout, fit) if linear else fit.summaries
     common = [c for c in coefficients if c.segment is None]
     whole = _named(fit, layout, merged(parts), linear)
-    size = 1.0 if fit.mode == "increments" else _residual_size(parts, fit)
     table: dict[str, SegmentLeverage] = {}
     for label, traced, rest in zip(labels, leverages(parts), all_but_one(parts), strict=True):
         left = _named(fit, layout, rest, linear)
         table[label] = SegmentLeverage(traced + (1.0 if linear else 0.0), *_influence(common, whole, left))
     alone, named = _sole_words(table, common), odd_segments(fit) if slow else labels
     unit = "standard uncertainties" + (" by the noise of the angle" if slow else "")
-    return table, alone, _shift_words({k: table[k] for k in named}, common, whole, size, unit)
+    return table, alone, _shift_words({k: table[k] for k in named}, common, whole, unit)
 
 
 def odd_segments(fit: Fit) -> tuple[str, ...]:
     """Labels of the segments whose residual rate is far from the others, in terms of their median deviation."""
-    basis, size = SegmentBasis.of(fit.design.run), len(fit.design.run.labels)
+    m, size = len(fit.design.names), len(fit.design.run.labels)
     product, square = np.zeros(size), np.zeros(size)
-    for segment, columns in whitened_rows(fit, fit.design, fit.noise, basis):
-        y = columns[-1] - fit.solution.values[segment] @ columns[:-2]
-        product[segment] += columns[-2] @ y
-        square[segment] += columns[-2] @ columns[-2]
+    for part, segment in zip(fit.positions, Positions.of(fit.design.run).segments.tolist(), strict=True):
+        y = part.factor[:, -1] - part.factor[:, :m] @ fit.solution.values[segment]
+        product[segment] += part.factor[:, m] @ y
+        square[segment] += part.factor[:, m] @ part.factor[:, m]
     rate = np.divide(product, square, out=np.zeros(size), where=square > 0.0)
     away = np.abs(rate - np.median(rate))
     odd = away > LEVERAGE.unlikely * np.median(away) / NORMAL_MEDIAN
@@ -196,12 +195,6 @@ def _influence(
     return share, shift
 
 
-def _residual_size(parts: list[Reduction], fit: Fit) -> float:
-    """Standard deviation of a weighted row, for methods whose weights do not use the noise levels."""
-    total = merged(parts)
-    return float(np.sqrt(total.solve()[2] / max(fit.design.rows - len(total.names), 1)))
-
-
 def _sole_words(table: dict[str, SegmentLeverage], common: list[Coefficient]) -> tuple[str, ...]:
     """Segments that determine a coefficient alone."""
     sentences = []
@@ -218,7 +211,7 @@ def _sole_words(table: dict[str, SegmentLeverage], common: list[Coefficient]) ->
 
 
 def _shift_words(
-    table: dict[str, SegmentLeverage], common: list[Coefficient], whole: Without, size: float, unit: str
+    table: dict[str, SegmentLeverage], common: list[Coefficient], whole: Without, unit: str
 ) -> tuple[str, ...]:
     """Segments that move a coefficient by more than noise would."""
     sentences: list[tuple[float, str]] = []
@@ -227,7 +220,7 @@ def _shift_words(
             share, shift = row.share[c.name], row.shift[c.name]
             if shift is None or share > LEVERAGE.determines or abs(shift) <= LEVERAGE.influential:
                 continue
-            usual = size * whole.std[c.name] * math.sqrt(share / (1.0 - share)) / c.std
+            usual = whole.std[c.name] * math.sqrt(share / (1.0 - share)) / c.std
             if abs(shift) > LEVERAGE.unlikely * usual:
                 words = (
                     f"without segment '{label}' {c.name} changes by {shift:+.1f} {unit} (noise would "

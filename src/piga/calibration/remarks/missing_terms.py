@@ -20,7 +20,7 @@ from piga.calibration.fit.one_run import Fit
 from piga.calibration.model.design import Design, Joined
 from piga.calibration.model.reduction import solve_upper
 from piga.calibration.model.solution import layout_of, name_coefficients, parameter_rows
-from piga.calibration.noise.weighting import Whitener, rate_share
+from piga.calibration.weights import Whitener, rate_share
 from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.run import Run
 from piga.records.spool import extent, gathered
@@ -392,7 +392,7 @@ def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
 
 def _stated(fit: Fit) -> bool:
     """True if the weights include a stated scatter of the segments."""
-    return bool(fit.noise.stated) and fit.counted is None and fit.mode == "increments"
+    return bool(fit.noise.stated) and fit.mode == "increments"
 
 
 def joined_rows(fit: Fit, others: Callable[[Joined], Array], size: int) -> Iterator[tuple[int, Array, int]]:
@@ -403,7 +403,7 @@ def joined_rows(fit: Fit, others: Callable[[Joined], Array], size: int) -> Itera
     """
     design, mode = fit.design, "samples" if fit.mode == "samples" else "increments"
     stated = _stated(fit)
-    whitener = Whitener(mode, fit.noise, len(design.names) + size + 1 + stated)
+    whitener = Whitener(mode, fit.noise, len(design.names) + size + 1 + stated, design.run.median_step)
     for joined in design.joined():
         model, h = joined.columns, joined.h
         values = fit.solution.values[joined.segment]
@@ -412,7 +412,7 @@ def joined_rows(fit: Fit, others: Callable[[Joined], Array], size: int) -> Itera
             columns = columns / np.sqrt(np.maximum(h, 1.0))
         if stated:
             columns = np.vstack([h, columns])
-        weighted = whitener.apply_columns(np.ascontiguousarray(columns), h)
+        weighted = whitener.apply(np.ascontiguousarray(columns), h)
         kept = h > 0.0
         yield joined.segment, np.ascontiguousarray(weighted[:, kept].T), int(np.count_nonzero(kept))
 

@@ -1,0 +1,332 @@
+"""Intervals by the scatter of positions: repeat the measurement and take the scatter.
+
+The positions of a test are its repetitions. The standard uncertainty of a combination c of the parameters is that of the
+bias-reduced sandwich [Bell2002] over the positions, with Satterthwaite's degrees of freedom; the interval uses Student's t.
+No model of the noise enters, except in the weights. A position that alone determines a coefficient shows no
+scatter of it: the record is refused, by name.
+
+If positions scatter more than white noise and walk predict, the excess may also change slowly from position to position. The
+standard uncertainty then grows by a factor that is a number of the plan: 1/f noise at the times of the positions moves the
+coefficient by more than the residual rates show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.model.reduction import Reduction, solve_upper, triangle
+from piga.calibration.model.solution import Estimate, Layout
+from piga.errors import IdentifiabilityError
+from piga.results import Array
+
+
+@dataclass(frozen=True)
+class IntervalSettings:
+    """Limits of the rule (own choices)."""
+
+    alone: float = 1e-3
+    """Largest remainder ``1 - leverage`` of a position that counts as determining a combination alone."""
+    concerned: float = 1e-2
+    """Share of a coefficient's variance in such a combination from which on the coefficient is refused."""
+    share: float = 1e-3
+    """Addition to the variance of a position in its weight, relative to the mean."""
+    excess: float = 0.05
+    """Probability of the F test below which the positions scatter more than noise within them predicts."""
+    spacing: float = 0.5
+    """Distance of the correlation times that make 1/f noise [decades]."""
+    between: float = 0.01
+    """Probability of the F test below which runs scatter more than the positions within them."""
+    shortest: float = 6.0
+    """Positions per shortest of these times."""
+
+
+INTERVALS = IntervalSettings()
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """One position: a repetition of the measurement.
+
+    ``part`` is its triangle ``[columns of its phase group | rate | y]`` of whitened rows, without scatter. ``variance`` is that
+    of its rate. ``begin`` and ``end`` [s] are its times. ``run`` is the number of its run; slow changes connect positions of
+    one run only.
+    ``block``: it is a part of a continuous record.
+    """
+
+    part: Reduction
+    group: int
+    variance: float
+    name: str
+    begin: float
+    end: float
+    run: int = 0
+    block: bool = False
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Covariance of the internal parameters ``[amplitudes, phases]`` of an estimate, and their degrees of freedom.
+
+    ``growth`` is the factor of the order of the positions on each standard uncertainty. ``excess`` is the scatter of the mean
+    rates over what white noise and walk predict (a ratio of variances); nan if unknown.
+    """
+
+    covariance: Array
+    degrees: Array
+    growth: Array
+    excess: float
+
+
+class LeverageError(IdentifiabilityError):
+    """One position alone determines a coefficient; ``position`` is its name."""
+
+    position: str = ""
+
+
+def find_interval(
+    layout: Layout, estimate: Estimate, repetitions: Sequence[Repetition], *, stated: bool = False
+) -> Interval:
+    """Covariance and degrees of freedom of an estimate by the scatter of its repetitions.
+
+    Standard uncertainties are those of the rule, correlations those of the weights. A phase that one position alone has is
+    local: it is taken out of the position's rows, and its standard uncertainty is that of these rows. ``stated``: the run
+    file states a scatter of the positions; the larger expanded uncertainty of model and rule then counts.
+
+    Raises
+    ------
+    LeverageError
+        If one position alone determines a coefficient.
+    """
+    from scipy.special import stdtrit
+
+    size, members = layout.size, np.bincount([r.group for r in repetitions], minlength=estimate.phases.size)
+    common = [g for g in range(estimate.phases.size) if members[g] > 1]
+    at = [*range(size), *(size + g for g in common)]
+    words = [name if run is None else f"{name}[{run}]" for name, run in layout.amplitude_keys] + ["phi"] * len(
+        common
+    )
+    rows = [
+        _parameter_rows(layout, estimate, r, at, local=members.size > 0 and members[r.group] == 1)
+        for r in repetitions
+    ]
+    variances = [r.variance for r in repetitions]
+    scattered = [_without_rate(part, variance) for part, variance in zip(rows, variances, strict=True)]
+    u, degrees = sandwich(scattered, repetitions, words)
+    excess, probability, slow = _order(rows, repetitions)
+    growth = np.ones(u.size)
+    if slow is not None and probability < INTERVALS.excess:
+        growth = np.sqrt(1.0 + (slow**2 - 1.0) * (1.0 - 1.0 / excess))
+    wide, few = _between_runs(scattered, repetitions, u, degrees)
+    u, degrees = np.maximum(u * growth, wide), np.where(wide > u * growth, few, degrees)
+    model = np.sqrt(np.maximum(np.diag(estimate.inverse), 0.0))
+    rest = triangle(np.vstack(scattered))[-1, -1] ** 2 / max(sum(r.part.count for r in repetitions) - u.size, 1)
+    scale = max(float(rest), 1.0)
+    whole = model * np.sqrt(scale)
+    freedom, grown = np.full(model.size, np.inf), np.ones(model.size)
+    whole[at], freedom[at], grown[at] = u, degrees, growth
+    if stated:
+        smaller = stdtrit(np.minimum(freedom, 1e9), 0.975) * whole < stdtrit(1e9, 0.975) * model
+        whole, freedom = np.where(smaller, model, whole), np.where(smaller, np.inf, freedom)
+    ratio = np.divide(whole, model, out=np.zeros_like(model), where=model > 0.0)
+    covariance = estimate.inverse * np.outer(ratio, ratio)
+    if estimate.shift is not None:
+        covariance = covariance + scale * np.outer(estimate.shift, estimate.shift)
+    return Interval(covariance, freedom, grown, excess)
+
+
+def _parameter_rows(
+    layout: Layout, estimate: Estimate, repetition: Repetition, at: list[int], *, local: bool
+) -> Array:
+    """Triangle ``[parameters | rate | residual]`` of a position, linear about the estimate; a ``local`` phase is taken out."""
+    group, factor = repetition.group, repetition.part.factor
+    phase = float(estimate.phases[group]) if estimate.phases.size else 0.0
+    jacobian = (
+        layout.jacobian(estimate.amplitudes, estimate.phases, group)
+        if estimate.shift is None
+        else estimate.jacobians[group]
+    )
+    m = factor.shape[1] - 2
+    missed = factor[:, -1] - factor[:, :m] @ layout.linear(estimate.amplitudes, phase, group)
+    turned = factor[:, :m] @ jacobian
+    both = np.column_stack([turned[:, at], factor[:, m], missed])
+    own = turned[:, layout.size + group] if local else np.zeros(len(factor))
+    if not own.any():
+        return triangle(both)
+    return triangle(np.column_stack([own, both]))[1:, 1:]
+
+
+def _without_rate(rows: Array, variance: float) -> Array:
+    """Triangle ``[parameters | residual]`` of a position whose rate has this variance."""
+    names = (*map(str, range(rows.shape[1] - 2)), "rate")
+    return Reduction(names, rows).without(("rate",), variance).factor
+
+
+def sandwich(
+    parts: Sequence[Array], repetitions: Sequence[Repetition] | None, names: Sequence[str]
+) -> tuple[Array, Array]:
+    """Standard uncertainties and degrees of freedom from triangles ``[parameters | residual]`` of the positions.
+
+    In coordinates in which the information of all positions together is one, ``B_j`` is the information of position j and
+    ``g_j`` its score. The variance of the combination d is a weighted mean over the positions of
+    ``(d (1 - B_j)^-1/2 g_j)^2``, over that of their variances ``P_jj`` if the weights are right, with the weights
+    ``P_jj^-1/2`` (own choice). ``names`` and ``repetitions`` are for a refusal.
+    """
+    p = parts[0].shape[1] - 1
+    inverse = _inverse_root(parts, p)
+    x = np.array([part[:, :p] @ inverse for part in parts])
+    missed = np.array([part[:, p] for part in parts])
+    moved = np.einsum("jka,jk->a", x, missed)
+    B = np.einsum("jka,jkb->jab", x, x)
+    g = np.einsum("jka,jk->ja", x, missed - x @ moved)
+    value, vector = np.linalg.eigh(B)
+    known = (inverse**2).sum(axis=1)
+    alone = value > 1.0 - INTERVALS.alone
+    if alone.any():
+        if repetitions is not None:
+            share = np.einsum("ca,jab->jcb", inverse, vector) ** 2 / known[None, :, None]
+            _refuse_alone(alone, share, repetitions, names)
+        value = np.minimum(value, 1.0 - INTERVALS.alone)
+    root = np.einsum("jab,jb,jcb->jac", vector, (1.0 - value) ** -0.5, vector)
+    d = np.einsum("ca,jab->cjb", inverse, root)
+    z = np.einsum("cja,ja->cj", d, g)
+    dB = np.einsum("cja,jab->cjb", d, B)
+    P = -np.einsum("cja,cka->cjk", dB, dB)
+    at = np.arange(len(parts))
+    P[:, at, at] += np.einsum("cja,cja->cj", d, dB)
+    variance = P[:, at, at]
+    weight = np.maximum(variance + INTERVALS.share * variance.mean(axis=1, keepdims=True), 1e-300) ** -0.5
+    trace = (weight * variance).sum(axis=1)
+    u = np.sqrt(known * (weight * z**2).sum(axis=1) / trace)
+    degrees = trace**2 / np.einsum("cj,cjk,ck,cjk->c", weight, P, weight, P)
+    return u, degrees
+
+
+def _inverse_root(parts: Sequence[Array], p: int) -> Array:
+    """L with ``L L' = (sum of information)^-1`` of the first p columns."""
+    stacked = np.vstack([part[:, :p] for part in parts])
+    scale = np.linalg.norm(stacked, axis=0)
+    scale[scale == 0.0] = 1.0
+    inverse: Array = solve_upper(triangle(stacked / scale), np.eye(p)) / scale[:, None]
+    return inverse
+
+
+def _refuse_alone(
+    alone: NDArray[np.bool_], share: Array, repetitions: Sequence[Repetition], names: Sequence[str]
+) -> None:
+    """Raise if a direction that one position alone determines is a part of a coefficient; ``share`` (j, c, direction)."""
+    for j, repetition in enumerate(repetitions):
+        concerned = [
+            name
+            for name, own in zip(names, share[j][:, alone[j]].sum(axis=1), strict=True)
+            if own > INTERVALS.concerned
+        ]
+        if concerned:
+            listed = ", ".join(dict.fromkeys(concerned))
+            what = "part" if repetition.block else "position"
+            error = LeverageError(
+                f"{what} '{repetition.name}' alone determines {listed}: its scatter cannot be seen, so its uncertainty is unknown",
+                remedy=(
+                    "record longer, or leave terms out"
+                    if repetition.block
+                    else "visit this position again, or add positions that also show it, or leave terms out"
+                ),
+                terms=tuple(dict.fromkeys(concerned)),
+            )
+            error.position = repetition.name
+            raise error
+
+
+def _between_runs(
+    parts: Sequence[Array], repetitions: Sequence[Repetition], u: Array, degrees: Array
+) -> tuple[Array, Array]:
+    """Standard uncertainties and degrees of freedom where runs scatter more than the positions within them; elsewhere 0.
+
+    The same sandwich with runs in place of positions; it counts where its variance is larger beyond chance (F test), and
+    not for a coefficient that one run alone determines. ``u`` and ``degrees`` are those of the positions.
+    """
+    from scipy.special import fdtrc
+
+    runs = [r.run for r in repetitions]
+    if len(set(runs)) < 2:
+        return np.zeros_like(u), degrees
+    together = [
+        triangle(np.vstack([part for part, own in zip(parts, runs, strict=True) if own == k]))
+        for k in sorted(set(runs))
+    ]
+    p = u.size
+    inverse = _inverse_root(together, p)
+    x = np.array([part[:, :p] @ inverse for part in together])
+    value, vector = np.linalg.eigh(np.einsum("jka,jkb->jab", x, x))
+    share = np.einsum("ca,jab->jcb", inverse, vector) ** 2 / (inverse**2).sum(axis=1)[None, :, None]
+    alone = np.where((value > 1.0 - INTERVALS.alone)[:, None, :], share, 0.0).sum(axis=2).max(axis=0)
+    wide, few = sandwich(together, None, [])
+    chance = fdtrc(few, degrees, (wide / np.maximum(u, 1e-300)) ** 2)
+    taken = (alone < INTERVALS.concerned) & (wide > u) & (chance < INTERVALS.between)
+    return np.where(taken, wide, 0.0), few
+
+
+def _order(rows: Sequence[Array], repetitions: Sequence[Repetition]) -> tuple[float, float, Array | None]:
+    """Excess scatter of the rates, its probability by chance, and the factor by a slow change of the rates.
+
+    The factor is None where the order does not matter: blocks of one record, or too few positions.
+    """
+    from scipy.special import fdtrc
+
+    p = rows[0].shape[1] - 2
+    inverse = _inverse_root(rows, p)
+    x = [part[:, :p] @ inverse for part in rows]
+    unit = np.array([part[:, p] @ part[:, p] for part in rows])
+    if (unit <= 0.0).any():
+        return np.nan, 1.0, None
+    moved = sum((own.T @ part[:, p + 1] for own, part in zip(x, rows, strict=True)), start=np.zeros(p))
+    along = np.array([own.T @ part[:, p] for own, part in zip(x, rows, strict=True)])
+    rate = np.array([part[:, p] @ (part[:, p + 1] - own @ moved) for own, part in zip(x, rows, strict=True)])
+    count = sum(r.part.count for r in repetitions)
+    square = sum(float(part[:, p + 1] @ part[:, p + 1]) for part in rows) - float(moved @ moved)
+    hat = along / unit[:, None] @ along.T
+    freedom = len(rows) - float(np.trace(hat))
+    rest = count - p - freedom
+    if freedom < 1.0 or rest < 1.0 or square <= 0.0:
+        return np.nan, 1.0, None
+    scattered = float((rate**2 / unit).sum())
+    within = max(square - scattered, 1e-300) / rest
+    excess = scattered / freedom / within
+    probability = float(fdtrc(freedom, rest, excess))
+    if any(r.block for r in repetitions):
+        return excess, probability, None
+    return excess, probability, _slow_factor(repetitions, hat, inverse @ along.T, freedom)
+
+
+def _slow_factor(repetitions: Sequence[Repetition], hat: Array, effect: Array, freedom: float) -> Array:
+    """How much more 1/f noise moves a parameter than the residual rates show (at least 1): a number of the plan.
+
+    ``effect`` (c, j) is the change of a parameter by a rate error in each position, ``hat`` (j, j) the change of the fitted rates.
+    """
+    begin, end = (np.array([getattr(r, name) for r in repetitions]) for name in ("begin", "end"))
+    run = np.array([r.run for r in repetitions])
+    longest = max(float(end[run == k].max() - begin[run == k].min()) for k in set(run.tolist()))
+    usual = float(np.median(end - begin))
+    covariance = np.zeros_like(hat)
+    for exponent in np.arange(0.0, np.log10(INTERVALS.shortest * longest / usual), INTERVALS.spacing):
+        covariance += _mean_covariance(begin, end, usual / INTERVALS.shortest * 10.0**exponent)
+    covariance *= run[:, None] == run[None, :]
+    rest = np.eye(len(hat)) - hat
+    shown = float(np.trace(rest @ covariance @ rest.T)) / freedom
+    moved = np.einsum("ci,ij,cj->c", effect, covariance, effect)
+    factor: Array = np.sqrt(np.maximum(moved / ((effect**2).sum(axis=1) * shown), 1.0))
+    return factor
+
+
+def _mean_covariance(begin: Array, end: Array, time: float) -> Array:
+    """Covariance of the means over the positions of first-order noise with this correlation time [s]."""
+
+    def twice(one: Array, other: Array) -> Array:
+        lag = np.abs(one[:, None] - other[None, :]) / time
+        return np.asarray(time**2 * (lag + np.exp(-lag)))
+
+    total = twice(end, begin) + twice(begin, end) - twice(end, end) - twice(begin, begin)
+    return np.asarray(total / np.outer(end - begin, end - begin))

@@ -1,1 +1,0 @@
-"""Effect of the noise on the covariance of a fit and on its degrees of freedom."""

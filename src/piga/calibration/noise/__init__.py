@@ -1,1 +1,0 @@
-"""Noise of a record, and the weights of its rows."""

@@ -1,0 +1,362 @@
+"""Weights of the rows of a record: white angle noise, random walk, and a scatter of the rates of the positions.
+
+The noise of an angle increment over h seconds has the variance ``2 r + q h``, with ``-r`` between neighbours: r is white
+noise of the angle, q a random walk. Each position may also have a rate error of its own, of variance tau. The three levels
+have the largest restricted likelihood and are not negative. They decide the weights, nothing else: the intervals come from the
+scatter of the positions (:mod:`piga.calibration.intervals`). Formulas: docs/theory/calibration.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piga._kernels.estimation.noise import innovation_weights, rate_sums, whiten
+from piga.calibration.model.design import Block, Design
+from piga.calibration.model.reduction import Reduction, triangle
+from piga.reading.checks import largest_size
+from piga.records.run import Run
+from piga.results import Array
+
+RATE = "rate"
+"""Name of the column of a rate of its own in the triangle of a position."""
+BLOCKS = 20
+"""Blocks of equal length in place of positions, in a record of one segment (Bell and McCaffrey's rule needs repetitions)."""
+WALK_GAIN = 1.5
+"""Gain of twice the log-likelihood from which on a random walk is in the weights."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Variances: white angle noise ``white`` = r [rad^2], random walk ``walk`` = q [rad^2/s].
+
+    ``scatter`` [rad^2/s^2] is the variance of the rate from position to position. ``stated`` [rad^2/s^2] is that of each
+    position by the run file (sources with a new value at each position); empty if it states none.
+    """
+
+    white: float
+    walk: float
+    scatter: float = 0.0
+    stated: tuple[float, ...] = ()
+
+    @property
+    def angle_rms(self) -> float:
+        """Standard deviation of the white angle noise [rad]."""
+        return math.sqrt(self.white)
+
+    @property
+    def angle_random_walk(self) -> float:
+        """Angle random walk [rad/sqrt(s)]."""
+        return math.sqrt(self.walk)
+
+    @property
+    def segment_scatter(self) -> float:
+        """Standard deviation of the rate from position to position [rad/s]."""
+        return math.sqrt(self.scatter)
+
+    def rate_variances(self, count: int) -> Array:
+        """Variance of the rate of each of ``count`` positions [rad^2/s^2]."""
+        stated = np.array(self.stated) if self.stated else np.zeros(count)
+        return stated + self.scatter
+
+    def close_to(self, other: Noise, step: float, rows: int, tolerance: float = 0.05) -> bool:
+        """True if both give nearly the same weights: an increment, and the mean rate over ``rows`` increments."""
+        short, long = (
+            (2.0 * n.white + n.walk * step, n.walk * step + 12.0 * n.white / rows**2) for n in (self, other)
+        )
+        return abs(math.log(short[0] / long[0])) < tolerance and abs(math.log(short[1] / long[1])) < tolerance
+
+
+def rounding(run: Run) -> float:
+    """Least angle noise that is estimated [rad]: the rounding of the output."""
+    return 4.0 * float(np.finfo(float).eps) * max(largest_size(run.output), 1e-3)
+
+
+def starting_noise(resolution: float, step: float) -> Noise:
+    """Levels for the first fit: quantisation of one count, and a random walk of a hundredth of it per step."""
+    white = max(resolution, 1e-9) ** 2 / 12.0
+    return Noise(white, 0.01 * white / step)
+
+
+@dataclass(frozen=True)
+class Positions:
+    """The repetitions of a record: its segments, or blocks of equal length if it has one segment.
+
+    ``edges`` (G + 1,) are their first rows and the end; ``segments`` (G,) the segment of each.
+    """
+
+    edges: NDArray[np.int64]
+    segments: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, run: Run) -> Positions:
+        """The positions of a run."""
+        edges = run.segment_edges().astype(np.int64)
+        if len(run.labels) == 1:
+            edges = np.unique(np.linspace(0, run.size, BLOCKS + 1).astype(np.int64))
+        return cls(edges, run.segment_index[edges[:-1]].astype(np.int64))
+
+    @property
+    def count(self) -> int:
+        """Number of positions."""
+        return self.segments.size
+
+    @property
+    def continuous(self) -> bool:
+        """True if the positions are blocks of one segment."""
+        return self.count > 1 and bool((self.segments == 0).all())
+
+    def times(self, run: Run) -> tuple[Array, Array]:
+        """Begin and end of each position [s]."""
+        return np.asarray(run.t[self.edges[:-1]]), np.asarray(run.t[self.edges[1:] - 1])
+
+
+class Whitener:
+    """Whitens blocks in order; its state continues from block to block.
+
+    ``mode`` is ``"increments"`` (white angle noise and random walk), ``"rates"`` (each increment divided by its
+    interval, equal weights: the rate method) or ``"samples"`` (a rate log, equal weights). ``step`` is the usual interval [s].
+    """
+
+    def __init__(self, mode: str, noise: Noise, size: int, step: float = 1.0) -> None:
+        self.mode, self.noise, self.step = mode, noise, step
+        self._state = np.zeros(size)
+        self._variance = 0.0
+
+    def apply(self, columns: Array, h: Array) -> Array:
+        """Weighted columns (m, n) for intervals ``h``, a new array; rows have unit variance."""
+        white, walk = self.noise.white, self.noise.walk
+        carry, scale = np.zeros(h.size), np.ones(h.size)
+        if self.mode == "increments":
+            self._variance = innovation_weights(h, white, walk, self._variance, carry, scale)
+        else:
+            variance = walk / self.step + (2.0 * white / self.step**2 if self.mode == "rates" else 0.0)
+            scale = np.where(h > 0.0, 1.0 / math.sqrt(variance or 1.0), 0.0)
+            if self.mode == "rates":
+                scale /= np.where(h > 0.0, h, 1.0)
+        out = np.empty(columns.shape)
+        whiten(columns, carry, scale, self._state, out)
+        return out
+
+
+def weighting_mode(design: Design, method: str) -> str:
+    """Weighting mode of the rows for a method and a kind of output."""
+    if design.point:
+        return "samples"
+    return "rates" if method == "rate" else "increments"
+
+
+def weighted_blocks(
+    design: Design, mode: str, noise: Noise, *, rate: bool = False
+) -> Iterator[tuple[Block, Array]]:
+    """Blocks with their weighted columns in order: model, with ``rate`` that of the position, observation."""
+    whitener = Whitener(mode, noise, len(design.names) + 1 + rate, design.run.median_step)
+    for block in design.blocks():
+        columns = block.columns
+        if rate:
+            columns = np.vstack([columns[:-1], np.maximum(block.h, 0.0)[None], columns[-1:]])
+        yield block, whitener.apply(columns, block.h)
+
+
+def rate_share(variance: ArrayLike, square: ArrayLike) -> Array:
+    """Share c for which ``x - c b (b'x)`` whitens rows that are white but for a rate along b; ``b'b = square``.
+
+    The rate has ``variance`` v. ``(I + v b b')^-1/2 = I - c b b'``, ``c = (1 - (1 + v b'b)^-1/2)/b'b``.
+    """
+    size = np.asarray(square, dtype=float)
+    root = 1.0 / np.sqrt(1.0 + np.asarray(variance) * size)
+    return np.divide(1.0 - root, size, out=np.zeros_like(root), where=size > 0.0)
+
+
+def reduce_positions(
+    design: Design, mode: str, noise: Noise, positions: Positions | None = None
+) -> list[Reduction]:
+    """One triangle ``[model | rate | y]`` per position, of rows with unit variance; the scatter is not in it."""
+    positions = positions or Positions.of(design.run)
+    edges, names = positions.edges, (*design.names, RATE)
+    parts = [Reduction.empty(names) for _ in range(positions.count)]
+    for block, columns in weighted_blocks(design, mode, noise, rate=True):
+        first, last = np.searchsorted(edges, [block.start, block.stop - 1], side="right") - 1
+        for index in range(int(first), int(last) + 1):
+            low, high = max(int(edges[index]), block.start), min(int(edges[index + 1]), block.stop)
+            rows = slice(low - block.start, high - block.start)
+            parts[index].absorb(columns[:, rows], count=int(np.count_nonzero(block.h[rows] > 0.0)))
+    return parts
+
+
+def with_scatter(parts: Sequence[Reduction], noise: Noise) -> list[Reduction]:
+    """The triangles ``[model | y]`` of positions whose rates scatter as ``noise`` says."""
+    variances = noise.rate_variances(len(parts))
+    return [part.without((RATE,), float(own)) for part, own in zip(parts, variances, strict=True)]
+
+
+def of_segments(parts: Sequence[Reduction], positions: Positions) -> list[Reduction]:
+    """One triangle per segment, from triangles of positions."""
+    return [
+        Reduction.stacked([part for part, own in zip(parts, positions.segments, strict=True) if own == segment])
+        for segment in range(int(positions.segments.max()) + 1)
+    ]
+
+
+def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
+    """One triangle ``[model | y]`` per segment, with the weights of all levels."""
+    positions = Positions.of(design.run)
+    return of_segments(with_scatter(reduce_positions(design, mode, noise, positions), noise), positions)
+
+
+def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
+    """Observed minus modelled increments and their intervals, for ``values`` (segments, m)."""
+    d, h = np.zeros(design.run.size), np.zeros(design.run.size)
+    for block in design.blocks():
+        rows = slice(block.start, block.stop)
+        d[rows] = block.columns[-1] - values[block.segment] @ block.columns[:-1]
+        h[rows] = block.h
+    return d, h
+
+
+def find_noise(design: Design, d: Array, h: Array, fitted: int, mode: str) -> Noise:
+    """White noise and random walk of residual increments ``d`` over intervals ``h``, from within the segments.
+
+    The rate of each segment is free, so that neither a scatter of the rates nor most of the model matters. ``fitted`` is
+    the number of further parameters.
+    """
+    step, edges = design.run.median_step, design.run.segment_edges().astype(np.int64)
+    if mode == "samples":
+        variance = float(d @ d) / max(design.rows - fitted, 1)
+        return Noise(0.0, max(variance, rounding(design.run) ** 2) * step)
+    return likeliest_levels(d, h, edges, step, fitted, rounding(design.run))
+
+
+@dataclass(frozen=True)
+class LevelSettings:
+    """Settings of the search for the levels (own choices)."""
+
+    spacing: float = 1.5
+    """Distance of the ratios of walk to white noise in the first search [natural logarithm]."""
+    largest_ratio: float = 1e6
+    """Largest ratio of walk to white noise in an increment."""
+    first_rows: int = 1 << 16
+    """Rows of the first search; of a longer record neighbouring increments are joined."""
+    tolerance: float = 0.1
+    """Tolerance of the ratio [natural logarithm]."""
+    scatter_range: tuple[float, float] = (-5.0, 14.0)
+    """Range of the scatter over the noise of a mean rate [natural logarithm of the variance]."""
+
+
+LEVELS = LevelSettings()
+
+
+def likeliest_levels(
+    d: Array, h: Array, edges: NDArray[np.int64], step: float, fitted: int, floor: float
+) -> Noise:
+    """Levels of the largest restricted likelihood; the rate of each stretch between ``edges`` is free.
+
+    ``floor`` [rad] is the smallest white noise.
+    """
+    from scipy.optimize import minimize_scalar
+
+    count = int(np.count_nonzero(h > 0.0))
+    longest = max(b - a for a, b in pairwise(edges.tolist()))
+
+    def deviance(ratio: float, rows: tuple[Array, Array, NDArray[np.int64]], count: int) -> tuple[float, float]:
+        sums = np.zeros((rows[2].size - 1, 3))
+        logarithm = rate_sums(rows[0], rows[1], rows[2], ratio / step, sums)
+        hh, hd, dd = sums[sums[:, 0] > 0.0].T
+        freedom = max(count - hh.size - fitted, 1)
+        square = max(float((dd - hd**2 / hh).sum()), freedom * floor**2)
+        return freedom * math.log(square / freedom) + logarithm + float(np.log(hh).sum()), square / freedom
+
+    low, high = math.log((math.pi / longest) ** 2 / longest) - 4.0, math.log(LEVELS.largest_ratio)
+    grid = np.arange(low, high + LEVELS.spacing, LEVELS.spacing)
+    rough = joined(d, h, edges, max(1, d.size // LEVELS.first_rows))
+    few = int(np.count_nonzero(rough[1] > 0.0))
+    best = float(grid[int(np.argmin([deviance(math.exp(x), rough, few)[0] for x in grid]))])
+    rows = (d, h, edges)
+    found = minimize_scalar(
+        lambda x: deviance(math.exp(x), rows, count)[0],
+        bounds=(best - LEVELS.spacing, best + LEVELS.spacing),
+        method="bounded",
+        options={"xatol": LEVELS.tolerance},
+    )
+    none, white = deviance(0.0, rows, count)
+    if none < float(found.fun) + WALK_GAIN:
+        return Noise(white, 0.0)
+    ratio = math.exp(float(found.x))
+    white = deviance(ratio, rows, count)[1]
+    return Noise(white, white * ratio / step)
+
+
+def joined(d: Array, h: Array, edges: NDArray[np.int64], every: int) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Increments, intervals and edges with ``every`` neighbouring increments joined; stretches begin as before."""
+    if every == 1:
+        return d, h, edges
+    begins = h == 0.0
+    first = begins.copy()
+    first[1:] |= begins[:-1]
+    first[edges[:-1]] = True
+    first[::every] = True
+    starts = np.flatnonzero(first)
+    total = np.add.reduceat(np.maximum(h, 0.0), starts)
+    total[(total == 0.0) & (h[starts] < 0.0)] = -1.0
+    return np.add.reduceat(d, starts), total, np.searchsorted(starts, edges)
+
+
+def find_scatter(parts: Sequence[Reduction], noise: Noise, local: tuple[str, ...] = ()) -> Noise:
+    """``noise`` with the likeliest scatter of the rates of the positions, not negative.
+
+    Parameters
+    ----------
+    parts:
+        Triangles ``[model | rate | y]`` of the positions.
+    noise:
+        White noise, walk and stated scatter.
+    local:
+        Columns with coefficients of their own in each position.
+    """
+    from scipy.optimize import minimize_scalar
+
+    free = [part.without(local) if local else part for part in parts]
+    m = len(free[0].names) - 1
+    if len(free) <= 2:
+        return replace(noise, scatter=0.0)
+    total = triangle(np.vstack([part.factor[:, [*range(m), m + 1]] for part in free]))
+    size = np.linalg.norm(total[:, :m], axis=0)
+    size[size == 0.0] = 1.0
+    fitted = np.linalg.lstsq(total[:m, :m] / size, total[:m, m], rcond=1e-12)[0] / size
+    grams = []
+    for part in free:
+        rows = np.column_stack(
+            [part.factor[:, :m] / size, part.factor[:, m], part.factor[:, m + 1] - part.factor[:, :m] @ fitted]
+        )
+        grams.append(rows.T @ rows)
+    gram = np.array(grams)
+    A, b, c = gram[:, :m, :m], gram[:, :m, m + 1], gram[:, m + 1, m + 1]
+    u, s, z = gram[:, :m, m], gram[:, m, m], gram[:, m, m + 1]
+    freedom = max(sum(part.count for part in free) - m - len(local) * len(free), 1)
+    stated = replace(noise, scatter=0.0).rate_variances(len(free))
+
+    def deviance(scatter: float) -> float:
+        tau = stated + scatter
+        share = tau / (1.0 + tau * s)
+        information = (A - share[:, None, None] * u[:, :, None] * u[:, None, :]).sum(axis=0)
+        right = (b - share[:, None] * u * z[:, None]).sum(axis=0)
+        square = float((c - share * z**2).sum() - right @ np.linalg.lstsq(information, right, rcond=1e-12)[0])
+        sign, logarithm = np.linalg.slogdet(information)
+        if sign <= 0.0:
+            return math.inf
+        return freedom * math.log(max(square, 1e-300) / freedom) + float(np.log1p(tau * s).sum() + logarithm)
+
+    unit = 1.0 / float(np.median(s[s > 0.0])) if (s > 0.0).any() else 0.0
+    found = minimize_scalar(
+        lambda x: deviance(unit * math.exp(x)),
+        bounds=LEVELS.scatter_range,
+        method="bounded",
+        options={"xatol": 0.1},
+    )
+    better = float(found.fun) < deviance(0.0)
+    return replace(noise, scatter=unit * math.exp(float(found.x)) if better else 0.0)
