@@ -1,8 +1,8 @@
 """Coverage of the intervals: simulated tests with every kind of noise, calibrated as a user would.
 
-Run with ``python benchmarks/coverage.py [CASE ...] [--seeds N] [--record]``; without a case, all. Prints, for each case, the
-share of 95 % intervals that hold the truth, the standard deviation of the errors over the median standard uncertainty, and the median
-expanded uncertainty. The simulator is NumPy alone: steps of fourth order for the motion, noise added to the angle.
+Run with ``python benchmarks/scatter_rule.py [CASE ...] [--seeds N]``; without a case, all. Prints, for each case, the share of
+95 % intervals that hold the truth, the standard deviation of the errors over the median standard uncertainty, and the
+median expanded uncertainty. The simulator is NumPy alone: steps of fourth order for the motion, noise added to the angle.
 """
 
 from __future__ import annotations
@@ -156,7 +156,8 @@ def record(case: Case, seed: int, number: int = 0) -> piga.Run:
         output += rng.uniform(0.0, 6.0, case.positions)[position]
     count = 2.0 * np.pi / case.count if case.count else 0.0
     if count:
-        output = np.round(output / count) * count
+        start = rng.uniform(0.0, count)
+        output = np.round((output + start) / count) * count - start
     return piga.Run.from_arrays(
         t,
         output,
@@ -180,9 +181,11 @@ def campaign(name: str, seeds: int) -> str:
             refused += 1
             continue
         noisy += bool(result.verdict.warns_of_noise)
-        for c in result.coefficients:
-            if c.name in TRUTH:
-                rows.append((c.name, c.value - TRUTH[c.name], c.std, c.coverage_factor * c.std))
+        rows += [
+            (c.name, c.value - TRUTH[c.name], c.std, c.coverage_factor * c.std)
+            for c in result.coefficients
+            if c.name in TRUTH
+        ]
     cells = []
     for term in case.terms:
         own = np.array([row[1:] for row in rows if row[0] == term])
