@@ -18,7 +18,7 @@ from piga.records.arrays import scaled, stored
 from piga.records.calibration import Event, counted
 from piga.records.run_file import LeftOutTable
 from piga.results import Array
-from piga.units import G0
+from piga.units import G0, UNIT_FACTORS
 
 STUCK = 8
 """Fewest equal extreme values in a row that are reported (own choice)."""
@@ -26,11 +26,6 @@ RESTING = 2.0
 """Steps that a run of equal extreme values may hide because of rounding (own choice)."""
 SAMPLED = 1 << 17
 """Rows of a long record that are examined for wrong units (own choice)."""
-FACTORS = {9.80665: "9.80665 (g and m/s^2)", 57.29577951: "57.2958 (deg and rad)", 1e3: "1000 (mg and g)",
-           1e6: "10^6 (ug and g)", 3600.0: "3600 (per hour and per second)",
-           57.29577951 * 3600: "206265 (deg/h and rad/s, or arcsec and rad)",
-           9806.65: "9806.65 (mg and m/s^2)"}  # fmt: skip
-"""Factors between units that are often confused."""
 
 
 def changes(values: NDArray) -> NDArray:
@@ -227,10 +222,10 @@ def mistaken_rate(a_x: Array, rate: Array, scale_factor: float, count: int, row:
 
 def _unit_factor(ratio: float, tolerance: float) -> str:
     """``large by`` or ``small by`` a factor between units that the ratio is; empty if it is none."""
-    for factor, words in FACTORS.items():
+    for factor in UNIT_FACTORS:
         for value, sense in ((ratio, "large"), (1.0 / ratio if ratio else 0.0, "small")):
-            if abs(value / factor - 1.0) < tolerance:
-                return f"{sense} by {words}"
+            if factor.words and abs(value / factor.value - 1.0) < tolerance:
+                return f"{sense} by {factor.words}"
     return ""
 
 

@@ -1,6 +1,6 @@
 """Advice on a reference or an output that was read wrongly: swapped axes, wrong sign, wrong unit.
 
-Every signed permutation of the reference axes is fitted to a thinned record with a free scale factor. The sign of
+Every signed permutation of the reference axes is fitted to a few windows of the record with a free scale factor. The sign of
 X0 and a factor of the reference then affect only the scale factor. A factor of the output also affects the phase of
 the coupling, so likely factors are fitted too. Nothing is changed in the data. The advice says what is wrong with the
 data and which entry of the run file to change. If a unit is 'larger' by a factor, the same numbers in the file mean
@@ -11,25 +11,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from itertools import permutations, product
+from dataclasses import dataclass, replace
+from itertools import pairwise, permutations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.model.design import Design
-from piga.calibration.model.request import Request
+from piga.calibration.model.request import Request, phase_angle
 from piga.calibration.model.solution import least_squares
-from piga.calibration.remarks.missing_terms import smooth_step, term_values
-from piga.calibration.weights import Whitener, starting_noise
-from piga.errors import PigaError
+from piga.errors import DataError, PigaError
 from piga.records.calibration import Calibration
 from piga.records.calibration.verdict import COUNTED
 from piga.records.run import Run
-from piga.records.spool import gathered
 from piga.records.terms import SERVO_TERMS
-from piga.results import Array, Result
-from piga.units import G0
+from piga.results import Array
+from piga.units import G0, UNIT_FACTORS, UnitFactor
 
 
 @dataclass(frozen=True)
@@ -46,12 +42,12 @@ class AdviceSettings:
     """Most readings named that the record cannot tell from the best one."""
     snap: float = 0.1
     """Largest relative distance of the scale factor ratio from a known factor (nominal values are close)."""
-    samples: int = 2000
-    """Samples used."""
-    window: int = 60
-    """Most consecutive samples of a stretch."""
+    samples: int = 3000
+    """Samples used, about."""
     turn: float = 0.25
-    """Turn of the output between used samples [rad]."""
+    """Most turn of the output between used samples [rad]."""
+    longest_step: int = 64
+    """Most samples of the record from one used sample to the next."""
 
 
 ADVICE = AdviceSettings()
@@ -61,28 +57,6 @@ AXES = ("X0", "Y0", "Z0")
 _ARRAYS = {"reference": "f (wanted in m/s^2)", "time": "t (wanted in s)"}
 """Arguments of ``Run.from_arrays`` by the key of ``[data]``."""
 _PLACES = ("first", "second", "third")
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Factor(Result):
-    """A factor between two units; ``units`` (larger, smaller) by the key of ``[data]`` if units are mixed up."""
-
-    value: float
-    units: dict[str, tuple[str, str]] = field(default_factory=dict)
-
-
-FACTORS = (
-    Factor(9.80665, {"reference": ("g", "m/s^2")}),
-    Factor(1000.0, {"reference": ("g", "mg"), "output": ("rad", "mrad"), "time": ("s", "ms")}),
-    Factor(1e6, {"reference": ("g", "ug"), "output": ("rad", "urad"), "time": ("s", "us")}),
-    Factor(180.0 / math.pi, {"output": ("rad", "deg")}),
-    Factor(3600.0, {"output": ("deg", "arcsec"), "time": ("h", "s")}),
-    Factor(648000.0 / math.pi, {"output": ("rad", "arcsec")}),
-    Factor(2.0 * math.pi, {"output": ("rev", "rad")}),
-    Factor(360.0, {"output": ("rev", "deg")}),
-    Factor(4.0),
-)
-"""Factors between units that are often mixed up, and the four edges of a quadrature encoder."""
 
 
 @dataclass(frozen=True)
@@ -139,10 +113,10 @@ class AdviceReading:
         return " and ".join(parts)
 
 
-def factor_near(ratio: float) -> Factor | None:
+def factor_near(ratio: float) -> UnitFactor | None:
     """The factor close to a ratio or to its inverse; None if no factor is close."""
     ratio = max(ratio, 1.0 / ratio)
-    near = min(FACTORS, key=lambda factor: abs(ratio / factor.value - 1.0))
+    near = min(UNIT_FACTORS, key=lambda factor: abs(ratio / factor.value - 1.0))
     return near if abs(ratio / near.value - 1.0) < ADVICE.snap else None
 
 
@@ -164,19 +138,19 @@ def sign_words(*, output: bool) -> str:
     )
 
 
-def unit_words(ratio: float, factor: Factor, run: Run, *, output: bool) -> str:
+def unit_words(ratio: float, factor: UnitFactor, run: Run, *, output: bool) -> str:
     """Advice for a scale factor of ``ratio`` times the nominal one; ``output``: the output's unit may be wrong."""
     larger, size = ratio > 1.0, f"{factor.value:.6g}"
-    mixed = [(key, factor.units[key]) for key in ("reference", "time") if key in factor.units]
+    mixed = [(key, factor.mixed[key]) for key in ("reference", "time") if key in factor.mixed]
     times = f"{'multiplied' if larger else 'divided'} by {size}"
     if run.source:
         places = [_change(key, units, larger=larger, rate=False) for key, units in mixed]
-        if output and ("output" in factor.units or factor.value == 4.0):
+        if output and ("output" in factor.mixed or factor.value == 4.0):
             places.append(_output_unit(run, factor.value, larger=not larger))
         places.append(f"[instrument] scale_factor {times}")
     else:
         places = [f"{_ARRAYS[key]} {times}" for key, _ in mixed]
-        if output and "output" in factor.units:
+        if output and "output" in factor.mixed:
             unit = "rad/s" if run.kind == "rate" else "rad"
             places.append(f"output (wanted in {unit}) {'divided' if larger else 'multiplied'} by {size}")
         places.append(f"scale_factor {times}")
@@ -191,9 +165,9 @@ def _output_unit(run: Run, value: float, *, larger: bool) -> str:
     if run.resolution > 0.0:
         return f"[instrument] counts_per_revolution {'divided' if larger else 'multiplied'} by {value:.6g}"
     factor = factor_near(value)
-    if factor is None or "output" not in factor.units:
+    if factor is None or "output" not in factor.mixed:
         return f"[data] output a unit {value:.6g} times {'larger' if larger else 'smaller'}"
-    return _change("output", factor.units["output"], larger=larger, rate=run.kind == "rate")
+    return _change("output", factor.mixed["output"], larger=larger, rate=run.kind == "rate")
 
 
 def _change(key: str, units: tuple[str, str], *, larger: bool, rate: bool) -> str:
@@ -236,7 +210,7 @@ def advise(run: Run, request: Request) -> tuple[str, ...]:
     tuple of str
         At most one sentence on axes, signs and the output, and one on a unit.
     """
-    trials = [t for t in _trials(run, request, sample_of(run, request)) if math.isfinite(t.residual)]
+    trials = [t for t in _trials(run, request) if math.isfinite(t.residual)]
     plain = next((t for t in trials if t.reading == AdviceReading()), None)
     if plain is None:
         return ()
@@ -270,135 +244,112 @@ def _scale_words(trial: Trial, trials: list[Trial], run: Run) -> tuple[str, ...]
     return (*sentences, unit_words(ratio, factor, run, output=any(abs(output) != 1.0 for output in as_good)))
 
 
-def _trials(run: Run, request: Request, sample: Sample) -> Iterator[Trial]:
+def _trials(run: Run, request: Request) -> Iterator[Trial]:
     """Fits of all permutations and of the factors that their scale factors suggest."""
-    base = AdviceReading()
-    plain = _fit(run, request, sample, base)
+    sample, base = sample_of(run, request), AdviceReading()
+    plain = _fit(sample, base)
     for x, y, z in permutations(range(3)):
         for second, third in product((1, -1), repeat=2):
             reading = AdviceReading((x, y, z), (1, second, third))
-            trial = plain if reading == base else _fit(run, request, sample, reading)
+            trial = plain if reading == base else _fit(sample, reading)
             if trial.scale < 0.0 and reading != base:
                 turned = replace(reading, signs=(-1, second, third))
                 trial = replace(trial, reading=turned, scale=-trial.scale)
             yield trial
-    yield _fit(run, request, sample, replace(base, output=-1.0))
-    for factor in FACTORS:
+    yield _fit(sample, replace(base, output=-1.0))
+    for factor in UNIT_FACTORS:
         for known in (factor.value, 1.0 / factor.value):
             if abs(abs(plain.scale) / known - 1.0) < ADVICE.snap:
-                yield _fit(run, request, sample, replace(base, output=known))
-
-
-def _fit(run: Run, request: Request, sample: Sample, reading: AdviceReading) -> Trial:
-    """Whitened root-mean-square residual of a reading; with one phase per segment if the request has it.
-
-    The trapezoid loses 0.1 % of the coupling, equally in all readings.
-    """
-    turning = ["p", "q"] if "tan_beta" in request.terms else []
-    turning += [f"{kind}{order}" for order in request.harmonics for kind in ("s", "c")]
-    left_out = ("scale_factor", "k1", *SERVO_TERMS)
-    names = [*turning, "k1", *(n for n in request.shared_terms if n not in left_out)]
-    rows = _whitened(run, sample, reading, names)
-    free = len(turning) if request.phases != "shared" else 0
-    if free:
-        parts = [rows[:, sample.segment == segment] for segment in np.unique(sample.segment)]
-        rows = np.hstack([_without(part, free) for part in parts])
-    linear = least_squares(rows[:-1].T, rows[-1], 1e-10)
-    miss = float(np.linalg.norm(rows[-1] - linear @ rows[:-1])) / math.sqrt(sample.t.size)
-    return Trial(
-        reading, abs(reading.output) * miss, float(linear[names.index("k1") - free]) / run.scale_factor
-    )
-
-
-def _whitened(run: Run, sample: Sample, reading: AdviceReading, names: list[str]) -> Array:
-    """Columns of a reading and its observation (names + 1, n), whitened for angle noise."""
-    a = (sample.f[:, list(reading.axes)] * np.array(reading.signs, dtype=float)).T
-    turning = a - sample.base.T / run.scale_factor
-    alpha = sample.phase / reading.output
-    values = term_values(names, a, sample.t, sample.warm, turning, alpha)
-    columns = sample.increments(np.vstack([values, sample.base[:, 0]]))
-    columns[-1] += sample.observed / reading.output
-    if sample.point:
-        return columns
-    noise = starting_noise(run.resolution, max(float(np.median(sample.h)), 1e-9))
-    return Whitener("increments", noise, len(columns)).apply(columns, sample.h)
-
-
-def _without(rows: Array, free: int) -> Array:
-    """Rows of a segment after its first ``free`` columns are eliminated."""
-    basis = np.linalg.svd(rows[:free].T, full_matrices=False)[0]
-    return rows[free:] - (rows[free:] @ basis) @ basis.T
+                yield _fit(sample, replace(base, output=known))
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Samples of a record: ``h`` [s] the interval into each, 0 where a window begins (1 for a log of rates).
+    """Windows of a record as a record of its own, the request for it, and the phase angle of its samples [rad]."""
 
-    ``t`` and ``warm`` are from their references, ``phase`` [rad] is the angle of the output at the samples,
-    ``observed`` the increments of the output into them (the rates of a log of rates), ``base`` (n, 3) the
-    base rate [rad/s].
-    """
-
-    t: Array
-    h: Array
+    run: Run
+    request: Request
     phase: Array
-    observed: Array
-    f: Array
-    base: Array
-    warm: Array
-    segment: NDArray[np.int32]
-    point: bool
-
-    def increments(self, values: Array) -> Array:
-        """Integrals of values (.., n) over the intervals by the trapezoid; the values of a log of rates."""
-        if self.point:
-            return values
-        result = np.zeros_like(values)
-        result[..., 1:] = 0.5 * self.h[1:] * (values[..., 1:] + values[..., :-1])
-        return result
 
 
 def sample_of(run: Run, request: Request) -> Sample:
-    """Windows spread over the record. Samples are skipped while the output turns little and the force is straight."""
-    index, begins = _thinned(run)
-    point = run.kind == "rate"
-    output = gathered(run.output, index)
-    read = replace(request, phase_source="output")
-    phase = gathered(Design(run, read, run.scale_factor).phase_angle, index) if point else output
-    t, h = gathered(run.t, index), np.ones(index.size)
-    if not point:
-        h[1:] = np.diff(t)
-        h[begins] = 0.0
-    observed = output if point else np.where(h > 0.0, np.diff(output, prepend=output[0]), 0.0)
-    return Sample(
-        t=t - 0.5 * float(run.t[0] + run.t[-1]),
-        h=h,
-        phase=phase,
-        observed=observed,
-        f=gathered(run.f, index),
-        base=np.zeros((index.size, 3)) if run.base_rate is None else gathered(run.base_rate, index),
-        warm=t if run.temperature is None else gathered(run.temperature, index) - request.temperature_reference,
-        segment=gathered(run.segment_index, index),
-        point=point,
+    """Windows spread over the record. Samples are skipped while the output turns little."""
+    request = replace(
+        request,
+        phase_source="output",
+        terms=("scale_factor", *(n for n in request.terms if n not in ("scale_factor", "k1", *SERVO_TERMS))),
     )
+    phase = phase_angle(run, request, run.scale_factor)
+    turned = np.abs(np.diff(phase))[~run.begins[1:]]
+    most = float(np.quantile(turned, 0.95)) if turned.size else 0.0
+    starts = np.flatnonzero(run.begins)
+    edges = list(pairwise([*starts.tolist(), run.size]))
+    longest = min(ADVICE.longest_step, int(np.median(np.diff([*starts, run.size]))) // 12)
+    skip = 1 if run.kind == "rate" else int(max(1, min(ADVICE.turn / max(most, 1e-300), longest)))
+    edges = edges[:: max(1, math.ceil(len(edges) * 12 / ADVICE.samples))]
+    length = max(ADVICE.samples // len(edges), 12) * skip
+    rows, begins = [], []
+    for start, stop in edges:
+        count = max(1, min(3, (stop - start) // (2 * length)))
+        for first in np.linspace(start, max(start, stop - length // count), count).astype(np.int64):
+            part = np.arange(first, min(stop, first + length // count), skip)
+            part = part if run.left_out is None else part[~run.left_out[part]]
+            if part.size > 1 or run.kind == "rate":
+                rows.append(part)
+                begins.append(np.arange(part.size) == 0)
+    index = np.concatenate(rows)
+    thin = replace(
+        run,
+        t=np.ascontiguousarray(run.t[index]),
+        output=np.ascontiguousarray(run.output[index]),
+        f=np.ascontiguousarray(run.f[index]),
+        base_rate=None if run.base_rate is None else np.ascontiguousarray(run.base_rate[index]),
+        temperature=None if run.temperature is None else np.ascontiguousarray(run.temperature[index]),
+        segment_index=run.segment_index[index],
+        begins=np.concatenate(begins),
+        row=run.row[index],
+        left_out=None,
+        servo=(),
+    )
+    return Sample(thin, request, np.ascontiguousarray(phase[index]))
 
 
-def _thinned(run: Run) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Rows to use, and the first row of each window."""
-    begun: NDArray[np.int64] = np.unique(np.append(np.flatnonzero(run.begins), 0))
-    starts = begun[:: max(1, math.ceil(begun.size * 12 / ADVICE.samples))].tolist()
-    ends = np.append(np.flatnonzero(run.begins)[1:], run.size)
-    skip = 1 if run.kind == "rate" else smooth_step(run, ADVICE.turn)
-    share = max(12, ADVICE.samples // len(starts))
-    chosen: list[NDArray[np.int64]] = []
-    for start in starts:
-        end = int(ends[np.searchsorted(ends, start, side="right")])
-        held = (end - start) // skip
-        windows = max(1, min(share, held) // ADVICE.window)
-        length = min(share // windows, held // windows)
-        for first in np.linspace(start, max(start, end - length * skip), windows).astype(np.int64):
-            part = np.arange(first, min(end, first + length * skip), skip)
-            chosen.append(part if run.left_out is None else part[~run.left_out[part]])
-    kept = [part for part in chosen if part.size > 1]
-    begins = [np.arange(part.size) == 0 for part in kept]
-    return np.concatenate(kept), np.concatenate(begins)
+def _fit(sample: Sample, reading: AdviceReading) -> Trial:
+    """Root-mean-square residual of the angle for a reading; with one phase per segment if the request has it."""
+    run, request = sample.run, sample.request
+    f = np.ascontiguousarray(run.f[:, list(reading.axes)] * np.array(reading.signs, dtype=float))
+    try:
+        design = Design(replace(run, f=f, output=run.output / reading.output), request, run.scale_factor)
+    except DataError:
+        return Trial(reading, math.inf, 1.0)
+    design.phase_angle = sample.phase / reading.output
+    blocks = list(design.blocks())
+    free = len(design.local_names) if request.phases != "shared" else 0
+    parts = [
+        _without(np.hstack([_angles(b.columns, b.h, design.point) for b in blocks if b.segment == k]), free)
+        for k in sorted({block.segment for block in blocks})
+    ]
+    rows = np.hstack(parts)
+    linear = least_squares(rows[:-1].T, rows[-1], 1e-10)
+    miss = float(np.linalg.norm(rows[-1] - linear @ rows[:-1])) / math.sqrt(rows.shape[1])
+    scale = float(linear[design.names.index("scale_factor") - free]) / run.scale_factor
+    return Trial(reading, abs(reading.output) * miss, scale)
+
+
+def _angles(columns: Array, h: Array, point: bool) -> Array:
+    """Increments summed up to angles, less their mean in each window: rows of equal weight if the angle has white noise."""
+    if point:
+        return columns
+    edges = [*np.flatnonzero(h == 0.0).tolist(), h.size]
+    if edges[0] != 0:
+        edges.insert(0, 0)
+    whole = np.cumsum(columns, axis=1)
+    return np.hstack([whole[:, a:b] - whole[:, a:b].mean(axis=1, keepdims=True) for a, b in pairwise(edges)])
+
+
+def _without(rows: Array, free: int) -> Array:
+    """Rows of a segment after its first ``free`` columns are eliminated."""
+    if not free:
+        return rows
+    basis = np.linalg.svd(rows[:free].T, full_matrices=False)[0]
+    return rows[free:] - (rows[free:] @ basis) @ basis.T
