@@ -263,13 +263,13 @@ def notes_in_words(
         notes.append(
             f"the mean rates of the segments scatter {ratio:.1f} times more than the noise explains "
             f"({force * 1e6:.2g} ug rms): the stand or the servo has an effect that the model lacks; the "
-            "standard uncertainties do not include it"
+            "standard uncertainties include the scatter, but not what is the same at every visit of a position"
         )
     elif without_it > SEPARATION.scatter:
         notes.append(
             f"the mean rates of the segments scatter {without_it:.1f} times more than the noise of the "
-            f"angle explains ({force * 1e6:.2g} ug rms): the standard uncertainties include this as "
-            "noise, but an effect of the stand or of the servo that is the same at every visit of a "
+            f"angle explains ({force * 1e6:.2g} ug rms): the standard uncertainties include this "
+            "scatter, but an effect of the stand or of the servo that is the same at every visit of a "
             "position does not average out"
         )
     return tuple(notes)

@@ -164,7 +164,7 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
     if tests.verdict != "white" and not counted and coloured is None:
         yield Doubt(
             f"the whitened residuals are not white (Ljung-Box, {shown}): the model or the noise "
-            "description is incomplete, and standard uncertainties may be too small",
+            "description is incomplete; the intervals come from the scatter of the positions",
             "look for lines in the residuals by revolution order, and for suggested terms",
         )
     if abs(rms - 1.0) > THRESHOLDS.residual_rms:

@@ -1,0 +1,90 @@
+"""Levels that weigh the rows: against dense matrices, and on simulated records."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from piga._kernels.estimation.noise import rate_sums
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.weights import RATE, Noise, find_scatter, joined, likeliest_levels, with_scatter
+
+H = 0.1
+
+
+def stretches(count: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Intervals (a stretch begins with 0) and first rows of ``count`` stretches."""
+    h = np.full(count * rows, H)
+    h[::rows] = 0.0
+    return h, np.arange(count + 1) * rows
+
+
+def increments(rng: np.random.Generator, count: int, rows: int, white: float, walk: float) -> np.ndarray:
+    """Increments of white angle noise and random walk; 0 where a stretch begins."""
+    angle = white * rng.standard_normal((count, rows))
+    angle += walk * np.sqrt(H) * np.cumsum(rng.standard_normal((count, rows)), axis=1)
+    return np.diff(angle, axis=1, prepend=angle[:, :1]).ravel()
+
+
+def test_sums_are_those_of_the_dense_covariance() -> None:
+    rng, kappa = np.random.default_rng(1), 0.7
+    h, edges = stretches(3, 12)
+    h[5] = -1.0  # left out: the next interval reaches across it
+    d = rng.standard_normal(h.size) * (h > 0.0)
+    sums = np.zeros((3, 3))
+    logarithm, total = rate_sums(d, h, edges, kappa, sums), 0.0
+    for k in range(3):
+        rows = np.flatnonzero(h[edges[k] : edges[k + 1]] > 0.0) + edges[k]
+        V = np.diag(kappa * h[rows] + 2.0) - np.eye(rows.size, k=1) - np.eye(rows.size, k=-1)
+        total += np.linalg.slogdet(V)[1]
+        left, right = np.linalg.solve(V, h[rows]), np.linalg.solve(V, d[rows])
+        assert sums[k] == pytest.approx([h[rows] @ left, h[rows] @ right, d[rows] @ right], rel=1e-10)
+    assert logarithm == pytest.approx(total, rel=1e-12)
+
+
+@pytest.mark.parametrize(("white", "walk"), [(2e-5, 0.0), (2e-5, 2e-5), (1e-6, 3e-5)])
+def test_levels_come_back_whatever_the_rates(white: float, walk: float) -> None:
+    rng = np.random.default_rng(2)
+    h, edges = stretches(12, 300)
+    d = increments(rng, 12, 300, white, walk) + h * np.repeat(1e-3 * rng.standard_normal(12), 300)
+    noise = likeliest_levels(d, h, edges, H, 2, 0.0)
+    assert noise.angle_rms == pytest.approx(white, rel=0.06 if walk <= white else 1.0)
+    assert noise.angle_random_walk == pytest.approx(walk, rel=0.1, abs=2e-6)
+
+
+def test_joined_increments_have_the_same_sum_and_begin_where_stretches_do() -> None:
+    h, edges = stretches(3, 100)
+    d = increments(np.random.default_rng(3), 3, 100, 1.0, 1.0)
+    few, longer, at = joined(d, h, edges, 7)
+    assert few.size < d.size / 5
+    assert few.sum() == pytest.approx(d.sum())
+    assert longer.sum() == pytest.approx(h.sum())
+    assert (longer == 0.0).sum() == 3
+    assert (longer[at[:-1]] == 0.0).all()
+
+
+def positions(rng: np.random.Generator, scatter: float, count: int = 24) -> list[Reduction]:
+    """Triangles of positions with 60 rows of unit variance, a mean and a slope, and rates that scatter."""
+    names, parts = ("scale_factor", "k0", RATE), []
+    for k in range(count):
+        a = np.cos(2.0 * np.pi * k / count)
+        y = 3.0 * a + 1.0 + scatter * rng.standard_normal() + rng.standard_normal(60)
+        parts.append(Reduction.of_rows(names, np.column_stack([np.tile([a, 1.0, 1.0], (60, 1)), y]), 60))
+    return parts
+
+
+def test_scatter_is_that_of_the_rates() -> None:
+    found = [find_scatter(positions(np.random.default_rng(seed), 0.5), Noise(1.0, 0.0)) for seed in range(20)]
+    assert np.mean([noise.scatter for noise in found]) == pytest.approx(0.25, rel=0.2)
+    none = [find_scatter(positions(np.random.default_rng(seed), 0.0), Noise(1.0, 0.0)) for seed in range(20)]
+    assert np.mean([noise.scatter for noise in none]) < 0.01
+
+
+def test_stated_scatter_is_a_floor() -> None:
+    parts = positions(np.random.default_rng(7), 0.5)
+    stated = find_scatter(parts, Noise(1.0, 0.0, stated=(1.0,) * 24))
+    assert stated.scatter == 0.0
+    assert stated.rate_variances(24) == pytest.approx(np.ones(24))
+    weighted = Reduction.stacked(with_scatter(parts, stated)).solve()[1]
+    x = np.array([[np.cos(2.0 * np.pi * k / 24.0), 1.0] for k in range(24)])
+    assert weighted == pytest.approx(np.linalg.inv(x.T @ x / (1.0 + 1.0 / 60.0)), rel=1e-9, abs=1e-12)
