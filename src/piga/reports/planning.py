@@ -16,7 +16,7 @@ from piga.planning.plan import Plan
 from piga.records.terms import meaning_of, shown_unit, unit_of
 from piga.reports.render.envelope import envelope_rows
 from piga.reports.render.figure import Axis, Figure, Plot, Role, named_axis
-from piga.reports.render.numbers import pretty_unit, printed, short, significant
+from piga.reports.render.numbers import pretty_unit, printed, short, signed, significant
 from piga.reports.render.page import (
     Block,
     Cell,
@@ -232,7 +232,7 @@ def visit_table(plan: Plan) -> Table:
         .text("position or level", lambda visit: visit.candidate.label)
         .number("dwell", lambda visit: f"{visit.dwell:.2f}", "s")
         .number("revolutions", lambda visit: f"{visit.dwell / visit.candidate.revolution:.2f}")
-        .number("force along X0", lambda visit: f"{visit.candidate.force[0] / G0:+.4f}", "g")
+        .number("force along X0", lambda visit: printed(signed(visit.candidate.force[0] / G0, 4)), "g")
         .table("Visits in the order of the test.")
     )
 
@@ -242,13 +242,13 @@ def uncertainty_table(plan: Plan) -> Table:
     shown = [(name, *shown_unit(name, unit_of(name))) for name in plan.names]
     table = (
         TableOf(shown)
-        .text("coefficient", lambda row: f"{row[0]}: {meaning_of(row[0])}")
+        .text("coefficient", lambda row: Cell(row[0], title=meaning_of(row[0])))
         .text("unit", lambda row: pretty_unit(row[2]) or "1")
         .number("u, Type A", lambda row: printed(significant(plan.best.std(row[0]) * row[1], 3)))
         .number("u with the stand", lambda row: printed(significant(plan.best.combined(row[0]) * row[1], 3)))
     )
     for one in plan.standard:
-        table.number(one.name, _over_planned(plan, one), "u / planned")
+        table.number(one.name, _over_planned(plan, one))
     refusals = tuple(f"{p.name}: {p.refusal}." for p in plan.standard if p.refusal) + _locked_notes(plan)
     caption = "Predicted standard uncertainties; standard plans in the same total time, as multiples of the plan's Type A."
     return table.table(caption, refusals)

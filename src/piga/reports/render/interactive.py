@@ -108,7 +108,12 @@ def _trace(series: Series, panel: Panel, suffix: str) -> dict[str, Any]:
 
 def _look(series: Series, colour: str) -> dict[str, Any]:
     if series.mark == "bars":
-        return {"type": "bar", "marker": {"color": colour}, "width": bar_width(series.x)}
+        return {
+            "type": "bar",
+            "marker": {"color": colour},
+            "textposition": "none",
+            "width": bar_width(series.x),
+        }
     line: dict[str, Any] = {"color": colour, "width": 1.0 if series.role == "muted" else 1.5}
     if series.dashed:
         line["dash"] = "dash"
