@@ -115,9 +115,19 @@ def serial(n: int) -> None:
     f = np.random.default_rng(2).normal(0.0, 10.0, (n, 3))
     dv = f[1:] * 1e-3
     alpha = np.empty(n)
-    show("rate output, one core", timed(lambda: propagate_rate(INST, t, f), n), "ns/sample", "bar 8 at sin 13")
-    show("angle output, one core", timed(lambda: propagate(INST, t, f), n), "ns/sample", "bar 12 at sin 13")
-    both = timed(lambda: propagate(INST, t, f, with_rate=True), n)
+    show(
+        "rate output, one core",
+        timed(lambda: propagate_rate(INST, t, f, between="linear"), n),
+        "ns/sample",
+        "bar 8 at sin 13",
+    )
+    show(
+        "angle output, one core",
+        timed(lambda: propagate(INST, t, f, between="linear"), n),
+        "ns/sample",
+        "bar 12 at sin 13",
+    )
+    both = timed(lambda: propagate(INST, t, f, with_rate=True, between="linear"), n)
     show("angle and rate, one core", both, "ns/sample")
     show("angle from increments, one core", timed(lambda: propagate_increments(INST, t, dv), n), "ns/sample")
     slow = n // 10
@@ -126,7 +136,11 @@ def serial(n: int) -> None:
     baseline = timed(lambda: rk4(t, f, K, TAN_BETA, INST.alpha0, 1, alpha), n, 5)
     show("baseline: compiled RK4, one step a sample", baseline, "ns/sample")
     large = np.linspace(0.0, 5.0 * slow, slow)
-    show("steps above 1 rad, one core", timed(lambda: propagate(INST, large, f[:slow]), slow), "ns/sample")
+    show(
+        "steps above 1 rad, one core",
+        timed(lambda: propagate(INST, large, f[:slow], between="linear"), slow),
+        "ns/sample",
+    )
 
 
 def rounds(works: dict[str, Callable[[], Any]], repeats: int = 9) -> dict[str, np.ndarray]:
@@ -155,7 +169,7 @@ def fleets(instruments: int, samples: int) -> None:
     f = np.random.default_rng(2).normal(0.0, 10.0, (samples, 3))
     fleet = [Instrument(K * (1 + 1e-4 * i), 0.004 + 1e-5 * i, 0.01 * i) for i in range(instruments)]
     times = rounds({
-        workers: lambda workers=workers: propagate_fleet(fleet, t, f, workers=int(workers))
+        workers: lambda workers=workers: propagate_fleet(fleet, t, f, workers=int(workers), between="linear")
         for workers in ("1", "2")
     }, 5)  # fmt: skip
     count = instruments * samples
@@ -192,9 +206,9 @@ def equal_accuracy_sampled(seconds: float) -> None:
     t = np.linspace(0.0, seconds, n)
     f = force(t)
     fine = np.linspace(0.0, seconds, (n - 1) * 64 + 1)
-    reference = propagate(INST, fine, interpolated(fine, t, f))[::64]
-    error = float(np.abs(propagate(INST, t, f) - reference).max())
-    ours = timed(lambda: propagate(INST, t, f), 1)
+    reference = propagate(INST, fine, interpolated(fine, t, f), between="linear")[::64]
+    error = float(np.abs(propagate(INST, t, f, between="linear") - reference).max())
+    ours = timed(lambda: propagate(INST, t, f, between="linear"), 1)
     show("sampled vibration: exact motion", (ours[0] / n, ours[1] / n), "ns/sample", f"error {error:.1e} rad")
     alpha = np.empty(n)
     parts = 1
@@ -250,8 +264,8 @@ def memory(n: int) -> None:
     t = np.arange(n) * 1e-3
     f = np.ones((n, 3))
     for name, work, output in (
-        ("angle and rate", lambda: propagate(INST, t, f, with_rate=True), 16 * n),
-        ("rate", lambda: propagate_rate(INST, t, f), 8 * n),
+        ("angle and rate", lambda: propagate(INST, t, f, with_rate=True, between="linear"), 16 * n),
+        ("rate", lambda: propagate_rate(INST, t, f, between="linear"), 8 * n),
         ("increments", lambda: propagate_increments(INST, t, f[1:]), 8 * n),
     ):
         work()
