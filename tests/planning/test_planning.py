@@ -14,6 +14,7 @@ from piga.calibration.model.design import Design
 from piga.errors import ArgumentError, CalibrationError, RunFileError
 from piga.planning.candidates import _without_phase, coefficient_names, run_of
 from piga.planning.mounting import plan_mounting
+from piga.planning.plan import plan_test
 from piga.planning.plan_file import read_plan, request_of
 from piga.units import G0
 from tests.calibration.made.synthetic import SCALE
@@ -89,3 +90,13 @@ def test_a_phase_of_its_own_costs_information(tmp_path: Path, phase: str) -> Non
     order = [name for name in names if name != "phi"] + ["phi"]
     kept = [order.index(name) for name in names]
     np.testing.assert_allclose(result, np.linalg.inv(covariance[:, kept][:, :, kept]), rtol=1e-9, atol=1e-9)
+
+
+def test_positions_are_shuffled_unless_the_order_of_the_stand_is_asked_for(tmp_path: Path) -> None:
+    """The same visits in both, with the same uncertainty."""
+    shuffled, ordered = (plan_test(request(tmp_path, plan=f"shuffle = {word}")) for word in ("true", "false"))
+    labels = [[float(v.candidate.label.split()[0]) for v in plan.best.visits] for plan in (shuffled, ordered)]
+    assert sorted(labels[0]) == sorted(labels[1])
+    assert len(labels[1]) > 4
+    assert labels[0] != labels[1]
+    assert shuffled.best.std("k0") == pytest.approx(ordered.best.std("k0"), rel=0.02)

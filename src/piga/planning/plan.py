@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -62,6 +63,8 @@ class StandardPlanSettings:
     """Numbers of evenly spaced positions in the standard plans."""
     stretches: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0, 4.0)
     """Durations in the figure, relative to the planned duration."""
+    stride: float = 0.381966
+    """Step from one visit to the next in shuffled order, as a share of the visits (the golden section)."""
     attempts: int = 12
     """Most durations tried to reach a wanted uncertainty."""
 
@@ -291,7 +294,7 @@ def _standard(
     for name, chosen in places:
         dwell = _whole_samples(request, (duration + request.move) / len(chosen) - request.move)
         if dwell > 0.0:
-            plans.append((name, tuple(Visit(c, dwell) for c in chosen)))
+            plans.append((name, _ordered(request, tuple(Visit(c, dwell) for c in chosen))))
     return plans
 
 
@@ -356,7 +359,7 @@ def _search_visits(
 
 
 def _finished(search: _Search, schedule: Schedule, duration: float) -> tuple[Visit, ...]:
-    """Visits in the order of the stand, dwells in whole gimbal revolutions, spare time distributed."""
+    """Visits in their order, dwells in whole gimbal revolutions, spare time distributed."""
     request, step = search.request, search.request.dwell_step
     order = np.argsort(schedule.places, kind="stable")
     chosen = [search.usable[int(k)] for k in schedule.places[order]]
@@ -373,7 +376,26 @@ def _finished(search: _Search, schedule: Schedule, duration: float) -> tuple[Vis
             break
         most = fits[np.argmin(rounded[fits] / dwells[fits])]
         rounded[most] += turns[most]
-    return tuple(Visit(c, _whole_samples(request, float(d))) for c, d in zip(chosen, rounded, strict=True))
+    visits = tuple(Visit(c, _whole_samples(request, float(d))) for c, d in zip(chosen, rounded, strict=True))
+    return _ordered(request, visits)
+
+
+def _ordered(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Visit, ...]:
+    """The visits of each stand in shuffled order, unless the plan asks for that of the stand.
+
+    A slow change of the bias then moves no coefficient as a whole: the next position lies 0.38 of the test further on, as
+    near to the golden section as the number of visits allows. The same plan has the same order.
+    """
+    if not request.settings.shuffle:
+        return visits
+    ordered: list[Visit] = []
+    for _, group in groupby(visits, key=lambda visit: type(visit.candidate.table)):
+        part = list(group)
+        step = max(round(STANDARD_PLANS.stride * len(part)), 1)
+        while math.gcd(step, len(part)) > 1:
+            step += 1
+        ordered += [part[(step * k) % len(part)] for k in range(len(part))]
+    return tuple(ordered)
 
 
 def _stretched(

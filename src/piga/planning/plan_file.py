@@ -59,6 +59,7 @@ class PlanSettings(TomlTable, frozen=True):
     dwell_step: Quantity = "10 s"
     margin: float = 2.0
     whole_revolutions: bool = True
+    shuffle: bool = True
 
 
 class MountingTable(TomlTable, frozen=True):
