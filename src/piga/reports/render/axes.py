@@ -211,6 +211,8 @@ def _label_log(one: XAxis | YAxis) -> None:
 
 
 def _log_words(value: float, _: int | None) -> str:
+    if not value > 0.0:
+        return ""
     plain = 1e-3 <= value < 1e5
     return f"{value:g}" if plain else f"$10^{{{round(math.log10(value))}}}$"
 
