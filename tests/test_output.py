@@ -14,7 +14,7 @@ import pytest
 
 from piga import output
 from piga.errors import ArgumentError, PigaError
-from piga.output import check_outputs, results, settle
+from piga.output import check_outputs, check_results, results
 from piga.records.text_files import files_named_in
 from tests.cli.runner import outcome
 from tests.compensation.run_files import command as compensate
@@ -36,11 +36,11 @@ def fill(
 
 def held(folder: Path) -> dict[str, str]:
     """What a reader of the folder sees."""
-    settle(folder)
+    check_results(folder)
     return {
         path.relative_to(folder).as_posix(): path.read_text()
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and not path.name.startswith(".piga")
+        if path.is_file() and not any(part.startswith(".piga") for part in path.relative_to(folder).parts)
     }
 
 
@@ -95,7 +95,7 @@ def test_files_that_a_run_file_names(tmp_path: Path) -> None:
     assert files_named_in(tmp_path / "none.toml") == [tmp_path / "none.toml"]
 
 
-def test_a_file_that_is_there_needs_force_or_a_yes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_is_there_needs_force(tmp_path: Path) -> None:
     there = tmp_path / "o.csv"
     check_outputs([there], [], force=False)
     there.write_text("other")
@@ -104,55 +104,49 @@ def test_a_file_that_is_there_needs_force_or_a_yes(tmp_path: Path, monkeypatch: 
     assert "--force" in str(caught.value.remedy)
     check_outputs([there], [], force=True)
 
-    class Terminal:
-        def __init__(self, answer: str = "") -> None:
-            self.answer, self.said = answer, ""
 
-        def isatty(self) -> bool:
-            return True
-
-        def readline(self) -> str:
-            return self.answer
-
-        def write(self, text: str) -> None:
-            self.said += text
-
-        def flush(self) -> None: ...
-
-    for answer, taken in (("y\n", True), ("Yes\n", True), ("\n", False), ("n\n", False), ("", False)):
-        shown = Terminal()
-        with monkeypatch.context() as patch:
-            patch.setattr(sys, "stdin", Terminal(answer))
-            patch.setattr(sys, "stderr", shown)
-            if taken:
-                check_outputs([there], [], force=False)
-            else:
-                with pytest.raises(ArgumentError, match="not replaced"):
-                    check_outputs([there], [], force=False)
-        assert "o.csv: there already. Replace? [y/N]" in shown.said
-
-
-def test_results_of_the_same_command_and_inputs_are_replaced_unless_someone_changed_them(
-    tmp_path: Path,
-) -> None:
+def test_results_of_the_same_command_and_inputs_are_replaced_others_go_beside(tmp_path: Path) -> None:
+    """What was changed by hand, or comes from other inputs, stays: the new results are in ``2``, then in ``3``."""
     out = tmp_path / "out"
     fill(out, "one")
     fill(out, "two", names=("a.txt",))
     assert held(out) == {"a.txt": "two"}
     (out / "mine.txt").write_text("mine")
     fill(out, "three")
-    assert held(out) == {"a.txt": "three", "b.txt": "three", "figures/c.txt": "three", "mine.txt": "mine"}
+    three = {"a.txt": "three", "b.txt": "three", "figures/c.txt": "three", "mine.txt": "mine"}
+    assert held(out) == three
     (out / "b.txt").write_text("edited by hand")
-    with pytest.raises(ArgumentError, match=r"b\.txt: there already"):
-        fill(out, "four")
-    assert held(out)["b.txt"] == "edited by hand"
-    fill(out, "four", force=True)
-    assert held(out)["b.txt"] == "four"
-    with (
-        pytest.raises(ArgumentError, match="there already"),
-        results(out, "test", NAMES, (tmp_path / "other.toml",), force=False),
-    ):
-        pass
+    fill(out, "four")
+    assert (out / "b.txt").read_text() == "edited by hand"
+    assert held(out / "2") == {"a.txt": "four", "b.txt": "four", "figures/c.txt": "four"}
+    with results(out, "test", NAMES, (tmp_path / "other.toml",)) as stage:
+        (stage / "a.txt").write_text("other")
+    assert held(out / "3") == {"a.txt": "other"}
+    fill(out, "five", force=True)
+    assert (out / "b.txt").read_text() == "five"
+    assert held(out / "2")["b.txt"] == "four"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="modes are POSIX")
+@pytest.mark.parametrize(("umask", "file", "folder"), [(0o022, 0o644, 0o755), (0o077, 0o600, 0o700)])
+def test_everything_obeys_the_umask(tmp_path: Path, umask: int, file: int, folder: int) -> None:
+    """Temporary files have the mode 0600 while they are written."""
+    before = os.umask(umask)
+    try:
+        fill(tmp_path / "out", "x")
+        fill(tmp_path / "out", "y", force=True)
+        seen: list[int] = []
+
+        def write(path: Path) -> None:
+            seen.append(path.stat().st_mode & 0o777)
+            path.write_text("x")
+
+        output.write_whole(tmp_path / "whole", write)
+    finally:
+        os.umask(before)
+    assert seen == [0o600]
+    for path in tmp_path.rglob("*"):
+        assert path.stat().st_mode & 0o777 == (folder if path.is_dir() else file), path
 
 
 @pytest.mark.parametrize("name", ["a.txt", "figures/c.txt", "late.txt"])
@@ -178,74 +172,49 @@ def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
         assert not list(tmp_path.rglob(".piga*")) + list(tmp_path.rglob("a.txt"))
         out.mkdir(exist_ok=True)
     (tmp_path / "file").write_text("")
-    with pytest.raises(PigaError, match=r"--out .*file: cannot be written \(is a file\)"):
+    with pytest.raises(PigaError, match=r"file: is a file"):
         fill(tmp_path / "file", "x")
 
 
-@pytest.mark.parametrize("at", range(5))
+@pytest.mark.parametrize("at", range(3))
 def test_a_stop_while_results_are_put_in_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
 ) -> None:
-    """Whoever comes next puts the rest in place; older results that have no successor go."""
+    """Who reads the folder is told that it holds two runs, until the command has run again."""
     out = tmp_path / "out"
     fill(out, "one")
-    replace, remove, count = Path.replace, output.shutil.rmtree, []
+    replace, count = Path.replace, []
 
-    def step() -> None:
+    def replaced(self: Path, target: Path) -> Path:
         count.append(1)
         if len(count) > at:
             raise KeyboardInterrupt
-
-    def replaced(self: Path, target: Path) -> Path:
-        step()
         return replace(self, target)
-
-    def removed(path: Path, ignore_errors: bool = False) -> None:
-        if not ignore_errors:
-            step()
-        remove(path, ignore_errors=ignore_errors)
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", replaced)
-        patch.setattr(output.shutil, "rmtree", removed)
-        if at < 4:
-            with pytest.raises(KeyboardInterrupt):
-                fill(out, "two", names=("a.txt", "b.txt"))
-        else:
+        with pytest.raises(KeyboardInterrupt) as caught:
             fill(out, "two", names=("a.txt", "b.txt"))
-    assert held(out) == {"a.txt": "two", "b.txt": "two"}
+    assert f"{out}: results of two runs" in caught.value.__notes__[0]
+    with pytest.raises(PigaError, match="holds results of two runs of 'piga test'") as refused:
+        held(out)
+    assert "--force" in str(refused.value.remedy)
+    fill(out, "three", names=("a.txt",), force=True)
+    assert held(out) == {"a.txt": "three"}
     assert not list(out.glob(".piga-stage*"))
 
 
-@pytest.mark.parametrize(
-    "how",
-    ["names above", "names absolute", "names a link", "names no text", "no names", "file", "link", "not JSON"],
-)
-def test_a_strangers_results_move_and_remove_nothing_outside(tmp_path: Path, how: str) -> None:
-    """A folder that came from elsewhere may hold anything, also what looks like the results of a stopped run."""
-    outside, folder = tmp_path / "outside", tmp_path / "folder"
-    for place in (outside, folder):
-        place.mkdir()
+def test_a_link_leads_nothing_outside(tmp_path: Path) -> None:
+    outside, out = tmp_path / "outside", tmp_path / "out"
+    outside.mkdir()
+    out.mkdir()
     (outside / "mine.txt").write_text("mine")
-    (outside / ".piga-results-x.json").write_text(output.json.dumps({"key": "", "names": [], "files": {}}))
-    (folder / "sub").symlink_to(outside)
-    stage = folder / ".piga-stage-0123abcd.whole"
-    if how == "link":
-        stage.symlink_to(outside)
-    else:
-        (stage / "sub").mkdir(parents=True)
-        if how == "file":
-            (stage / "sub" / "mine.txt").write_text("theirs")
-        names: dict[str, object] = {
-            "names above": ["../outside/*"], "names absolute": [f"{outside}/*"], "names a link": ["sub/*"],
-            "names no text": [3], "no names": None,
-        }  # fmt: skip
-        mark = {"key": "", "names": names.get(how, []), "files": {}}
-        (stage / ".piga-results-x.json").write_text("[" if how == "not JSON" else output.json.dumps(mark))
-    before = {path: path.read_text() for path in outside.iterdir()}
-    with pytest.raises(PigaError, match=r"0123abcd.whole: .*\n.*remedy: remove it"):
-        settle(folder)
-    assert {path: path.read_text() for path in outside.iterdir()} == before
+    (out / "figures").symlink_to(outside)
+    with pytest.raises(ArgumentError, match="is a folder where a result goes"):
+        fill(out, "one", force=True)
+    fill(out, "one", names=("a.txt",), force=True)
+    assert held(out) == {"a.txt": "one"}
+    assert [path.read_text() for path in outside.iterdir()] == ["mine"]
 
 
 WORK = """
@@ -275,7 +244,7 @@ def killed_at_random(tmp_path: Path, kills: int) -> None:
         for writer in writers:
             os.kill(writer.pid, signal.SIGKILL)
             writer.communicate()
-        if out.exists():
+        if out.exists() and not list(out.glob(".piga-moving-*")):
             assert len(set(held(out).values())) == 1
             assert sorted(held(out)) == ["a.txt", "b.txt", "figures/c.txt"]
     fill(out, "last", force=True)
@@ -321,8 +290,7 @@ def test_many_kills_of_a_command(tmp_path: Path, name: str) -> None:
     states, killed = set(), 0
     for fate in kills(50, words):
         killed += fate == "killed"
-        if out.exists():
-            settle(out)
+        if out.exists() and not list(out.glob(".piga-moving-*")):
             (mark,) = out.glob(".piga-results-*.json")
             files = output.json.loads(mark.read_text())["files"]
             assert {path: output._state(out / path) for path in files} == files
@@ -346,9 +314,9 @@ def test_an_edited_run_file_is_not_simulated_over(
     scenario.write_text(SCENARIO.read_text())
     out.mkdir()
     (out / "run.toml").write_text("mine")
-    code, _, said = outcome(capsys, "simulate", scenario, "--out", out)
-    assert code == 2
-    assert "run.toml: there already" in said
+    code, said, _ = outcome(capsys, "simulate", scenario, "--out", out)
+    assert code == 0
+    assert f"wrote {out / '2' / 'run.toml'}" in said
     assert (out / "run.toml").read_text() == "mine"
     (tmp_path / "run.toml").write_text(SCENARIO.read_text())
     code, _, said = outcome(capsys, "simulate", tmp_path / "run.toml", "--out", tmp_path, "--force")

@@ -1,19 +1,17 @@
-"""Write results to disk. They are complete or absent, never overwrite an input, and never mix the files of two runs.
+"""Write results to disk. A file is complete or absent, an input is never overwritten, and files of two runs do not mix unseen.
 
-A single file is written under a hidden name, synchronised to disk, and renamed. The files of one run are written in a
-hidden folder. When all are complete, that folder is renamed to the folder of results. If the folder of results exists,
-the files are moved into it one by one; meanwhile the hidden folder ends in ``.whole``. After a stop, the next reader or
-writer moves the rest (:func:`settle`). A killed run leaves its hidden file or folder behind; the next run that writes
-there removes it. A lock distinguishes a running process from one that ended.
+A single file is written under a hidden name beside its target (mode 0600), synchronised to disk, and renamed. The files of
+one run are written in a hidden folder. A new folder of results appears by one rename. Into a folder that exists the files
+are moved one by one, between two marks: ``.piga-moving-COMMAND`` while they are moved, ``.piga-results-COMMAND.json`` with
+their sizes and times last. A reader that sees the first mark says that the folder holds results of two runs. A killed run
+leaves its hidden file or folder behind; the next run that writes there removes it. Everything obeys the umask.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import secrets
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -22,15 +20,18 @@ from typing import Any
 
 from piga.errors import ArgumentError, PigaError
 
-_MARK, _JOURNAL = ".piga-part", "-journal"
+_PART, _JOURNAL, _STAGE = ".piga-part", "-journal", ".piga-stage-"
+_MARK, _MOVING = ".piga-results-", ".piga-moving-"
 CALIBRATION_RESULTS = ("calibration.json", "residuals.parquet", "report.html", "summary-*.json")
 """Names of the result files of a calibration."""
 MOST_NAME = 100
 """Most bytes of a file's name, and of its ending, that are used in the name of its temporary file. The limit of file
 systems is 255 in all."""
-_STAGE, _WHOLE = ".piga-stage-", ".whole"
 _WINDOWS = os.name == "nt"
 """On Windows a file must be closed before it is renamed, an open file is its own lock, and renames need no sync."""
+
+
+# --- one file ----------------------------------------------------------------------------------------
 
 
 def write_whole(
@@ -61,7 +62,7 @@ def write_whole(
     """
     try:
         remove_leftovers(target)
-        prefix, suffix = f".{_short(target.name)}.", f"{_MARK}{_short(target.suffix)}"
+        prefix, suffix = f".{_short(target.name)}.", f"{_PART}{_short(target.suffix)}"
         handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=target.parent)
     except OSError as error:
         raise _unwritable(target, error, remedy, kind) from None
@@ -72,7 +73,7 @@ def write_whole(
         else:
             _lock(handle)
         write(temporary)
-        temporary.chmod(0o644)
+        temporary.chmod(allowed(0o666))
         put_in_place(temporary, target, replace=replace)
     except FileExistsError:
         raise kind(f"{target}: exists already", remedy="choose another name") from None
@@ -86,6 +87,13 @@ def write_whole(
         if not _WINDOWS:
             os.close(handle)
     return target
+
+
+def allowed(mode: int) -> int:
+    """The bits of a mode that the umask allows. While it is read, it is the strictest."""
+    umask = os.umask(0o077)
+    os.umask(umask)
+    return mode & ~umask
 
 
 def put_in_place(part: Path, target: Path, *, replace: bool = True) -> None:
@@ -113,7 +121,7 @@ def put_in_place(part: Path, target: Path, *, replace: bool = True) -> None:
 
 def remove_leftovers(target: Path) -> None:
     """Remove the temporary files of runs that were killed while writing ``target``."""
-    pattern = f".{_escaped(_short(target.name))}.*{_MARK}*"
+    pattern = f".{_escaped(_short(target.name))}.*{_PART}*"
     for path in target.parent.glob(pattern):
         if not path.name.endswith(_JOURNAL):
             with suppress(OSError), path.open("rb") as stream:
@@ -125,49 +133,79 @@ def remove_leftovers(target: Path) -> None:
                 path.unlink()
 
 
-def check_outputs(
-    outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool, ours: Callable[[Path], bool] | None = None
-) -> None:
-    """Refuse to overwrite inputs and, unless ``force``, existing files. At a terminal the user is asked.
+# --- what may be replaced ----------------------------------------------------------------------------
 
-    Parameters
-    ----------
-    outputs:
-        Files to be written.
-    inputs:
-        Files that the command reads. They are recognised under any name.
-    force:
-        True: existing files may be replaced. An input is never replaced.
-    ours:
-        Function that is True for a file that may be replaced in any case.
+
+def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool) -> None:
+    """Refuse to overwrite inputs and, unless ``force``, existing files.
+
+    Inputs are recognised under any name. An input is never replaced.
 
     Raises
     ------
     ArgumentError
         Naming the file.
     """
-    outputs = [path for path in outputs if path.exists() or path.is_symlink()]
-    known = {_identity(path): path for path in inputs if path.exists()}
+    there = [path for path in outputs if path.exists() or path.is_symlink()]
+    same = _same_file(there, inputs)
+    if same is not None:
+        raise ArgumentError(
+            f"{same[0]}: is the input {same[1]}: it would be replaced by the result",
+            remedy="choose another --out",
+        )
+    if there and not force:
+        named = ", ".join(map(str, there[:5])) + (f" and {len(there) - 5} more" if len(there) > 5 else "")
+        raise ArgumentError(f"{named}: there already", remedy="choose another --out, or replace with --force")
+
+
+def _same_file(outputs: Iterable[Path], inputs: Iterable[Path]) -> tuple[Path, Path] | None:
+    """An output that is an input under the same or another name, and that input."""
+    read = {_identity(path): path for path in inputs if path.exists()}
     for path in outputs:
-        same = known.get(_identity(path)) if path.exists() else None
-        if same is not None:
+        if path.exists() and _identity(path) in read:
+            return path, read[_identity(path)]
+    return None
+
+
+def results_folder(
+    folder: Path, command: str, names: Sequence[str], inputs: Sequence[Path], *, force: bool
+) -> Path:
+    """The folder in which results will appear: ``folder``, or the first of ``folder/2``, ``folder/3`` ... that is free.
+
+    A folder is free if it holds none of the ``names`` (patterns), or only unchanged results of the same command and the same
+    inputs, or with ``force``. An input is never replaced.
+
+    Raises
+    ------
+    ArgumentError
+        If ``folder`` or a result is the name of something else, or ``force`` would replace an input.
+    """
+    folder = Path(os.path.abspath(folder))  # noqa: PTH100 - symbolic links stay as they are named
+    number, place = 1, folder
+    while True:
+        if place.exists() and not place.is_dir():
+            raise ArgumentError(f"{place}: is a file", remedy="choose another --out")
+        there = _matching(place, names)
+        folders = [
+            path for name in names for path in place.glob(name) if path.is_dir() and not path.is_symlink()
+        ]
+        if folders:
             raise ArgumentError(
-                f"{path}: is the input {same}: it would be replaced by the result",
-                remedy="choose another --out",
+                f"{folders[0]}: is a folder where a result goes", remedy="move it away, or choose another --out"
             )
-    there = [path for path in outputs if ours is None or not ours(path)]
-    if force or not there:
-        return
-    named = ", ".join(str(path) for path in there[:5]) + (
-        f" and {len(there) - 5} more" if len(there) > 5 else ""
-    )
-    if sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty():
-        sys.stderr.write(f"{named}: there already. Replace? [y/N] ")
-        sys.stderr.flush()
-        if sys.stdin.readline().strip().lower() in ("y", "yes"):
-            return
-        raise ArgumentError(f"{named}: not replaced", remedy="choose another --out")
-    raise ArgumentError(f"{named}: there already", remedy="choose another --out, or replace with --force")
+        same = _same_file(there, inputs)
+        if force and same is not None:
+            raise ArgumentError(
+                f"{same[0]}: is the input {same[1]}: it would be replaced by the result",
+                remedy="choose another --out, or leave --force out",
+            )
+        mark = _read_mark(place / f"{_MARK}{command}.json", _key(command, inputs))
+        if force or (same is None and all(_is_unchanged(path, place, mark) for path in there)):
+            return place
+        number, place = number + 1, folder / str(number + 1)
+
+
+# --- the results of one run --------------------------------------------------------------------------
 
 
 @contextmanager
@@ -177,66 +215,44 @@ def results(
     names: Sequence[str],
     inputs: Sequence[Path],
     *,
-    force: bool,
+    force: bool = False,
     option: str = "--out",
 ) -> Iterator[Path]:
-    """A folder to fill with the results of one run. They appear in ``folder`` together, or not at all.
+    """A hidden folder to fill with the results of one run. At the end they appear in ``folder``, or nothing does.
 
     Parameters
     ----------
     folder:
-        Folder of the results; created if it does not exist.
+        Folder of the results, from :func:`results_folder`; created if it does not exist.
     command:
         Name of the command, in a form that fits into a file name.
     names:
         Patterns of the names of all results of the command. Older files with such names are removed.
     inputs:
-        Files that the command reads. Unchanged results of the same command and the same inputs are replaced without a
-        question. For other files see :func:`check_outputs`.
+        Files that the command reads.
     force:
-        True: existing files may be replaced.
+        True: existing results may be replaced. Else :func:`results_folder` has chosen a folder without them.
     option:
         The option that names ``folder``.
 
     Raises
     ------
     PigaError
-        If the folder cannot be written, a result would replace an input, or the folder holds other results.
+        If the folder cannot be written.
     """
-    folder = Path(os.path.abspath(folder))  # noqa: PTH100 - symbolic links stay as they are named
-    key = _key(command, inputs)
+    folder = results_folder(folder, command, names, inputs, force=force)
     try:
-        there = folder.is_dir()
-        if there:
-            settle(folder)
-            _check_places(path for name in names for path in folder.glob(name))
-            marks = _read_marks(folder / _mark_name(command), key)
-            check_outputs(
-                _matching(folder, names), inputs, force=force, ours=lambda path: _is_ours(path, marks)
-            )
-        elif folder.exists():
-            raise NotADirectoryError(20, "is a file")
-        else:
-            folder.parent.mkdir(parents=True, exist_ok=True)
-        _clear(folder.parent, f".{_escaped(folder.name)}{_STAGE}*")
-        home, prefix = (folder, "") if there else (folder.parent, f".{folder.name}")
-        with _staged(home, prefix) as stage:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        home = folder if folder.is_dir() else folder.parent
+        _remove_stages(home)
+        with _staged(home) as stage:
             yield stage
-            _finish_stage(stage, command, key, names)
-            if not folder.exists():
-                with suppress(OSError):
-                    stage.rename(folder)
-                    sync_directory(folder.parent)
-                    return
-                folder.mkdir(exist_ok=True)
-            staged = [path.relative_to(stage) for path in stage.rglob("*") if path.is_file()]
-            _check_places(folder / path for path in staged)
-            whole = folder / f"{_STAGE}{secrets.token_hex(4)}{_WHOLE}"
-            stage.rename(whole)
-            sync_directory(folder)
-            settle(folder)
+            mark = _finish_stage(stage, command, _key(command, inputs))
+            stage.chmod(allowed(0o777))
+            if home == folder or not _renamed(stage, folder):
+                _move(stage, folder, command, names, mark)
     except KeyboardInterrupt as stop:
-        stop.add_note(_what_is_there(folder))
+        stop.add_note(_after_stop(folder))
         raise
     except OSError as error:
         raise PigaError(
@@ -245,123 +261,38 @@ def results(
         ) from None
 
 
-def _what_is_there(folder: Path) -> str:
+def _after_stop(folder: Path) -> str:
     """What a folder of results holds after a stop, in words."""
-    if any(path.name.endswith(_WHOLE) for path in folder.glob(f"{_STAGE}*")):
-        return f"{folder}: the results are complete; the next command there puts the last of them in place"
-    if folder.is_dir():
-        return f"{folder}: as before; nothing of this run was kept"
-    return f"{folder}: not made; nothing of this run was kept"
+    if any(folder.glob(f"{_MOVING}*")):
+        return f"{folder}: results of two runs; run the command again with --force"
+    return f"{folder}: {'as before' if folder.is_dir() else 'not made'}; nothing of this run was kept"
 
 
-def _check_places(paths: Iterable[Path]) -> None:
-    """Refuse a folder that has the name of a result file, before any file is moved: it could not be replaced.
-
-    Raises
-    ------
-    ArgumentError
-        Naming the folder.
-    """
-    for path in paths:
-        if path.is_dir() and not path.is_symlink():
-            raise ArgumentError(
-                f"{path}: is a folder where a result goes", remedy="move it away, or choose another --out"
-            )
-
-
-def settle(folder: Path) -> None:
-    """Finish moving the results of a stopped run that were complete, and remove unfinished ones.
+def check_results(folder: Path) -> None:
+    """Refuse a folder in which the results of a run are only partly in place.
 
     Raises
     ------
     PigaError
-        If the folder cannot be written. It then holds the files of two runs.
+        Naming the command that must be run again.
     """
-    waiting = sorted(folder.glob(f"{_STAGE}*"))
-    if not waiting:
-        return
-    with _locked(folder):
-        for stage in waiting:
-            if stage.name.endswith(_WHOLE) and stage.is_dir():
-                try:
-                    _put_in_place(stage, folder)
-                except OSError as error:
-                    raise PigaError(
-                        f"{folder}: holds files of two runs ({error.strerror or error})",
-                        remedy="run a piga command there as a user who may write to it",
-                    ) from None
-    _clear(folder, f"{_STAGE}*")
+    for mark in folder.glob(f"{_MOVING}*"):
+        command = mark.name.removeprefix(_MOVING)
+        raise PigaError(
+            f"{folder}: holds results of two runs of 'piga {command}'; the second was stopped",
+            remedy="run that command again with --force",
+        )
 
 
 def is_staged(folder: Path) -> bool:
-    """True for the hidden folder of results that are not moved yet."""
-    return _STAGE in folder.name
-
-
-def _put_in_place(stage: Path, folder: Path) -> None:
-    """Move the results of a complete hidden folder into the folder and remove those they replace. The mark file comes last."""
-    marks = [path for path in stage.iterdir() if path.name.startswith(".piga-results-")]
-    if marks:
-        staged = [path for path in stage.rglob("*") if path.is_file() and path != marks[0]]
-        targets = [folder / path.relative_to(stage) for path in staged]
-        _check_stage(stage, folder, targets)
-        replaced = _replaced(marks[0], stage, folder)
-        for path, target in zip(staged, targets, strict=True):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            path.replace(target)
-        for path in replaced:
-            path.unlink()
-        marks[0].replace(folder / marks[0].name)
-    shutil.rmtree(stage)
-    sync_directory(folder)
-
-
-def _replaced(mark: Path, stage: Path, folder: Path) -> list[Path]:
-    """Older results that the results of a complete hidden folder replace without being of the same name."""
-    try:
-        document = json.loads(mark.read_text(encoding="utf-8"))
-        matching, kept = _matching(folder, document["names"]), set(document["files"])
-    except (ValueError, KeyError, TypeError, AttributeError, NotImplementedError):
-        raise _not_ours(stage) from None
-    _check_stage(stage, folder, matching)
-    return [path for path in matching if path.relative_to(folder).as_posix() not in kept]
-
-
-def _check_stage(stage: Path, folder: Path, paths: Iterable[Path]) -> None:
-    """Refuse a hidden folder that would change a file outside of the folder of results. It is not one of piga's.
-
-    Raises
-    ------
-    PigaError
-        Naming it.
-    """
-    home = folder.resolve()
-    if stage.is_symlink() or not all(path.parent.resolve().is_relative_to(home) for path in paths):
-        raise _not_ours(stage)
-
-
-def _not_ours(stage: Path) -> PigaError:
-    return PigaError(f"{stage}: does not hold results of a stopped run", remedy="remove it")
-
-
-def _finish_stage(stage: Path, command: str, key: str, names: Sequence[str]) -> None:
-    """Sync the files of a hidden folder to disk, and write their sizes and times into the mark file."""
-    files = {}
-    for path in sorted(stage.rglob("*")):
-        if path.is_file():
-            _sync(path)
-            files[path.relative_to(stage).as_posix()] = _state(path)
-    mark = stage / _mark_name(command)
-    mark.write_text(json.dumps({"key": key, "names": list(names), "files": files}), encoding="utf-8")
-    _sync(mark)
-    sync_directory(stage)
+    """True for the hidden folder of results that are not in place yet."""
+    return folder.name.startswith(_STAGE)
 
 
 @contextmanager
-def _staged(home: Path, prefix: str) -> Iterator[Path]:
+def _staged(home: Path) -> Iterator[Path]:
     """A hidden folder of this process. It is removed at the end unless it was renamed."""
-    stage = home / f"{prefix}{_STAGE}{secrets.token_hex(4)}"
-    stage.mkdir()
+    stage = Path(tempfile.mkdtemp(prefix=_STAGE, dir=home))
     handle = None if _WINDOWS else os.open(stage, os.O_RDONLY)
     try:
         if handle is not None:
@@ -373,13 +304,9 @@ def _staged(home: Path, prefix: str) -> Iterator[Path]:
         shutil.rmtree(stage, ignore_errors=True)
 
 
-def _clear(home: Path, pattern: str) -> None:
+def _remove_stages(home: Path) -> None:
     """Remove the hidden folders of processes that ended."""
-    if _WINDOWS:
-        return
-    for stage in home.glob(pattern):
-        if stage.name.endswith(_WHOLE):
-            continue
+    for stage in [] if _WINDOWS else home.glob(f"{_STAGE}*"):
         with suppress(OSError):
             handle = os.open(stage, os.O_RDONLY)
             try:
@@ -387,6 +314,130 @@ def _clear(home: Path, pattern: str) -> None:
                 shutil.rmtree(stage, ignore_errors=True)
             finally:
                 os.close(handle)
+
+
+def _finish_stage(stage: Path, command: str, key: str) -> Path:
+    """Sync the files of a hidden folder to disk, and write the mark with their sizes and times."""
+    files = {}
+    for path in sorted(stage.rglob("*")):
+        if path.is_file():
+            _sync(path)
+            files[path.relative_to(stage).as_posix()] = _state(path)
+    mark = stage / f"{_MARK}{command}.json"
+    mark.write_text(json.dumps({"key": key, "files": files}), encoding="utf-8")
+    _sync(mark)
+    sync_directory(stage)
+    return mark
+
+
+def _renamed(stage: Path, folder: Path) -> bool:
+    """Make the hidden folder the folder of results; False if there is one by now."""
+    try:
+        stage.rename(folder)
+    except OSError:
+        folder.mkdir(exist_ok=True)
+        return False
+    sync_directory(folder.parent)
+    return True
+
+
+def _move(stage: Path, folder: Path, command: str, names: Sequence[str], mark: Path) -> None:
+    """Move results into a folder that exists, in place of older ones, between two marks."""
+    staged = {
+        path: folder / path.relative_to(stage) for path in stage.rglob("*") if path.is_file() and path != mark
+    }
+    for target in staged.values():
+        if target.is_dir() or target.parent.is_symlink():
+            raise ArgumentError(
+                f"{target}: is a folder where a result goes", remedy="move it away, or choose another --out"
+            )
+    moving = folder / f"{_MOVING}{command}"
+    with _locked(folder):
+        moving.touch()
+        sync_directory(folder)
+        for path, target in staged.items():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            path.replace(target)
+        for path in set(_matching(folder, names)) - set(staged.values()):
+            path.unlink()
+        mark.replace(folder / mark.name)
+        sync_directory(folder)
+        moving.unlink()
+
+
+def _matching(folder: Path, names: Sequence[str]) -> list[Path]:
+    """Files with these names (patterns) in a folder. Files behind a link to another folder are not of the folder."""
+    home = folder.resolve()
+    found = {path for name in names for path in folder.glob(name) if not path.is_dir() or path.is_symlink()}
+    return sorted(path for path in found if path.parent.resolve().is_relative_to(home))
+
+
+def _key(command: str, inputs: Sequence[Path]) -> str:
+    return " ".join([command, *sorted({os.path.realpath(path) for path in inputs})])
+
+
+def _read_mark(path: Path, key: str) -> dict[str, Any]:
+    """Size and time, by name, of the results from an earlier run with the same command and inputs."""
+    try:
+        mark = json.loads(path.read_text(encoding="utf-8"))
+        return dict(mark["files"]) if mark["key"] == key else {}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def _is_unchanged(path: Path, folder: Path, mark: dict[str, Any]) -> bool:
+    return not path.is_symlink() and mark.get(path.relative_to(folder).as_posix()) == _state(path)
+
+
+def _state(path: Path) -> list[int]:
+    status = path.stat()
+    return [status.st_size, status.st_mtime_ns]
+
+
+def _identity(path: Path) -> tuple[int, int] | str:
+    status = path.stat()
+    return (status.st_dev, status.st_ino) if status.st_ino else os.path.realpath(path)
+
+
+# --- the file system ---------------------------------------------------------------------------------
+
+
+def hold(path: Path) -> Callable[[], None]:
+    """Lock a file for this process; create it if it does not exist. Returns the function that unlocks it.
+
+    Raises
+    ------
+    OSError
+        If another process holds the lock, or the file system has no locks.
+    """
+    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        if _WINDOWS:
+            import msvcrt
+
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+        else:
+            _lock(handle)
+    except OSError:
+        os.close(handle)
+        raise
+    return lambda: os.close(handle)
+
+
+def sync_directory(folder: Path) -> None:
+    """Sync a directory, so that renames in it are on disk."""
+    if _WINDOWS:
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _sync(path: Path) -> None:
+    with path.open("rb+") as stream:
+        os.fsync(stream.fileno())
 
 
 @contextmanager
@@ -406,64 +457,12 @@ def _locked(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def hold(path: Path) -> Callable[[], None]:
-    """Lock a file for this process; create it if it does not exist. Returns the function that unlocks it.
+def _lock(handle: int) -> None:
+    """Lock a file; raise OSError if another process holds it."""
+    if not _WINDOWS:
+        import fcntl
 
-    Raises
-    ------
-    OSError
-        If another process holds the lock, or the file system has no locks.
-    """
-    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        if _WINDOWS:
-            import msvcrt
-
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
-        else:
-            _lock(handle)
-    except OSError:
-        os.close(handle)
-        raise
-    return lambda: os.close(handle)
-
-
-def _matching(folder: Path, names: Sequence[str]) -> list[Path]:
-    return sorted({path for name in names for path in folder.glob(name) if not path.is_dir()})
-
-
-def _mark_name(command: str) -> str:
-    return f".piga-results-{command}.json"
-
-
-def _key(command: str, inputs: Sequence[Path]) -> str:
-    return " ".join([command, *sorted({os.path.realpath(path) for path in inputs})])
-
-
-def _read_marks(path: Path, key: str) -> dict[str, Any]:
-    """Size and time, by name, of the results from an earlier run with the same command and inputs."""
-    try:
-        mark = json.loads(path.read_text(encoding="utf-8"))
-        return dict(mark["files"]) if mark["key"] == key else {}
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
-
-
-def _is_ours(path: Path, marks: dict[str, Any]) -> bool:
-    return any(
-        path.as_posix().endswith(f"/{name}") and not path.is_symlink() and state == _state(path)
-        for name, state in marks.items()
-    )
-
-
-def _state(path: Path) -> list[int]:
-    status = path.stat()
-    return [status.st_size, status.st_mtime_ns]
-
-
-def _identity(path: Path) -> tuple[int, int] | str:
-    status = path.stat()
-    return (status.st_dev, status.st_ino) if status.st_ino else os.path.realpath(path)
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _remove(temporary: Path) -> None:
@@ -471,30 +470,6 @@ def _remove(temporary: Path) -> None:
     for path in (temporary, temporary.with_name(temporary.name + _JOURNAL)):
         with suppress(OSError):
             path.unlink(missing_ok=True)
-
-
-def sync_directory(folder: Path) -> None:
-    """Sync a directory, so that renames in it are on disk."""
-    if _WINDOWS:
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _sync(path: Path) -> None:
-    with path.open("rb+") as stream:
-        os.fsync(stream.fileno())
-
-
-def _lock(handle: int) -> None:
-    """Lock a file; raise OSError if another process holds it."""
-    if not _WINDOWS:
-        import fcntl
-
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _short(name: str) -> str:

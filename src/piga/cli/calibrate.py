@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import ForceOption, JsonOption, files_named_in, names_in, print_json, progress, say
+from piga.cli.common import ForceOption, JsonOption, deliver, files_named_in, names_in, progress
 from piga.data import EXAMPLE, copy_example
-from piga.output import CALIBRATION_RESULTS, results
+from piga.output import CALIBRATION_RESULTS
 
 if TYPE_CHECKING:
     from piga.calibration.joint.summary import RunSummary
@@ -71,10 +71,10 @@ def calibrate(
 
     Writes calibration.json, residuals.parquet and report.html. Several runs of one instrument are calibrated together.
     """
+    inputs = [path for run in runs for path in files_named_in(run)]
     default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
     directory = out or runs[0].parent / default
-    inputs = [path for run in runs for path in files_named_in(run)]
-    with results(directory, "calibrate", CALIBRATION_RESULTS, inputs, force=force) as stage:
+    with deliver(directory, "calibrate", CALIBRATION_RESULTS, inputs, force=force, as_json=as_json) as to:
         items = read_items(runs) if compare is None else _with_sets(read_items(runs), compare)
         with progress("calibrating") as advance:
             from piga.calibration.calibrate import calibrate as estimate
@@ -84,16 +84,16 @@ def calibrate(
                 per_run=names_in(per_run), progress=advance,
             )  # fmt: skip
         with progress("writing the report" if report else "writing"):
-            written = write_results(calibration, stage, report=report)
-            written += write_summaries(items, stage) if summary else []
-    if as_json:
-        from piga.records.calibration.document import to_document
+            write_results(calibration, to.stage, report=report)
+            if summary:
+                write_summaries(items, to.stage)
+        to.tell(lambda: _document(calibration), calibration.summary)
 
-        print_json(to_document(calibration))
-        return
-    say(calibration.summary())
-    for path in written:
-        say(f"wrote {directory / path.name}")
+
+def _document(calibration: Calibration) -> dict[str, Any]:
+    from piga.records.calibration.document import to_document
+
+    return to_document(calibration)
 
 
 def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummary]:
@@ -126,37 +126,25 @@ def read_items(paths: list[Path]) -> list[Run | RunSummary]:
         return [RunSummary.from_json(path) if path.suffix == ".json" else read_run(path) for path in paths]
 
 
-def write_summaries(items: list[Run | RunSummary], directory: Path) -> list[Path]:
+def write_summaries(items: list[Run | RunSummary], directory: Path) -> None:
     """Write the summary of every run whose data were read, with the options of its run file."""
     from piga.calibration.joint.summary import RunSummary
 
-    written = []
     for item in items:
         if not isinstance(item, RunSummary):
             summary = RunSummary.of(item)
-            written.append(directory / f"summary-{summary.name}.json")
-            summary.to_json(written[-1])
-    return written
+            summary.to_json(directory / f"summary-{summary.name}.json")
 
 
-def write_results(calibration: Calibration, directory: Path, *, report: bool = True) -> list[Path]:
+def write_results(calibration: Calibration, directory: Path, *, report: bool = True) -> None:
     """Write the results. A calibration of summaries alone has no residuals to write."""
-    from concurrent.futures import ThreadPoolExecutor
-
     from piga.formats.parquet import write_residuals
 
-    job = None
-    with ThreadPoolExecutor(1) as beside:
-        written = [directory / "calibration.json"]
-        calibration.to_json(written[0])
-        if calibration.residuals is not None:
-            written.append(directory / "residuals.parquet")
-            job = beside.submit(write_residuals, calibration, written[-1])
-        if report:
-            written.append(calibration.report(directory / "report.html"))
-    if job is not None:
-        job.result()
-    return written
+    calibration.to_json(directory / "calibration.json")
+    if calibration.residuals is not None:
+        write_residuals(calibration, directory / "residuals.parquet")
+    if report:
+        calibration.report(directory / "report.html")
 
 
 def demo(
@@ -170,21 +158,17 @@ def demo(
     from piga.stand import read_run
 
     names = (*CALIBRATION_RESULTS, "compensated.parquet", f"{EXAMPLE}.csv", f"{EXAMPLE}.toml")
-    with results(out, "demo", names, (), force=force) as folder:
-        run = copy_example(folder)
+    with deliver(out, "demo", names, (), force=force, as_json=False) as to:
+        run = copy_example(to.stage)
         with progress("reading"):
             record = read_run(run)
-        with progress("calibrating") as advance:
+        with progress("calibrating") as show:
             from piga.calibration.calibrate import calibrate as estimate
 
-            calibration = estimate([record], progress=advance)
+            calibration = estimate([record], progress=show)
         with progress("writing the report"):
-            written = [*write_results(calibration, folder), folder / "compensated.parquet"]
+            write_results(calibration, to.stage)
         with progress("compensating"):
-            compensate(record, calibration).to_parquet(written[-1])
-    say(calibration.summary())
-    say("")
-    run = out / run.name
-    say(f"The record and its run file are in {out}; change {run.name} and run: piga calibrate {run}")
-    for path in written:
-        say(f"wrote {out / path.name}")
+            compensate(record, calibration).to_parquet(to / "compensated.parquet")
+        again = f"To go on: change {to.folder}/{run.name} and run: piga calibrate {to.folder}/{run.name}"
+        to.tell(dict, lambda: f"{calibration.summary()}\n\n{again}")

@@ -8,8 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import App, ForceOption, JsonOption, note, print_json, progress, say, write_json
-from piga.output import results
+from piga.cli.common import (
+    App,
+    ForceOption,
+    JsonOption,
+    deliver,
+    files_named_in,
+    note,
+    print_json,
+    progress,
+    say,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from piga.campaign.run import RunReport
@@ -109,7 +119,7 @@ def status(folder: Folder, as_json: JsonOption = False) -> None:
 
 
 @app.command()
-def collect(folder: Folder, force: ForceOption = False, as_json: JsonOption = False) -> None:
+def collect(folder: Folder, as_json: JsonOption = False) -> None:
     """Judge the records: coverage, bias, NEES, worst cases.
 
     Writes collected/collect.json, coefficients.csv and report.html. Exit code 1 if shards are missing.
@@ -121,19 +131,16 @@ def collect(folder: Folder, force: ForceOption = False, as_json: JsonOption = Fa
     from piga.campaign.shards import open_campaign
 
     campaign = open_campaign(folder)
-    collected = collect_campaign(campaign)
-    document = json_document(collected)
     names = ("collect.json", "coefficients.csv", "report.html")
-    inputs = [folder / "manifest.json"]
-    with results(folder / "collected", "campaign-collect", names, inputs, force=force, option="DIR") as stage:
-        write_json(stage / names[0], document)
-        write_table(collected, stage / names[1])
-        write_campaign_report(collected, stage / names[2])
-    if as_json:
-        print_json(document)
-    else:
-        say(collected_text(collected))
-        say(f"wrote {folder}/collected/{', '.join(names)}")
+    with deliver(
+        folder / "collected", "campaign-collect", names, [folder / "manifest.json"], force=True, as_json=as_json
+    ) as to:
+        collected = collect_campaign(campaign)
+        document = json_document(collected)
+        write_json(to / names[0], document)
+        write_table(collected, to / names[1])
+        write_campaign_report(collected, to / names[2])
+        to.tell(lambda: document, lambda: collected_text(collected))
     if collected.missing:
         note(f"piga: {len(collected.missing)} of {collected.shards} shards are not computed yet")
         raise SystemExit(INCOMPLETE)
@@ -156,20 +163,14 @@ def repeat(
     """
     from piga.campaign.campaign_file import read_campaign
     from piga.campaign.subjects import FILES, compute, outcome_document, outcome_lines, write_record
-    from piga.cli.common import files_named_in
 
     planned = read_campaign(campaign)
     record = planned.find(case, repeat)
-    outcome = compute(planned, record)
-    if out is not None:
-        with results(out, "campaign-repeat", FILES, files_named_in(campaign), force=force) as folder:
-            written = write_record(planned, record, folder)
-    if as_json:
-        print_json(outcome_document(record, outcome))
-        return
-    say("\n".join(outcome_lines(record, outcome)))
-    if out is not None:
-        say(f"wrote {out}/{', '.join(written)}")
+    with deliver(out, "campaign-repeat", FILES, files_named_in(campaign), force=force, as_json=as_json) as to:
+        outcome = compute(planned, record)
+        if out is not None:
+            write_record(planned, record, to.stage)
+        to.tell(lambda: outcome_document(record, outcome), lambda: "\n".join(outcome_lines(record, outcome)))
 
 
 # --- words -------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from piga.cli.common import (
     CommandGroup,
     ForceOption,
     JsonOption,
+    deliver,
     files_named_in,
     note,
     print_json,
@@ -20,7 +21,7 @@ from piga.cli.common import (
     write_by_rename,
 )
 from piga.errors import PigaError
-from piga.output import check_outputs, results
+from piga.output import check_outputs
 
 if TYPE_CHECKING:
     from piga.certificate.certificate_file import CertificateFile
@@ -113,23 +114,19 @@ def issue(
         file, certified, before, record_sha256=hashlib.sha256(raw).hexdigest(), working_copy=True
     )
     inputs = [calibration, *files_named_in(data), *(path for path in (key, certificate) if path is not None)]
-    with results(out, "certificate", RESULTS, inputs, force=force) as folder:
-        written = [out / "certificate.html", out / "working-copy.html"]
-        write_certificate(html, folder / "certificate.html")
-        write_certificate(copy, folder / "working-copy.html")
+    cautions = [doubt.words for doubt in certified.verdict.doubts]
+    with deliver(out, "certificate", RESULTS, inputs, force=force, as_json=as_json) as to:
+        names = ["certificate.html", "working-copy.html"]
+        write_certificate(html, to / names[0])
+        write_certificate(copy, to / names[1])
         if xml is not None:
-            written.append(out / "certificate.xml")
-            (folder / "certificate.xml").write_bytes(xml)
-    if as_json:
-        cautions = [doubt.words for doubt in certified.verdict.doubts]
-        print_json(
-            {"number": file.certificate.number, "files": [str(path) for path in written], "cautions": cautions}
-        )
-        return
-    for doubt in certified.verdict.doubts:
-        note(f"piga: caution: {doubt.words}")
-    for path in written:
-        say(f"wrote {path}")
+            names.append("certificate.xml")
+            (to / names[2]).write_bytes(xml)
+        files = [f"{to.folder}/{name}" for name in names]
+        document = {"number": file.certificate.number, "files": files, "cautions": cautions}
+        to.tell(lambda: document, str)
+    for words in [] if as_json else cautions:
+        note(f"piga: caution: {words}")
 
 
 def _issued(file: CertificateFile, date: str | None) -> CertificateFile:
@@ -149,11 +146,11 @@ def _issued(file: CertificateFile, date: str | None) -> CertificateFile:
 
 def _bytes(path: Path) -> bytes:
     """The bytes of a calibration.json. They are read once, so the certificate shows the digest of the certified record."""
-    from piga.output import settle
+    from piga.output import check_results
     from piga.records.calibration.document import DOCUMENT
     from piga.records.limits import read_whole
 
-    settle(path.parent)
+    check_results(path.parent)
     return read_whole(path, DOCUMENT.most_bytes, "a calibration.json", PigaError)
 
 

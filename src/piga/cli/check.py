@@ -11,6 +11,7 @@ from piga.cli.common import (
     ForceOption,
     JsonOption,
     RunFileArgument,
+    deliver,
     files_named_in,
     print_json,
     progress,
@@ -18,7 +19,7 @@ from piga.cli.common import (
     write_by_rename,
 )
 from piga.errors import ArgumentError, PigaError
-from piga.output import check_outputs, results
+from piga.output import check_outputs
 
 if TYPE_CHECKING:
     from piga.calibration import TermProspect
@@ -63,7 +64,7 @@ def check(
             record = read_run(run)
     except PigaError:
         if fix_suggestions:
-            print_suggestions(run)
+            say("\n".join(suggested_lines(run)))
         raise
     from piga.reports.check import brief, check_document, page
     from piga.reports.render.page import page_text, write_page
@@ -74,17 +75,14 @@ def check(
 
         with progress("asking for each term"):
             prospects = term_prospects(record)
-    if as_json:
-        print_json(check_document(record, prospects))
-    else:
-        say(page_text(brief(record, str(run), prospects)))
-    if fix_suggestions and not as_json:
-        print_suggestions(run)
-    if out is not None:
-        with results(out, "check", ("check.html",), files_named_in(run), force=force) as folder:
-            write_page(page(record), folder / "check.html")
-        if not as_json:
-            say(f"wrote {out / 'check.html'}")
+    with deliver(out, "check", ("check.html",), files_named_in(run), force=force, as_json=as_json) as to:
+        if out is not None:
+            write_page(page(record), to / "check.html")
+        lines = suggested_lines(run) if fix_suggestions and not as_json else []
+        to.tell(
+            lambda: check_document(record, prospects),
+            lambda: "\n".join([page_text(brief(record, str(run), prospects)), *lines]),
+        )
 
 
 def _explain(key: str, as_json: bool) -> None:
@@ -121,14 +119,13 @@ def convert(
     say(data_table(record, out.name))
 
 
-def print_suggestions(run: Path) -> None:
-    """Print the lines that were tried in run-file syntax, with the reason as a comment."""
+def suggested_lines(run: Path) -> list[str]:
+    """The lines that were tried, in run-file syntax, with the reason as a comment."""
     from piga.describe import suggestions
 
     with progress("trying run-file lines"):
         tried = suggestions(run)
-    if not tried:
-        say("# no run-file line would change what was found")
+    lines = [] if tried else ["# no run-file line would change what was found"]
     for item in tried:
-        say(f"# {' '.join(item.reason.split())}")
-        say(f"{item.line}    # in [{item.table}]")
+        lines += [f"# {' '.join(item.reason.split())}", f"{item.line}    # in [{item.table}]"]
+    return lines

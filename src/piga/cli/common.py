@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -15,8 +16,8 @@ from typing import Annotated, Any, TypeVar
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
-from piga.errors import PigaError
-from piga.output import write_whole
+from piga.errors import ArgumentError, PigaError
+from piga.output import results, results_folder, write_whole
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -128,7 +129,20 @@ def files_named_in(path: Path) -> list[Path]:
     """A TOML file and all files that it names, directly or indirectly. A command may read them and must not overwrite them."""
     from piga.records.text_files import files_named_in
 
-    return files_named_in(path)
+    return files_named_in(no_folder(path))
+
+
+def no_folder(path: Path) -> Path:
+    """A path that is not a folder.
+
+    Raises
+    ------
+    ArgumentError
+        If it is one.
+    """
+    if path.is_dir():
+        raise ArgumentError(f"{path}: is a folder", remedy="name a file in it")
+    return path
 
 
 def write_by_rename(path: Path, write: Callable[[Path], object], option: str = "--out") -> Path:
@@ -151,6 +165,74 @@ def write_text(path: Path, text: str) -> Path:
 def write_json(path: Path, document: Any) -> Path:
     """Write a document as indented JSON."""
     return write_text(path, json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+class Delivery:
+    """What a command makes: files in a hidden folder (``delivery / name``), and its last words.
+
+    ``folder`` is where the files will be; None if the command writes none.
+    """
+
+    def __init__(self, folder: Path | None, stage: Path | None) -> None:
+        self.folder, self._stage = folder, stage
+        self._document: Callable[[], Any] = dict
+        self._text: Callable[[], str] = str
+
+    @property
+    def stage(self) -> Path:
+        """The hidden folder."""
+        if self._stage is None:
+            raise ArgumentError("no folder is named for the results", remedy="add --out DIR")
+        return self._stage
+
+    def __truediv__(self, name: str) -> Path:
+        return self.stage / name
+
+    def tell(self, document: Callable[[], Any], text: Callable[[], str]) -> None:
+        """The result as a JSON document and as text; only what is asked for is made."""
+        self._document, self._text = document, text
+
+
+@contextmanager
+def deliver(
+    folder: Path | None,
+    command: str,
+    names: Sequence[str],
+    inputs: Sequence[Path],
+    *,
+    force: bool,
+    as_json: bool,
+) -> Iterator[Delivery]:
+    """The one ending of a command: its files appear together, then JSON alone, or the text and the files that were written.
+
+    Results of other inputs are never replaced without ``force``: the new ones go beside them (``folder/2``).
+    """
+    if folder is None:
+        delivery, written = Delivery(None, None), []
+        yield delivery
+    else:
+        free = results_folder(folder, command, names, inputs, force=force)
+        place = folder if str(free) == os.path.abspath(folder) else folder / free.name  # noqa: PTH100
+        with results(place, command, names, inputs, force=force) as stage:
+            delivery = Delivery(place, stage)
+            yield delivery
+            written = _listed(stage, place, names)
+    if as_json:
+        print_json(delivery._document())
+        return
+    text = delivery._text()
+    say("\n".join([*([text] if text else []), *(f"wrote {line}" for line in written)]))
+
+
+def _listed(stage: Path, place: Path, names: Sequence[str]) -> list[str]:
+    """The files of a hidden folder by their final names, in the order of the patterns; those of a folder together."""
+    paths = dict.fromkeys(path for name in names for path in sorted(stage.glob(name)))
+    lines: dict[str, int] = {}
+    for path in paths:
+        inside = path.relative_to(stage)
+        line = str(place / (inside if len(inside.parts) == 1 else inside.parts[0]))
+        lines[line] = lines.get(line, 0) + 1
+    return [line if count == 1 else f"{line} ({count} files)" for line, count in lines.items()]
 
 
 def names_in(text: str | None) -> list[str] | None:

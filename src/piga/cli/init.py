@@ -13,6 +13,7 @@ from piga.cli.common import (
     ForceOption,
     JsonOption,
     counted,
+    no_folder,
     note,
     print_json,
     progress,
@@ -54,7 +55,7 @@ def init(
     from piga.describe import describe_log, draft_run_file, setting
     from piga.records.run_file import read_run_file
 
-    target = out or log.parent / f"{log.name.split('.')[0] or 'run'}.toml"
+    target = out or no_folder(log).parent / f"{log.name.split('.')[0] or 'run'}.toml"
     if target.suffix != ".toml":
         raise ArgumentError(f"--out {target}: the name must end in .toml", remedy="e.g. run.toml")
     check_outputs([target], [log], force=force)
@@ -173,12 +174,12 @@ def _typed(path: Path) -> str:
 
 
 def _say_outcome(target: Path, tried: Run | PigaError) -> None:
-    from piga.cli.check import print_suggestions
+    from piga.cli.check import suggested_lines
 
     if isinstance(tried, PigaError):
         say(f"The log cannot be read with it yet: {tried.message}")
         say(f"  remedy: {tried.remedy}")
-        print_suggestions(target)
+        say("\n".join(suggested_lines(target)))
         return
     counts: dict[str, int] = {}
     for event in tried.quality.events:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,17 +10,15 @@ import typer
 
 from piga.cli.common import (
     App,
+    Delivery,
     ForceOption,
-    Show,
+    deliver,
     files_named_in,
     note,
-    print_json,
     progress,
-    say,
     write_json,
     write_text,
 )
-from piga.output import results
 from piga.units import ARCSEC
 
 if TYPE_CHECKING:
@@ -62,22 +59,22 @@ def simulate(
     from piga.platform.scenario import load_scenario
     from piga.reports.platform.page import simulation_page
 
-    read = load_scenario(scenario)
-    _announce(read.steps + 1, READOUT_COLUMNS + TRUTH_COLUMNS, 2, every)
-    run = _simulated(read)
-    readouts, truth = (_thinned(table, every) for table in (readouts_table(run.readouts), truth_table(run)))
-    files = ("readouts.parquet", "truth.parquet")
-    with _results(out, "simulate", scenario, force, *files) as (folder, _):
-        _parquet(readouts, folder / "readouts.parquet")
-        _parquet(truth, folder / "truth.parquet")
-        _page(folder, simulation_page(run))
-    document = {
-        "rows": len(run.readouts.times),
-        "duration_s": run.scenario.duration,
-        "redundancy_deg": [_degrees(run.truth.eta[0]), _degrees(run.truth.eta[-1])],
-        "files": [*files, "report.html"],
-    }
-    _finish(document, json, [f"{len(run.readouts.times)} rows"], out, *files, "report.html")
+    files = ("readouts.parquet", "truth.parquet", "report.html")
+    with _results(out, "simulate", scenario, force, json, *files) as to:
+        read = load_scenario(scenario)
+        _announce(read.steps + 1, READOUT_COLUMNS + TRUTH_COLUMNS, 2, every)
+        run = _simulated(read)
+        for table, name in zip((readouts_table(run.readouts), truth_table(run)), files, strict=False):
+            _parquet(_thinned(table, every), to / name)
+        _page(to, simulation_page(run))
+        rows, eta = len(run.readouts.times), run.truth.eta
+        document = {
+            "rows": rows,
+            "duration_s": run.scenario.duration,
+            "redundancy_deg": [_degrees(eta[0]), _degrees(eta[-1])],
+            "files": list(files),
+        }
+        to.tell(lambda: document, lambda: f"{rows} rows")
 
 
 @app.command()
@@ -93,27 +90,27 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
     from piga.platform.scenario import load_scenario
     from piga.reports.platform.page import alignment_page
 
-    run = _simulated(load_scenario(scenario))
-    if not run.truth.motion.at_rest:
-        raise PigaError(
-            f"{scenario}: alignment needs a base at rest, [motion] kind = '{run.scenario.motion.kind}'",
-            remedy="align on a static scenario",
-        )
-    with progress("aligning") as advance:
-        preparation = prepare(run, advance)
-        aligned = preparation.alignment
-        if aligned is None:
-            stretch = run.readouts.first(run.scenario.calibration_time)
-            orders = run.scenario.compensation.orders
-            aligned = align_platform(
-                stretch, run.scenario.place, preparation.knowledge, orders=orders, progress=advance
+    with _results(out, "align", scenario, force, json, "alignment.json") as to:
+        run = _simulated(load_scenario(scenario))
+        if not run.truth.motion.at_rest:
+            raise PigaError(
+                f"{scenario}: alignment needs a base at rest, [motion] kind = '{run.scenario.motion.kind}'",
+                remedy="align on a static scenario",
             )
-    document = alignment_document(aligned)
-    with _results(out, "align", scenario, force, "alignment.json") as (folder, _):
-        write_json(folder / "alignment.json", document)
-        _page(folder, alignment_page(run, aligned))
-    worst = float(aligned.std[:3].max()) / ARCSEC
-    _finish(document, json, [f"triad attitude to {worst:.2g} arcsec"], out, "alignment.json", "report.html")
+        with progress("aligning") as advance:
+            preparation = prepare(run, advance)
+            aligned = preparation.alignment
+            if aligned is None:
+                stretch = run.readouts.first(run.scenario.calibration_time)
+                orders = run.scenario.compensation.orders
+                aligned = align_platform(
+                    stretch, run.scenario.place, preparation.knowledge, orders=orders, progress=advance
+                )
+        document = alignment_document(aligned)
+        write_json(to / "alignment.json", document)
+        _page(to, alignment_page(run, aligned))
+        worst = float(aligned.std[:3].max()) / ARCSEC
+        to.tell(lambda: document, lambda: f"triad attitude to {worst:.2g} arcsec")
 
 
 @app.command()
@@ -129,20 +126,22 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
     from piga.reports.platform.page import identification_page
     from piga.reports.render.numbers import rounded
 
-    run = _simulated(load_scenario(scenario))
-    s = run.scenario
-    with progress("identifying") as advance:
-        stretch, orders = run.readouts.first(s.calibration_time), s.compensation.orders
-        growing = identify_growing(stretch, s.place, sources=sources_of(run), orders=orders, progress=advance)
-        identification = growing.parts[-1]
-        sources = observability(stretch, identification)
-    document = identification_document(identification, sources)
-    with _results(out, "identify", scenario, force, "identification.json") as (folder, _):
-        write_json(folder / "identification.json", document)
-        _page(folder, identification_page(run, growing, sources))
-    numbers = [(p, rounded(p.value, p.std)) for p in identification.parameters]
-    lines = [f"{p.name:<36}{n.value:>16} ± {n.uncertainty} {p.unit}" for p, n in numbers]
-    _finish(document, json, lines, out, "identification.json", "report.html")
+    with _results(out, "identify", scenario, force, json, "identification.json") as to:
+        run = _simulated(load_scenario(scenario))
+        s = run.scenario
+        with progress("identifying") as advance:
+            stretch, orders = run.readouts.first(s.calibration_time), s.compensation.orders
+            growing = identify_growing(
+                stretch, s.place, sources=sources_of(run), orders=orders, progress=advance
+            )
+            identification = growing.parts[-1]
+            sources = observability(stretch, identification)
+        document = identification_document(identification, sources)
+        write_json(to / "identification.json", document)
+        _page(to, identification_page(run, growing, sources))
+        numbers = [(p, rounded(p.value, p.std)) for p in identification.parameters]
+        lines = [f"{p.name:<36}{n.value:>16} ± {n.uncertainty} {p.unit}" for p, n in numbers]
+        to.tell(lambda: document, lambda: "\n".join(lines))
 
 
 @app.command()
@@ -158,23 +157,23 @@ def navigate(
     from piga.platform.scenario import load_scenario
     from piga.reports.platform.page import navigation_page
 
-    read = load_scenario(scenario)
-    models = len(read.compensation.models)
-    _announce(navigated_rows(read), models * NAVIGATION_COLUMNS, models, every)
-    comparison = _compared(read)
-    tables = {name: _thinned(navigation_table(run), every) for name, run in comparison.models.items()}
-    files = {name: f"navigation-{name}.parquet" for name in tables}
-    with _results(out, "navigate", scenario, force, "navigation-*.parquet") as (folder, _):
+    with _results(out, "navigate", scenario, force, json, "navigation-*.parquet") as to:
+        read = load_scenario(scenario)
+        models = len(read.compensation.models)
+        _announce(navigated_rows(read), models * NAVIGATION_COLUMNS, models, every)
+        comparison = _compared(read)
+        tables = {name: _thinned(navigation_table(run), every) for name, run in comparison.models.items()}
+        files = {name: f"navigation-{name}.parquet" for name in tables}
         for name, table in tables.items():
-            _parquet(table, folder / files[name])
-        _page(folder, navigation_page(comparison))
-    worst = {m: float(r.errors.horizontal.max()) for m, r in comparison.models.items()}
-    document = {
-        "models": {m: {"position_error_m": v, "file": files[m]} for m, v in worst.items()},
-        "notes": list(comparison.preparation.notes),
-    }
-    lines = [f"{m:<6}largest horizontal position error {v:.4g} m" for m, v in worst.items()]
-    _finish(document, json, lines, out, *files.values(), "report.html")
+            _parquet(table, to / files[name])
+        _page(to, navigation_page(comparison))
+        worst = {m: float(r.errors.horizontal.max()) for m, r in comparison.models.items()}
+        document = {
+            "models": {m: {"position_error_m": v, "file": files[m]} for m, v in worst.items()},
+            "notes": list(comparison.preparation.notes),
+        }
+        lines = [f"{m:<6}largest horizontal position error {v:.4g} m" for m, v in worst.items()]
+        to.tell(lambda: document, lambda: "\n".join(lines))
 
 
 @app.command()
@@ -195,31 +194,29 @@ def compare(
     from piga.platform.output import budget_document, line_budget_document
     from piga.platform.scenario import load_scenario
 
-    comparison = _compared(load_scenario(scenario))
-    s = comparison.run.scenario
-    with progress("budget") as advance:
-        sources = standard_sources(comparison.preparation.alignment)
-        rows = error_budget(s, sources, progress=advance) if budget else ()
-        lines = line_budget(s, comparison.preparation.identification) if budget else ()
-    document = comparison.document()
-    if rows:
-        document["budget"] = budget_document(rows)
-    if lines:
-        document["line_budget"] = line_budget_document(lines)
-    if out is None:
-        _finish(document, json, _comparison_lines(comparison), Path())
-        return
-    from piga.reports.platform.page import comparison_page
-    from piga.studies.capstone import capstone, capstone_page
+    with _results(out, "compare", scenario, force, json, "comparison.json", "capstone.html") as to:
+        comparison = _compared(load_scenario(scenario))
+        s = comparison.run.scenario
+        with progress("budget") as advance:
+            sources = standard_sources(comparison.preparation.alignment)
+            rows = error_budget(s, sources, progress=advance) if budget else ()
+            lines = line_budget(s, comparison.preparation.identification) if budget else ()
+        document = comparison.document()
+        if rows:
+            document["budget"] = budget_document(rows)
+        if lines:
+            document["line_budget"] = line_budget_document(lines)
+        if out is not None:
+            from piga.reports.platform.page import comparison_page
 
-    files = ["comparison.json", "report.html"]
-    with _results(out, "compare", scenario, force, "comparison.json", "capstone.html") as (folder, advance):
-        write_json(folder / "comparison.json", document)
-        _page(folder, comparison_page(comparison, rows, lines))
-        if s.sensors.piga is not None:
-            _page(folder, capstone_page(capstone(s, progress=advance)), "capstone.html")
-            files.append("capstone.html")
-    _finish(document, json, _comparison_lines(comparison), out, *files)
+            write_json(to / "comparison.json", document)
+            _page(to, comparison_page(comparison, rows, lines))
+            if s.sensors.piga is not None:
+                from piga.studies.capstone import capstone, capstone_page
+
+                with progress("capstone") as show:
+                    _page(to, capstone_page(capstone(s, progress=show)), "capstone.html")
+        to.tell(lambda: document, lambda: "\n".join(_comparison_lines(comparison)))
 
 
 def _simulated(scenario: PlatformScenario) -> PlatformRun:
@@ -253,29 +250,18 @@ def _day_table(amplitudes: Mapping[Model, Mapping[str, Array]], heading: str) ->
     return "\n".join(rows)
 
 
-def _finish(document: dict[str, Any], as_json: bool, lines: list[str], out: Path, *names: str) -> None:
-    """Print the document, or the lines and the files that were made."""
-    if as_json:
-        print_json(document)
-    else:
-        say("\n".join([*lines, *(f"wrote {out / name}" for name in names)]))
+def _results(
+    out: Path | None, command: str, scenario: Path, force: bool, as_json: bool, *names: str
+) -> AbstractContextManager[Delivery]:
+    """The folder for the results and the page of a command, and its ending."""
+    every, inputs = dict.fromkeys((*names, "report.html")), files_named_in(scenario)
+    return deliver(out, f"platform-{command}", tuple(every), inputs, force=force, as_json=as_json)
 
 
-@contextmanager
-def _results(out: Path, command: str, scenario: Path, force: bool, *names: str) -> Iterator[tuple[Path, Show]]:
-    """A folder for the results and the page of a command, and the progress of writing them."""
-    every, inputs = (*names, "report.html"), files_named_in(scenario)
-    with (
-        results(out, f"platform-{command}", every, inputs, force=force) as folder,
-        progress("writing data and report") as advance,
-    ):
-        yield folder, advance
-
-
-def _page(folder: Path, page: Any, name: str = "report.html") -> None:
+def _page(to: Delivery, page: Any, name: str = "report.html") -> None:
     from piga.reports.render.page import page_html
 
-    write_text(folder / name, page_html(page))
+    write_text(to / name, page_html(page))
 
 
 def _parquet(table: Any, path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,15 +10,13 @@ import typer
 from piga.cli.common import (
     ForceOption,
     JsonOption,
+    deliver,
     files_named_in,
     note,
-    print_json,
     progress,
-    say,
     write_json,
     write_text,
 )
-from piga.output import results
 
 if TYPE_CHECKING:
     from piga.studies import Reproduction
@@ -48,27 +45,20 @@ def plan(
     from piga.reports.planning import brief, page
     from piga.reports.render.page import page_text, write_page
 
+    inputs = files_named_in(plan_file)
     folder = out or plan_file.parent / f"{plan_file.stem}-plan"
-    with results(folder, "plan", PLAN_RESULTS, files_named_in(plan_file), force=force) as stage:
+    with deliver(folder, "plan", PLAN_RESULTS, inputs, force=force, as_json=as_json) as to:
         request = read_plan(plan_file)
-        with progress("planning") as advance:
+        with progress("planning") as show:
             mounting = plan_mounting(request)
-            planned = plan_test(request, progress=advance)
+            planned = plan_test(request, progress=show)
         document = plan_document(planned, mounting)
-        written = [
-            write_text(stage / "scenario.toml", scenario_text(planned)),
-            write_text(stage / "program.csv", program_csv(planned)),
-            write_json(stage / "plan.json", document),
-        ]
-        written.append(stage / "report.html")
+        write_text(to / "scenario.toml", scenario_text(planned))
+        write_text(to / "program.csv", program_csv(planned))
+        write_json(to / "plan.json", document)
         with progress("writing the report"):
-            write_page(page(planned, mounting), written[-1])
-    if as_json:
-        print_json(document)
-        return
-    say(page_text(brief(planned, mounting)))
-    for path in written:
-        say(f"wrote {folder / path.name}")
+            write_page(page(planned, mounting), to / "report.html")
+        to.tell(lambda: document, lambda: page_text(brief(planned, mounting)))
 
 
 RESULTS = ("run.toml", "run.csv", "run.parquet", "truth.json", "report.html")
@@ -101,23 +91,15 @@ def simulate(
 
     read = read_scenario(scenario)
     data = f"run.{read.table.run.format}"
-    with results(out, "simulate", RESULTS, files_named_in(scenario), force=force) as folder:
-        with progress("simulating") as advance:
-            test = run_scenario(read, model=model, seed=seed, force=unstable, progress=advance)
+    with deliver(out, "simulate", RESULTS, files_named_in(scenario), force=force, as_json=json) as to:
+        with progress("simulating") as show:
+            test = run_scenario(read, model=model, seed=seed, force=unstable, progress=show)
         with progress("writing data and report"):
-            write_data(test, folder / data)
-            write_text(folder / "run.toml", run_file_text(read, test, data))
-            write_text(folder / "truth.json", truth_text(read, test))
-            write_page(page(test, read.table.instrument.serial), folder / "report.html")
-    if json:
-        print_json(truth_document(read, test))
-        return
-    say(test.summary())
-    for name in ("run.toml", data, "truth.json", "report.html"):
-        say(f"wrote {out / name}")
-
-
-_COLOURS = {"pass": typer.colors.GREEN, "fail": typer.colors.RED, "info": typer.colors.BLUE}
+            write_data(test, to / data)
+            write_text(to / "run.toml", run_file_text(read, test, data))
+            write_text(to / "truth.json", truth_text(read, test))
+            write_page(page(test, read.table.instrument.serial), to / "report.html")
+        to.tell(lambda: truth_document(read, test), test.summary)
 
 
 def reproduce(
@@ -138,36 +120,26 @@ def reproduce(
     from piga.studies.reproduction import summary
 
     names = chosen(only)
-    chapters = []
-    with progress("reproducing", len(names)) as show:
-        for chapter in run_chapters(names):
-            chapters.append(chapter)
-            show(len(chapters), len(names), chapter.id)
-    reproduction = Reproduction(tuple(chapters))
-    if json:
-        print_json(reproduction.document())
-    else:
-        _print_table(reproduction)
-        say("")
-        say(summary(reproduction))
-    if out is not None:
-        with results(out, "reproduce", ("reproduction.html", "figures/*"), (), force=force) as folder:
-            _write(reproduction, folder)
-        if not json:
-            say(f"wrote {out}/reproduction.html and {len(reproduction.figures)} figures in {out / 'figures'}")
+    with deliver(out, "reproduce", ("reproduction.html", "figures/*"), (), force=force, as_json=json) as to:
+        chapters = []
+        with progress("reproducing", len(names)) as show:
+            for chapter in run_chapters(names):
+                chapters.append(chapter)
+                show(len(chapters), len(names), chapter.id)
+        reproduction = Reproduction(tuple(chapters))
+        if out is not None:
+            _write(reproduction, to.stage)
+        to.tell(reproduction.document, lambda: f"{_table(reproduction)}\n\n{summary(reproduction)}")
     if reproduction.failed:
         raise typer.Exit(1)
 
 
-def _print_table(reproduction: Reproduction) -> None:
+def _table(reproduction: Reproduction) -> str:
     from piga.studies.reproduction import text_lines
 
-    plain = "NO_COLOR" in os.environ
-    for verdict, line in text_lines(reproduction):
-        if verdict is None:
-            typer.echo(line)
-        else:
-            typer.echo(f"{line}  {verdict if plain else typer.style(verdict, fg=_COLOURS[verdict])}")
+    return "\n".join(
+        line if verdict is None else f"{line}  {verdict}" for verdict, line in text_lines(reproduction)
+    )
 
 
 def _write(reproduction: Reproduction, folder: Path) -> None:

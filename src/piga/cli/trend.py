@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import ForceOption, JsonOption, print_json, progress, say, write_json
+from piga.cli.common import ForceOption, JsonOption, deliver, progress, write_json
 from piga.errors import PigaError
-from piga.output import is_staged, results
+from piga.output import is_staged
 
 if TYPE_CHECKING:
     from piga.records.calibration import CalibrationFigures
-    from piga.trend.history import Common, HistoryEntry, Trend
+    from piga.trend.history import Common, HistoryEntry
 
 MOST_RECORDS = 10_000
 RARELY = (100_000, 50, 100)
@@ -62,36 +62,20 @@ def trend(
 
     For each coefficient: stability over time, drift per year, control limits, forecast, alarms.
     """
-    from piga.reports.render.page import page_text
-    from piga.reports.trend import brief
+    from piga.reports.render.page import page_text, write_page
+    from piga.reports.trend import brief, page, trend_document
     from piga.trend.history import find_trend
 
     gc.set_threshold(*RARELY)
     with progress("reading"):
         drifts = find_trend(history(sources or [], store, serial), common=_common(common or []))
     date = _date(at) if at else drifts.times[-1] + dt.timedelta(days=365)
-    written = [] if out is None else _written(out, _files(sources or []), drifts, date, force)
-    if as_json:
-        from piga.reports.trend import trend_document
-
-        print_json(trend_document(drifts, at=date))
-        return
-    say(page_text(brief(drifts, date)))
-    for path in written:
-        say(f"wrote {path}")
-
-
-def _written(out: Path, inputs: list[Path], drifts: Trend, date: dt.datetime, force: bool) -> list[Path]:
-    """Write trend.json and trend.html. Returns their paths."""
-    from piga.reports.render.page import write_page
-    from piga.reports.trend import page, trend_document
-
-    document = trend_document(drifts, at=date)
-    with results(out, "trend", ("trend.json", "trend.html"), inputs, force=force) as folder:
-        paths = [write_json(folder / "trend.json", document)]
-        paths.append(folder / "trend.html")
-        write_page(page(drifts, date), paths[-1])
-    return [out / path.name for path in paths]
+    names = ("trend.json", "trend.html")
+    with deliver(out, "trend", names, _files(sources or []), force=force, as_json=as_json) as to:
+        if out is not None:
+            write_json(to / names[0], trend_document(drifts, at=date))
+            write_page(page(drifts, date), to / names[1])
+        to.tell(lambda: trend_document(drifts, at=date), lambda: page_text(brief(drifts, date)))
 
 
 def history(sources: list[Path], store: str | None, serial: str | None) -> Iterator[HistoryEntry]:
@@ -115,7 +99,12 @@ def _files(sources: list[Path]) -> list[Path]:
     for source in sources:
         inside = [source]
         if source.is_dir():
-            named = sorted(source.rglob("calibration*.json"))
+            try:
+                named = sorted(source.rglob("calibration*.json"))
+            except OSError as error:
+                raise PigaError(
+                    f"{source}: cannot be searched ({error.strerror or error})", remedy="name a smaller folder"
+                ) from None
             inside = [path for path in named if not any(is_staged(part) for part in path.parents)]
         if not inside:
             raise PigaError(f"{source}: holds no calibration.json", remedy="name another directory")

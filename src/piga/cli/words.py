@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from piga.cli.common import ForceOption, JsonOption, print_json, say
+from piga.cli.common import ForceOption, JsonOption, deliver, print_json, say
 from piga.data import example_files
 from piga.errors import ArgumentError
-from piga.output import results
 
 if TYPE_CHECKING:
     from piga.describe.draft import KeyPlace
@@ -137,14 +136,13 @@ def examples(
     Run the commands of the how-tos in the folder that holds DIR.
     """
     texts = example_files()
-    with results(out, "examples", tuple(texts), (), force=force) as folder:
+    with deliver(out, "examples", tuple(texts), (), force=force, as_json=False) as to:
         for name, content in texts.items():
-            path = folder / name
+            path = to / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
-    for name in texts:
-        say(f"wrote {out / name}")
-    say(f"Try: piga simulate {out / 'dividing-head.toml'} --out head; piga calibrate head/run.toml")
+        first = f"{to.folder}/dividing-head.toml"
+        to.tell(dict, lambda: f"Try: piga simulate {first} --out head; piga calibrate head/run.toml")
 
 
 WHERE = {

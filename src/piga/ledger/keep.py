@@ -11,7 +11,7 @@ from piga.errors import CalibrationError, DataError, RunFileError
 from piga.ledger.reproduce import software_identity
 from piga.ledger.store import Draft, DraftFile, Record, Store
 from piga.ledger.store.documents import digest_of
-from piga.output import settle
+from piga.output import check_results
 from piga.records import Calibration
 from piga.records.calibration.document import DOCUMENT, calibration_from_bytes, calibration_to_bytes
 from piga.records.limits import read_whole
@@ -188,7 +188,7 @@ def prepare_results(
         If the results are not those of this run.
     """
     path = results / "calibration.json"
-    settle(results)
+    check_results(results)
     raw = read_whole(path, DOCUMENT.most_bytes, "a calibration.json", CalibrationError)
     calibration = calibration_from_bytes(raw, path)
     inputs = input_files(run, calibration.provenance.input_sha256)
@@ -196,7 +196,7 @@ def prepare_results(
     if (results / "report.html").is_file():
         page = read_whole(results / "report.html", _MAX_PAGE, "a report.html", CalibrationError)
         files.append(DraftFile("report", "results/report.html", page))
-    settle(results)
+    check_results(results)
     if read_whole(path, DOCUMENT.most_bytes, "a calibration.json", CalibrationError) != raw:
         raise CalibrationError(
             f"{path}: changed while the results were read",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError, RunFileError, Where
 from piga.formats.columns import RecordStream
-from piga.output import settle
+from piga.output import check_results
 from piga.reading.checks import (
     OutputScale,
     Reading,
@@ -61,7 +61,7 @@ def read_record(
     ``stand_reference`` computes the reference if ``[data]`` has none and a ``[stand]`` table describes it.
     """
     path = Path(path)
-    settle(path.parent)
+    check_results(path.parent)
     content = toml_bytes(path) if content is None else content
     run_file = read_run_file(path, content)
     if need_reference:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, get_args
 import msgspec
 
 from piga.errors import RunFileError, UnitError
-from piga.output import settle
+from piga.output import check_results
 from piga.records.distribution import Given, GivenParameter, Spread, given_parameter, standard_uncertainty
 from piga.records.terms import check_terms
 from piga.records.text_files import read_toml
@@ -387,7 +387,7 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
         With file, table, key, value and remedy.
     """
     path = Path(path)
-    settle(path.parent)
+    check_results(path.parent)
     run_file = read_toml(path, RunFile, raw)
     try:
         check_run_file(run_file)

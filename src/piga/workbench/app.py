@@ -58,7 +58,6 @@ def application(folder: Folder, door: Door, ready: Callable[[], None]) -> Any:
     ready:
         Called once when the application has started.
     """
-    folder.settle()
     bench = Workbench(folder, Jobs(folder.root), door)
 
     for part in folder.state_room(records.PARTS).iterdir():

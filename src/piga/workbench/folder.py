@@ -11,14 +11,13 @@ import re
 import secrets
 import stat
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from piga.errors import ArgumentError, PigaError
 from piga.formats.container import CONTAINERS
-from piga.output import is_staged, settle, write_whole
+from piga.output import write_whole
 from piga.reading.columns import TEXT_SUFFIXES, file_kind
 from piga.records.run_file import read_run_file
 from piga.records.text_files import MAX_NAME, files_named_in, texts_of, toml_document
@@ -97,20 +96,6 @@ class Folder:
             raise OutsideError(f"{STATE_FOLDER}/{name} is not a folder", remedy=f"remove {STATE_FOLDER}")
         path.mkdir(exist_ok=True)
         return path
-
-    def settle(self) -> None:
-        """Finish putting results in place where a process was killed meanwhile.
-
-        A folder that may not be written stays as it is. The next page or command that reads its results says so.
-        """
-        seen = 0
-        for here, folders, names in self._walk():
-            seen += len(names)
-            if seen > MOST_FILES:
-                return
-            if any(is_staged(here / name) for name in folders):
-                with suppress(PigaError):
-                    settle(here)
 
     def path(self, name: str) -> Path:
         """The path of the file or folder ``name`` below this folder. It need not exist.

@@ -27,7 +27,7 @@ from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import merged
 from piga.calibration.weights import RATE, Noise, reduce_positions
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
-from piga.output import settle
+from piga.output import check_results
 from piga.reading.checks import largest_size
 from piga.records.calibration import Outlier, Provenance, Quality, Residuals, SegmentSummary
 from piga.records.limits import read_whole
@@ -184,7 +184,7 @@ class RunSummary(Result):
             If the file is missing, damaged, or no summary of a known schema; also if its parts do not fit together.
         """
         path = Path(path)
-        settle(path.parent)
+        check_results(path.parent)
         raw = read_whole(path, MOST_SUMMARY_BYTES, "a run summary", CalibrationError)
         try:
             kind = schema_of(raw)

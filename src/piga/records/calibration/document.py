@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from piga.errors import CalibrationError, PigaError, UnitError, Where
-from piga.output import settle
+from piga.output import check_results
 from piga.records.calibration import (
     Amount,
     BudgetEntry,
@@ -261,7 +261,7 @@ def read_with_digest(path: Path) -> tuple[Calibration, str]:
     CalibrationError
         As :func:`read_calibration`.
     """
-    settle(path.parent)
+    check_results(path.parent)
     raw = read_whole(path, DOCUMENT.most_bytes, "a calibration.json", CalibrationError)
     return calibration_from_bytes(raw, path), hashlib.sha256(raw).hexdigest()
 

@@ -14,7 +14,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from piga.errors import ArgumentError
-from piga.output import put_in_place
+from piga.output import allowed, put_in_place
 from piga.workbench.folder import Folder, is_plain, results_of
 from piga.workbench.pages.common import TooLargeError, Workbench, bench_of, only, render, sent_form, start_job
 
@@ -52,7 +52,7 @@ async def take(request: Request) -> Response:
                     raise _too_large(target)
                 stream.write(piece)
             stream.flush()
-            part.chmod(0o644)
+            part.chmod(allowed(0o666))
             await run_in_threadpool(put_in_place, part, target, replace=False)
         finally:
             part.unlink(missing_ok=True)
