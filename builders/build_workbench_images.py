@@ -21,8 +21,7 @@ from playwright.sync_api import Page, sync_playwright
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "images"
-SIZE = {"width": 1200, "height": 760}
-TALL = {"width": 1200, "height": 1100}
+SIZE = {"width": 1300, "height": 900}
 
 
 def take(page: Page, name: str) -> None:
@@ -42,7 +41,7 @@ def main() -> None:
         data = ROOT / "src" / "piga" / "data"
         (folder / "tumble-a.csv").write_bytes(gzip.decompress((data / "tumble-a.csv.gz").read_bytes()))
         shutil.copy(data / "tumble-a.toml", folder)
-        shutil.copy(ROOT / "examples" / "certificate.toml", folder)
+        shutil.copy(ROOT / "tests" / "data" / "logs" / "german.csv", folder / "foreign.csv")
         server = subprocess.Popen(
             [sys.executable, "-m", "piga", "ui", str(folder), "--no-browser"], stdout=subprocess.PIPE, text=True
         )
@@ -56,27 +55,17 @@ def main() -> None:
                 page = browser.new_page(viewport=SIZE, color_scheme="light")
                 page.set_default_timeout(120_000)
                 page.goto(address[0])
-                page.goto(f"{home}/signals/tumble-a.toml")
+                page.locator("#answer .light").wait_for()
+                page.get_by_role("button", name="Keep").click()
+                page.get_by_role("link", name="Certificate").wait_for()
+                page.locator("#answer .light").wait_for()
                 page.locator("figure.signal[data-points] canvas").first.wait_for()
                 page.wait_for_timeout(1500)
-                take(page, "workbench-signals")
-                page.goto(f"{home}/calibrate/tumble-a.toml")
-                page.locator("#p-k3.bad").wait_for()
-                page.set_viewport_size(TALL)
-                take(page, "workbench-terms")
-                page.set_viewport_size(SIZE)
-                page.get_by_role("button", name="Calibrate").click()
-                page.get_by_role("button", name="Keep this result").wait_for()
-                page.frame_locator("iframe").get_by_role("heading", name="Calibration of tumble-a").wait_for()
-                take(page, "workbench-result")
-                page.get_by_role("button", name="Keep this result").click()
-                page.get_by_text("Kept results lie in").wait_for()
-                page.goto(f"{home}/certificate")
-                page.set_viewport_size(TALL)
+                take(page, "workbench-record")
+                page.goto(f"{home}/certificate?of=tumble-a-calibration")
                 take(page, "workbench-certificate")
-                page.set_viewport_size(SIZE)
-                page.goto(f"{home}/explore")
-                take(page, "workbench-explore")
+                page.goto(f"{home}/log/foreign.csv")
+                take(page, "workbench-log")
                 browser.close()
         finally:
             server.terminate()

@@ -1,4 +1,4 @@
-"""The page Signals on large files: ``python -m tests.workbench.size [--record]``.
+"""The picture of large files: ``python -m tests.workbench.size [--record]``.
 
 A real ``piga ui`` reads a CSV file of ten million rows and a Parquet file of a hundred million. Measured are the time
 until the first picture once the envelopes are there, the longest of many zooms (each the best of five, HTTP included),
@@ -7,6 +7,8 @@ and the memory of server and reading job without mapped files.
 
 from __future__ import annotations
 
+import html
+import json
 import re
 import sys
 import tempfile
@@ -128,12 +130,12 @@ def measure(folder: Path, kind: str, rows: int) -> dict[str, float]:
         client.page("/")
         before = memory(server.process.pid)
         started = time.perf_counter()
-        client.until("/signals/large.toml", lambda text: "is read and checked" not in text, 3600.0)
+        client.until("/picture/large.toml", lambda text: "data-drawn" in text, 3600.0)
         reading = time.perf_counter() - started
         started = time.perf_counter()
-        page = client.page("/signals/large.toml")
-        duration = float(re.search(r'data-duration="([^"]+)"', page)[1])  # type: ignore[index]
-        pictures = re.findall(r'data-keys="([^"]+)"', page)
+        page = client.page("/picture/large.toml")
+        record = json.loads(html.unescape(re.search(r'data-drawn="([^"]+)"', page)[1]))  # type: ignore[index]
+        duration, pictures = record["duration"], ["output", "difference", "fX,fY,fZ"]
         for keys in pictures:
             ask(client, keys, 0.0, duration)
         first = time.perf_counter() - started

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
-from piga.workbench.folder import Folder
+import pytest
+
+from piga.workbench.folder import Folder, OutsideError, results_of
+from tests.workbench.conftest import shipped_record
 
 
 def test_what_is_listed_can_be_opened(tmp_path: Path) -> None:
@@ -25,7 +29,67 @@ def test_what_is_listed_can_be_opened(tmp_path: Path) -> None:
     (tmp_path / "nowhere.xml").symlink_to(tmp_path / "none.xml")
     (tmp_path / "folder.xml").mkdir()
     folder = Folder(tmp_path)
-    names = folder.listed("**/*.xml")
+    names = folder.listed(".xml")
     assert names == ["a.xml", "b.xml", "kept/c.xml"]
-    assert all(folder.file(name) for name in names)
-    assert folder.listed("b*", "a*") == ["b.xml", "a.xml"]
+    assert all(folder.read(folder.file(name)) == b"<x/>" for name in names)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links and pipes of POSIX")
+def test_no_file_is_read_through_a_link_or_pipe(tmp_path: Path) -> None:
+    """Nor if it became one after it was looked at."""
+    lab = tmp_path / "lab"
+    (lab / "kept").mkdir(parents=True)
+    (tmp_path / "secret").write_text("k7Qz", encoding="utf-8")
+    (lab / "link.toml").symlink_to(tmp_path / "secret")
+    (lab / "out").symlink_to(tmp_path)
+    os.mkfifo(lab / "pipe.toml")
+    (lab / "large.toml").write_bytes(b"x" * 2000)
+    folder = Folder(lab)
+    for path in (
+        lab / "link.toml",
+        lab / "out" / "secret",
+        lab / "pipe.toml",
+        lab / "kept",
+        lab / ".." / "secret",
+    ):
+        with pytest.raises((OutsideError, ValueError)):
+            folder.read(path)
+    with pytest.raises(OutsideError):
+        folder.read(lab / "large.toml", 1999)
+    for name in ("link.toml", "out/secret", "pipe.toml", "out"):
+        with pytest.raises(OutsideError):
+            folder.path(name)
+
+
+def test_the_hidden_folder_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = Folder(tmp_path)
+    assert folder.state_room("trials").is_dir()
+    me = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: me + 1)
+    with pytest.raises(OutsideError, match="another user"):
+        folder.state_room("trials")
+
+
+def test_names_of_a_hundred_chinese_letters_leave_room_for_their_results(tmp_path: Path) -> None:
+    folder = Folder(tmp_path)
+    path = folder.free_name("\u53f0" * 100 + ".csv")
+    path.write_text("t,x\n", encoding="utf-8")
+    other = folder.free_name("\u53f0" * 100 + ".csv")
+    assert other != path
+    assert path.suffix == ".csv"
+    assert len(results_of(path.with_suffix(".toml")).name.encode()) < 200
+
+
+def test_versions_of_a_result_are_in_order(tmp_path: Path) -> None:
+    run = shipped_record(tmp_path)
+    from tests.reports.example import calibration
+
+    for name in ("-v1", "-v10", "-v2", ""):
+        place = tmp_path / f"tumble-a-calibration{name}"
+        place.mkdir()
+        calibration(serial="tumble-a", with_residuals=False).to_json(place / "calibration.json")
+    (entry,) = Folder(tmp_path).entries()
+    assert entry.state == "kept"
+    assert [one.version for one in entry.kept] == [0, -10, -2, -1]
+    run.unlink()
+    assert Folder(tmp_path).entries()[0].state == "log"

@@ -6,14 +6,17 @@ import json
 import os
 import signal
 import socket
+import sys
+import time
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 
 from piga.errors import ArgumentError
 from piga.workbench.folder import Folder, OutsideError
 from piga.workbench.security import SESSION_AGE, Door
-from tests.workbench.conftest import Client, Server, entered
+from tests.workbench.conftest import Client, Server, entered, wait_until
 from tests.workbench.test_jobs import jobs_in
 
 
@@ -27,7 +30,7 @@ def test_a_foreign_host_name_is_refused(client: Client) -> None:
     ):
         status, _, _ = client.ask("/", headers={"Host": host}) if host else client.ask("/", host=" ")
         assert status in (400, 421), host
-    assert client.ask("/", host=f"localhost:{client.port}")[0] == 200
+    assert client.ask("/jobs", host=f"localhost:{client.port}")[0] == 200
 
 
 def test_two_host_headers_are_refused(client: Client) -> None:
@@ -40,7 +43,7 @@ def test_two_host_headers_are_refused(client: Client) -> None:
 
 
 def test_every_change_names_its_origin(client: Client) -> None:
-    run = "/calibrate/tumble-a.toml"
+    run = "/record/tumble-a.toml"
     for headers in (
         {},
         {"Origin": "null"},
@@ -110,6 +113,17 @@ def test_policies_of_pages_and_of_reports(client: Client) -> None:
     assert b" style=" not in body
 
 
+FAULTY = [
+    *(
+        (page, name)
+        for name in ("names-outside.toml", "names-device.toml")
+        for page in ("log", "answer", "text?file=")
+    ),
+    ("text?file=", "missing.toml"),
+]
+"""Pages that show such a run file itself, so that it can be corrected."""
+
+
 @pytest.mark.parametrize(
     "name",
     [
@@ -127,12 +141,13 @@ def test_only_regular_files_of_the_folder(client: Client, server: Server, name: 
         (lab / "link.toml").symlink_to(lab.parent / "secret.toml")
         os.mkfifo(lab / "pipe.toml")
     try:
-        for page in ("signals", "calibrate"):
-            status, _, body = client.ask(f"/{page}/{name}")
-            assert status in (404, 422), (page, name)
+        for page in ("log", "answer", "signal-data", "prospects", "kept", "text?file="):
+            status, _, body = client.ask(f"/{page}/{name}".replace("=/", "="))
+            assert status in (404, 422) or (page, name) in FAULTY, (page, name)
             assert b"k7Qz" not in body
-        assert client.post(f"/calibrate/{name}", {"term": "k0"})[0] in (404, 422)
-        assert "k7Qz" not in client.page("/")
+        changed = client.post(f"/record/{name}", {"do": "set", "key": "model.phases", "value": "1"})
+        assert changed[0] in (404, 409, 422)
+        assert b"k7Qz" not in client.ask("/record/tumble-a.toml")[2]
     finally:
         for path in ("link.toml", "pipe.toml", "names-outside.toml", "names-device.toml"):
             (lab / path).unlink()
@@ -144,11 +159,11 @@ def test_names_and_words_of_files_are_text_never_markup(client: Client, server: 
     path = server.folder / "<img src=x onerror=alert(1)>.toml"
     path.write_text(text.replace('serial = "tumble-a"', f'serial = "{evil}"'), encoding="utf-8")
     try:
-        page = client.page("/")
+        page = client.page(f"/record/{quote(path.name)}")
         assert "<script>alert" not in page
         assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
         assert "<img src=x" not in page
-        refused = client.ask("/signals/%3Cimg%20src=x%3E.toml")[2].decode()
+        refused = client.ask("/record/%3Cimg%20src=x%3E.toml")[2].decode()
         assert "<img" not in refused
     finally:
         path.unlink()
@@ -166,8 +181,6 @@ def test_uploads_get_a_plain_free_name(client: Client, server: Server) -> None:
     ):
         status, _, body = client.ask(f"/upload?name={wanted.encode().hex()}.csv", "POST", b"t,x\n0,1\n", origin)
         assert status == 200
-        from urllib.parse import quote
-
         status, _, body = client.ask(f"/upload?name={quote(wanted)}", "POST", b"t,x\n0,1\n", origin)
         assert status == 200
         name = json.loads(body)["name"]
@@ -190,17 +203,18 @@ def test_a_module_in_the_folder_is_not_imported(tmp_path: Path) -> None:
         (tmp_path / name).write_text("open('owned', 'w').close()\n", encoding="utf-8")
     (tmp_path / "run.toml").write_text("[data]\n", encoding="utf-8")
     running = entered(tmp_path)
-    running.client.post("/calibrate/run.toml", {"term": "k0"})
+    running.client.page("/record/run.toml")
+    running.client.page("/prospects/run.toml", 422)
     assert running.end()[0] == 0
     from piga.workbench.jobs import Jobs
 
     jobs = Jobs(tmp_path)
     job = jobs.start(("calibrate", "run.toml"), "Calibrate", "run.toml")
-    while jobs.status(job).state == "running":
-        pass
+    wait_until(lambda: jobs.status(job).state != "running", 120.0)
     assert jobs.status(job).code == 2
     assert "run.toml" in jobs.text(job, "err")
     assert not (tmp_path / "owned").exists()
+    jobs.stop_all()
 
 
 def test_forms_that_are_none(client: Client) -> None:
@@ -209,30 +223,66 @@ def test_forms_that_are_none(client: Client) -> None:
         b"%",
         b"\xff=1",
         b"a" * 100,
-        b"term=k0&method=__import__('os')",
-        b"term=nonsense",
-        b"term=k0&compare=k0;nonsense",
+        b"do=nonsense",
+        b"do=set&key=model.terms&value=__import__('os')",
+        b"do=again&index=-1",
+        b"do=leave&from=nan&to=inf&reason=x",
         b"x=1&" * 3000,
         b"",
     ):
-        status, _, answer = client.ask("/calibrate/tumble-a.toml", "POST", body, origin)
+        status, _, answer = client.ask("/record/tumble-a.toml", "POST", body, origin)
         assert status == 422, body[:40]
         assert b"Traceback" not in answer
-    assert client.ask("/calibrate/tumble-a.toml", "POST", b"a=" + b"x" * (3 << 20), origin)[0] == 422
+    assert client.ask("/record/tumble-a.toml", "POST", b"a=" + b"x" * (3 << 20), origin)[0] == 422
 
 
-@pytest.mark.only_compiled
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are listed from /proc")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signals_end_the_server_and_its_jobs(tmp_path: Path, number: int) -> None:
+@pytest.mark.parametrize("pause", [0.0, 0.5, 3.0])
+def test_signals_end_the_server_and_its_jobs_in_five_seconds(tmp_path: Path, number: int, pause: float) -> None:
     from tests.workbench.conftest import shipped_record
 
     shipped_record(tmp_path)
     running = entered(tmp_path)
-    running.client.post("/calibrate/tumble-a.toml", {"term": ["scale_factor", "tan_beta", "k0"]})
-    code, errors = running.end(number)
-    assert (code, errors) == (0, "")
+    running.client.page("/record/tumble-a.toml")
+    time.sleep(pause)
+    started = time.monotonic()
+    assert running.end(number) == (0, "")
+    assert time.monotonic() - started < 5.0
     assert not jobs_in(tmp_path)
     assert not list(tmp_path.glob("*-calibration"))
+
+
+def test_the_address_for_the_browser_is_a_file_of_its_owner(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Arguments of a process are seen by every user of a machine."""
+    from piga.workbench.app import open_browser
+
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
+    door = Door(8000)
+    assert open_browser(door, tmp_path)
+    assert door.token not in opened[0]
+    path = tmp_path / "open.html"
+    assert opened == [path.as_uri()]
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert door.address in path.read_text(encoding="utf-8")
+
+
+def test_a_server_at_the_same_address_knows_its_browser_again(tmp_path: Path) -> None:
+    first = entered(tmp_path)
+    port, cookie = first.client.port, first.client.cookie
+    assert first.end() == (0, "")
+    second = Server(tmp_path, "--port", str(port))
+    second.client.cookie = cookie
+    second.client.page("/")
+    assert second.end() == (0, "")
+    (tmp_path / "other").mkdir()
+    third = Server(tmp_path / "other", "--port", str(port))  # another folder at this port does not know it
+    third.client.cookie = cookie
+    third.client.page("/", 403)
+    assert third.end() == (0, "")
 
 
 def test_what_is_no_folder_or_port(tmp_path: Path) -> None:
@@ -240,7 +290,7 @@ def test_what_is_no_folder_or_port(tmp_path: Path) -> None:
         Folder(tmp_path / "none")
     (tmp_path / ".piga-ui").symlink_to(tmp_path.parent)
     with pytest.raises(OutsideError, match="piga-ui"):
-        _ = Folder(tmp_path).state
+        Folder(tmp_path).state_room()
 
 
 @pytest.mark.parametrize(

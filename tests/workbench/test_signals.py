@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from piga.errors import ArgumentError
 from piga.records import Run
-from piga.workbench.signals import SignalOutline, picture, read_outline, write_envelopes
+from piga.records.run_file import read_run_file
+from piga.workbench.signals import Outline, picture, read_outline, write_envelopes
 from tests.workbench.size import SIZES, measure
 
 
@@ -27,9 +28,27 @@ def record(size: int, gaps: list[int], seed: int = 1) -> Run:
     return Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", serial="A")
 
 
+RUN = """[instrument]
+serial = "a"
+scale_factor = "0.8884 rad/s/g"
+[data]
+file = "a.csv"
+output = { column = "a", kind = "angle", unit = "rad" }
+time = { column = "t", unit = "s" }
+temperature = { column = "T", unit = "UNIT" }
+reference = { columns = ["x", "y", "z"], unit = "g" }
+leave_out = [{ rows = [11, 20], reason = "door" }]
+"""
+
+
+def write(run: Run, folder: Path, unit: str = "K") -> Outline:
+    """The envelopes of a record, with a run file that leaves rows out."""
+    return write_envelopes(run, read_run_file(Path("run.toml"), RUN.replace("UNIT", unit).encode()), folder)
+
+
 def test_the_whole_picture_holds_the_extremes(tmp_path: Path) -> None:
     run = record(200_000, [50_000, 120_001])
-    outline = write_envelopes(run, tmp_path / "a-1")
+    outline = write(run, tmp_path / "a-1")
     rows = picture(tmp_path / "a-1", "output", 0.0, outline.duration, 800)
     assert 800 <= len(rows) < 4 * 800 + 10
     assert np.nanmin(rows[:, 1]) == run.output.min()
@@ -58,7 +77,7 @@ def test_no_peak_is_lost_and_none_invented(
 ) -> None:
     run = record(size, sorted({gap for gap in gaps if gap < size}))
     cache = tmp_path_factory.mktemp("envelopes") / "a-1"
-    outline = write_envelopes(run, cache)
+    outline = write(run, cache)
     values = run.output if key == "output" else run.f[:, "XYZ".index(key[1])]
     first, last = sorted(end * outline.duration for end in ends)
     if first == last:
@@ -76,6 +95,56 @@ def test_no_peak_is_lost_and_none_invented(
     assert np.all(np.isin(rows[:, 0], t))
 
 
+def test_the_difference_is_the_angle_minus_what_k_makes_of_the_force(tmp_path: Path) -> None:
+    """By the trapezoidal rule from sample to sample, anew in each stretch, also over the ends of the blocks read at once."""
+    from piga.workbench import signals
+
+    run = record(3000, [1000, 2001])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(signals, "CHUNK", 700)
+        write(run, tmp_path / "a-1")
+    shown = np.load(tmp_path / "a-1" / "difference.npy")
+    value = 0.0
+    for index in range(1, run.size):
+        step = run.t[index] - run.t[index - 1]
+        force = 0.5 * (run.f[index, 0] + run.f[index - 1, 0])
+        value += run.output[index] - run.output[index - 1] - run.scale_factor * force * step
+        value = 0.0 if run.begins[index] else value
+        assert shown[index] == pytest.approx(value, abs=1e-9)
+
+
+def test_moves_at_the_ends_of_positions_are_seen_and_a_turning_stand_is_not_one(tmp_path: Path) -> None:
+    n, angle = 3000, np.repeat([0.0, 1.0, 2.0], 1000)
+    angle[1000:1040] = np.linspace(0.0, 1.0, 40)
+    angle[1990:2000] = np.linspace(1.0, 1.2, 10)
+    t, f = 0.01 * np.arange(n), 9.8 * np.column_stack((np.cos(angle), np.sin(angle), np.zeros(n)))
+    common = {"scale_factor": "0.8884 rad/s/g", "segment": np.repeat([0, 1, 2], 1000).astype(np.int32)}
+    outline = write(Run.from_arrays(t, t, f, **common), tmp_path / "a-1")
+    assert [(one.name, one.rows) for one in outline.moves] == [("1", (1001, 1039)), ("1", (1992, 2000))]
+    turning = 9.8 * np.column_stack((np.cos(t), np.sin(t), np.zeros(n)))
+    assert write(Run.from_arrays(t, t, turning, **common), tmp_path / "b-1").moves == ()
+    assert outline.left_out[0].name == "door"
+    assert (outline.left_out[0].first, outline.left_out[0].last) == (pytest.approx(0.10), pytest.approx(0.20))
+
+
+def test_the_thinned_copy_of_a_long_record_is_a_record(tmp_path: Path) -> None:
+    import piga
+    from piga.workbench import signals
+
+    t = 0.01 * np.arange(5000)
+    f = np.column_stack((np.full(5000, 9.8), np.sin(t), np.zeros(5000)))
+    run = Run.from_arrays(t, 0.8884 / 9.80665 * 9.8 * t, f, scale_factor="0.8884 rad/s/g", serial="A")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(signals, "LONG", 4000)
+        patch.setattr(signals, "THINNED", 1000)
+        assert write(run, tmp_path / "a-1").thinned == 5
+    copy = piga.read_run(tmp_path / "a-1" / "thinned.toml")
+    assert copy.size == 1000
+    assert copy.t == pytest.approx(run.t[::5])
+    assert copy.f == pytest.approx(run.f[::5])
+    assert copy.scale_factor == pytest.approx(run.scale_factor, rel=1e-15)
+
+
 def test_a_clock_that_starts_anew_is_shown_after(tmp_path: Path) -> None:
     t = np.concatenate((np.arange(1000), np.arange(500))) * 0.01
     run = Run.from_arrays(
@@ -83,9 +152,9 @@ def test_a_clock_that_starts_anew_is_shown_after(tmp_path: Path) -> None:
         segment=np.repeat([0, 1], [1000, 500]).astype(np.int32),
     )  # fmt: skip
     object.__setattr__(run, "t", t)
-    outline = write_envelopes(run, tmp_path / "a-1")
+    outline = write(run, tmp_path / "a-1")
     assert outline.duration == pytest.approx(9.99 + 0.01 + 4.99)
-    assert [segment[1:] for segment in outline.segments] == [
+    assert [(one.first, one.last) for one in outline.positions] == [
         (0.0, pytest.approx(9.99)),
         (pytest.approx(10.0), pytest.approx(14.99)),
     ]
@@ -93,9 +162,9 @@ def test_a_clock_that_starts_anew_is_shown_after(tmp_path: Path) -> None:
 
 def test_older_caches_of_a_record_go_and_a_broken_one_is_none(tmp_path: Path) -> None:
     run = record(100, [])
-    write_envelopes(run, tmp_path / "a-1")
-    write_envelopes(run, tmp_path / "b-1")
-    write_envelopes(run, tmp_path / "a-2")
+    write(run, tmp_path / "a-1")
+    write(run, tmp_path / "b-1")
+    write(run, tmp_path / "a-2")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a-2", "b-1"]
     (tmp_path / "a-2" / "outline.json").unlink()
     assert read_outline(tmp_path / "a-2") is None
@@ -107,14 +176,14 @@ def test_older_caches_of_a_record_go_and_a_broken_one_is_none(tmp_path: Path) ->
      ("output", 0.0, 1.0, 0), ("output", 0.0, 1.0, 10**9)],
 )  # fmt: skip
 def test_wrong_questions(tmp_path: Path, key: str, first: float, last: float, width: int) -> None:
-    write_envelopes(record(100, []), tmp_path / "a-1")
+    write(record(100, []), tmp_path / "a-1")
     with pytest.raises(ArgumentError):
         picture(tmp_path / "a-1", key, first, last, width)
 
 
 def test_an_outline_is_read_as_it_was_written(tmp_path: Path) -> None:
-    outline = write_envelopes(record(100, [50]), tmp_path / "a-1")
-    assert isinstance(outline, SignalOutline)
+    outline = write(record(100, [50]), tmp_path / "a-1")
+    assert isinstance(outline, Outline)
     assert read_outline(tmp_path / "a-1") == outline
 
 
@@ -137,9 +206,8 @@ def test_a_hundred_million_rows(tmp_path: Path) -> None:
     for number, edges in enumerate(levels):
         np.save(folder / f"edges-{number}.npy", edges)
     signals._write_column(folder, "output", values, size, levels)
-    outline = SignalOutline(
-        (signals.Signal("output", "", "rev", 1.0, "output"),), float(t[-1]), size, size, (), ()
-    )
+    shown = (signals.Signal("output", "", "rev", 1.0, "output"),)
+    outline = Outline(shown, float(t[-1]), size, size, 200.0, (), (), (), (), phase_kept=True)
     import json
     from dataclasses import asdict
 
@@ -159,7 +227,7 @@ def test_temperature_is_shown_in_the_unit_of_the_record(tmp_path: Path) -> None:
     run = Run.from_arrays(t, t, np.full((100, 3), 9.8), scale_factor="0.8884 rad/s/g", temperature=kelvin)
     shown = {}
     for name, unit in (("a-1", "degC"), ("b-1", "K")):
-        (signal,) = (s for s in write_envelopes(run, tmp_path / name, unit).signals if s.key == "temperature")
+        (signal,) = (s for s in write(run, tmp_path / name, unit).signals if s.key == "temperature")
         assert read_outline(tmp_path / name).signals[-1] == signal  # type: ignore[union-attr]
         shown[signal.unit] = kelvin * signal.factor + signal.offset
     assert list(shown) == ["°C", "K"]

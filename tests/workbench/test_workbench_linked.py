@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -35,12 +36,13 @@ def report(place: Path, running: Any) -> tuple[str, Any]:
     """Path of a result's page, and its residuals."""
     import pyarrow.parquet as pq
 
-    client = running.client
-    terms = {"term": ["scale_factor", "tan_beta", "k0"]}
-    path = client.post("/calibrate/tumble-a.toml", terms)[1]["location"]
-    client.until(path, lambda text: "Keep this result" in text)
-    (trial,) = (place / ".piga-ui" / "trials").glob("*/residuals.parquet")
-    return path, pq.read_table(trial).to_pandas().astype({"segment": int})
+    client, name = running.client, "tumble-a.toml?terms=scale_factor,tan_beta,k0"
+    client.page(f"/record/{name}")
+    answer = client.until(f"/answer/{name}", lambda text: "Full report" in text)
+    key, mark = (re.search(f'name="{field}" value="([^"]+)"', answer)[1] for field in ("key", "mark"))  # type: ignore[index]
+    assert client.post("/keep/tumble-a.toml", {"key": key, "mark": mark})[0] == 303
+    residuals = pq.read_table(place / "tumble-a-calibration" / "residuals.parquet").to_pandas()
+    return "/kept/tumble-a-calibration", residuals.astype({"segment": int})
 
 
 def test_a_segment_is_selected_everywhere(browser: Browser, report: tuple[str, Any]) -> None:
@@ -125,4 +127,4 @@ def test_the_report_alone_does_the_same_and_is_accessible(browser: Browser, repo
 
 
 def _alone(path: str) -> str:
-    return path.replace("/result/", "/jobs/") + "/file/report.html"
+    return f"{path}/file/report.html"

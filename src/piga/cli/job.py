@@ -1,6 +1,7 @@
 """Run one command of ``piga`` for the workbench: ``python -m piga.cli.job FOLDER ARGUMENT...``.
 
-Its progress is a small file in ``FOLDER``. It ends when its standard input ends.
+Its progress is a small file in ``FOLDER``. It ends when its standard input ends. Without arguments it waits for them
+there, with the packages loaded.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ class Note:
 
 def run(folder: Path, arguments: list[str]) -> None:
     """Run the command. It ends as after Ctrl-C when the server stops it or is gone: standard input then ends."""
+    arguments = arguments or _asked()
     threading.Thread(target=_end_with_server, daemon=True).start()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     from piga.cli import common
@@ -56,6 +58,22 @@ def run(folder: Path, arguments: list[str]) -> None:
     main()
 
 
+def _asked() -> list[str]:
+    """Load what most commands need, then wait for the arguments: a line of JSON on standard input."""
+    import piga.calibration
+    import piga.cli.main
+    import piga.reports.calibration
+    import piga.stand  # noqa: F401
+
+    line = bytearray()
+    while not line.endswith(b"\n"):
+        piece = os.read(0, 1)
+        if not piece:
+            sys.exit(0)
+        line += piece
+    return [str(word) for word in json.loads(line)]
+
+
 def _end_with_server() -> None:
     """Wait for the end of standard input; then Ctrl-C, and the hard end for a command that does not listen."""
     while os.read(0, 1):
@@ -66,13 +84,12 @@ def _end_with_server() -> None:
 
 
 def _envelopes(run: Path, folder: Path) -> None:
-    """Read a record and write what the page of its signals draws."""
+    """Read a record and write what its picture is drawn from."""
     from piga.records.run_file import read_run_file
     from piga.stand import read_run
     from piga.workbench.signals import write_envelopes
 
-    temperature = read_run_file(run).data.temperature
-    write_envelopes(read_run(run), folder, temperature.unit if temperature is not None else "K")
+    write_envelopes(read_run(run), read_run_file(run), folder)
 
 
 if __name__ == "__main__":

@@ -45,9 +45,9 @@ def ui(
             remedy="compensate the stream with: logger | piga compensate - --calibration CALIBRATION.json",
         )
 
-    def ready(door: Door) -> None:
+    def ready(door: Door, place: Path) -> None:
         say(f"piga ui: {door.address}")
         if browser:
-            open_browser(door.address)
+            open_browser(door, place)
 
     serve(folder, port, ready=ready)

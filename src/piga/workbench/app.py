@@ -1,11 +1,13 @@
-"""The server of the workbench: one Starlette application, on the loopback address."""
+"""The server of the bench: one Starlette application on the loopback address."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import signal
 import socket
+import threading
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
@@ -17,33 +19,22 @@ from starlette.requests import ClientDisconnect
 
 from piga.errors import ArgumentError, PigaError
 from piga.workbench.folder import Folder
+from piga.workbench.history import ChangedError, History
 from piga.workbench.jobs import Jobs
-from piga.workbench.pages import (
-    calibrate,
-    certificate,
-    common,
-    describe,
-    explore,
-    jobs,
-    records,
-    scenario,
-    signals,
-)
-from piga.workbench.pages.common import Workbench, error_page, gone_page
+from piga.workbench.pages import common, describe, explore, jobs, later, record, text
+from piga.workbench.pages.common import Bench, changed_page, error_page, gone_page
 from piga.workbench.security import LOOPBACK, Door, Guard
 
-ROUTES = [
-    route
-    for page in (common, records, describe, signals, calibrate, certificate, scenario, explore, jobs)
-    for route in page.ROUTES
-]
+ROUTES = [route for page in (common, describe, record, later, text, explore, jobs) for route in page.ROUTES]
 """The routes of all pages, and of the files that they load."""
 MOST_CONNECTIONS = 300
 """Connections at a time; a request beyond is answered with 503. Each may hold a socket and a file, and a process usually
 may have 1024 of them."""
 MOST_PORT = 65535
-GRACE = 2
+GRACE = 1
 """Time [s] that open requests have when the server ends."""
+LAST = 4.5
+"""Time [s] after which the server ends whatever a page still does."""
 
 
 def application(folder: Folder, door: Door, ready: Callable[[], None]) -> Any:
@@ -58,12 +49,9 @@ def application(folder: Folder, door: Door, ready: Callable[[], None]) -> Any:
     ready:
         Called once when the application has started.
     """
-    bench = Workbench(folder, Jobs(folder.root), door)
-
-    for part in folder.state_room(records.PARTS).iterdir():
-        part.unlink(missing_ok=True)
-    for trial in folder.state_room("trials").iterdir():  # no job makes or shows it any more
-        shutil.rmtree(trial, ignore_errors=True)
+    for room in ("parts", "trials"):  # nobody makes or shows them any more
+        shutil.rmtree(folder.state_room(room), ignore_errors=True)
+    bench = Bench(folder, Jobs(folder.root), History(folder), door)
 
     @contextlib.asynccontextmanager
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
@@ -71,23 +59,15 @@ def application(folder: Folder, door: Door, ready: Callable[[], None]) -> Any:
         yield
         bench.jobs.stop_all()
 
-    app = Starlette(
-        routes=ROUTES,
-        lifespan=lifespan,
-        exception_handlers={
-            PigaError: error_page,
-            HTTPException: error_page,
-            OSError: error_page,
-            ClientDisconnect: gone_page,
-            Exception: error_page,
-        },
-    )
+    handlers: dict[Any, Any] = {ChangedError: changed_page, ClientDisconnect: gone_page}
+    handlers |= dict.fromkeys((PigaError, HTTPException, OSError, Exception), error_page)
+    app = Starlette(routes=ROUTES, lifespan=lifespan, exception_handlers=handlers)
     app.state.bench = bench
     return Guard(app, door)
 
 
-def serve(folder: Path, port: int, *, ready: Callable[[Door], None]) -> None:
-    """Serve the workbench of a folder on the loopback address until SIGINT or SIGTERM. Running jobs are then ended.
+def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> None:
+    """Serve the bench of a folder on the loopback address until SIGINT or SIGTERM. Running jobs are then ended.
 
     Parameters
     ----------
@@ -96,7 +76,7 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door], None]) -> None:
     port:
         Port to listen on; 0 takes a free one.
     ready:
-        Called with the door once the server answers.
+        Called with the door and the hidden folder once the server answers.
 
     Raises
     ------
@@ -105,23 +85,35 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door], None]) -> None:
     """
     opened = Folder(folder)
     listener = _listening(port)
-    door = Door(listener.getsockname()[1])
-    config = uvicorn.Config(
-        application(opened, door, lambda: ready(door)),
-        log_level="error",
-        access_log=False,
-        server_header=False,
-        proxy_headers=False,
-        timeout_graceful_shutdown=GRACE,
-        limit_concurrency=MOST_CONNECTIONS,
-        http="h11",
-        lifespan="on",
-        loop="asyncio",
+    door = Door(listener.getsockname()[1], str(opened.root))
+    server = uvicorn.Server(
+        uvicorn.Config(
+            application(opened, door, lambda: ready(door, opened.state_room())),
+            log_level="error",
+            access_log=False,
+            server_header=False,
+            proxy_headers=False,
+            timeout_graceful_shutdown=GRACE,
+            limit_concurrency=MOST_CONNECTIONS,
+            http="h11",
+            lifespan="on",
+            loop="asyncio",
+        )
     )
+
+    def end(_number: int, _frame: Any) -> None:
+        server.should_exit = True  # before it began; uvicorn raises the signal again when it has ended
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _ended)  # uvicorn raises the signal again when it has ended
+        signal.signal(number, end)
     with listener:
-        uvicorn.Server(config).run(sockets=[listener])
+        server.run(sockets=[listener])
+    if any(thread.name.startswith("AnyIO") for thread in threading.enumerate()):
+        timer = threading.Timer(
+            LAST - GRACE - 2.0, os._exit, (0,)
+        )  # a page that still reads a file is not waited for
+        timer.daemon = True
+        timer.start()
 
 
 def _listening(port: int) -> socket.socket:
@@ -136,15 +128,19 @@ def _listening(port: int) -> socket.socket:
         ) from None
 
 
-def _ended(_number: int, _frame: Any) -> None:
-    """The server has ended by itself."""
+def open_browser(door: Door, place: Path) -> bool:
+    """Open the user's browser on a file that leads to the address. False if there is no browser.
 
-
-def open_browser(address: str) -> bool:
-    """Open the address in the user's browser. False if there is none."""
+    Other users of this machine see the arguments of a browser, but not the file, which only its owner can read.
+    """
     import webbrowser
 
+    path = place / "open.html"
+    path.unlink(missing_ok=True)
+    page = f'<!DOCTYPE html><title>piga</title><meta http-equiv="refresh" content="0;url={door.address}">'
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:
+        stream.write(page)
     try:
-        return webbrowser.open(address)
+        return webbrowser.open(path.as_uri())
     except webbrowser.Error:
         return False

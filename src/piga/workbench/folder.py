@@ -1,7 +1,7 @@
-"""The opened folder: which files it has, what they are, and which paths may be used.
+"""The opened folder: which records and calibrations it has, and which paths may be used.
 
-Only regular files below the folder are used. Links that lead out of it, devices and hidden files are refused, also
-when a run file names them.
+Only regular files below the folder are read, and no part of a path may be a link. Hidden files are refused. The hidden
+folder ``.piga-ui`` belongs to the workbench: results that are not kept yet, pictures of records, what was removed.
 """
 
 from __future__ import annotations
@@ -10,10 +10,14 @@ import os
 import re
 import secrets
 import stat
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Any
+
+import msgspec
 
 from piga.errors import ArgumentError, PigaError
 from piga.formats.container import CONTAINERS
@@ -24,46 +28,92 @@ from piga.records.text_files import MAX_NAME, files_named_in, texts_of, toml_doc
 
 LOG_SUFFIXES = (*TEXT_SUFFIXES, *CONTAINERS, ".parquet", ".pq")
 STATE_FOLDER = ".piga-ui"
-"""Folder below the opened one, in which jobs and envelopes are kept."""
 MOST_FILES = 5000
 """Most files that are listed. A folder with more is not a folder of records."""
 DEPTH = 4
 """Levels of folders that are listed."""
 MOST_TOML = 1 << 20
 """Largest TOML file [bytes] that is listed and edited."""
+MOST_RESULT = 200 << 20
+"""Largest result file [bytes] that is read."""
+LONGEST_NAME = 100
+"""Most bytes of the name of a dropped file. The names of its results are longer; a file system takes 255."""
+CALIBRATION = "calibration.json"
 _UPLOAD_NAME = re.compile(r"[^\w.-]+")
-
-State = Literal["not described", "faulty", "ready", "calibrated"]
 
 
 class OutsideError(ArgumentError):
     """A path that may not be used."""
 
 
+class _Coefficient(msgspec.Struct):
+    name: str
+    value: float
+    std: float
+    unit: str
+
+
+class _Kept(msgspec.Struct):
+    """The parts of ``calibration.json`` that a list shows."""
+
+    instrument: dict[str, Any]
+    coefficients: list[_Coefficient]
+    provenance: dict[str, Any]
+
+
 @dataclass(frozen=True)
-class FolderEntry:
-    """A record in the folder: a run file, or a log that no run file describes.
+class Kept:
+    """A kept calibration: its folder, serial number, when it was made, and K with its standard uncertainty.
+
+    ``version`` is 0 for the newest of a record; older ones count down.
+    """
+
+    name: str
+    serial: str
+    created: str
+    K: float
+    u: float
+    unit: str
+    nominal: float
+    version: int = 0
+
+    @property
+    def ppm(self) -> float:
+        """Difference of K from the nominal value [ppm]."""
+        return 1e6 * (self.K / self.nominal - 1.0)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A record of the folder.
 
     Attributes
     ----------
     name:
-        Path below the folder, with ``/``.
+        Path of the run file below the folder; that of the log if no run file describes it.
     state:
-        ``not described``: a log without run file. ``faulty``: the run file or its data file cannot be used, see
-        ``message``. ``ready``: can be calibrated. ``calibrated``: results lie beside it.
-    serial, log, size:
-        Serial number, name of the data file, and its size [bytes].
-    result:
-        Folder of the results, or "".
+        ``log``: no run file describes it. ``faulty``: the run file cannot be used, see ``message``. ``ready``, ``kept``.
+    serial, log, size, changed:
+        Serial number, name, size [bytes] and time of the last change [s since 1970] of the data file.
+    kept:
+        Its kept calibrations, the newest first.
     """
 
     name: str
-    state: State
+    state: str
     serial: str = ""
     log: str = ""
     size: int = 0
+    changed: float = 0.0
     message: str = ""
-    result: str = ""
+    kept: tuple[Kept, ...] = ()
+
+    @property
+    def day(self) -> str:
+        """Day of the last change of the data file."""
+        with suppress(OSError, OverflowError, ValueError):
+            return time.strftime("%Y-%m-%d", time.localtime(self.changed))
+        return ""
 
 
 class Folder:
@@ -73,29 +123,33 @@ class Folder:
         if not root.is_dir():
             raise ArgumentError(f"{root}: is not a folder", remedy="name a folder that holds records")
         self.root = root.resolve()
+        self._seen: dict[Any, tuple[Any, Any]] = {}
 
-    @property
-    def state(self) -> Path:
-        """The hidden folder of jobs and envelopes; it is made when it is first needed."""
-        path = self.root / STATE_FOLDER
-        path.mkdir(exist_ok=True)
-        if path.is_symlink() or not path.is_dir():
-            raise OutsideError(f"{STATE_FOLDER} is not a folder", remedy="remove it")
-        return path
+    # --- the hidden folder ------------------------------------------------------------------------
 
-    def state_room(self, name: str) -> Path:
-        """A folder of :attr:`state`; it is made when it is first needed.
+    def state_room(self, *names: str) -> Path:
+        """A folder of ``.piga-ui``; it is made when it is first needed.
 
         Raises
         ------
         OutsideError
-            If something else has its name, such as a link to another place.
+            If something else has its name, or another user owns it.
         """
-        path = self.state / name
-        if path.is_symlink() or (path.exists() and not path.is_dir()):
-            raise OutsideError(f"{STATE_FOLDER}/{name} is not a folder", remedy=f"remove {STATE_FOLDER}")
-        path.mkdir(exist_ok=True)
+        path = self.root
+        for name in (STATE_FOLDER, *names):
+            path /= name
+            with suppress(FileExistsError):
+                path.mkdir(mode=0o700)
+            status = os.lstat(path)
+            mine = not hasattr(os, "getuid") or status.st_uid == os.getuid()
+            if not stat.S_ISDIR(status.st_mode) or not mine:
+                words = "is not a folder" if mine else "belongs to another user"
+                raise OutsideError(
+                    f"{self.name(path)} {words}", remedy=f"remove {STATE_FOLDER}, or open another folder"
+                )
         return path
+
+    # --- paths ------------------------------------------------------------------------------------
 
     def path(self, name: str) -> Path:
         """The path of the file or folder ``name`` below this folder. It need not exist.
@@ -103,13 +157,29 @@ class Folder:
         Raises
         ------
         OutsideError
-            If it is hidden, begins as an option does, leads out of the folder, or is neither a regular file nor a folder.
+            If it is hidden, begins as an option does, passes a link, or is neither a regular file nor a folder.
         """
         if not is_plain(name):
             remedy = "rename it" if PurePosixPath(name).name.startswith("-") else "choose a listed file"
-            raise OutsideError(f"{name!r}: is not a file of this folder that can be opened", remedy=remedy)
-        path = self.root / PurePosixPath(name)
-        self._check(path, name)
+            raise OutsideError(
+                f"{name[:200]!r}: is not a file of this folder that can be opened", remedy=remedy
+            )
+        return self._checked(self.root / PurePosixPath(name))
+
+    def _checked(self, path: Path) -> Path:
+        try:
+            inside = path.relative_to(self.root)
+            for place in (*[self.root / part for part in list(inside.parents)[:-1]], path):
+                mode = os.lstat(place).st_mode
+                if not (stat.S_ISDIR(mode) or (place == path and stat.S_ISREG(mode))):
+                    raise ValueError
+        except FileNotFoundError:
+            return path
+        except (OSError, ValueError):
+            raise OutsideError(
+                f"{path.name[:200]} is not a regular file of this folder",
+                remedy="copy the file itself into the opened folder",
+            ) from None
         return path
 
     def file(self, name: str) -> Path:
@@ -119,57 +189,77 @@ class Folder:
             raise OutsideError(f"{name}: there is no such file", remedy="choose a listed file")
         return path
 
+    def read(self, path: Path, most: int = MOST_RESULT) -> bytes:
+        """All bytes of a regular file below the folder. No part of its path may be a link, now or meanwhile.
+
+        Raises
+        ------
+        OutsideError
+            If it is another kind of file, or larger than ``most`` bytes.
+        """
+        parts = path.relative_to(self.root).parts
+        if ".." in parts or not parts:
+            raise OutsideError(f"{path.name}: is no file of this folder", remedy="choose a listed file")
+        flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+        opened: list[int] = []
+        try:
+            if os.open in os.supports_dir_fd:
+                opened.append(os.open(self.root, os.O_RDONLY))
+                for part in parts[:-1]:
+                    opened.append(os.open(part, flags | os.O_DIRECTORY, dir_fd=opened[-1]))
+                opened.append(os.open(parts[-1], flags, dir_fd=opened[-1]))
+            else:
+                opened.append(os.open(self._checked(path), flags | getattr(os, "O_BINARY", 0)))
+            status = os.fstat(opened[-1])
+            if not stat.S_ISREG(status.st_mode) or status.st_size > most:
+                raise OutsideError(f"{path.name}: is no regular file, or too large", remedy="choose another")
+            with os.fdopen(os.dup(opened[-1]), "rb") as stream:
+                return stream.read(most + 1)
+        except FileNotFoundError:
+            raise OutsideError(f"{path.name}: there is no such file", remedy="choose a listed file") from None
+        except OSError as error:
+            raise OutsideError(
+                f"{path.name}: cannot be read ({error.strerror})", remedy="choose another"
+            ) from None
+        finally:
+            for number in opened:
+                os.close(number)
+
+    def text(self, name: str) -> str:
+        """The text of a TOML file of the folder."""
+        return self.read(self.file(name), MOST_TOML).decode("utf-8", "replace")
+
     def name(self, path: Path) -> str:
         """The path below the folder, with ``/``."""
         return path.relative_to(self.root).as_posix()
 
-    def listed(self, *patterns: str) -> list[str]:
-        """The files that a page may offer, in the order of patterns and names: those that can be opened, and no links."""
-        return [
-            self.name(path)
-            for pattern in patterns
-            for path in sorted(self.root.glob(pattern))
-            if is_plain(self.name(path)) and path.is_file() and not path.is_symlink()
-        ]
-
     def toml(self, name: str) -> Path:
-        """The path of a TOML file all of whose named files lie in this folder."""
-        path = self.file(name)
-        if path.suffix != ".toml":
-            raise OutsideError(f"{name}: is not a TOML file", remedy="choose a run file")
-        self.check_named(path)
-        return path
-
-    def check_named(self, path: Path) -> None:
-        """Refuse a TOML file that names a file outside of this folder, or a device.
+        """The path of a TOML file all of whose named files lie in this folder.
 
         Raises
         ------
         OutsideError
             Naming the file.
         """
-        if path.stat().st_size > MOST_TOML:
-            raise OutsideError(f"{path.name}: is larger than {MOST_TOML >> 20} MiB", remedy="shorten it")
-        for named in [*files_named_in(path), *_data_files(path)]:
-            self._check(named, f"{path.name} names {named.name}, which")
-
-    def _check(self, path: Path, name: str) -> None:
-        try:
-            real = path.resolve()
-            mode = path.stat().st_mode if path.exists() else stat.S_IFREG
-        except (OSError, RuntimeError) as error:
-            raise OutsideError(f"{name}: cannot be read ({error})", remedy="choose another file") from None
-        if not real.is_relative_to(self.root) or not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        path = self.file(name)
+        if path.suffix != ".toml" or path.stat().st_size > MOST_TOML:
             raise OutsideError(
-                f"{name} is not a regular file of this folder", remedy="copy the file into the opened folder"
+                f"{name}: is no TOML file of at most {MOST_TOML >> 20} MiB", remedy="choose a run file"
             )
+        for named in [*files_named_in(path), *_data_file(path, toml_or_nothing(path))]:
+            self._named(path, named)
+        return path
 
-    def write_toml(
-        self, path: Path, text: str, check: Callable[[Path, bytes], object], *, new: bool = False
-    ) -> None:
-        """Write a complete TOML file after ``check`` of its path and bytes.
+    def _named(self, path: Path, named: Path) -> None:
+        try:
+            self._checked(Path(os.path.normpath(named)))
+        except OutsideError as error:
+            raise OutsideError(
+                f"{path.name} names {named.name[:80]}: {error.message}", remedy=error.remedy
+            ) from None
 
-        Every file that it names must be in this folder.
+    def write_toml(self, path: Path, text: str, *, kind: str = "run", new: bool = False) -> None:
+        """Write a complete TOML file if it is valid. Every file that it names must be in this folder.
 
         Raises
         ------
@@ -177,69 +267,102 @@ class Folder:
             If the text is refused. The file is then unchanged.
         """
         raw = text.replace("\r\n", "\n").encode("utf-8")
-        check(path, raw)
         if len(raw) > MOST_TOML:
             raise OutsideError(f"{path.name}: is larger than {MOST_TOML >> 20} MiB", remedy="shorten it")
-        for word in texts_of(toml_document(path, raw)):
-            if word and len(word) < MAX_NAME and "\0" not in word and (path.parent / word).exists():
-                self._check(path.parent / word, f"{path.name} names {word[:80]}, which")
-        if new or not path.is_file() or path.read_bytes() != raw:
-            write_whole(path, lambda part: part.write_bytes(raw), replace=not new)
+        document = toml_document(path, raw)
+        if kind == "run":
+            read_run_file(path, raw)
+        for word in texts_of(document):
+            if word and len(word) < MAX_NAME and "\0" not in word and os.path.lexists(path.parent / word):
+                self._named(path, path.parent / word)
+        write_whole(path, lambda part: part.write_bytes(raw), replace=not new)
 
-    def entries(self) -> list[FolderEntry]:
-        """All records: those with a run file first, then logs without one."""
-        files = list(self._files())
-        described: set[Path] = set()
-        runs = [path for path in files if path.suffix == ".toml" and _is_run_file(path)]
-        entries = [self._run_entry(path, described) for path in runs]
-        logs = [path for path in files if file_kind(path) in LOG_SUFFIXES and path not in described]
-        entries += [
-            FolderEntry(self.name(path), "not described", log=path.name, size=path.stat().st_size)
-            for path in logs
-        ]
-        return entries
+    # --- what is in it ----------------------------------------------------------------------------
 
-    def _walk(self) -> Iterator[tuple[Path, list[str], list[str]]]:
-        """Each folder with its folders and files. Hidden folders are named and not entered."""
+    def files(self) -> Iterator[Path]:
+        """The regular files of the folder and of its folders, without hidden files and links."""
+        count = 0
         for folder, folders, names in os.walk(self.root):
             here = Path(folder)
-            yield here, folders, names
             level = len(here.relative_to(self.root).parts)
-            folders[:] = sorted(n for n in folders if not n.startswith(".")) if level < DEPTH else []
-
-    def _files(self) -> Iterator[Path]:
-        count = 0
-        for here, folders, names in self._walk():
-            if "calibration.json" in names:
-                folders[:] = []
-                continue
+            folders[:] = sorted(n for n in folders if n[0] not in ".-") if level < DEPTH else []
             for name in sorted(names):
-                path = here / name
-                if name.startswith(".") or not path.is_file() or not path.resolve().is_relative_to(self.root):
-                    continue
                 count += 1
                 if count > MOST_FILES:
                     return
-                yield path
+                if is_plain(self.name(here / name)) and _is_regular(here / name):
+                    yield here / name
 
-    def _run_entry(self, path: Path, described: set[Path]) -> FolderEntry:
-        name, serial, log = self.name(path), "", ""
-        described.update(_data_files(path))
+    def listed(self, *endings: str) -> list[str]:
+        """The files with these endings."""
+        return [self.name(path) for path in self.files() if path.name.lower().endswith(endings)]
+
+    def entries(self) -> list[Entry]:
+        """All records, the newest first: those with a run file, and logs without one."""
+        files = list(self.files())
+        results = {path.parent for path in files if path.name == CALIBRATION}
+        kept = [one for folder in sorted(results) if (one := self.kept(folder)) is not None]
+        files = [path for path in files if path.parent not in results]
+        described: set[Path] = set()
+        entries = []
+        for path in (path for path in files if path.suffix == ".toml"):
+            document = self._once(path, lambda path=path: toml_or_nothing(path))
+            if document is None or "data" in document:
+                data = _data_file(path, document)
+                described.update(data)
+                entry = self._once(path, lambda path=path, data=data: self._run_entry(path, data), *data)
+                entries.append(_with_kept(entry, kept, self.name(results_of(path))))
+        for path in files:
+            if file_kind(path) in LOG_SUFFIXES and path not in described:
+                status = path.stat()
+                entries.append(Entry(self.name(path), "log", "", path.name, status.st_size, status.st_mtime))
+        return sorted(entries, key=lambda entry: (-entry.changed, entry.name))
+
+    def entry(self, name: str) -> Entry:
+        """One record."""
+        found = next((entry for entry in self.entries() if entry.name == name), None)
+        if found is None:
+            raise OutsideError(f"{name[:200]}: is not a record of this folder", remedy="choose a listed record")
+        return found
+
+    def kept(self, folder: Path) -> Kept | None:
+        """The kept calibration of a folder; None if it cannot be read."""
+        found: Kept | None = self._once(folder / CALIBRATION, lambda: self._read_kept(folder))
+        return found
+
+    def _read_kept(self, folder: Path) -> Kept | None:
         try:
-            self.check_named(path)
+            document = msgspec.json.decode(self.read(folder / CALIBRATION), type=_Kept)
+            nominal = float(document.instrument["scale_factor_nominal"]["value"])
+            values = {one.name: one for one in document.coefficients}
+            K = values.get("scale_factor") or replace_k1(values["k1"], nominal)
+            created = str(document.provenance.get("created", ""))[:19]
+            return Kept(
+                self.name(folder), str(document.instrument["serial"]), created, K.value, K.std, K.unit, nominal
+            )
+        except (PigaError, msgspec.MsgspecError, KeyError, TypeError, ValueError, ZeroDivisionError):
+            return None
+
+    def _run_entry(self, path: Path, data: list[Path]) -> Entry:
+        name, serial, log = self.name(path), "", ""
+        try:
+            self.toml(name)
             run_file = read_run_file(path)
             serial, log = run_file.instrument.serial, run_file.data.file
-            data = path.parent / log
-            if not data.is_file():
+            if not data or not _is_regular(data[0]):
                 raise ArgumentError(f"{log}: there is no such file beside the run file", remedy="copy it there")
         except (PigaError, OSError) as error:
-            return FolderEntry(name, "faulty", serial, log, message=str(error))
-        result = results_of(path)
-        done = (result / "calibration.json").is_file()
-        state: State = "calibrated" if done else "ready"
-        return FolderEntry(
-            name, state, serial, log, data.stat().st_size, result=self.name(result) if done else ""
-        )
+            return Entry(name, "faulty", serial, log, changed=path.stat().st_mtime, message=str(error))
+        status = data[0].stat()
+        return Entry(name, "ready", serial, log, status.st_size, status.st_mtime)
+
+    def _once(self, path: Path, read: Any, *others: Path) -> Any:
+        """What was read from a file, read again only if it or one of the others has changed."""
+        key = (path, *others, read.__code__.co_firstlineno)
+        states: Any = tuple(_state(one) for one in (path, *others))
+        if self._seen.get(key, (None,))[0] != states:
+            self._seen[key] = (states, read())
+        return self._seen[key][1]
 
     def free_name(self, wanted: str) -> Path:
         """A path in the folder for an uploaded file: the letters and digits of its name, and no existing file's.
@@ -249,16 +372,23 @@ class Folder:
         OutsideError
             If the ending is not that of a log or a TOML file.
         """
-        plain = _UPLOAD_NAME.sub("-", Path(wanted.replace("\\", "/")).name).strip(".-")
-        path = self.root / (plain[-100:] or "log")
-        if file_kind(path) not in (*LOG_SUFFIXES, ".toml"):
+        plain = _UPLOAD_NAME.sub("-", PurePosixPath(wanted.replace("\\", "/")).name).strip(".-")
+        kind = file_kind(Path(plain or "x"))
+        if kind not in (*LOG_SUFFIXES, ".toml"):
             raise OutsideError(
-                f"{wanted!r}: files of this kind are not accepted",
+                f"{wanted[:200]!r}: files of this kind are not accepted",
                 remedy=f"use one of these kinds: {', '.join(LOG_SUFFIXES)}",
             )
-        while path.exists() or path.is_symlink():
-            path = path.with_name(f"{secrets.token_hex(2)}-{path.name}"[-110:])
+        stem = plain[: -len(kind)].encode()[:LONGEST_NAME].decode("utf-8", "ignore") or "log"
+        path = self.root / f"{stem}{kind}"
+        while os.path.lexists(path):
+            path = self.root / f"{stem}-{secrets.token_hex(2)}{kind}"
         return path
+
+
+def replace_k1(k1: _Coefficient, nominal: float) -> _Coefficient:
+    """K of a calibration that has the relative term k1 instead [rad/s/g]."""
+    return _Coefficient("scale_factor", nominal * (1.0 + k1.value), nominal * k1.std, "rad/s/g")
 
 
 def results_of(run: Path) -> Path:
@@ -269,27 +399,49 @@ def results_of(run: Path) -> Path:
 def is_plain(name: str) -> bool:
     """True for a path below the folder that is not hidden and does not begin as an option does."""
     pure = PurePosixPath(name)
-    wrong = "\\" in name or "\0" in name or pure.is_absolute() or not pure.parts
+    wrong = "\\" in name or "\0" in name or len(name) > 4 * MAX_NAME or pure.is_absolute() or not pure.parts
     return not wrong and not any(part.startswith((".", "-")) for part in pure.parts)
 
 
-def _is_run_file(path: Path) -> bool:
-    """True if the TOML file has a data table, or cannot be read at all."""
-    if path.stat().st_size > MOST_TOML:
+def _with_kept(entry: Entry, kept: list[Kept], result: str) -> Entry:
+    """The entry with its kept calibrations: those of its folder of results and of older versions of this folder."""
+    versions = [
+        (0 if one.name == result else -int(one.name.rpartition("-v")[2]), one)
+        for one in kept
+        if one.name == result or re.fullmatch(rf"{re.escape(result)}-v\d{{1,6}}", one.name)
+    ]
+    versions.sort(key=lambda item: (item[0] != 0, item[0]))
+    own = tuple(replace(one, version=number) for number, one in versions)
+    return replace(entry, kept=own, state="kept" if own and entry.state == "ready" else entry.state)
+
+
+def _state(path: Path) -> tuple[int, int]:
+    with suppress(OSError):
+        status = os.lstat(path)
+        return (status.st_mtime_ns, status.st_size)
+    return (0, 0)
+
+
+def _is_regular(path: Path) -> bool:
+    try:
+        return stat.S_ISREG(os.lstat(path).st_mode)
+    except OSError:
         return False
+
+
+def toml_or_nothing(path: Path) -> dict[str, Any] | None:
+    """The tables of a TOML file; None if it cannot be read."""
+    if path.stat().st_size > MOST_TOML:
+        return {}
     try:
-        document = toml_document(path)
+        return toml_document(path)
     except PigaError:
-        return True
-    return "data" in document
+        return None
 
 
-def _data_files(path: Path) -> list[Path]:
+def _data_file(path: Path, document: dict[str, Any] | None) -> list[Path]:
     """The data file that a run file names, whether it exists or not."""
-    try:
-        document: Any = toml_document(path)
-    except PigaError:
-        return []
-    table = document.get("data")
+    table = (document or {}).get("data")
     name = table.get("file") if isinstance(table, dict) else None
-    return [path.parent / name] if isinstance(name, str) and name and "\0" not in name else []
+    good = isinstance(name, str) and name and "\0" not in name and len(name) < MAX_NAME
+    return [path.parent / str(name)] if good else []

@@ -1,8 +1,8 @@
 """Jobs: commands of piga that run beside the server, each in a process of its own.
 
-A job is a command line. Its results are identical to those of the command, and the page shows how to repeat it in a
-terminal. Jobs are known to this server alone. A job whose server is gone ends as after Ctrl-C: it reads the end of its
-standard input then.
+A job is a command line, written to a process that waits for it. Its results are identical to those of the command, and
+the page shows how to repeat it in a terminal. Jobs are known to this server alone. A job whose server is gone ends as
+after Ctrl-C: it reads the end of its standard input then.
 """
 
 from __future__ import annotations
@@ -99,6 +99,20 @@ class Jobs:
         self._folder = Path(tempfile.mkdtemp(prefix="piga-ui-"))
         self._jobs: dict[str, tuple[Job, _Process]] = {}
         self._lock = threading.Lock()
+        self._spare = self._waiting()
+
+    def _waiting(self) -> tuple[str, subprocess.Popen[bytes]]:
+        """A process that has loaded what a command needs and waits for it: a command then starts at once."""
+        key = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
+        place = self._folder / key
+        place.mkdir()
+        environment = os.environ | {"PYTHONUTF8": "1", "PYTHONSAFEPATH": "1", "NO_COLOR": "1"}
+        with (place / "out").open("wb") as out, (place / "err").open("wb") as err:
+            return key, subprocess.Popen(  # noqa: S603  piga itself
+                [sys.executable, "-P", "-m", "piga.cli.job", str(place)],
+                cwd=self._root, stdin=subprocess.PIPE, stdout=out, stderr=err, env=environment,
+                start_new_session=True,
+            )  # fmt: skip
 
     def start(
         self,
@@ -125,7 +139,7 @@ class Jobs:
     def _start(
         self, command: Sequence[str], title: str, subject: str, result: str, reads: Sequence[Path] | None
     ) -> Job:
-        running = [job for job in self.all() if self.status(job).state == "running"]
+        running = self.running()
         changed = -math.inf if reads is None else _last_change(reads)
         asked = [word for word in command if word != result]
         here = [job for job in running if result and job.result == result]
@@ -140,17 +154,12 @@ class Jobs:
             )
         if len(running) >= MOST_RUNNING:
             raise BusyError(f"{MOST_RUNNING} jobs are running", remedy="wait for one, or stop one")
-        key = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
-        place = self._folder / key
-        place.mkdir()
-        environment = os.environ | {"PYTHONUTF8": "1", "PYTHONSAFEPATH": "1", "NO_COLOR": "1"}
+        key, child = self._spare if self._spare[1].poll() is None else self._waiting()
+        self._spare = self._waiting()
         job = Job(key, tuple(command), title, subject, result, time.time())
-        with (place / "out").open("wb") as out, (place / "err").open("wb") as err:
-            child = subprocess.Popen(  # noqa: S603  piga's own command line, as a list
-                [sys.executable, "-P", "-m", "piga.cli.job", str(place), *command],
-                cwd=self._root, stdin=subprocess.PIPE, stdout=out, stderr=err, env=environment,
-                start_new_session=True,
-            )  # fmt: skip
+        assert child.stdin is not None  # noqa: S101  a pipe
+        child.stdin.write(json.dumps(command).encode() + b"\n")
+        child.stdin.flush()
         self._jobs[key] = (job, _Process(child))
         for old in self.all()[MOST_KEPT:]:
             self.forget(old)
@@ -159,6 +168,10 @@ class Jobs:
     def all(self) -> list[Job]:
         """All jobs, the newest first."""
         return [job for job, _ in reversed(list(self._jobs.values()))]
+
+    def running(self) -> list[Job]:
+        """The jobs that run."""
+        return [job for job in self.all() if self.status(job).state == "running"]
 
     def get(self, key: str) -> Job | None:
         """The job with this key, or None."""
@@ -223,7 +236,9 @@ class Jobs:
 
     def stop_all(self) -> None:
         """End all running jobs and remove what they printed (when the server ends)."""
+        _close(self._spare[1])
         self.stop(*self.all())
+        _kill(self._spare[1])
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def forget(self, job: Job) -> None:

@@ -13,12 +13,20 @@ The guard is plain ASGI, so it covers WebSockets and event streams, too.
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
 import secrets
 import time
 from collections.abc import Awaitable, Callable, MutableMapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
+
+from piga.errors import PigaError
+from piga.records.limits import read_whole
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -29,6 +37,8 @@ SESSION_AGE = 12 * 3600.0
 """Age [s] at which a session ends. A new one starts with the address of a new ``piga ui``."""
 MOST_SESSIONS = 64
 """Most sessions of a server. One more ends the oldest."""
+MOST_STORE = 1 << 16
+"""Largest file of sessions [bytes]."""
 SAFE_METHODS = frozenset({"GET", "HEAD"})
 LOOPBACK = "127.0.0.1"
 """Address of this machine that no other one can reach."""
@@ -60,16 +70,39 @@ class Door:
 
     Attributes
     ----------
-    port:
-        The port that the server listens on.
+    port, folder:
+        The port that the server listens on, and the opened folder.
     token:
         Token of the printed address; empty once it was used.
     """
 
     port: int
+    folder: str = ""
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
-    clock: Callable[[], float] = time.monotonic
+    clock: Callable[[], float] = time.time
     _sessions: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        with suppress(PigaError, OSError, ValueError, TypeError, AttributeError):
+            raw = read_whole(self._store(), MOST_STORE, "another port")
+            self._sessions = {str(mark): float(began) for mark, began in json.loads(raw).items()}
+
+    def _store(self) -> Path:
+        """The file of the sessions of this port and folder, in the user's cache.
+
+        A server that is started again at the same address knows its browser again. The file holds digests, not sessions.
+        """
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "piga"
+        return cache / f"ui-{self.port}-{_mark(self.folder)[:16]}.json"
+
+    def _keep(self) -> None:
+        """Write the sessions. Without a cache folder a browser needs a new address after the next start."""
+        with suppress(OSError):
+            path = self._store()
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.unlink(missing_ok=True)
+            with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:
+                json.dump(self._sessions, stream)
 
     @property
     def cookie(self) -> str:
@@ -98,7 +131,8 @@ class Door:
         if len(self._sessions) >= MOST_SESSIONS:
             del self._sessions[next(iter(self._sessions))]
         session = secrets.token_urlsafe(24)
-        self._sessions[session] = self.clock()
+        self._sessions[_mark(session)] = self.clock()
+        self._keep()
         return session
 
     def set_cookie(self, session: str) -> str:
@@ -107,13 +141,13 @@ class Door:
 
     def has_session(self, session: str) -> bool:
         """True if the session is open and not too old."""
-        started = self._sessions.get(session)
-        if started is None:
-            return False
-        if self.clock() - started > SESSION_AGE:
-            del self._sessions[session]
-            return False
-        return True
+        started = self._sessions.get(_mark(session))
+        return started is not None and 0.0 <= self.clock() - started < SESSION_AGE
+
+
+def _mark(text: str) -> str:
+    """Digest of a session or folder."""
+    return hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()
 
 
 class Guard:

@@ -1,8 +1,8 @@
-"""Envelopes of a record: its least and largest values at several widths, from which any zoom is drawn at once.
+"""Pictures of a record: its least and largest values at several widths, from which any zoom is drawn at once.
 
 A record is read once, by the reader of the calibration. Each of its columns is written to a cache folder, with
 envelopes of 16, 64, 256, ... samples. A picture of any span then needs a few thousand values. No block crosses the
-begin of a stretch, so a gap is drawn as a gap.
+begin of a stretch, so a gap is drawn as a gap. Of a long record a thinned copy is written, too, for a first answer.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import hashlib
 import json
 import shutil
 import tempfile
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,8 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.records.run import Run
-from piga.records.spool import spans
+from piga.records.run_file import RunFile
+from piga.records.text_files import toml_text
 from piga.units import G0, offset_to_si, parse_unit
 
 Array = NDArray[np.float64]
@@ -34,25 +36,18 @@ MOST_STRETCHES = 20_000
 """Longest breaks that are drawn as gaps. More of them would not be seen."""
 MOST_WIDTH = 4096
 """Largest width of a picture [pixels]."""
-FORM = 3
+LONG, THINNED = 1_000_000, 100_000
+"""Samples of a record of which a thinned copy is made, and about the samples of the copy."""
+MOVING = 0.01 * G0
+"""Specific force [m/s^2] by which a sample of a moving stand differs from its position, at least."""
+CHUNK = 1 << 20
+FORM = 4
 """Version of the cache's files."""
 
 
 @dataclass(frozen=True)
 class Signal:
-    """One column of a record.
-
-    Attributes
-    ----------
-    key, title, unit:
-        Name in the cache, words for the page, and the unit that it is shown in.
-    factor:
-        Factor from SI to ``unit``.
-    group:
-        Signals of one group share a picture.
-    offset:
-        Is added after the factor: degrees Celsius do not begin at zero kelvin.
-    """
+    """One column of a record: key, title, shown unit, factor from SI to it, picture it belongs to, offset of the unit."""
 
     key: str
     title: str
@@ -73,16 +68,34 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class SignalOutline:
-    """What a page needs to know before it draws: signals, duration [s], samples, segments with times, findings."""
+class Span:
+    """A named span of time [s]: a position, or rows that are left out; ``rows``: first and last row of the file."""
+
+    name: str
+    first: float
+    last: float
+    rows: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What a page needs to know before it draws.
+
+    ``moves`` are rows at the ends of positions in which the stand still moves. ``phase_kept`` is False if the counter may
+    have folded unseen between positions. ``thinned``: every so many samples are in the thinned copy; 1 if there is none.
+    """
 
     signals: tuple[Signal, ...]
     duration: float
     samples: int
     rows: int
-    segments: tuple[tuple[str, float, float], ...]
+    rate: float
+    positions: tuple[Span, ...]
+    left_out: tuple[Span, ...]
+    moves: tuple[Span, ...]
     findings: tuple[Finding, ...]
-    serial: str = ""
+    phase_kept: bool
+    thinned: int = 1
 
 
 def cache_key(paths: list[Path]) -> str:
@@ -91,22 +104,19 @@ def cache_key(paths: list[Path]) -> str:
     return hashlib.sha256(json.dumps([FORM, states]).encode()).hexdigest()[:24]
 
 
-def write_envelopes(run: Run, folder: Path, temperature_unit: str = "K") -> SignalOutline:
+def write_envelopes(run: Run, run_file: RunFile, folder: Path) -> Outline:
     """Write the columns and envelopes of a record.
 
     Parameters
     ----------
-    run:
-        The record as read.
+    run, run_file:
+        The record as read, and its run file.
     folder:
         New folder, ``RECORD-KEY``. It appears when it is complete; older ones of the same record are removed.
-    temperature_unit:
-        Unit in which the record states its temperature. It is shown in this unit.
     """
-    folder.parent.mkdir(parents=True, exist_ok=True)
     part = Path(tempfile.mkdtemp(prefix="part-", dir=folder.parent))
     try:
-        outline = _write_all(run, part, temperature_unit)
+        outline = _write_all(run, run_file, part)
         shutil.rmtree(folder, ignore_errors=True)
         part.rename(folder)
     finally:
@@ -117,28 +127,88 @@ def write_envelopes(run: Run, folder: Path, temperature_unit: str = "K") -> Sign
     return outline
 
 
-def _write_all(run: Run, folder: Path, temperature_unit: str) -> SignalOutline:
+def _write_all(run: Run, run_file: RunFile, folder: Path) -> Outline:
     begins = _breaks(run)
     t = _shown_time(run, folder / "t.npy")
     np.save(folder / "breaks.npy", begins[1:])
     rows = np.lib.format.open_memmap(folder / "row.npy", mode="w+", dtype=np.int64, shape=(run.size,))
-    for part in spans(run.size):
+    for part in _chunks(run.size):
         rows[part] = run.row[part]
     levels = _levels(run.size, begins)
     for number, edges in enumerate(levels):
         np.save(folder / f"edges-{number}.npy", edges)
-    columns = _columns(run, temperature_unit)
+    temperature = run_file.data.temperature
+    columns = _columns(run, "K" if temperature is None else temperature.unit)
     for signal, values in columns:
         _write_column(folder, signal.key, values, run.size, levels)
-    outline = _outline(run, t, tuple(signal for signal, _ in columns))
+    signals = [signal for signal, _ in columns]
+    if run.kind == "angle":
+        _write_difference(run, t, folder, levels)
+        signals.insert(1, Signal("difference", "angle minus K ∫aₓdt", "deg", 180.0 / np.pi, "difference"))
+    thinned = _write_thinned(run, run_file, folder) if run.size > LONG else 1
+    outline = _outline(run, run_file, t, rows, tuple(signals), thinned)
     (folder / "outline.json").write_text(json.dumps(asdict(outline)), encoding="utf-8")
     return outline
 
 
-def read_outline(folder: Path) -> SignalOutline | None:
+def _chunks(size: int) -> Iterator[slice]:
+    for first in range(0, size, CHUNK):
+        yield slice(first, min(first + CHUNK, size))
+
+
+def _write_difference(run: Run, t: Array, folder: Path, levels: list[NDArray[np.int64]]) -> None:
+    """The output angle minus what the nominal scale factor makes of a_x; it begins at zero in each stretch."""
+    whole = np.lib.format.open_memmap(folder / "difference.npy", mode="w+", dtype=np.float64, shape=(run.size,))
+    carried = 0.0
+    for part in _chunks(run.size):
+        with_last = slice(max(part.start - 1, 0), part.stop)
+        time, angle, force = (np.asarray(column[with_last]) for column in (t, run.output, run.f[:, 0]))
+        step = np.diff(angle) - run.scale_factor * 0.5 * (force[1:] + force[:-1]) * np.diff(time)
+        step = step if part.start else np.concatenate(([0.0], step))
+        begins = np.asarray(run.begins[part])
+        step[begins] = 0.0
+        total = carried + np.cumsum(step)
+        first = np.flatnonzero(begins)
+        if first.size:
+            total[first[0] :] -= np.repeat(total[first], np.diff(np.append(first, total.size)))
+        whole[part] = total
+        carried = float(total[-1])
+    _write_envelopes(folder, "difference", whole, levels)
+
+
+def _write_thinned(run: Run, run_file: RunFile, folder: Path) -> int:
+    """A thinned copy of a long record, in SI, with a run file of its own: for a first answer."""
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    every = max(run.size // THINNED, 1)
+    part = slice(None, None, every)
+    columns: dict[str, Any] = {"t": run.t[part], "output": run.output[part]}
+    columns |= {f"f{axis}": run.f[part, index] for index, axis in enumerate("xyz")}
+    columns["segment"] = pa.array([run.labels[index] for index in run.segment_index[part]])
+    data: dict[str, Any] = {
+        "file": "thinned.parquet", "segment": "segment", "time": {"column": "t", "unit": "s"},
+        "output": {"column": "output", "kind": run.kind, "unit": run.output_unit},
+        "reference": {"columns": ["fx", "fy", "fz"], "unit": "m/s^2"},
+    }  # fmt: skip
+    if run.base_rate is not None:
+        columns |= {f"w{axis}": run.base_rate[part, index] for index, axis in enumerate("xyz")}
+        data["base_rate"] = {"columns": ["wx", "wy", "wz"], "unit": "rad/s"}
+    if run.temperature is not None:
+        columns["temperature"] = run.temperature[part]
+        data["temperature"] = {"column": "temperature", "unit": "K"}
+    pyarrow.parquet.write_table(pa.table(columns), folder / "thinned.parquet")
+    instrument = {"serial": run.serial, "scale_factor": f"{run.scale_factor * G0!r} rad/s/g"}
+    model = {"terms": list(run_file.model.terms), "phases": run_file.model.phases}
+    document = {"instrument": instrument, "data": data, "model": model}
+    (folder / "thinned.toml").write_text(toml_text(document), encoding="utf-8")
+    return every
+
+
+def read_outline(folder: Path) -> Outline | None:
     """The outline of a complete cache; None if there is none."""
     try:
-        return msgspec.convert(json.loads((folder / "outline.json").read_text(encoding="utf-8")), SignalOutline)
+        return msgspec.convert(json.loads((folder / "outline.json").read_text(encoding="utf-8")), Outline)
     except (OSError, ValueError):
         return None
 
@@ -228,16 +298,16 @@ def _are_breaks(folder: Path, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _with_gaps(rows: Array, at: NDArray[np.int64]) -> Array:
-    """The rows with a row of NaN before each index ``at``; its time is that of the row before."""
+    """The rows with a row of NaN before each index ``at``; its time is in the middle."""
     at = at[(at > 0) & (at < len(rows))]
     gaps = np.full((at.size, 3), np.nan)
-    gaps[:, 0] = rows[at - 1, 0]
+    gaps[:, 0] = 0.5 * (rows[at - 1, 0] + rows[at, 0])
     return np.insert(rows, at, gaps, axis=0)
 
 
 def _breaks(run: Run) -> NDArray[np.int64]:
     """First samples of the stretches that follow the longest breaks, and sample 0."""
-    rows = np.concatenate([part.start + np.flatnonzero(run.begins[part]) for part in spans(run.size)])
+    rows = np.flatnonzero(run.begins)
     rows = rows[rows > 0]
     if rows.size > MOST_STRETCHES:
         size = np.abs(run.t[rows] - run.t[rows - 1])
@@ -253,7 +323,7 @@ def _shown_time(run: Run, path: Path) -> Array:
     """
     t = np.lib.format.open_memmap(path, mode="w+", dtype=np.float64, shape=(run.size,))
     shift, last = -float(run.t[0]), 0.0
-    for part in spans(run.size):
+    for part in _chunks(run.size):
         values = np.asarray(run.t[part])
         cuts = np.flatnonzero(np.diff(values, prepend=values[:1]) < 0.0)
         if part.start and values[0] + shift < last:
@@ -306,11 +376,16 @@ def _columns(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
 
 
 def _write_column(folder: Path, key: str, values: Any, size: int, levels: list[NDArray[np.int64]]) -> None:
-    """Write a column and its envelopes. The finest is made from the samples, each other one from the one before."""
+    """Write a column and its envelopes."""
     whole = np.lib.format.open_memmap(folder / f"{key}.npy", mode="w+", dtype=np.float64, shape=(size,))
-    for part in spans(size):
+    for part in _chunks(size):
         whole[part] = values[part]
-    low, high = _extremes(whole, whole, levels[0], size)
+    _write_envelopes(folder, key, whole, levels)
+
+
+def _write_envelopes(folder: Path, key: str, whole: Array, levels: list[NDArray[np.int64]]) -> None:
+    """The envelopes of a column. The finest is made from the samples, each other one from the one before."""
+    low, high = _extremes(whole, whole, levels[0], whole.size)
     np.save(folder / f"{key}-0.npy", np.column_stack((low, high)))
     for number, edges in enumerate(levels[1:], start=1):
         starts = np.searchsorted(levels[number - 1], edges)
@@ -331,19 +406,49 @@ def _extremes(low: Array, high: Array, starts: NDArray[np.int64], size: int) -> 
     return least, largest
 
 
-def _outline(run: Run, t: Array, signals: tuple[Signal, ...]) -> SignalOutline:
+def _outline(
+    run: Run, run_file: RunFile, t: Array, rows: NDArray[np.int64], signals: tuple[Signal, ...], thinned: int
+) -> Outline:
+    def at(row: int) -> float:
+        return float(t[min(int(np.searchsorted(rows, row)), run.size - 1)])
+
     edges = run.segment_edges()
-    segments = tuple(
-        (run.labels[int(run.segment_index[first])], float(t[first]), float(t[last - 1]))
+    positions = tuple(
+        Span(
+            run.labels[int(run.segment_index[first])], float(t[first]), float(t[last - 1]),
+            (int(rows[first]), int(rows[last - 1])),
+        )
         for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    )  # fmt: skip
+    left_out = tuple(
+        Span(entry.reason, at(entry.rows[0]), at(entry.rows[1] + 1), entry.rows)
+        for entry in run_file.data.leave_out
     )
-    findings = []
-    for event in run.quality.events:
-        at = None
-        if event.first_row is not None:
-            index = min(int(np.searchsorted(run.row, event.first_row)), run.size - 1)
-            at = float(t[index])
-        findings.append(Finding(event.kind, event.count, event.detail, at))
-    return SignalOutline(
-        signals, float(t[-1]), run.size, run.quality.rows, segments, tuple(findings), run.serial
+    findings = tuple(
+        Finding(event.kind, event.count, event.detail, None if event.first_row is None else at(event.first_row))
+        for event in run.quality.events
+        if event.kind != "left-out"  # those are drawn as spans
     )
+    kept = len(set(run.phase_group)) == 1 or run_file.model.phases == "per-segment"
+    rate = 1.0 / run.median_step if run.median_step else 0.0
+    return Outline(
+        signals, float(t[-1]), run.size, run.quality.rows, rate, positions, left_out,
+        tuple(_moves(run, t, rows, edges)), findings, kept, thinned,
+    )  # fmt: skip
+
+
+def _moves(run: Run, t: Array, rows: NDArray[np.int64], edges: NDArray[np.int64]) -> Iterator[Span]:
+    """Rows at the ends of each position in which the stand still moves.
+
+    There the specific force differs from its median of the position. A position that turns all the time has no such rows.
+    """
+    for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        force = np.asarray(run.f[first:last])
+        far = np.abs(force - np.median(force, axis=0)).max(axis=1) > MOVING
+        if not far.any() or far.mean() > 0.5:
+            continue
+        still = np.flatnonzero(~far)
+        for begin, end in ((first, first + still[0]), (first + still[-1] + 1, last)):
+            if end > begin:
+                name = run.labels[int(run.segment_index[first])]
+                yield Span(name, float(t[begin]), float(t[end - 1]), (int(rows[begin]), int(rows[end - 1])))

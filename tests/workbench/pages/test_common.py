@@ -1,29 +1,44 @@
-"""What all pages share: where the results of a job lie."""
+"""Typed numbers: the unit, the decimal comma, and what is refused."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from piga.workbench.folder import Folder, OutsideError
-from piga.workbench.jobs import Jobs
-from piga.workbench.pages.common import Workbench
-from piga.workbench.security import Door
-
-KEY = "0123456789abcdef01234567"
+from piga.errors import UnitError
+from piga.units import to_si
+from piga.workbench.pages.common import quantity
 
 
-@pytest.mark.parametrize("room", ["signals", "check", "terms", "lab"])
-def test_results_in_a_folder_of_any_name_have_their_place(tmp_path: Path, room: str) -> None:
-    """The marks of jobs that write no files begin with such names."""
-    folder = Folder(tmp_path)
-    bench = Workbench(folder, Jobs(folder.state_room("jobs"), folder.root), None, Door(1))
-    for mark in ("", f"signals/{KEY[:12]}-{KEY}", f"check/{KEY}", f"terms/{KEY}"):
-        assert bench.place_of(mark) is None
-    (tmp_path / room).mkdir()
-    assert bench.place_of(f"{room}/run-compensated.parquet") == tmp_path / room / "run-compensated.parquet"
-    (tmp_path / room / "p-plan").symlink_to(tmp_path.parent)
-    with pytest.raises(OutsideError):
-        bench.start(("plan", f"{room}/p.toml"), "Plan", f"{room}/p.toml", f"{room}/p-plan")
-    assert bench.jobs.all() == []
+@pytest.mark.parametrize(
+    ("written", "unit", "like", "value"),
+    [
+        ("0,8884", "rad/s/g", "rad/s/g", "0.8884 rad/s/g"),
+        ("0.8884 rad/s/g", "", "rad/s/g", "0.8884 rad/s/g"),
+        (" 52,3 ", "deg", "rad", "52.3 deg"),
+        ("-1e-3", "rad", "rad", "-1e-3 rad"),
+        ("\u22121", "deg", "rad", "-1 deg"),
+        ("72000", "", "1", "72000"),
+    ],
+)
+def test_a_number_with_its_unit(written: str, unit: str, like: str, value: str) -> None:
+    assert quantity(written, unit, like, "x") == value
+    to_si(value, like)
+
+
+@pytest.mark.parametrize(
+    ("written", "unit", "like", "words"),
+    [
+        ("0.8884", "", "rad/s/g", "the unit is missing"),
+        ("52.3", "", "rad", "the unit is missing"),
+        ("52.3", "s", "rad", "'s'"),
+        ("1.234,5", "deg", "rad", "not one number"),
+        ("1 deg", "rad", "rad", "the menu says"),
+        ("five", "deg", "rad", "does not begin with a number"),
+        ("1 furlong", "", "m", "furlong"),
+        ("<script>", "", "m", "does not begin"),
+        ("1e999", "m", "m", "too large|larger|finite"),
+    ],
+)
+def test_what_is_refused(written: str, unit: str, like: str, words: str) -> None:
+    with pytest.raises(UnitError, match=words):
+        quantity(written, unit, like, "x")

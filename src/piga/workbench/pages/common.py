@@ -1,57 +1,44 @@
-"""Code that all pages share: the opened folder, templates, form data, files, errors."""
+"""What all pages use: the opened folder, templates, form data, fields with units, files, errors."""
 
 from __future__ import annotations
 
 import re
-import secrets
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qsl
+from urllib.parse import parse_qsl, quote
 
-from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from piga._version import __version__
-from piga.errors import ArgumentError, PigaError
-from piga.workbench.folder import STATE_FOLDER, Folder, OutsideError
-from piga.workbench.jobs import BusyError, Job, Jobs, Status
-from piga.workbench.security import Door
+from piga.errors import ArgumentError, PigaError, UnitError
+from piga.reports.render.numbers import count, pretty_unit, printed, rounded, significant
+from piga.units import to_si
+from piga.workbench.folder import Folder, OutsideError
+from piga.workbench.history import ChangedError, History
+from piga.workbench.jobs import BusyError, Jobs
+from piga.workbench.security import REPORT_POLICY, Door
 
 MOST_FORM = 2 << 20
 """Largest form [bytes]."""
 MOST_FIELDS = 2000
 ASSETS = {
-    "workbench.css": "text/css",
+    "bench.css": "text/css",
     "uplot.min.css": "text/css",
-    "workbench.js": "text/javascript",
-    "signals.js": "text/javascript",
+    "bench.js": "text/javascript",
+    "picture.js": "text/javascript",
     "htmx.min.js": "text/javascript",
     "uplot.min.js": "text/javascript",
 }
 """Files that pages load, and their types."""
-MENU = (
-    ("/", "Records"),
-    ("/instrument", "Instruments"),
-    ("/plan", "Plan"),
-    ("/explore", "Explore"),
-    ("/twin", "Twin"),
-    ("/platform", "Platform"),
-    ("/jobs", "Jobs"),
-)
-"""Pages that need no record."""
-
-MARK = re.compile(r"(?:signals/[0-9a-f]{12}-|check/|terms/)[0-9a-f]{24}")
-"""Jobs with such a result write no files for the user."""
-TRIAL = re.compile(rf"{re.escape(STATE_FOLDER)}/trials/[0-9a-f]{{12}}")
-"""Results of a calibration that is not kept yet."""
+NUMBER = re.compile(r"\s*[-+\u2212]?(\d+([.,]\d*)?|[.,]\d+)(e[-+]?\d+)?\s*", re.IGNORECASE)
 
 
 class TooLargeError(ArgumentError):
@@ -63,92 +50,83 @@ STATUSES: dict[type[Exception], int] = {OutsideError: 404, BusyError: 429, TooLa
 
 
 @dataclass(frozen=True)
-class Workbench:
-    """What the pages work on."""
+class Bench:
+    """What the pages work on. ``answers``: the last answers of each record, the newest first."""
 
     folder: Folder
     jobs: Jobs
+    history: History
     door: Door
-
-    def new_trial(self) -> str:
-        """Name of a new folder for results that are not kept yet."""
-        return self.folder.name(self.folder.state_room("trials") / secrets.token_hex(6))
-
-    def place_of(self, result: str) -> Path | None:
-        """Where the results of a job lie, or will; None if it writes none.
-
-        Raises
-        ------
-        OutsideError
-            If this is outside of the folder.
-        """
-        if not result or MARK.fullmatch(result):
-            return None
-        if not TRIAL.fullmatch(result):
-            return self.folder.path(result)
-        place = self.folder.state_room("trials") / result.rpartition("/")[2]
-        if place.is_symlink():
-            raise OutsideError("the results of this job are a link", remedy="discard the job")
-        return place
-
-    def start(
-        self,
-        command: Sequence[str],
-        title: str,
-        subject: str,
-        result: str,
-        reads: Sequence[Path] | None = None,
-    ) -> Job:
-        """Start a job (:meth:`piga.workbench.jobs.Jobs.start`) whose results are written in the folder."""
-        self.place_of(result)
-        return self.jobs.start(command, title, subject, result, reads)
-
-    def listed(self, wanted: Callable[[Job], bool] = lambda _job: True) -> list[tuple[Job, Status]]:
-        """The wanted jobs, the newest first, and what became of them."""
-        return [(job, self.jobs.status(job)) for job in self.jobs.all() if wanted(job)]
+    answers: dict[str, list[str]] = field(default_factory=dict)
 
 
-def bench_of(request: Request) -> Workbench:
-    """The workbench that serves the request."""
-    bench: Workbench = request.app.state.bench
+def bench_of(request: Request) -> Bench:
+    """The bench that serves the request."""
+    bench: Bench = request.app.state.bench
     return bench
 
 
+def in_bytes(size: float) -> str:
+    """A size in words."""
+    for unit in ("bytes", "kB", "MB"):
+        if size < 1000.0:
+            return f"{size:.3g} {unit}"
+        size /= 1000.0
+    return f"{size:.3g} GB"
+
+
+def value_text(value: float, u: float) -> str:
+    """A value rounded by its standard uncertainty, in print."""
+    return printed(rounded(value, u).value)
+
+
+def u_text(value: float, u: float) -> str:
+    """The standard uncertainty of a value, in print."""
+    return printed(rounded(value, u).uncertainty)
+
+
+def concise(value: float, u: float) -> str:
+    """A value with its standard uncertainty in brackets, in units of the last digits."""
+    return printed(rounded(value, u).concise)
+
+
+def number_text(value: float, digits: int = 4) -> str:
+    """A number in print."""
+    return printed(significant(value, digits))
+
+
+def moment(seconds: float) -> str:
+    """A time in the zone of this machine."""
+    return time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds))
+
+
 @lru_cache(maxsize=1)
-def _environment() -> Any:
+def environment() -> Any:
+    """The templates. Every value is escaped."""
     import jinja2
 
     def text(name: str) -> str:
         return resources.files("piga.workbench").joinpath("templates", name).read_text(encoding="utf-8")
 
-    environment = jinja2.Environment(
+    made = jinja2.Environment(
         loader=jinja2.FunctionLoader(text), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    environment.filters["bytes"] = in_bytes
-    environment.filters["moment"] = moment
-    return environment
+    filters = {"bytes": in_bytes, "unit": pretty_unit, "count": count, "number": number_text, "moment": moment}
+    made.filters |= filters | {"path": lambda name: quote(name, safe="/")}
+    made.globals |= {"concise": concise, "value_text": value_text, "u_text": u_text, "version": __version__}
+    return made
 
 
 def render(request: Request, template: str, code: int = 200, **values: Any) -> Response:
-    """A page from its template. Every value is escaped."""
+    """A page from its template."""
     bench = bench_of(request)
-    text = (
-        _environment()
-        .get_template(template)
-        .render(
-            menu=MENU,
-            at=request.url.path,
-            folder=bench.folder.root.name,
-            version=__version__,
-            **values,
-        )
-    )
-    return HTMLResponse(text, status_code=code)
+    known = {"folder": bench.folder.root.name, "undo": bench.history.last, "at": request.url.path, "live": True}
+    return HTMLResponse(environment().get_template(template).render(known | values), status_code=code)
 
 
-async def sent_form(request: Request, most: int = MOST_FORM) -> dict[str, list[str]]:
-    """The fields of a sent form of at most ``most`` bytes, each with its values.
+async def sent_form(request: Request) -> dict[str, list[str]]:
+    """The fields of a sent form, each with its values.
 
     Raises
     ------
@@ -158,8 +136,8 @@ async def sent_form(request: Request, most: int = MOST_FORM) -> dict[str, list[s
     body = bytearray()
     async for part in request.stream():
         body += part
-        if len(body) > most:
-            raise ArgumentError("the form is too large", remedy=f"send at most {in_bytes(most)}")
+        if len(body) > MOST_FORM:
+            raise ArgumentError("the form is too large", remedy=f"send at most {in_bytes(MOST_FORM)}")
     try:
         pairs = parse_qsl(
             body.decode("utf-8"), keep_blank_values=True, strict_parsing=bool(body), max_num_fields=MOST_FIELDS,
@@ -175,8 +153,31 @@ async def sent_form(request: Request, most: int = MOST_FORM) -> dict[str, list[s
 
 def only(fields: Mapping[str, list[str]], name: str, default: str = "") -> str:
     """The value of a field that is sent once."""
-    values = fields.get(name, [default])
-    return values[-1]
+    return fields.get(name, [default])[-1]
+
+
+def quantity(written: str, unit: str, like: str, what: str) -> str:
+    """A typed number with the unit of its menu, as a run file has it. A decimal comma is accepted.
+
+    Raises
+    ------
+    UnitError
+        If there is no unit, or one of another kind; the words are for the field.
+    """
+    text = written.strip().replace("\u2212", "-")
+    number = re.match(r"[-+\d.,]+(?:[eE][-+]?\d+)?", text)
+    if number is None:
+        raise UnitError(f"{text[:40]!r} does not begin with a number", remedy=f"e.g. 1 {like}")
+    head, rest = number[0], text[number.end() :].strip()
+    if not NUMBER.fullmatch(head):
+        raise UnitError(f"{head[:40]!r} is not one number", remedy="write no separators between thousands")
+    if not rest and not unit and like != "1":
+        raise UnitError("the unit is missing", remedy="choose it in the menu beside the number")
+    if rest and unit and rest != unit:
+        raise UnitError(f"the number has the unit {rest[:20]!r}, the menu says {unit!r}", remedy="choose one")
+    value = f"{head.replace(',', '.')} {rest or unit}".strip()
+    to_si(value, like, what=what)
+    return value
 
 
 def error_page(request: Request, error: Exception) -> Response:
@@ -189,49 +190,22 @@ def error_page(request: Request, error: Exception) -> Response:
     elif isinstance(error, PigaError):
         text, _, remedy = str(error).partition("\n  remedy: ")
     elif isinstance(error, OSError):
-        status, text = 500, f"{error.filename or 'a file'}: {error.strerror or error}"
+        status, text = 422, f"{error.filename or 'a file'}: {error.strerror or error}"
     else:
-        status, text = 500, "This is an error of the workbench. The terminal of piga ui shows more."
-    template = "message.html.jinja" if request.headers.get("hx-request") else "error.html.jinja"
-    return render(request, template, status, text=text, remedy=remedy)
+        status, text = 500, "This is an error of the bench. The terminal of piga ui shows more."
+    part = "message.html.jinja" if request.headers.get("hx-request") else "error.html.jinja"
+    return render(request, part, status, text=text, remedy=remedy)
+
+
+def changed_page(request: Request, error: Exception) -> Response:
+    """A file was changed meanwhile: what changed. The page is reloaded; what was typed is in the browser's Back."""
+    assert isinstance(error, ChangedError)  # noqa: S101  its handler
+    return render(request, "changed.html.jinja", 409, error=error, again=request.headers.get("referer", "/"))
 
 
 def gone_page(_request: Request, _error: Exception) -> Response:
     """The answer to a request that ended before it was whole; nobody reads it."""
     return Response(status_code=400)
-
-
-def in_bytes(size: int) -> str:
-    """A size in words."""
-    value = float(size)
-    for unit in ("bytes", "kB", "MB"):
-        if value < 1000.0:
-            return f"{value:.3g} {unit}"
-        value /= 1000.0
-    return f"{value:.3g} GB"
-
-
-def moment(job: Job) -> str:
-    """When a job began, in the time of this machine."""
-    try:
-        return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(job.started))
-    except (OSError, OverflowError, ValueError):
-        return job.key
-
-
-async def start_job(
-    request: Request,
-    command: Sequence[str],
-    title: str,
-    subject: str,
-    result: str = "",
-    reads: Sequence[Path] | None = None,
-    *,
-    page: str = "jobs",
-) -> Response:
-    """Start a job (:meth:`Workbench.start`) and go to its page, below ``page``."""
-    job = await run_in_threadpool(bench_of(request).start, command, title, subject, result, reads)
-    return redirect(request, f"/{page}/{job.key}")
 
 
 def redirect(request: Request, to: str) -> Response:
@@ -241,25 +215,23 @@ def redirect(request: Request, to: str) -> Response:
     return RedirectResponse(to, status_code=303)
 
 
+def result_file(bench: Bench, path: Path, *, draft: bool = False) -> Response:
+    """A result file: a page in a frame without any rights, everything else to save."""
+    raw = bench.folder.read(path)
+    if path.suffix == ".html":
+        mark = environment().get_template("draft.html.jinja").render().encode() if draft else b""
+        return Response(raw + mark, media_type="text/html", headers={"content-security-policy": REPORT_POLICY})
+    headers = {"content-disposition": f"attachment; filename*=utf-8''{quote(path.name)}"}
+    return Response(raw, media_type="application/octet-stream", headers=headers)
+
+
 def asset(request: Request) -> Response:
-    """A script or style sheet of the workbench."""
+    """A script or style sheet of the bench."""
     name = request.path_params["name"]
     if name not in ASSETS:
         raise HTTPException(404)
-    text = _asset(name)
-    headers = {"cache-control": "max-age=3600"}
-    return Response(text, media_type=ASSETS[name], headers=headers)
-
-
-@lru_cache(maxsize=len(ASSETS))
-def _asset(name: str) -> str:
     text = resources.files("piga.workbench").joinpath("assets", name).read_text(encoding="utf-8")
-    if name != "workbench.css":
-        return text
-    from piga.reports.render.figure import css_variables
-
-    dark = f"@media (prefers-color-scheme: dark) {{ :root {{ {css_variables(dark=True)} }} }}"
-    return f":root {{ {css_variables(dark=False)} }}\n{dark}\n{text}"
+    return Response(text, media_type=ASSETS[name], headers={"cache-control": "max-age=3600"})
 
 
 def health(_request: Request) -> Response:

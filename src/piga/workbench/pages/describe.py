@@ -1,7 +1,11 @@
-"""Describe: what a log holds and which unit it has; the run file as a form and as text."""
+"""A log that no run file describes: what each column seems to hold, and the questions that the log leaves open.
+
+The guesses are those of ``piga init``. A column is corrected at the column, a question is answered at its field.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -11,219 +15,249 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from piga.describe import LogDescription, RunFileDraft, describe_log, draft_run_file, setting
+from piga.describe import ColumnGuess, LogDescription, RunFileDraft, describe_log, draft_run_file, try_run_file
 from piga.describe.columns import WORDS
-from piga.describe.draft import FILES
 from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
-from piga.records.text_files import toml_document, toml_value
+from piga.records.text_files import toml_document
 from piga.workbench.folder import Folder
-from piga.workbench.forms import digest, form_of_text, form_values, sent_text, text_with, typed_text
-from piga.workbench.pages.common import bench_of, only, redirect, render, sent_form
-from piga.workbench.pages.jobs import CHECK, ask
+from piga.workbench.pages.common import bench_of, number_text, only, quantity, redirect, render, sent_form
+from piga.workbench.pages.record import left
 
-ROWS = 8
+ROWS = 6
 """Rows of the preview."""
+UNITS = {
+    "instrument.scale_factor": ("rad/s/g", ("rad/s/g", "deg/s/g", "rev/s/g", "deg/h/g")),
+    "data.sample_rate": ("Hz", ("Hz", "kHz")),
+    "stand.latitude": ("deg", ("deg", "rad")),
+    "stand.height": ("m", ("m", "km")),
+    "stand.radius": ("m", ("m", "cm", "mm")),
+    "instrument.counts_per_revolution": ("1", ()),
+}
+"""A unit of the kind that a question asks for, and the units of its menu."""
+COLUMN_UNITS = {
+    "time": ("s", "ms", "us", "min", "h"),
+    "counts": (),
+    "angle": ("deg", "rad", "rev", "arcmin", "arcsec", "mrad"),
+    "rate": ("deg/s", "rad/s", "rev/s", "rpm", "deg/h"),
+    "force": ("g", "m/s^2", "mg", "ug"),
+    "base-rate": ("deg/s", "rad/s", "deg/h", "rpm"),
+    "temperature": ("degC", "K"),
+    "stand-angle": ("deg", "rad"),
+    "stand-speed": ("rpm", "rad/s", "deg/s"),
+}
+"""Units of the menu of a column, by its kind."""
+AXES = ("force", "base-rate")
 TAKEN_OVER = ("instrument", "stand", "uncertainty")
 """Tables that an earlier run file can give."""
 
 
-def show(request: Request) -> Response:
-    """A log with the draft of its run file, or a run file to correct."""
-    folder, name = bench_of(request).folder, request.path_params["name"]
-    if name.endswith(".toml"):
-        path = folder.file(name)
-        return _run_file_page(request, name, path.read_text(encoding="utf-8", errors="replace"))
-    return _written_page(request, name) or _draft_page(request, name, {})
+@dataclass(frozen=True)
+class Field:
+    """A question: key, words, what was typed, the chosen unit and the menu, and why the entry is refused."""
+
+    key: str
+    words: str
+    example: str
+    typed: str = ""
+    unit: str = ""
+    units: tuple[str, ...] = ()
+    refusal: str = ""
 
 
-def _run_file_page(request: Request, name: str, text: str, message: str = "", code: int = 200) -> Response:
-    bench = bench_of(request)
-    form = form_of_text(text, "run", message)
-    check, faulty = None, ""
-    if not form.message:
-        try:
-            read_run_file(bench.folder.toml(name))
-            check = ask(bench, name, CHECK, always="again" in request.query_params)
-        except (PigaError, OSError) as error:
-            faulty = str(error)
-    page = "check-part" if request.headers.get("hx-request") else "describe-run"
-    return render(
-        request, f"describe/{page}.html.jinja", code, name=name, form=form, check=check, faulty=faulty,
-        back=f"/describe/{quote(name)}",
-    )  # fmt: skip
+@dataclass
+class Sheet:
+    """The page of a log: its description with corrected columns, the draft of its run file, and the questions."""
+
+    described: LogDescription
+    draft: RunFileDraft
+    fields: list[Field]
+    message: str = ""
+
+    @property
+    def complete(self) -> bool:
+        """True if the run file can be written."""
+        return not self.draft.open and not self.message and not any(field.refusal for field in self.fields)
 
 
-def _written_page(request: Request, name: str) -> Response | None:
-    """The page of a run file that is being written, or None if none is."""
-    bench = bench_of(request)
-    job = bench.jobs.get(request.query_params.get("job", ""))
-    if job is None or job.command[:2] != ("init", name):
-        return None
-    status = bench.jobs.status(job)
-    if status.state == "done":
-        return redirect(request, f"/describe/{quote(job.result)}")
-    if status.state == "running":
-        return render(request, "describe/describe-wait.html.jinja", name=name, job=job, status=status)
-    given = dict(word.removeprefix("--set=").split("=", 1) for word in job.command if word.startswith("--set="))
-    message = bench.jobs.text(job, "err") or "It was stopped. Nothing was written."
-    return _draft_page(request, name, given, message)
+def roles() -> list[tuple[str, str]]:
+    """The choices of a column's menu: a value and its words."""
+    choices = []
+    for kind, words in WORDS.items():
+        choices += (
+            [(f"{kind}:{i}", f"{words} {'XYZ'[i]}0") for i in range(3)] if kind in AXES else [(kind, words)]
+        )
+    return choices
 
 
-def _draft_page(
-    request: Request, name: str, given: dict[str, str], message: str = "", code: int = 200
-) -> Response:
-    """The page of a log: its columns, the questions that are open, and the run file so far."""
-    folder = bench_of(request).folder
+def role(column: ColumnGuess) -> str:
+    """The choice of a column."""
+    return f"{column.kind}:{column.axis}" if column.kind in AXES and column.axis is not None else column.kind
+
+
+def sheet(folder: Folder, name: str, fields: dict[str, list[str]]) -> Sheet:
+    """Describe a log with the corrections and answers of a form."""
     log = folder.file(name)
     described = describe_log(log)
-    draft, message = _draft(described, given, message)
-    target = log.with_name(f"{log.name.split('.')[0]}.toml")
-    others = [entry.name for entry in folder.entries() if entry.state in ("ready", "calibrated")]
+    columns = []
+    for index, guess in enumerate(described.columns):
+        column: Any = guess
+        kind, _, axis = only(fields, f"role:{index}", role(column)).partition(":")
+        unit = only(fields, f"unit:{index}", column.unit)
+        if kind in WORDS and (kind, axis) != tuple(role(column).partition(":")[::2]):
+            column = replace(
+                column, kind=kind, axis=int(axis) if axis in "012" and axis else None, reason="as you said"
+            )
+            unit = unit if unit in COLUMN_UNITS.get(kind, ()) else ""
+        columns.append(replace(column, unit=unit))
+    described = replace(described, columns=tuple(columns))
+    taken = only(fields, "take")
+    settings: dict[str, Any] = _taken(folder, taken) if taken else {}
+    asked: dict[str, Field] = {}
+    message = ""
+    for key in [one.removeprefix("q:") for one in fields if one.startswith("q:")]:
+        typed, unit = only(fields, f"q:{key}").strip(), only(fields, f"u:{key}")
+        like, units = UNITS.get(key, ("1", ()))
+        asked[key] = Field(key, "", "", typed, unit, units)
+        if typed:
+            try:
+                settings[key] = _value(key, quantity(typed, unit, like, key))
+                draft_run_file(described, settings, folder=log.parent)
+            except PigaError as error:
+                settings.pop(key, None)
+                words = (
+                    f"{error.message}. {error.remedy[:1].upper()}{error.remedy[1:]}."
+                    if error.remedy
+                    else error.message
+                )
+                asked[key] = replace(asked[key], refusal=words)
+    try:
+        draft = draft_run_file(described, settings, folder=log.parent)
+        read_run_file(log.with_suffix(".toml"), draft.completed().text().encode())
+    except PigaError as error:
+        message = str(error)
+        draft = draft_run_file(describe_log(log), {}, folder=log.parent)
+    questions = {one.key: one for one in draft.open if one.key in UNITS}
+    if (
+        "stand" in draft.document
+        and "height" not in draft.document["stand"]
+        and "stand.latitude" in asked | questions
+    ):
+        asked.setdefault("stand.height", Field("stand.height", "", ""))
+    shown = []
+    for key in dict.fromkeys((*asked, *questions)):
+        known = asked.get(key, Field(key, "", ""))
+        words, example = _words(key)
+        shown.append(replace(known, words=words, example=example, units=UNITS.get(key, ("1", ()))[1]))
+    return Sheet(described, draft, shown, message)
+
+
+def _value(key: str, text: str) -> Any:
+    """A value as the run file has it: a whole number for counts, else text."""
+    if key == "instrument.counts_per_revolution":
+        if not text.isdigit():
+            raise ArgumentError(f"{text!r} is not a whole number", remedy="e.g. 72000")
+        return int(text)
+    return text
+
+
+def _words(key: str) -> tuple[str, str]:
+    from piga.describe.draft import QUESTIONS
+
+    if key in QUESTIONS:
+        return QUESTIONS[key].words, QUESTIONS[key].example
+    return {"stand.height": ("height of the laboratory above sea level (if you know it)", "320 m")}.get(
+        key, (key, "")
+    )
+
+
+def _taken(folder: Folder, name: str) -> dict[str, Any]:
+    """Instrument, stand and uncertainties of another run file, as settings."""
+    document = toml_document(folder.toml(name))
+    return {
+        f"{table}.{key}": value
+        for table in TAKEN_OVER
+        for key, value in document.get(table, {}).items()
+        if isinstance(document.get(table), dict)
+    }
+
+
+def show(request: Request) -> Response:
+    """The page of a log."""
+    return _page(request, request.path_params["name"], {})
+
+
+def _page(
+    request: Request, name: str, fields: dict[str, list[str]], message: str = "", code: int = 200
+) -> Response:
+    bench = bench_of(request)
+    values = left(bench, name)
+    try:
+        made = sheet(bench.folder, name, fields)
+    except PigaError as error:
+        if not bench.folder.path(name).is_file():
+            raise
+        return render(request, "log-faulty.html.jinja", 422, **values, message=str(error))
+    others = [entry.name for entry in bench.folder.entries() if entry.state in ("ready", "kept")]
+    open_columns = [one for one in made.draft.open if one.key not in UNITS]
+    notes = [line for lines in made.draft.comments.values() for line in lines if line.startswith("CHECK")]
+    part = "log-part.html.jinja" if request.headers.get("hx-request") else "log.html.jinja"
     return render(
-        request, "describe/describe-log.html.jinja", code, name=name, described=described, preview=_preview(described),
-        draft=draft, given=given, message=message, target=folder.name(target), taken=target.exists(),
-        form=form_of_text(draft.text(), "run"), others=others, words=WORDS,
+        request, part, code, **values, sheet=made, roles=roles(), role=role, column_units=COLUMN_UNITS, rows=_preview(made),
+        others=others, message=message or made.message, open_columns=open_columns, notes=notes, took=only(fields, "take"),
     )  # fmt: skip
 
 
-def _draft(described: LogDescription, given: dict[str, str], message: str) -> tuple[RunFileDraft, str]:
-    """The draft with what was given; what cannot be used is left out and said."""
-    settings: dict[str, Any] = {}
-    for key, value in given.items():
-        try:
-            settings |= dict([setting(f"{key}={value}")])
-            draft_run_file(described, settings, folder=described.path.parent)
-        except PigaError as error:
-            settings.pop(key, None)
-            message = message or str(error)
-    return draft_run_file(described, settings, folder=described.path.parent), message
-
-
-def _preview(described: LogDescription) -> list[list[str]]:
-    """The first values of each number column, as they were read."""
-    columns = [described.numbers.get(column.name) for column in described.columns]
+def _preview(made: Sheet) -> list[list[str]]:
+    """The first values of each column, as they were read."""
+    layout, numbers = made.described.layout, made.described.numbers
+    columns = []
+    for column in made.described.columns:
+        if layout is not None and column.name in layout.sample:
+            columns.append([str(cell)[:24] for cell in layout.sample[column.name][:ROWS]])
+        elif column.name in numbers:
+            columns.append([number_text(float(value), 7) for value in numbers[column.name][:ROWS]])
+        else:
+            columns.append([column.example[:24]])
     return [
-        ["" if values is None or len(values) <= row else f"{values[row]:.9g}" for values in columns]
-        for row in range(ROWS)
+        [cells[row] if row < len(cells) else "" for cells in columns]
+        for row in range(max(map(len, columns), default=0))
     ]
 
 
-async def sync(request: Request) -> Response:
-    """Form and text after one of them was changed: the other one follows."""
-    fields = await sent_form(request)
-    text, file = typed_text(fields), only(fields, "file")
-    if file not in FILES:
-        raise ArgumentError(f"{file!r}: is no kind of file", remedy="reload the page")
-    message = ""
-    if only(fields, "side") == "form":
-        try:
-            text = text_with(text, form_values(fields), file)
-        except PigaError as error:
-            message = str(error)
-    return render(request, "describe/both.html.jinja", form=form_of_text(text, file, message))
-
-
 async def change(request: Request) -> Response:
-    """Draft anew with the answers, or write the run file."""
-    name = request.path_params["name"]
+    """Draw the page anew with the corrections and answers, or write the run file."""
     fields = await sent_form(request)
-    word = only(fields, "do")
-    if word not in ("draft", "take", "check", "phase"):
-        raise ArgumentError(f"{word!r}: is not a command of this page", remedy="use its buttons")
-    answer = _change_run_file if name.endswith(".toml") else _change_draft
-    return await run_in_threadpool(answer, request, name, word, fields)
+    return await run_in_threadpool(_change, request, request.path_params["name"], fields)
 
 
-def _change_run_file(request: Request, name: str, word: str, fields: dict[str, list[str]]) -> Response:
-    folder = bench_of(request).folder
-    text = typed_text(fields)
-    try:
-        text = sent_text(fields, "run")
-        if word == "phase":
-            text = text_with(folder.file(name).read_text(encoding="utf-8"), {"model.phases": '"per-segment"'})
-        _save(folder, name, text, new=False)
-    except PigaError as error:
-        return _run_file_page(request, name, text, str(error), 422)
-    return redirect(request, f"/describe/{quote(name)}")
-
-
-def _change_draft(request: Request, name: str, word: str, fields: dict[str, list[str]]) -> Response:
+def _change(request: Request, name: str, fields: dict[str, list[str]]) -> Response:
     bench = bench_of(request)
-    given = {
-        key.removeprefix("set:"): values[-1].strip()
-        for key, values in fields.items()
-        if key.startswith("set:") and values[-1].strip()
-    }
-    extra = only(fields, "correction").strip()
-    if extra:
-        key, _, value = extra.partition("=")
-        given[key.strip()] = value.strip()
-    if word == "take":
-        given |= _taken_over(bench.folder, bench.folder.file(name), only(fields, "from"))
-    if word != "check":
-        return _draft_page(request, name, given)
-    target = only(fields, "target")
+    if only(fields, "do") != "write":
+        return _page(request, name, fields)
+    made = sheet(bench.folder, name, fields)
+    if not made.complete:
+        return _page(request, name, fields, code=422)
+    log = bench.folder.file(name)
+    target = _free(bench.folder, log)
     try:
-        _check_target(bench.folder, target)
-        text = sent_text(fields, "run")
-        if digest(text) != only(fields, "drafted"):
-            answers = {key: value for key, value in given.items() if key in only(fields, "asked").split()}
-            _save(bench.folder, target, text_with(text, answers), new=True)
-            return redirect(request, f"/describe/{quote(target)}")
-        draft, message = _draft(describe_log(bench.folder.file(name)), given, "")
-        if message or draft.open:
-            still = "; ".join(question.words for question in draft.open)
-            return _draft_page(request, name, given, message or f"The log does not say: {still}.", 422)
+        try_run_file(made.draft, target)
     except PigaError as error:
-        return _draft_page(request, name, given, str(error), 422)
-    settings = [f"--set={key}={value}" for key, value in given.items()]
-    job = bench.jobs.start(("init", name, *settings, "--yes", "--out", target), "Describe", name, target)
-    return redirect(request, f"/describe/{quote(name)}?job={job.key}")
+        return _page(request, name, fields, str(error), 422)
+    bench.history.write(bench.folder.name(target), "", made.draft.text(), f"describe {log.name}")
+    return redirect(request, f"/record/{quote(bench.folder.name(target))}")
 
 
-def _taken_over(folder: Folder, log: Path, name: str) -> dict[str, str]:
-    """Instrument and uncertainties of another run file, as settings of a draft; the stand, if the log has no reference."""
-    document = toml_document(folder.toml(name))
-    draft = draft_run_file(describe_log(log), {}, folder=log.parent)
-    tables = ("instrument", "uncertainty") if "reference" in draft.document["data"] else TAKEN_OVER
-    return {
-        f"{table}.{key}": toml_value(value)
-        for table in tables
-        for key, value in document.get(table, {}).items()
-    }
-
-
-def _check_target(folder: Folder, name: str) -> Path:
-    """The path of a new run file.
-
-    Raises
-    ------
-    ArgumentError
-        If the name is not one, or is taken.
-    """
-    path = folder.path(name)
-    if path.suffix != ".toml":
-        raise ArgumentError(f"{name}: the name must end in .toml", remedy="e.g. run.toml")
-    if path.exists():
-        raise ArgumentError(f"{name}: exists already", remedy="choose another name")
-    return path
-
-
-def _save(folder: Folder, name: str, text: str, *, new: bool) -> None:
-    """Write a run file, if it is one.
-
-    Raises
-    ------
-    PigaError
-        If the text is not a valid run file, or would replace one. Nothing is written then.
-    """
-    path = _check_target(folder, name) if new else folder.path(name)
-    folder.write_toml(path, text, read_run_file, new=new)
+def _free(folder: Folder, log: Path) -> Path:
+    """A free name for the run file of a log."""
+    stem = log.name.split(".")[0].encode()[:100].decode("utf-8", "ignore") or "run"
+    names = (f"{stem}.toml", *(f"{stem}-{number}.toml" for number in range(2, 1000)))
+    return next(
+        path for path in (folder.path(folder.name(log.with_name(name))) for name in names) if not path.exists()
+    )
 
 
 ROUTES = [
-    Route("/form", sync, methods=["POST"]),
-    Route("/describe/{name:path}", show, methods=["GET"]),
-    Route("/describe/{name:path}", change, methods=["POST"]),
+    Route("/log/{name:path}", show, methods=["GET"]),
+    Route("/log/{name:path}", change, methods=["POST"]),
 ]

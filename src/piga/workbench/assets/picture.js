@@ -1,0 +1,170 @@
+"use strict";
+// A record as a picture: envelopes from the server for any span, positions as bands, spans that are left out or move.
+const startPicture = () => {
+  const page = document.getElementById("figures");
+  if (!page || page.dataset.ready) return;
+  page.dataset.ready = "1";
+  const record = JSON.parse(page.dataset.drawn);
+  const duration = record.duration;
+  const find = (id) => document.getElementById(id);
+  const roles = { "specific force": ["--role-x", "--role-y", "--role-z"], "base rate": ["--role-x", "--role-y", "--role-z"] };
+  let shown = [0, duration];
+  let wanted = 0;
+  let marked = null;
+  const groups = new Map();
+  for (const signal of record.signals) groups.set(signal.group, [...(groups.get(signal.group) || []), signal]);
+
+  const pictures = [...groups].map(([group, signals]) => {
+    const figure = document.createElement("figure");
+    figure.className = "signal";
+    const caption = document.createElement("figcaption");
+    const colours = roles[group] || ["--role-after"];
+    signals.forEach((signal, index) => {
+      const name = document.createElement("span");
+      name.className = "key";
+      name.style.setProperty("--key", `var(${colours[index % 3]})`);
+      name.textContent = signal.title;
+      caption.append(name);
+    });
+    const unit = document.createElement("span");
+    unit.className = "soft";
+    unit.textContent = signals[0].unit;
+    caption.append(unit);
+    const place = document.createElement("div");
+    place.className = "plot";
+    place.setAttribute("role", "img");
+    place.setAttribute("aria-label", `${signals.map((one) => one.title).join(", ")} against time`);
+    figure.append(caption, place);
+    page.append(figure);
+    return { figure, place, signals, colours, plot: null };
+  });
+
+  const at = (time) => record.positions.find((one) => one.first <= time && time <= one.last);
+  const readout = (u) => {
+    const time = u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null;
+    if (time === null) return;
+    const position = at(time);
+    const values = pictures.flatMap((picture) => picture.signals.map((signal, index) => {
+      const found = picture.plot && picture.plot.data[1 + 2 * index] ? picture.plot.data[1 + 2 * index][picture.plot.valToIdx(time)] : null;
+      return found === null || found === undefined ? "" : `${signal.title} ${found.toPrecision(7).replace("-", "\u2212")} ${signal.unit}`;
+    }));
+    find("readout").textContent = [`${time.toFixed(3)} s`, position ? `position ${position.name}` : "between positions", ...values].filter(Boolean).join(" · ");
+  };
+
+  const band = (u, one, fill, label) => {
+    const left = Math.max(u.valToPos(one.first, "x", true), u.bbox.left);
+    const right = Math.min(u.valToPos(one.last, "x", true), u.bbox.left + u.bbox.width);
+    if (right < u.bbox.left || left > u.bbox.left + u.bbox.width) return;
+    u.ctx.fillStyle = fill;
+    u.ctx.fillRect(left, u.bbox.top, Math.max(right - left, 2), u.bbox.height);
+    if (!label) return;
+    u.ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+    if (u.ctx.measureText(label).width > right - left - 4) return;
+    u.ctx.fillStyle = colour("--soft");
+    u.ctx.textAlign = "center";
+    u.ctx.fillText(label, (left + right) / 2, u.bbox.top + 13 * devicePixelRatio);
+  };
+  const bands = (u) => {
+    u.ctx.save();
+    record.positions.forEach((one, index) => band(u, one, index % 2 ? colour("--band") : "transparent", one.name));
+    record.left_out.forEach((one) => band(u, one, colour("--left-out"), `left out: ${one.name}`));
+    record.moves.forEach((one) => band(u, one, colour("--moves"), "moves"));
+    if (marked) band(u, { first: marked[0], last: marked[1] }, colour("--left-out"), "marked");
+    u.ctx.strokeStyle = colour("--bad");
+    u.ctx.setLineDash([4, 4]);
+    for (const time of record.findings.filter((one) => one >= shown[0] && one <= shown[1])) {
+      const x = Math.round(u.valToPos(time, "x", true));
+      u.ctx.beginPath(); u.ctx.moveTo(x, u.bbox.top); u.ctx.lineTo(x, u.bbox.top + u.bbox.height); u.ctx.stroke();
+    }
+    u.ctx.restore();
+  };
+
+  const draw = (picture, data) => {
+    if (picture.plot) {
+      picture.plot.setData(data, false);
+      picture.plot.setScale("x", { min: shown[0], max: shown[1] });
+      return;
+    }
+    const series = [{}];
+    const between = [];
+    picture.signals.forEach((signal, index) => {
+      const stroke = () => colour(picture.colours[index % 3]);
+      for (let one = 0; one < 2; one += 1) series.push({ stroke, width: 1.25, points: { show: false } });
+      between.push({ series: [2 * index + 2, 2 * index + 1], fill: () => `color-mix(in srgb, ${stroke()} 35%, transparent)` });
+    });
+    picture.plot = new uPlot({
+      width: picture.place.clientWidth, height: 200, series, bands: between,
+      scales: { x: { time: false, auto: false, min: shown[0], max: shown[1] } },
+      axes: [{ ...axisStyle(), label: "time since the first sample [s]", labelSize: 22, size: 40 }, { ...axisStyle(), label: picture.signals[0].unit, labelSize: 22, size: 70 }],
+      legend: { show: false },
+      cursor: { sync: { key: "record" }, drag: { x: true, y: false, setScale: false } },
+      hooks: {
+        setCursor: [readout],
+        setSelect: [(u) => {
+          const ends = [u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x")];
+          if (u.select.width > 3) (marking() ? mark : show)(...ends);
+          u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+        }],
+        drawAxes: [bands],
+      },
+    }, data, picture.place);
+  };
+
+  const load = async (picture, turn) => {
+    const width = Math.min(Math.max(200, Math.round(picture.place.clientWidth * devicePixelRatio)), 4096);
+    const keys = picture.signals.map((one) => one.key).join(",");
+    const answer = await fetch(`${page.dataset.source}?keys=${keys}&from=${shown[0]}&to=${shown[1]}&width=${width}`).catch(() => null);
+    if (!answer || !answer.ok || turn !== wanted) return;
+    const columns = Number(answer.headers.get("x-columns"));
+    const values = new Float64Array(await answer.arrayBuffer());
+    if (turn !== wanted) return;
+    const data = Array.from({ length: columns }, (unused, column) => Array.from({ length: values.length / columns }, (none, row) => {
+      const value = values[row * columns + column];
+      return Number.isNaN(value) ? null : value;
+    }));
+    draw(picture, data);
+    picture.figure.dataset.points = String(values.length / columns);
+  };
+
+  const show = (first, last) => {
+    const size = Math.min(Math.max(last - first, 1e-9 * duration + 1e-6), duration);
+    const from = Math.min(Math.max(first, 0), duration - size);
+    shown = [from, from + size];
+    wanted += 1;
+    const turn = wanted;
+    page.dataset.shown = `${from.toPrecision(6)} to ${(from + size).toPrecision(6)}`;
+    return Promise.all(pictures.map((picture) => load(picture, turn)));
+  };
+
+  const form = find("leave-out");
+  const marking = () => find("mark").getAttribute("aria-pressed") === "true";
+  const redraw = () => pictures.forEach((picture) => picture.plot && picture.plot.redraw());
+  const mark = (first, last) => {
+    form.elements.from.value = first.toFixed(4);
+    form.elements.to.value = last.toFixed(4);
+    marked = [first, last];
+    redraw();
+  };
+  find("mark").addEventListener("click", () => {
+    find("mark").setAttribute("aria-pressed", String(!marking()));
+    form.hidden = !marking();
+    marked = null;
+    if (marking()) mark(...shown);  // without a mouse: the span that is shown
+    else redraw();
+  });
+  find("position").addEventListener("change", (event) => {
+    const one = record.positions[event.target.value] || { first: 0, last: duration };
+    show(one.first, one.last).then(() => { if (marking()) mark(one.first, one.last); });
+  });
+  const moves = {
+    earlier: (a, b) => [a - (b - a) / 2, b - (b - a) / 2], later: (a, b) => [a + (b - a) / 2, b + (b - a) / 2],
+    in: (a, b) => [a + (b - a) / 4, b - (b - a) / 4], out: (a, b) => [a - (b - a) / 2, b + (b - a) / 2], all: () => [0, duration],
+  };
+  document.querySelectorAll("[data-move]").forEach((button) => button.addEventListener("click", () => show(...moves[button.dataset.move](...shown))));
+  document.querySelectorAll(".go").forEach((button) => button.addEventListener("click", () => show(Number(button.dataset.time) - duration / 100, Number(button.dataset.time) + duration / 100)));
+  new ResizeObserver(() => pictures.forEach((picture) => picture.plot && picture.plot.setSize({ width: picture.place.clientWidth, height: 200 }))).observe(page);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+  show(0, duration);
+};
+document.addEventListener("DOMContentLoaded", startPicture);
+document.addEventListener("htmx:afterSettle", startPicture);

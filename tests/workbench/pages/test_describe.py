@@ -1,0 +1,55 @@
+"""A log that nothing describes: corrected columns, answers, refusals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from piga.records.run_file import read_run_file
+from piga.workbench.folder import Folder
+from piga.workbench.pages.describe import sheet
+from tests.workbench.logs import german
+
+KEY = "instrument.scale_factor"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Folder:
+    (tmp_path / "log.csv").write_bytes(german())
+    return Folder(tmp_path)
+
+
+def test_a_bare_number_is_refused_at_its_field_and_kept(folder: Folder) -> None:
+    made = sheet(folder, "log.csv", {f"q:{KEY}": ["0,8884"], f"u:{KEY}": [""]})
+    (field,) = [one for one in made.fields if one.key == KEY]
+    assert (field.typed, made.complete) == ("0,8884", False)
+    assert "unit is missing" in field.refusal
+    assert "rad/s/g" in field.units
+
+
+def test_a_wrong_unit_is_refused_at_its_field(folder: Folder) -> None:
+    made = sheet(folder, "log.csv", {f"q:{KEY}": ["0.8884 rad/s"]})
+    (field,) = [one for one in made.fields if one.key == KEY]
+    assert "rad/s" in field.refusal
+    assert not made.complete
+
+
+def test_the_run_file_is_complete_once_the_questions_are_answered(folder: Folder) -> None:
+    made = sheet(folder, "log.csv", {f"q:{KEY}": ["0,8884"], f"u:{KEY}": ["rad/s/g"]})
+    assert made.complete, made
+    run_file = read_run_file(folder.root / "log.toml", made.draft.text().encode())
+    assert run_file.instrument.scale_factor == "0.8884 rad/s/g"
+    assert run_file.data.output.column == "Z\u00e4hlerstand"
+
+
+def test_a_column_is_corrected_at_the_column(folder: Folder) -> None:
+    plain = sheet(folder, "log.csv", {})
+    names = [column.name for column in plain.described.columns]
+    at = names.index("fz")
+    made = sheet(folder, "log.csv", {f"role:{at}": ["temperature"], f"unit:{at}": ["degC"]})
+    assert made.draft.document["data"]["temperature"]["column"] == "fz"
+    assert made.described.columns[at].reason == "as you said"
+    assert "fz" not in str(made.draft.document["data"].get("reference", ""))
+    unknown = sheet(folder, "log.csv", {f"role:{at}": ["<script>"]})
+    assert unknown.described.columns[at].kind == "force"
