@@ -1,7 +1,7 @@
 """Do the 95 % intervals hold? The tables of intervals on the page 'Accuracy and limits'.
 
 ``python -m benchmarks.intervals coverage [--case NAME ...] [--repeats N] [--workers N] [--record]`` simulates and
-calibrates the cases of ``benchmarks/cases/coverage.toml``; likewise ``interval-cases`` and ``coloured``. It prints a row for
+calibrates the cases of ``benchmarks/cases/coverage.toml``; likewise ``coloured``. It prints a row for
 each case. ``--record`` puts the rows into ``docs/measured``.
 """
 
@@ -22,7 +22,7 @@ from benchmarks.constant_force import ConstantForce, Joint, read_cases
 from piga.campaign.subjects import NOISE_DOUBTED, Outcome, of_calibration
 
 CASES = Path(__file__).with_name("cases")
-TABLES = {"coverage": "intervals", "interval-cases": "interval-cases", "coloured": "coloured-intervals"}
+TABLES = {"coverage": "intervals", "coloured": "coloured-intervals"}
 COLOURED = {
     "head-flicker": "angle log, flicker of 3e-6 rad/s a decade",
     "head-markov": "angle log, Markov noise of 3e-6 rad/s and 5 s",

@@ -2,7 +2,7 @@
 
 The motion is integrated by Runge and Kutta in NumPy; nothing of piga is in it. The counter starts anew at each position.
 
-``python -m tests.calibration.made.phases [--records N] [--record]``
+``python -m tests.calibration.made.phases [--records N]``
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import sys
 import warnings
 
 import numpy as np
-from benchmarks import measured
 
 import piga
 from piga.units import G0
@@ -86,15 +85,11 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--records", type=int, default=150)
-    parser.add_argument("--record", action="store_true", help="put the figures into docs/measured")
     chosen = parser.parse_args()
     for tangent in TANGENTS:
         figures = shares(errors(tangent, chosen.records))
         sys.stdout.write(f"{tangent:g}: {figures}\n")
         sys.stdout.flush()
-        if chosen.record:
-            values = {f"{tangent:g}: {column}": value for column, value in figures.items()}
-            measured.record("segment-phases", values)
 
 
 if __name__ == "__main__":
