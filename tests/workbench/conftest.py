@@ -203,7 +203,10 @@ class Browser:
         self.page.set_default_timeout(60_000)
 
     def _note(self, kind: str, text: str) -> None:
-        if kind in ("error", "warning"):
+        refused = (
+            "status of 422" in text or "status of 409" in text
+        )  # the browser notes a refused form by itself
+        if kind in ("error", "warning") and not refused:
             self.faults.append(text)
 
     def _from(self, url: str) -> None:
