@@ -1,7 +1,7 @@
 """Do the 95 % intervals hold? The tables of intervals on the page 'Accuracy and limits'.
 
 ``python -m benchmarks.intervals coverage [--case NAME ...] [--repeats N] [--workers N] [--record]`` simulates and
-calibrates the cases of ``benchmarks/cases/coverage.toml``; likewise ``coloured``. It prints a row for
+calibrates the cases of ``benchmarks/cases/coverage.toml``. It prints a row for
 each case. ``--record`` puts the rows into ``docs/measured``.
 """
 
@@ -22,16 +22,7 @@ from benchmarks.constant_force import ConstantForce, Joint, read_cases
 from piga.campaign.subjects import NOISE_DOUBTED, Outcome, of_calibration
 
 CASES = Path(__file__).with_name("cases")
-TABLES = {"coverage": "intervals", "coloured": "coloured-intervals"}
-COLOURED = {
-    "head-flicker": "angle log, flicker of 3e-6 rad/s a decade",
-    "head-markov": "angle log, Markov noise of 3e-6 rad/s and 5 s",
-    "head-cycle": "angle log, wave of 5 µg and 1500 s",
-    "rate-flicker": "rate log, flicker of 3e-6 rad/s a decade",
-    "rate-markov": "rate log, Markov noise of 3e-6 rad/s and 5 s",
-    "rate-cycle": "rate log, wave of 5 µg and 1500 s",
-}
-"""Rows of the table of coloured noise by the cases of ``coloured.toml``."""
+TABLES = {"coverage": "intervals"}
 
 
 class Plan(NamedTuple):
@@ -107,7 +98,7 @@ def put_down(name: str, rows: dict[str, tuple[dict[str, measured.Value], list[Ou
     table = TABLES[name]
     new: dict[str, measured.Value] = {}
     for figure in measured.load(table)[1]:
-        case = next((c for c in rows if figure.get("scenario") == c or figure["row"] == COLOURED.get(c)), None)
+        case = next((c for c in rows if figure.get("scenario") == c), None)
         if case is None:
             continue
         values, outcomes = rows[case]
