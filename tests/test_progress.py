@@ -35,7 +35,7 @@ def goes_up(steps) -> bool:
 def test_calibrate_says_its_steps(run, cal):
     result, steps = heard(lambda progress: piga.calibrate(run, TERMS, progress=progress))
     assert result == cal.__class__(**result.__dict__)
-    assert [step[2] for step in steps][:2] == ["fitting the model", "finding the noise"]
+    assert [step[2] for step in steps][:2] == ["fitting the model", "finding the intervals"]
     assert goes_up(steps)
     assert result["k0"] == cal["k0"]
 
@@ -157,12 +157,13 @@ def long_calls(run: piga.Run, cal: piga.Calibration) -> dict[str, Callable[..., 
 
 
 def turns_record() -> piga.Run:
-    """Two positions with eight turns each, at rest."""
-    t = np.arange(0.0, 120.0, 0.1)
-    f = G0 * np.column_stack([np.where(t < 60.0, 1.0, -1.0), 0.05 + 0 * t, 0 * t])
+    """Two positions, each visited twice, with eight turns a visit, at rest."""
+    t = np.arange(0.0, 240.0, 0.1)
+    visit = (t // 60.0).astype(int)
+    f = G0 * np.column_stack([np.where(visit % 2 == 0, 1.0, -1.0), 0.05 + 0 * t, 0 * t])
     inst = piga.Instrument(scale_factor=SCALE, beta="100 arcsec", alpha0=0.4)
     psi = piga.propagate(inst, t, f, between="linear") + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
-    return piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, segment=t >= 60.0)
+    return piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, segment=visit)
 
 
 LONG = ("joint", "revolutions", "budget", "compare", "set", "rows")
@@ -211,41 +212,29 @@ def test_a_set_in_pieces_is_the_set_to_the_bit(run, cal, monkeypatch):
     assert steps[-1][:2] == (whole.size, whole.size)
 
 
-def test_a_stopped_file_is_as_it_was_and_its_parts_go_on(run, cal, tmp_path, monkeypatch):
+def test_a_stopped_file_is_as_it_was(run, cal, tmp_path, monkeypatch):
     from piga.cli.common import write_by_rename
-    from piga.compensation.files.file_to_file import Parts, compensate_to_file
+    from piga.compensation.files.file_to_file import compensate_to_file
 
     monkeypatch.setattr("piga.records.spool.BLOCK", 100)
-    monkeypatch.setattr("piga.compensation.files.file_to_file.PART_ROWS", 200)
     out = tmp_path / "out.parquet"
     out.write_text("before")
 
-    def write(parts, stop=None):
-        told = []
+    def write(stop: float) -> list[float]:
+        told: list[float] = []
 
-        def progress(done: float, total: float, what: str) -> bool:
-            told.append((done, total, what))
-            return stop is None or done < stop
+        def progress(done: float, _total: float, _what: str) -> bool:
+            told.append(done)
+            return done < stop
 
-        write_by_rename(
-            out, lambda path: compensate_to_file(run, cal, path, "parquet", parts=parts, progress=progress)
-        )
+        write_by_rename(out, lambda path: compensate_to_file(run, cal, path, "parquet", progress=progress))
         return told
 
     with pytest.raises(piga.CancelledError, match="nothing was written"):
-        write(None, 500)
+        write(500)
     assert out.read_text() == "before"
     assert [path.name for path in tmp_path.iterdir()] == ["out.parquet"]
-    parts = Parts(out, "key")
-    with pytest.raises(piga.CancelledError, match="go on with --resume"):
-        write(parts, 500)
-    parts.close()
-    assert out.read_text() == "before"
-    parts = Parts(out, "key")
-    told = write(parts)
-    parts.remove()
-    parts.close()
-    assert [step[0] for step in told] == [0, 400, 500, 600, 700, 800]
+    assert write(np.inf) == [0, 100, 200, 300, 400, 500, 600, 700, 800]
     assert pa.parquet.read_table(out)["ax"].to_numpy().tobytes() == piga.compensate(run, cal).ax.tobytes()
 
 

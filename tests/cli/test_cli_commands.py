@@ -32,9 +32,14 @@ def piga(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedPro
 
 
 def small_run(folder: Path) -> Path:
-    first = [row + ",0" for row in lines(30)]
-    turned = [f"{i / 20.0 + 10.0:.4f},{20000 + round(5089.5 * i / 20.0)},0.5,0.3,0.0,1" for i in range(30)]
-    write_log(folder, first + turned, header="t,n,fx,fy,fz,seg")
+    """Two positions, each visited twice: enough for scale_factor and k0."""
+    visits = [(10179.0, "1.0,0.1,0.0"), (5089.5, "0.5,0.3,0.0")] * 2
+    rows = [
+        f"{i / 20.0 + 10.0 * k:.4f},{20000 * k + round(rate * i / 20.0)},{force},{k}"
+        for k, (rate, force) in enumerate(visits)
+        for i in range(30)
+    ]
+    write_log(folder, rows, header="t,n,fx,fy,fz,seg")
     return write_run(folder, data='segment = "seg"')
 
 

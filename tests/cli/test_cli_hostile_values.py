@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piga.certificate.dcc import writer as dcc
+from piga.certificate.dcc import document as dcc
 from piga.compensation.result import TableWriter
 from piga.errors import DataError, StoreError
 from piga.ledger.store.documents import write_new

@@ -1,7 +1,8 @@
 """One expanded uncertainty: every place that prints, signs or judges states the same k, U and limits.
 
-The truth is SciPy's Student t for degrees of freedom that are known by construction: rows less coefficients of a
-log of rates with white noise, put together with an exactly known Type B by JCGM 100, equation G.2b.
+The truth is SciPy's Student t. The degrees of freedom of Type A are computed here with the full matrices of the rows, by the
+formulas of Bell and McCaffrey as they publish them. They are put together with an exactly known Type B by JCGM 100,
+equation G.2b.
 """
 
 from __future__ import annotations
@@ -11,11 +12,13 @@ import html
 import json
 import re
 from dataclasses import replace
+from functools import cache
 
 import msgspec
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.linalg import fractional_matrix_power
 
 import piga
 from piga.certificate.certificate_file import ConformityTable
@@ -35,7 +38,9 @@ from tests.certificate.certificate_data import changed, complete
 TERMS = ["scale_factor", "k0", "k2"]
 K = 0.8884 / G0
 ROWS = {4: 7, 12: 15, 997: 1000}
-"""Rows of a record by its degrees of freedom: three coefficients are fitted."""
+"""Rows of a record by its surplus observations: three coefficients are fitted."""
+BLOCKS = 20
+"""A continuous record is cut into 20 blocks of equal length, or one for each row (docs/theory/calibration)."""
 
 
 def rate_log(rows: int, seed: int = 1) -> piga.Run:
@@ -51,18 +56,41 @@ def rate_log(rows: int, seed: int = 1) -> piga.Run:
 
 
 @pytest.fixture(scope="module", params=list(ROWS))
-def calibrated(request) -> tuple[int, Calibration]:
+def cal(request) -> Calibration:
     cal = piga.calibrate(rate_log(ROWS[request.param]), TERMS, "rate")
     cal = replace(cal, provenance=replace(cal.provenance, created="2026-01-01T00:00:00Z"))
     assert cal.quality.masked == 0
     assert cal.surplus_observations == request.param
-    return request.param, cal
+    assert cal.segment_scatter == 0.0  # all rows have the same weight
+    return cal
 
 
-def expected(freedom: int, cal: Calibration, key: str) -> tuple[float, float]:
+@cache
+def degrees_by_hand(rows: int) -> dict[str, float]:
+    """Satterthwaite's degrees of freedom of the three coefficients from the residual matrix of all rows.
+
+    Block j adds ``v_j' y`` to a coefficient, with ``v_j = (1 - H)_j (1 - H_jj)^-1/2 X_j (X'X)^-1 c``. If all rows have
+    the same noise, these have the covariance ``P = V'V``. They count with the weights ``(P_jj + mean/1000)^-1/2``.
+    """
+    a = np.cos(np.linspace(0.1, 6.0, rows))
+    x = np.column_stack([a, np.ones(rows), a**2])
+    parts = np.split(np.arange(rows), np.unique(np.linspace(0, rows, BLOCKS + 1).astype(int))[1:-1])
+    inverse = np.linalg.inv(x.T @ x)
+    rest = np.eye(rows) - x @ inverse @ x.T
+    roots = [fractional_matrix_power(rest[np.ix_(own, own)], -0.5).real @ x[own] @ inverse for own in parts]
+    found = {}
+    for column, key in enumerate(TERMS):
+        v = np.column_stack([rest[:, own] @ root[:, column] for own, root in zip(parts, roots, strict=True)])
+        p = v.T @ v
+        w = (p.diagonal() + p.diagonal().mean() / 1000.0) ** -0.5
+        found[key] = (w @ p.diagonal()) ** 2 / (w @ p**2 @ w)
+    return found
+
+
+def expected(cal: Calibration, key: str) -> tuple[float, float]:
     """k and U by hand."""
     a = cal.budget[0].contributions[key]
-    nu = freedom * (cal[key].std / a) ** 4
+    nu = degrees_by_hand(ROWS[cal.surplus_observations])[key] * (cal[key].std / a) ** 4
     k = float(stats.t.ppf(0.975, nu))
     return k, k * cal[key].std
 
@@ -91,13 +119,12 @@ def same(text: str, half: float, key: str, unit: str) -> None:
     assert f"{shown(text):.1e}" == f"{half * factor:.1e}", key
 
 
-def test_json_and_terminal(calibrated):
-    freedom, cal = calibrated
+def test_json_and_terminal(cal):
     stated = {c["name"]: c for c in json.loads(calibration_to_bytes(cal))["coefficients"]}
     text = cal.summary().split("Coefficient  ")[1].split("\n\n")[0]
     lines = {line.split()[0]: line.split() for line in text.splitlines()[1:]}
     for key in TERMS:
-        k, half = expected(freedom, cal, key)
+        k, half = expected(cal, key)
         assert stated[key]["coverage_factor"] == pytest.approx(k, rel=1e-9)
         assert stated[key]["expanded"] == pytest.approx(half, rel=1e-9)
         assert cal[key].limits == pytest.approx((cal[key].value - half, cal[key].value + half), rel=1e-12)
@@ -105,38 +132,35 @@ def test_json_and_terminal(calibrated):
         assert float(lines[key][-1]) == pytest.approx(k, abs=0.0051)
 
 
-def test_page(calibrated):
-    freedom, cal = calibrated
+def test_page(cal):
     page = page_html(calibration_page(cal))
     for key in TERMS:
-        k, half = expected(freedom, cal, key)
+        k, half = expected(cal, key)
         row = cells(page, key, "U (95 %)")
         same(row[3], half, key, row[4])
         assert float(row[-1]) == pytest.approx(k, abs=0.0051)
 
 
-def test_certificate(calibrated):
-    freedom, cal = calibrated
+def test_certificate(cal):
     page = certificate_html(complete(), cal)
     for key in TERMS:
-        k, half = expected(freedom, cal, key)
+        k, half = expected(cal, key)
         row = cells(page, key, "U (95 %)")
         same(row[3], half, key, row[4])
         assert float(row[-1]) == pytest.approx(k, abs=0.0051)
 
 
-def test_dcc_and_read_back(calibrated, tmp_path):
+def test_dcc_and_read_back(cal, tmp_path):
     etree = pytest.importorskip("lxml.etree")
     from piga.certificate.dcc.document import dcc_document, read_dcc
     from piga.certificate.dcc.xml_signature import written
 
-    freedom, cal = calibrated
     raw = written(dcc_document(complete(), cal))
     names = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
     reals = {r.findtext("si:label", "", names): r for r in etree.fromstring(raw).iterfind(".//si:real", names)}
     to_si = {"scale_factor": 1.0 / G0, "k0": G0, "k2": 1.0 / G0}
     for key in TERMS:
-        k, half = expected(freedom, cal, key)
+        k, half = expected(cal, key)
         assert float(reals[key].findtext(".//si:coverageFactor", "", names)) == pytest.approx(k, abs=1e-6)
         stated = float(reals[key].findtext(".//si:valueExpandedMU", "", names))
         assert stated == pytest.approx(half * to_si[key], rel=1e-9)
@@ -147,45 +171,44 @@ def test_dcc_and_read_back(calibrated, tmp_path):
     assert [c.coverage for c in back.coefficients] == [c.coverage for c in cal.coefficients]
 
 
-def test_ledger(calibrated, tmp_path):
+def test_ledger(cal, tmp_path):
     pytest.importorskip("sqlalchemy")
     from piga.ledger.store import Draft, DraftFile, open_store
 
-    freedom, cal = calibrated
     raw = calibration_to_bytes(cal)
     files = (DraftFile("calibration", "results/calibration.json", raw),)
     with open_store(tmp_path / "s.sqlite", create=True) as store:
         kept = store.append(lambda _place: Draft("G-0417", "A", "r", files, {}, {"piga": "0"}))
         back = store.calibration(kept.id)
     for key in TERMS:
-        k, half = expected(freedom, cal, key)
+        k, half = expected(cal, key)
         assert back[key].coverage_factor == pytest.approx(k, rel=1e-9)
         assert back[key].expanded == pytest.approx(half, rel=1e-9)
 
 
-def test_trend(calibrated):
-    freedom, cal = calibrated
+def test_trend(cal):
     times = [dt.datetime(2024, 1, day, tzinfo=dt.UTC) for day in (1, 2)]
     trend = find_trend([("a", times[0], cal), ("b", times[1], cal)])
     stated = {c["name"]: c["records"][-1] for c in trend_document(trend)["coefficients"]}
     page = page_html(trend_page(trend))
     for key in TERMS:
-        k, half = expected(freedom, cal, key)
+        k, half = expected(cal, key)
         assert stated[key]["half_width_95"] == pytest.approx(half, rel=1e-9)
         on_page = cells(page, key, "On the last day")
         spread, power = re.fullmatch(r"\(?[^±]*± ([^)]*)\)?(.*)", on_page[2]).groups()
         same(spread + power, half, key, on_page[1])
         # without a common part the record's own is Type A alone, with its own degrees of freedom
         a = cal.budget[0].contributions[key]
-        assert stated[key]["own_half_width_95"] == pytest.approx(stats.t.ppf(0.975, freedom) * a, rel=1e-6)
+        assert stated[key]["own_half_width_95"] == pytest.approx(
+            stats.t.ppf(0.975, degrees_by_hand(ROWS[cal.surplus_observations])[key]) * a, rel=1e-6
+        )
         assert k > 1.95
 
 
 @pytest.mark.parametrize("rule", ["guarded", "simple"])
-def test_conformity(calibrated, rule):
+def test_conformity(cal, rule):
     """Limits at 0.98 and at 1.02 U from the value: the guard band is U, whatever the rows say."""
-    freedom, cal = calibrated
-    _, half = expected(freedom, cal, "k0")
+    _, half = expected(cal, "k0")
     for part, status in ((0.98, "conditionalPass"), (1.02, "pass")):
         limits = {"k0": tuple(f"{cal['k0'].value + sign * part * half!r} g" for sign in (-1, 1))}
         table = ConformityTable(specification="S", rule=rule, agreed_with_customer=True, limits=limits)
@@ -194,13 +217,12 @@ def test_conformity(calibrated, rule):
         assert verdict.status == (status if rule == "guarded" else "pass")
 
 
-def test_monte_carlo_interval_is_the_one_that_is_judged_and_signed(calibrated, tmp_path):
+def test_monte_carlo_interval_is_the_one_that_is_judged_and_signed(cal, tmp_path):
     """An interval that is not symmetric: limits, guard band and DCC take its ends, not value -+ U."""
     etree = pytest.importorskip("lxml.etree")
     from piga.certificate.dcc.document import dcc_document, read_dcc
     from piga.certificate.dcc.xml_signature import written
 
-    _, cal = calibrated
     ends = (cal["k0"].value - 1e-6, cal["k0"].value + 3e-6)
     cal = replace(
         cal, coefficients=tuple(replace(c, interval=ends) if c.name == "k0" else c for c in cal.coefficients)
@@ -221,9 +243,8 @@ def test_monte_carlo_interval_is_the_one_that_is_judged_and_signed(calibrated, t
     assert "coverage_factor" not in next(c for c in to_document(cal)["coefficients"] if c["name"] == "k0")
 
 
-def test_old_files_are_read(calibrated, tmp_path):
+def test_old_files_are_read(cal, tmp_path):
     """piga 0.1 called rows less coefficients degrees_of_freedom."""
-    _, cal = calibrated
     document = json.loads(calibration_to_bytes(cal))
     document["degrees_of_freedom"] = document.pop("surplus_observations")
     path = tmp_path / "calibration.json"
