@@ -6,64 +6,68 @@ Two hundred in the default suite, a thousand of every scenario in the slow one, 
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
+from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
 
 import numba
 import numpy as np
 import pytest
+from benchmarks.intervals import Plan, one, plans, row
 from scipy.stats import binom
 
-from piga.campaign import collect, document, plan_campaign, run_campaign
+from piga.campaign.subjects import Outcome
 from tests.calibration.made.scenarios import SCENARIOS
-from tests.campaign.small import computed, one_case, written
 
 FEW = 10 if numba.config.DISABLE_JIT else 200
 REPEATS = 1000
 EXACT = ("static", "centrifuge", "near-critical", "walk")
 """Scenarios whose output is not coarsely counted."""
+LOCKED = ("coarse-slow",)
+"""Scenarios whose output stands between coarse counts: intervals are too wide there."""
+EXCHANGEABLE = [name for name in SCENARIOS if name != "drift"]
+"""Scenarios whose positions repeat one another. With a walk of the bias in the order of the positions the rule promises less."""
 
 
-def figures(name: str, tests: int, folder: Path, workers: int = 0) -> dict[str, Any]:
-    """What a campaign of one scenario says; without workers it is computed in this process."""
-    path = written(folder, one_case(name, tests, bounds=200))
-    if workers:
-        campaign = plan_campaign(path, folder / "out")
-        run_campaign(campaign, workers=workers)
-    else:
-        campaign = computed(path, folder / "out")
-    content = document(collect(campaign))
-    assert (content["computed"], content["failed"]) == (tests, 0)
-    group: dict[str, Any] = content["groups"][0]
-    return group
+def outcomes(name: str, tests: int, workers: int = 0) -> list[Outcome]:
+    """Simulated and calibrated records of one scenario; without workers they are computed in this process."""
+    seed, every = plans("coverage")
+    plan: Plan = next(plan for plan in every if plan.name == name)._replace(repeats=tests, bounds=200)
+    if not workers:
+        return [one("coverage", seed, plan, number) for number in range(tests)]
+    with ProcessPoolExecutor(workers) as pool:
+        return list(pool.map(one, repeat("coverage"), repeat(seed), repeat(plan), range(tests), chunksize=4))
 
 
-def column(group: dict[str, Any], name: str) -> Any:
-    """A figure of all coefficients."""
-    return np.array([c[name] for c in group["coefficients"]])
+def held(results: list[Outcome]) -> np.ndarray:
+    """Share of the intervals that hold, for each coefficient."""
+    return np.mean([(r.low <= r.truth) & (r.truth <= r.high) for r in results], axis=0)
 
 
 @pytest.mark.only_compiled
-def test_intervals_hold_in_two_hundred_tests(tmp_path: Path) -> None:
-    """Coverage inside its 99.9 % band, with few degrees of freedom."""
-    result = figures("static", FEW, tmp_path)
-    low, high = binom.ppf([0.0005, 0.9995], FEW, 0.95) / FEW
-    assert (column(result, "coverage") >= low).all()
-    assert (column(result, "coverage") <= high).all()
+def test_intervals_hold_in_two_hundred_tests() -> None:
+    """Coverage of 93 to 97 %, beyond chance (99.9 %), with few degrees of freedom."""
+    coverage = held(outcomes("static", FEW))
+    assert (coverage >= binom.ppf(0.0005, FEW, 0.93) / FEW).all()
+    assert (coverage <= binom.ppf(0.9995, FEW, 0.97) / FEW).all()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(SCENARIOS))
-def test_coverage_bias_and_efficiency(name: str, tmp_path: Path) -> None:
-    """Coverage inside its 99.9 % band (coarse counts may hold more).
+@pytest.mark.parametrize("name", EXCHANGEABLE)
+def test_coverage_bias_and_efficiency(name: str) -> None:
+    """Coverage of 93 to 97 %, beyond chance (99.9 %); more where the output stands between coarse counts.
 
-    Bias below 0.05 sigma, variance within 5 % of the bound for the mixes of counts and random walk, beyond chance.
+    Bias below 0.05 sigma beyond chance. Variance within 25 % of the bound of white noise and walk, beyond chance, where the
+    output is not coarsely counted.
     """
-    result = figures(name, REPEATS, tmp_path, workers=2)
-    low, high = binom.ppf([0.0005, 0.9995], REPEATS, 0.95) / REPEATS
-    assert column(result, "coverage").min() >= low - (0.0 if name in EXACT else 0.015)
-    assert column(result, "coverage").max() <= high + (0.05 if name.startswith("coarse") else 0.015)
-    assert np.abs(column(result, "bias_over_sigma")).max() < 0.05 + 4.0 / np.sqrt(REPEATS)
-    if name.startswith("mix"):
-        ratio = column(result, "variance_over_bound")
-        assert np.abs(ratio - 1.0).max() < 0.05 + 4.0 * np.sqrt(2.0 / REPEATS)
+    results = outcomes(name, REPEATS, workers=2)
+    coverage, figures = held(results), row(results)
+    assert coverage.min() >= binom.ppf(0.0005, REPEATS, 0.93) / REPEATS
+    if name not in LOCKED:
+        assert coverage.max() <= binom.ppf(0.9995, REPEATS, 0.97) / REPEATS
+    bias = figures["largest bias / sigma"]
+    assert isinstance(bias, float)
+    assert bias < 0.05 + 4.0 / np.sqrt(REPEATS)
+    if name in EXACT:
+        ratio = np.array(figures["variance / bound"])
+        assert ratio.max() < 1.25 + 4.0 * np.sqrt(2.0 / REPEATS)
+        assert ratio.min() > 1.0 - 4.0 * np.sqrt(2.0 / REPEATS)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from piga._kernels.estimation.noise import rate_sums
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.weights import RATE, Noise, find_scatter, joined, likeliest_levels, with_scatter
 
@@ -24,22 +23,6 @@ def increments(rng: np.random.Generator, count: int, rows: int, white: float, wa
     angle = white * rng.standard_normal((count, rows))
     angle += walk * np.sqrt(H) * np.cumsum(rng.standard_normal((count, rows)), axis=1)
     return np.diff(angle, axis=1, prepend=angle[:, :1]).ravel()
-
-
-def test_sums_are_those_of_the_dense_covariance() -> None:
-    rng, kappa = np.random.default_rng(1), 0.7
-    h, edges = stretches(3, 12)
-    h[5] = -1.0  # left out: the next interval reaches across it
-    d = rng.standard_normal(h.size) * (h > 0.0)
-    sums = np.zeros((3, 3))
-    logarithm, total = rate_sums(d, h, edges, kappa, sums), 0.0
-    for k in range(3):
-        rows = np.flatnonzero(h[edges[k] : edges[k + 1]] > 0.0) + edges[k]
-        V = np.diag(kappa * h[rows] + 2.0) - np.eye(rows.size, k=1) - np.eye(rows.size, k=-1)
-        total += np.linalg.slogdet(V)[1]
-        left, right = np.linalg.solve(V, h[rows]), np.linalg.solve(V, d[rows])
-        assert sums[k] == pytest.approx([h[rows] @ left, h[rows] @ right, d[rows] @ right], rel=1e-10)
-    assert logarithm == pytest.approx(total, rel=1e-12)
 
 
 @pytest.mark.parametrize(("white", "walk"), [(2e-5, 0.0), (2e-5, 2e-5), (1e-6, 3e-5)])

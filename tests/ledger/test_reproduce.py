@@ -20,15 +20,26 @@ from piga.ledger.store.verify import verify
 from piga.output import results
 from piga.records.limits import read_whole
 from piga.stand.run_reference import _check_unchanged
-from tests.records.files import lines, write_log, write_run
+from tests.records.files import write_log, write_run
+
+POSITIONS = 6
+
+
+def axial(position: int) -> float:
+    """Specific force along X0 [g] of a position; the positions begin every 10 s."""
+    return 1.0 if position % 2 == 0 else 0.5
 
 
 def small_run(folder: Path, name: str = "run.csv") -> Path:
-    """Two positions of a noisy rest: enough for scale_factor and k0."""
-    first = [row + ",0" for row in lines(60)]
-    turned = [f"{i / 20.0 + 10.0:.4f},{20000 + round(5089.5 * i / 20.0)},0.5,0.3,0.0,1" for i in range(60)]
+    """Two forces, each visited three times, with noise of two counts: enough for scale_factor and k0, and for their scatter."""
+    rows, rng = [], np.random.default_rng(1)
+    for position in range(POSITIONS):
+        a = axial(position)
+        for i in range(60):
+            count = 20000 * position + round(10179.0 * a * i / 20.0 + 2.0 * rng.standard_normal())
+            rows.append(f"{i / 20.0 + 10.0 * position:.4f},{count},{a},0.3,0.0,{position}")
     (folder / name).parent.mkdir(parents=True, exist_ok=True)
-    write_log(folder, first + turned, header="t,n,fx,fy,fz,seg", name=name)
+    write_log(folder, rows, header="t,n,fx,fy,fz,seg", name=name)
     return write_run(folder, name, data='segment = "seg"')
 
 
@@ -126,7 +137,7 @@ def profile_run(folder: Path) -> Path:
     text = run.read_text().replace('reference = { columns = ["fx", "fy", "fz"], unit = "g" }\n', "")
     columns = 'time = { column = "t", unit = "s" }, force = { columns = ["fx", "fy", "fz"], unit = "g" }'
     (folder / "stand").mkdir()
-    rows = "\n".join(f"{t / 10},1.0,0.3,0.0" for t in range(200))
+    rows = "\n".join(f"{t / 10},{axial(t // 100)},0.3,0.0" for t in range(100 * POSITIONS))
     (folder / "stand" / "p.csv").write_text(f"t,fx,fy,fz\n{rows}\n")
     composite = (
         f'[stand]\nkind = "profile"\nfile = "stand/p.csv"\n{columns.replace(", force", chr(10) + "force")}\n'

@@ -1,11 +1,11 @@
-"""Whitening and likelihood of white noise and random walk against the dense covariance."""
+"""Whitening and sums by position of white noise and random walk against the dense covariance."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from piga._kernels.estimation.noise import CANDIDATES, innovation_weights, likelihoods, whiten
+from piga._kernels.estimation.noise import innovation_weights, rate_sums, whiten
 
 pytestmark = pytest.mark.compiled
 
@@ -57,21 +57,20 @@ def test_weights_are_those_of_the_recursion(white: float, walk: float) -> None:
     assert last == pytest.approx(before, rel=1e-11)
 
 
-def test_likelihood_is_that_of_the_dense_covariance() -> None:
-    """The products of the variances grow beyond 1e300 on the way: they are scaled down in between."""
+@pytest.mark.parametrize("kappa", [1e-3, 0.7, 1e3])
+def test_sums_by_position_are_those_of_the_dense_covariance(kappa: float) -> None:
+    """The largest products of variances grow beyond 1e300 on the way: their logarithm is taken in between."""
     rng = np.random.default_rng(6)
-    h = rng.uniform(0.05, 0.2, 160)
-    h[20] = 0.0
-    d = rng.standard_normal(160)
-    d[20] = 0.0
-    kappas = np.geomspace(1e-3, 1e3, CANDIDATES)
-    log, square = np.zeros(CANDIDATES), np.zeros(CANDIDATES)
-    likelihoods(d, h, kappas, log, square)
-    for kappa, found_log, found_square in zip(kappas, log, square, strict=True):
-        wanted_log = wanted_square = 0.0
-        for part in (slice(0, 20), slice(21, 160)):
-            covariance = dense_covariance(h[part], 1.0, kappa)
-            wanted_log += np.linalg.slogdet(covariance)[1]
-            wanted_square += d[part] @ np.linalg.solve(covariance, d[part])
-        assert found_log == pytest.approx(wanted_log, rel=1e-12, abs=1e-12)
-        assert found_square == pytest.approx(wanted_square, rel=1e-12)
+    h, edges = rng.uniform(0.05, 0.2, 240), np.array([0, 20, 90, 240])
+    h[edges[:-1]] = 0.0
+    h[50] = -1.0  # left out: the innovation is passed on
+    d = rng.standard_normal(h.size) * (h > 0.0)
+    sums = np.zeros((3, 3))
+    logarithm, wanted = rate_sums(d, h, edges, kappa, sums), 0.0
+    for k in range(3):
+        rows = np.flatnonzero(h[edges[k] : edges[k + 1]] > 0.0) + edges[k]
+        covariance = dense_covariance(h[rows], 1.0, kappa)
+        wanted += np.linalg.slogdet(covariance)[1]
+        along, off = np.linalg.solve(covariance, h[rows]), np.linalg.solve(covariance, d[rows])
+        assert sums[k] == pytest.approx([h[rows] @ along, h[rows] @ off, d[rows] @ off], rel=1e-9)
+    assert logarithm == pytest.approx(wanted, rel=1e-12)

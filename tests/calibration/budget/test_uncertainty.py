@@ -25,7 +25,7 @@ def test_gum_annex_h1_end_gauge() -> None:
     sensitivities = [1.0, 1.0, -50e6 * -0.1 * -1.0, -50e6 * 11.5e-6]
     uncertainties = [25.0, 9.7, 0.58e-6, 0.029]
     contributions = np.abs(np.array(sensitivities) * np.array(uncertainties))
-    combined = propagate(np.array([sensitivities]), np.diag(np.square(uncertainties)), between="linear")
+    combined = propagate(np.array([sensitivities]), np.diag(np.square(uncertainties)))
     assert contributions[2:] == pytest.approx([2.9, 16.6], abs=0.08)
     assert math.sqrt(combined[0, 0]) == pytest.approx(31.7, abs=0.1)
     degrees = welch_satterthwaite(contributions, [18.0, 25.6, 50.0, 2.0])
@@ -62,7 +62,7 @@ def _h2() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_gum_annex_h2_resistance_and_reactance() -> None:
     """JCGM 100, tables H.3 and H.4: values, standard uncertainties and correlations as printed."""
     values, derivatives, means = _h2()
-    covariance = propagate(derivatives, means, between="linear")
+    covariance = propagate(derivatives, means)
     std = np.sqrt(np.diag(covariance))
     assert values == pytest.approx([127.732, 219.847, 254.260], abs=5e-4)
     assert std == pytest.approx([0.071, 0.295, 0.236], abs=6e-4)  # printed from rounded correlations: 0.2956
@@ -87,7 +87,7 @@ def test_agreement_with_gtc() -> None:
     ):
         gtc.set_correlation(float(value), one, other)
     result = [v / i * gtc.cos(phase), v / i * gtc.sin(phase), v / i]
-    covariance = propagate(derivatives, means, between="linear")
+    covariance = propagate(derivatives, means)
     assert [gtc.uncertainty(x) for x in result] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-12)
     a, b, c = gtc.ureal(0.0, 3.0, 4), gtc.ureal(0.0, 2.0, 9), gtc.ureal(0.0, 1.0)
     assert welch_satterthwaite([3.0, 2.0, 1.0], [4.0, 9.0, math.inf]) == pytest.approx(
