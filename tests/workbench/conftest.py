@@ -37,7 +37,7 @@ class Client:
 
     def connection(self) -> http.client.HTTPConnection:
         """A new connection to the server."""
-        return http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
+        return http.client.HTTPConnection("127.0.0.1", self.port, timeout=120)
 
     def ask(
         self,
@@ -79,7 +79,7 @@ class Client:
         }
         return self.ask(path, "POST", body, headers)
 
-    def until(self, path: str, done: Callable[[str], bool], seconds: float = 120.0) -> str:
+    def until(self, path: str, done: Callable[[str], bool], seconds: float = 240.0) -> str:
         """The page once ``done`` holds of it."""
         limit = time.monotonic() + seconds
         while True:
@@ -90,7 +90,7 @@ class Client:
             time.sleep(0.2)
 
 
-def wait_until(holds: Callable[[], object], seconds: float = 20.0) -> None:
+def wait_until(holds: Callable[[], object], seconds: float = 120.0) -> None:
     """Wait until something is so."""
     limit = time.monotonic() + seconds
     while not holds():
@@ -130,7 +130,7 @@ class Server:
     def end(self, number: int = signal.SIGTERM) -> tuple[int, str]:
         """Exit code and messages."""
         self.process.send_signal(number)
-        _, errors = self.process.communicate(timeout=60)
+        _, errors = self.process.communicate(timeout=120)
         return self.process.returncode, errors
 
 
@@ -200,7 +200,7 @@ class Browser:
         self.page.on("console", lambda entry: self._note(entry.type, entry.text))
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
         self.page.on("request", lambda request: self._from(request.url))
-        self.page.set_default_timeout(60_000)
+        self.page.set_default_timeout(120_000)
 
     def _note(self, kind: str, text: str) -> None:
         refused = (
@@ -218,7 +218,7 @@ class Browser:
 
     def until(self, expression: str) -> None:
         """Wait until an expression is true. The page's policy forbids the browser's own way of waiting."""
-        limit = time.monotonic() + 60.0
+        limit = time.monotonic() + 120.0
         from playwright.sync_api import Error
 
         while True:

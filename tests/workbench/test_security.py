@@ -34,7 +34,7 @@ def test_a_foreign_host_name_is_refused(client: Client) -> None:
 
 
 def test_two_host_headers_are_refused(client: Client) -> None:
-    with socket.create_connection(("127.0.0.1", client.port), timeout=10) as raw:
+    with socket.create_connection(("127.0.0.1", client.port), timeout=60) as raw:
         name = f"127.0.0.1:{client.port}"
         raw.sendall(
             f"GET / HTTP/1.1\r\nHost: {name}\r\nHost: {name}\r\nCookie: {client.cookie}\r\n\r\n".encode()
@@ -65,7 +65,7 @@ def test_other_sites_cannot_load_pages_or_data(client: Client) -> None:
 
 
 def test_websockets_are_checked_too(client: Client) -> None:
-    with socket.create_connection(("127.0.0.1", client.port), timeout=10) as raw:
+    with socket.create_connection(("127.0.0.1", client.port), timeout=60) as raw:
         raw.sendall(
             (
                 f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{client.port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"

@@ -22,7 +22,7 @@ def selected(frame: Any, key: str, count: int) -> list[dict[str, Any]]:
     """The marked parts of a figure, once there are ``count``."""
     frame.locator(f"#{key}").scroll_into_view_if_needed()
     frame.locator(f"#{key}.upgraded .main-svg").first.wait_for()
-    limit = time.monotonic() + 20.0
+    limit = time.monotonic() + 120.0
     while True:
         found: list[dict[str, Any]] = frame.evaluate(SELECTED, key)
         if len(found) == count:
