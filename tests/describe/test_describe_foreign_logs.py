@@ -50,7 +50,9 @@ def test_the_coefficients_are_the_true_ones(tmp_path: Path, name: str) -> None:
     result = piga.calibrate(run)
     assert set(foreign.TRUTH) <= set(result)
     for term, value in foreign.TRUTH.items():
-        assert abs(result[term].value - value) < 4.0 * result[term].std, term
+        assert abs(result[term].value - value) < 2.5 * result[term].expanded, (
+            term
+        )  # six positions: few degrees of freedom
         assert result[term].std < 0.02 * abs(value)
 
 

@@ -39,7 +39,7 @@ SHORT = {
     ),
     "vibration-table": (
         VibrationTable(
-            SITE, (Drive("rest", 10.0), Drive("sine", 40.0, 0.3, amplitude=5.0)), axis="Y0", up="X0"
+            SITE, (Drive("rest", 10.0), Drive("sine", 40.0, 0.3, amplitude=5.0)) * 3, axis="Y0", up="X0"
         ),
         50.0,
     ),
@@ -134,7 +134,7 @@ def test_a_simulated_sine_has_the_integrals_of_a_sine():
 
 @pytest.mark.only_compiled
 def test_calibration_finds_the_scale_factor_of_a_fast_vibration(tmp_path):
-    drives = (Drive("rest", 10.0), Drive("sine", 20.0, 8.0, amplitude=30.0))
+    drives = (Drive("rest", 10.0), Drive("sine", 20.0, 8.0, amplitude=30.0)) * 2
     table = VibrationTable(SITE, drives, axis="X0", up="X0")
     e = Electronics(sample_rate=1000.0, kind="angle", zero=0.5, angle_noise=1e-6, angle_random_walk=1e-6)
     test = simulate_test(table, Specimen(INST, ErrorModel(k0="3e-4 g")), e, seed=11)

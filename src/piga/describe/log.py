@@ -33,6 +33,10 @@ MOST_LOG_ROWS = 2_000_000
 """Rows of a log whose values are examined."""
 
 
+NO_COLUMN = "\N{REPLACEMENT CHARACTER}"
+"""A column that no file has: the refusal lists the columns that there are."""
+
+
 @dataclass(frozen=True)
 class LogDescription:
     """What a log holds, as guessed.
@@ -278,7 +282,7 @@ def _names_in(path: Path, sheet: str | None) -> tuple[str, ...]:
 def _refusal(path: Path, sheet: str | None) -> DataError | None:
     """The answer to a request for no column: it lists the columns, or the sheets, of the file."""
     try:
-        open_stream(path.parent, DataTable(path.name, OutputColumn("", "counts"), sheet=sheet))
+        open_stream(path.parent, DataTable(path.name, OutputColumn(NO_COLUMN, "counts"), sheet=sheet))
     except DataError as error:
         return error
     return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import numpy as np
 import pyarrow as pa
@@ -12,7 +13,6 @@ import pytest
 from piga.compensation import FLAGS, SetCompensator, compensate_set
 from piga.compensation.sets.set_files import SetReading
 from piga.records.calibration.coefficient import TYPE_A_ONLY
-from piga.reports.compensation import page as compensation_set
 from piga.reports.compensation.figures import (
     correction_spectrum,
     misfit_figure,
@@ -142,6 +142,7 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method,
             f'[[triad.instrument]]\nrun = "{name}.toml"\ncalibration = "{name}.json"\naxes = {axes.tolist()}\n'
         )
     (tmp_path / "set.toml").write_text("\n".join(lines))
+    compensation_set = sys.modules["piga.reports.compensation.page"]
     real = compensation_set.set_page
     monkeypatch.setattr(
         compensation_set, "set_page", lambda result, facts: seen.append((result, facts)) or real(result, facts)
