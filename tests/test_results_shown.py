@@ -105,7 +105,7 @@ def without(package: str, code: str) -> str:
 @pytest.mark.only_compiled
 def test_without_its_package_a_method_names_the_extra():
     assert without("jinja2", "assert c._repr_html_() is None") == ""
-    assert "pip install 'piga[report]'" in without("matplotlib", "c.plot.budget()")
+    assert "pip install 'piga[report]'" in without("matplotlib", "piga.example_run().plot()")
     assert "pip install 'piga[notebook]'" in without("pandas", "c.to_dataframe()")
     assert "pip install 'piga[notebook]'" in without("xarray", "c.to_xarray()")
     assert "pip install 'piga[lab]'" in without("pyarrow", "c.to_arrow()")

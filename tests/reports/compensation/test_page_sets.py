@@ -126,7 +126,7 @@ def test_page_says_what_contradicts_and_has_units_on_every_axis():
 
 
 @pytest.mark.only_compiled
-@pytest.mark.parametrize("method", [None, "published"])
+@pytest.mark.parametrize("method", [None])
 @pytest.mark.parametrize("kind", ["angle", "rate"])
 def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method, kind):
     """Streamed and whole: the same counts, names and files."""
