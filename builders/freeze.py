@@ -26,6 +26,7 @@ import pyarrow.parquet as pq
 ROOT = Path(__file__).resolve().parents[1]
 STANDS = ("dividing-head", "centrifuge", "rate-table", "vibration-table")
 HISTORY = (1, 2, 3, 4)
+EXAMPLE_OF_PLATFORM = "examples/platform-*.toml"
 CASES: dict[str, list[str]] = {
     "check": ["check tumble-a.toml --terms"],
     "calibrate": ["calibrate tumble-a.toml --no-report --out c"],
@@ -66,7 +67,7 @@ CASES: dict[str, list[str]] = {
     "terms": ["terms"],
     "methods": ["methods"],
     **{
-        f"platform-{task}-{name}": [f"platform {task} examples/platform-{name}.toml --out p"]
+        f"platform-{task}-{name}": [f"platform {task} {EXAMPLE_OF_PLATFORM.replace('*', name)} --out p"]
         for task in ("simulate", "align", "identify", "navigate", "compare")
         for name in ("published", "piga", "moving", "wobble")
         if (task, name) != ("align", "moving")

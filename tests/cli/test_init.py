@@ -33,7 +33,7 @@ def test_it_writes_a_run_file_that_check_accepts(log: Path) -> None:
     assert "Zählerstand" in out
     code, out, _ = run("check", log.with_suffix(".toml"))
     assert code == 0
-    assert "instrument G-0417, 960 of 960 rows used" in out
+    assert "instrument G-0417, 960 of 960 rows used" in " ".join(out.split())
 
 
 def test_settings_replace_guesses(log: Path) -> None:

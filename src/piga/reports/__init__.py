@@ -81,6 +81,8 @@ def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
 def write_figure(figure: Figure, path: Path, *, width: float = 7.2, dpi: int = 300) -> Path:
     """Write a figure as ``.svg``, ``.pdf`` or ``.png``, ``width`` [inch] wide. The same figure gives the same bytes.
 
+    ``dpi``: dots per inch of a ``.png``.
+
     Raises
     ------
     ArgumentError

@@ -290,7 +290,7 @@ def page_html(page: Page) -> str:
 
 
 def page_text(page: Page, *, width: int = 100, plain: bool = True) -> str:
-    """The page for a terminal of so many columns: verdict, title, tables, remarks. ``plain``: pure ASCII."""
+    """The page for a terminal ``width`` columns wide: verdict, title, tables, remarks. ``plain``: pure ASCII."""
     told = ascii_text if plain else str
     lines = []
     if page.judgement is not None:
