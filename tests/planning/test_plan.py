@@ -376,8 +376,9 @@ def test_command(tmp_path):
 
 
 @pytest.mark.only_compiled
-def test_shipped_example_beats_the_24_positions_by_a_quarter():
-    plan = plan_test(read_plan(EXAMPLE))
+def test_the_shipped_plan_with_long_visits_beats_the_24_positions_by_a_quarter():
+    long = EXAMPLE.read_text("utf-8").replace('longest_dwell = "150 s"', 'longest_dwell = "600 s"')
+    plan = plan_test(read_plan(EXAMPLE, content=long))
     usual = plan.standard[-1]
     assert usual.name == "24 positions"
     assert usual.duration == pytest.approx(2130.0)
