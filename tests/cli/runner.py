@@ -46,7 +46,10 @@ def invoked(*arguments: object) -> Result:
 def on_terminal(
     arguments: list[object], until: str | None = None, typed: bytes = b"", seconds: float = 60.0
 ) -> tuple[str, int]:
-    """Run a command on a terminal and answer it; stop it with Ctrl-C when it has shown ``until``. Text and exit code."""
+    """Run a command on a terminal and answer it; stop it with Ctrl-C when it has shown ``until``. Text and exit code.
+
+    Ctrl-C is pressed again after three seconds, as a user would: Python drops one that arrives within a callback from C.
+    """
     import pty
 
     master, slave = pty.openpty()
@@ -59,7 +62,7 @@ def on_terminal(
     )
     os.close(slave)
     os.write(master, typed)
-    text, sent, limit = "", False, time.monotonic() + seconds
+    text, pressed, limit = "", 0.0, time.monotonic() + seconds
     while time.monotonic() < limit:
         try:
             part = os.read(master, 4096)
@@ -68,10 +71,10 @@ def on_terminal(
         if not part:
             break
         text += part.decode("utf-8", errors="replace")
-        if until is not None and until in text and not sent:
-            sent = True
+        if until is not None and until in text and time.monotonic() > pressed + 3.0:
             time.sleep(0.3)
             process.send_signal(signal.SIGINT)
+            pressed = time.monotonic()
     process.kill() if process.poll() is None and time.monotonic() >= limit else None
     code = process.wait(timeout=60)
     os.close(master)
