@@ -49,12 +49,7 @@ def clean(angle: np.ndarray) -> piga.Calibration:
     ("position", "count", "offset"),
     [(0, 3, np.pi), (3, 3, 0.5), (3, 7, 0.1), (7, 7, 0.5)],
 )
-def test_few_wrong_readings_do_not_turn_the_phase(ends, position, count, offset, angle, clean, request):
-    if ends == "both":
-        reason = (
-            "wrong readings at both ends of a segment turn the phase; the intervals are wide and a note says so"
-        )
-        request.applymarker(pytest.mark.xfail(reason=reason))
+def test_few_wrong_readings_do_not_turn_the_phase(ends, position, count, offset, angle, clean):
     run = BENCH.run(spoiled(angle, position, ENDS[ends], count, offset))
     check(BENCH, piga.calibrate(run, TERMS), clean)
 

@@ -151,7 +151,6 @@ def test_uncertainties_are_those_of_repeated_records():
 
 
 @pytest.mark.only_compiled
-@pytest.mark.xfail(reason="beside the terms of the servo these are not seen: the intervals are wide instead")
 def test_spikes_and_jumps_are_left_out():
     run = recorded(head(), noise=1e-5)
     output = run.output.copy()

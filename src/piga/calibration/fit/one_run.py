@@ -17,6 +17,7 @@ from piga.calibration.fit.outliers import (
     resolution_of,
     robust_values,
     suspicious,
+    without_rates,
 )
 from piga.calibration.fit.servo import settled_design
 from piga.calibration.intervals import Interval, Repetition, find_interval
@@ -106,7 +107,8 @@ def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
     raw = Design(run, request, run.scale_factor, plain.design.servo)
     resolution = resolution_of(run)
     misses = misses_of(raw, robust_values(raw))
-    misses = replace(misses, d=misses.d - _scattered(fit))
+    if fit.noise.scatter > 0.0 or fit.noise.stated:
+        misses = without_rates(misses, Positions.of(run).edges, resolution)
     raw.forget()
     noise = first_noise(misses, parameters)
     flags = find_flags(misses, noise, resolution, parameters)

@@ -226,6 +226,23 @@ def misses_of(design: Design, values: Array) -> Misses:
     return Misses(d, h, design.point)
 
 
+def without_rates(misses: Misses, edges: NDArray[np.int64], resolution: float) -> Misses:
+    """The residuals less the mean rate of each position between ``edges``, where the rates of the positions scatter.
+
+    Increments far from the median of their position do not count. A wrong reading therefore does not tilt its position.
+    """
+    d, h = misses.d.copy(), misses.h
+    for start, stop in pairwise(edges.tolist()):
+        formed = start + np.flatnonzero(h[start:stop] > 0.0)
+        if not formed.size:
+            continue
+        away = d[formed] - h[formed] * np.median(d[formed] / h[formed])
+        spread = float(np.quantile(np.abs(away), 0.25)) / NORMAL_QUARTER
+        near = formed[np.abs(away) <= max(OUTLIERS.tukey * spread, 2.0 * resolution)]
+        d[start:stop] -= d[near].sum() / h[near].sum() * np.maximum(h[start:stop], 0.0)
+    return replace(misses, d=d)
+
+
 def first_noise(misses: Misses, parameters: int) -> Noise:
     """First noise levels: half the core of the increments is angle noise, half is random walk.
 
