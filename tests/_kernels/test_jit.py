@@ -69,7 +69,7 @@ def test_first_run_compiles_each_kernel_once(tmp_path: Path) -> None:
 
     more = compiled_by(start(tmp_path, "demo", "--out", str(tmp_path / "demo")))
     assert not set(more) & set(ours)  # kept from the calibration
-    assert more.count("piga._kernels.compensation.record.compensate_record") == 1
+    assert more.count("piga._kernels.compensation.sample.compensate_record") == 1
     assert len(more) <= MOST_IN_COMPENSATE
     assert compiled_by(start(tmp_path, "demo", "--out", str(tmp_path / "again"))) == []
 

@@ -181,7 +181,7 @@ def test_a_server_that_is_killed_in_an_upload_leaves_no_half_file(tmp_path: Path
             f"{head}Cookie: {first.client.cookie}\r\nContent-Length: 99999\r\n\r\nt,x\r\n0,1\r\n".encode()
         )
         parts = tmp_path / ".piga-ui" / "parts"
-        wait_until(lambda: list(parts.iterdir()))
+        wait_until(lambda: parts.exists() and list(parts.iterdir()))
         first.process.kill()
         first.process.communicate()
     assert list(parts.iterdir())

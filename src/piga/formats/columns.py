@@ -179,8 +179,9 @@ class LabelCodes:
         table = np.full(len(encoded.dictionary) + 1, -1, dtype=np.int32)
         used, first = np.unique(index[~empty], return_index=True)
         used = used[np.argsort(first)]
-        words = encoded.dictionary.take(pa.array(used)).cast(pa.string()).to_pylist()
-        for place, word in zip(used, words, strict=True):
+        words = encoded.dictionary.cast(pa.string())
+        for place in used:
+            word = words[int(place)].as_py()
             table[place] = -1 if word is None else self.code(word)
         return table[index]
 
