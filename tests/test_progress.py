@@ -116,12 +116,12 @@ def test_steps_count():
 
 
 def test_a_long_record_reports_more_than_once(cal, monkeypatch):
-    from piga.records import spool
+    from piga.records import arrays
 
     run = a_run()
     _, steps = heard(lambda progress: piga.compensate(run, cal, progress=progress))
     assert [step[0] for step in steps] == [0, 400, 800]
-    assert spool.BLOCK > 800
+    assert arrays.BLOCK_ROWS > 800
 
 
 def long_calls(run: piga.Run, cal: piga.Calibration) -> dict[str, Callable[..., object]]:
@@ -216,7 +216,7 @@ def test_a_stopped_file_is_as_it_was(run, cal, tmp_path, monkeypatch):
     from piga.cli.common import write_by_rename
     from piga.compensation.files.file_to_file import compensate_to_file
 
-    monkeypatch.setattr("piga.records.spool.BLOCK", 100)
+    monkeypatch.setattr("piga.records.arrays.BLOCK_ROWS", 100)
     out = tmp_path / "out.parquet"
     out.write_text("before")
 

@@ -61,7 +61,7 @@ def small_chunks(monkeypatch, rows: int) -> None:
     monkeypatch.setattr("piga.compensation.sets.set_files.READINGS", 3 * rows)
     monkeypatch.setattr("piga.records.arrays.LARGE_BYTES", 0)
     monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
-    monkeypatch.setattr("piga.records.spool.BLOCK", rows)
+    monkeypatch.setattr("piga.records.arrays.BLOCK_ROWS", rows)
     monkeypatch.setattr("piga.formats.parquet.CHUNK_ROWS", rows)
     monkeypatch.setattr("piga.formats.columns.CHUNK_ROWS", rows)
     monkeypatch.setattr("piga.formats.text.source.PIECE_BYTES", 100 * rows)

@@ -50,7 +50,7 @@ def test_a_record_in_pieces_is_the_record(monkeypatch):
     run = run_of(t, constant_force(t, 1.0, 3.0, 1.0), phi=0.3)
     cal = calibration_of(CAL, {"phi": 1e-4})
     whole = piga.compensate(run, cal)
-    monkeypatch.setattr("piga.records.spool.BLOCK", 64)
+    monkeypatch.setattr("piga.records.arrays.BLOCK_ROWS", 64)
     stream = stream_of(run, cal)
     result = [(label, chunk, stream.push(chunk)) for _, label, chunk in pieces_of(run, stream)]
     assert len(result) == 16

@@ -66,7 +66,6 @@ from piga.records.calibration import (
     SegmentSummary,
 )
 from piga.records.run import Run
-from piga.records.spool import extent
 from piga.records.terms import term_names
 from piga.results import Array
 from piga.threads import one_thread
@@ -215,8 +214,7 @@ def _degrees(fit: Fit, interval: Interval) -> Array:
 
 def _range(values: Array) -> float:
     """Largest value minus smallest value."""
-    low, high = extent(values)
-    return high - low
+    return float(values.max() - values.min())
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from piga._kernels.estimation.noise import innovation_weights, rate_sums, whiten
 from piga.calibration.model.design import Block, Design
 from piga.calibration.model.reduction import Reduction, triangle
 from piga.reading.checks import largest_size
+from piga.records.arrays import empty, spans
 from piga.records.run import Run
 from piga.results import Array
 
@@ -141,6 +142,13 @@ class Whitener:
                 scale /= np.where(h > 0.0, h, 1.0)
         out = np.empty(columns.shape)
         whiten(columns, carry, scale, self._state, out)
+        return out
+
+    def column(self, values: Array, h: Array) -> Array:
+        """One weighted column (n,) of a whole record."""
+        out = empty(values.size)
+        for rows in spans(values.size):
+            out[rows] = self.apply(values[None, rows], h[rows])[0]
         return out
 
 

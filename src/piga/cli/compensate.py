@@ -247,14 +247,12 @@ def _single(
         found_while_reading,
     )
     from piga.compensation.result import format_of, inputs_listed
-    from piga.records.spool import give_back
     from piga.stand import read_run
 
     out, page = target
     kind = format_of(out)
     with progress("reading"):
         record = read_run(run)
-    give_back()
     inputs = [*record.input_sha256.items(), *sources]
     options = _with_phase(options, None if rest is None else identify_phase(record, calibration, rest))
     resampler = None if options.period is None else Resampler(options.period)
@@ -352,18 +350,13 @@ class _Report:
 
     def take(self, record: Run, result: Compensated) -> None:
         """Add a whole record."""
-        from piga.records.spool import give_back
-
-        give_back()
         self._whole = record, result
         self.outline.record(record, result)
 
     def write(self, options: dict[str, str], repairs: dict[str, int]) -> None:
         """Write the report by rename."""
-        from piga.records.spool import give_back
         from piga.reports.compensation.page import CompensationFacts, write_compensation_report
 
-        give_back()
         facts = CompensationFacts(self._calibration, self._files, options, repairs)
         write_by_rename(
             self._page,
@@ -389,10 +382,8 @@ class _SetReport:
 
     def write(self, options: dict[str, str], inputs: list[dict[str, str]]) -> None:
         """Write the report by rename. ``inputs`` are those of the summary."""
-        from piga.records.spool import give_back
         from piga.reports.compensation.page import SetFacts, write_set_report
 
-        give_back()
         files = dict.fromkeys((one["file"], one["sha256"]) for one in inputs)
         facts = SetFacts(self._names, tuple(files), options)
         write_by_rename(self._page, lambda path: write_set_report(self.outline, facts, path), "--report")

@@ -26,10 +26,10 @@ from piga.compensation.model import (
 from piga.compensation.result import Compensated, notes_on
 from piga.errors import ArgumentError, CalibrationError
 from piga.progress import Progress, report
+from piga.records.arrays import spans
 from piga.records.calibration import Calibration
 from piga.records.limits import LARGEST_SAMPLE
 from piga.records.run import Run, begins_stretch
-from piga.records.spool import spans
 from piga.results import Array, Result
 
 NONE = np.zeros(0)

@@ -15,7 +15,6 @@ from piga.errors import CalibrationError
 from piga.reading.checks import integrated_rate
 from piga.records.calibration import Calibration
 from piga.records.run import Run
-from piga.records.spool import spans
 from piga.results import Array
 
 
@@ -125,8 +124,8 @@ def identify_phase(record: Run, calibration: Calibration, duration: float) -> Ph
     CalibrationError
         If the output does not complete one turn in that time, or the coupling is too weak to determine the phase.
     """
-    end = next((part.stop for part in spans(record.size) if record.t[part][-1] > record.t[0] + duration), 0)
-    some = slice(0, end + 1 if end else record.size)
+    later = record.t > record.t[0] + duration
+    some = slice(0, int(np.argmax(later)) + 1 if later.any() else record.size)
     t, output, begins = record.t[some], record.output[some], record.begins[some]
     y, z = record.f[some, 1], record.f[some, 2]
     rows = t <= t[0] + duration

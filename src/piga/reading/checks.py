@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError, Fix, Where
-from piga.records.arrays import scaled, stored
+from piga.records.arrays import changes, empty, scaled, spans, stored
 from piga.records.calibration import Event, counted
 from piga.records.run_file import LeftOutTable
 from piga.results import Array
@@ -26,11 +26,6 @@ RESTING = 2.0
 """Steps that a run of equal extreme values may hide because of rounding (own choice)."""
 SAMPLED = 1 << 17
 """Rows of a long record that are examined for wrong units (own choice)."""
-
-
-def changes(values: NDArray) -> NDArray:
-    """``values[i] - values[i - 1]``; 0 for row 0."""
-    return np.diff(values, prepend=values[:1])
 
 
 def largest_size(values: Array) -> float:
@@ -398,8 +393,13 @@ class Reading:
 
 def integrated_rate(t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:
     """Angle [rad] from a rate: trapezoid with end correction; see :class:`RateAngle`."""
-    follower = RateAngle()
-    return np.concatenate((follower.push(t, rate, begins), follower.finish()))
+    angle, follower, done = empty(t.size), RateAngle(), 0
+    for part in spans(t.size):
+        new = follower.push(t[part], rate[part], begins[part])
+        angle[done : done + new.size] = new
+        done += new.size
+    angle[done:] = follower.finish()
+    return angle
 
 
 class RateAngle:

@@ -229,6 +229,9 @@ def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
         first = int(file_rows[bare[0]])
         events.append(Event("no-segment", int(bare.size), first, "rows without a segment are not used"))
     columns = {name: column.finish() for name, column in numbers.items()}
+    import pyarrow as pa
+
+    pa.default_memory_pool().release_unused()
     return RawColumns(path, columns, stored(segment), names, file_rows, stream.units, events)
 
 

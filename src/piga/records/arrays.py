@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import os
 import tempfile
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,26 @@ from piga.errors import DataError
 
 LARGE_BYTES = 32 << 20
 """Size above which an array lies in a file [bytes]: 4 million numbers."""
+
+
+BLOCK_ROWS = 1 << 16
+"""Rows per block where a record is worked through in blocks: columns that a stand computes, and compensation."""
+
+
+def spans(count: int) -> Iterator[slice]:
+    """Slices of at most :data:`BLOCK_ROWS` rows, in order."""
+    for start in range(0, count, BLOCK_ROWS):
+        yield slice(start, min(start + BLOCK_ROWS, count))
+
+
+def changes(values: NDArray[Any]) -> NDArray[Any]:
+    """``values[i] - values[i - 1]``; 0 for row 0."""
+    return np.diff(values, prepend=values[:1])
+
+
+def middles(values: NDArray[Any]) -> NDArray[Any]:
+    """Mean of ``values[i]`` and ``values[i - 1]``; row 0 keeps its value."""
+    return 0.5 * (values + np.concatenate((values[:1], values[:-1])))
 
 
 def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
@@ -64,6 +85,18 @@ def scaled(values: NDArray[Any], factor: float, offset: float = 0.0) -> NDArray[
     """``factor`` times the values plus ``offset``, as a new array."""
     made = np.multiply(values, factor, out=empty(values.shape))
     return made if offset == 0.0 else np.add(made, offset, out=made)
+
+
+def norms(f: NDArray[Any]) -> NDArray[np.float64]:
+    """Norms (n,) of vectors (n, 3)."""
+    return np.sqrt(np.einsum("ij,ij->i", f, f))
+
+
+def copied(f: NDArray[Any]) -> NDArray[np.float64]:
+    """A copy of vectors (n, 3). Each axis is contiguous."""
+    made = empty(f.shape[::-1]).T
+    made[...] = f
+    return made
 
 
 def taken(values: NDArray[Any], where: NDArray[np.bool_]) -> NDArray[Any]:

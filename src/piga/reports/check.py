@@ -12,9 +12,9 @@ import numpy as np
 
 from piga.calibration import TermProspect
 from piga.calibration.model.request import lost_phase
+from piga.records.arrays import changes, norms
 from piga.records.run import Run
-from piga.records.spool import spans, steps
-from piga.reports.render.envelope import POINTS, Envelope
+from piga.reports.render.envelope import POINTS, envelope_rows
 from piga.reports.render.figure import XYZ, Figure, Plot
 from piga.reports.render.numbers import count
 from piga.reports.render.page import (
@@ -28,10 +28,8 @@ from piga.reports.render.page import (
     Tile,
     named_values,
 )
+from piga.results import Array
 from piga.units import G0
-
-_BLOCK = 1 << 20
-"""Samples whose envelope is drawn at a time."""
 
 
 def figures(run: Run) -> dict[str, Callable[[], Figure]]:
@@ -44,36 +42,28 @@ def record_figure(run: Run) -> Figure:
     unit, scale = ("rev", 1.0 / (2.0 * np.pi)) if run.kind == "angle" else ("deg/s", 180.0 / np.pi)
     time = "time since the first sample [s]"
     plot = Plot("record", "The record as it would be calibrated.", height=2.1)
-    plot.panel(time, "log interval [s]", "Time base").line(
-        *_curve(run, partial(steps, run.t)), "inside a stretch"
-    )
+    plot.panel(time, "log interval [s]", "Time base").line(*_curve(run, changes(run.t)), "inside a stretch")
     breaks = np.flatnonzero(run.begins)[1:]
     breaks = breaks[run.t[breaks] != run.t[breaks - 1]][:POINTS]
     if breaks.size:
         gap = np.abs(run.t[breaks] - run.t[breaks - 1])
         plot.points(run.t[breaks] - run.t[0], gap, "across a break", "warning")
     plot.panel(time, f"output [{unit}]", "Output as unwrapped")
-    plot.line(*_curve(run, lambda part: run.output[part] * scale), "output", "after")
+    plot.line(*_curve(run, run.output * scale), "output", "after")
     plot.panel(time, "specific force [g]", "Reference")
     for i, role in enumerate(XYZ):
-        plot.line(*_curve(run, partial(_force, run.f[:, i])), f"a_{role.upper()}", role)
+        plot.line(*_curve(run, run.f[:, i] / G0), f"a_{role.upper()}", role)
     return plot.caption(
         "A good record has one interval throughout, an output without steps, and a reference that is the "
         "test that was meant. Marks above the line are breaks; no increment is formed across them."
     )
 
 
-def _force(f: np.ndarray, part: slice) -> np.ndarray:
-    return f[part] / G0
-
-
-def _curve(run: Run, values: Callable[[slice], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _curve(run: Run, values: Array) -> tuple[Array, Array]:
     """A quantity against time, broken where a stretch begins; of a long record its envelope."""
-    envelope = Envelope()
-    for start in range(0, run.size, _BLOCK):
-        part = slice(start, min(start + _BLOCK, run.size))
-        envelope.add(run.t[part] - run.t[0], curve=np.where(run.begins[part], np.nan, values(part)))
-    return envelope.curve("curve")
+    curve = np.where(run.begins, np.nan, values)
+    rows = envelope_rows(curve)
+    return run.t[rows] - run.t[0], curve[rows]
 
 
 def page(run: Run) -> Page:
@@ -152,17 +142,14 @@ def prospects_table(prospects: Sequence[TermProspect]) -> Table:
 
 def check_document(record: Run, prospects: Sequence[TermProspect] = ()) -> dict[str, Any]:
     """What is in a record, as plain data for JSON; ``prospects`` say what it determines."""
-    low, high = np.inf, 0.0
-    for part in spans(record.size):
-        size = np.linalg.norm(record.f[part], axis=1)
-        low, high = min(low, float(size.min())), max(high, float(size.max()))
+    size = norms(record.f)
     return {
         "serial": record.serial,
         "quality": msgspec.to_builtins(record.quality),
         "segments": list(record.labels),
         "duration_s": record.duration,
         "rate_hz": 1.0 / step if (step := record.median_step) > 0.0 else 0.0,
-        "force_g": [low / G0, high / G0],
+        "force_g": [float(size.min()) / G0, float(size.max()) / G0],
         "phase_kept": len(set(record.phase_group)) == 1,
         "calibration": calibration_words(record),
         "calibration_possible": calibration_possible(record),

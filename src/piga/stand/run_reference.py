@@ -28,11 +28,10 @@ from piga.formats.parquet import is_time
 from piga.formats.tables import WHERE, TableStream, as_arrow, stated_units
 from piga.reading.assemble import read_record, read_stream
 from piga.reading.columns import SteadyFile, file_digest
-from piga.records.arrays import empty
+from piga.records.arrays import empty, spans
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import REPEATED, Draw, RunFile, check_run_file, drawn_for
-from piga.records.spool import spans
 from piga.results import Array, Result
 from piga.stand.imperfections import GENERAL, Imperfections, imperfections
 from piga.stand.profile import Segment, Stand, force_change

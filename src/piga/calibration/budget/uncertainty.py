@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -18,12 +17,12 @@ import numpy as np
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.progress import SILENT, Steps
+from piga.records.arrays import copied, empty, scaled, spans
 from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient
 from piga.records.calibration.coefficient import short_way, welch_satterthwaite
 from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import UNCERTAINTY_UNITS, Draw, drawn_for
-from piga.records.spool import arrays_like, scaled, spans
 from piga.records.terms import si_factor, unit_of
 from piga.results import Array, Result
 from piga.stand import stand_changes
@@ -87,7 +86,7 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
         shown, unit = from_si(standard, like), like
         if name in ("reference_scale", "reference_repeatability", "gravity"):
             relative = value / G0 if name == "gravity" else value
-            yield Source(name, shown, unit, _felt(run, partial(_scaled, run.f, 1.0 + relative)), *shape)
+            yield Source(name, shown, unit, replace(run, f=scaled(run.f.T, 1.0 + relative).T), *shape)
         elif name == "timing":
             moved = replace(run, t=scaled(run.t, 1.0 + value))
             yield Source(name, shown, unit, moved, *shape)
@@ -98,7 +97,7 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
         else:
             move = _bias if name == "reference_bias" else _turn
             for axis, label in enumerate(("X0", "Y0", "Z0")):
-                moved = _felt(run, partial(move, run.f, axis, value))
+                moved = replace(run, f=move(run.f, axis, value))
                 yield Source(f"{name} {label}", shown, unit, moved, *shape)
     for parameter in run.servo:
         if parameter.standard > 0.0:
@@ -110,39 +109,31 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
             yield Source(name, shown, parameter.unit, replace(run, servo=entries), *known)
     for change in stand_changes(run):
         number, _, written_unit = change.written.partition(" ")
-        moved = _felt(run, partial(_added, run.f, size, change.change))
+        moved = replace(run, f=_added(run.f, size, change.change))
         shape = (change.distribution, change.degrees_of_freedom, change.draw)
         yield Source(change.name, float(number), written_unit or "1", moved, *shape)
 
 
-def _felt(run: Run, moved: Callable[[slice], Array]) -> Run:
-    """The run with another specific force: ``moved`` gives it for a slice of rows. On disk when the record is."""
-    f = arrays_like(run.t).empty((3, run.size)).T
-    for part in spans(run.size):
-        f[part] = moved(part)
-    return replace(run, f=f)
+def _added(f: Array, size: float, change: Callable[[slice], Array]) -> Array:
+    """Specific force with ``size`` times a change that a stand computes for a slice of rows."""
+    moved = empty((3, len(f))).T
+    for part in spans(len(f)):
+        moved[part] = f[part] + size * change(part)
+    return moved
 
 
-def _scaled(f: Array, factor: float, part: slice) -> Array:
-    return f[part] * factor
-
-
-def _added(f: Array, size: float, change: Callable[[slice], Array], part: slice) -> Array:
-    return f[part] + size * change(part)
-
-
-def _bias(f: Array, axis: int, value: float, part: slice) -> Array:
-    moved = f[part].copy()
+def _bias(f: Array, axis: int, value: float) -> Array:
+    moved = copied(f)
     moved[:, axis] += value
     return moved
 
 
-def _turn(f: Array, axis: int, angle: float, part: slice) -> Array:
+def _turn(f: Array, axis: int, angle: float) -> Array:
     """Specific force as seen when the reference is turned by ``angle`` about one axis (first order)."""
-    moved = f[part].copy()
+    moved = copied(f)
     second, third = (axis + 1) % 3, (axis + 2) % 3
-    moved[:, second] -= angle * f[part, third]
-    moved[:, third] += angle * f[part, second]
+    moved[:, second] -= angle * f[:, third]
+    moved[:, third] += angle * f[:, second]
     return moved
 
 
@@ -174,12 +165,9 @@ def contributions(
 
 def _in_segment(run: Run, moved: Run, segment: int) -> Run:
     """The run with the specific force of ``moved`` in one segment."""
-
-    def force(part: slice) -> Array:
-        own = run.segment_index[part, None] == segment
-        return np.where(own, moved.f[part], run.f[part])
-
-    return _felt(run, force)
+    f, inside = copied(run.f), run.segment_index == segment
+    f[inside] = moved.f[inside]
+    return replace(run, f=f)
 
 
 def stated_scatter(run: Run) -> tuple[float, ...]:
@@ -192,10 +180,8 @@ def stated_scatter(run: Run) -> tuple[float, ...]:
     count = np.bincount(run.segment_index, minlength=variance.size)
     for source in sources(run):
         if source.draw == "segment":
-            change = np.zeros(variance.size)
-            for part in spans(run.size):
-                axial = source.moved.f[part, 0] - run.f[part, 0]
-                change += np.bincount(run.segment_index[part], axial, minlength=variance.size)
+            axial = source.moved.f[:, 0] - run.f[:, 0]
+            change = np.bincount(run.segment_index, axial, minlength=variance.size)
             variance += (run.scale_factor * change / count) ** 2
     return tuple(variance.tolist()) if variance.any() else ()
 

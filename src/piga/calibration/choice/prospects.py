@@ -14,7 +14,6 @@ from typing import Any
 from piga.calibration.choice.model_choice import TermSet, Weighed, union_of
 from piga.calibration.model.request import make_request
 from piga.records.run import Run
-from piga.records.spool import extent
 from piga.records.terms import SERVO_TERMS, UNITS, check_terms, harmonic, shown_unit, term_names, unit_of
 from piga.threads import one_thread
 
@@ -116,7 +115,9 @@ def _known(run: Run, asked: tuple[str, ...]) -> tuple[str, ...]:
         names = [name for name in names if name not in ("scale_factor", "k1")]
     else:
         names.remove("k1")
-    low, high = (0.0, 0.0) if run.temperature is None else extent(run.temperature)
+    low, high = (
+        (0.0, 0.0) if run.temperature is None else (float(run.temperature.min()), float(run.temperature.max()))
+    )
     return tuple(name for name in names if low < high or name not in ("k0_T", "k1_T"))
 
 

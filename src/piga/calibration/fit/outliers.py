@@ -23,7 +23,6 @@ from piga.errors import DataError
 from piga.reading.checks import largest_size
 from piga.records.calibration import Event, Outlier
 from piga.records.run import Run
-from piga.records.spool import spans
 from piga.results import Array
 
 Flags = NDArray[np.int8]
@@ -135,16 +134,10 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run, parameters
     """
     every = max(1, d.size // 100_000)
     whitener = Whitener("increments", noise, 1)
-    largest = biggest = 0.0
-    misses, whitened = [np.zeros(0)], [np.zeros(0)]
-    for rows in spans(d.size):
-        part, interval = np.asarray(d[rows]), np.asarray(h[rows])
-        looked = np.flatnonzero(interval > 0.0)[::every]
-        white = part if mode == "samples" else whitener.apply(part[None, :], interval)[0]
-        for values, kept in ((part, misses), (white, whitened)):
-            kept.append(np.abs(values[looked]))
-        biggest, largest = max(biggest, largest_size(part)), max(largest, largest_size(white))
-    size, shown = np.concatenate(misses), np.concatenate(whitened)
+    looked = np.flatnonzero(h > 0.0)[::every]
+    white = d if mode == "samples" else whitener.column(d, h)
+    size, shown = np.abs(d[looked]), np.abs(white[looked])
+    biggest, largest = largest_size(d), largest_size(white)
     spread = float(np.sqrt(np.mean(size**2))) if size.size else 0.0
     if biggest <= OUTLIERS.least_miss or spread == 0.0:
         return False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from piga.calibration.model.design import Design
 from piga.calibration.weights import Noise, Whitener, rate_share, residual_increments
 from piga.reading.checks import largest_size
+from piga.records.arrays import changes, middles, stored, taken
 from piga.records.calibration import Diagnostics, Residuals, SegmentScatter, SegmentSummary
 from piga.records.calibration.verdict import COUNTED
 from piga.records.run import Run
-from piga.records.spool import arrays_like, extent, mean, means, spans, square_sum, steps
 from piga.results import Array
 from piga.units import G0
 
@@ -82,10 +82,7 @@ def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Re
 
 
 def _whitened(d: Array, h: Array, noise: Noise, mode: str, step: float) -> Array:
-    whitener, whitened = Whitener(mode, noise, 1, step), arrays_like(d).empty(d.size)
-    for part in spans(d.size):
-        whitened[part] = whitener.apply(d[None, part], h[part])[0]
-    return whitened
+    return Whitener(mode, noise, 1, step).column(d, h)
 
 
 def _take_rates(whitened: Array, own: Array, segment: NDArray[np.int32], variances: Array) -> None:
@@ -97,47 +94,25 @@ def _take_rates(whitened: Array, own: Array, segment: NDArray[np.int32], varianc
 
 def _nominal_increments(design: Design) -> Array:
     run = design.run
-    result = arrays_like(run.t).empty(run.size)
-    for part in spans(run.size):
-        if design.point:
-            result[part] = run.output[part] - run.scale_factor * run.f[part, 0]
-            if run.base_rate is not None:
-                result[part] += run.base_rate[part, 0]
-            continue
-        h = steps(run.t, part)
-        step = steps(run.output, part) - run.scale_factor * h * means(run.f[:, 0], part)
+    if design.point:
+        step = run.output - run.scale_factor * run.f[:, 0]
         if run.base_rate is not None:
-            step += h * means(run.base_rate[:, 0], part)
-        step[run.begins[part]] = 0.0
-        result[part] = step
-    return result
+            step += run.base_rate[:, 0]
+        return stored(step)
+    h = changes(run.t)
+    step = changes(run.output) - run.scale_factor * h * middles(run.f[:, 0])
+    if run.base_rate is not None:
+        step += h * middles(run.base_rate[:, 0])
+    step[run.begins] = 0.0
+    return stored(step)
 
 
 def _stretch_angle(increments: Array, begins: NDArray[np.bool_]) -> None:
     """Running sum of increments; the mean of every stretch is subtracted. In place."""
-    stretches = max(int(np.count_nonzero(begins)), 1)
-    sums, counts = np.zeros(stretches), np.zeros(stretches)
-    total = 0.0
-    for part, starts, sizes, index in _stretch_parts(begins):
-        increments[part.start] += total
-        increments[part] = np.cumsum(increments[part])
-        total = float(increments[part.stop - 1])
-        sums[index] += np.add.reduceat(increments[part], starts)
-        counts[index] += sizes
-    for part, _, sizes, index in _stretch_parts(begins):
-        increments[part] -= np.repeat(sums[index] / counts[index], sizes)
-
-
-def _stretch_parts(begins: NDArray[np.bool_]) -> Iterator[tuple[slice, Integers, Integers, Integers]]:
-    """Spans of a record; in each, the starts of the parts of stretches, their sizes and the stretch numbers."""
-    last = -1
-    for part in spans(begins.size):
-        starts = np.flatnonzero(begins[part])
-        index = last + 1 + np.arange(starts.size)
-        if starts.size == 0 or starts[0] > 0:
-            starts, index = np.append(0, starts), np.append(last, index)
-        last = int(index[-1])
-        yield part, starts, np.diff(np.append(starts, part.stop - part.start)), np.maximum(index, 0)
+    np.cumsum(increments, out=increments)
+    starts = np.union1d(0, np.flatnonzero(begins))
+    sizes = np.diff(np.append(starts, begins.size))
+    increments -= np.repeat(np.add.reduceat(increments, starts) / sizes, sizes)
 
 
 def segment_table(design: Design, residuals: Residuals) -> tuple[SegmentSummary, ...]:
@@ -150,18 +125,16 @@ def segment_table(design: Design, residuals: Residuals) -> tuple[SegmentSummary,
 
 def _summary(design: Design, residuals: Residuals, left: int, right: int) -> SegmentSummary:
     run, part = design.run, slice(left, right)
-    duration = turned = 0.0
-    for rows in _rows_between(left + 1, right):
-        inside = ~run.begins[rows]
-        h = steps(run.t, rows)
-        step = h * means(run.output, rows) if design.point else steps(run.output, rows)
-        duration += float(h[inside].sum())
-        turned += float(step[inside].sum())
+    inside = ~run.begins[part]
+    inside[0] = False
+    h = changes(run.t[part])
+    step = h * middles(run.output[part]) if design.point else changes(run.output[part])
+    duration, turned = float(h[inside].sum()), float(step[inside].sum())
     return SegmentSummary(
         label=run.labels[int(run.segment_index[left])],
         rows=right - left,
         duration=duration,
-        mean_a_x=mean(run.f[part, 0]),
+        mean_a_x=float(run.f[part, 0].mean()),
         turns=turned / (2.0 * math.pi),
         rms=root_mean_square(residuals.after[part]),
         rms_before=root_mean_square(residuals.before[part]),
@@ -169,14 +142,9 @@ def _summary(design: Design, residuals: Residuals, left: int, right: int) -> Seg
     )
 
 
-def _rows_between(first: int, stop: int) -> Iterator[slice]:
-    for part in spans(stop - first):
-        yield slice(first + part.start, first + part.stop)
-
-
 def root_mean_square(values: Array) -> float:
-    """Root mean square of the values of a record of any length."""
-    return math.sqrt(square_sum(values) / values.size)
+    """Root mean square of values (n,)."""
+    return math.sqrt(float(values @ values) / values.size)
 
 
 def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> SegmentScatter:
@@ -189,11 +157,12 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> Segme
     slopes, expected, slow = [], [], []
     variances = noise.rate_variances(len(design.run.labels))
     for left, right in pairwise(design.run.segment_edges()):
-        first, last = extent(residuals.t[left:right])
-        duration = last - first
-        if right - left < 10 or extent(design.run.begins[left + 1 : right])[1] or duration == 0.0:
+        t = residuals.t[left:right]
+        duration = float(t.max() - t.min())
+        if right - left < 10 or design.run.begins[left + 1 : right].any() or duration == 0.0:
             continue
-        slopes.append(_slope(residuals.t[left:right], residuals.after[left:right]))
+        centred = t - t.mean()
+        slopes.append(float(centred @ residuals.after[left:right]) / float(centred @ centred))
         slow.append(variances[int(design.run.segment_index[left])])
         expected.append(12.0 * noise.white / ((right - left) * duration**2) + 1.2 * noise.walk / duration)
     if design.point or len(slopes) < 4 or min(expected) == 0.0:
@@ -204,16 +173,6 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> Segme
         root_mean_square(slope) / design.run.scale_factor / G0,
         root_mean_square(slope / np.sqrt(variance)) if noise.scatter > 0.0 else None,
     )
-
-
-def _slope(t: Array, values: Array) -> float:
-    """Slope of the straight line through values."""
-    middle, square, product = mean(t), 0.0, 0.0
-    for part in spans(t.size):
-        centred = t[part] - middle
-        square += float(centred @ centred)
-        product += float(centred @ values[part])
-    return product / square
 
 
 def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...]) -> Diagnostics:
@@ -229,13 +188,10 @@ def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...
     n = x.size
     if n < 50:
         return replace(plain, samples=n)
-    middle = mean(x)
-    sums = np.zeros(3)
-    for part in spans(n):
-        x[part] -= middle
-        square = x[part] * x[part]
-        sums += (float(square.sum()), float(square @ x[part]), float(square @ square))
-    variance = float(sums[0]) / n
+    x -= x.mean()
+    square = x * x
+    sums = float(square.sum()), float(square @ x), float(square @ square)
+    variance = sums[0] / n
     lags = min(WHITENESS.lags, n // 5)
     products = np.zeros(lags + 1)
     add_lagged_products(x, products)
@@ -253,8 +209,8 @@ def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...
         ljung_box_lags=lags,
         ljung_box_probability=probability,
         counting_probability=None if math.isnan(counting) else counting,
-        skewness=float(sums[1]) / n / variance**1.5,
-        excess_kurtosis=float(sums[2]) / n / variance**2 - 3.0,
+        skewness=sums[1] / n / variance**1.5,
+        excess_kurtosis=sums[2] / n / variance**2 - 3.0,
         verdict="white"
         if white
         else COUNTED
@@ -352,12 +308,4 @@ def add_lagged_products(x: Array, out: Array) -> None:
 
 def _formed(innovation: Array) -> Array:
     """Whitened residuals of the increments that were formed."""
-    kept: Array = arrays_like(innovation).empty(
-        sum(int(np.count_nonzero(innovation[part])) for part in spans(innovation.size))
-    )
-    at = 0
-    for part in spans(innovation.size):
-        formed = innovation[part][innovation[part] != 0.0]
-        kept[at : at + formed.size] = formed
-        at += formed.size
-    return kept
+    return taken(innovation, innovation != 0.0)

@@ -33,7 +33,6 @@ from piga.records.calibration import Outlier, Provenance, Quality, Residuals, Se
 from piga.records.limits import read_whole
 from piga.records.run import Run
 from piga.records.run_file import Draw
-from piga.records.spool import spans
 from piga.records.terms import SERVO_TERMS, check_name, harmonic
 from piga.records.text_files import JsonError, decode_json, schema_of
 from piga.results import Array, Result
@@ -379,11 +378,8 @@ def residual_figures(residuals: Residuals) -> dict[str, Any]:
 
 def validity_ranges(run: Run) -> dict[str, tuple[float, float]]:
     """Range in which the calibration is valid (SI): axial and transverse force, temperature."""
-    low, high = math.inf, 0.0
-    for part in spans(run.size):
-        square = run.f[part, 1] ** 2 + run.f[part, 2] ** 2
-        low, high = min(low, float(square.min())), max(high, float(square.max()))
-    transverse = (math.sqrt(low), math.sqrt(high))
+    square = run.f[:, 1] ** 2 + run.f[:, 2] ** 2
+    transverse = (math.sqrt(square.min()), math.sqrt(square.max()))
     ranges = {"a_x": (float(run.f[:, 0].min()), float(run.f[:, 0].max())), "a_t": transverse}
     if run.temperature is not None:
         ranges["temperature"] = (float(run.temperature.min()), float(run.temperature.max()))

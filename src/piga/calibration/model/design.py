@@ -31,8 +31,8 @@ from piga._kernels.estimation.regressors import (
 from piga.calibration.model.request import Request, phase_angle
 from piga.errors import DataError
 from piga.instrument.twin.linear import ServoParameters, servo_terms
+from piga.records.arrays import changes
 from piga.records.run import Run
-from piga.records.spool import gathered, spans, square_sum, steps, trim
 from piga.records.terms import SERVO_TERMS
 from piga.results import Array
 
@@ -100,7 +100,7 @@ def given_servo(run: Run) -> dict[str, float]:
     plain = {
         name: given.get(name, 0.0) for name in ("integral_gain", "proportional_gain", "rate_gain", "damping")
     }
-    rate = run.scale_factor * math.sqrt(square_sum(np.ascontiguousarray(run.f[:, 0])) / run.size)
+    rate = run.scale_factor * math.sqrt(float(run.f[:, 0] @ run.f[:, 0]) / run.size)
     terms = servo_terms(ServoParameters(run.scale_factor, lever, **plain), rate=rate)
     damping = {"servo_damping": terms.servo_damping} if "damping" in given else {}
     return {"servo": terms.servo} | damping
@@ -293,7 +293,7 @@ class Design:
         """Number of intervals joined to one."""
         size = self.run.size
         every = max(1, size // DESIGN.joined_rows)
-        turn = np.abs(np.diff(gathered(self.phase_angle, np.arange(0, size, every))))
+        turn = np.abs(np.diff(self.phase_angle[::every]))
         step = float(np.quantile(turn, 0.9)) / every
         most = DESIGN.joined_turn / step if step > 0.0 else math.inf
         return max(1, min(math.ceil(self.rows / DESIGN.joined_rows), int(min(most, 1e6))))
@@ -305,7 +305,6 @@ class Design:
 
     def _build(self, index: int) -> Block:
         start, stop, segment = self._ranges[index]
-        trim()
         first = start if self.point else max(start - 1, 0)
         window: slice | NDArray[np.int64] = slice(first, stop)
         if self.point:
@@ -456,12 +455,11 @@ class Design:
     def _check_bend(self) -> None:
         if not self.local_names or self.point:
             return
-        run, worst, at = self.run, 0.0, 0
-        for part in spans(run.size):
-            h = np.where(run.begins[part], 0.0, steps(run.t, part))
-            bend = np.abs(self.scale_factor / 8.0 * h * steps(run.f[:, 0], part))
-            if bend.max() > worst:
-                worst, at = float(bend.max()), part.start + int(np.argmax(bend))
+        run = self.run
+        h = np.where(run.begins, 0.0, changes(run.t))
+        bend = np.abs(self.scale_factor / 8.0 * h * changes(run.f[:, 0]))
+        at = int(np.argmax(bend))
+        worst = float(bend[at])
         if worst > DESIGN.most_bend:
             rate = np.sqrt(worst / DESIGN.most_bend) / (run.t[at] - run.t[at - 1])
             raise DataError(

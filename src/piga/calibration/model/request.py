@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from piga.errors import ArgumentError, CalibrationError
-from piga.reading.checks import RateAngle
+from piga.reading.checks import integrated_rate
+from piga.records.arrays import changes, middles, norms, stored
 from piga.records.run import Run
 from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES
-from piga.records.spool import arrays_like, exact_median, means, spans, steps
 from piga.records.terms import SERVO_TERMS, check_terms, harmonic, term_names
 from piga.results import Array
 from piga.units import to_si
@@ -199,24 +199,12 @@ def phase_angle(run: Run, request: Request, scale_factor: float) -> Array:
     predicted = request.phase_source == "input"
     if not predicted and run.kind != "rate":
         return run.output
-    angle: Array = arrays_like(run.t).empty(run.size)
     if not predicted:
-        rate, follower, done = steady_rates(run), RateAngle(), 0
-        for part in spans(run.size):
-            new = follower.push(run.t[part], rate[part], run.begins[part])
-            angle[done : done + new.size] = new
-            done += new.size
-        angle[done:] = follower.finish()
-        return angle
-    turned = 0.0
-    for part in spans(run.size):
-        h = steps(run.t, part)
-        h[run.begins[part]] = 0.0
-        increments = scale_factor * h * means(run.f[:, 0], part)
-        increments[0] += turned
-        angle[part] = np.cumsum(increments)
-        turned = float(angle[part.stop - 1])
-    return angle
+        return integrated_rate(run.t, steady_rates(run), run.begins)
+    h = changes(run.t)
+    h[run.begins] = 0.0
+    increments = scale_factor * h * middles(run.f[:, 0])
+    return stored(np.cumsum(increments, out=increments))
 
 
 def steady_rates(run: Run) -> Array:
@@ -224,29 +212,13 @@ def steady_rates(run: Run) -> Array:
 
     A spike in the rate would shift the integrated phase of all later samples.
     """
-    if not any((_surplus(run, part) > _plausible(run, part)).any() for part in spans(run.size)):
+    expected = run.scale_factor * run.f[:, 0]  # K nominal
+    plausible = SPIKES.plausible * abs(run.scale_factor) * norms(run.f)
+    if run.base_rate is not None:
+        expected -= run.base_rate[:, 0]
+        plausible += norms(run.base_rate)
+    surplus = np.abs(run.output - expected)
+    if not (surplus > plausible).any():
         return run.output
-    least = SPIKES.gross * exact_median(lambda: (_surplus(run, part) for part in spans(run.size)))
-    rate: Array = arrays_like(run.output).empty(run.size)
-    for part in spans(run.size):
-        spikes = _surplus(run, part) > np.maximum(_plausible(run, part), least)
-        rate[part] = np.where(spikes, _expected(run, part), run.output[part])
-    return rate
-
-
-def _expected(run: Run, part: slice) -> Array:
-    """``K a_x - Omega_x``, K nominal."""
-    expected: Array = run.scale_factor * run.f[part, 0]
-    return expected if run.base_rate is None else expected - run.base_rate[part, 0]
-
-
-def _surplus(run: Run, part: slice) -> Array:
-    """Difference between rate and expected rate."""
-    surplus: Array = np.abs(run.output[part] - _expected(run, part))
-    return surplus
-
-
-def _plausible(run: Run, part: slice) -> Array:
-    """Largest plausible difference."""
-    limit: Array = SPIKES.plausible * abs(run.scale_factor) * np.linalg.norm(run.f[part], axis=1)
-    return limit if run.base_rate is None else limit + np.linalg.norm(run.base_rate[part], axis=1)
+    spikes = surplus > np.maximum(plausible, SPIKES.gross * float(np.median(surplus)))
+    return stored(np.where(spikes, expected, run.output))

@@ -23,7 +23,6 @@ from piga.calibration.model.solution import layout_of, name_coefficients, parame
 from piga.calibration.weights import Whitener, rate_share
 from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.run import Run
-from piga.records.spool import extent, gathered
 from piga.records.terms import SERVO_TERMS, harmonic, si_factor, unit_of
 from piga.results import Array
 
@@ -113,7 +112,9 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
     Candidates that turn with the output are skipped unless the zero of its angle is known in all segments.
     """
     terms, run = design.request.terms, design.run
-    low, high = (0.0, 0.0) if run.temperature is None else extent(run.temperature)
+    low, high = (
+        (0.0, 0.0) if run.temperature is None else (float(run.temperature.min()), float(run.temperature.max()))
+    )
     left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
     left_out |= {"k0_T", "k1_T"} if low == high else set()
     left_out |= servo_out_of_reach(design)
@@ -139,7 +140,7 @@ def servo_out_of_reach(design: Design) -> set[str]:
 
 def constant_squares(run: Run) -> tuple[float | None, float | None]:
     """``a_x^2 + a_t^2`` and ``a_t^2`` [m^2/s^4] of a record; None for one that changes."""
-    f = gathered(run.f, np.unique(np.linspace(0, run.size - 1, CANDIDATES.force_samples).astype(np.int64)))
+    f = run.f[np.unique(np.linspace(0, run.size - 1, CANDIDATES.force_samples).astype(np.int64))]
     across = f[:, 1] ** 2 + f[:, 2] ** 2
     squares: list[float | None] = []
     for square in (across + f[:, 0] ** 2, across):

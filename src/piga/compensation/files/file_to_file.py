@@ -15,14 +15,9 @@ from piga.compensation.result import Compensated, Inputs, Resampler, TableWriter
 from piga.progress import Progress, report
 from piga.records.calibration import Calibration
 from piga.records.run import Run
-from piga.records.spool import give_back
 
 HELD_ROWS = 1 << 18
 """Rows of all records together above which their columns are kept on disk, to bound the memory."""
-HELD_BYTES = 270_000_000
-"""Resident memory [bytes] above which freed memory is returned to the system. It is checked after so many pieces,
-and sooner if a page is filled as well."""
-GIVEN_BACK_AFTER, GIVEN_BACK_SOONER = 16, 2
 Watch = Callable[[str, Chunk, Compensated], object]
 """Called with the label of a segment, its samples, and their compensated rows."""
 
@@ -94,10 +89,8 @@ def compensate_to_file(
     report(progress, 0, record.size, "compensating")
     with TableWriter(out, kind, notes_on(calibration), inputs) as writer:
         stream = stream_of(record, calibration, **options)
-        for number, (_, label, chunk) in enumerate(pieces_of(record, stream), start=1):
+        for _, label, chunk in pieces_of(record, stream):
             piece = stream.push(chunk)
-            if number % (GIVEN_BACK_AFTER if watch is None else GIVEN_BACK_SOONER) == 0:
-                give_back(HELD_BYTES)
             rows += piece.size
             report(progress, rows, record.size, "compensating")
             if watch is not None:

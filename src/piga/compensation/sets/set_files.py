@@ -17,9 +17,6 @@ from numpy.typing import NDArray
 
 from piga.compensation.compensator import check_phase_kept, check_serial
 from piga.compensation.files.file_to_file import (
-    GIVEN_BACK_AFTER,
-    GIVEN_BACK_SOONER,
-    HELD_BYTES,
     found_while_reading,
 )
 from piga.compensation.model import FLAGS, Limits, Phase
@@ -32,7 +29,6 @@ from piga.records import Calibration, read_toml
 from piga.records.calibration.document import read_with_digest
 from piga.records.run import Run
 from piga.records.run_file import Quantity
-from piga.records.spool import give_back, spans, trim
 from piga.records.text_files import toml_bytes, toml_document
 from piga.results import Array
 from piga.stand.run_reference import read_run
@@ -158,14 +154,14 @@ def check_together(records: Sequence[Run]) -> None:
                 f"{name}: the output is of kind '{record.kind}', that of {other} is '{first.kind}'",
                 remedy="log the same kind with all instruments",
             )
-        for part in spans(min(record.size, first.size)):
-            differs = np.abs(record.t[part] - first.t[part]) > apart
-            if differs.any():
-                at = part.start + int(np.argmax(differs))
-                raise DataError(
-                    f"{name}: row {record.row[at]}, t = {record.t[at]:.9g} s: the times are not those of {other}",
-                    remedy="sample all instruments together, or interpolate them to common times first",
-                )
+        both = slice(min(record.size, first.size))
+        differs = np.abs(record.t[both] - first.t[both]) > apart
+        if differs.any():
+            at = int(np.argmax(differs))
+            raise DataError(
+                f"{name}: row {record.row[at]}, t = {record.t[at]:.9g} s: the times are not those of {other}",
+                remedy="sample all instruments together, or interpolate them to common times first",
+            )
         if record.size != first.size:
             raise DataError(
                 f"{name}: has {record.size} rows that can be used, {other} has {first.size}",
@@ -297,7 +293,6 @@ def compensate_set_files(
     """
     resampler = None if period is None else Resampler(period)
     records = [_read(run, item, force) for run, item in zip(runs, instruments, strict=True)]
-    give_back()
     check_together(records)
     inputs = [*inputs, *(file for record in records for file in record.input_sha256.items())]
     stream = set_stream(
@@ -311,11 +306,9 @@ def compensate_set_files(
     report(progress, 0, records[0].size, "compensating")
     notes = notes_on(*(item.calibration for item in instruments))
     with TableWriter(out, kind, notes, inputs) as writer:
-        for number, (read, part) in enumerate(_solved(records, stream), 1):
+        for read, part in _solved(records, stream):
             solved += part.size
             report(progress, solved, records[0].size, "compensating")
-            if number % (GIVEN_BACK_AFTER if watch is None else GIVEN_BACK_SOONER) == 0:
-                give_back(HELD_BYTES)
             if watch is not None and part.size:
                 watch(records[0].labels[0], read, part)
             for name in FLAGS:
@@ -367,7 +360,6 @@ def _pieces(records: Sequence[Run]) -> Iterator[tuple[slice, Array | None]]:
     done = 0
     for start in range(0, size, step):
         part = slice(start, min(start + step, size))
-        trim()
         if records[0].kind != "rate":
             yield part, None
             continue

@@ -5,7 +5,7 @@ The force, the misfit and the orders of a set of instruments have figures of the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,6 @@ from piga.calibration.orders import ORDERS, order_grid, order_spectrum, segment_
 from piga.compensation import FLAGS, Compensated, CompensatedSet
 from piga.records.calibration import Residuals
 from piga.records.run import Run
-from piga.records.spool import BLOCK, spans, trim
 from piga.reports.compensation.outline import (
     CORRECTION,
     FORCE,
@@ -78,17 +77,12 @@ def in_windows(residuals: Residuals) -> Residuals:
 
     A spectrum of revolution orders takes out one drift per segment; over a moving record that is not enough.
     """
-    segment = np.empty(residuals.psi.size, dtype=np.int32)
-    index_before, window_before, start, count = -1, 0.0, 0.0, 0
-    for part in spans(segment.size):
-        index, psi = residuals.segment[part], residuals.psi[part]
-        change = np.diff(index, prepend=index_before) != 0
-        starts = np.concatenate(([start], psi[change]))
-        window = np.floor((psi - starts[np.cumsum(change)]) / (2.0 * np.pi * WINDOW))
-        segment[part] = count + np.cumsum(change | (np.diff(window, prepend=window_before) != 0.0))
-        index_before, window_before = int(index[-1]), float(window[-1])
-        start, count = float(starts[-1]), int(segment[part][-1])
-    return replace(residuals, segment=segment)
+    psi = residuals.psi
+    change = np.diff(residuals.segment, prepend=-1) != 0
+    starts = psi[change][np.cumsum(change) - 1]
+    window = np.floor((psi - starts) / (2.0 * np.pi * WINDOW))
+    segment = np.cumsum(change | (np.diff(window, prepend=0.0) != 0.0))
+    return replace(residuals, segment=segment.astype(np.int32))
 
 
 def error_figure(errors: Residuals) -> Figure:
@@ -238,36 +232,17 @@ def correction_spectrum(outline: CompensationOutline) -> tuple[Array, Array]:
 
 def _demodulated(leading: Residuals, part: slice, scale_factor: float, order: Array) -> tuple[Array, float]:
     """Amplitude [m/s^2] at each order of the velocity increments of a window, and the time [s] they last."""
-    ends = [(psi.min(), psi.max()) for _, psi, _ in _increments(leading, part, scale_factor)]
-    low, high = min(low for low, _ in ends), max(high for _, high in ends)
-
-    def weighted() -> Iterator[tuple[Array, Array, Array, Array]]:
-        for h, psi, velocity in _increments(leading, part, scale_factor):
-            yield h, psi, velocity, np.sin(np.pi * (psi - low) / (high - low)) ** 2
-
-    sums = np.sum([(weight @ h, weight @ velocity) for h, _, velocity, weight in weighted()], axis=0)
-    whole, mean = float(sums[0]), sums[1] / sums[0]
-    total = np.zeros(order.size, dtype=np.complex128)
-    for h, psi, velocity, weight in weighted():
-        left, turn = weight * (velocity - h * mean), np.exp(-1j * order[0] * psi)
-        phasor = np.ones_like(turn)
-        for row in range(order.size):
-            phasor *= turn
-            total[row] += left @ phasor
+    h, psi = np.diff(leading.t[part]), leading.psi[part]
+    psi = 0.5 * (psi[1:] + psi[:-1])
+    velocity = np.diff(leading.before[part]) / scale_factor
+    weight = np.sin(np.pi * (psi - psi.min()) / np.ptp(psi)) ** 2
+    whole = float(weight @ h)
+    left, turn = weight * (velocity - h * float(weight @ velocity) / whole), np.exp(-1j * order[0] * psi)
+    total, phasor = np.zeros(order.size, dtype=np.complex128), np.ones_like(turn)
+    for row in range(order.size):
+        phasor *= turn
+        total[row] = left @ phasor
     return 2.0 * np.abs(total) / whole, float(leading.t[part.stop - 1] - leading.t[part.start])
-
-
-def _increments(leading: Residuals, part: slice, scale_factor: float) -> Iterator[tuple[Array, Array, Array]]:
-    """Intervals [s], middle angles [rad] and velocity increments [m/s] of a window, some rows at a time."""
-    for start in range(part.start, part.stop - 1, BLOCK):
-        rows = slice(start, min(start + BLOCK, part.stop - 1) + 1)
-        psi = leading.psi[rows]
-        trim()
-        yield (
-            np.diff(leading.t[rows]),
-            0.5 * (psi[1:] + psi[:-1]),
-            np.diff(leading.before[rows]) / scale_factor,
-        )
 
 
 def orders_figure(instruments: Iterable[tuple[str, CompensationOutline]]) -> Figure | None:

@@ -7,10 +7,8 @@ rows one by one for spectra (on disk), where each flag stands, and exact counts 
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +16,9 @@ from numpy.typing import NDArray
 from piga.compensation import FLAGS, Compensated, CompensatedSet, Mounted
 from piga.compensation.compensator import NO_RATES, NONE, Chunk
 from piga.compensation.sets.set_files import SetReading
+from piga.records.arrays import ColumnWriter
 from piga.records.calibration import Calibration, Residuals
 from piga.records.run import Run
-from piga.records.spool import Arrays
 from piga.reports.calibration.tables import scale_factor
 from piga.reports.render.envelope import SHOWN
 
@@ -143,7 +141,7 @@ class CompensationOutline(Watch):
     def __init__(self, kind: str, scale_factor: float, curves: tuple[str, ...] = CURVES) -> None:
         super().__init__(kind, ("correction", "u_ax"))
         self.scale_factor, self.velocity, self.outline = scale_factor, 0.0, Outline(curves)
-        self._first = Arrays(Path(tempfile.gettempdir())).growing(np.dtype(LEADING))
+        self._first = ColumnWriter(np.dtype(LEADING))
         self._leading, self._taken = np.empty(0, LEADING), 0
         self._t, self._output, self._omega = 0.0, 0.0, 0.0
         self._psi, self._angle = 0.0, 0.0

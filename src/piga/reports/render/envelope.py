@@ -13,14 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga.records.calibration import Residuals
-from piga.records.spool import gathered, spans, trim
 
 Array = NDArray[np.float64]
 
 POINTS = 2000
 """Points that a drawn curve keeps at most."""
-TRIM_BUCKETS = 64
-"""Buckets after which resident pages of a mapped record are given back."""
 SHOWN = 1 << 20
 """Samples that figures work on at most."""
 OUTLINE = 50_000
@@ -48,9 +45,7 @@ def envelope_rows(y: ArrayLike, limit: int = POINTS) -> NDArray[np.int64]:
         return np.arange(values.size)
     edges = np.linspace(0, values.size, (limit - 2) // 3 + 1).astype(np.int64)
     kept = [0, values.size - 1]
-    for index, (start, stop) in enumerate(pairwise(edges.tolist())):
-        if index % TRIM_BUCKETS == 0:
-            trim()
+    for start, stop in pairwise(edges.tolist()):
         kept += [start + row for row in _bucket_rows(values[start:stop])]
     return np.unique(np.array(kept, dtype=np.int64))
 
@@ -125,16 +120,12 @@ def leading_part(residuals: Residuals) -> Residuals:
 
 def _edges(segment: NDArray[np.int32]) -> NDArray[np.int64]:
     """Rows where segments begin, and the end of the last one."""
-    edges = [np.zeros(1, np.int64)]
-    for part in spans(segment.size):
-        around = segment[max(part.start - 1, 0) : part.stop]
-        edges.append(max(part.start - 1, 0) + 1 + np.flatnonzero(np.diff(around)))
-    return np.concatenate((*edges, [segment.size]))
+    return np.concatenate(([0], 1 + np.flatnonzero(np.diff(segment)), [segment.size]))
 
 
 def rows_of(residuals: Residuals, rows: NDArray[np.int64]) -> Residuals:
     """These rows of the residuals."""
     names = ("row", "t", "psi", "a_x", "before", "after", "innovation", "segment")
-    part: dict[str, Any] = {name: gathered(getattr(residuals, name), rows) for name in names}
-    run = None if residuals.run is None else gathered(residuals.run, rows)
+    part: dict[str, Any] = {name: getattr(residuals, name)[rows] for name in names}
+    run = None if residuals.run is None else residuals.run[rows]
     return replace(residuals, run=run, **part)

@@ -12,10 +12,9 @@ import numpy as np
 
 from piga.errors import ArgumentError, DataError
 from piga.formats.columns import numbers_of
-from piga.records.arrays import ColumnWriter
+from piga.records.arrays import ColumnWriter, empty, scaled
 from piga.records.limits import open_regular
 from piga.records.run_file import Columns, ColumnTable
-from piga.records.spool import scaled_rows
 from piga.results import Array, Result
 from piga.stand.imperfections import Imperfections
 from piga.stand.profile import Segment, plan
@@ -92,12 +91,18 @@ def read_profile(
     rates, unit = (base_rate.columns, base_rate.unit) if base_rate else ((), "rad/s")
     per_rate = conversion_factor(unit, "rad/s", what="[stand] base_rate")
     columns = _read_columns(path, list(dict.fromkeys([time.column, *force.columns, *rates])))
-    t = scaled_rows([columns[time.column]], per_second)[0]
-    f = scaled_rows([columns[name] for name in force.columns], per_force).T
-    rate = (
-        scaled_rows([columns[name] for name in rates], per_rate).T if rates else np.broadcast_to(0.0, f.shape)
-    )
+    t = scaled(columns[time.column], per_second)
+    f = _vectors([columns[name] for name in force.columns], per_force)
+    rate = _vectors([columns[name] for name in rates], per_rate) if rates else np.broadcast_to(0.0, f.shape)
     return LoggedProfile(t, f, rate)
+
+
+def _vectors(columns: list[Array], factor: float) -> Array:
+    """``factor`` times three columns, (n, 3)."""
+    rows = empty((len(columns), columns[0].size))
+    for axis, column in enumerate(columns):
+        np.multiply(column, factor, out=rows[axis])
+    return rows.T
 
 
 def _read_columns(path: Path, wanted: list[str]) -> dict[str, Array]:
