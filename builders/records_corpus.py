@@ -81,7 +81,7 @@ def build(folder: Path) -> None:
         (folder / "expected.json").write_text(json.dumps(expected(store), indent=1, ensure_ascii=False) + "\n")
 
 
-def expected(store: piga.ledger.store.Store) -> dict[str, object]:
+def expected(store: piga.ledger.store.store.Store) -> dict[str, object]:
     """What must be read for ever."""
     records = []
     for record in store.records():

@@ -8,9 +8,8 @@ functions: ``page(result)`` for the report, ``brief(result)`` for terminal and n
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -32,18 +31,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 """An array of numbers."""
-
-
-def lazy(room: str, modules: dict[str, str]) -> Callable[[str], Any]:
-    """``__getattr__`` of a room whose public names are imported on first use. ``modules``: the names of each module."""
-    places = {name: f"{room}.{module}" for module, names in modules.items() for name in names.split()}
-
-    def named(name: str) -> Any:
-        if name in places:
-            return getattr(import_module(places[name]), name)
-        raise AttributeError(f"module '{room}' has no attribute '{name}'")
-
-    return named
 
 
 # -- values --------------------------------------------------------------------------------------------

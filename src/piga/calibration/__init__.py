@@ -1,19 +1,10 @@
-"""Coefficients with uncertainty from a recorded run. The entry point is ``piga.calibrate``.
+"""Coefficients with uncertainty from a recorded run. The entry point is ``piga.calibrate``."""
 
-A module is imported only when one of its names is used.
-"""
-
-from typing import TYPE_CHECKING
-
-from piga.results import lazy
-
-if TYPE_CHECKING:
-    from piga.calibration.allan import AllanDeviation, allan_deviation
-    from piga.calibration.choice.model_choice import ModelComparison, TermSet, compare_models
-    from piga.calibration.choice.prospects import TermProspect, term_prospects
-    from piga.calibration.joint.summary import RunSummary
-    from piga.calibration.model.reduction import Reduction
-
+from piga.calibration.allan import AllanDeviation, allan_deviation
+from piga.calibration.choice.model_choice import ModelComparison, TermSet, compare_models
+from piga.calibration.choice.prospects import TermProspect, term_prospects
+from piga.calibration.joint.summary import RunSummary
+from piga.calibration.model.reduction import Reduction
 
 __all__ = [
     "AllanDeviation",
@@ -26,14 +17,3 @@ __all__ = [
     "compare_models",
     "term_prospects",
 ]
-
-__getattr__ = lazy(
-    "piga.calibration",
-    {
-        "allan": "AllanDeviation allan_deviation",
-        "choice.model_choice": "ModelComparison TermSet compare_models",
-        "choice.prospects": "TermProspect term_prospects",
-        "joint.summary": "RunSummary",
-        "model.reduction": "Reduction",
-    },
-)

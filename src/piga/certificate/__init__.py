@@ -5,14 +5,8 @@
 'missing_items'
 """
 
-from typing import TYPE_CHECKING
-
-from piga.results import lazy
-
-if TYPE_CHECKING:
-    from piga.certificate.certificate_file import CertificateFile, missing_items, read_certificate_file
-    from piga.certificate.page import certificate_html, require_complete, write_certificate
-
+from piga.certificate.certificate_file import CertificateFile, missing_items, read_certificate_file
+from piga.certificate.page import certificate_html, require_complete, write_certificate
 
 __all__ = [
     "CertificateFile",
@@ -22,11 +16,3 @@ __all__ = [
     "require_complete",
     "write_certificate",
 ]
-
-__getattr__ = lazy(
-    "piga.certificate",
-    {
-        "certificate_file": "CertificateFile missing_items read_certificate_file",
-        "page": "certificate_html require_complete write_certificate",
-    },
-)

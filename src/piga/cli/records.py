@@ -25,7 +25,8 @@ from piga.errors import PigaError
 if TYPE_CHECKING:
     from piga.ledger import Reproduced
     from piga.ledger.reproduce import Difference
-    from piga.ledger.store import Record, Store
+    from piga.ledger.store import Record
+    from piga.ledger.store.store import Store
     from piga.ledger.store.verify import Verification
 
 

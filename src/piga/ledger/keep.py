@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from piga.errors import CalibrationError, DataError, RunFileError
 from piga.ledger.reproduce import software_identity
-from piga.ledger.store import Draft, DraftFile, Record, Store
+from piga.ledger.store import Draft, DraftFile, Record
 from piga.ledger.store.documents import digest_of
+from piga.ledger.store.store import Store
 from piga.output import check_results
 from piga.records import Calibration
 from piga.records.calibration.document import DOCUMENT, calibration_from_bytes, calibration_to_bytes

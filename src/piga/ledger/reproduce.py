@@ -25,7 +25,8 @@ import numpy as np
 
 from piga._version import __version__
 from piga.errors import StoreError
-from piga.ledger.store import Record, Store
+from piga.ledger.store import Record
+from piga.ledger.store.store import Store
 from piga.records import Calibration, Coefficient
 from piga.records.calibration.document import to_document
 from piga.results import Result

@@ -3,20 +3,12 @@
 >>> from piga.planning import PlanSettings
 >>> PlanSettings(duration="2 h").criterion
 'D'
-
-A module is imported only when one of its names is used.
 """
 
-from typing import TYPE_CHECKING
-
-from piga.results import lazy
-
-if TYPE_CHECKING:
-    from piga.planning.candidates import Candidate, Prediction, Visit, predict
-    from piga.planning.mounting import Mounting, plan_mounting
-    from piga.planning.plan import Plan, plan_document, plan_test, scenario_text
-    from piga.planning.plan_file import PlanRequest, PlanSettings, read_plan
-
+from piga.planning.candidates import Candidate, Prediction, Visit, predict
+from piga.planning.mounting import Mounting, plan_mounting
+from piga.planning.plan import Plan, plan_document, plan_test, scenario_text
+from piga.planning.plan_file import PlanRequest, PlanSettings, read_plan
 
 __all__ = [
     "Candidate",
@@ -33,13 +25,3 @@ __all__ = [
     "read_plan",
     "scenario_text",
 ]
-
-__getattr__ = lazy(
-    "piga.planning",
-    {
-        "candidates": "Candidate Prediction Visit predict",
-        "mounting": "Mounting plan_mounting",
-        "plan": "Plan plan_document plan_test scenario_text",
-        "plan_file": "PlanRequest PlanSettings read_plan",
-    },
-)

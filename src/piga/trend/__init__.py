@@ -5,15 +5,9 @@
 'find_trend'
 """
 
-from typing import TYPE_CHECKING
-
-from piga.results import lazy
-
-if TYPE_CHECKING:
-    from piga.trend.history import Chart, CoefficientTrend, Point, Trend, find_trend
-    from piga.trend.outlook import Outlook
-    from piga.trend.trend_line import Forecast, Step, TrendModel
-
+from piga.trend.history import Chart, CoefficientTrend, Point, Trend, find_trend
+from piga.trend.outlook import Outlook
+from piga.trend.trend_line import Forecast, Step, TrendModel
 
 __all__ = [
     "Chart",
@@ -26,12 +20,3 @@ __all__ = [
     "TrendModel",
     "find_trend",
 ]
-
-__getattr__ = lazy(
-    "piga.trend",
-    {
-        "history": "Chart CoefficientTrend Point Trend find_trend",
-        "outlook": "Outlook",
-        "trend_line": "Forecast Step TrendModel",
-    },
-)

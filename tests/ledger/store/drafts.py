@@ -7,8 +7,9 @@ from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
 
-from piga.ledger.store import Draft, DraftFile, Store, open_store
+from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store.documents import Position
+from piga.ledger.store.store import Store
 
 
 def content(key: str, size: int) -> bytes:

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from piga.errors import StoreError
-from piga.ledger.store import Store, open_store
+from piga.ledger.store import open_store
+from piga.ledger.store.store import Store
 from piga.ledger.store.transfer import backup, export_records, import_records, restore
 from piga.ledger.store.verify import verify
 from tests.ledger.store import drafts

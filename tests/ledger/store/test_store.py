@@ -200,7 +200,7 @@ def test_disk_full_changes_nothing(tmp_path: Path) -> None:
         assert store.head().number == 2
 
 
-def _append_with_limit(store: piga.ledger.store.Store, pages: int) -> None:  # type: ignore[name-defined]
+def _append_with_limit(store: piga.ledger.store.store.Store, pages: int) -> None:  # type: ignore[name-defined]
     def make(_place: object) -> Draft:
         return draft("big", size=200_000)
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from piga.ledger import reproduce
-from piga.ledger.store import Store, open_store
+from piga.ledger.store import open_store
+from piga.ledger.store.store import Store
 from piga.ledger.store.transfer import restore
 from piga.ledger.store.verify import verify
 from tests.ledger.store.drafts import add

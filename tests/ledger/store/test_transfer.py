@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 
 from piga.errors import PigaError, StoreError
-from piga.ledger.store import Draft, DraftFile, Store, open_store
+from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store import documents as documents_module
 from piga.ledger.store.export import Export
+from piga.ledger.store.store import Store
 from piga.ledger.store.transfer import export_records, import_records
 from piga.ledger.store.verify import verify
 from piga.records.calibration.document import calibration_to_bytes

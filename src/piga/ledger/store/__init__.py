@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from piga.errors import StoreError
-from piga.results import lazy
+from piga.ledger.store.documents import Draft, DraftFile, Head, Record
 
 if TYPE_CHECKING:
-    from piga.ledger.store.documents import Draft, DraftFile, Head, Record
     from piga.ledger.store.store import Store
 
-__all__ = ["Draft", "DraftFile", "Head", "Record", "Store", "open_store"]
+__all__ = ["Draft", "DraftFile", "Head", "Record", "open_store"]
 
 
 def open_store(where: str | Path, *, create: bool = False) -> Store:
@@ -41,6 +40,3 @@ def open_store(where: str | Path, *, create: bool = False) -> Store:
     from piga.ledger.store.store import Store
 
     return Store(open_database(where, create=create))
-
-
-__getattr__ = lazy("piga.ledger.store", {"documents": "Draft DraftFile Head Record", "store": "Store"})
