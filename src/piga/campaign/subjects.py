@@ -162,14 +162,10 @@ NOISE_DOUBTED = "doubt about the noise"
 
 def _seen(calibration: Calibration) -> tuple[str, ...]:
     """Kinds of noise that a calibration reports, terms that it suggests, and a doubt about the noise."""
-    coloured = calibration.coloured_noise
     levels = {
         "random walk": calibration.angle_random_walk,
-        "bias drift": calibration.bias_drift,
         "scatter of the segments": calibration.segment_scatter,
     }
-    if coloured is not None:
-        levels[f"coloured noise: {coloured.kind}"] = coloured.rms
     noise = [name for name, level in levels.items() if level > 0.0]
     missing = calibration.diagnostics.missing_terms
     if calibration.verdict.warns_of_noise:

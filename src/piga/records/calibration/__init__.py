@@ -20,7 +20,6 @@ from piga.records.calibration.coefficient import (
     TypeB,
 )
 from piga.records.calibration.diagnostics import (
-    ColouredNoise,
     Count,
     Diagnostics,
     Event,
@@ -45,7 +44,6 @@ __all__ = [
     "CalibrationFigures",
     "CalibrationPlots",
     "Coefficient",
-    "ColouredNoise",
     "Count",
     "Diagnostics",
     "Event",

@@ -26,7 +26,6 @@ from piga.records.calibration.coefficient import (
     rounded,
 )
 from piga.records.calibration.diagnostics import (
-    ColouredNoise,
     Diagnostics,
     Outlier,
     Quality,
@@ -181,8 +180,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     ``notes`` are doubts, one sentence each. ``remarks`` are information, not doubts.
     ``surplus_observations`` is the number of observations (increments of the angle, rates, positions) minus the number
     of coefficients. It is not the degrees of freedom of an uncertainty: each coefficient has its own effective ones.
-    ``bias_drift`` [rad/s/sqrt(s)] or ``segment_scatter`` [rad/s] is the slow noise of the rate, 0 if none was detected.
-    ``coloured_noise`` is in the uncertainties and not in the weights; None if none was detected.
+    ``segment_scatter`` [rad/s] is the scatter of the rates of the positions in the weights, 0 if none was detected.
     """
 
     serial: str
@@ -213,9 +211,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     history: dict[str, Array] | None = field(default=None, compare=False)
     runs: tuple[RunRecord, ...] = ()
     outliers: tuple[Outlier, ...] = ()
-    bias_drift: float = 0.0
     segment_scatter: float = 0.0
-    coloured_noise: ColouredNoise | None = None
     remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

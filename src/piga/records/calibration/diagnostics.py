@@ -211,31 +211,6 @@ class SegmentScatter:
         return max(self.segment_scatter_ratio or 0.0, self.segment_scatter_ratio_without_it or 0.0)
 
 
-@dataclass(frozen=True)
-class ColouredNoise:
-    """Coloured noise of the rate in a record.
-
-    ``kind`` is the likeliest: ``flicker``, ``markov``, and in rate logs ``drift`` or ``scatter``. ``rms`` [rad/s] is the
-    standard deviation of the rate that it makes, ``time`` [s] the correlation time (0: it has none), ``gain`` the gain of
-    twice the log-likelihood by it.
-    """
-
-    kind: str
-    rms: float
-    time: float
-    gain: float
-
-    @property
-    def words(self) -> str:
-        """The kind in words."""
-        return {
-            "flicker": "1/f noise",
-            "markov": f"first-order Markov noise of about {self.time:.2g} s",
-            "drift": "a random walk of the rate",
-            "scatter": "rates that scatter from segment to segment",
-        }.get(self.kind, self.kind)
-
-
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Diagnostics(Result):
     """Diagnostics of model and data. An entry without a result is None or empty.

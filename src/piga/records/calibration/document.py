@@ -24,7 +24,6 @@ from piga.records.calibration import (
     Calibration,
     CalibrationFigures,
     Coefficient,
-    ColouredNoise,
     Diagnostics,
     Level,
     Number,
@@ -100,19 +99,10 @@ class _Covariance(msgspec.Struct, frozen=True):
     matrix: tuple[tuple[Annotated[float, msgspec.Meta(ge=-1e200, le=1e200)], ...], ...]
 
 
-class _Coloured(msgspec.Struct, frozen=True):
-    kind: Literal["flicker", "markov", "drift", "scatter"]
-    rms: _Level
-    time: _Level
-    gain: Level
-
-
 class _Noise(msgspec.Struct, frozen=True, omit_defaults=True):
     angle_rms: _Level
     angle_random_walk: _Level
-    bias_drift: _Level | None = None
     segment_scatter: _Level | None = None
-    coloured: _Coloured | None = None
 
 
 class _Residual(msgspec.Struct, frozen=True):
@@ -169,7 +159,6 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     """
     c, verdict = calibration, calibration.verdict
     expanded = "half_width_95" if c.type_a_only else "expanded"
-    coloured: Any = c.coloured_noise
     angle = "rad/s" if c.diagnostics.residual_kind == "rate" else "rad"
     document: dict[str, Any] = {
         "schema": SCHEMA,
@@ -187,12 +176,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "noise": _Noise(
             _Level(c.angle_rms, "rad"),
             _Level(c.angle_random_walk, "rad/sqrt(s)"),
-            _Level(c.bias_drift, "rad/s/sqrt(s)"),
             _Level(c.segment_scatter, "rad/s"),
-            coloured
-            and _Coloured(
-                coloured.kind, _Level(coloured.rms, "rad/s"), _Level(coloured.time, "s"), coloured.gain
-            ),
         ),
         "residual": _Residual(
             _Level(c.residual_rms, angle),
@@ -279,7 +263,6 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     coefficients = tuple(_coefficient(c) for c in document.coefficients)
     matrix = _check(path, document, coefficients, runs)
     model, noise, residual, found = document.model, document.noise, document.residual, document.identifiability
-    coloured: Any = noise.coloured
     hashes = document.provenance.input_sha256
     surplus = document.surplus_observations  # the first version called it degrees of freedom
     return Calibration(
@@ -294,10 +277,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         surplus_observations=document.degrees_of_freedom if surplus is None else surplus,
         angle_rms=_in_si(noise.angle_rms, "rad", path),
         angle_random_walk=_in_si(noise.angle_random_walk, "rad/sqrt(s)", path),
-        bias_drift=0.0 if noise.bias_drift is None else noise.bias_drift.value,
         segment_scatter=0.0 if noise.segment_scatter is None else noise.segment_scatter.value,
-        coloured_noise=coloured
-        and ColouredNoise(coloured.kind, coloured.rms.value, coloured.time.value, coloured.gain),
         residual_rms=residual.rms.value,
         residual_rms_before=residual.rms_before.value,
         residual_max_before=residual.max_before.value,

@@ -37,9 +37,6 @@ class Thresholds:
         the same ratio as the noise levels.
     used:
         Least share [1] of used rows. A smaller share gives a remark.
-    coloured:
-        Gain of twice the log-likelihood by coloured noise above which it is a doubt. A fainter one is in the
-        uncertainties without a word: one sound record in twenty shows it by chance.
     scale:
         Ratio [1] of the estimated to the nominal scale factor (or its inverse) above which data or units are wrong.
     """
@@ -48,13 +45,12 @@ class Thresholds:
     separated: float = 1e6
     residual_rms: float = 0.1
     used: float = 0.95
-    coloured: float = 9.0
     scale: float = 2.0
 
 
 THRESHOLDS = Thresholds()
 
-NOISE_WORDS = ("coloured noise", "drift", "scatter", "not white")
+NOISE_WORDS = ("drift", "scatter", "not white")
 """A doubt with one of these words warns of the noise of the record."""
 
 
@@ -148,20 +144,10 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
     tests, rms = calibration.diagnostics, whitened_rms(calibration)
     if tests.verdict is None or tests.ljung_box_probability is None or math.isnan(rms):
         return
-    coloured = calibration.coloured_noise
-    if coloured is not None and coloured.gain > THRESHOLDS.coloured:
-        level = coloured.rms / calibration.scale_factor_nominal / G0 * 1e6
-        yield Doubt(
-            f"the rate has coloured noise ({coloured.words}, {level:.2g} ug): the standard uncertainties "
-            "include it as far as a record of a few positions shows it; a change that is as slow as the "
-            "test itself is not seen",
-            "repeat the positions in another order, and record the temperature: this separates effects "
-            "of time from effects of position",
-        )
     chance = tests.ljung_box_probability
     shown = "p < 1e-300" if chance < 1e-300 else f"p = {chance:.2g}"
     counted = tests.verdict == COUNTED
-    if tests.verdict != "white" and not counted and coloured is None:
+    if tests.verdict != "white" and not counted:
         yield Doubt(
             f"the whitened residuals are not white (Ljung-Box, {shown}): the model or the noise "
             "description is incomplete; the intervals come from the scatter of the positions",

@@ -61,7 +61,7 @@ def calibration_figures(cal: Calibration) -> dict[str, Figure]:
         figures["whiteness"] = whiteness_figure(part, verdict) if np.isfinite(part.innovation).any() else None
         angles = residual_angles(part, cal.diagnostics.residual_kind)
         noise, single = (cal.angle_rms, cal.angle_random_walk), shown_segments(cal)
-        figures["allan"] = None if cal.runs else allan_figure(angles, noise, cal.bias_drift, single)
+        figures["allan"] = None if cal.runs else allan_figure(angles, noise, single)
         spectrum, turned = order_spectrum(angles, scale_factor(cal), noise), ripple(angles, scale_factor(cal))
         figures["orders"] = spectrum_figure(spectrum, cal, single) if spectrum.segments else None
         figures["ripple"] = ripple_figure(turned) if turned.segments else None
@@ -275,14 +275,11 @@ def _allan_band(deviation: AllanDeviation) -> Series:
     return Series(deviation.tau, lower, "68 % band", "band", "muted", upper=upper)
 
 
-def allan_figure(
-    residuals: Residuals, noise: tuple[float, float], bias_drift: float = 0.0, single: Sequence[int] = ()
-) -> Figure | None:
-    """Overlapping Allan deviation with its 68 % band, the noise found, and the slope of a bias drift.
+def allan_figure(residuals: Residuals, noise: tuple[float, float], single: Sequence[int] = ()) -> Figure | None:
+    """Overlapping Allan deviation with its 68 % band, the noise found, and the slope of a bias drift for comparison.
 
-    ``residuals`` are angles [rad]; ``noise`` is the white angle noise [rad] and the random walk [rad/sqrt(s)],
-    ``bias_drift`` that found [rad/s/sqrt(s)]; without one a line of its slope is drawn for comparison. Each of the
-    segments ``single`` gets a curve of its own, from its own samples.
+    ``residuals`` are angles [rad]; ``noise`` is the white angle noise [rad] and the random walk [rad/sqrt(s)]. Each of
+    the segments ``single`` gets a curve of its own, from its own samples.
     """
     white, walk = noise[0] ** 2, noise[1] ** 2
     after, time, begins = np.asarray(residuals.after, dtype=float), np.asarray(residuals.t), _begins(residuals)
@@ -291,9 +288,9 @@ def allan_figure(
         return None
     tau, measured = deviation.tau, deviation.deviation / ARCSEC
     angle, wander = (part / ARCSEC for part in model_deviation(tau, white, walk))
-    both = np.hypot(np.hypot(angle, wander), drift_line(tau, bias_drift / ARCSEC))
-    drift = drift_line(tau, bias_drift / ARCSEC or both[-1] / math.sqrt(tau[-1] / 3.0))
-    near = (tau >= 0.1 * tau[-1]) | (bias_drift > 0.0)
+    both = np.hypot(angle, wander)
+    drift = drift_line(tau, both[-1] / math.sqrt(tau[-1] / 3.0))
+    near = tau >= 0.1 * tau[-1]
     limits = (
         0.3 * min(float(measured.min()), float(both.min())),
         3.0 * max(float(deviation.upper.max()) / ARCSEC, float(both.max())),
@@ -306,7 +303,7 @@ def allan_figure(
         plot.dashed(tau, angle, "white noise", "x")
     if walk > 0.0:
         plot.dashed(tau, wander, "random walk", "y")
-    plot.dashed(tau[near], drift[near], "bias drift" if bias_drift else "slope of a drift", "warning")
+    plot.dashed(tau[near], drift[near], "slope of a drift", "warning")
     for part in segment_slices(residuals.segment):
         index = int(residuals.segment[part.start])
         if index in single:

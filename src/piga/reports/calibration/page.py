@@ -99,17 +99,11 @@ def segments_in_words(cal: Calibration) -> str:
     return runs + ("one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments")
 
 
-def _rate_noise(cal: Calibration) -> dict[str, str]:
-    """Noise of the rate that was found, in words: ``drift``, ``scatter`` from segment to segment, ``coloured``."""
-
-    def size(rate: float, per: str = "") -> str:
-        shown = short(rate / cal.scale_factor_nominal / G0 * 1e6)
-        return f"{shown} µg{per} ({printed(short(rate))} rad/s{per})"
-
-    found = {"drift": size(cal.bias_drift, "/√s")} if cal.bias_drift else {}
-    found |= {"scatter": size(cal.segment_scatter)} if cal.segment_scatter else {}
-    noise = cal.coloured_noise
-    return found | ({} if noise is None else {"coloured": f"{noise.words}, {size(noise.rms)}"})
+def _scatter(cal: Calibration) -> str:
+    """Scatter of the rates of the positions, in words; empty if there is none."""
+    level = cal.segment_scatter
+    shown = short(level / cal.scale_factor_nominal / G0 * 1e6)
+    return f"{shown} µg ({printed(short(level))} rad/s)" if level else ""
 
 
 _METHODS = {
@@ -199,12 +193,12 @@ def _noise_table(cal: Calibration) -> Table:
     def noise(white: float, walk: float) -> str:
         return f"{short(white / ARCSEC)} arcsec white, {short(walk / ARCSEC)} arcsec/√s walk"
 
-    of_rate = {"drift": "bias drift", "scatter": "scatter of segments", "coloured": "coloured noise"}
+    scatter = _scatter(cal)
     rows = [
         ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
         ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
         ("noise of the angle", noise(cal.angle_rms, cal.angle_random_walk)),
-        *((of_rate[kind], words) for kind, words in _rate_noise(cal).items()),
+        *((("scatter of segments", scatter),) if scatter else ()),
         ("condition number", printed(short(cal.condition))),
         *((f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events),
         *((f"noise of run {run.name}", noise(run.angle_rms, run.angle_random_walk)) for run in cal.runs),
@@ -471,14 +465,11 @@ def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
     blocks += [Notice("info", f"{sentence(remark)}.") for remark in cal.remarks]
     blocks += [FigureBlock(shown[name]) for name in ("whiteness", "allan") if name in shown]
     white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
-    of_rate = _rate_noise(cal)
     rows = [
         ("Condition number", printed(short(cal.condition))),
         ("White noise of the angle", f"{white} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
         ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
-        ("Bias drift", of_rate.get("drift", "none seen")),
-        ("Scatter of the rate from segment to segment", of_rate.get("scatter", "none seen")),
-        ("Coloured noise of the rate", of_rate.get("coloured", "none seen")),
+        ("Scatter of the rate from segment to segment", _scatter(cal) or "none seen"),
         *scalars({key: value for key, value in cal.diagnostics.document().items() if key not in OWN_TABLES}),
     ]
     blocks.append(facts_table(rows))
