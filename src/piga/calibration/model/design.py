@@ -120,7 +120,7 @@ class DesignSettings:
     most_change: float = 0.5
     """Largest relative change of K inside the regressors. Above it the model does not fit the record."""
     joined_rows: int = 4096
-    """Most joined intervals, about (:meth:`Design.joined`)."""
+    """Most joined intervals, about (:attr:`Design.join`)."""
     joined_turn: float = 0.3
     """Largest turn of the output in a joined interval [rad]; a larger turn would average its harmonics out."""
 
@@ -153,27 +153,6 @@ class Block:
         return starts, np.where((h == 0.0) & (self.h[starts] != 0.0), -1.0, h)
 
 
-@dataclass(frozen=True)
-class Joined:
-    """Rows ``start`` .. ``stop`` of the record with neighbouring intervals joined.
-
-    ``starts`` are the first rows of the joined intervals, counted from ``start``; ``h`` and ``columns`` (m + 1, n) as in a
-    :class:`Block`.
-    """
-
-    start: int
-    stop: int
-    segment: int
-    starts: NDArray[np.int64]
-    h: Array
-    columns: Array
-
-    @property
-    def last(self) -> NDArray[np.int64]:
-        """Last rows of the joined intervals, counted from ``start``."""
-        return np.append(self.starts[1:], self.stop - self.start) - 1
-
-
 @dataclass
 class Design:
     """Regressor blocks of a run for one request.
@@ -189,7 +168,6 @@ class Design:
     scale_factor: float
     servo: ServoState | None = None
     _cache: dict[int, Block] = field(default_factory=dict, repr=False)
-    _joined: list[Joined] = field(default_factory=list, repr=False)
 
     def __post_init__(self) -> None:
         run = self.run
@@ -268,25 +246,14 @@ class Design:
         result.phase_angle = other.phase_angle
         return result
 
-    def blocks(self) -> Iterator[Block]:
-        """All blocks in order."""
-        keep = self.run.size * (len(self.names) + 2) * 8 <= DESIGN.cache_bytes
+    def blocks(self, *, keep: bool = True) -> Iterator[Block]:
+        """All blocks in order; with ``keep`` a short record keeps them for the next pass."""
+        keep = keep and self.run.size * (len(self.names) + 2) * 8 <= DESIGN.cache_bytes
         for index in range(len(self._ranges)):
             block = self._cache.get(index) or self._build(index)
             if keep:
                 self._cache[index] = block
             yield block
-
-    def joined(self) -> list[Joined]:
-        """All blocks with neighbouring intervals joined, so that there are some ``joined_rows``; kept, because they are few."""
-        if not self._joined:
-            count, blocks = self.join, []
-            for block in self.blocks():
-                starts, h = block.joins(count)
-                columns = np.add.reduceat(block.columns, starts, axis=1)
-                blocks.append(Joined(block.start, block.stop, block.segment, starts, h, columns))
-            self._joined = blocks
-        return self._joined
 
     @property
     def join(self) -> int:
@@ -301,7 +268,6 @@ class Design:
     def forget(self) -> None:
         """Free the memory of kept blocks; they are built again on demand."""
         self._cache.clear()
-        self._joined = []
 
     def _build(self, index: int) -> Block:
         start, stop, segment = self._ranges[index]

@@ -10,14 +10,14 @@ the record is smooth over a few samples, the trapezoidal rule integrates the col
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from piga.calibration.fit.one_run import Fit
-from piga.calibration.model.design import Design, Joined
+from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.reduction import solve_upper
 from piga.calibration.model.solution import layout_of, name_coefficients, parameter_rows
 from piga.calibration.weights import Whitener, rate_share
@@ -37,8 +37,6 @@ class CandidateSettings:
     """Probability that a record of a right model gets any suggestion, Bonferroni over the candidates."""
     thermal_alarms: float = 0.005
     """The same for a bias that follows a recorded temperature: one candidate, expected in advance."""
-    sample_turn: float = 0.1
-    """Turn of the output between the samples of a candidate [rad]: the error of the trapezoid is 1e-3."""
     confounded: float = 1e-3
     """Smallest independent part of a candidate, relative to its size, for the candidate to be determined."""
     notable: float = 0.01
@@ -58,42 +56,9 @@ class CandidateSettings:
     """Largest relative change of a squared force that counts as constant."""
     force_samples: int = 4096
     """Samples used for this."""
-    windows: int = 8
-    """Windows of the record in which its smoothness is tested."""
-    window_samples: int = 1024
-    """Samples of such a window."""
-    longest_step: int = 64
-    """Most samples spanned by a step."""
-    straight: float = 1e-3
-    """Largest distance of the force from a straight line, over the largest force, that counts as none."""
 
 
 CANDIDATES = CandidateSettings()
-
-
-def smooth_step(run: Run, turn: float) -> int:
-    """Step in samples over which the output turns by less than ``turn`` [rad] and the force is a straight line."""
-    starts = np.unique(
-        np.linspace(0, max(run.size - CANDIDATES.window_samples, 0), CANDIDATES.windows).astype(np.int64)
-    )
-    return min(_step(run, slice(int(start), int(start) + CANDIDATES.window_samples), turn) for start in starts)
-
-
-def _step(run: Run, window: slice, turn: float) -> int:
-    inside = ~run.begins[window][1:]
-    turned = np.abs(np.diff(run.output[window]))[inside]
-    largest = float(np.quantile(turned, 0.95)) if turned.size else 0.0
-    step = int(min(turn / largest, CANDIDATES.longest_step)) if largest > 0.0 else 1
-    f = run.f[window]
-    limit = CANDIDATES.straight * max(float(np.abs(f).max()), 1e-300)
-    while step > 1:
-        ends = f[: f.shape[0] - f.shape[0] % step : step]
-        middle = f[step // 2 :: step][: ends.shape[0] - 1]
-        line = ends[:-1] + (ends[1:] - ends[:-1]) * ((step // 2) / step)
-        if middle.size and np.quantile(np.abs(middle - line), 0.9) < limit:
-            break
-        step //= 2
-    return max(step, 1)
 
 
 SINGLE = (
@@ -149,95 +114,6 @@ def constant_squares(run: Run) -> tuple[float | None, float | None]:
     return squares[0], squares[1]
 
 
-def candidate_sums(fit: Fit, joined: Joined, names: list[str], step: int) -> Array:
-    """Integrals of the candidates over joined intervals (sums of their values, for a log of rates), (names, n).
-
-    Parameters
-    ----------
-    fit, joined, names:
-        The fit, a block of its design and the columns wanted.
-    step:
-        Samples between evaluations, where the record is smooth. A log of rates is evaluated at all samples.
-    """
-    design, run = fit.design, fit.design.run
-    size, starts = joined.stop - joined.start, joined.starts
-    first = joined.start if design.point else joined.start - 1
-    at = np.arange(size)
-    if not design.point:
-        looked = np.zeros(size + 1, dtype=bool)
-        looked[::step] = looked[starts] = looked[size] = True
-        at = np.flatnonzero(looked)
-    rows = first + at
-    phase = fit.solution.phases
-    group = joined.segment if phase.size > 1 else 0
-    alpha = design.phase_angle[rows] + (phase[group] if phase.size else 0.0)
-    a = np.ascontiguousarray(run.f[rows].T)
-    t = run.t[rows] - design.time_reference
-    warm = t if run.temperature is None else run.temperature[rows] - design.request.temperature_reference
-    turning = a if run.base_rate is None else a - run.base_rate[rows].T / design.scale_factor
-    values = term_values(names, a, t, warm, turning, alpha)
-    if design.point:
-        return np.asarray(np.add.reduceat(values, starts, axis=1))
-    half = 0.5 * np.where(run.begins[first + 1 + at[:-1]], 0.0, np.diff(t))
-    return np.asarray(
-        np.add.reduceat(half * (values[:, 1:] + values[:, :-1]), np.searchsorted(at, starts), axis=1)
-    )
-
-
-PRODUCTS = {
-    "k0": "", "k1": "x", "k2": "xx", "k3": "xxx", "m_Y": "y", "m_Z": "z",
-    "k_XY": "xy", "k_XZ": "xz", "k_YY": "yy", "k_ZZ": "zz", "k_YZ": "yz",
-}  # fmt: skip
-"""Terms that are products of the axes of the force."""
-
-
-def term_values(names: Sequence[str], a: Array, t: Array, warm: Array, turning: Array, alpha: Array) -> Array:
-    """Integrands (names, n) of the columns of terms at the samples.
-
-    Parameters
-    ----------
-    names:
-        Terms, or ``p``, ``q`` of the coupling.
-    a:
-        (3, n) specific force [m/s^2].
-    t, warm:
-        (n,) time [s] and temperature [K] from their references.
-    turning:
-        (3, n) specific force less base rate over K [m/s^2].
-    alpha:
-        (n,) angle that the column turns with [rad].
-    """
-    turns = any(name in ("p", "q", "s1", "c1", "s2", "c2", *SERVO_TERMS) for name in names)
-    sine, cosine = (np.sin(alpha), np.cos(alpha)) if turns else (t, t)
-    along, across = turning[1] * cosine + turning[2] * sine, turning[1] * sine - turning[2] * cosine
-    values = np.empty((len(names), t.size))
-    others: dict[str, Callable[[], Array]] = {
-        "s1": lambda: sine,
-        "c1": lambda: cosine,
-        "s2": lambda: 2.0 * sine * cosine,
-        "c2": lambda: cosine * cosine - sine * sine,
-        "p": lambda: across,
-        "q": lambda: along,
-        "servo": lambda: -2.0 * turning[0] * across**2,
-        "servo_damping": lambda: -(turning[0] ** 2) * along,
-        "k2o": lambda: a[0] * np.abs(a[0]),
-        "k0_t": lambda: t,
-        "k0_T": lambda: warm,
-        "k1_T": lambda: a[0] * warm,
-    }
-    for name, value in zip(names, values, strict=True):
-        order = harmonic(name)
-        if name in others:
-            value[:] = others[name]()
-        elif order:
-            value[:] = np.sin(order[1] * alpha) if order[0] == "s" else np.cos(order[1] * alpha)
-        else:
-            value[:] = 1.0
-            for axis in PRODUCTS[name]:
-                np.multiply(value, a["xyz".index(axis)], out=value)
-    return values
-
-
 @dataclass(frozen=True)
 class Tested:
     """A candidate (one column, or a pair that turns with the output) against the model.
@@ -270,8 +146,13 @@ class Candidates:
     @cached_property
     def order(self) -> list[str]:
         """Names of the columns: candidates for a suggestion, and signatures of the servo."""
-        names = [name for names in candidate_terms(self.fit.design) for name in names]
-        return names + [name for name in ("k3", "servo_damping") if name not in names]
+        design = self.fit.design
+        names = [name for names in candidate_terms(design) for name in names]
+        if "k3" not in (*names, *design.names):
+            names.append("k3")
+        if "p" in design.names and "servo_damping" not in (*names, *design.turning_servo):
+            names.append("servo_damping")
+        return names
 
     @cached_property
     def pieces(self) -> tuple[list[Array], int]:
@@ -366,29 +247,59 @@ def terms_of(names: Names) -> Names:
     return ("tan_beta",) if names == ("p", "q") else names
 
 
+def wide_design(fit: Fit, extra: Sequence[str]) -> Design:
+    """The model of a fit with further columns: all known terms, at the phase of the fit."""
+    design = fit.design
+    added = dict.fromkeys("tan_beta" if name in ("p", "q") else name for name in extra)
+    request = replace(design.request, terms=(*design.request.terms, *added))
+    state = design.servo
+    if state is None and "p" in design.local_names:
+        phases = tuple(float(fit.solution.phases[group]) for group in design.groups)
+        state = ServoState(phases, stiffness=0.0, damping=0.0, inverse=0.0)
+    return Design(design.run, request, design.scale_factor, state)
+
+
 def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
-    """Factors ``[parameters | extra | residual]`` of the parts of the record, and the number of rows."""
+    """Factors ``[parameters | extra | residual]`` of the parts of the record, and the number of rows.
+
+    Neighbouring increments are joined, because few rows are enough.
+    """
     design, layout = fit.design, layout_of(fit.design)
     segments = len(design.run.labels)
     parameters = len(layout.columns) + len(extra[:2])
     parts = 1 if segments >= parameters + CANDIDATES.spare else math.ceil(CANDIDATES.pieces / segments)
-    collected: list[list[Array]] = [[] for _ in range(segments)]
-    total, step = 0, smooth_step(design.run, CANDIDATES.sample_turn)
-
-    for segment, weighted, formed in joined_rows(
-        fit, lambda one: candidate_sums(fit, one, extra, step), len(extra)
-    ):
-        total += formed
-        collected[segment].append(weighted)
+    wide = wide_design(fit, extra)
+    collected, total = _weighted(fit, wide)
+    model = [wide.names.index(name) for name in design.names]
+    others = [wide.names.index(name) for name in extra]
     pieces = []
     for segment, chunks in enumerate(collected):
-        rows = np.concatenate(chunks) if chunks else np.zeros((0, 0))
-        if chunks and _stated(fit):
+        if not chunks:
+            continue
+        rows = np.concatenate(chunks)
+        if _stated(fit):
             own, rows = rows[:, 0], rows[:, 1:]
             rows = rows - float(rate_share(fit.noise.stated[segment], own @ own)) * np.outer(own, own @ rows)
-        split = np.array_split(rows, parts) if chunks else []
-        pieces += [parameter_rows(design, fit.solution, segment, piece) for piece in split]
+        residual = rows[:, -1] - rows[:, model] @ fit.solution.values[segment]
+        turned = rows[:, others] @ _turn(fit, segment, extra)
+        rows = np.column_stack([rows[:, model], turned, residual])
+        pieces += [
+            parameter_rows(design, fit.solution, segment, piece) for piece in np.array_split(rows, parts)
+        ]
     return pieces, total
+
+
+def _turn(fit: Fit, segment: int, extra: list[str]) -> Array:
+    """Columns of harmonics of the angle as read, turned to those of the angle with the phase of the fit."""
+    matrix, phases = np.eye(len(extra)), fit.solution.phases
+    phase = float(phases[fit.design.groups[segment]]) if phases.size else 0.0
+    for name in extra:
+        wave = harmonic(name)
+        if wave and wave[0] == "s":
+            s, c = extra.index(name), extra.index(f"c{wave[1]}")
+            cosine, sine = math.cos(wave[1] * phase), math.sin(wave[1] * phase)
+            matrix[np.ix_((s, c), (s, c))] = [[cosine, -sine], [sine, cosine]]
+    return matrix
 
 
 def _stated(fit: Fit) -> bool:
@@ -396,26 +307,26 @@ def _stated(fit: Fit) -> bool:
     return bool(fit.noise.stated) and fit.mode == "increments"
 
 
-def joined_rows(fit: Fit, others: Callable[[Joined], Array], size: int) -> Iterator[tuple[int, Array, int]]:
-    """Segment, weighted rows ``[columns | others | residual]`` and number of formed rows, block by block.
+def _weighted(fit: Fit, wide: Design) -> tuple[list[list[Array]], int]:
+    """Weighted rows ``[columns | observation]`` of each segment, and the number of rows.
 
-    Neighbouring increments are joined, because few rows are enough. ``others`` are ``size`` further columns
-    (size, n) of the joined intervals. With a stated scatter of the segments, the intervals are the first column.
+    With a stated scatter of the segments, the intervals are the first column.
     """
-    design, mode = fit.design, "samples" if fit.mode == "samples" else "increments"
-    stated = _stated(fit)
-    whitener = Whitener(mode, fit.noise, len(design.names) + size + 1 + stated, design.run.median_step)
-    for joined in design.joined():
-        model, h = joined.columns, joined.h
-        values = fit.solution.values[joined.segment]
-        columns = np.vstack([model[:-1], others(joined), model[-1] - values @ model[:-1]])
+    mode, stated, total = "samples" if fit.mode == "samples" else "increments", _stated(fit), 0
+    whitener = Whitener(mode, fit.noise, len(wide.names) + 1 + stated, wide.run.median_step)
+    collected: list[list[Array]] = [[] for _ in wide.run.labels]
+    every = wide.join
+    for block in wide.blocks(keep=False):
+        starts, h = block.joins(every)
+        columns = np.add.reduceat(block.columns, starts, axis=1)
         if mode == "samples":
-            columns = columns / np.sqrt(np.maximum(h, 1.0))
+            columns /= np.sqrt(np.maximum(h, 1.0))
         if stated:
             columns = np.vstack([h, columns])
-        weighted = whitener.apply(np.ascontiguousarray(columns), h)
         kept = h > 0.0
-        yield joined.segment, np.ascontiguousarray(weighted[:, kept].T), int(np.count_nonzero(kept))
+        collected[block.segment].append(whitener.apply(columns, h)[:, kept].T)
+        total += int(np.count_nonzero(kept))
+    return collected, total
 
 
 def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Tested | None:
