@@ -247,16 +247,15 @@ def terms_of(names: Names) -> Names:
     return ("tan_beta",) if names == ("p", "q") else names
 
 
-def wide_design(fit: Fit, extra: Sequence[str]) -> Design:
-    """The model of a fit with further columns: all known terms, at the phase of the fit."""
+def _design_of(fit: Fit, extra: Sequence[str]) -> Design:
+    """The columns ``extra`` for the record of a fit, those of the servo at its phase."""
     design = fit.design
-    added = dict.fromkeys("tan_beta" if name in ("p", "q") else name for name in extra)
-    request = replace(design.request, terms=(*design.request.terms, *added))
-    state = design.servo
-    if state is None and "p" in design.local_names:
+    terms = tuple(dict.fromkeys("tan_beta" if name in ("p", "q") else name for name in extra))
+    state = None
+    if "p" in design.local_names:
         phases = tuple(float(fit.solution.phases[group]) for group in design.groups)
         state = ServoState(phases, stiffness=0.0, damping=0.0, inverse=0.0)
-    return Design(design.run, request, design.scale_factor, state)
+    return Design(design.run, replace(design.request, terms=terms), design.scale_factor, state)
 
 
 def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
@@ -268,24 +267,15 @@ def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
     segments = len(design.run.labels)
     parameters = len(layout.columns) + len(extra[:2])
     parts = 1 if segments >= parameters + CANDIDATES.spare else math.ceil(CANDIDATES.pieces / segments)
-    wide = wide_design(fit, extra)
-    collected, total = _weighted(fit, wide)
-    model = [wide.names.index(name) for name in design.names]
-    others = [wide.names.index(name) for name in extra]
+    collected, total = _weighted(fit, extra)
     pieces = []
-    for segment, chunks in enumerate(collected):
-        if not chunks:
-            continue
-        rows = np.concatenate(chunks)
+    for segment, weighted in enumerate(collected):
+        rows = weighted
         if _stated(fit):
-            own, rows = rows[:, 0], rows[:, 1:]
-            rows = rows - float(rate_share(fit.noise.stated[segment], own @ own)) * np.outer(own, own @ rows)
-        residual = rows[:, -1] - rows[:, model] @ fit.solution.values[segment]
-        turned = rows[:, others] @ _turn(fit, segment, extra)
-        rows = np.column_stack([rows[:, model], turned, residual])
-        pieces += [
-            parameter_rows(design, fit.solution, segment, piece) for piece in np.array_split(rows, parts)
-        ]
+            own, rest = weighted[:, 0], weighted[:, 1:]
+            rows = rest - float(rate_share(fit.noise.stated[segment], own @ own)) * np.outer(own, own @ rest)
+        split = np.array_split(rows, parts) if rows.size else []
+        pieces += [parameter_rows(design, fit.solution, segment, piece) for piece in split]
     return pieces, total
 
 
@@ -307,26 +297,32 @@ def _stated(fit: Fit) -> bool:
     return bool(fit.noise.stated) and fit.mode == "increments"
 
 
-def _weighted(fit: Fit, wide: Design) -> tuple[list[list[Array]], int]:
-    """Weighted rows ``[columns | observation]`` of each segment, and the number of rows.
+def _weighted(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
+    """Weighted rows ``[model | extra | residual]`` of each segment, and the number of rows.
 
     With a stated scatter of the segments, the intervals are the first column.
     """
+    design, others = fit.design, _design_of(fit, extra)
     mode, stated, total = "samples" if fit.mode == "samples" else "increments", _stated(fit), 0
-    whitener = Whitener(mode, fit.noise, len(wide.names) + 1 + stated, wide.run.median_step)
-    collected: list[list[Array]] = [[] for _ in wide.run.labels]
-    every = wide.join
-    for block in wide.blocks(keep=False):
+    size = len(design.names) + len(extra) + 1 + stated
+    whitener = Whitener(mode, fit.noise, size, design.run.median_step)
+    order, every = [others.names.index(name) for name in extra], design.join
+    collected: list[list[Array]] = [[np.zeros((0, size))] for _ in design.run.labels]
+    for block, other in zip(design.blocks(), others.blocks(keep=False), strict=True):
+        model, segment = block.columns, block.segment
         starts, h = block.joins(every)
-        columns = np.add.reduceat(block.columns, starts, axis=1)
+        columns = np.add.reduceat(np.vstack([model, other.columns[order]]), starts, axis=1)
+        m = len(model) - 1
+        residual = columns[m] - fit.solution.values[segment] @ columns[:m]
+        columns = np.vstack([columns[:m], _turn(fit, segment, extra).T @ columns[m + 1 :], residual])
         if mode == "samples":
             columns /= np.sqrt(np.maximum(h, 1.0))
         if stated:
             columns = np.vstack([h, columns])
         kept = h > 0.0
-        collected[block.segment].append(whitener.apply(columns, h)[:, kept].T)
+        collected[segment].append(whitener.apply(columns, h)[:, kept].T)
         total += int(np.count_nonzero(kept))
-    return collected, total
+    return [np.concatenate(chunks) for chunks in collected], total
 
 
 def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Tested | None:
