@@ -168,7 +168,13 @@ def _same_file(outputs: Iterable[Path], inputs: Iterable[Path]) -> tuple[Path, P
 
 
 def results_folder(
-    folder: Path, command: str, names: Sequence[str], inputs: Sequence[Path], *, force: bool
+    folder: Path,
+    command: str,
+    names: Sequence[str],
+    inputs: Sequence[Path],
+    *,
+    force: bool,
+    option: str = "--out",
 ) -> Path:
     """The folder in which results will appear: ``folder``, or the first of ``folder/2``, ``folder/3`` ... that is free.
 
@@ -184,20 +190,21 @@ def results_folder(
     number, place = 1, folder
     while True:
         if place.exists() and not place.is_dir():
-            raise ArgumentError(f"{place}: is a file", remedy="choose another --out")
+            raise ArgumentError(f"{place}: is a file", remedy=f"choose another {option}")
         there = _matching(place, names)
         folders = [
             path for name in names for path in place.glob(name) if path.is_dir() and not path.is_symlink()
         ]
         if folders:
             raise ArgumentError(
-                f"{folders[0]}: is a folder where a result goes", remedy="move it away, or choose another --out"
+                f"{folders[0]}: is a folder where a result goes",
+                remedy=f"move it away, or choose another {option}",
             )
         same = _same_file(there, inputs)
         if force and same is not None:
             raise ArgumentError(
                 f"{same[0]}: is the input {same[1]}: it would be replaced by the result",
-                remedy="choose another --out, or leave --force out",
+                remedy=f"choose another {option}, or leave --force out",
             )
         mark = _read_mark(place / f"{_MARK}{command}.json", _key(command, inputs))
         if force or (same is None and all(_is_unchanged(path, place, mark) for path in there)):
@@ -240,11 +247,12 @@ def results(
     PigaError
         If the folder cannot be written.
     """
-    folder = results_folder(folder, command, names, inputs, force=force)
+    folder = results_folder(folder, command, names, inputs, force=force, option=option)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         home = folder if folder.is_dir() else folder.parent
-        _remove_stages(home)
+        for place in {home, folder.parent}:
+            _remove_stages(place)
         with _staged(home) as stage:
             yield stage
             mark = _finish_stage(stage, command, _key(command, inputs))

@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
+import glob
 import io
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from piga.cli.common import (
-    ForceOption,
-    check_pipes,
-    files_named_in,
-    note,
-    print_json,
-    progress,
-    say,
-    write_by_rename,
-)
+from piga.cli.common import ForceOption, check_pipes, counted, deliver, files_named_in, note, progress
 from piga.errors import ArgumentError
-from piga.output import check_outputs
+from piga.output import results
 
 if TYPE_CHECKING:
-    from piga.compensation import Compensated, Mounted, Phase
+    from piga.compensation import Compensated, Phase
     from piga.records import Calibration, Run
+    from piga.reports.compensation.outline import CompensationOutline
 
 
 def compensate(
@@ -95,36 +90,56 @@ def compensate(
     given = None if phase is None else Phase(to_si(phase, "rad", what="--phase"))
     rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
     period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
+    options = CompensationOptions(method, given, uncertainty, max_age, other_serial, period, rest)
     live, several = str(run[0]) == "-", len(run) > 1 or _is_triad(run[0])
     if live or several:
         _refuse(live, identify_phase=rest, phase=given, rate=period, report=report)
     if live:
-        _live(_one(calibrations), kind, method, given, arrow, uncertainty, max_age)
+        _live(_one(calibrations), kind, options, arrow)
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
-    page = _page(report)
+    if report is not None and report.suffix != ".html":
+        raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
     inputs = [path for one in run for path in files_named_in(one)] + (calibration or [])
-    check_outputs([out, *([] if page is None else [page])], inputs, force=force)
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # PyArrow's own keeps 30 MB of unused memory
-    options = _Options(method, given, uncertainty, max_age, other_serial, period)
-    if several:
-        summary, calibrations = _together(run, sources, calibrations, out, options, page)
-    else:
-        summary = _single(run[0], _one(calibrations), sources, (out, page), options, rest)
+    solve = _together if several else _single
+    beside = report is not None and report.parent == out.parent
+    names = [glob.escape(path.name) for path in (out, report) if path is not None and (path is out or beside)]
+    command = f"compensate-{out.stem[:40]}"
+    with deliver(out.parent, command, names, inputs, force=force, as_json=json) as to:
+        with _page_folder(report, None if beside else command, to.stage, inputs, force) as folder:
+            page = None if report is None else folder / report.name
+            summary, calibrations = solve(run, sources, calibrations, to / out.name, page, options)
+        document = {"file": str((to.folder or out.parent) / out.name)} | summary
+        to.tell(
+            lambda: document | {"calibrations": _verdicts(calibrations)},
+            lambda: counted(summary["rows"], "row"),
+        )
     if json:
-        print_json({"file": str(out)} | summary | {"calibrations": _verdicts(calibrations)})
         return
-    say(f"wrote {out}: {summary['rows']} rows")
-    if page is not None:
-        say(f"wrote {page}")
-    for name, count in summary.get("flags", {}).items():
-        note(f"{name}: {count} {'row' if count == 1 else 'rows'}")
-    for name, count in summary.get("repairs", {}).items():
+    if report is not None and not beside:
+        note(f"wrote {report}")
+    for name, count in summary["flags"].items():
+        note(f"{name}: {counted(count, 'row')}")
+    for name, count in summary["repairs"].items():
         note(f"{count} x {name}")
     for one in calibrations:
         for doubt in one.verdict.doubts:
             note(f"piga: calibration of {one.serial}: {doubt.words}")
+
+
+@contextmanager
+def _page_folder(
+    report: Path | None, command: str | None, stage: Path, inputs: list[Path], force: bool
+) -> Iterator[Path]:
+    """The hidden folder for the page: that of the result, or one of its own where the page is to be elsewhere."""
+    if report is None or command is None:
+        yield stage
+        return
+    names = [glob.escape(report.name)]
+    with results(report.parent, command, names, inputs, force=force, option="--report") as folder:
+        yield folder
 
 
 def _verdicts(calibrations: list[Calibration]) -> list[dict[str, Any]]:
@@ -158,15 +173,6 @@ def _refuse(live: bool, **options: object) -> None:
             raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
 
 
-def _page(report: Path | None) -> Path | None:
-    """Path of the report page; None without a page."""
-    if report is None:
-        return None
-    if report.suffix != ".html":
-        raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
-    return report
-
-
 def _is_triad(path: Path) -> bool:
     from piga.compensation.sets.set_files import is_triad_file
 
@@ -182,121 +188,100 @@ def _one(calibrations: list[Calibration]) -> Calibration:
 
 
 @dataclass(frozen=True)
-class _Options:
-    """Options of a compensation. ``period`` [s] is the interval of another output rate."""
+class CompensationOptions:
+    """Options of a compensation.
+
+    ``period`` [s] is the interval of another output rate. ``rest`` [s] is the time at rest that gives the phase.
+    """
 
     method: str | None
     phase: Phase | None
     uncertainty: bool
     max_age: float | None
-    force: bool
+    other_serial: bool
     period: float | None
+    rest: float | None
 
     def arguments(self) -> dict[str, Any]:
-        """Keyword arguments for the functions of :mod:`piga.compensation`."""
-        return {
-            "method": self.method,
-            "phase": self.phase,
-            "uncertainty": self.uncertainty,
-            "max_age_days": self.max_age,
-            "force": self.force,
-        }
+        """Keyword arguments that the functions of :mod:`piga.compensation` share."""
+        return {"uncertainty": self.uncertainty, "max_age_days": self.max_age, "force": self.other_serial}
 
-    def in_words(self, calibration: Calibration) -> dict[str, str]:
-        """Options as label-value pairs for the report."""
-        from piga.compensation.model import check_method
-
-        phase = "of the calibration"
-        if self.phase is not None:
-            phase = f"{self.phase.value:.6g} rad, standard uncertainty {self.phase.std:.2g} rad"
-        return {"method": check_method(self.method, calibration), "phase used": phase} | self.common()
-
-    def common(self) -> dict[str, str]:
-        """Label-value pairs that the reports of one instrument and of a set share."""
-        return {
-            "rate": "as recorded"
+    def in_words(self, **more: str) -> dict[str, str]:
+        """Options as label-value pairs for the report, after those in ``more``."""
+        rate = (
+            "as recorded"
             if self.period is None
-            else f"written at {1.0 / self.period:.6g} Hz, shown as recorded",
+            else f"written at {1.0 / self.period:.6g} Hz, shown as recorded"
+        )
+        return more | {
+            "rate": rate,
             "calibration flagged when older than": "never"
             if self.max_age is None
             else f"{self.max_age:g} days",
-            "another serial number allowed": "yes" if self.force else "no",
+            "another serial number allowed": "yes" if self.other_serial else "no",
         }
 
 
 def _single(
-    run: Path,
-    calibration: Calibration,
-    sources: list[tuple[str, str]],
-    target: tuple[Path, Path | None],
-    options: _Options,
-    rest: float | None,
-) -> dict[str, Any]:
+    runs: list[Path], sources: list[tuple[str, str]], calibrations: list[Calibration], out: Path, page: Path | None,
+    options: CompensationOptions,
+) -> tuple[dict[str, Any], list[Calibration]]:  # fmt: skip
     """Compensate one recorded run of any length.
 
-    ``sources`` are the calibration file and its SHA-256 as read. ``target``: result and report.
-    ``rest`` [s] is the initial time at rest, which gives
-    the phase.
+    ``sources`` are the calibration file and its SHA-256 as read. ``out`` and ``page``: files to write.
     """
     from piga.compensation import Resampler, identify_phase
     from piga.compensation.compensator import compensate
-    from piga.compensation.files.file_to_file import (
-        HELD_ROWS,
-        FileSummary,
-        compensate_to_file,
-        found_while_reading,
-    )
+    from piga.compensation.files.file_to_file import HELD_ROWS, compensate_to_file, found_while_reading
+    from piga.compensation.model import check_method
     from piga.compensation.result import format_of, inputs_listed
     from piga.stand import read_run
 
-    out, page = target
-    kind = format_of(out)
+    calibration, kind = _one(calibrations), format_of(out)
     with progress("reading"):
-        record = read_run(run)
+        record = read_run(runs[0])
     inputs = [*record.input_sha256.items(), *sources]
-    options = _with_phase(options, None if rest is None else identify_phase(record, calibration, rest))
-    resampler = None if options.period is None else Resampler(options.period)
-    report, watch = None, None
+    if options.rest is not None:
+        phase = identify_phase(record, calibration, options.rest)
+        note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
+        options = replace(options, phase=phase)
+    arguments = options.arguments() | {"method": options.method, "phase": options.phase}
+    outline, watch, whole = None, None, None
     if page is not None:
-        report = _Report(page, record.kind, calibration, inputs)
-        watch = report.outline.piece
+        from piga.reports.compensation.outline import CompensationOutline
+
+        outline = CompensationOutline(record.kind, calibration)
+        watch = outline.piece
         if record.size <= HELD_ROWS:
-            report.take(record, compensate(record, calibration, **options.arguments()))
+            whole = record, compensate(record, calibration, **arguments)
+            outline.record(*whole)
             watch = None
-    summary = FileSummary()
-
-    def write(path: Path) -> None:
-        nonlocal summary
-        with progress("compensating", record.size) as advance:
-            summary = compensate_to_file(
-                record, calibration, path, kind, resampler=resampler, progress=advance, watch=watch,
-                inputs=inputs, **options.arguments(),
-            )  # fmt: skip
-
-    write_by_rename(out, write)
+    with progress("compensating", record.size) as advance:
+        summary = compensate_to_file(
+            record, calibration, out, kind, progress=advance, watch=watch, inputs=inputs,
+            resampler=None if options.period is None else Resampler(options.period), **arguments,
+        )  # fmt: skip
     repairs = found_while_reading(record)
-    if report is not None:
-        report.write(options.in_words(calibration), repairs)
-    return {
+    if page is not None and outline is not None:
+        phase_used = "of the calibration"
+        if options.phase is not None:
+            phase_used = f"{options.phase.value:.6g} rad, standard uncertainty {options.phase.std:.2g} rad"
+        words = {"method": check_method(options.method, calibration), "phase used": phase_used}
+        data = inputs[1][0] if len(inputs) > 2 else inputs[0][0]
+        _write_page(outline, (data,), inputs, options.in_words(**words), page, repairs, whole)
+    document = {
         "rows": summary.rows,
         "velocity_m_s": summary.velocity,
         "flags": summary.flags,
         "repairs": repairs,
         "inputs": inputs_listed(inputs),
     }
-
-
-def _with_phase(options: _Options, phase: Phase | None) -> _Options:
-    """The options with the estimated phase, if one was estimated."""
-    if phase is None:
-        return options
-    note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
-    return replace(options, phase=phase)
+    return document, calibrations
 
 
 def _together(
-    runs: list[Path], sources: list[tuple[str, str]], calibrations: list[Calibration], out: Path, options: _Options,
-    page: Path | None,
+    runs: list[Path], sources: list[tuple[str, str]], calibrations: list[Calibration], out: Path, page: Path | None,
+    options: CompensationOptions,
 ) -> tuple[dict[str, Any], list[Calibration]]:  # fmt: skip
     """Summary and the calibrations used: those given, or those that the triad file names."""
     from piga.compensation.result import format_of
@@ -317,94 +302,50 @@ def _together(
             f"{len(runs)} runs and {len(calibrations)} calibrations: piga cannot know how the instruments are mounted",
             remedy="three runs and three calibrations in the order x, y, z, or a triad file with axes",
         )
-    report = None
+    calibrations = [item.calibration for item in mounted]
+    outline = None
     if page is not None:
-        report = _SetReport(page, paths, mounted)
-    summary: dict[str, Any] = {}
-
-    def write(path: Path) -> None:
-        with progress("compensating") as advance:
-            summary.update(
-                compensate_set_files(
-                    paths, mounted, path, kind, uncertainty=options.uncertainty, max_age_days=options.max_age,
-                    force=options.force, period=options.period, progress=advance,
-                    watch=None if report is None else report.outline.piece, inputs=inputs,
-                )
-            )  # fmt: skip
-
-    write_by_rename(out, write)
-    if report is not None:
-        report.write({"method": "exact"} | options.common(), summary["inputs"])
-    return summary, [one.calibration for one in mounted]
-
-
-class _Report:
-    """Collects the report of one compensation. ``files``: name and SHA-256 of each file read."""
-
-    def __init__(self, page: Path, kind: str, calibration: Calibration, files: list[tuple[str, str]]) -> None:
-        self._page, self._calibration, self._files = page, calibration, files
-        from piga.reports.compensation.outline import outline_of
-
-        self._whole: tuple[Run, Compensated] | None = None
-        self.outline = outline_of(kind, calibration)
-
-    def take(self, record: Run, result: Compensated) -> None:
-        """Add a whole record."""
-        self._whole = record, result
-        self.outline.record(record, result)
-
-    def write(self, options: dict[str, str], repairs: dict[str, int]) -> None:
-        """Write the report by rename."""
-        from piga.reports.compensation.page import CompensationFacts, write_compensation_report
-
-        facts = CompensationFacts(self._calibration, self._files, options, repairs)
-        write_by_rename(
-            self._page,
-            lambda path: write_compensation_report(self.outline, facts, path, self._whole),
-            "--report",
-        )
-
-
-class _SetReport:
-    """Collects the report of a set. ``runs`` are its run files."""
-
-    def __init__(self, page: Path, runs: list[Path], mounted: list[Mounted]) -> None:
         from piga.records import read_run_file
-        from piga.reports.compensation.outline import SetOutline
+        from piga.reports.compensation.outline import CompensationOutline
 
-        self._page = page
-        kinds = [read_run_file(run).data for run in runs]
-        serials = [item.calibration.serial for item in mounted]
-        self._names = tuple(
-            f"{run.stem} ({serial})" if serial else run.stem for run, serial in zip(runs, serials, strict=True)
+        rates = read_run_file(paths[0]).data.output.kind == "rate"
+        outline = CompensationOutline("rate" if rates else "angle", mounted)
+    with progress("compensating") as advance:
+        summary = compensate_set_files(
+            paths, mounted, out, kind, period=options.period, progress=advance,
+            watch=None if outline is None else outline.set_piece, inputs=inputs, **options.arguments(),
+        )  # fmt: skip
+    if page is not None and outline is not None:
+        names = tuple(
+            f"{path.stem} ({one.serial})" if one.serial else path.stem
+            for path, one in zip(paths, calibrations, strict=True)
         )
-        self.outline = SetOutline("rate" if kinds[0].output.kind == "rate" else "angle", mounted)
-
-    def write(self, options: dict[str, str], inputs: list[dict[str, str]]) -> None:
-        """Write the report by rename. ``inputs`` are those of the summary."""
-        from piga.reports.compensation.page import SetFacts, write_set_report
-
-        files = dict.fromkeys((one["file"], one["sha256"]) for one in inputs)
-        facts = SetFacts(self._names, tuple(files), options)
-        write_by_rename(self._page, lambda path: write_set_report(self.outline, facts, path), "--report")
+        files = list(dict.fromkeys((one["file"], one["sha256"]) for one in summary["inputs"]))
+        _write_page(outline, names, files, options.in_words(method="exact"), page, summary["repairs"])
+    return summary, calibrations
 
 
-def _live(
-    calibration: Calibration,
-    kind: str,
-    method: str | None,
-    phase: Phase | None,
-    arrow: bool,
-    uncertainty: bool,
-    max_age: float | None,
-) -> None:
+def _write_page(
+    outline: CompensationOutline, names: tuple[str, ...], files: list[tuple[str, str]], options: dict[str, str],
+    page: Path, repairs: dict[str, int], whole: tuple[Run, Compensated] | None = None,
+) -> None:  # fmt: skip
+    from piga.reports.compensation.page import CompensationFacts, compensation_page
+    from piga.reports.render.page import write_page
+
+    facts = CompensationFacts(names, files, options, repairs)
+    with progress("writing the report"):
+        write_page(compensation_page(outline, facts, whole), page)
+
+
+def _live(calibration: Calibration, kind: str, options: CompensationOptions, arrow: bool) -> None:
     from piga.compensation import Compensator
     from piga.compensation.files.live import compensate_arrow, compensate_lines
 
     check_pipes()
     stream = Compensator(
-        calibration, kind=kind, method=method, phase=phase, uncertainty=uncertainty, max_age_days=max_age
-    )
+        calibration, kind=kind, method=options.method, phase=options.phase, uncertainty=options.uncertainty,
+        max_age_days=options.max_age,
+    )  # fmt: skip
     if arrow:
         compensate_arrow(sys.stdin.buffer, sys.stdout.buffer, stream)
     else:

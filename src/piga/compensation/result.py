@@ -27,7 +27,6 @@ from piga.results import Array, Column, Plotted, Reported, Result, Tabular
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from piga.reports.render.figure import Figure
 
 WRITTEN_UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
 """Unit of each column that is neither a force nor an increment."""
@@ -324,9 +323,8 @@ class CompensatedSet(Result, Plotted, Tabular):
     misfit: Array = field(default_factory=lambda: np.zeros((0, 0)))
     each: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
 
-    def figure(self) -> Figure:
-        """Force in the common frame and its uncertainty."""
-        return doors.shown_compensation().plain_figure(self)
+    def _subject(self) -> ModuleType:
+        return doors.shown_compensation()
 
     def heading(self) -> str:
         """The first line in a notebook."""

@@ -19,7 +19,7 @@ from piga.compensation.compensator import NO_RATES, NONE, Chunk
 from piga.records.calibration import Residuals
 from piga.reports.compensation import outline as compensation_outline
 from piga.reports.compensation.figures import correction_spectrum, flag_figure, force_figure, in_windows
-from piga.reports.compensation.outline import outline_of
+from piga.reports.compensation.outline import CompensationOutline
 from piga.units import G0
 from tests.compensation.run_files import KERNEL, command, small_chunks, write
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
@@ -58,7 +58,7 @@ def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, str
     (outline, facts, whole), *others = watched
     assert not others
     assert outline.size == summary["rows"] == 3000
-    assert abs(outline.velocity - summary["velocity_m_s"]) < 1e-9
+    assert abs(outline.velocity[0] - summary["velocity_m_s"]) < 1e-9
     assert {name: marks.count for name, marks in outline.marks.items() if marks.count} == summary["flags"]
     assert [name for name, _ in facts.files] == ["run.toml", "run.parquet", "run.json"]
     assert (whole is None) == streamed
@@ -103,9 +103,11 @@ def test_streamed_and_whole_show_the_same(tmp_path, monkeypatch, capsys, watched
     small_chunks(monkeypatch, 211)
     compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--rate", "10 Hz", "--force")
     whole, streamed = watched[0][0], watched[1][0]
-    for name, values in whole.outline.rows.items():
-        np.testing.assert_allclose(streamed.outline.rows[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
-    np.testing.assert_allclose(streamed.leading().before, whole.leading().before, atol=1e-10)
+    for name in ("indicated a_x", "a_x", "correction a_x", "u a_x"):
+        for one, other in zip(streamed.curve(name), whole.curve(name), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12, err_msg=name)
+    parts, record = (outline.instruments[0].leading().before for outline in (streamed, whole))
+    np.testing.assert_allclose(parts, record, atol=1e-10)
 
 
 @pytest.mark.parametrize("kind", ["angle", "rate"])
@@ -114,17 +116,18 @@ def test_the_correction_is_the_cross_coupling(kind):
     t = np.arange(0.0, 120.0, 0.02)
     record = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3, kind=kind)
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3})
-    outline = outline_of(kind, cal)
+    outline = CompensationOutline(kind, cal)
     outline.record(record, piga.compensate(record, cal))
-    order, amplitude = correction_spectrum(outline)
+    order, amplitude = correction_spectrum(outline.instruments[0])
     first = int(np.argmin(np.abs(order - 1.0)))
     assert abs(amplitude[first] / (TAN_BETA * G0) - 1.0) < 0.02
-    rows = outline.outline.rows
-    known = np.isfinite(rows["correction"])
-    np.testing.assert_allclose((rows["indicated"] - rows["correction"])[known], G0, rtol=1e-6)
-    taken_out = K_G / G0 * 0.02 * np.nansum(rows["correction"][1:])
-    assert abs(outline.leading().before[-1] - taken_out) < 1e-3 * TAN_BETA * K_G * 0.02 * t.size
-    assert abs(outline.rms("correction") / (TAN_BETA * G0 / np.sqrt(2.0)) - 1.0) < 0.05
+    indicated, correction = (outline.curve(f"{name} a_x")[1] for name in ("indicated", "correction"))
+    known = np.isfinite(correction)
+    np.testing.assert_allclose((indicated - correction)[known], G0, rtol=1e-6)
+    taken_out = K_G / G0 * 0.02 * np.nansum(correction[1:])
+    leading = outline.instruments[0].leading()
+    assert abs(leading.before[-1] - taken_out) < 1e-3 * TAN_BETA * K_G * 0.02 * t.size
+    assert abs(outline.sums.rms("correction a_x") / (TAN_BETA * G0 / np.sqrt(2.0)) - 1.0) < 0.05
     figure = force_figure(outline)
     assert all(axis.quantity and axis.unit for panel in figure.panels for axis in (panel.x, panel.y))
 
@@ -137,9 +140,9 @@ def test_changes_of_attitude_do_not_drown_the_orders():
     f = G0 * np.stack((np.cos(angle), np.sin(angle), np.zeros(t.size)), axis=1)
     record = run_of(t, f, phi=0.3)
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, "k0": 1e-3})
-    outline = outline_of("angle", cal)
+    outline = CompensationOutline("angle", cal)
     outline.record(record, piga.compensate(record, cal))
-    order, amplitude = correction_spectrum(outline)
+    order, amplitude = correction_spectrum(outline.instruments[0])
     across = np.sqrt(np.mean(np.sin(0.3 + 0.3 * np.array([0, 2, 8, 1])) ** 2))
     first = int(np.argmin(np.abs(order - 1.0)))
     assert abs(amplitude[first] / (TAN_BETA * G0 * across) - 1.0) < 0.25
@@ -160,7 +163,7 @@ def test_windows_begin_with_segments_and_after_sixteen_turns():
 @pytest.mark.only_compiled
 def test_memory_is_bounded_and_extremes_are_kept():
     """Two million rows: the outline stays small, holds lone extremes and flags; the leading part is cut."""
-    result, size, total = outline_of("rate", calibration_of({"scale_factor": K_G})), 100_000, 21
+    result, size, total = CompensationOutline("rate", calibration_of({"scale_factor": K_G})), 100_000, 21
     for index in range(total):
         t = (np.arange(size) + index * size) * 0.01
         ax = np.sin(t)
@@ -170,49 +173,58 @@ def test_memory_is_bounded_and_extremes_are_kept():
         begins = np.zeros(size, dtype=bool)
         chunk = Chunk(t, K_G / G0 * ax, ax, ax, begins, NO_RATES, NONE, NONE)
         result.piece("all", chunk, Compensated(t, ax, 0.01 * ax, NONE, flags))
-    rows = result.outline.rows
-    assert rows["row"].size <= compensation_outline.SIZES.rows
-    assert (np.diff(rows["row"]) > 0).all()
+    t, ax = result.curve("a_x")
+    assert t.size <= 2 * compensation_outline.CURVE_POINTS
+    assert (np.diff(t) > 0).all()
     for index in (0, 13):
-        assert rows["ax"][rows["row"] == index * size + 4711] == [50.0 + index]
-    assert result.leading().t.size == compensation_outline.SHOWN
+        assert ax[np.abs(t - (index * size + 4711) * 0.01) < 1e-3] == [50.0 + index]
+    assert result.instruments[0].leading().t.size == compensation_outline.LEADING_ROWS
     coarse, warm = result.marks["coarse"], result.marks["temperature"]
     assert (coarse.count, warm.count) == (2, total * size - 2)
     assert (coarse.first, coarse.last) == (47.11, (13 * size + 4711) * 0.01)
-    assert 0 < warm.row.size <= compensation_outline.SIZES.marks
-    assert {len(series.arrays()[0]) for series in flag_figure(result).panels[0].series} == {2, warm.row.size}
+    assert 0 < warm.t.size <= compensation_outline.MARKS
+    assert {len(series.arrays()[0]) for series in flag_figure(result).panels[0].series} == {2, warm.t.size}
 
 
-@pytest.mark.parametrize(
-    ("option", "more"),
-    [("--report", ()), ("--out", ())],
-)
-def test_a_path_that_cannot_be_written_is_told_by_its_option(tmp_path, monkeypatch, capsys, option, more):
-    monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
-    run, bad = write(tmp_path), tmp_path / "none" / ("page.html" if option == "--report" else "x.parquet")
-    code, _, err = compensated(tmp_path, monkeypatch, capsys, run, *more, option, bad)
+@pytest.mark.parametrize("option", ["--report", "--out"])
+def test_a_path_that_cannot_be_written_is_told_by_its_option(tmp_path, monkeypatch, capsys, option):
+    """Before anything is computed: a file stands where the folder would be."""
+    monkeypatch.setattr(KERNEL, "run_kernel", None)
+    run, bad = write(tmp_path), tmp_path / "run.json" / ("page.html" if option == "--report" else "x.parquet")
+    code, _, err = compensated(tmp_path, monkeypatch, capsys, run, option, bad)
     assert code == 2
-    assert f"{bad}: cannot be written (No such file or directory)" in err
+    assert f"{bad.parent}: is a file" in err
     assert f"choose another {option}" in err
 
 
-def test_a_report_of_a_set_that_cannot_be_written_is_told_by_its_option(tmp_path, monkeypatch, capsys):
-    runs = [
-        write(tmp_path, f"{name}.parquet", axes=np.roll(np.eye(3), -i, axis=0)) for i, name in enumerate("xyz")
-    ]
-    words = [word for run in runs for word in ("--calibration", run.with_suffix(".json"))]
-    code, _, err = command(
-        monkeypatch,
-        capsys,
-        *runs,
-        *words,
-        "--out",
-        tmp_path / "o.parquet",
-        "--report",
-        tmp_path / "none" / "p.html",
-    )
-    assert code == 2
-    assert "choose another --report" in err
+def test_results_of_other_inputs_go_beside_with_their_page(tmp_path, monkeypatch, capsys):
+    """The same name from another run: a folder 2 beside it; from the same run: in place; with --force: replaced."""
+    write(tmp_path), write(tmp_path, "other.parquet", rows=300)
+    (tmp_path / "o").mkdir()
+
+    def rows(run, *more):
+        words = (
+            tmp_path / f"{run}.toml",
+            "--calibration",
+            tmp_path / "run.json",
+            "--out",
+            tmp_path / "o" / "c.csv",
+        )
+        page = "--report", tmp_path / "o" / "c.html"
+        code, text, err = command(monkeypatch, capsys, *words, *page, "--json", *more)
+        assert code == 0, err
+        summary = json.loads(text)
+        written = tmp_path / "o" / "2" if "/2/" in summary["file"] else tmp_path / "o"
+        assert (written / "c.html").is_file()
+        return summary["file"].removeprefix(str(tmp_path)), len(
+            (written / "c.csv").read_text().splitlines()
+        ) - 1
+
+    assert rows("run") == ("/o/c.csv", 500)
+    assert rows("run") == ("/o/c.csv", 500)
+    assert rows("other") == ("/o/2/c.csv", 300)
+    assert len((tmp_path / "o" / "c.csv").read_text().splitlines()) == 501
+    assert rows("other", "--force") == ("/o/c.csv", 300)
 
 
 def test_a_report_that_cannot_be_is_refused(tmp_path, monkeypatch, capsys):

@@ -13,14 +13,9 @@ import pytest
 from piga.compensation import FLAGS, SetCompensator, compensate_set
 from piga.compensation.sets.set_files import SetReading
 from piga.records.calibration.coefficient import TYPE_A_ONLY
-from piga.reports.compensation.figures import (
-    correction_spectrum,
-    misfit_figure,
-    orders_figure,
-    set_force_figure,
-)
-from piga.reports.compensation.outline import SetOutline
-from piga.reports.compensation.page import SetFacts, set_page
+from piga.reports.compensation.figures import correction_spectrum, force_figure, misfit_figure, orders_figure
+from piga.reports.compensation.outline import CompensationOutline
+from piga.reports.compensation.page import CompensationFacts, compensation_page
 from piga.reports.render.page import page_html
 from piga.units import G0
 from tests.compensation.run_files import command, small_chunks, write
@@ -39,10 +34,10 @@ def outline_of_set(axes, rows: int, fault: int = -1, pieces: int = 1, **more):
     psi = np.array([r.output for r in runs])
     if fault >= 0:
         psi[2, fault] += 1e-4
-    stream, result = SetCompensator(mounted, details=True), SetOutline("angle", mounted)
+    stream, result = SetCompensator(mounted, details=True), CompensationOutline("angle", mounted)
     for part in np.array_split(np.arange(rows), pieces):
         rows_read = SetReading(t[part], psi[:, part], np.zeros(part.size, bool), None, None)
-        result.piece("all", rows_read, stream.push(t[part], psi[:, part]))
+        result.set_piece("all", rows_read, stream.push(t[part], psi[:, part]))
     return result, mounted
 
 
@@ -68,7 +63,7 @@ def test_misfits_make_the_residual_and_flags_the_flags():
 def test_the_page_of_a_set_says_type_a_only():
     """In the verdict, once, with the names of the instruments: no calibration here states the reference's uncertainty."""
     result, _ = outline_of_set([rotation(a) for a in SKEWED], 200)
-    page = set_page(result, SetFacts(NAMES, (), {}))
+    page = compensation_page(result, CompensationFacts(NAMES, (), {}))
     assert page.judgement is not None
     assert page.judgement.tone == "doubtful"
     assert [what for what, _ in page.judgement.problems] == [f"{', '.join(NAMES)}: {TYPE_A_ONLY}"]
@@ -78,19 +73,18 @@ def test_the_page_of_a_set_says_type_a_only():
 @pytest.mark.parametrize("pieces", [1, 7])
 def test_outline_holds_misfits_corrections_and_flags(pieces):
     result, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200, pieces=pieces)
-    rows = {name: outline.rows[name] for name, outline in result.outlines.items()}
-    row = result.outlines["residual"].rows["row"]
-    worst = {name: row[np.nanargmax(np.abs(rows[name]))] for name in ("residual", *result.misfits)}
-    assert len(worst) == 5
-    assert set(worst.values()) <= {1200.0, 1201.0}
+    for name in ("residual", *(f"misfit {i}" for i in range(4))):
+        t, values = result.curve(name)
+        assert round(t[np.nanargmax(np.abs(values))] / STEP) in (1200, 1201)
     assert result.marks["fault"].count == 2
-    assert [single.marks["no_increment"].count for single in result.instruments] == [1, 1, 1, 1]
+    assert [single.flagged["no_increment"] for single in result.instruments] == [1, 1, 1, 1]
     for axis, value in zip("xyz", (1.0, -0.7, 0.4), strict=True):
-        force, raw, correction = rows[f"f{axis}"], rows[f"raw_{axis}"], rows[f"d{axis}"]
-        away = np.isfinite(force) & (np.abs(row - 1200.5) > 2)
+        t, force = result.curve(f"f_{axis}")
+        raw, correction = (result.curve(f"{name} f_{axis}")[1] for name in ("indicated", "correction"))
+        away = np.isfinite(force) & (np.abs(t / STEP - 1200.5) > 2)
         np.testing.assert_allclose(force[away], value * G0, atol=1e-9 * G0)
         np.testing.assert_allclose((raw - correction)[away], force[away], atol=1e-12 * G0)
-        assert 1e-4 * G0 < result.rms(f"d{axis}") < 3.0 * TAN_BETA * G0
+        assert 1e-4 * G0 < result.sums.rms(f"correction f_{axis}") < 3.0 * TAN_BETA * G0
     assert np.abs(result.velocity / (STEP * 2999 * G0) - (1.0, -0.7, 0.4)).max() < 1e-4
 
 
@@ -106,7 +100,7 @@ def test_what_is_taken_out_of_an_instrument_is_its_cross_coupling():
         assert abs(amplitude[first] / (TAN_BETA * size) - 1.0) < 0.03
         assert abs(single.scale_factor * G0 / K_G - 1.0) < 1e-12
         assert item.phase is None
-    figure = orders_figure(zip(NAMES, result.instruments, strict=False))
+    figure = orders_figure(result, NAMES[:3])
     assert figure is not None
     assert [panel.title for panel in figure.panels] == list(NAMES[:3])
 
@@ -114,21 +108,22 @@ def test_what_is_taken_out_of_an_instrument_is_its_cross_coupling():
 @pytest.mark.only_compiled
 def test_page_says_what_contradicts_and_has_units_on_every_axis():
     result, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200)
-    figures = (set_force_figure(result), misfit_figure(result, NAMES))
+    figures = (force_figure(result), misfit_figure(result, NAMES))
     assert all(axis.quantity and axis.unit for figure in figures for p in figure.panels for axis in (p.x, p.y))
     assert len(figures[1].panels) == 5
-    html = page_html(set_page(result, SetFacts(NAMES, (), {"method": "exact"})))
+    html = page_html(compensation_page(result, CompensationFacts(NAMES, (), {"method": "exact"})))
     assert "2 rows contradict themselves" in html
     sound, _ = outline_of_set([rotation(a) for a in SKEWED], 600)
-    assert "No row contradicts itself" in page_html(set_page(sound, SetFacts(NAMES, (), {})))
+    assert "No row contradicts itself" in page_html(compensation_page(sound, CompensationFacts(NAMES, (), {})))
     three, _ = outline_of_set(orthogonal(), 600)
-    assert "Three instruments fit any force exactly" in page_html(set_page(three, SetFacts(NAMES[:3], (), {})))
+    assert "Three instruments fit any force exactly" in page_html(
+        compensation_page(three, CompensationFacts(NAMES[:3], (), {}))
+    )
 
 
 @pytest.mark.only_compiled
-@pytest.mark.parametrize("method", [None])
 @pytest.mark.parametrize("kind", ["angle", "rate"])
-def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method, kind):
+def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, kind):
     """Streamed and whole: the same counts, names and files."""
     lines, seen = [], []
     for i, (name, axes) in enumerate(zip(NAMES, [rotation(a) for a in SKEWED], strict=True)):
@@ -142,11 +137,9 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method,
             f'[[triad.instrument]]\nrun = "{name}.toml"\ncalibration = "{name}.json"\naxes = {axes.tolist()}\n'
         )
     (tmp_path / "set.toml").write_text("\n".join(lines))
-    compensation_set = sys.modules["piga.reports.compensation.page"]
-    real = compensation_set.set_page
-    monkeypatch.setattr(
-        compensation_set, "set_page", lambda result, facts: seen.append((result, facts)) or real(result, facts)
-    )
+    module = sys.modules["piga.reports.compensation.page"]
+    real = module.compensation_page
+    monkeypatch.setattr(module, "compensation_page", lambda *given: seen.append(given) or real(*given))
     words = (
         tmp_path / "set.toml",
         "--out",
@@ -156,7 +149,6 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method,
         "--json",
         "--force",
     )
-    words += () if method is None else ("--method", method)
     for streamed in (False, True):
         if streamed:
             small_chunks(monkeypatch, 70)
@@ -164,12 +156,10 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method,
         code, text, said = command(monkeypatch, capsys, *words)
         assert code == 0, said
         assert json.loads(text)["rows"] == 400
-    (whole, facts), (pieces, _) = seen
+    (whole, facts, _), (pieces, _, _) = seen
     assert facts.names == tuple(f"{name} (A)" for name in NAMES)
     assert {name for name, _ in facts.files} >= {"set.toml", "a.toml", "a.json", "d.parquet"}
-    for name, outline in whole.outlines.items():
-        theirs = pieces.outlines[name].rows
-        for column in ("row", "t", name):
-            np.testing.assert_allclose(theirs[column], outline.rows[column], rtol=1e-9, atol=1e-9, err_msg=name)
-    assert (whole.counts["misfit_0"] == 0) == (method == "published")
+    for name in ("f_x", "correction f_y", "indicated f_z", "u f_x", "residual", "misfit 3"):
+        for one, other in zip(pieces.curve(name), whole.curve(name), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9, err_msg=name)
     assert "SHA-256" in (tmp_path / "r.html").read_text(encoding="utf-8")

@@ -1,6 +1,5 @@
 """Reports of a compensation, for one instrument and for several that were solved together."""
 
-from piga.reports.compensation.figures import plain_set_figure as plain_figure
 from piga.reports.compensation.page import brief, figures, page
 
-__all__ = ["brief", "figures", "page", "plain_figure"]
+__all__ = ["brief", "figures", "page"]

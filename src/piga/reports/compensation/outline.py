@@ -1,7 +1,6 @@
-"""Reduced data for the report of a compensated stream of any length, in bounded memory: one instrument or a set.
+"""Reduced data for the page of a compensation of any length, in bounded memory: one instrument, or several solved together.
 
-An outline against time (lowest and highest row of each bucket of rows; buckets grow with the stream), the leading
-rows one by one for spectra (on disk), where each flag stands, and exact counts and sums.
+Envelopes against time, the leading rows one by one for spectra, where each flag stands, and exact counts and sums.
 """
 
 from __future__ import annotations
@@ -11,198 +10,121 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from piga.compensation import FLAGS, Compensated, CompensatedSet, Mounted
 from piga.compensation.compensator import NO_RATES, NONE, Chunk
 from piga.compensation.sets.set_files import SetReading
-from piga.records.arrays import ColumnWriter
 from piga.records.calibration import Calibration, Residuals
 from piga.records.run import Run
 from piga.reports.calibration.tables import scale_factor
-from piga.reports.render.envelope import SHOWN
+from piga.reports.render.envelope import Envelope
+from piga.reports.render.figure import XYZ
 
 Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class OutlineSizes:
-    """Sizes of an outline: enough for a figure of any width, small against a long record."""
-
-    piece: int = 1 << 15
-    """Rows of a whole record in one piece."""
-    rows: int = 1 << 16
-    """Most rows of an outline; above them its buckets grow."""
-    set_rows: int = 1 << 13
-    """Most rows of the outline of one curve of a set."""
-    marks: int = 4096
-    """Most places of one flag; above them its buckets grow."""
-    growth: int = 4
-    """Factor by which a bucket grows."""
-
-
-SIZES = OutlineSizes()
-CURVES = ("indicated", "ax", "correction", "u_ax")
-LEADING = [("t", "f8"), ("psi", "f8"), ("angle", "f8"), ("segment", "i4")]
-"""Columns of the leading rows."""
-
-
-@dataclass
-class Outline:
-    """Rows that keep the outline of all ``curves`` against time: ``rows`` by name, about ``kept``, and rows per bucket."""
-
-    curves: tuple[str, ...] = CURVES
-    kept: int = SIZES.rows
-    rows: dict[str, Array] = field(default_factory=dict)
-    bucket: int = 1
-
-    def __post_init__(self) -> None:
-        self.rows = {name: np.zeros(0) for name in ("row", "t", *self.curves)}
-
-    def add(self, part: dict[str, Array]) -> None:
-        """Append rows."""
-        if not self.curves:
-            return
-        part = _extremes(part, self.curves, self.bucket)
-        self.rows = {name: np.concatenate((self.rows[name], part[name])) for name in self.rows}
-        while self.rows["row"].size > self.kept:
-            self.bucket *= SIZES.growth
-            self.rows = _extremes(self.rows, self.curves, self.bucket)
+PIECE = 1 << 15
+"""Rows of a whole record in one piece."""
+CURVE_POINTS = 1 << 14
+"""Points of an envelope; up to twice as many rows are kept whole."""
+LEADING_ROWS = 1 << 20
+"""Rows of an instrument that its spectrum uses at most."""
+MARKS = 4096
+"""Most places of one flag; of more, every second is kept."""
 
 
 @dataclass
 class Marks:
-    """Where a flag stands: rows and times of the first flagged row per bucket, the count, first and last time."""
+    """Where a flag stands: times of flagged rows, evenly thinned, their count, first and last time."""
 
-    row: Array = field(default_factory=lambda: np.zeros(0))
     t: Array = field(default_factory=lambda: np.zeros(0))
-    bucket: int = 1
+    every: int = 1
     count: int = 0
     first: float = math.nan
     last: float = math.nan
 
-    def add(self, row: Array, t: Array) -> None:
-        """Append flagged rows."""
-        if row.size == 0:
+    def add(self, t: Array) -> None:
+        """Append the times of flagged rows."""
+        if t.size == 0:
             return
         self.first = self.first if self.count else float(t[0])
-        self.count, self.last = self.count + row.size, float(t[-1])
-        self.row, self.t = np.concatenate((self.row, row)), np.concatenate((self.t, t))
-        while self.row.size > SIZES.marks:
-            self.bucket *= SIZES.growth
-            some = np.unique(self.row // self.bucket, return_index=True)[1]
-            self.row, self.t = self.row[some], self.t[some]
+        self.t = np.concatenate((self.t, t[-self.count % self.every :: self.every]))
+        self.count, self.last = self.count + t.size, float(t[-1])
+        while self.t.size > MARKS:
+            self.t, self.every = self.t[::2], 2 * self.every
 
 
-class Watch:
-    """Data that every outline keeps: rows, flags, and sums of squares by name."""
+class Sums:
+    """Root mean squares of named curves that come part by part."""
 
-    def __init__(self, kind: str, sums: tuple[str, ...]) -> None:
-        self.kind, self.marks = kind, {name: Marks() for name in FLAGS}
-        self.size, self.flagged, self.start = 0, 0, math.nan
-        self.squares, self.counts = dict.fromkeys(sums, 0.0), dict.fromkeys(sums, 0)
+    def __init__(self) -> None:
+        self._squares: dict[str, float] = {}
+        self._counts: dict[str, int] = {}
+
+    def add(self, name: str, values: Array) -> None:
+        """Append values; those that are not finite do not count."""
+        finite = values[np.isfinite(values)]
+        self._squares[name] = self._squares.get(name, 0.0) + float(finite @ finite)
+        self._counts[name] = self._counts.get(name, 0) + finite.size
+
+    def has(self, name: str) -> bool:
+        """Whether the curve has a value."""
+        return self._counts.get(name, 0) > 0
 
     def rms(self, name: str) -> float:
-        """Root mean square of a curve over all rows that have a value [m/s^2]; nan where there is none."""
-        return math.sqrt(self.squares[name] / self.counts[name]) if self.counts[name] else math.nan
-
-    def _rows(self, t: Array) -> dict[str, Array]:
-        """Numbers and times of the rows that come next."""
-        if self.size == 0:
-            self.start = float(t[0])
-        return {"row": np.arange(self.size, self.size + t.size, dtype=float), "t": t}
-
-    def _sum(self, rows: dict[str, Array], curves: dict[str, Array], flags: NDArray[np.integer]) -> None:
-        """Add to the sums and counts."""
-        for name in self.squares:
-            known = curves[name][np.isfinite(curves[name])]
-            self.squares[name] += float(known @ known)
-            self.counts[name] += known.size
-        for name, bit in FLAGS.items():
-            here = (flags & bit) != 0
-            self.marks[name].add(rows["row"][here], rows["t"][here])
-        self.flagged += int(np.count_nonzero(flags & ~FLAGS["no_increment"]))
-        self.size += rows["t"].size
+        """Root mean square of all values; nan where there is none."""
+        return math.sqrt(self._squares[name] / self._counts[name]) if self.has(name) else math.nan
 
 
-class CompensationOutline(Watch):
-    """Outline of a compensation, updated piece by piece: indicated force, compensated force, and flags.
+class Indication:
+    """The indicated specific force of one instrument, and its leading rows for a spectrum.
 
     Parameters
     ----------
     kind:
         ``"angle"`` or ``"rate"``: what the output of the instrument is.
-    scale_factor:
-        K [(rad/s)/(m/s^2)] that turns the output rate into the indicated specific force.
-    curves:
-        Names of the curves to outline.
+    calibration:
+        Its scale factor K turns the output rate into the indicated specific force.
     """
 
-    def __init__(self, kind: str, scale_factor: float, curves: tuple[str, ...] = CURVES) -> None:
-        super().__init__(kind, ("correction", "u_ax"))
-        self.scale_factor, self.velocity, self.outline = scale_factor, 0.0, Outline(curves)
-        self._first = ColumnWriter(np.dtype(LEADING))
-        self._leading, self._taken = np.empty(0, LEADING), 0
-        self._t, self._output, self._omega = 0.0, 0.0, 0.0
-        self._psi, self._angle = 0.0, 0.0
-        self._label, self._segment = "", -1
+    def __init__(self, kind: str, calibration: Calibration) -> None:
+        self.kind, self.calibration, self.scale_factor = kind, calibration, scale_factor(calibration)
+        self.correction, self.flagged = Sums(), dict.fromkeys(FLAGS, 0)
+        self._leading: list[tuple[Array, Array, Array, NDArray[np.int32]]] = []
+        self._kept, self._label, self._segment = 0, "", -1
+        self._t, self._output, self._omega, self._psi, self._angle = 0.0, 0.0, 0.0, 0.0, 0.0
 
-    def piece(self, label: str, chunk: Chunk, result: Compensated) -> Array:
-        """Add the samples of one segment and their compensation. Returns the indicated force [m/s^2]."""
+    def add(self, label: str, chunk: Chunk, ax: Array, dv: Array, flags: NDArray[np.integer]) -> Array:
+        """Append samples of the segment ``label`` with their compensation. Returns the indicated force [m/s^2]."""
         if label != self._label or self._segment < 0:
             self._label, self._segment = label, self._segment + 1
-        turn, indicated, psi = self._indicated(chunk, (result.flags & FLAGS["no_increment"]) != 0)
-        angle = self._angle + np.cumsum(turn - self.scale_factor * result.dv)
+        turn, indicated, psi = self._turned(chunk, (flags & FLAGS["no_increment"]) != 0)
+        angle = self._angle + np.cumsum(turn - self.scale_factor * dv)
         self._angle = float(angle[-1])
-        self._keep(chunk.t, psi, angle)
-        self._count(chunk.t, indicated, result)
+        rows = slice(0, max(LEADING_ROWS - self._kept, 0))
+        if rows.stop:
+            segment = np.full(chunk.t[rows].size, self._segment, np.int32)
+            self._leading.append((chunk.t[rows].copy(), psi[rows].copy(), angle[rows], segment))
+            self._kept += segment.size
+        self.correction.add("correction", indicated - ax)
+        for name, bit in FLAGS.items():
+            self.flagged[name] += int(np.count_nonzero(flags & bit))
         return indicated
 
-    def record(self, record: Run, result: Compensated) -> None:
-        """Add a whole record."""
-        changes = np.flatnonzero(np.diff(record.segment_index)) + 1
-        edges = np.unique(np.concatenate((changes, np.arange(0, record.size, SIZES.piece), [record.size])))
-        for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-            rows = slice(start, stop)
-            base = NO_RATES if record.base_rate is None else record.base_rate[rows]
-            chunk = Chunk(
-                record.t[rows], record.output[rows], record.f[rows, 1], record.f[rows, 2], record.begins[rows],
-                base, NONE, NONE,
-            )  # fmt: skip
-            part = Compensated(
-                result.t[rows], result.ax[rows], result.dv[rows], result.u_ax[rows], result.flags[rows]
-            )
-            self.piece(f"{record.segment_index[start]}", chunk, part)
-
     def leading(self) -> Residuals:
-        """The first rows, at most ``SHOWN``: the running correction as angle [rad] is ``before``, ``after`` is 0.
-
-        Call this after the last piece.
-        """
-        if not self._leading.size:
-            self._leading = self._first.finish()
-        t, psi, angle, segment = (self._leading[name] for name, _ in LEADING)
+        """The first rows: the running correction as angle [rad] is ``before``, ``after`` is 0."""
+        t, psi, angle, segment = (np.concatenate(column) for column in zip(*self._leading, strict=True))
         nothing = np.broadcast_to(0.0, t.size)
         return Residuals(
             np.arange(1, t.size + 1, dtype=np.int32), t, psi, nothing, angle, nothing, nothing, segment
         )
 
-    def _keep(self, t: Array, psi: Array, angle: Array) -> None:
-        """Keep the first rows, on disk."""
-        rows = np.empty(min(t.size, SHOWN - self._taken), LEADING)
-        if rows.size:
-            for (name, _), values in zip(LEADING, (t, psi, angle), strict=False):
-                rows[name] = values[: rows.size]
-            rows["segment"] = self._segment
-            self._first.append(rows)
-            self._taken += rows.size
-
-    def _indicated(self, chunk: Chunk, without: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    def _turned(self, chunk: Chunk, without: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
         """Turn into each row [rad], indicated specific force [m/s^2] and output angle [rad]."""
         t, output = chunk.t, chunk.output
         omega = chunk.base_rate[:, 0] if chunk.base_rate.shape[0] else np.zeros(t.size)
         without = without | chunk.begins
-        without[0] |= self.size == 0
+        without[0] |= self._kept == 0
         h = np.where(without, 0.0, np.diff(t, prepend=self._t))
         base = 0.5 * h * (omega + np.concatenate(([self._omega], omega[:-1])))
         if self.kind == "rate":
@@ -217,93 +139,100 @@ class CompensationOutline(Watch):
         self._psi = float(psi[-1])
         return turn + base, indicated, psi
 
-    def _count(self, t: Array, indicated: Array, result: Compensated) -> None:
-        u = result.u_ax if result.u_ax.size else np.full(t.size, np.nan)
-        curves = {"indicated": indicated, "ax": result.ax, "correction": indicated - result.ax, "u_ax": u}
-        rows = self._rows(t)
-        self.outline.add(rows | curves)
-        self._sum(rows, curves, result.flags)
-        self.velocity += float(result.dv.sum())
 
-    def curve(self, name: str) -> tuple[Array, Array]:
-        """Times since the first row [s], and the outline of a curve."""
-        return self.outline.rows["t"] - self.start, self.outline.rows[name]
+class CompensationOutline:
+    """Outline of a compensation, updated piece by piece.
 
-
-def _extremes(rows: dict[str, Array], curves: tuple[str, ...], bucket: int) -> dict[str, Array]:
-    """Lowest, highest and a missing row of every curve in each bucket of rows."""
-    if bucket == 1 or rows["row"].size == 0:
-        return {name: np.array(values) for name, values in rows.items()}
-    key = rows["row"] // bucket
-    first = np.concatenate(([True], np.diff(key) != 0.0))
-    last = np.concatenate((first[1:], [True]))
-    some = []
-    for name in curves:
-        up, down = np.lexsort((rows[name], key)), np.lexsort((-rows[name], key))
-        some += [up[first], up[last], down[first]]
-    kept = np.unique(np.concatenate(some))
-    return {name: values[kept] for name, values in rows.items()}
-
-
-RAW, FORCE, CORRECTION = ("raw_x", "raw_y", "raw_z"), ("fx", "fy", "fz"), ("dx", "dy", "dz")
-
-
-class SetOutline(Watch):
-    """Outline of the compensation of a set, updated piece by piece.
+    Curves by name, for each of the ``components`` (``a_x``; or ``f_x``, ``f_y``, ``f_z`` of a set): the component itself,
+    ``indicated``, ``correction`` and ``u`` before its name; of a set also ``residual`` and a ``misfit`` of each instrument.
 
     Parameters
     ----------
     kind:
         ``"angle"`` or ``"rate"``: what the output of the instruments is.
     instruments:
-        Calibration and axes of each.
+        A calibration; or calibration and axes of each instrument of a set.
     """
 
-    def __init__(self, kind: str, instruments: Sequence[Mounted]) -> None:
-        self.misfits = tuple(f"misfit_{i}" for i in range(len(instruments)))
-        super().__init__(kind, (*CORRECTION, "residual", *self.misfits))
-        self.mounted, self.velocity = tuple(instruments), np.zeros(3)
-        self._axes = np.array([item.axes for item in instruments], dtype=float)
-        self._raw = np.linalg.pinv(self._axes[:, 0, :])
-        self.instruments = [outline_of(kind, item.calibration, ()) for item in instruments]
-        curves = (*RAW, *FORCE, *CORRECTION, "residual", *self.misfits)
-        self.outlines = {name: Outline((name,), SIZES.set_rows) for name in curves}
+    def __init__(self, kind: str, instruments: Calibration | Sequence[Mounted]) -> None:
+        single = isinstance(instruments, Calibration)
+        mounted = () if isinstance(instruments, Calibration) else tuple(instruments)
+        calibrations = (
+            [instruments] if isinstance(instruments, Calibration) else [m.calibration for m in mounted]
+        )
+        self.kind, self.mounted = kind, mounted
+        self.components = ("a_x",) if single else tuple(f"f_{axis}" for axis in XYZ)
+        self.instruments = [Indication(kind, calibration) for calibration in calibrations]
+        self._input_axes = np.eye(1) if single else np.array([m.axes[0] for m in mounted], dtype=float)
+        self._from_axes = np.linalg.pinv(self._input_axes)
+        self.size, self.flagged, self.start = 0, 0, math.nan
+        self.velocity, self.sums = np.zeros(len(self.components)), Sums()
+        self.marks = {name: Marks() for name in FLAGS}
+        self._envelope = Envelope(CURVE_POINTS)
 
     @property
     def redundant(self) -> bool:
-        """True if the set has more instruments than unknowns, so that a misfit exists."""
+        """True if there are more instruments than unknowns, so that a misfit exists."""
         return len(self.mounted) > 3
 
-    def piece(self, label: str, rows: SetReading, result: CompensatedSet) -> None:
-        """Add a piece of the readings and their compensation."""
+    def piece(self, label: str, chunk: Chunk, result: Compensated) -> None:
+        """Append samples of one segment of a single instrument."""
+        indicated = self.instruments[0].add(label, chunk, result.ax, result.dv, result.flags)
+        u = result.u_ax[None] if result.u_ax.size else None
+        self._add(chunk.t, indicated[None], result.ax[None], result.dv[None], u, result.flags)
+
+    def set_piece(self, label: str, rows: SetReading, result: CompensatedSet) -> None:
+        """Append rows of a set."""
         along = []
-        for i, single in enumerate(self.instruments):
-            base = np.zeros((0, 3)) if rows.base_rate is None else rows.base_rate[i]
+        for i, (instrument, axis) in enumerate(zip(self.instruments, self._input_axes, strict=True)):
+            base = NO_RATES if rows.base_rate is None else rows.base_rate[i]
             chunk = Chunk(rows.t, rows.output[i], NONE, NONE, rows.begins, base, NONE, NONE)
-            axis = self._axes[i, 0]
             flags = result.each[i] if result.each.size else result.flags
-            along.append(
-                single.piece(label, chunk, Compensated(rows.t, result.f @ axis, result.dv @ axis, NONE, flags))
+            along.append(instrument.add(label, chunk, result.f @ axis, result.dv @ axis, flags))
+        more = {"residual": result.residual} if self.redundant else {}
+        more |= {f"misfit {i}": misfit for i, misfit in enumerate(result.misfit)} if self.redundant else {}
+        u = result.u_f.T if result.u_f.size else None
+        indicated = self._from_axes @ np.array(along)
+        self._add(rows.t, indicated, result.f.T, result.dv.T, u, result.flags, **more)
+
+    def record(self, record: Run, result: Compensated) -> None:
+        """Append a whole record of a single instrument."""
+        changes = np.flatnonzero(np.diff(record.segment_index)) + 1
+        edges = np.unique(np.concatenate((changes, np.arange(0, record.size, PIECE), [record.size])))
+        for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            rows = slice(start, stop)
+            base = NO_RATES if record.base_rate is None else record.base_rate[rows]
+            chunk = Chunk(
+                record.t[rows], record.output[rows], record.f[rows, 1], record.f[rows, 2], record.begins[rows],
+                base, NONE, NONE,
+            )  # fmt: skip
+            part = Compensated(
+                result.t[rows], result.ax[rows], result.dv[rows], result.u_ax[rows], result.flags[rows]
             )
-        self._count(rows.t, self._raw @ np.array(along), result)
+            self.piece(f"{record.segment_index[start]}", chunk, part)
 
     def curve(self, name: str) -> tuple[Array, Array]:
-        """Times since the first row [s], and the outline of a curve."""
-        return self.outlines[name].rows["t"] - self.start, self.outlines[name].rows[name]
+        """Times since the first row [s], and the envelope of a curve."""
+        t, values = self._envelope.curve(name)
+        return t - self.start, values
 
-    def _count(self, t: Array, raw: Array, result: CompensatedSet) -> None:
-        curves = dict(zip((*RAW, *FORCE), (*raw, *result.f.T), strict=True))
-        curves |= {name: raw[k] - result.f[:, k] for k, name in enumerate(CORRECTION)}
-        nothing = np.full((len(self.misfits), t.size), np.nan)
-        misfit = result.misfit if result.misfit.size else nothing
-        curves |= {"residual": result.residual} | dict(zip(self.misfits, misfit, strict=True))
-        rows = self._rows(t)
-        for name, outline in self.outlines.items():
-            outline.add(rows | {name: np.array(curves[name])})
-        self._sum(rows, curves, result.flags)
-        self.velocity = self.velocity + result.dv.sum(axis=0)
-
-
-def outline_of(kind: str, calibration: Calibration, curves: tuple[str, ...] = CURVES) -> CompensationOutline:
-    """A fresh outline for records of this kind (``"angle"`` or ``"rate"``) and calibration."""
-    return CompensationOutline(kind, scale_factor(calibration), curves)
+    def _add(
+        self, t: Array, indicated: Array, force: Array, dv: Array, u: Array | None, flags: NDArray[np.integer],
+        **more: ArrayLike,
+    ) -> None:  # fmt: skip
+        if self.size == 0:
+            self.start = float(t[0])
+        curves = {name: np.asarray(values, dtype=float) for name, values in more.items()}
+        for k, name in enumerate(self.components):
+            curves |= {name: force[k], f"indicated {name}": indicated[k]}
+            curves[f"correction {name}"] = indicated[k] - force[k]
+            if u is not None:
+                curves[f"u {name}"] = u[k]
+        self._envelope.add(t, **curves)
+        for name, values in curves.items():
+            self.sums.add(name, values)
+        for name, bit in FLAGS.items():
+            self.marks[name].add(t[(flags & bit) != 0])
+        self.flagged += int(np.count_nonzero(flags & ~FLAGS["no_increment"]))
+        self.velocity = self.velocity + dv.sum(axis=1)
+        self.size += t.size
