@@ -31,17 +31,17 @@ from piga.records.run_file import (
 from piga.records.terms import UNITS, check_name, harmonic, unit_of
 from piga.records.text_files import read_toml
 from piga.stand.imperfections import Imperfections, imperfections
-from piga.stand.machines.logged import read_profile
-from piga.stand.machines.turning import (
+from piga.stand.machines import (
     Centrifuge,
     DividingHead,
+    Drive,
     RateTable,
     SpinPlan,
+    VibrationTable,
     angles_of_range,
     rates_for_levels,
 )
-from piga.stand.machines.vibration import Drive, VibrationTable
-from piga.stand.profile import Composite, Stand
+from piga.stand.profile import Composite, Stand, read_profile
 from piga.stand.simulate import Harmonics, Model, SimulatedTest, Specimen, simulate_test
 from piga.units import to_si
 

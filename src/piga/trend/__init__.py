@@ -6,8 +6,7 @@
 """
 
 from piga.trend.history import Chart, CoefficientTrend, Point, Trend, find_trend
-from piga.trend.outlook import Outlook
-from piga.trend.trend_line import Forecast, Step, TrendModel
+from piga.trend.trend_line import Forecast, Outlook, Step, TrendModel
 
 __all__ = [
     "Chart",

@@ -27,14 +27,15 @@ from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
 from piga.results import Array, Reported, Result, drawn
 from piga.threads import one_thread
-from piga.trend.outlook import Outlook, outlook
 from piga.trend.trend_line import (
     TREND,
     Forecast,
+    Outlook,
     Step,
     TrendModel,
     clearest_step,
     moving_average,
+    outlook,
     trend_model,
 )
 

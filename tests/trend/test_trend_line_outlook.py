@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from piga.errors import ArgumentError
-from piga.trend.outlook import CAUSES, outlook
+from piga.trend.trend_line import CAUSES, outlook
 from tests.trend.test_trend_line import of_days
 
 

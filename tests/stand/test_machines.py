@@ -26,8 +26,8 @@ from piga.stand import (
     sample_stand,
 )
 from piga.stand.imperfections import NONE
-from piga.stand.machines.logged import read_profile
-from piga.stand.machines.turning import in_axes
+from piga.stand.machines import in_axes
+from piga.stand.profile import read_profile
 from piga.units import G0
 from tests.stand.stands import HEAD, SITE, SPIN
 

@@ -20,7 +20,7 @@ from piga.stand import (
     sample_stand,
 )
 from piga.stand.imperfections import NONE
-from piga.stand.machines.turning import angles_of_range, rates_for_levels
+from piga.stand.machines import angles_of_range, rates_for_levels
 from piga.units import ARCSEC, G0
 from tests.stand.stands import HEAD, SITE, SPIN, derivative
 
