@@ -1,8 +1,7 @@
 """Speed of the calibration: ratios against named baselines in one run.
 
 Run with ``python benchmarks/calibration.py [--record]``; prints a table.
-``--record`` puts it into docs/measured. Baselines: a nonlinear fit of the same
-record with SciPy, and one pass of NumPy over the same arrays (the sum of squares of six columns).
+``--record`` puts it into docs/measured. Baseline: a nonlinear fit of the same record with SciPy.
 """
 
 from __future__ import annotations
@@ -12,11 +11,10 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
-import measured
 import numpy as np
+from harness import put_down, seconds
 
 import piga
 from piga.units import G0
@@ -35,17 +33,6 @@ def synthetic() -> piga.Run:
     count = 2.0 * np.pi / 72000
     output = np.round((alpha + 1e-5 * rng.standard_normal(ROWS)) / count) * count
     return piga.Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", resolution=count)
-
-
-def median_time(call, repeats: int = 7) -> float:
-    """Median seconds of ``repeats`` calls after one for warm-up."""
-    call()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
 
 
 def scipy_fit(run: piga.Run) -> None:
@@ -138,29 +125,18 @@ def shipped(threads: str | None) -> float:
 
 def main() -> None:
     run = synthetic()
-    sweep = median_time(lambda: sum(float(c @ c) for c in (run.t, run.output, *run.f.T.copy())))
-    ours = median_time(lambda: piga.calibrate(run, TERMS))
-    fit = median_time(lambda: scipy_fit(run), repeats=5)
-    measurements = {
-        "calibrate, warm": (ours, "s"),
-        "SciPy least_squares, same record (trapezoid, no whitening)": (fit, "s"),
-        "SciPy least_squares over calibrate": (fit / ours, ""),
-        "one NumPy sweep over the same arrays": (sweep, "s"),
-        "whole cold command from Parquet, with report: processor time": (cold_command(run), "s"),
-        "whole cold command from Parquet, without report: processor time": (
-            cold_command(run, "--no-report"),
-            "s",
-        ),
-        "shipped record, warm, default threads: processor time": (shipped(None), "s"),
-        "shipped record, warm, OMP_NUM_THREADS=1: processor time": (shipped("1"), "s"),
-    }
-    for name, (value, unit) in measurements.items():
-        print(f"{name:70s} {value:.3g} {unit}")
-    if "--record" in sys.argv:
-        kept = {figure["name"] for figure in measured.load("calibration")[1]}
-        measured.record(
-            "calibration", {k: float(f"{v:.3g}") for k, (v, _) in measurements.items() if k in kept}
-        )
+    ours = float(np.median(seconds(lambda: piga.calibrate(run, TERMS))))
+    fit = float(np.median(seconds(lambda: scipy_fit(run), 5)))
+    cold = "whole cold command from Parquet"
+    put_down("calibration", {
+        "calibrate, warm": ours,
+        "SciPy least_squares, same record (trapezoid, no whitening)": fit,
+        "SciPy least_squares over calibrate": fit / ours,
+        f"{cold}, with report: processor time": cold_command(run),
+        f"{cold}, without report: processor time": cold_command(run, "--no-report"),
+        "shipped record, warm, default threads: processor time": shipped(None),
+        "shipped record, warm, OMP_NUM_THREADS=1: processor time": shipped("1"),
+    })  # fmt: skip
 
 
 if __name__ == "__main__":

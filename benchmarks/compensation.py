@@ -21,8 +21,8 @@ from pathlib import Path
 
 os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # as the command does
 
-import measured
 import numpy as np
+from harness import put_down, rounds
 
 import piga
 from piga._kernels.compensation.sample import Rows
@@ -55,19 +55,6 @@ def calibration(values: dict[str, float], std: dict[str, float]) -> Calibration:
         (), (), Diagnostics(), (),
         Provenance({}, "bench", "2026-01-01T00:00:00Z"),
     )  # fmt: skip
-
-
-def rounds(works: dict[str, Callable[[], object]], count: int) -> dict[str, np.ndarray]:
-    """Seconds of every work in each of many short rounds, one after the other, warm."""
-    for work in works.values():
-        work()
-    spent = {title: np.empty(count) for title in works}
-    for k in range(count):
-        for title, work in works.items():
-            start = time.perf_counter()
-            work()
-            spent[title][k] = time.perf_counter() - start
-    return spent
 
 
 def on_threads(works: list[Callable[[], object]]) -> Callable[[], object]:
@@ -276,7 +263,5 @@ if __name__ == "__main__":
         triad()
     if "latency" in wanted:
         latency()
-    if "--record" in sys.argv:
-        for table, one in (("compensation-copy", COPIES), ("compensation", FIGURES)):
-            known = {figure["name"] for figure in measured.load(table)[1]}
-            measured.record(table, {name: value for name, value in one.items() if name in known})
+    put_down("compensation-copy", COPIES)
+    put_down("compensation", FIGURES)

@@ -1,15 +1,13 @@
 """Speed, accuracy and memory of the exact motion, with named baselines in the same run.
 
-Run: python benchmarks/motion.py [--record] [--quick]; ``--record`` puts the figures into docs/measured/motion.json.
+Run: python benchmarks/motion.py [--record]; ``--record`` puts the figures into docs/measured/motion.json.
 
-Every time is the median of at least five repetitions, with the smallest beside it (on a busy machine the
-better guide). Baselines: numpy.sin and a memory copy for the machine, a compiled Runge-Kutta of order
-4, SciPy's DOP853.
+Every time is the median of several calls, with the smallest beside it (on a busy machine the better guide).
+Baselines: a compiled Runge-Kutta of order 4, and SciPy's DOP853.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import platform
@@ -20,21 +18,13 @@ import tracemalloc
 from collections.abc import Callable
 from typing import Any
 
-import measured
 import numba
 import numpy as np
 import scipy
+from harness import put_down, seconds
 from scipy.integrate import solve_ivp
 
-from piga.instrument import (
-    Instrument,
-    propagate,
-    propagate_fleet,
-    propagate_increments,
-    propagate_rate,
-    propagate_segments,
-    sensitivities,
-)
+from piga.instrument import Instrument, propagate, propagate_increments, propagate_rate, propagate_segments
 from piga.units import G0
 
 INST = Instrument("0.8884 rad/s/g", "1000 arcsec", math.pi / 4)
@@ -43,27 +33,16 @@ W = 2.0 * math.pi * 2.0  # the 2 Hz vibration
 RESULTS: dict[str, dict[str, Any]] = {}
 
 
-def timed(work: Callable[[], Any], per: int, repeats: int = 11) -> tuple[float, float]:
-    """Median and smallest time of ``work`` [ns], divided by ``per``; run once before."""
-    work()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return float(np.median(times)) / per * 1e9, min(times) / per * 1e9
+def timed(work: Callable[[], object], per: int, repeats: int = 11) -> tuple[float, float]:
+    """Median and smallest time of ``work`` [ns], divided by ``per``."""
+    times = seconds(work, repeats) / per * 1e9
+    return float(np.median(times)), float(times.min())
 
 
-def show(name: str, value: tuple[float, float] | float, unit: str, note: str = "") -> None:
+def show(name: str, value: tuple[float, float] | float, note: str = "") -> None:
     pair = value if isinstance(value, tuple) else (value, value)
-    best = {} if pair[0] == pair[1] else {"least": rounded(pair[1])}
-    RESULTS[name] = {"value": rounded(pair[0]), **best, "unit": unit} | ({"note": note} if note else {})
-    print(f"| {name} | {pair[0]:.4g} | {pair[1]:.4g} | {unit} | {note} |", flush=True)
-
-
-def rounded(value: float) -> float:
-    """Three digits."""
-    return float(f"{value:.3g}")
+    least = {} if pair[0] == pair[1] else {"least": pair[1]}
+    RESULTS[name] = {"value": pair[0], **least} | ({"note": note} if note else {})
 
 
 def force(t: np.ndarray) -> np.ndarray:
@@ -101,81 +80,21 @@ def rk4(t, f, K, tan_beta, alpha0, parts, alpha):
         alpha[k + 1] = x
 
 
-def machine(n: int) -> None:
-    x = np.random.default_rng(1).uniform(0.0, 10.0, n)
-    out = np.empty(n)
-    show("numpy.sin, float64", timed(lambda: np.sin(x, out=out), n), "ns/element")
-    x, out = np.zeros(10 * n), np.zeros(10 * n)
-    copy = timed(lambda: np.copyto(out, x), 10 * n)
-    show("memory copy", (16.0 / copy[0], 16.0 / copy[1]), "GB/s", "bytes read plus written, 80 MB arrays")
-
-
 def serial(n: int) -> None:
     t = np.arange(n) * 1e-3
     f = np.random.default_rng(2).normal(0.0, 10.0, (n, 3))
-    dv = f[1:] * 1e-3
-    alpha = np.empty(n)
-    show(
-        "rate output, one core",
-        timed(lambda: propagate_rate(INST, t, f, between="linear"), n),
-        "ns/sample",
-        "bar 8 at sin 13",
-    )
-    show(
-        "angle output, one core",
-        timed(lambda: propagate(INST, t, f, between="linear"), n),
-        "ns/sample",
-        "bar 12 at sin 13",
-    )
-    both = timed(lambda: propagate(INST, t, f, with_rate=True, between="linear"), n)
-    show("angle and rate, one core", both, "ns/sample")
-    show("angle from increments, one core", timed(lambda: propagate_increments(INST, t, dv), n), "ns/sample")
-    slow = n // 10
-    ns = timed(lambda: sensitivities(INST, t[:slow], f[:slow]), slow)
-    show("angle, rate and 12 derivatives", ns, "ns/sample")
+    dv, alpha = f[1:] * 1e-3, np.empty(n)
+    linear = "between='linear'"
+    for name, work, note in (
+        ("rate output", lambda: propagate_rate(INST, t, f, between="linear"), linear),
+        ("angle output", lambda: propagate(INST, t, f, between="linear"), linear),
+        ("angle output, smooth between samples", lambda: propagate(INST, t, f), "the default"),
+        ("angle and rate", lambda: propagate(INST, t, f, with_rate=True, between="linear"), linear),
+        ("angle from increments", lambda: propagate_increments(INST, t, dv), ""),
+    ):
+        show(f"{name}, one core", timed(work, n), note)
     baseline = timed(lambda: rk4(t, f, K, TAN_BETA, INST.alpha0, 1, alpha), n, 5)
-    show("baseline: compiled RK4, one step a sample", baseline, "ns/sample")
-    large = np.linspace(0.0, 5.0 * slow, slow)
-    show(
-        "steps above 1 rad, one core",
-        timed(lambda: propagate(INST, large, f[:slow], between="linear"), slow),
-        "ns/sample",
-    )
-
-
-def rounds(works: dict[str, Callable[[], Any]], repeats: int = 9) -> dict[str, np.ndarray]:
-    """Times [s] of several works run in turn, so that ratios of one round share the machine's state."""
-    times: dict[str, list[float]] = {name: [] for name in works}
-    for _ in range(repeats + 1):
-        for name, work in works.items():
-            start = time.perf_counter()
-            work()
-            times[name].append(time.perf_counter() - start)
-    return {name: np.array(values[1:]) for name, values in times.items()}
-
-
-def ratio(top: np.ndarray, bottom: np.ndarray) -> tuple[float, float]:
-    """Median of the ratios within rounds, and ratio of the smallest times."""
-    return float(np.median(top / bottom)), float(top.min() / bottom.min())
-
-
-def per(times: np.ndarray, samples: int) -> tuple[float, float]:
-    return float(np.median(times)) / samples * 1e9, float(times.min()) / samples * 1e9
-
-
-def fleets(instruments: int, samples: int) -> None:
-    """A fleet on one and on two threads."""
-    t = np.arange(samples) * 1e-3
-    f = np.random.default_rng(2).normal(0.0, 10.0, (samples, 3))
-    fleet = [Instrument(K * (1 + 1e-4 * i), 0.004 + 1e-5 * i, 0.01 * i) for i in range(instruments)]
-    times = rounds({
-        workers: lambda workers=workers: propagate_fleet(fleet, t, f, workers=int(workers), between="linear")
-        for workers in ("1", "2")
-    }, 5)  # fmt: skip
-    count = instruments * samples
-    show(f"fleet of {instruments}, angle, one thread", per(times["1"], count), "ns/instrument-sample")
-    show(f"fleet of {instruments}, angle, two threads", per(times["2"], count), "ns/instrument-sample", "bar 6")
-    show("fleet, two threads over one", ratio(times["1"], times["2"]), "1", "bar 1.8")
+    show("baseline: compiled RK4, one step a sample", baseline)
 
 
 def interpolated(at: np.ndarray, t: np.ndarray, f: np.ndarray) -> np.ndarray:
@@ -209,7 +128,7 @@ def equal_accuracy_sampled(seconds: float) -> None:
     reference = propagate(INST, fine, interpolated(fine, t, f), between="linear")[::64]
     error = float(np.abs(propagate(INST, t, f, between="linear") - reference).max())
     ours = timed(lambda: propagate(INST, t, f, between="linear"), 1)
-    show("sampled vibration: exact motion", (ours[0] / n, ours[1] / n), "ns/sample", f"error {error:.1e} rad")
+    show("sampled vibration: exact motion", (ours[0] / n, ours[1] / n), f"error {error:.1e} rad")
     alpha = np.empty(n)
     parts = 1
     while True:
@@ -220,12 +139,12 @@ def equal_accuracy_sampled(seconds: float) -> None:
         parts += 1
     base = timed(lambda: rk4(t, f, K, TAN_BETA, INST.alpha0, parts, alpha), 1)
     note = f"error {error:.1e} rad, {parts} step(s) a sample"
-    show("sampled vibration: compiled RK4", (base[0] / n, base[1] / n), "ns/sample", note)
-    show("sampled vibration: RK4 over exact motion", (base[0] / ours[0], base[1] / ours[1]), "1", "bar 10")
+    show("sampled vibration: compiled RK4", (base[0] / n, base[1] / n), note)
+    show("sampled vibration: RK4 over exact motion", (base[0] / ours[0], base[1] / ours[1]))
     end, wall = dop853_sampled(t, f, 1e-9)
     note = f"error {abs(end - reference[-1]):.1e} rad, restarted at each sample"
-    show("sampled vibration: SciPy DOP853", wall / n * 1e9, "ns/sample", note)
-    show("sampled vibration: DOP853 over exact motion", wall * 1e9 / ours[0], "1", "bar 1000")
+    show("sampled vibration: SciPy DOP853", wall / n * 1e9, note)
+    show("sampled vibration: DOP853 over exact motion", wall * 1e9 / ours[0])
 
 
 def equal_accuracy_smooth(seconds: float) -> None:
@@ -244,19 +163,19 @@ def equal_accuracy_smooth(seconds: float) -> None:
         return float(run.y[0, -1])
 
     base = timed(dop853, 1, 5)
-    show("smooth vibration: SciPy DOP853", base[1] * 1e-6, "ms", f"error {abs(dop853() - reference):.1e} rad")
+    show("smooth vibration: SciPy DOP853", base[1] * 1e-6, f"error {abs(dop853() - reference):.1e} rad")
     grid = np.linspace(0.0, seconds, round(seconds * 140) + 1)
     dv = np.diff(force_integral(grid), axis=0)
     error = abs(propagate_increments(INST, grid, dv)[-1] - reference)
     ours = timed(lambda: propagate_increments(INST, grid, dv), 1)
-    show("smooth vibration: increments at 140 Hz", ours[1] * 1e-6, "ms", f"error {error:.1e} rad")
-    show("smooth vibration: DOP853 over increments", (base[0] / ours[0], base[1] / ours[1]), "1")
+    show("smooth vibration: increments at 140 Hz", ours[1] * 1e-6, f"error {error:.1e} rad")
+    show("smooth vibration: DOP853 over increments", (base[0] / ours[0], base[1] / ours[1]))
 
 
 def constant_stretch() -> None:
     length, f = np.array([1e6]), np.array([[G0, 5 * G0, 0.0]])
     ns = timed(lambda: propagate_segments(INST, length, f), 1)
-    show("constant stretch of 1e6 s, one step", (ns[0] * 1e-3, ns[1] * 1e-3), "us", "call and checks included")
+    show("constant stretch of 1e6 s, one step", (ns[0] * 1e-3, ns[1] * 1e-3), "call and checks included")
 
 
 def memory(n: int) -> None:
@@ -273,7 +192,7 @@ def memory(n: int) -> None:
         work()
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-        show(f"memory beside output, {name}", (peak - output) / 1024, "KiB", f"output {output / 2**20:.0f} MiB")
+        show(f"memory beside output, {name}", (peak - output) / 1024, f"output {output / 2**20:.0f} MiB")
 
 
 FIRST_CALL = """
@@ -296,34 +215,20 @@ def start_up() -> None:
         run = subprocess.run([sys.executable, "-c", FIRST_CALL], capture_output=True, text=True, check=True)
         runs.append([float(x) * 1e3 for x in run.stdout.split()])
     imports, first, second = np.median(np.array(runs[1:]), axis=0)
-    show("start-up: import of piga.instrument (Numba)", imports, "ms", "NumPy imported before")
-    show("start-up: first call, warm cache", first, "ms", "nothing is compiled (tests/_kernels)")
-    show("start-up: second call", second, "ms")
+    show("start-up: import of piga.instrument (Numba)", imports, "NumPy imported before")
+    show("start-up: first call, warm cache", first, "nothing is compiled (tests/_kernels)")
+    show("start-up: second call", second)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--record", action="store_true", help="put the figures into docs/measured/motion.json")
-    parser.add_argument("--quick", action="store_true", help="a tenth of the samples")
-    options = parser.parse_args()
-    if options.quick and options.record:
-        parser.error("--quick is a trial: its figures are not recorded")
-    scale = 10 if options.quick else 1
-    versions = f"Python {platform.python_version()}, NumPy {np.__version__}, Numba {numba.__version__}"
-    print(f"{versions}, SciPy {scipy.__version__}; {os.cpu_count()} cores; load {os.getloadavg()[0]:.1f}\n")
-    print("| what | median | smallest | unit | note |\n|---|---|---|---|---|")
-    machine(1_000_000 // scale)
-    serial(1_000_000 // scale)
-    fleets(256 // scale, 100_000 // scale)
-    equal_accuracy_sampled(100.0 / scale)
-    equal_accuracy_smooth(100.0 / scale)
+    serial(1_000_000)
+    equal_accuracy_sampled(100.0)
+    equal_accuracy_smooth(100.0)
     constant_stretch()
-    memory(1_000_000 // scale)
+    memory(1_000_000)
     start_up()
-    if options.record:
-        kept = {figure["name"] for figure in measured.load("motion")[1]}
-        where = f"{versions}, SciPy {scipy.__version__}; {os.cpu_count()} cores"
-        measured.record("motion", {k: v for k, v in RESULTS.items() if k in kept}, conditions=where)
+    versions = f"Python {platform.python_version()}, NumPy {np.__version__}, Numba {numba.__version__}"
+    put_down("motion", RESULTS, conditions=f"{versions}, SciPy {scipy.__version__}; {os.cpu_count()} cores")
 
 
 if __name__ == "__main__":

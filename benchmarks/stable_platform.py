@@ -1,6 +1,6 @@
 """Speed of the platform chain against named baselines, in one run.
 
-Run: python benchmarks/stable_platform.py [--json] [--record]; ``--record`` puts the figures into docs/measured/platform.json.
+Run: python benchmarks/stable_platform.py [--record]; ``--record`` puts the figures into docs/measured/platform.json.
 
 Baselines: a plain J2 leapfrog in inertial axes (compiled here, nothing but the motion), and pyins
 (PyPI ``python-ins``), a strapdown navigator: its job is harder (attitude from gyro increments with coning,
@@ -10,19 +10,17 @@ velocity increments of a base at rest and give back every state.
 
 from __future__ import annotations
 
-import json
 import math
 import os
-import sys
 import time
 from collections.abc import Callable
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
-import measured
 import numba
 import numpy as np
+from harness import put_down, seconds
 
 from piga import earth
 from piga.platform import Navigator, compare, compensator, simulate, true_knowledge
@@ -65,15 +63,9 @@ def leapfrog(dv, position, velocity, h, gm, j2a2, positions, velocities):
         velocities[i, 0], velocities[i, 1], velocities[i, 2] = u, v, w
 
 
-def best(job: Callable[[], object], repeats: int = 5) -> float:
-    """Shortest of a few runs after one warm-up [s]."""
-    job()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        job()
-        times.append(time.perf_counter() - start)
-    return min(times)
+def shortest(job: Callable[[], object], repeats: int = 5) -> float:
+    """Shortest of a few runs [s]."""
+    return float(seconds(job, repeats).min())
 
 
 def navigation_inputs(days: float, model: str):
@@ -95,7 +87,7 @@ def navigation_inputs(days: float, model: str):
 def navigation(days: float, model: str) -> float:
     """Nanoseconds per step of navigation alone at 1 Hz, every state kept."""
     made, start, *inputs = navigation_inputs(days, model)
-    return best(lambda: Navigator(made, start, 1.0).push(*inputs)) / len(inputs[0]) * 1e9
+    return shortest(lambda: Navigator(made, start, 1.0).push(*inputs)) / len(inputs[0]) * 1e9
 
 
 def plain(days: float) -> float:
@@ -103,7 +95,7 @@ def plain(days: float) -> float:
     _, start, dv, *_ = navigation_inputs(days, "none")
     rows = np.empty_like(dv), np.empty_like(dv)
     arguments = (1.0, earth.GM, 1.5 * earth.J2 * earth.SEMI_MAJOR_AXIS**2, *rows)
-    return best(lambda: leapfrog(dv, start.position, start.velocity, *arguments)) / len(dv) * 1e9
+    return shortest(lambda: leapfrog(dv, start.position, start.velocity, *arguments)) / len(dv) * 1e9
 
 
 def hundred_hertz(days: int) -> float:
@@ -124,7 +116,7 @@ def hundred_hertz(days: int) -> float:
 
 def whole_chain() -> float:
     """Seconds for ten days at 1 Hz: simulated, identified, aligned, navigated with four models, fitted."""
-    return best(lambda: compare(scenario(10.0)), repeats=3)
+    return shortest(lambda: compare(scenario(10.0)), 3)
 
 
 def strapdown(steps: int) -> tuple[float, float] | None:
@@ -143,37 +135,29 @@ def strapdown(steps: int) -> tuple[float, float] | None:
     )
     names = ["lat", "lon", "alt", "VN", "VE", "VD", "roll", "pitch", "heading"]
     pva = pd.Series([40.0, 116.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], index=names, name=0.0)
-    whole = best(lambda: pyins_strapdown.Integrator(pva).integrate(increments), repeats=3)
+    whole = shortest(lambda: pyins_strapdown.Integrator(pva).integrate(increments), 3)
     keep = pyins_strapdown.Integrator(pva)
     place, velocity = np.tile(keep.lla[0], (steps + 1, 1)), np.zeros((steps + 1, 3))
     attitude = np.tile(np.eye(3), (steps + 1, 1, 1))
     theta, dv = np.ascontiguousarray(increments.iloc[:, 1:4]), np.ascontiguousarray(increments.iloc[:, 4:])
-    kernel = best(lambda: integrate(np.ones(steps), place, velocity, attitude, theta, dv, 0, True), repeats=3)
+    kernel = shortest(lambda: integrate(np.ones(steps), place, velocity, attitude, theta, dv, 0, True), 3)
     return whole / steps * 1e9, kernel / steps * 1e9
 
 
 def main() -> None:
-    """Print the table."""
     pyins = strapdown(86400)
     rows = {
-        "plain J2 leapfrog [ns/step]": plain(10.0),
-        "navigation, no model [ns/step]": navigation(10.0, "none"),
-        "navigation, model A [ns/step]": navigation(10.0, "A"),
-        "navigation, model B [ns/step]": navigation(10.0, "B"),
-        "navigation, model C [ns/step]": navigation(10.0, "C"),
-        "pyins Integrator, strapdown [ns/step]": pyins[0] if pyins else None,
-        "pyins kernel alone, strapdown [ns/step]": pyins[1] if pyins else None,
-        "ten days at 1 Hz, whole chain, four models [s]": whole_chain(),
-        "ten days at 100 Hz, navigation with model B [s]": hundred_hertz(10),
+        "plain J2 leapfrog": plain(10.0),
+        "navigation, no model": navigation(10.0, "none"),
+        "navigation, model A": navigation(10.0, "A"),
+        "navigation, model B": navigation(10.0, "B"),
+        "navigation, model C": navigation(10.0, "C"),
+        "pyins Integrator, strapdown": pyins[0] if pyins else None,
+        "pyins kernel alone, strapdown": pyins[1] if pyins else None,
+        "ten days at 1 Hz, whole chain, four models": whole_chain(),
+        "ten days at 100 Hz, navigation with model B": hundred_hertz(10),
     }
-    if "--record" in sys.argv:
-        values = {name.rpartition(" [")[0]: value for name, value in rows.items() if value is not None}
-        measured.record("platform", {name: float(f"{value:.3g}") for name, value in values.items()})
-    if "--json" in sys.argv:
-        print(json.dumps(rows, indent=1))
-        return
-    for name, value in rows.items():
-        print(f"{name:<52}{'not installed' if value is None else format(value, '12.4g')}")
+    put_down("platform", {name: value for name, value in rows.items() if value is not None})
 
 
 if __name__ == "__main__":
