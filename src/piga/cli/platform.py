@@ -55,8 +55,8 @@ def simulate(
 
     Writes readouts.parquet, truth.parquet and a page.
     """
-    from piga.platform.output import READOUT_COLUMNS, TRUTH_COLUMNS, readouts_table, truth_table
     from piga.platform.scenario import load_scenario
+    from piga.platform.simulate import READOUT_COLUMNS, TRUTH_COLUMNS, readouts_table, truth_table
     from piga.reports.platform.page import simulation_page
 
     files = ("readouts.parquet", "truth.parquet", "report.html")
@@ -86,7 +86,6 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
     from piga.errors import PigaError
     from piga.platform.alignment import align as align_platform
     from piga.platform.chain import prepare
-    from piga.platform.output import alignment_document
     from piga.platform.scenario import load_scenario
     from piga.reports.platform.page import alignment_page
 
@@ -106,7 +105,7 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
                 aligned = align_platform(
                     stretch, run.scenario.place, preparation.knowledge, orders=orders, progress=advance
                 )
-        document = alignment_document(aligned)
+        document = aligned.document()
         write_json(to / "alignment.json", document)
         _page(to, alignment_page(run, aligned))
         worst = float(aligned.std[:3].max()) / ARCSEC
@@ -120,8 +119,7 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
     Writes identification.json and a page.
     """
     from piga.platform.chain import sources_of
-    from piga.platform.identify import identify_growing, observability
-    from piga.platform.output import identification_document
+    from piga.platform.identify import identification_document, identify_growing, observability
     from piga.platform.scenario import load_scenario
     from piga.reports.platform.page import identification_page
     from piga.reports.render.numbers import rounded
@@ -152,8 +150,7 @@ def navigate(
 
     Writes navigation-MODEL.parquet and a page.
     """
-    from piga.platform.chain import navigated_rows
-    from piga.platform.output import NAVIGATION_COLUMNS, navigation_table
+    from piga.platform.chain import NAVIGATION_COLUMNS, navigated_rows, navigation_table
     from piga.platform.scenario import load_scenario
     from piga.reports.platform.page import navigation_page
 
@@ -190,8 +187,9 @@ def compare(
 
     Writes comparison.json and a page, day by day.
     """
-    from piga.platform.budget import error_budget, line_budget, standard_sources
-    from piga.platform.output import budget_document, line_budget_document
+    import msgspec
+
+    from piga.platform.budget import error_budget, line_budget, line_budget_document, standard_sources
     from piga.platform.scenario import load_scenario
 
     with _results(out, "compare", scenario, force, json, "comparison.json", "capstone.html") as to:
@@ -203,7 +201,7 @@ def compare(
             lines = line_budget(s, comparison.preparation.identification) if budget else ()
         document = comparison.document()
         if rows:
-            document["budget"] = budget_document(rows)
+            document["budget"] = msgspec.to_builtins(rows)
         if lines:
             document["line_budget"] = line_budget_document(lines)
         if out is not None:

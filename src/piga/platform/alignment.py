@@ -8,6 +8,7 @@ and drift and the base's attitude. Each observation alone lacks one angle.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -82,6 +83,18 @@ class Alignment(Result):
         """Start of the navigation at the known place, with or without compensation of the estimated drift."""
         drift = self.drift if with_drift else np.zeros(3)
         return site_start(self.place.latitude, self.place.longitude, self.place.height, self.triad, drift)
+
+    def document(self) -> dict[str, Any]:
+        """JSON document of ``piga platform align``."""
+        return {
+            "triad_to_inertial": self.triad.tolist(),
+            "triad_rotation_vector_rad": self.triad_vector.tolist(),
+            "drift_rad_s": self.drift.tolist(),
+            "base_roll_pitch_heading_rad": self.base_angles.tolist(),
+            "covariance": {"names": list(UNKNOWNS), "matrix": self.covariance.tolist()},
+            "noise": self.noise,
+            "condition": self.condition,
+        }
 
 
 def _angles(base: Array) -> Array:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from piga import earth
@@ -27,16 +29,25 @@ from piga.platform.navigator import (
 from piga.platform.scenario import Gyro, MotionPlan, PlatformScenario
 from piga.platform.simulate import PlatformRun, simulate
 from piga.progress import Progress, Steps
-from piga.results import Result
-from piga.units import ARCSEC
+from piga.results import Result, finite
+from piga.units import ARCMIN, ARCSEC
 
 
-@dataclass(frozen=True)
-class BudgetRow:
+class BudgetRow(
+    msgspec.Struct,
+    frozen=True,
+    rename={
+        "position_linear": "position_linear_m",
+        "position_full": "position_full_m",
+        "velocity_linear": "velocity_linear_m_s",
+        "velocity_full": "velocity_full_m_s",
+        "difference": "largest_difference_m",
+    },
+):
     """One source: largest errors over the run from the linear model and from a full perturbed run.
 
     ``position`` horizontal [m], ``velocity`` horizontal [m/s]; ``difference`` [m]: largest distance between
-    the two position histories.
+    the two position histories. In JSON the keys end with the unit.
     """
 
     source: str
@@ -197,3 +208,16 @@ def _line_rows(scenario: PlatformScenario, source: str) -> Iterator[LineRow]:
                 source, 2.0 * np.pi / rate, {name: float(v[-1]) for name, v in expected.items()},
                 {name: float(v[-1]) for name, v in seen.items()},
             )  # fmt: skip
+
+
+def line_budget_document(rows: Sequence[LineRow]) -> list[dict[str, Any]]:
+    """Lines of each misalignment alone and of both as JSON rows. A missing line is null."""
+    document = []
+    for row in rows:
+        entry: dict[str, Any] = {"source": row.source, "period_s": row.period}
+        for name, theory in row.theory.items():
+            scale, unit = (1.0, "m_s") if name.endswith("velocity") else (ARCMIN, "arcmin")
+            linear, full = finite(theory / scale), finite(row.full[name] / scale)
+            entry |= {f"{name}_line_linear_{unit}": linear, f"{name}_line_full_{unit}": full}
+        document.append(entry)
+    return document

@@ -35,12 +35,14 @@ from piga.platform.navigator import (
 )
 from piga.platform.observation import MOVING_SOURCES, STATIC_SOURCES
 from piga.platform.scenario import Model, PlatformScenario
-from piga.platform.simulate import PlatformRun, simulate
+from piga.platform.simulate import PlatformRun, number_table, simulate
 from piga.progress import Progress, Steps
 from piga.results import Array, Plotted, Result, finite
 from piga.units import ARCMIN
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from piga.reports.render.figure import Figure
 
 
@@ -64,6 +66,27 @@ class ModelRun:
     errors: Errors
     lines: Lines
     theory: Lines | None
+
+
+NAVIGATION_COLUMNS = 19
+"""Columns of the table of a navigation, so that its size can be told before it."""
+
+
+def navigation_table(run: ModelRun) -> pa.Table:
+    """Output of the navigator, and its errors."""
+    t, e = run.navigation.table, run.errors
+    names = ("latitude", "longitude", "height", "v_north", "v_east", "v_down", "roll", "pitch", "heading")
+    units = ("rad", "rad", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad")
+    columns = {"t": (run.navigation.times, "s")}
+    columns |= {name: (t[:, k], unit) for k, (name, unit) in enumerate(zip(names, units, strict=True))}
+    columns |= {"error_north": (e.north, "m"), "error_east": (e.east, "m"), "error_up": (e.up, "m")}
+    columns |= {
+        f"error_v_{name}": (e.velocity[:, k], "m/s") for k, name in enumerate(("north", "east", "down"))
+    }
+    columns |= {
+        f"error_{name}": (e.attitude[:, k], "rad") for k, name in enumerate(("roll", "pitch", "heading"))
+    }
+    return number_table(columns)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

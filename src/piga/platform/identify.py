@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +37,7 @@ from piga.platform.observation import (
 from piga.platform.scenario import Gyro, Place
 from piga.platform.simulate import Readouts
 from piga.progress import Progress, report
-from piga.results import Array, Plotted, Result
+from piga.results import Array, Plotted, Result, finite
 from piga.threads import one_thread
 from piga.units import ARCSEC
 
@@ -388,3 +389,27 @@ def _sentence(separable: bool, hidden: Array, clean: Array, equal: bool) -> str:
         ", or turn the cases at unequal speeds" if equal else ""
     )
     return f"cannot tell apart {mixed}{why}; {cure}"
+
+
+def identification_document(identification: Identification, sources: Sequence[Observability]) -> dict[str, Any]:
+    """JSON document of ``piga platform identify``."""
+    document = {
+        name: getattr(identification, name)
+        for name in ("sources", "parameters", "noise", "degrees_of_freedom", "condition", "notes")
+    }
+    document["covariance"] = {
+        "names": identification.names,
+        "values": identification.values.tolist(),
+        "matrix": identification.covariance.tolist(),
+    }
+    document["observability"] = [
+        {
+            "source": o.source,
+            "condition": finite(o.condition),
+            "std_rad": {n: (v if v < 1.0 else None) for n, v in zip(UNKNOWNS, o.std.tolist(), strict=True)},
+            "separable": o.separable,
+            "verdict": o.sentence,
+        }
+        for o in sources
+    ]
+    return dict(msgspec.to_builtins(document))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from piga import doors, earth
 from piga._kernels.platform.motion import Base, Gyros, TrueRows, simulate_platform, solve_triad
 from piga.errors import ArgumentError, DataError
+from piga.formats.parquet import number_column
 from piga.frames import rotation_vector_to_matrix
 from piga.instrument import Instrument, propagate
 from piga.platform.geometry import (
@@ -33,6 +34,8 @@ from piga.records.limits import read_whole
 from piga.results import Array, Plotted, Result
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from piga.reports.render.figure import Figure
 
 MAX_TRACK = 256 << 20
@@ -468,3 +471,57 @@ def _pulses(increments: Array, quantum: float) -> Array:
         return increments
     total = np.round(np.cumsum(increments, axis=0) / quantum) * quantum
     return np.diff(total, axis=0, prepend=0.0)
+
+
+# -- tables of a run --------------------------------------------------------------------------------------
+
+READOUT_COLUMNS, TRUTH_COLUMNS = 11, 14
+"""Columns of the tables of a run, so that their size can be told before it."""
+
+
+def number_table(columns: dict[str, tuple[Array, str]]) -> pa.Table:
+    """Columns of numbers with their units in the metadata."""
+    import pyarrow as pa
+
+    fields = [pa.field(name, pa.float64(), metadata={"unit": unit}) for name, (_, unit) in columns.items()]
+    return pa.Table.from_arrays(
+        [number_column(values) for values, _ in columns.values()], schema=pa.schema(fields)
+    )
+
+
+def readouts_table(r: Readouts) -> pa.Table:
+    """Readouts as a table. The increment of a row is that since the previous row; the first row has none."""
+    since = np.concatenate([np.full((1, 3), np.nan), r.increments])
+    height = r.altitude if len(r.altitude) > 1 else np.full(len(r.times), r.altitude[0])
+    columns = {"t": (r.times, "s")}
+    columns |= {f"dv{axis}": (since[:, k], "m/s") for k, axis in enumerate("xyz")}
+    columns |= {
+        f"gimbal_{name}": (r.gimbals[:, k], "rad") for k, name in enumerate(("outer", "middle", "inner"))
+    }
+    columns |= {
+        "pickoff": (r.pickoff, "rad"),
+        "case_polar": (r.encoder1, "rad"),
+        "case_equatorial": (r.encoder2, "rad"),
+        "height": (height, "m"),
+    }
+    return number_table(columns)
+
+
+def truth_table(run: PlatformRun) -> pa.Table:
+    """True specific force in platform axes, redundancy angle, place, velocity and attitude."""
+    n, motion = len(run.readouts.times), run.truth.motion
+
+    def full(values: Array) -> Array:
+        return values if len(values) == n else np.repeat(values, n, axis=0)
+
+    place, velocity, attitude = full(motion.place), full(motion.velocity), full(motion.attitude)
+    columns = {"t": (run.readouts.times, "s"), "eta": (run.truth.eta, "rad")}
+    columns |= {f"f{axis}": (run.truth.force[:, k], "m/s^2") for k, axis in enumerate("xyz")}
+    columns |= {
+        "latitude": (place[:, 0], "rad"),
+        "longitude": (place[:, 1], "rad"),
+        "height": (place[:, 2], "m"),
+    }
+    columns |= {f"v_{name}": (velocity[:, k], "m/s") for k, name in enumerate(("north", "east", "down"))}
+    columns |= {name: (attitude[:, k], "rad") for k, name in enumerate(("roll", "pitch", "heading"))}
+    return number_table(columns)
