@@ -35,7 +35,7 @@ from piga.platform.simulate import (
 from piga.progress import Progress, Steps
 from piga.reports.platform.figures import HOUR, MINUTE, schuler_peak, time_axis
 from piga.reports.platform.page import page
-from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Role, Series
+from piga.reports.render.figure import XYZ, Figure, Plot, Role
 from piga.reports.render.numbers import short
 from piga.reports.render.page import FigureBlock, Page, Section, Table, TableOf, Text, Tile
 from piga.results import Array, Result
@@ -242,20 +242,14 @@ def force_day_figure(capstone: Capstone) -> Figure:
     times, along = capstone.day
     sensors = capstone.scenario.sensors.piga
     width = 9.8 * (sensors.tan_beta if sensors else 0.0)
-    panel = Panel(
-        Axis("time", "h"),
-        Axis("force along the input axis", "m/s^2"),
-        (
-            *(Series(times / HOUR, along[:, k], f"instrument {k + 1}", "line", XYZ[k]) for k in range(3)),
-            Series([0.0, times[-1] / HOUR], [0.0, 0.0], "locked zone", "line", "warning", dashed=True),
-        ),
-    )
-    return Figure(
-        "fig-day",
-        "Gravity sweeps through every input axis",
-        (panel,),
+    title = "Gravity sweeps through every input axis"
+    plot = Plot("fig-day", title, "time [h]", "force along the input axis [m/s^2]")
+    for k, role in enumerate(XYZ):
+        plot.line(times / HOUR, along[:, k], f"instrument {k + 1}", role)
+    plot.dashed([0.0, times[-1] / HOUR], [0.0, 0.0], "locked zone", "warning")
+    return plot.caption(
         "Three axes at right angles round the pole. Each crosses zero twice a day, "
-        f"and is inside its locked zone within {1e3 * width:.1f} mm/s^2 of it.",
+        f"and is inside its locked zone within {1e3 * width:.1f} mm/s^2 of it."
     )
 
 
@@ -266,32 +260,17 @@ def passage_figure(capstone: Capstone) -> Figure | None:
         return None
     minutes = (p.times - p.times[0]) / MINUTE
     edge = np.full_like(minutes, 1e3 * p.half_width)
-    return Figure(
-        "fig-passage",
-        f"Instrument {p.instrument + 1} passes its locked zone",
-        (
-            Panel(
-                Axis("time", "min"),
-                Axis("force along the input axis", "mm/s^2"),
-                (
-                    Series(minutes, -edge, "locked zone", "band", "warning", upper=edge),
-                    Series(minutes, 1e3 * p.true, "true", "line", "reference", dashed=True),
-                    Series(minutes, 1e3 * p.raw, "raw output", "line", "before"),
-                ),
-            ),
-            Panel(
-                Axis("time", "min"),
-                Axis("error of the reading", "mm/s^2"),
-                (
-                    Series(minutes, 1e3 * (p.raw - p.true), "raw output", "line", "before"),
-                    Series(minutes, 1e3 * (p.triad - p.true), "triad solved", "line", "after"),
-                ),
-            ),
-        ),
+    plot = Plot("fig-passage", f"Instrument {p.instrument + 1} passes its locked zone", height=2.6)
+    plot.panel("time [min]", "force along the input axis [mm/s^2]")
+    plot.band(minutes, -edge, edge, "locked zone", "warning")
+    plot.dashed(minutes, 1e3 * p.true, "true").line(minutes, 1e3 * p.raw, "raw output", "before")
+    plot.panel("time [min]", "error of the reading [mm/s^2]")
+    plot.line(minutes, 1e3 * (p.raw - p.true), "raw output", "before")
+    plot.line(minutes, 1e3 * (p.triad - p.true), "triad solved", "after")
+    return plot.caption(
         "The gimbal turns ever more slowly towards the zone, and its cross-coupling, else "
         "averaged over each turn, keeps one sign for minutes. Solving the three instruments with "
-        "their effective axes gives the force back.",
-        height=2.6,
+        "their effective axes gives the force back."
     )
 
 
@@ -306,24 +285,13 @@ def capstone_figure(capstone: Capstone) -> Figure:
         "triad, calibrated": ("z", True),
     }
     axis, unit = time_axis(float(capstone.scenario.duration))
-    series = tuple(
-        Series(
-            o.errors.times / unit,
-            np.maximum(schuler_peak(o.errors.times, o.errors.horizontal), 1e-4),
-            name,
-            "line",
-            looks[name][0],
-            dashed=looks[name][1],
-        )
-        for name, o in capstone.outcomes.items()
-    )
-    return Figure(
-        "fig-capstone",
-        "Ten days with three gyro accelerometers",
-        (Panel(axis, Axis("horizontal position error", "m", log=True), series),),
-        "Largest error within each 84 minutes.",
-        height=3.6,
-    )
+    title = "Ten days with three gyro accelerometers"
+    plot = Plot("fig-capstone", title, axis, "log horizontal position error [m]", height=3.6)
+    for name, o in capstone.outcomes.items():
+        peak = np.maximum(schuler_peak(o.errors.times, o.errors.horizontal), 1e-4)
+        role, dashed = looks[name]
+        plot.line(o.errors.times / unit, peak, name, role, dashed=dashed)
+    return plot.caption("Largest error within each 84 minutes.")
 
 
 def capstone_page(capstone: Capstone) -> Page:

@@ -14,7 +14,7 @@ from piga.platform.chain import ModelComparisonRun, ModelRun
 from piga.platform.identify import GrowingIdentification
 from piga.platform.scenario import Model
 from piga.platform.simulate import PlatformRun
-from piga.reports.render.figure import XYZ, Axis, Figure, Panel, Role, Series
+from piga.reports.render.figure import XYZ, Figure, Plot, Role
 from piga.units import ARCMIN, ARCSEC, DAY
 
 Array = NDArray[np.float64]
@@ -22,12 +22,12 @@ Array = NDArray[np.float64]
 HOUR, MINUTE = 3600.0, 60.0
 
 
-def time_axis(span: float) -> tuple[Axis, float]:
+def time_axis(span: float) -> tuple[str, float]:
     """Axis of time in a unit that suits the span [s], and that unit in seconds."""
     for unit, seconds in (("d", DAY), ("h", HOUR), ("min", MINUTE)):
         if span > 2.0 * seconds:
-            return Axis("time", unit), seconds
-    return Axis("time", "s"), 1.0
+            return f"time [{unit}]", seconds
+    return "time [s]", 1.0
 
 
 def model_name(model: str) -> str:
@@ -54,57 +54,36 @@ def readouts_figure(run: PlatformRun) -> Figure:
     r = run.readouts
     axis, unit = time_axis(float(r.times[-1]))
     early = slice(0, max(2, min(len(r.times), int(40.0 * MINUTE / r.step))))
-    minutes = Axis("time", "min")
+    minutes = "time [min]"
     middle = 0.5 * (r.times[1:] + r.times[:-1])
     force = r.increments / r.step
     angles = np.unwrap(r.gimbals, axis=0)
     gimbals = ("outer", "middle", "inner")
     over = 1 if run.truth.motion.at_rest else max(1, round(MINUTE / r.step))
     close = "" if over == 1 else ", 1 min mean"
-    pickoff = np.stack([r.pickoff, run.truth.eta], axis=1) / ARCMIN
-    panels = (
-        _three(axis, Axis("specific force", "m/s^2"), middle / unit, force, XYZ),
-        _three(
-            minutes,
-            Axis(f"force{close}", "mm/s^2"),
-            *_course_out(middle[early], 1e3 * force[early], over),
-            XYZ,
-        ),
-        _three(axis, Axis("gimbal angle", "deg"), r.times / unit, np.degrees(angles), gimbals),
-        _three(
-            minutes,
-            Axis(f"gimbal{close}", "arcmin"),
-            *_course_out(r.times[early], angles[early] / ARCMIN, over),
-            gimbals,
-        ),
-        _pickoff(axis, r.times / unit, pickoff),
-        _pickoff(minutes, r.times[early] / MINUTE, pickoff[early]),
-    )
-    return Figure(
-        "fig-readouts",
-        "What is read on the platform",
-        panels,
+    plot = Plot("fig-readouts", "What is read on the platform", columns=2, height=2.4)
+    _three(plot, axis, "specific force [m/s^2]", middle / unit, force, XYZ)
+    start = _course_out(middle[early], 1e3 * force[early], over)
+    _three(plot, minutes, f"force{close} [mm/s^2]", *start, XYZ)
+    _three(plot, axis, "gimbal angle [deg]", r.times / unit, np.degrees(angles), gimbals)
+    start = _course_out(r.times[early], angles[early] / ARCMIN, over)
+    _three(plot, minutes, f"gimbal{close} [arcmin]", *start, gimbals)
+    for x, part, scale in ((axis, slice(None), unit), (minutes, early, MINUTE)):
+        plot.panel(x, "pick-off [arcmin]")
+        plot.line(r.times[part] / scale, r.pickoff[part] / ARCMIN, "read")
+        plot.line(r.times[part] / scale, run.truth.eta[part] / ARCMIN, "redundancy angle", "model")
+    mean = "" if over == 1 else "; averaged over a minute, so that the motion of the vehicle does not hide it"
+    return plot.caption(
         "Left: the whole run. Right: the first minutes, force and gimbal angles less a parabola, so that what "
-        "turns with the cases shows"
-        + (
-            "."
-            if over == 1
-            else "; averaged over a minute, so that the motion of the vehicle does not hide it."
-        ),
-        columns=2,
-        height=2.4,
+        f"turns with the cases shows{mean}."
     )
 
 
-def _three(x: Axis, y: Axis, at: Array, values: Array, labels: tuple[str, str, str]) -> Panel:
-    """Three columns against one axis of time, in the colours of the axes."""
-    return Panel(x, y, tuple(Series(at, values[:, k], labels[k], "line", XYZ[k]) for k in range(3)))
-
-
-def _pickoff(x: Axis, at: Array, values: Array) -> Panel:
-    read = Series(at, values[:, 0], "read", "line", "data")
-    true = Series(at, values[:, 1], "redundancy angle", "line", "model")
-    return Panel(x, Axis("pick-off", "arcmin"), (read, true))
+def _three(plot: Plot, x: str, y: str, at: Array, values: Array, labels: Sequence[str]) -> None:
+    """A panel of three columns against time, in the colours of the axes."""
+    plot.panel(x, y)
+    for k, label in enumerate(labels):
+        plot.line(at, values[:, k], label, XYZ[k])
 
 
 def _course_out(times: Array, values: Array, over: int) -> tuple[Array, Array]:
@@ -120,23 +99,17 @@ def convergence_figure(growing: GrowingIdentification) -> Figure:
     t, values, stds = growing.times / MINUTE, growing.values, growing.stds
     names = growing.parts[-1].names
     half = (len(names) - 2 * ("eta0" in names)) // 2
-    panels = []
+    plot = Plot("fig-convergence", "Identification as the record grows", columns=2, height=2.6)
     roles: tuple[Role, Role] = ("x", "y")
     for at, title in ((0, "polar"), (half, "equatorial")):
         last = values[-1, at : at + 2]
-        series: list[Series] = []
+        plot.panel("time [min]", f"{title}, off its end [arcsec]")
         for k, role in enumerate(roles):
             y, s = (values[:, at + k] - last[k]) / ARCSEC, 1.96 * stds[:, at + k] / ARCSEC
-            series.append(Series(t, -s, "95 % band" if k == 0 else "", "band", "muted", upper=s))
-            series.append(Series(t, y, f"m {'cos' if k == 0 else 'sin'}(phase)", "line", role))
-        panels.append(Panel(Axis("time", "min"), Axis(f"{title}, off its end", "arcsec"), tuple(series)))
-    return Figure(
-        "fig-convergence",
-        "Identification as the record grows",
-        tuple(panels),
-        "Estimates from growing parts of the record, less the last one; the band is their 95 % interval.",
-        columns=2,
-        height=2.6,
+            plot.band(t, -s, s, "95 % band" if k == 0 else "")
+            plot.line(t, y, f"m {'cos' if k == 0 else 'sin'}(phase)", role)
+    return plot.caption(
+        "Estimates from growing parts of the record, less the last one; the band is their 95 % interval."
     )
 
 
@@ -153,22 +126,14 @@ def cone_figure(run: PlatformRun, aligned: Alignment) -> Figure:
         np.stack([radius * np.cos(turn), radius * np.sin(turn), np.full_like(turn, inertial[2])], axis=1)
         @ aligned.triad
     )
-    return Figure(
-        "fig-cone",
-        "The gravity cone",
-        (
-            Panel(
-                Axis("specific force x", "m/s^2"),
-                Axis("specific force y", "m/s^2"),
-                (
-                    Series(cone[:, 0], cone[:, 1], "cone about the Earth's axis", "line", "muted"),
-                    Series(mean[:, 0], mean[:, 1], "measured", "points", "data"),
-                ),
-                equal=True,
-            ),
-        ),
+    plot = Plot("fig-cone", "The gravity cone").panel(
+        "specific force x [m/s^2]", "specific force y [m/s^2]", equal=True
+    )
+    plot.line(cone[:, 0], cone[:, 1], "cone about the Earth's axis", "muted")
+    plot.points(mean[:, 0], mean[:, 1], "measured")
+    return plot.caption(
         "On a platform fixed in inertial space gravity runs once round this cone in a sidereal "
-        "day; the measured arc gives the Earth's axis.",
+        "day; the measured arc gives the Earth's axis."
     )
 
 
@@ -196,39 +161,24 @@ REFERENCE_MODEL: dict[Case, Model] = {"amplitude": "A", "equatorial": "none"}
 
 def lines_figure(comparison: ModelComparisonRun, which: Case = "amplitude") -> Figure:
     """Amplitude at a case-rotation period against the day, each model, with the theory dashed."""
-    panels = []
+    polar = which == "amplitude"
+    key, whose = (
+        ("fig-lines-per-day", "case-rotation")
+        if polar
+        else ("fig-equatorial-lines-per-day", "equatorial case's")
+    )
+    plot = Plot(key, f"What each model leaves at the {whose} period", columns=2, height=2.6)
     for name in ("east_velocity", "heading", "roll", "north_velocity"):
         quantity, unit, scale = _LABELS[name]
-        series = []
+        plot.panel("day", f"log {quantity} [{unit}]")
         for model, run in comparison.models.items():
-            role = MODEL_ROLES[model]
-            label = model_name(model)
-            series.append(
-                Series(run.lines.day, getattr(run.lines, which)[name] / scale, label, "line+points", role)
-            )
+            label, amplitude = model_name(model), getattr(run.lines, which)[name]
+            plot.marked(run.lines.day, amplitude / scale, label, MODEL_ROLES[model])
             if model == REFERENCE_MODEL[which] and run.theory is not None:
-                series.append(
-                    Series(
-                        run.theory.day,
-                        getattr(run.theory, which)[name] / scale,
-                        f"theory, {label}",
-                        "line",
-                        "reference",
-                        dashed=True,
-                    )
-                )
-        panels.append(Panel(Axis("day", "1"), Axis(quantity, unit, log=True), tuple(series)))
-    key, whose = ("fig-lines-per-day", "case-rotation") if which == "amplitude" else (
-        "fig-equatorial-lines-per-day", "equatorial case's")  # fmt: skip
+                theory = getattr(run.theory, which)[name]
+                plot.dashed(run.theory.day, theory / scale, f"theory, {label}")
     sayings = [_SAYINGS[m] for m in comparison.models if m in _SAYINGS]
-    return Figure(
-        key,
-        f"What each model leaves at the {whose} period",
-        tuple(panels),
-        " ".join(["Amplitude fitted over each day.", *(sayings if which == "amplitude" else ())]),
-        columns=2,
-        height=2.6,
-    )
+    return plot.caption(" ".join(["Amplitude fitted over each day.", *(sayings if polar else ())]))
 
 
 def histories_figure(comparison: ModelComparisonRun) -> Figure:
@@ -256,7 +206,7 @@ def published_figure(comparison: ModelComparisonRun) -> Figure:
     return _channels(
         comparison,
         part,
-        Axis("time before the end", "min"),
+        "time before the end [min]",
         MINUTE,
         "fig-last-minutes",
         "The last forty minutes",
@@ -272,7 +222,7 @@ _CORRECTED: Sequence[str] = ("A", "B", "C")
 def _channels(
     comparison: ModelComparisonRun,
     part: slice,
-    axis: Axis,
+    axis: str,
     unit: float,
     key: str,
     title: str,
@@ -283,22 +233,21 @@ def _channels(
     over = _quiet(comparison)
     if over > 1:
         caption += " Heading and roll are means over half a minute, freed of most of the gimbal noise."
-    rows: list[tuple[str, str, float]] = [
-        ("east velocity error", "m/s", 1.0),
-        ("heading error", "arcmin", ARCMIN),
-        ("roll error", "arcmin", ARCMIN),
+    rows: list[tuple[str, float]] = [
+        ("east velocity error [m/s]", 1.0),
+        ("heading error [arcmin]", ARCMIN),
+        ("roll error [arcmin]", ARCMIN),
     ]
-    panels = []
-    for k, (quantity, name, scale) in enumerate(rows):
-        series = []
+    plot = Plot(key, title, height=2.2)
+    for k, (quantity, scale) in enumerate(rows):
+        plot.panel(axis, quantity)
         for model, run in shown.items():
             e, width = run.errors, over if k else 1
             values = (e.velocity[:, 1], e.attitude[:, 2], e.attitude[:, 0])[k][part] / scale
             values = averaged(values - values.mean() if origin else values, width)
             times = averaged(e.times[part] - origin, width) / unit
-            series.append(Series(times, values, model_name(model), "line", MODEL_ROLES[model]))
-        panels.append(Panel(axis, Axis(quantity, name), tuple(series)))
-    return Figure(key, title, tuple(panels), caption, height=2.2)
+            plot.line(times, values, model_name(model), MODEL_ROLES[model])
+    return plot.caption(caption)
 
 
 def _quiet(comparison: ModelComparisonRun) -> int:
@@ -317,47 +266,41 @@ def position_figure(comparison: ModelComparisonRun) -> Figure:
         m: np.maximum(schuler_peak(run.errors.times, run.errors.horizontal), 1e-9)
         for m, run in comparison.models.items()
     }
-    series = tuple(
-        Series(times / unit, peak, model_name(m), "line", MODEL_ROLES[m]) for m, peak in peaks.items()
-    )
     largest, least = max(peak.max() for peak in peaks.values()), min(peak.min() for peak in peaks.values())
-    decades = bool(largest > 30.0 * least)
-    return Figure(
-        "fig-position",
-        "Horizontal position error",
-        (Panel(axis, Axis("horizontal position error", "m", log=decades), series),),
-        "Distance between where the navigator says it is and where it is; largest of 84 minutes.",
+    log = "log " if largest > 30.0 * least else ""
+    plot = Plot("fig-position", "Horizontal position error", axis, f"{log}horizontal position error [m]")
+    for m, peak in peaks.items():
+        plot.line(times / unit, peak, model_name(m), MODEL_ROLES[m])
+    return plot.caption(
+        "Distance between where the navigator says it is and where it is; largest of 84 minutes."
     )
 
 
 def spectrum_figure(comparison: ModelComparisonRun) -> Figure:
     """Amplitude spectrum of the east velocity over the last day, with the lines to expect."""
-    s = comparison.run.scenario
-    series, low, high = [], np.inf, 0.0
+    s, low, high = comparison.run.scenario, np.inf, 0.0
+    plot = Plot(
+        "fig-spectrum",
+        "Spectrum of the east velocity, last day",
+        "log period [min]",
+        "log east velocity amplitude [m/s]",
+    )
     for model, run in comparison.models.items():
         part = run.errors.times > run.errors.times[-1] - DAY
         frequency, amplitude = spectrum(run.errors.times[part], run.errors.velocity[part, 1])
         keep = (frequency > 1.0 / (6.0 * HOUR)) & (frequency < 1.0 / 60.0)
         amplitude = np.maximum(amplitude[keep], 1e-9)
         low, high = min(low, float(np.percentile(amplitude, 10))), max(high, float(amplitude.max()))
-        label = model_name(model)
-        series.append(Series(1.0 / frequency[keep] / MINUTE, amplitude, label, "line", MODEL_ROLES[model]))
+        plot.line(1.0 / frequency[keep] / MINUTE, amplitude, model_name(model), MODEL_ROLES[model])
     if s.polar_rotation.rate > 0.0 or s.equatorial_rotation.rate > 0.0:
         rates = case_rates(s)
         labels = ("case rotation",) if len(rates) == 1 else ("polar case", "equatorial case")
         roles: tuple[Role, Role] = ("reference", "warning")
         for rate, label, role in zip(rates, labels, roles, strict=False):
             if rate > 0.0:
-                period = 2.0 * np.pi / rate / MINUTE
-                series.append(Series([period] * 2, [low, 2.0 * high], label, "line", role, dashed=True))
-    panel = Panel(
-        Axis("period", "min", log=True), Axis("east velocity amplitude", "m/s", log=True), tuple(series)
-    )
-    return Figure(
-        "fig-spectrum",
-        "Spectrum of the east velocity, last day",
-        (panel,),
-        "Amplitude of a sine at each period (Hann window). The Schuler motion stands at 84 min.",
+                plot.dashed([2.0 * np.pi / rate / MINUTE] * 2, [low, 2.0 * high], label, role)
+    return plot.caption(
+        "Amplitude of a sine at each period (Hann window). The Schuler motion stands at 84 min."
     )
 
 
@@ -367,31 +310,17 @@ def model_figure(run: ModelRun) -> Figure:
     axis, unit = time_axis(float(e.times[-1]))
     late = e.times > e.times[-1] - 40.0 * MINUTE
     name = run.compensator.model
-    named: tuple[tuple[str, Role], ...] = (("roll", "x"), ("pitch", "y"), ("heading", "z"))
-    panels = []
-    for part, ax, origin, scale in (
-        (np.ones_like(late), axis, 0.0, unit),
-        (late, Axis("time before the end", "min"), e.times[-1], MINUTE),
+    whole = "No model" if name == "none" else f"Model {name}"
+    plot = Plot(f"fig-model-{name}", whole, columns=2, height=2.4)
+    parts = (np.ones_like(late), axis, 0.0, unit), (late, "time before the end [min]", e.times[-1], MINUTE)
+    velocity: tuple[tuple[str, Role, int], ...] = (("east", "x", 1), ("north", "y", 0))
+    attitude: tuple[tuple[str, Role, int], ...] = (("roll", "x", 0), ("pitch", "y", 1), ("heading", "z", 2))
+    for label, errors, curves in (
+        ("velocity error [m/s]", e.velocity, velocity),
+        ("attitude error [arcmin]", e.attitude / ARCMIN, attitude),
     ):
-        x = (e.times[part] - origin) / scale
-        velocity = (
-            Series(x, e.velocity[part, 1], "east", "line", "x"),
-            Series(x, e.velocity[part, 0], "north", "line", "y"),
-        )
-        angles = tuple(
-            Series(x, e.attitude[part, k] / ARCMIN, label, "line", role)
-            for k, (label, role) in enumerate(named)
-        )
-        panels += [
-            Panel(ax, Axis("velocity error", "m/s"), velocity),
-            Panel(ax, Axis("attitude error", "arcmin"), angles),
-        ]
-    order = (panels[0], panels[2], panels[1], panels[3])
-    return Figure(
-        f"fig-model-{name}",
-        "No model" if name == "none" else f"Model {name}",
-        order,
-        "Left: the whole run. Right: its last forty minutes.",
-        columns=2,
-        height=2.4,
-    )
+        for part, x, origin, scale in parts:
+            plot.panel(x, label)
+            for curve, role, k in curves:
+                plot.line((e.times[part] - origin) / scale, errors[part, k], curve, role)
+    return plot.caption("Left: the whole run. Right: its last forty minutes.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -45,7 +45,6 @@ from piga.reports.render.page import (
     Page,
     Section,
     Table,
-    TableColumn,
     TableOf,
     Text,
     Tile,
@@ -70,19 +69,16 @@ def parameter_table(identification: Identification, s: PlatformScenario) -> Tabl
         apparent_gyro(s.polar, s.polar_rotation), apparent_gyro(s.equatorial, s.equatorial_rotation)
     )
     rows = [_parameter_row(p, truth.get(p.name)) for p in identification.parameters]
-    columns = (
-        TableColumn("quantity", align="text"),
-        TableColumn("value"),
-        TableColumn("standard uncertainty"),
-        TableColumn("unit", align="text"),
-        TableColumn("off truth, in uncertainties"),
-    )
     noise = ", ".join(f"{name} {_noise(name, level)}" for name, level in identification.noise.items())
-    return Table(
-        columns,
-        tuple(rows),
-        notes=(f"Noise found in the residuals: {noise}. Truth includes the circle of case-fixed drift.",),
-    )
+    note = f"Noise found in the residuals: {noise}. Truth includes the circle of case-fixed drift."
+    return _quantities(rows, "off truth, in uncertainties", note)
+
+
+def _quantities(rows: Iterable[tuple[str, ...]], off: str, note: str) -> Table:
+    """Quantities with value, standard uncertainty, unit, and how far they are ``off`` the truth."""
+    table = TableOf(rows).text("quantity", lambda row: row[0]).number("value", lambda row: row[1])
+    table.number("standard uncertainty", lambda row: row[2]).text("unit", lambda row: row[3])
+    return table.number(off, lambda row: row[4]).table(notes=(note,))
 
 
 def _parameter_row(p: Parameter, true: float | None) -> tuple[str, ...]:
@@ -196,10 +192,8 @@ def _truth_table(s: PlatformScenario) -> Table:
         ]
         rows.append((f"{name} drift {axes}", _pair(gyro.drift), "deg/h"))
         rows.append((f"{name} case-fixed drift", _pair(gyro.case_drift), "deg/h"))
-    return Table(
-        (TableColumn("quantity", align="text"), TableColumn("value"), TableColumn("unit", align="text")),
-        tuple(rows),
-    )
+    table = TableOf(rows).text("quantity", lambda row: row[0]).number("value", lambda row: row[1])
+    return table.text("unit", lambda row: row[2]).table()
 
 
 def _pair(drift: tuple[float, float]) -> str:
@@ -246,18 +240,8 @@ def _seen(unknown: int, o: Observability) -> str:
 
 def _alignment_table(run: PlatformRun, aligned: Alignment) -> Table:
     rows = (*_triad_attitude_rows(run, aligned), *_triad_drift_rows(aligned), *_base_rows(run, aligned))
-    columns = (
-        TableColumn("quantity", align="text"),
-        TableColumn("value"),
-        TableColumn("standard uncertainty"),
-        TableColumn("unit", align="text"),
-        TableColumn("off truth"),
-    )
-    return Table(
-        columns,
-        rows,
-        notes=("Accelerometer bias is not seen: one micro-g across gravity tilts the result by 0.2 arcsec.",),
-    )
+    note = "Accelerometer bias is not seen: one micro-g across gravity tilts the result by 0.2 arcsec."
+    return _quantities(rows, "off truth", note)
 
 
 def _triad_attitude_rows(run: PlatformRun, aligned: Alignment) -> Iterator[tuple[str, ...]]:
@@ -409,16 +393,15 @@ def _line_table(
     c: ModelComparisonRun, which: Case, channel: str, heading: str, unit: str, scale: float
 ) -> Table:
     """One channel day by day: every model, and the theory of one of them beside it."""
-    columns, values = [TableColumn("day", align="text")], []
+    curves = []
     for m, r in c.models.items():
-        columns.append(TableColumn(model_name(m), unit))
-        values.append(getattr(r.lines, which)[channel] * scale)
+        curves.append((model_name(m), getattr(r.lines, which)[channel] * scale))
         if r.theory is not None and m == REFERENCE_MODEL[which]:
-            columns.append(TableColumn(f"theory, {model_name(m)}", unit))
-            values.append(getattr(r.theory, which)[channel] * scale)
+            curves.append((f"theory, {model_name(m)}", getattr(r.theory, which)[channel] * scale))
     days = next(iter(c.models.values())).lines.day
-    rows = tuple((str(int(day)), *(short(float(v[k])) for v in values)) for k, day in enumerate(days))
-    return Table(tuple(columns), rows, caption=heading)
+    table = TableOf(range(len(days))).text("day", lambda k: str(int(days[k])))
+    table.across(curves, lambda curve: curve[0], lambda k, curve: short(float(curve[1][k])), lambda _: unit)
+    return table.table(heading)
 
 
 def _budget_table(budget: Sequence[BudgetRow]) -> Table:
@@ -440,18 +423,15 @@ def _line_budget_table(budget: Sequence[LineRow]) -> Table:
     """Lines of each misalignment alone: closed form and full run."""
     shown = (("east_velocity", "mm/s", 1e3), ("north_velocity", "mm/s", 1e3), ("heading", "arcsec", 1.0 / ARCSEC),
              ("roll", "arcsec", 1.0 / ARCSEC))  # fmt: skip
-    columns = [TableColumn("source", align="text"), TableColumn("period", "s")]
-    for name, unit, _ in shown:
-        columns += [TableColumn(f"{name.replace('_', ' ')}, {how}", unit) for how in ("linear", "full run")]
-    rows = []
-    for b in budget:
-        numbers = [short(scale * v[name]) for name, _, scale in shown for v in (b.theory, b.full)]
-        rows.append((b.source, f"{b.period:g}", *numbers))
-    return Table(
-        tuple(columns),
-        tuple(rows),
-        caption="Lines at the case-rotation periods by misalignment",
-        notes=(
-            "Last day; the misalignment is wrong by its standard uncertainty (or one arc-second), base at rest.",
-        ),
+    table = TableOf(budget).text("source", lambda b: b.source).number("period", lambda b: f"{b.period:g}", "s")
+    columns = [(*one, how) for one in shown for how in ("linear", "full run")]
+    table.across(
+        columns,
+        lambda one: f"{one[0].replace('_', ' ')}, {one[3]}",
+        lambda b, one: short(one[2] * (b.theory if one[3] == "linear" else b.full)[one[0]]),
+        lambda one: one[1],
+    )
+    return table.table(
+        "Lines at the case-rotation periods by misalignment",
+        ("Last day; the misalignment is wrong by its standard uncertainty (or one arc-second), base at rest.",),
     )
