@@ -21,7 +21,7 @@ from piga.cli.words import explain
 from piga.data import example_files
 from piga.describe.draft import FILES, key_table, places_of
 from piga.records.run_file import METHOD_WORDS, METHODS
-from piga.records.terms import MEANING, TERM_WORDS, UNITS, term_words
+from piga.records.terms import TERM_WORDS, UNITS, term_words
 from piga.units import to_si
 from tests.cli.runner import invoked
 from tests.cli.test_cli_help import commands
@@ -91,10 +91,10 @@ def test_explain() -> None:
 
 
 def test_terms() -> None:
-    assert set(TERM_WORDS) - {"sn", "cn"} == set(UNITS) == set(MEANING)
+    assert set(TERM_WORDS) - {"sn", "cn"} == set(UNITS)
     out = invoked("terms").stdout
     for name in UNITS:
-        assert f"{name}  [{UNITS[name]}]  {MEANING[name]}" in out
+        assert f"{name}  [{UNITS[name]}]  {TERM_WORDS[name].meaning}" in out
     assert term_words("s2").formula == "s2 sin(2 psi)"
     assert "s3 sin(3 psi)" in invoked("terms", "s3").stdout
     assert "is not a term" in str(invoked("terms", "k9").exception)

@@ -1,58 +1,11 @@
-"""A term of the error model stands at every place that a new one needs (CONTRIBUTING: adding a term)."""
+"""Names of terms in run files, their combinations and words."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 import piga
-from piga._kernels.compensation.data import TERMS as COMPENSATED
-from piga._kernels.estimation.regressors import CODES
-from piga.calibration.joint.summary import STATIC_TERMS
-from piga.calibration.remarks.missing_terms import SINGLE, term_values
-from piga.instrument import ErrorModel
-from piga.instrument.parameters import _ERROR_UNITS
-from piga.records.terms import MEANING, SERVO_TERMS, UNITS, check_terms, meaning_of, term_words
-
-MOTION = ("scale_factor", "tan_beta", "phi")
-
-
-TERMS = [name for name in UNITS if name not in MOTION]
-
-
-def test_every_unit_has_a_meaning() -> None:
-    assert list(MEANING) == list(UNITS)
-
-
-def test_every_term_has_its_inverse() -> None:
-    assert sorted(COMPENSATED) == sorted(TERMS)
-
-
-@pytest.mark.parametrize("name", TERMS)
-def test_a_term_stands_everywhere(name: str) -> None:
-    """All places that lack the term are named at once."""
-    servo, warm = name in SERVO_TERMS, name in ("k0_T", "k1_T")
-    places = {
-        "CODES in _kernels/estimation/regressors.py": servo or name == "k1" or name in CODES,
-        "TERMS in _kernels/compensation/data.py": name in COMPENSATED,
-        "ErrorModel in instrument/parameters.py": servo or name in ErrorModel.__dataclass_fields__,
-        "_ERROR_UNITS in instrument/parameters.py": servo or name in _ERROR_UNITS,
-        "SINGLE in calibration/remarks/missing_terms.py": name in SINGLE,
-        "STATIC_TERMS in calibration/joint/summary.py": servo or warm or name == "k1" or name in STATIC_TERMS,
-    }
-    assert all(places.values()), f"{name} is missing in " + ", ".join(
-        place for place, there in places.items() if not there
-    )
-
-
-@pytest.mark.parametrize("name", [name for name in SINGLE if name not in SERVO_TERMS])
-def test_a_suggested_term_has_the_column_of_the_simulated_one(name: str) -> None:
-    """``term_values`` (calibration/remarks/missing_terms.py) and ``ErrorModel`` are one error."""
-    rng = np.random.default_rng(1)
-    t, warm, a = rng.normal(size=5), rng.normal(size=5), rng.normal(size=(3, 5))
-    model = ErrorModel(**{name: 1.0, "T_ref": 0.0})
-    simulated = model.specific_force(t, a.T, warm)
-    assert term_values([name], a, t, warm, a, t)[0] == pytest.approx(simulated, rel=1e-14)
+from piga.records.terms import check_terms, meaning_of, term_words
 
 
 def test_the_sizes_of_the_servo_are_those_of_its_formulas() -> None:

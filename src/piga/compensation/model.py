@@ -15,6 +15,7 @@ from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.terms import harmonic, si_factor
 from piga.results import Array
+from piga.terms import THERMAL_TERMS
 
 RANGE_MARGIN = 0.05
 """Margin beyond the calibrated range before a value is flagged, as a share of the range."""
@@ -155,7 +156,7 @@ def make_model(
         np.array([values.get(f"c{n}", 0.0) for n in orders], dtype=float),
         *_covariance_factor(calibration, used, phase),
     )
-    return Model(instrument, more, flag, any(name in values for name in ("k0_T", "k1_T")))
+    return Model(instrument, more, flag, any(name in values for name in THERMAL_TERMS))
 
 
 def needs_phase(calibration: Calibration) -> bool:

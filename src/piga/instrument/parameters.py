@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, PigaWarning
 from piga.records.calibration import Calibration
+from piga.records.terms import unit_of
+from piga.terms import MOTION, PRODUCTS, THERMAL_TERMS
 from piga.units import to_si
 
 _MAX_BETA = 0.5 * math.pi
@@ -78,13 +80,6 @@ class Instrument:
     def tan_beta(self) -> float:
         """Tangent of ``beta``, the cross-coupling coefficient [1]."""
         return math.tan(self.beta)
-
-
-_ERROR_UNITS = {
-    "k0": "g", "k1": "1", "k2": "g/g^2", "k3": "g/g^3", "k2o": "g/g^2", "m_Y": "rad", "m_Z": "rad",
-    "k_XY": "g/g^2", "k_XZ": "g/g^2", "k_YY": "g/g^2", "k_ZZ": "g/g^2", "k_YZ": "g/g^2",
-    "s1": "g", "c1": "g", "k0_t": "g/s", "k0_T": "g/K", "k1_T": "1/K", "T_ref": "degC",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -154,7 +149,7 @@ class ErrorModel:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            unit = _ERROR_UNITS[field.name]
+            unit = "degC" if field.name == "T_ref" else unit_of(field.name)
             _set(self, field.name, to_si(getattr(self, field.name), unit, what=f"ErrorModel {field.name}"))
 
     @classmethod
@@ -167,17 +162,17 @@ class ErrorModel:
             If a name is unknown, or is a harmonic that the exact motion cannot hold.
         """
         for name in terms:
-            if name not in _ERROR_UNITS:
+            if name not in cls.__dataclass_fields__:
                 raise ArgumentError(
                     f"ErrorModel: term '{name}' cannot be propagated",
-                    remedy=f"known terms: {' '.join(_ERROR_UNITS)}; higher harmonics are only calibrated",
+                    remedy=f"known terms: {' '.join(cls.__dataclass_fields__)}; higher harmonics are only calibrated",
                 )
         return cls(**terms)
 
     @property
     def needs_temperature(self) -> bool:
         """True if a temperature must be given with the specific force."""
-        return self.k0_T != 0.0 or self.k1_T != 0.0
+        return any(getattr(self, name) != 0.0 for name in THERMAL_TERMS)
 
     def specific_force(
         self,
@@ -189,17 +184,15 @@ class ErrorModel:
 
         ``t`` (n,) [s], ``f`` (n, 3) [m/s^2], ``temperature`` (n,) [K].
         """
-        x, y, z = f[:, 0], f[:, 1], f[:, 2]
-        slope = self.k1 + self.k2 * x + self.k3 * x * x + self.k2o * np.abs(x) + self.k_XY * y + self.k_XZ * z
-        error = self.k0 + slope * x + (self.m_Y + self.k_YY * y + self.k_YZ * z) * y
-        error = error + (self.m_Z + self.k_ZZ * z) * z + self.k0_t * t
+        inputs = {"x": f[:, 0], "|x|": np.abs(f[:, 0]), "y": f[:, 1], "z": f[:, 2], "t": t}
         if temperature is not None:
-            error = error + (self.k0_T + self.k1_T * x) * (temperature - self.T_ref)
+            inputs["T"] = temperature - self.T_ref
+        error = np.zeros(f.shape[0])
+        for name, factors in PRODUCTS.items():
+            coefficient = getattr(self, name, 0.0)
+            if coefficient != 0.0 and inputs.keys() >= set(factors):
+                error += math.prod((inputs[factor] for factor in factors), start=coefficient)
         return error
-
-
-MOTION = ("scale_factor", "tan_beta", "phi")
-"""Coefficients that belong to the instrument or to its output, not to the error model."""
 
 
 def instrument_of(calibration: Calibration, alpha0: Quantity = 0.0) -> Instrument:

@@ -1,49 +1,17 @@
-"""Names of the error-model terms, their units in files, and what they multiply (docs/reference/conventions).
-
-Names follow IEEE 1293 by analogy; that standard excludes the PIGA, and no compliance is claimed.
-
-Two terms describe the servo. Its stiffness is finite, so the transverse force tilts the rotor axis. With
-``u = K f - Omega``, one unit of the coefficient adds to the indicated specific force:
-
-- ``servo``: ``-2 (u_x/K) ((u_Y sin(alpha) - u_Z cos(alpha))/K)^2``, coefficient ``s = K ml/(2 k_i)``;
-- ``servo_damping``: ``-(u_x/K)^2 (u_Y cos(alpha) + u_Z sin(alpha))/K``, coefficient ``d = c K^2/k_i``,
-
-with ``k_i`` the integral gain of the servo [N m/(rad s)] and ``c`` the damping of the float [N m s/rad]. The SI unit of
-both is 1/(m/s^2)^2. Without base rate ``u/K`` is the specific force. Derived in docs/theory/servo.
-"""
+"""Names of the terms in run files: what is a term, which go together, units and words of one (:mod:`piga.terms`)."""
 
 from __future__ import annotations
 
 import difflib
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import replace
 
 from piga.errors import RunFileError
+from piga.terms import HARMONICS, TERMS, Term
 from piga.units import parse_unit
 
-UNITS = {
-    "scale_factor": "rad/s/g",
-    "tan_beta": "1",
-    "phi": "rad",
-    "k0": "g",
-    "k1": "1",
-    "k2": "g/g^2",
-    "k3": "g/g^3",
-    "k2o": "g/g^2",
-    "m_Y": "rad",
-    "m_Z": "rad",
-    "k_XY": "g/g^2",
-    "k_XZ": "g/g^2",
-    "k_YY": "g/g^2",
-    "k_ZZ": "g/g^2",
-    "k_YZ": "g/g^2",
-    "k0_t": "g/s",
-    "k0_T": "g/K",
-    "k1_T": "1/K",
-    "servo": "g/g^3",
-    "servo_damping": "g/g^3",
-}
+UNITS = {name: term.unit for name, term in TERMS.items()}
 """Unit of each coefficient in ``calibration.json``; harmonics ``s1 c1 s2 c2 ...`` are in g."""
 
 SI_UNITS = {
@@ -59,106 +27,11 @@ SI_UNITS = {
 }
 """SI unit of each unit in :data:`UNITS`."""
 
-MEANING = {
-    "scale_factor": "scale factor K = ml/H",
-    "tan_beta": "tangent of the non-orthogonality angle",
-    "phi": "phase of the output zero",
-    "k0": "bias",
-    "k1": "scale-factor error",
-    "k2": "second-order coefficient (a_x^2)",
-    "k3": "third-order coefficient (a_x^3)",
-    "k2o": "odd second-order coefficient (a_x |a_x|)",
-    "m_Y": "mounting misalignment (a_Y)",
-    "m_Z": "mounting misalignment (a_Z)",
-    "k_XY": "cross coefficient (a_x a_Y)",
-    "k_XZ": "cross coefficient (a_x a_Z)",
-    "k_YY": "cross coefficient (a_Y^2)",
-    "k_ZZ": "cross coefficient (a_Z^2)",
-    "k_YZ": "cross coefficient (a_Y a_Z)",
-    "k0_t": "bias drift with time",
-    "k0_T": "bias drift with temperature",
-    "k1_T": "scale-factor drift with temperature",
-    "servo": "finite stiffness of the servo (a_x a_t^2)",
-    "servo_damping": "float damping under the servo (a_x^2 a_t, in quadrature with tan_beta)",
-}
-
-
-@dataclass(frozen=True)
-class TermWords:
-    """A term in words: what it adds to the indicated specific force, its meaning, the test that shows it.
-
-    ``known``: a size from the literature or from the physics, with its source; empty where there is none.
-    """
-
-    formula: str
-    meaning: str
-    shown_by: str
-    known: str
-
-
-def _words(name: str, formula: str, shown_by: str, known: str) -> TermWords:
-    return TermWords(formula, MEANING[name], shown_by, known)
-
-
-_TUMBLE, _CENTRIFUGE = "a tumble on a dividing head", "a centrifuge, or a tumble together with a centrifuge"
-_HELD = "a position held for whole revolutions"
-_TEMPERATURE = "a test that changes the temperature apart from the positions"
-TERM_WORDS = {
-    name: _words(name, *parts)
-    for name, parts in {
-        "scale_factor": (
-            "K a_x, the rate of the output itself",
-            "any test with two levels of a_x",
-            "0.8884 rad/s/g in [Wei2020]",
-        ),
-        "tan_beta": (
-            "tan(beta) (a_Y sin(alpha) - a_Z cos(alpha))",
-            "transverse force while the gimbal turns",
-            "3.6e-4 in [Wei2024], 4.8e-3 in [Wei2020]",
-        ),
-        "phi": (
-            "the angle alpha = psi + phi in the coupling",
-            "comes with tan_beta",
-            "any angle",
-        ),
-        "k0": ("k0", _TUMBLE, "1600 ug in the example of [Wei2024]"),
-        "k1": (
-            "k1 a_x",
-            "any test with two levels of a_x; in place of scale_factor",
-            "-2370 ppm in the example of [Wei2024]",
-        ),
-        "k2": ("k2 a_x^2", _CENTRIFUGE, "1980 ug/g^2 in the example of [Wei2024]"),
-        "k3": ("k3 a_x^3", _CENTRIFUGE, ""),
-        "k2o": ("k2o a_x |a_x|", _CENTRIFUGE, ""),
-        "m_Y": ("m_Y a_Y", _TUMBLE, ""),
-        "m_Z": ("m_Z a_Z", "a tumble with the instrument rolled by 90 deg", ""),
-        "k_XY": ("k_XY a_x a_Y", _TUMBLE, ""),
-        "k_XZ": ("k_XZ a_x a_Z", "a tumble with the instrument rolled by 90 deg", ""),
-        "k_YY": ("k_YY a_Y^2", _CENTRIFUGE, ""),
-        "k_ZZ": ("k_ZZ a_Z^2", _CENTRIFUGE, ""),
-        "k_YZ": ("k_YZ a_Y a_Z", "a tumble with the instrument rolled by 45 deg", ""),
-        "k0_t": ("k0_t t", "a position that is visited again later", ""),
-        "k0_T": ("k0_T (T - T_ref)", _TEMPERATURE, ""),
-        "k1_T": ("k1_T (T - T_ref) a_x", _TEMPERATURE, ""),
-        "servo": (
-            "-2 s a_x (a_Y sin(alpha) - a_Z cos(alpha))^2",
-            "a tumble together with a centrifuge",
-            "K ml/(2 k_i): 13 ug/g^3 for a servo of 3000 N m/(rad s), ml = 9.06e-3 kg m",
-        ),
-        "servo_damping": (
-            "-d a_x^2 (a_Y cos(alpha) + a_Z sin(alpha))",
-            "a tumble: several sizes of a_x",
-            "c K^2/k_i: 13 ug/g^3 for c = 0.05 N m s/rad and the same servo",
-        ),
-    }.items()
-} | {
-    "sn": TermWords("sn sin(n psi)", "sine of n x output angle; with its partner cn", _HELD, ""),
-    "cn": TermWords("cn cos(n psi)", "cosine of n x output angle; with its partner sn", _HELD, ""),
-}
+TERM_WORDS = TERMS | HARMONICS
 """Every term in words, in the order of the docs. ``sn`` and ``cn`` stand for the harmonics s1 c1 s2 c2 and so on."""
 
 
-def term_words(name: str) -> TermWords:
+def term_words(name: str) -> Term:
     """The words of a term; also of ``s2`` and of ``m_Y[run]``.
 
     Raises
@@ -172,7 +45,7 @@ def term_words(name: str) -> TermWords:
         return TERM_WORDS[base]
     words = TERM_WORDS[f"{wave[0]}n"]
     formula = f"{base} {words.formula.partition(' ')[2].replace('n psi', f'{wave[1]} psi')}"
-    return TermWords(formula, meaning_of(base), words.shown_by, words.known)
+    return replace(words, formula=formula, meaning=meaning_of(base))
 
 
 SERVO_TERMS = ("servo", "servo_damping")
@@ -232,7 +105,7 @@ def meaning_of(name: str) -> str:
     wave = harmonic(base)
     if wave:
         return f"{'sine' if wave[0] == 's' else 'cosine'} of {wave[1]} x output angle"
-    return MEANING[base]
+    return TERMS[base].meaning
 
 
 def term_names(terms: str | Iterable[str]) -> tuple[str, ...]:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from piga._kernels.estimation.regressors import CODES, coupling_columns, half_angle_moments, product_column
+from piga._kernels.estimation.regressors import coupling_columns, half_angle_moments, product_column
+from piga.terms import PRODUCTS
 
 pytestmark = pytest.mark.compiled
 
@@ -34,12 +35,7 @@ def test_the_series_of_the_moments_reach_rounding(x: float) -> None:
             assert abs(one / exact - 1) < 4e-16
 
 
-def test_every_column_has_a_code_of_its_own() -> None:
-    assert len(set(CODES.values())) == len(CODES)
-    assert max(CODES.values()) < 100  # where the harmonics begin
-
-
-@pytest.mark.parametrize("name", ["a_x", *(name for name in CODES if name[0] == "k" or name[0] == "m")])
+@pytest.mark.parametrize("name", list(PRODUCTS))
 def test_columns_of_several_intervals_are_those_of_each(name: str) -> None:
     rng = np.random.default_rng(8)
     h, t, temperature, force = (
@@ -49,11 +45,11 @@ def test_columns_of_several_intervals_are_those_of_each(name: str) -> None:
         rng.normal(size=(3, 5)),
     )
     out, one = np.empty(4), np.empty(1)
-    product_column(CODES[name], t, force, temperature, h, out)
+    product_column(PRODUCTS[name], t, force, temperature, h, out)
     for i in range(4):
         part = slice(i, i + 2)
         force_of_one = np.ascontiguousarray(force[:, part])
-        product_column(CODES[name], t[part], force_of_one, temperature[part], h[i : i + 1], one)
+        product_column(PRODUCTS[name], t[part], force_of_one, temperature[part], h[i : i + 1], one)
         assert out[i] == one[0]
 
 
@@ -89,7 +85,8 @@ def test_product_integration_of_the_coupling(turn: float, order: float) -> None:
 
 
 FORCE_TERMS = {
-    "a_x": lambda x, y, z, t, T: x,
+    "scale_factor": lambda x, y, z, t, T: x,
+    "k1": lambda x, y, z, t, T: x,
     "k0": lambda x, y, z, t, T: 1.0,
     "k2": lambda x, y, z, t, T: x * x,
     "k3": lambda x, y, z, t, T: x**3,
@@ -113,7 +110,7 @@ def test_force_terms_are_integrated_exactly(name: str, ends: tuple[float, float]
     force = np.array([ends, (0.4, -1.1), (2.0, 2.5)])
     t, temperature, h = np.array([3.0, 3.2]), np.array([-4.0, 5.0]), np.array([0.2])
     out = np.empty(1)
-    product_column(CODES[name], t, force, temperature, h, out)
+    product_column(PRODUCTS[name], t, force, temperature, h, out)
 
     def integrand(s: float) -> float:
         x, y, z = force[:, 0] + s * np.diff(force, axis=1)[:, 0]

@@ -7,9 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import piga
-from piga._kernels.estimation.regressors import CODES, add_product_bows, coupling_columns, smooth_bows
+from piga._kernels.estimation.regressors import add_product_bows, coupling_columns, smooth_bows
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import Request
+from piga.terms import PRODUCTS
 from piga.units import G0
 
 K_G, TAN_BETA, BIAS, PHI = 0.8884, 5e-3, 1e-4, 0.3
@@ -98,7 +99,7 @@ def test_a_kink_stays_at_a_kink() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["a_x", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k1_T"]
+    "name", ["k1", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k1_T"]
 )
 def test_columns_with_bows_are_integrals_over_parabolas(name: str) -> None:
     """To first order: bows of 1e-5 of the force, against the integrand at 20 nodes of Gauss."""
@@ -117,14 +118,14 @@ def test_columns_with_bows_are_integrals_over_parabolas(name: str) -> None:
             a[axis] = a[axis] + size * 1.5 * bows[axis, 0] * (1.0 - v * v)
         x, y, z, T = a
         integrand = {
-            "a_x": x, "k2": x * x, "k3": x**3, "k2o": x * abs(x), "m_Y": y, "m_Z": z, "k_XY": x * y, "k_XZ": x * z,
+            "k1": x, "k2": x * x, "k3": x**3, "k2o": x * abs(x), "m_Y": y, "m_Z": z, "k_XY": x * y, "k_XZ": x * z,
             "k_YY": y * y, "k_ZZ": z * z, "k_YZ": y * z, "k1_T": x * T,
         }[name]  # fmt: skip
         return 0.5 * float(weight @ integrand)
 
     f[:] = 3.0 + 0.01 * f
     out = np.zeros(1)
-    add_product_bows(CODES[name], f, bows, warm, h, out)
+    add_product_bows(PRODUCTS[name], f, bows, warm, h, out)
     assert out[0] == pytest.approx(h[0] * (mean(1.0) - mean(0.0)), rel=0.02, abs=1e-9)
 
 

@@ -12,11 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.jit import Array, config
+from piga.terms import ERROR_TERMS
 
-TERMS = (
-    "k0", "k1", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
-    "servo", "servo_damping",
-)  # fmt: skip
+TERMS = ERROR_TERMS
 """Terms of the error model in the order of their codes; SI."""
 SCALE_FACTOR, TAN_BETA, PHI = 40, 41, 42
 """Codes behind those of the terms."""

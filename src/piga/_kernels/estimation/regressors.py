@@ -14,30 +14,9 @@ from numpy.typing import NDArray
 
 from piga._kernels.arithmetic import LIMIT, bow_of, curvature, fast_sine_cosine, limited, sine_cosine
 from piga._kernels.jit import exact, inline, kernel
+from piga.terms import Factor
 
 Array = NDArray[np.float64]
-
-CODES = {
-    "a_x": 0,
-    "p": 1,
-    "q": 2,
-    "k0": 3,
-    "k2": 4,
-    "k3": 5,
-    "k2o": 6,
-    "m_Y": 7,
-    "m_Z": 8,
-    "k_XY": 9,
-    "k_XZ": 10,
-    "k_YY": 11,
-    "k_ZZ": 12,
-    "k_YZ": 13,
-    "k0_t": 14,
-    "k0_T": 15,
-    "k1_T": 16,
-    "omega_x": 17,
-}
-"""Code of each column; harmonics are ``100 + 2 n`` (sine) and ``101 + 2 n`` (cosine) of order n."""
 
 
 @inline
@@ -121,36 +100,29 @@ def _coupled(
     return h[i] * (s * (ye + zo) + c * (yo - ze)), h[i] * (c * (ye + zo) - s * (yo - ze))
 
 
-_ROWS = {"a_x": 0, "m_Y": 1, "m_Z": 2, "k0_T": 3, "k0_t": 4}
-"""Terms that equal one input: index of x, y, z, temperature or time."""
-_PAIRS = {
-    "k2": (0, 0), "k_XY": (0, 1), "k_XZ": (0, 2), "k_YY": (1, 1), "k_ZZ": (2, 2), "k_YZ": (1, 2), "k1_T": (0, 3),
-}  # fmt: skip
-"""Terms that are a product of two inputs."""
-_ROW_OF = {CODES[name]: row for name, row in _ROWS.items()}
-_PAIR_OF = {CODES[name]: pair for name, pair in _PAIRS.items()}
+def product_column(
+    factors: tuple[Factor, ...], t: Array, f: Array, temperature: Array, h: Array, out: Array
+) -> None:
+    """Integral of a product of inputs over each interval, exact for linear inputs.
 
-
-def product_column(code: int, t: Array, f: Array, temperature: Array, h: Array, out: Array) -> None:
-    """Integral over each interval of the force-only term ``code`` (see ``CODES``), exact for linear input.
-
-    ``f`` has shape (3, n + 1); ``t`` and ``temperature`` are already relative to their references.
+    ``factors`` as in :data:`piga.terms.PRODUCTS`: none, one, two, ``x|x|`` or ``xxx``. ``f`` has shape (3, n + 1); ``t`` and
+    ``temperature`` are relative to their references.
     """
-    inputs = (*f, temperature, t)
-    if code in _ROW_OF:
-        a = inputs[_ROW_OF[code]]
+    inputs = {"x": f[0], "y": f[1], "z": f[2], "t": t, "T": temperature}
+    if not factors:
+        out[:] = 1.0
+    elif "|x|" in factors or len(factors) > 2:
+        start, end = f[0, :-1], f[0, 1:]
+        out[:] = _odd_square_mean(start, end) if "|x|" in factors else _cube_mean(start, end)
+    elif len(factors) == 1:
+        a = inputs[factors[0]]
         np.add(a[:-1], a[1:], out=out)
         out *= 0.5
-    elif code in _PAIR_OF:
-        a, b = (inputs[row] for row in _PAIR_OF[code])
+    else:
+        a, b = (inputs[factor] for factor in factors)
         np.multiply(a[:-1], 2.0 * b[:-1] + b[1:], out=out)
         out += a[1:] * (2.0 * b[1:] + b[:-1])
         out /= 6.0
-    elif code == CODES["k0"]:
-        out[:] = 1.0
-    else:
-        start, end = f[0, :-1], f[0, 1:]
-        out[:] = _cube_mean(start, end) if code == CODES["k3"] else _odd_square_mean(start, end)
     out *= h
 
 
@@ -301,16 +273,19 @@ def _carried_on(far: float, near: float, h_far: float, h_near: float, h: float) 
     return limited(near + (near - far) * (h + 2.0 * h_near) / (2.0 * (h + h_near + h_far)), near, far)
 
 
-def add_product_bows(code: int, f: Array, bows: Array, temperature: Array, h: Array, out: Array) -> None:
+def add_product_bows(
+    factors: tuple[Factor, ...], f: Array, bows: Array, temperature: Array, h: Array, out: Array
+) -> None:
     """Add the effect of the force bows (3, n) to a column of :func:`product_column`, to first order."""
-    inputs = (*f, temperature)
-    if _ROW_OF.get(code, len(bows)) < len(bows):
-        out += h * bows[_ROW_OF[code]]
-    elif code in _PAIR_OF:
-        for one, other in (_PAIR_OF[code], _PAIR_OF[code][::-1]):
-            if one < len(bows):
-                a = inputs[other]
-                out += h * bows[one] * (0.5 * (a[:-1] + a[1:]))
-    elif code in (CODES["k3"], CODES["k2o"]):
+    inputs = {"x": f[0], "y": f[1], "z": f[2], "T": temperature}
+    bow = dict(zip("xyz", bows, strict=False))
+    if "|x|" in factors or len(factors) > 2:
         x = 0.5 * (f[0, :-1] + f[0, 1:])
-        out += h * bows[0] * (3.0 * x * x if code == CODES["k3"] else 2.0 * np.abs(x))
+        out += h * bows[0] * (2.0 * np.abs(x) if "|x|" in factors else 3.0 * x * x)
+    elif len(factors) == 1 and factors[0] in bow:
+        out += h * bow[factors[0]]
+    elif len(factors) == 2:
+        for one, other in (factors, factors[::-1]):
+            if one in bow:
+                a = inputs[other]
+                out += h * bow[one] * (0.5 * (a[:-1] + a[1:]))

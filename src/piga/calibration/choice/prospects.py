@@ -15,6 +15,7 @@ from piga.calibration.choice.model_choice import TermSet, Weighed, union_of
 from piga.calibration.model.request import make_request
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, UNITS, check_terms, harmonic, shown_unit, term_names, unit_of
+from piga.terms import THERMAL_TERMS
 from piga.threads import one_thread
 
 
@@ -118,7 +119,7 @@ def _known(run: Run, asked: tuple[str, ...]) -> tuple[str, ...]:
     low, high = (
         (0.0, 0.0) if run.temperature is None else (float(run.temperature.min()), float(run.temperature.max()))
     )
-    return tuple(name for name in names if low < high or name not in ("k0_T", "k1_T"))
+    return tuple(name for name in names if low < high or name not in THERMAL_TERMS)
 
 
 def _needed(term: str, base: tuple[str, ...]) -> tuple[str, ...]:

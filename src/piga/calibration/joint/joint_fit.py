@@ -36,6 +36,7 @@ from piga.records.calibration.coefficient import changes
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_terms
 from piga.results import Array
+from piga.terms import THERMAL_TERMS
 
 
 @dataclass(frozen=True)
@@ -328,7 +329,7 @@ def _check_one_instrument(items: Sequence[Run | RunSummary]) -> None:
 
 def _check_temperature(wish: Wish, summaries: list[RunSummary]) -> None:
     references = {summary.temperature_reference for summary in summaries}
-    if len(references) > 1 and {"k0_T", "k1_T"} & set(wish.terms):
+    if len(references) > 1 and set(THERMAL_TERMS) & set(wish.terms):
         raise CalibrationError(
             "the runs have different reference temperatures",
             remedy="write the same [model] temperature_reference in all run files",

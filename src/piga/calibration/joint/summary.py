@@ -36,12 +36,10 @@ from piga.records.run_file import Draw
 from piga.records.terms import SERVO_TERMS, check_name, harmonic
 from piga.records.text_files import JsonError, decode_json, schema_of
 from piga.results import Array, Result
+from piga.terms import TERMS, THERMAL_TERMS
 from piga.threads import one_thread
 
-STATIC_TERMS = (
-    "scale_factor", "tan_beta", "k0", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t",
-    *SERVO_TERMS,
-)  # fmt: skip
+STATIC_TERMS = tuple(name for name in TERMS if name not in ("phi", "k1", *THERMAL_TERMS))
 """Columns of a stored summary besides the requested harmonics; with temperature also the temperature columns."""
 SCHEMA = "piga.run-summary/2"
 MOST_SUMMARY_BYTES = 256 << 20
@@ -285,7 +283,7 @@ def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str,
 
 def all_columns(run: Run, request: Request) -> tuple[str, ...]:
     """Terms with columns in a stored summary."""
-    thermal = () if run.temperature is None else ("k0_T", "k1_T")
+    thermal = () if run.temperature is None else THERMAL_TERMS
     return (*STATIC_TERMS, *thermal, *(term for term in request.terms if harmonic(term)))
 
 

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from piga._kernels.estimation.outliers import merge_rows
 from piga._kernels.estimation.regressors import (
-    CODES,
     add_product_bows,
     coupling_columns,
     product_column,
@@ -35,6 +34,7 @@ from piga.records.arrays import changes
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS
 from piga.results import Array
+from piga.terms import PRODUCTS
 
 Names = tuple[str, ...]
 
@@ -406,11 +406,11 @@ class Design:
         for row, name in enumerate(self.shared_names, start=len(self.local_names)):
             if name in SERVO_TERMS or name in PHASELESS:
                 continue
-            code = CODES["a_x" if name in ("scale_factor", "k1") else name]
+            factors = PRODUCTS[name]
             out = held if self.point else columns[row]
-            product_column(code, t, force, temperature, h, out)
+            product_column(factors, t, force, temperature, h, out)
             if bows is not None:
-                add_product_bows(code, force, bows, temperature, h, out)
+                add_product_bows(factors, force, bows, temperature, h, out)
             if self.point:
                 columns[row] = self._every(out)
 

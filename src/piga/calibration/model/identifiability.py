@@ -11,8 +11,9 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Layout, layout_of, merged_groups
 from piga.errors import IdentifiabilityError
 from piga.records.calibration import Coefficient, SegmentScatter
-from piga.records.terms import harmonic
+from piga.records.terms import harmonic, unit_of
 from piga.results import Array
+from piga.terms import PRODUCTS
 from piga.units import G0
 
 
@@ -58,7 +59,7 @@ _REMEDIES: tuple[tuple[frozenset[str], str], ...] = (
 )
 """Remedy if a record cannot tell these terms apart from others."""
 
-_OF_A_X = ("k0", "scale_factor", "k1", "k2", "k2o", "k3")
+_OF_A_X = tuple(name for name, factors in PRODUCTS.items() if {*factors} <= {"x", "|x|"})
 """Terms that depend on a_x alone. The record needs at least as many different a_x as such terms."""
 
 _HELPING_RUNS: tuple[tuple[frozenset[str], str], ...] = (
@@ -234,8 +235,7 @@ def _full_scale(coefficient: Coefficient, largest: float, duration: float, sprea
         return extent / largest
     if name == "k1_T":
         return 0.5 * spread
-    powers = {"k2": 1, "k2o": 1, "k3": 2, "servo": 2, "servo_damping": 2}
-    return largest ** powers.get(name, 1 if name.startswith("k_") else 0)
+    return largest ** {"g/g^2": 1, "g/g^3": 2}.get(unit_of(name), 0)
 
 
 def notes_in_words(

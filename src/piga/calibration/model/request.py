@@ -17,6 +17,7 @@ from piga.records.run import Run
 from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES
 from piga.records.terms import SERVO_TERMS, check_terms, harmonic, term_names
 from piga.results import Array
+from piga.terms import THERMAL_TERMS
 from piga.units import to_si
 
 
@@ -129,7 +130,7 @@ def check_per_run(per_run: tuple[str, ...], terms: tuple[str, ...]) -> None:
 
 def _check_record(run: Run, request: Request) -> None:
     for name in request.terms:
-        if name in ("k0_T", "k1_T") and run.temperature is None:
+        if name in THERMAL_TERMS and run.temperature is None:
             raise CalibrationError(
                 f"term '{name}' needs the temperature, but the record has none",
                 remedy="add [data] temperature = { column = '...', unit = 'degC' }, or leave the term out",
