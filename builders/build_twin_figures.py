@@ -1,4 +1,6 @@
-"""Figures and tables of docs/twin.md, figure of the triad: ``python -m builders.build_twin_figures [STUDY ...]``, from the root.
+"""Figures and tables of docs/theory/twin.md, figure of the triad.
+
+Run ``python -m builders.build_twin_figures [STUDY ...]`` from the root.
 
 The tables go into ``docs/measured``; then run ``python benchmarks/measured.py``.
 """

@@ -5,10 +5,12 @@ Lengths are in pixels of the drawing, y downwards. The colours follow the reader
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import escape
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "figures"
@@ -387,8 +389,231 @@ def data_flow() -> Drawing:
     return d
 
 
+def terms_and_stands() -> Drawing:
+    """Which test shows which term."""
+    d = Drawing(880, 420, "Which test shows which term")
+    stands = ("head", "rolled head", "centrifuge", "rate table", "vibration", "head and|centrifuge")
+    rows = (
+        ("scale_factor, tan_beta", "yyyy.y"),
+        ("k0 (bias)", "yyyyyy"),
+        ("m_Y", "y.py.y"),
+        ("m_Z, k_XZ", ".y...."),
+        ("k2", "p.y.yy"),
+        ("k3, k2o", "..y..y"),
+        ("k_YY (with k0 and k2)", ".....y"),
+        ("k_XY", "y..y.y"),
+        ("servo", "p....y"),
+        ("servo_damping", "y....y"),
+        ("k0_T, k1_T", "pp...."),
+    )
+    for k, stand in enumerate(stands):
+        for j, line in enumerate(stand.split("|")):
+            d.text((320 + 100 * k, 30 + 18 * j), line, "head", "middle")
+    for j, (terms, marks) in enumerate(rows):
+        y = 74 + 28 * j
+        d.parts.append(f'<text x="20" y="{y + 5}">{escape(terms)}</text>')
+        d.line((20, y + 14), (860, y + 14), kind="thin n")
+        for k, mark in enumerate(marks):
+            if mark == "y":
+                d.circle((320 + 100 * k, y), 8, "fb")
+            elif mark == "p":
+                d.path(f"M{312 + 100 * k} {y} a8 8 0 1 0 16 0 a8 8 0 1 0 -16 0", "b")
+    d.circle((30, 398), 8, "fb")
+    d.text((46, 403), "shows it", "small")
+    d.path("M142 398 a8 8 0 1 0 16 0 a8 8 0 1 0 -16 0", "b")
+    d.text(
+        (166, 403),
+        "shows it if another term is fixed, or if the temperature changes apart from the positions",
+        "small",
+    )
+    return d
+
+
+def _chart(d: Drawing, corner: Point, size: Point, words: str, good: bool) -> None:
+    """An empty chart with its zero line and its heading."""
+    (x, y), (w, h) = corner, size
+    d.line((x, y), (x, y + h), (x + w, y + h), kind="thin")
+    d.line((x, y + h / 2), (x + w, y + h / 2), kind="thin dash n")
+    d.text((x, y - 8), words, "g small" if good else "r small")
+
+
+def _noise(count: int, seed: int) -> list[float]:
+    """Numbers between -1 and 1 that look like noise, the same in each build."""
+    return [
+        ((math.sin(12.9898 * (k + 1) + 78.233 * seed) * 43758.5453) % 1.0) * 2.0 - 1.0 for k in range(count)
+    ]
+
+
+def residuals() -> Drawing:
+    """Six pairs of residuals: a sound record, and one with a fault."""
+    width, height = 185, 96
+    d = Drawing(900, 620, "Six pairs of residuals: sound (left) and with a fault (right)")
+    count = 24
+    angles = [2.0 * math.pi * k / count for k in range(count)]
+    faults: tuple[tuple[str, Callable[[int], float]], ...] = (
+        ("by position: a term is missing", lambda k: 0.7 * math.cos(2.0 * angles[k])),
+        ("by order: the servo is missing", lambda k: 1.6 if k == 8 else 0.0),
+        ("by time: the counter slipped", lambda k: 0.8 if k > 13 else -0.1),
+        ("by time: spikes", lambda k: 0.9 if k in (5, 15) else 0.0),
+        ("by time: the bias drifts", lambda k: 0.9 - 1.7 * k / count + 0.3 * math.sin(k / 3.0)),
+        ("by position: head badly set", lambda k: 1.1 * _noise(count, 91)[k]),
+    )
+    for pair, (words, fault) in enumerate(faults):
+        x, y = 20 + 455 * (pair % 2), 40 + 200 * (pair // 2)
+        for side in (0, 1):
+            corner = (x + side * 215, y)
+            by_order = "order" in words
+            _chart(d, corner, (width, height), words if side else "sound", good=not side)
+            for k, noise in enumerate(_noise(count, pair + 7)):
+                value = 0.13 * noise + (fault(k) if side else 0.0)
+                at = (corner[0] + 6 + k * (width - 10) / count, corner[1] + height / 2 - 0.5 * height * value)
+                if by_order:
+                    top = corner[1] + height - height * min(abs(value) / 1.75 + 0.03, 1.0)
+                    d.line((at[0], corner[1] + height), (at[0], top), kind="b")
+                else:
+                    d.circle((at[0], max(at[1], corner[1])), 2.6, "fb")
+        d.text((x, y + height + 22), RESIDUAL_REMEDIES[pair], "small")
+    return d
+
+
+RESIDUAL_REMEDIES = (
+    "Add the term that the remark names.",
+    "Order 2: add the terms of the servo. Order 1: add the coupling.",
+    "Check the counter; use a phase for each segment.",
+    "They are left out and listed. Look at the log there.",
+    "Visit the positions in shuffled order; record the temperature.",
+    "State how well the angle is set; the intervals include the scatter.",
+)
+
+
+def triangle() -> Drawing:
+    """The whitened triangle of a position, and how triangles add up."""
+    d = Drawing(880, 330, "A position becomes one whitened triangle; triangles add up")
+    names = ("K", "p", "q", "k_0", "m_Y", "h", "y")
+    d.text((20, 30), "rows of one position", "small n")
+    for k, name in enumerate(names):
+        d.text((40 + 26 * k, 56), name, "fr" if name == "y" else "fb" if name == "h" else "", "middle")
+        for j in range(9):
+            d.parts.append(f'<rect class="body" x="{29 + 26 * k}" y="{64 + 24 * j}" width="22" height="20"/>')
+    d.text((29, 300), "increments: terms, its own rate h, reading y", "small n")
+    d.arrow((225, 165), (330, 165))
+    d.text((277, 142), "whiten, QR", "fb small", "middle")
+    for k in range(len(names)):
+        for j in range(k + 1):
+            kind = "fr" if k == len(names) - 1 else "fb" if k == len(names) - 2 else "fn"
+            d.parts.append(
+                f'<rect class="{kind}" opacity=".75" x="{345 + 24 * k}" y="{78 + 24 * j}" width="20" height="20"/>'
+            )
+    d.text((345, 275), "7 x 7, whatever the length", "small n")
+    d.arrow((530, 165), (620, 165))
+    d.text((575, 142), "add up", "fb small", "middle")
+    for n in range(3):
+        for k in range(5):
+            for j in range(k + 1):
+                d.parts.append(
+                    f'<rect class="fn" opacity=".6" x="{640 + 14 * k}" y="{40 + 84 * n + 14 * j}" width="11" height="11"/>'
+                )
+        d.text((722, 80 + 84 * n), f"position {n + 1}", "small n")
+    d.text((640, 312), "K, tan β, k_0 … and their scatter", "small")
+    return d
+
+
+def scatter() -> Drawing:
+    """The scatter of the positions against what their noise predicts."""
+    d = Drawing(880, 300, "The interval comes from the scatter of the positions")
+    spread = _noise(12, 3)
+    for side, (words, size) in enumerate(
+        (("they scatter as their noise predicts", 0.55), ("they scatter more", 1.6))
+    ):
+        x, kind = 40 + 430 * side, "g" if not side else "r"
+        d.text((x, 30), words, f"head {kind}")
+        d.line((x, 150), (x + 380, 150), kind="thin dash n")
+        for k, value in enumerate(spread):
+            at = (x + 20 + 30 * k, 150 - 52 * size * value)
+            d.line((at[0], at[1] - 22), (at[0], at[1] + 22), kind="thin b")
+            d.circle(at, 4, "fb")
+        half = 24 if not side else 66
+        d.parts.append(
+            f'<rect class="{FILLS[kind]}" opacity=".15" x="{x}" y="{150 - half}" width="380" height="{2 * half}"/>'
+        )
+        d.text((x, 268), "bar: noise within the position. Band: scatter of all positions.", "small n")
+    d.text(
+        (40, 290),
+        "U is Student's t times the scatter over the root of the number of positions, with their degrees of freedom.",
+        "small",
+    )
+    return d
+
+
+def _measured(name: str) -> list[dict[str, Any]]:
+    """Figures of a table of ``docs/measured``."""
+    return list(json.loads((FOLDER.parent / "measured" / f"{name}.json").read_text("utf-8"))["figures"])
+
+
+def _shares(d: Drawing, y: float, words: str, shares: Sequence[tuple[Sequence[float], str]]) -> None:
+    """A row of coverages [%]: from the worst to the best coefficient, one line for each of ``shares``."""
+    d.parts.append(f'<text class="small" x="20" y="{y + 5}">{escape(words)}</text>')
+    for k, (span, kind) in enumerate(shares):
+        low, high = (430 + 420 * (share - 70.0) / 30.0 for share in (min(span), max(span)))
+        at = y + 7 * (k - (len(shares) - 1) / 2)
+        d.line((low, at), (high, at), kind=kind)
+        for x in (low, high):
+            d.circle((x, at), 3.5, FILLS[kind])
+
+
+def _coverage_axis(d: Drawing, bottom: float) -> None:
+    """Shares from 70 to 100 %, with the band of the goal."""
+    d.parts.append(f'<rect class="fg" opacity=".15" x="752" y="36" width="56" height="{bottom - 36}"/>')
+    for share in (70, 75, 80, 85, 90, 95, 100):
+        x = 430 + 14 * (share - 70)
+        d.line((x, 36), (x, bottom), kind="thin n")
+        d.text((x, 26), f"{share} %", "small n", "middle")
+    d.text(
+        (20, bottom + 24),
+        "Share of 95 % intervals that hold: worst and best coefficient. Green: the goal, 93 to 97 %.",
+        "small",
+    )
+
+
+def scenarios() -> Drawing:
+    """Coverage of the intervals by scenario: the simulator of piga (blue) and the independent one (red)."""
+    rows = [
+        (str(figure["row"]), figure["value"], kind)
+        for name, column, kind in (("intervals", "coverage", "b"), ("scatter-rule", "intervals hold", "r"))
+        for figure in _measured(name)
+        if figure["column"] == column
+    ]
+    d = Drawing(900, 100 + 24 * len(rows), "Coverage of 95 % intervals by scenario")
+    _coverage_axis(d, 46 + 24 * len(rows))
+    for k, (words, span, kind) in enumerate(rows):
+        _shares(d, 54 + 24 * k, words, [(span if isinstance(span, list) else [span], kind)])
+    d.text(
+        (20, 92 + 24 * len(rows)),
+        "Blue: 200 tests of piga's simulator each. Red: independent simulation, 40 to 150 records each.",
+        "small",
+    )
+    return d
+
+
+def coverage() -> Drawing:
+    """Coverage of the intervals by version: 0.2.0 (grey) and today (blue), same scenarios."""
+    today = {str(f["row"]): f["value"] for f in _measured("intervals") if f["column"] == "coverage"}
+    before = {str(f["row"]): f["value"] for f in _measured("intervals-before")}
+    d = Drawing(900, 100 + 34 * len(today), "Coverage of 95 % intervals in version 0.2.0 and today")
+    _coverage_axis(d, 46 + 34 * len(today))
+    for k, (words, span) in enumerate(today.items()):
+        _shares(d, 60 + 34 * k, words, [(before[words], "n"), (span, "b")])
+    d.text(
+        (20, 92 + 34 * len(today)),
+        "Grey: version 0.2.0, 1000 tests each. Blue: today, 200 tests each.",
+        "small",
+    )
+    return d
+
+
 DRAWINGS = (
     instrument, effective_axis, dividing_head, centrifuge, rate_table, vibration_table, triad, platform, servo_loop, data_flow,
+    terms_and_stands, residuals, triangle, scatter, scenarios, coverage,
 )  # fmt: skip
 
 

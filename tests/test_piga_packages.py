@@ -14,10 +14,13 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-
-
-EXTRAS: dict[str, list[str]] = {"core": PROJECT["dependencies"]} | PROJECT["optional-dependencies"]
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT = SETTINGS["project"]
+GROUPS = {
+    name: [wish for wish in group if isinstance(wish, str)]
+    for name, group in SETTINGS["dependency-groups"].items()
+}
+EXTRAS: dict[str, list[str]] = {"core": PROJECT["dependencies"]} | PROJECT["optional-dependencies"] | GROUPS
 
 
 def plain(name: str) -> str:

@@ -266,7 +266,7 @@ def terms_page() -> str:
         )
     lead = (
         "`piga terms` prints this table. A size is given where a source or the physics gives one: "
-        "[sources](../../references.md), [servo](../../theory/servo.md). It decides nothing."
+        "[sources](../../references.md), [servo](../../understanding/servo.md). It decides nothing."
     )
     return f"# Terms of the error model\n\n{lead}\n\n" + "\n".join(rows) + "\n"
 

@@ -12,7 +12,7 @@ Two terms describe the servo. Its stiffness is finite, so the transverse force t
 - ``servo_damping``: ``-(u_x/K)^2 (u_Y cos(alpha) + u_Z sin(alpha))/K``, coefficient ``d = c K^2/k_i``,
 
 with ``k_i`` the integral gain of the servo [N m/(rad s)] and ``c`` the damping of the float [N m s/rad]. The SI unit of
-both is 1/(m/s^2)^2. Without base rate ``u/K`` is the specific force. Derived in docs/theory/servo.
+both is 1/(m/s^2)^2. Without base rate ``u/K`` is the specific force. Derived in docs/understanding/servo.
 """
 
 from __future__ import annotations

@@ -10,18 +10,23 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 
 _FENCE = re.compile(r"^(?P<indent> *)(?P<mark>```+|:::+)\s*(?P<kind>[\w{}-]*)")
+_NOT_RUN = re.compile(r"<!-- not run: (.+) -->")
 COMMANDS = ("piga ", "logger ")
 """First words of an indented block that is a command line."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """A block of code: ``kind`` as behind the fence, ``line`` of its start; ``slow`` when marked so."""
+    """A block of code: ``kind`` as behind the fence, ``line`` of its start; ``slow`` when marked so.
+
+    ``not_run``: why the block is not run, from the comment ``<!-- not run: REASON -->`` above it.
+    """
 
     kind: str
     text: str
     line: int
     slow: bool = False
+    not_run: str = ""
 
 
 def pages() -> list[Path]:
@@ -39,19 +44,21 @@ def blocks(page: Path) -> list[Block]:
     """Fenced blocks, and indented blocks that are command lines, in order."""
     lines = page.read_text(encoding="utf-8").splitlines()
     collected: list[Block] = []
-    at, slow = 0, False
+    at, slow, reason = 0, False, ""
     while at < len(lines):
         fence = _FENCE.match(lines[at])
         if lines[at].strip() == "<!-- slow -->":
             slow = True
+        if marked := _NOT_RUN.fullmatch(lines[at].strip()):
+            reason = marked[1]
         if fence:
             end = at + 1
             while end < len(lines) and lines[end].strip() != fence["mark"]:
                 end += 1
             text = "\n".join(line[len(fence["indent"]) :] for line in lines[at + 1 : end])
             kind = "python" if fence["kind"].startswith("{code-cell}") else fence["kind"]
-            collected.append(Block(kind, text, at + 1, slow))
-            at, slow = end, False
+            collected.append(Block(kind, text, at + 1, slow, reason))
+            at, slow, reason = end, False, ""
         elif (
             lines[at].startswith("    ")
             and lines[at].strip().startswith(COMMANDS)
@@ -60,7 +67,8 @@ def blocks(page: Path) -> list[Block]:
             end = at
             while end < len(lines) and lines[end].startswith("    "):
                 end += 1
-            collected.append(Block("sh", "\n".join(line[4:] for line in lines[at:end]), at + 1))
-            at = end
+            text = "\n".join(line[4:] for line in lines[at:end])
+            collected.append(Block("sh", text, at + 1, not_run=reason))
+            at, reason = end, ""
         at += 1
     return collected

@@ -11,7 +11,7 @@ import numpy as np
 import piga
 from piga.units import G0
 
-from .runner import Runner
+from .runner import Runner, command
 
 PHASES = ("20 deg", "140 deg", "250 deg")
 
@@ -82,11 +82,17 @@ def lab_log(runner: Runner) -> None:
     shutil.copy(Path(__file__).parents[1] / "data" / "logs" / "iso.csv", runner.folder / "log.csv")
 
 
+def demo(_runner: Runner) -> None:
+    """``piga-demo``, as ``python3 dev.py demo`` writes it."""
+    command(["demo"])
+
+
 PREPARATIONS: dict[str, tuple[Callable[[Runner], None], ...]] = {
-    "docs/compensation.md": (bench,),
+    "docs/how-to/compensate.md": (bench,),
     "docs/how-to/live-stream.md": (bench, stream),
     "docs/how-to/triad.md": (triad,),
-    "docs/calibration-howto.md": (bench,),
-    "docs/records.md": (bench,),
-    "docs/lab-data.md": (lab_log,),
+    "docs/how-to/choosing-terms.md": (bench,),
+    "README.md": (demo,),
+    "docs/how-to/records.md": (bench,),
+    "docs/how-to/lab-data.md": (lab_log,),
 }

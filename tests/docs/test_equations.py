@@ -1,4 +1,4 @@
-"""Every equation of theory, twin and platform has a label, and every label an entry that evaluates it literally."""
+"""Every equation of the pages has a label, and every label an entry that evaluates it literally."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ import pytest
 from .equations import EQUATIONS
 from .pages import DOCS
 
-THEORY = [*sorted((DOCS / "theory").glob("*.md")), DOCS / "twin.md", DOCS / "platform.md"]
+THEORY = [
+    *(page for folder in ("understanding", "theory") for page in sorted((DOCS / folder).glob("*.md"))),
+    DOCS / "reference" / "terms.md",
+]
 _DISPLAYED = re.compile(r"^ *\$\$$(.*?)^ *\$\$ *(?:\(([\w-]+)\))?$", re.MULTILINE | re.DOTALL)
 
 

@@ -35,7 +35,7 @@ def test_every_named_test_exists(page: Path, all_tests: set[str]) -> None:
 
 def accuracy_rows() -> list[list[str]]:
     """Cells of the first table: model, valid for, error at most, proved by."""
-    text = (DOCS / "accuracy.md").read_text(encoding="utf-8").split("\n## ")[0]
+    text = (DOCS / "validation.md").read_text(encoding="utf-8").split("\n## ")[0]
     rows = re.findall(r"^\| (?!model|---)(.*) \|$", text, re.MULTILINE)
     return [[cell.strip() for cell in row.split(" | ")] for row in rows]
 

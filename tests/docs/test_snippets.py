@@ -67,6 +67,29 @@ def test_every_block_says_what_it_is() -> None:
     assert not odd
 
 
+def test_a_block_is_run_or_says_why_not() -> None:
+    """Directives of the site (``{...}``) are no code."""
+    silent = [
+        f"{name_of(page)}:{b.line}"
+        for page in pages()
+        for b in blocks(page)
+        if b.kind not in RUN and not b.kind.startswith("{") and not b.not_run
+    ]
+    assert not silent, "write <!-- not run: REASON --> above the block"
+
+
+def test_a_marked_block_is_not_run(runner: Runner, tmp_path: Path) -> None:
+    page = tmp_path / "index.md"
+    page.write_text(
+        "<!-- not run: it waits for ever -->\n```sh\nno-such-program\n```\n\n```sh\ntrue\n```\n", "utf-8"
+    )
+    marked, plain = blocks(page)
+    assert (marked.not_run, plain.not_run) == ("it waits for ever", "")
+    runner.run(marked)
+    with pytest.raises(AssertionError, match="no-such-program"):
+        runner.run(Block("sh", marked.text, 2))
+
+
 def test_preparations_belong_to_pages() -> None:
     assert set(PREPARATIONS) <= {name_of(page) for page in PAGES}
 

@@ -9,7 +9,7 @@ from piga.records.terms import check_terms, meaning_of, term_words
 
 
 def test_the_sizes_of_the_servo_are_those_of_its_formulas() -> None:
-    """docs/theory/servo: s = K ml/(2 k_i), d = c K^2/k_i."""
+    """docs/understanding/servo: s = K ml/(2 k_i), d = c K^2/k_i."""
     scale, pendulosity, gain, damping = 0.8884 / 9.80665, 9.06e-3, 3000.0, 0.05
     known = 1e6 * 9.80665**2
     assert f"{known * scale * pendulosity / (2.0 * gain):.0f} ug/g^3" in term_words("servo").known

@@ -1,7 +1,7 @@
 """Whole turns: the record at the ends of whole turns of the output, as laboratories take mean rates by hand.
 
 The average over whole turns removes the ripple of the coupling but not its pulling: at the drive ``u`` the mean rate is
-``u sqrt(1 - r^2)``, where ``r`` is the ratio of the lock zone to ``u`` (docs/theory/locking). The ripple of the turn itself shows
+``u sqrt(1 - r^2)``, where ``r`` is the ratio of the lock zone to ``u`` (docs/understanding/locking). The ripple of the turn shows
 ``r``, because the output stays longer where it is slow. So each turn is divided by ``sqrt(1 - r^2)``. The estimator of all other
 records then takes the turns. The method does not use the angle within the turns, so its uncertainty is larger.
 """

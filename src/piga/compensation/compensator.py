@@ -301,7 +301,7 @@ def compensate(
 
     An angle (or count) record gives one velocity increment per interval. It is the increment for which the exact
     motion turns the output as recorded (own derivation, docs/theory/compensation). A rate record gives the
-    specific force at each sample, from the effective input axis (docs/theory/effective-axis).
+    specific force at each sample, from the effective input axis (docs/understanding/cross-coupling).
 
     Parameters
     ----------

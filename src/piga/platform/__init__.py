@@ -1,7 +1,7 @@
 """The space-stable platform with case rotation: simulate, align, identify, navigate, analyse.
 
 One run is ``load_scenario`` - ``simulate`` - ``identify`` / ``align`` - ``compensator`` - ``navigate``;
-``compare`` does all of it for every compensation model. See docs/platform.md.
+``compare`` does all of it for every compensation model. See docs/theory/platform.md.
 """
 
 from piga.platform.alignment import Alignment, align

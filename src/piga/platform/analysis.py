@@ -207,7 +207,7 @@ def theory_lines(
     ``g D S cos(L) / w_c``, north velocity by the Coriolis coupling ``2 Omega sin(L) S / w_c`` of it, heading
     ``D S sin(L)``, roll ``D S cos(L) cos(heading)``, pitch ``D S cos(L) sin(heading)``. The literature
     gives heading and roll without S; the longitude error, which turns the local axes about the same
-    pole, adds it (docs/platform.md section 8). Cases at unequal speeds: ``m1`` stands at the polar case's
+    pole, adds it (docs/theory/platform.md section 8). Cases at unequal speeds: ``m1`` stands at the polar case's
     rate, ``m2`` at the equatorial one's. Position is not predicted (NaN), nor are roll and pitch of a base that turns.
     """
     rates = case_rates(scenario)

@@ -78,7 +78,7 @@ def gravitation(position: ArrayLike) -> Array:
     """Gravitation of the J2 field [m/s^2] at positions (..., 3) [m] with z along the polar axis.
 
     ``g = -GM r / r^3 (1 + 1.5 J2 (a/r)^2 (1 - 5 s^2))`` in x and y, with 3 in place of 1 in z,
-    ``s = z/r``. It lacks the J4 term of the closed normal-gravity formula; docs/platform.md section 7 gives the
+    ``s = z/r``. It lacks the J4 term of the closed normal-gravity formula; docs/theory/platform.md section 7 gives the
     difference.
     """
     r = np.asarray(position, dtype=float)
@@ -140,7 +140,7 @@ def nulled_attitude(
     """Exact ``C_G^P`` (n, 3, 3) and ring angle Y (n,) [rad] with both pick-offs nulled.
 
     ``c1, c2`` case angles with their phase and ``eta`` redundancy angle [rad], each (n,) or a scalar.
-    No small-angle step. Own derivation, docs/platform.md section 2.
+    No small-angle step. Own derivation, docs/theory/platform.md section 2.
     """
     a, b, e = (np.ascontiguousarray(v, dtype=float) for v in np.broadcast_arrays(*np.atleast_1d(c1, c2, eta)))
     return exact_attitude(over_case_angle(polar), a, over_case_angle(equatorial), b, e)
@@ -219,7 +219,7 @@ def apparent_gyro(gyro: Gyro, rotation: Rotation) -> Gyro:
 
     Drift ``w`` in case axes [rad/s] moves the momentum on a circle, ``w exp(ic) / (i rate)``. The circle turns with the
     case, as the misalignment ``m exp(ic)`` does. Only ``m - i w / rate`` is observable, and only this must be
-    compensated. Reversal would separate the two. Own derivation, docs/platform.md section 4.
+    compensated. Reversal would separate the two. Own derivation, docs/theory/platform.md section 4.
     """
     if rotation.rate == 0.0 or rotation.turns > 0 or not any(gyro.case_drift):
         return gyro
@@ -232,7 +232,7 @@ def averaged_drift(rotation: Rotation, case_drift: tuple[float, float], duration
 
     At rest it is ``w t``. Under steady rotation it is ``2 w / rate``: the momentum moves on a small circle. With
     reversal the tip returns to its start after every full turn, so the bound is the same.
-    Own derivation, docs/platform.md section 4.
+    Own derivation, docs/theory/platform.md section 4.
     """
     drift = float(np.hypot(*case_drift))
     if rotation.rate == 0.0:

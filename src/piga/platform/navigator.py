@@ -12,7 +12,7 @@ The linear error dynamics are held against full perturbed runs:
 of J2 gravitation [1/s^2]; ``phi`` (3,) attitude error [rad] (what must be added to the navigator's idea of
 the triad), ``b`` (3,) accelerometer bias [m/s^2] in platform axes, ``n`` the vertical, ``k1, k2`` the
 altitude gains, ``delta h`` the error of the reference height. Small misalignments between P and G are
-left out of ``C_P^i``. Form after [Britting1971]; written out in docs/platform.md section 9.
+left out of ``C_P^i``. Form after [Britting1971]; written out in docs/theory/platform.md section 9.
 """
 
 from __future__ import annotations

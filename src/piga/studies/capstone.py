@@ -7,7 +7,7 @@ reads the same days in several ways and navigates each time.
 With the usual tan(beta) the zone is passed faster than the gimbal can lock (in ``1/(K a_t tan(beta))``). The error has
 another cause: near the zone the gimbal turns so slowly that the cross-coupling keeps its phase. By stationary phase,
 one passage leaves a velocity error of up to ``a_t tan(beta) sqrt(2 pi / (K |d a_x/dt|))`` (own derivation,
-docs/platform.md section 10).
+docs/theory/platform.md section 10).
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ def _outcome(run: PlatformRun, reading: TriadReading, preparation: Preparation) 
 def passage_velocity(half_width: float, scale_factor: float, slope: float) -> float:
     """Largest velocity error of one passage [m/s], by stationary phase: ``a_t tan(beta) sqrt(2 pi/(K s))``.
 
-    ``half_width`` of the locked zone and ``slope`` of the force [m/s^2, m/s^3]. Own derivation, docs/platform.md
+    ``half_width`` of the locked zone and ``slope`` of the force [m/s^2, m/s^3]. Own derivation, docs/theory/platform.md
     section 10.
     """
     return half_width * math.sqrt(2.0 * math.pi / (scale_factor * slope))

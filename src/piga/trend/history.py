@@ -4,7 +4,7 @@ Each record gives a value with a standard uncertainty. Sources of Type B that ac
 standard of gravity or angle) are *common*. Averaging over records does not reduce them, and they cancel in
 differences between records. The other sources belong to one record. Records of one day are merged first. Scatter
 within a day is turn-on to turn-on. Additional scatter between days is day to day. The remaining line is drift. Own
-derivation; see docs/trend.md.
+derivation; see docs/theory/trend.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Equations of docs/theory/effective-axis.md and locking.md."""
+"""Equations of docs/understanding/cross-coupling.md and docs/understanding/locking.md."""
 
 from __future__ import annotations
 

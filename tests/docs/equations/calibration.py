@@ -1,4 +1,4 @@
-"""Equations of docs/theory/calibration.md."""
+"""Equations of docs/theory/calibration.md and docs/understanding/intervals.md."""
 
 from __future__ import annotations
 
@@ -103,6 +103,17 @@ def _leverage() -> Iterator[Pair]:
     left = [np.diag(rest.solve()[1]) for rest in all_but_one(parts)]
     literal = [np.diag(np.linalg.inv(total - A)) for A in information]
     yield 1 - np.diag(np.linalg.inv(total)) / literal, 1 - np.diag(np.linalg.inv(total)) / left, 1e-11
+
+
+@equation("intervals-mean")
+def _mean() -> Iterator[Pair]:
+    """Equal positions with one coefficient, their mean: the textbook and the library."""
+    x = np.random.default_rng(5).standard_normal(12)
+    u = np.sqrt(((x - x.mean()) ** 2).sum() / (12 * 11))
+    parts = [triangle(np.array([[1.0, value - x.mean()]])) for value in x]
+    library, degrees = sandwich(parts, None, [])
+    yield u, library[0], 1e-12
+    yield 11.0, degrees[0], 1e-6
 
 
 @equation("calibration-scatter")

@@ -1,4 +1,4 @@
-"""Equations of docs/theory/motion.md."""
+"""Equations of docs/theory/motion.md, docs/understanding/instrument.md and docs/reference/terms.md."""
 
 from __future__ import annotations
 
@@ -11,9 +11,55 @@ import piga
 from piga._kernels.motion.samples import unimodular_functions
 from piga._kernels.motion.step import magnus_increments
 from piga.instrument import sensitivities
+from piga.instrument.parameters import ErrorModel
 from tests.compensation.twin_data import TAN_BETA, instrument
 
 from .registry import F0, FORCE, LOCKED, PHI, TURN, K, Pair, T, equation, half_angles, matrix, rates
+
+
+@equation("instrument-ideal")
+def _ideal() -> Iterator[Pair]:
+    ideal = piga.Instrument(scale_factor=K, beta=0.0, alpha0=PHI)
+    yield K * FORCE[:, 0], piga.propagate(ideal, T, FORCE, with_rate=True)[1], 1e-14
+
+
+@equation("terms-model")
+def _model() -> Iterator[Pair]:
+    """A record whose rates are the printed sum comes back as its own coefficients."""
+    random = np.random.default_rng(8)
+    psi = np.linspace(0.0, 40.0, 400)
+    f = 9.8 * np.column_stack([1.5 * np.sin(psi / 7), np.cos(psi / 5), np.sin(psi / 3)])
+    turn = 0.01 * random.standard_normal((400, 3))
+    a_x, a_Y, a_Z = f.T
+    u_x, u_Y, u_Z = (K * f - turn).T
+    t, T_less = psi / K, np.sin(psi / 11)
+    value = {name: 1e-5 * (2 + k) for k, name in enumerate(_SINGLE)}
+    p, q = TAN_BETA * np.cos(PHI), TAN_BETA * np.sin(PHI)
+    alpha = psi + PHI
+    s, c = np.sin(alpha), np.cos(alpha)
+    literal = a_x + TAN_BETA * (u_Y / K * s - u_Z / K * c)
+    literal += value["k0"] + value["k2"] * a_x**2 + value["k3"] * a_x**3 + value["k2o"] * a_x * np.abs(a_x)
+    literal += value["m_Y"] * a_Y + value["m_Z"] * a_Z
+    literal += value["k_XY"] * a_x * a_Y + value["k_XZ"] * a_x * a_Z
+    literal += value["k_YY"] * a_Y**2 + value["k_ZZ"] * a_Z**2 + value["k_YZ"] * a_Y * a_Z
+    literal += value["k0_t"] * t + value["k0_T"] * T_less + value["k1_T"] * a_x * T_less
+    literal -= 2 * value["servo"] * (u_x / K) * ((u_Y * s - u_Z * c) / K) ** 2
+    literal -= value["servo_damping"] * (u_x / K) ** 2 * (u_Y * c + u_Z * s) / K
+    part = ErrorModel(**{name: value[name] for name in _SINGLE if not name.startswith("servo")}, T_ref=0.0)
+    library = part.specific_force(t, f, T_less) + a_x
+    library += p * ((u_Y * np.sin(psi) - u_Z * np.cos(psi)) / K) + q * (
+        (u_Y * np.cos(psi) + u_Z * np.sin(psi)) / K
+    )
+    zeta, w = (u_Y + 1j * u_Z) / K, u_x / K
+    turned = zeta * np.exp(-1j * alpha)
+    library += -2 * value["servo"] * w * turned.imag**2 - value["servo_damping"] * w**2 * turned.real
+    yield literal, library, 1e-13
+
+
+_SINGLE = (
+    "k0", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
+    "servo", "servo_damping",
+)  # fmt: skip
 
 
 @equation("motion-coupling")

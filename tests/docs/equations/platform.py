@@ -1,4 +1,4 @@
-"""Equations of docs/platform.md."""
+"""Equations of docs/theory/platform.md."""
 
 from __future__ import annotations
 

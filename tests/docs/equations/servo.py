@@ -1,4 +1,4 @@
-"""Equations of docs/theory/servo.md: the printed formulas beside the rigid body of SciPy and the library."""
+"""Equations of docs/understanding/servo.md: the printed formulas beside the rigid body of SciPy and the library."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Equations of docs/twin.md."""
+"""Equations of docs/theory/twin.md."""
 
 from __future__ import annotations
 

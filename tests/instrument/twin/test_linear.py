@@ -169,7 +169,7 @@ def test_friction_on_the_outer_axis_does_not_change_the_mean_rate(friction):
 def test_the_turning_base_counts_as_transverse_input():
     """A centrifuge arm that carries the instrument round: u = K f - Omega, not the force alone, ripples the tilt.
 
-    The float carried round by the base, ``B q'/H`` (docs/twin.md), is taken off the wave once a turn.
+    The float carried round by the base, ``B q'/H`` (docs/theory/twin.md), is taken off the wave once a turn.
     """
     f, turn = (5.0 * G, 0.0, G), (0.0, 0.0, 7.0)
     mean, sine, cosine, _, double = waves(CASE, f, turn)

@@ -1,7 +1,7 @@
 """Rigid-body servo twin: right-hand side and error-controlled integration, on scalars and arrays.
 
 The state is ``(alpha, beta, w, v, z)``: outer-gimbal angle, rotor tilt, their rates, integral of the pick-off
-signal. The equations are derived in ``docs/twin.md`` (own derivation from the angular momentum of the
+signal. The equations are derived in ``docs/theory/twin.md`` (own derivation from the angular momentum of the
 outer gimbal and float). With equal float inertias, no product of inertia and a base that does not turn
 they are the twin equations of the theory page.
 

@@ -39,7 +39,7 @@ def nulled_platform(
     Polar tip in P: ``n1 = (-sin m1 sin c1, sin m1 cos c1, cos m1)``; equatorial tip in the ring:
     ``n2 = (cos m2, -sin m2 sin c2, sin m2 cos c2)``; ``s1, c1, s2, c2`` are sines and cosines of the case angles.
     Y solves ``n1 . R_y(Y) n2 = -sin(eta)``; the attitude is then the triad of the two momenta. Own derivation,
-    docs/platform.md section 2.
+    docs/theory/platform.md section 2.
     """
     sin_m1, cos_m1, sin_m2, cos_m2 = math.sin(m1), math.cos(m1), math.sin(m2), math.cos(m2)
     n1x, n1y, n1z = -sin_m1 * s1, sin_m1 * c1, cos_m1
@@ -345,7 +345,7 @@ def solve_triad(
     ``alpha`` (3, n + 1) measured angles [rad], ``axes`` (3, 3, 3): rows X0, Y0, Z0 of each instrument in
     the common frame; ``scale`` (3,) K [(rad/s)/(m/s^2)], ``tan_beta`` (3,). Newton steps (``sweeps``) on
     the exact motion under a constant force, with the effective input axes averaged over the step as
-    Jacobian; ``work`` (3, 4) is scratch space. Own derivation, docs/platform.md section 10.
+    Jacobian; ``work`` (3, 4) is scratch space. Own derivation, docs/theory/platform.md section 10.
     """
     fx = fy = fz = 0.0
     for k in range(increments.shape[0]):

@@ -1,7 +1,7 @@
 """Kernel of the navigator: compensated velocity increments to inertial position and velocity.
 
 The step is explicit and of fourth order (Stoermer-Cowell for position, Adams-Moulton for velocity;
-coefficients rederived in docs/platform.md section 7). The velocity includes every increment in full, so
+coefficients rederived in docs/theory/platform.md section 7). The velocity includes every increment in full, so
 that motion faster than the step is not lost.
 """
 

@@ -4,7 +4,7 @@ The regressors of ``servo`` and ``servo_damping`` turn with the output angle. Fi
 a phase ``phi`` they combine to one column per term. The model is then not linear in the phase. A Gauss-Newton
 step about the phase changes only the two columns of the coupling, because ``p = K tan_beta cos(phi)`` and ``q = K
 tan_beta sin(phi)`` determine the phase. The phase does not depend on their common size, so the observation does not change
-(docs/theory/servo). When a step returns the same phase, the linear fit is the fit of the model.
+(docs/understanding/servo). When a step returns the same phase, the linear fit is the fit of the model.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ coefficient then fit the record alike. The scale factor of one model is ``1 + k3
 such a stand cannot separate them. A suggestion therefore gives the scale factor of both models. If the signature is clear and
 neither term is requested, or only ``k3``, the difference is a source of Type B. The damping of the float under the
 servo turns the phase. If its wave is clear and ``servo_damping`` is not requested, the change by this term is a source
-too (docs/theory/servo).
+too (docs/understanding/servo).
 
 Several runs may separate what one stand cannot. If they separate ``servo`` from ``k3``, the better term is suggested, and its
 effect is in the budget.

@@ -6,7 +6,7 @@ Small tilts about pick-off null, outer-gimbal rate small against the nutation (o
     C(s) = k_p + k_i/s + k_d s,      loop L = C P
     closed loop: s ((B s^2 + c s + k_r)(J_x s + c_x) + H^2 s) + H (k_d s^2 + k_p s + k_i) = 0
 
-Beyond the quasi-steady model, to first order in the tilt (own derivation, docs/twin.md): the torque on the outer axis,
+Beyond the quasi-steady model, to first order in the tilt (own derivation, docs/theory/twin.md): the torque on the outer axis,
 ``tau = H (u_Y cos(alpha) + u_Z sin(alpha))`` with ``u = K f - Omega``, ripples the tilt through the servo's compliance
 ``G(s)``. The tilt pulls the output rate directly, through damping and restoring torque about the inner axis, and
 through the transverse input, which it rectifies.

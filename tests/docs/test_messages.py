@@ -1,0 +1,52 @@
+"""The messages that the page of messages explains are those of the program."""
+
+from __future__ import annotations
+
+import ast
+import re
+from functools import cache
+
+import pytest
+
+from .pages import DOCS, ROOT
+
+_ROW = re.compile(r"^\| `([^`]+)` \| [^|]+ \| [^|]+ \|$", re.MULTILINE)
+
+
+def messages() -> list[str]:
+    return _ROW.findall((DOCS / "reference" / "messages.md").read_text(encoding="utf-8"))
+
+
+def words(node: ast.expr) -> str:
+    """Text of an expression; ``\\0`` stands for what is computed."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if isinstance(node, ast.JoinedStr):
+        return "".join(words(part) for part in node.values)
+    if isinstance(node, ast.BinOp):
+        return words(node.left) + words(node.right)
+    return "\0"
+
+
+@cache
+def texts() -> tuple[str, ...]:
+    """Every text in the package; text that is put together counts as one."""
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in (ROOT / "src").rglob("*.py")]
+    kinds = (ast.Constant, ast.JoinedStr, ast.BinOp)
+    return tuple(words(node) for tree in trees for node in ast.walk(tree) if isinstance(node, kinds))
+
+
+def said(message: str) -> bool:
+    """True if one text of the package holds the message; ``...`` is what differs."""
+    pattern = re.compile(".*".join(map(re.escape, message.split("..."))), re.DOTALL | re.IGNORECASE)
+    return any(pattern.search(text) for text in texts())
+
+
+@pytest.mark.parametrize("message", messages())
+def test_a_message_is_one_of_the_program(message: str) -> None:
+    assert said(message)
+
+
+def test_there_are_many() -> None:
+    assert len(messages()) >= 40
+    assert not said("the record has too many elephants")
