@@ -24,7 +24,14 @@ import scipy
 from harness import put_down, seconds
 from scipy.integrate import solve_ivp
 
-from piga.instrument import Instrument, propagate, propagate_increments, propagate_rate, propagate_segments
+from piga.instrument import (
+    Instrument,
+    propagate,
+    propagate_fleet,
+    propagate_increments,
+    propagate_rate,
+    propagate_segments,
+)
 from piga.units import G0
 
 INST = Instrument("0.8884 rad/s/g", "1000 arcsec", math.pi / 4)
@@ -97,6 +104,15 @@ def serial(n: int) -> None:
     show("baseline: compiled RK4, one step a sample", baseline)
 
 
+def fleet(instruments: int, samples: int) -> None:
+    """Many instruments under one input. Start it pinned to one core, to compare time per core."""
+    t = np.arange(samples) * 1e-3
+    f = np.random.default_rng(2).normal(0.0, 10.0, (samples, 3))
+    motions = [Instrument(K * (1 + 1e-4 * i), 0.004 + 1e-5 * i, 0.01 * i) for i in range(instruments)]
+    times = timed(lambda: propagate_fleet(motions, t, f, between="linear"), instruments * samples, 9)
+    show(f"fleet of {instruments}, angle", times, "between='linear'")
+
+
 def interpolated(at: np.ndarray, t: np.ndarray, f: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(at, t, f[:, k]) for k in range(3)], axis=-1)
 
@@ -141,6 +157,8 @@ def equal_accuracy_sampled(seconds: float) -> None:
     note = f"error {error:.1e} rad, {parts} step(s) a sample"
     show("sampled vibration: compiled RK4", (base[0] / n, base[1] / n), note)
     show("sampled vibration: RK4 over exact motion", (base[0] / ours[0], base[1] / ours[1]))
+    smooth = timed(lambda: propagate(INST, t, f), 1)
+    show("sampled vibration: RK4 over smooth motion", (base[0] / smooth[0], base[1] / smooth[1]))
     end, wall = dop853_sampled(t, f, 1e-9)
     note = f"error {abs(end - reference[-1]):.1e} rad, restarted at each sample"
     show("sampled vibration: SciPy DOP853", wall / n * 1e9, note)
@@ -222,6 +240,7 @@ def start_up() -> None:
 
 def main() -> None:
     serial(1_000_000)
+    fleet(256, 20_000)
     equal_accuracy_sampled(100.0)
     equal_accuracy_smooth(100.0)
     constant_stretch()

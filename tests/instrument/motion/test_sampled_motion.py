@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import tracemalloc
 
 import numpy as np
@@ -24,7 +23,6 @@ from piga.instrument import (
     propagate_increments,
     propagate_rate,
 )
-from piga.instrument.motion.sampled_motion import available_cores
 from piga.units import G0
 from tests.instrument.references import EPS, constant_cases, linear_records
 
@@ -369,15 +367,15 @@ OMEGA = RNG.normal(0.0, 0.1, (3, T.size, 3))
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("workers", [None, 1, 3])
-def test_rows_are_single_runs_to_the_bit(workers):
-    shared = propagate_fleet(FLEET, T, INPUTS[0], workers=workers, between="linear")
-    assert np.array_equal(shared, [propagate(inst, T, INPUTS[0], between="linear") for inst in FLEET])
-    inputs = propagate_fleet(FLEET[1], T, INPUTS, workers=workers, between="linear")
-    assert np.array_equal(inputs, [propagate(FLEET[1], T, f, between="linear") for f in INPUTS])
-    paired = propagate_fleet(FLEET, T, INPUTS, OMEGA, output="rate", workers=workers, between="linear")
+@pytest.mark.parametrize("between", ["smooth", "linear"])
+def test_rows_are_single_runs(between):
+    shared = propagate_fleet(FLEET, T, INPUTS[0], between=between)
+    assert np.array_equal(shared, [propagate(inst, T, INPUTS[0], between=between) for inst in FLEET])
+    inputs = propagate_fleet(FLEET[1], T, INPUTS, between=between)
+    assert np.array_equal(inputs, [propagate(FLEET[1], T, f, between=between) for f in INPUTS])
+    paired = propagate_fleet(FLEET, T, INPUTS, OMEGA, output="rate", between=between)
     single = [
-        propagate_rate(inst, T, f, w, between="linear") for inst, f, w in zip(FLEET, INPUTS, OMEGA, strict=True)
+        propagate_rate(inst, T, f, w, between=between) for inst, f, w in zip(FLEET, INPUTS, OMEGA, strict=True)
     ]
     assert np.array_equal(paired, single)
 
@@ -416,12 +414,6 @@ def test_rate_is_the_same_with_and_without_the_angle(scale):
     u = FLEET[2].scale_factor * INPUTS[1]
     expected = u[:, 0] + FLEET[2].tan_beta * (u[:, 1] * np.sin(alpha) - u[:, 2] * np.cos(alpha))
     assert rate == pytest.approx(expected, abs=1e-13)
-
-
-def test_cores_without_affinity(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
-    monkeypatch.setattr(os, "cpu_count", lambda: None)
-    assert available_cores() == 1
 
 
 def swaying(t):

@@ -1,4 +1,8 @@
-"""Records of motion from samples of specific force, or from its increments: angles and rates. One loop over the samples.
+"""Records of motion from samples of specific force, or from its increments: angles and rates.
+
+A record is worked off in blocks. Increments of the steps and their matrices are the same arithmetic for each step, so the
+processor computes several of them at once. Then one loop carries the half-angle pair from step to step, and the pairs are turned
+into angles and rates.
 
 Between samples the input is linear, or smooth: then its mean over an interval is that of both ends less ``h^2/12`` of the second
 derivative in the middle, from the samples on both sides (:mod:`piga._kernels.arithmetic`). The calibration takes the same mean.
@@ -7,19 +11,20 @@ derivative in the middle, from the samples on both sides (:mod:`piga._kernels.ar
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 
 from piga._kernels.arithmetic import bow_of, double_arctangent, limited
-from piga._kernels.jit import Array, inline, kernel
+from piga._kernels.jit import Array, inline, kernel, parallel_kernel
 from piga._kernels.motion.step import (
     GOOD,
     SMALL_STEP,
     TOO_LARGE,
     advance,
     magnus_increments,
-    small_step,
+    step_matrix,
     unit_pair,
     unwrapped,
 )
@@ -27,9 +32,9 @@ from piga._kernels.motion.step import (
 Three = tuple[float, float, float]
 NONE = (0.0, 0.0, 0.0)
 BLOCK = 256
-"""Samples whose pairs are read together."""
-NORMALISED = 64
-"""Steps after which a pair is brought to unit length. A small step lets it grow by less than ``exp(1/2)``."""
+"""Steps of a block. At its end the pair is brought to unit length: a small step lets it grow by less than ``exp(1/2)``."""
+ROWS, ROOM = 20, BLOCK + 8
+prange: Any = numba.prange
 
 
 class MotionSamples(NamedTuple):
@@ -52,59 +57,178 @@ class MotionSamples(NamedTuple):
     smooth: bool
 
 
+class Steps(NamedTuple):
+    """Steps of a block; each field (ROOM,).
+
+    Increments ``A, Y, Z`` [rad]; matrices less the identity ``pp, pq, qp, qq``; ``turns`` and pair ``p, q`` at the beginning of
+    each step. ``size``: ``A^2 + Y^2 + Z^2`` [rad^2], infinite if time does not increase.
+    """
+
+    A: Array
+    Y: Array
+    Z: Array
+    pp: Array
+    pq: Array
+    qp: Array
+    qq: Array
+    turns: Array
+    p: Array
+    q: Array
+    size: Array
+
+
+class Rates(NamedTuple):
+    """Effective rates ``a, y, z`` [rad/s] at the samples around a block, and what their second derivatives need; each (ROOM,).
+
+    At a sample the second derivative is ``after`` times the change to the next sample less ``before`` times that from the last one.
+    In the middle of the interval after it, it lies ``share`` of the way between those of both ends. ``bend``: room for one of them.
+    """
+
+    a: Array
+    y: Array
+    z: Array
+    before: Array
+    after: Array
+    share: Array
+    bend: Array
+
+
 @inline
-def rates_at(samples: MotionSamples, k: int) -> Three:
-    """Effective rates ``a, y, z`` [rad/s] at a sample."""
-    f, K, tan_beta = samples.f, samples.K, samples.tan_beta
-    a, y, z = K * f[k, 0], K * tan_beta * f[k, 1] + samples.offset_y, K * tan_beta * f[k, 2] + samples.offset_z
+def steps_in(room: Array) -> Steps:
+    """The steps of a block, in ``room`` (ROWS, ROOM). It is made by each kernel: its shape is known to the compiler there."""
+    return Steps(
+        room[0], room[1], room[2], room[3], room[4], room[5], room[6], room[7], room[8], room[9], room[10]
+    )
+
+
+@inline
+def rates_in(room: Array) -> Rates:
+    """The rates of a block, in the same ``room``."""
+    return Rates(room[11], room[12], room[13], room[14], room[15], room[16], room[17])
+
+
+@inline
+def read_rates(samples: MotionSamples, first: int, stop: int, r: Rates) -> None:
+    """Effective rates at the samples from ``first`` to ``stop``."""
+    f, K, coupling, count = samples.f[first:stop], samples.K, samples.K * samples.tan_beta, stop - first
+    for i in range(count):
+        r.a[i] = K * f[i, 0]
+        r.y[i] = coupling * f[i, 1] + samples.offset_y
+        r.z[i] = coupling * f[i, 2] + samples.offset_z
     if samples.base_rate.shape[0]:
-        a -= samples.base_rate[k, 0]
-        y -= tan_beta * samples.base_rate[k, 1]
-        z -= tan_beta * samples.base_rate[k, 2]
-    return a + (samples.extra[k] if samples.extra.size else 0.0), y, z
+        omega, tan_beta = samples.base_rate[first:stop], samples.tan_beta
+        for i in range(count):
+            r.a[i] -= omega[i, 0]
+            r.y[i] -= tan_beta * omega[i, 1]
+            r.z[i] -= tan_beta * omega[i, 2]
+    if samples.extra.size:
+        extra = samples.extra[first:stop]
+        for i in range(count):
+            r.a[i] += extra[i]
 
 
 @inline
-def second_derivatives(before: Three, here: Three, after: Three, h0: float, h1: float) -> Three:
-    """Second derivatives of three inputs [rad/s^3] from a sample and its neighbours, ``h0`` and ``h1`` [s] away."""
-    weight, per0, per1 = 2.0 / (h0 + h1), 1.0 / h0, 1.0 / h1
-    return (
-        weight * ((after[0] - here[0]) * per1 - (here[0] - before[0]) * per0),
-        weight * ((after[1] - here[1]) * per1 - (here[1] - before[1]) * per0),
-        weight * ((after[2] - here[2]) * per1 - (here[2] - before[2]) * per0),
-    )
+def weigh_neighbours(t: Array, count: int, r: Rates) -> None:
+    """Weights of the second derivatives at ``count`` samples."""
+    for i in range(count - 2):
+        h0, h1 = t[i + 1] - t[i], t[i + 2] - t[i + 1]
+        per = 2.0 / (h0 * h1 * (h0 + h1))
+        r.before[i + 1], r.after[i + 1] = h1 * per, h0 * per
+    for i in range(count - 3):
+        h0, h, h1 = t[i + 1] - t[i], t[i + 2] - t[i + 1], t[i + 3] - t[i + 2]
+        r.share[i + 1] = (h + 2.0 * h0) / (2.0 * (h0 + h + h1))
 
 
 @inline
-def bows(h: float, share: float, near: Three, far: Three) -> Three:
-    """Means of three smooth inputs over an interval ``h`` less the means of both ends [rad/s].
+def smooth_bow(h: float, share: float, near: float, far: float) -> float:
+    """Mean of a smooth input over an interval ``h`` less the mean of both ends [rad/s].
 
-    The second derivatives ``near`` and ``far`` are taken ``share`` of the way from the one to the other.
+    Its second derivative lies ``share`` of the way from ``near`` to ``far``.
     """
-    return (
-        bow_of(h, limited(near[0] + share * (far[0] - near[0]), near[0], far[0])),
-        bow_of(h, limited(near[1] + share * (far[1] - near[1]), near[1], far[1])),
-        bow_of(h, limited(near[2] + share * (far[2] - near[2]), near[2], far[2])),
-    )
+    return bow_of(h, limited(near + share * (far - near), near, far))
 
 
-@kernel
-def bows_at_end(samples: MotionSamples, k: int, near: Three) -> Three:
-    """Bows of the first or last interval, that begins at sample ``k``: second derivatives go on from the two next to it.
+@inline
+def end_bow(t: Array, bend: Array, i: int, near: int, step: int) -> float:
+    """Turn [rad] by the bow of the first or last interval of a record: the second derivative goes on from the two next to it.
 
-    ``near``: the nearest second derivatives. A record of less than four samples is linear.
+    It lies after sample ``i``; ``near`` is the sample at its inner end, ``step`` the direction from there into the record.
     """
-    t, n = samples.t, samples.t.size
-    if n < 4:
-        return NONE
-    i, j = (0, 1) if k == 0 else (k, k - 1)  # the interval, and the middle one of the three next to the end
-    h, far_h = t[i + 1] - t[i], (t[3] - t[2] if k == 0 else t[k - 1] - t[k - 2])
-    near_h, at = t[j + 1] - t[j], (2 if k == 0 else k - 1)
-    far = second_derivatives(
-        rates_at(samples, at - 1), rates_at(samples, at), rates_at(samples, at + 1),
-        t[at] - t[at - 1], t[at + 1] - t[at],
-    )  # fmt: skip
-    return bows(h, -(h + 2.0 * near_h) / (2.0 * (h + near_h + far_h)), near, far)
+    h, near_h = t[i + 1] - t[i], abs(t[near + step] - t[near])
+    far_h = abs(t[near + 2 * step] - t[near + step])
+    return h * smooth_bow(h, -(h + 2.0 * near_h) / (2.0 * (h + near_h + far_h)), bend[near], bend[near + step])
+
+
+@inline
+def add_bows(
+    t: Array, x: Array, count: int, skipped: int, ends: tuple[bool, bool], r: Rates, turn: Array
+) -> None:
+    """Add to the increments ``turn`` what a smooth input ``x`` turns more than a straight one.
+
+    ``count`` samples are known, of which ``skipped`` lie before the first step. ``ends``: the record begins, or ends, with them.
+    """
+    bend = r.bend
+    for i in range(count - 2):
+        bend[i + 1] = r.after[i + 1] * (x[i + 2] - x[i + 1]) - r.before[i + 1] * (x[i + 1] - x[i])
+    first = max(skipped, 1)
+    turns, times, share, bends = turn[first - skipped :], t[first:], r.share[first:], bend[first:]
+    for i in range(count - 2 - first):
+        h = times[i + 1] - times[i]
+        turns[i] += h * smooth_bow(h, share[i], bends[i], bends[i + 1])
+    if ends[0]:
+        turn[0] += end_bow(t, bend, 0, 1, 1)
+    if ends[1]:
+        turn[count - 2 - skipped] += end_bow(t, bend, count - 2, count - 2, -1)
+
+
+@inline
+def turn_linear(samples: MotionSamples, first: int, count: int, skipped: int, r: Rates, s: Steps) -> None:
+    """Increments of ``count`` steps from sample ``first`` on, for input that is linear between samples."""
+    t, a, y, z = samples.t[first:], r.a[skipped:], r.y[skipped:], r.z[skipped:]
+    for j in range(count):
+        h = t[j + 1] - t[j]
+        s.A[j], s.Y[j], s.Z[j] = magnus_increments(h, a[j], y[j], z[j], a[j + 1], y[j + 1], z[j + 1])
+    if samples.extra_mean.size and not samples.smooth:
+        extra = samples.extra_mean[first:]
+        for j in range(count):
+            s.A[j] += (t[j + 1] - t[j]) * extra[j]
+
+
+@inline
+def make_matrices(t: Array, count: int, s: Steps) -> None:
+    """Matrices of the steps between times ``t`` (count + 1,) from their increments."""
+    for j in range(count):
+        A, Y, Z = s.A[j], s.Y[j], s.Z[j]
+        s.pp[j], s.pq[j], s.qp[j], s.qq[j] = step_matrix(A, Y, Z)
+        s.size[j] = A * A + Y * Y + Z * Z if t[j + 1] > t[j] else math.inf
+
+
+@inline
+def carry_pair(count: int, s: Steps, turns: float, p: float, q: float) -> tuple[int, float, float, float]:
+    """Carry turns and pair through ``count`` steps. Returns the number of steps done (fewer: the next one is unusable)."""
+    for j in range(count):
+        s.turns[j], s.p[j], s.q[j] = turns, p, q
+        if s.size[j] <= SMALL_STEP:
+            p, q = (p + s.pp[j] * p) + s.pq[j] * q, (q + s.qq[j] * q) + s.qp[j] * p
+            if q < 0.0:  # a turn is completed: upwards if P has the sign that Q had
+                turns += 1.0 if p > 0.0 else -1.0
+                p, q = -p, -q
+        else:
+            A, Y, Z = s.A[j], s.Y[j], s.Z[j]
+            if not (s.size[j] < math.inf and abs(A) + abs(Y) + abs(Z) < TOO_LARGE):
+                return j, turns, p, q
+            p, q = unit_pair(p, q)
+            turns, _, p, q = advance(turns, double_arctangent(p, q), p, q, A, Y, Z)
+    s.turns[count], s.p[count], s.q[count] = turns, p, q
+    p, q = unit_pair(p, q)
+    return count, turns, p, q
+
+
+@inline
+def read_angles(s: Steps, alpha: Array) -> None:
+    """Unwrapped angles [rad] of turns and pairs."""
+    for j in range(alpha.size):
+        alpha[j] = unwrapped(s.turns[j], double_arctangent(s.p[j], s.q[j]))
 
 
 @kernel
@@ -112,76 +236,73 @@ def propagate_samples(state: Array, alpha: Array, rate: Array, samples: MotionSa
     """Unwrapped angle [rad] and rate [rad/s] at each sample.
 
     ``alpha`` and ``rate`` (n,): each of these may be empty. ``state``: turns, P, Q; updated. Returns ``GOOD``, or the sample at
-    which an unusable step begins. Pairs are turned into angles and rates by the block, for the vector registers.
+    which an unusable step begins. A smooth record of less than four samples is linear.
     """
     t, n = samples.t, samples.t.size
-    pairs = np.empty((3, BLOCK))
+    room = np.empty((ROWS, ROOM))
+    s, r = steps_in(room), rates_in(room)
     turns, p, q = state[0], state[1], state[2]
-    here, bend, bend_after = rates_at(samples, 0), NONE, NONE
-    for k in range(n):
-        j = k % BLOCK
-        pairs[0, j], pairs[1, j], pairs[2, j] = turns, p, q
-        if j == BLOCK - 1 or k == n - 1:
-            first, stop = k - j, k + 1
-            if alpha.size:
-                read_angles(pairs, alpha[first:stop])
-            if rate.size:
-                read_rates(samples, pairs, first, rate[first:stop])
-        if k == n - 1:
-            break
-        h, after = t[k + 1] - t[k], rates_at(samples, k + 1)
-        A, Y, Z = magnus_increments(h, here[0], here[1], here[2], after[0], after[1], after[2])
-        if samples.smooth:
-            bend, bend_after = bend_after, NONE
-            if k < n - 2:
-                bend_after = second_derivatives(here, after, rates_at(samples, k + 2), h, t[k + 2] - t[k + 1])
-            if 0 < k < n - 2:
-                h0 = t[k] - t[k - 1]
-                a, y, z = bows(h, (h + 2.0 * h0) / (2.0 * (t[k + 2] - t[k - 1])), bend, bend_after)
-            else:
-                a, y, z = bows_at_end(samples, k, bend_after if k == 0 else bend)
-            A, Y, Z = A + h * a, Y + h * y, Z + h * z
-        elif samples.extra_mean.size:
-            A += h * samples.extra_mean[k]
-        if not (h > 0.0 and abs(A) + abs(Y) + abs(Z) < TOO_LARGE):
-            return k
-        turns, p, q = moved(turns, p, q, A, Y, Z, k)
-        here = after
-    state[0] = turns
-    state[1], state[2] = unit_pair(p, q)
+    for first in range(0, n, BLOCK):
+        last = min(first + BLOCK, n)  # of the samples of this block
+        count = min(last, n - 1) - first  # of its steps
+        around, stop = max(first - 2, 0), min(first + count + 2, n)
+        skipped, known = first - around, stop - around
+        read_rates(samples, around, stop, r)
+        turn_linear(samples, first, count, skipped, r, s)
+        if samples.smooth and n > 3 and count > 0:
+            ends, times = (first == 0, first + count == n - 1), t[around:stop]
+            weigh_neighbours(times, known, r)
+            add_bows(times, r.a, known, skipped, ends, r, s.A)
+            add_bows(times, r.y, known, skipped, ends, r, s.Y)
+            add_bows(times, r.z, known, skipped, ends, r, s.Z)
+        make_matrices(t[first:], count, s)
+        done, turns, p, q = carry_pair(count, s, turns, p, q)
+        if done < count:
+            return first + done
+        if alpha.size:
+            read_angles(s, alpha[first:last])
+        if rate.size:
+            a, y, z, out = r.a[skipped:], r.y[skipped:], r.z[skipped:], rate[first:last]
+            for j in range(out.size):  # a + y sin(alpha) - z cos(alpha)
+                pj, qj = s.p[j], s.q[j]
+                out[j] = a[j] + (2.0 * pj * qj * y[j] - (qj * qj - pj * pj) * z[j]) / (pj * pj + qj * qj)
+    state[0], state[1], state[2] = turns, p, q
     return GOOD
 
 
-@kernel
-def read_angles(pairs: Array, alpha: Array) -> None:
-    """Unwrapped angles [rad] of turns and pairs."""
-    for j in range(alpha.size):
-        alpha[j] = unwrapped(pairs[0, j], double_arctangent(pairs[1, j], pairs[2, j]))
+class FleetInput(NamedTuple):
+    """Motions over the same times ``t`` (n,) [s].
+
+    Force (m or 1, n, 3) [m/s^2]; base rate (m or 1, n, 3) [rad/s], or (1, 0, 3). ``constants`` (m, 2): K [rad/s/(m/s^2)] and
+    tan(beta). ``smooth``: how the input goes between samples.
+    """
+
+    t: Array
+    f: Array
+    base_rate: Array
+    constants: Array
+    smooth: bool
 
 
 @kernel
-def read_rates(samples: MotionSamples, pairs: Array, first: int, rate: Array) -> None:
-    """Rates ``a + y sin(alpha) - z cos(alpha)`` [rad/s] of pairs from sample ``first`` on."""
-    for j in range(rate.size):
-        p, q = pairs[1, j], pairs[2, j]
-        a, y, z = rates_at(samples, first + j)
-        rate[j] = a + (2.0 * p * q * y - (q * q - p * p) * z) / (p * p + q * q)
+def propagate_one(fleet: FleetInput, i: int, state: Array, angles: bool, result: Array) -> int:
+    """Angle or rate of motion ``i``; see :func:`propagate_many`."""
+    none = np.empty(0)
+    f, base_rate = fleet.f[min(i, fleet.f.shape[0] - 1)], fleet.base_rate[min(i, fleet.base_rate.shape[0] - 1)]
+    K, tan_beta = fleet.constants[i, 0], fleet.constants[i, 1]
+    samples = MotionSamples(fleet.t, f, base_rate, none, none, K, tan_beta, 0.0, 0.0, fleet.smooth)
+    return propagate_samples(state, result if angles else none, none if angles else result, samples)
 
 
-@inline
-def moved(turns: float, p: float, q: float, A: float, Y: float, Z: float, k: int) -> tuple[float, float, float]:
-    """Turns and pair after step ``k``, of any size; the pair has ``Q >= 0`` and is not normalised."""
-    if A * A + Y * Y + Z * Z > SMALL_STEP:
-        p, q = unit_pair(p, q)
-        turns, _, p, q = advance(turns, double_arctangent(p, q), p, q, A, Y, Z)
-        return turns, p, q
-    p, q = small_step(p, q, A, Y, Z)
-    if q < 0.0:  # a turn is completed: upwards if P has the sign that Q had
-        turns += 1.0 if p > 0.0 else -1.0
-        p, q = -p, -q
-    if k % NORMALISED == 0:
-        p, q = unit_pair(p, q)
-    return turns, p, q
+@parallel_kernel
+def propagate_many(fleet: FleetInput, states: Array, angles: bool, result: Array, status: Array) -> None:
+    """Angle [rad] or rate [rad/s] of each motion in ``result`` (m, n); ``states`` (m, 3): turns, P, Q.
+
+    ``status`` (m,): see :func:`propagate_samples`.
+    """
+    for i in prange(result.shape[0]):
+        k: Any = np.int64(i)  # prange counts in unsigned integers
+        status[i] = propagate_one(fleet, k, states[i], angles, result[i])
 
 
 @inline
@@ -251,27 +372,27 @@ def propagate_increments(
     """
     turns, p, q = state[0], state[1], state[2]
     n, before = dv.shape[0], NONE
-    pairs = np.empty((3, BLOCK))
+    room = np.empty((ROWS, ROOM))
+    s = steps_in(room)
     here = mean_rates(t, dv, dtheta, K, tan_beta, 0)
-    for j in range(n + 1):
-        i = j % BLOCK
-        pairs[0, i], pairs[1, i], pairs[2, i] = turns, p, q
-        if i == BLOCK - 1 or j == n:
-            read_angles(pairs, alpha[j - i : j + 1])
-        if j == n:
-            break
-        h = t[j + 1] - t[j]
-        after = mean_rates(t, dv, dtheta, K, tan_beta, j + 1) if j < n - 1 else NONE
-        (a, y, z), (sa, sy, sz) = here, slopes_of(t, dv, dtheta, K, tan_beta, j, (before, here, after))
-        cross = h * h * h * (1.0 / 12.0)
-        A = h * a + cross * (y * sz - z * sy)
-        Y, Z = h * y + cross * (a * sz - z * sa), h * z - cross * (a * sy - y * sa)
-        if not (h > 0.0 and abs(A) + abs(Y) + abs(Z) < TOO_LARGE):
-            return j
-        turns, p, q = moved(turns, p, q, A, Y, Z, j)
-        before, here = here, after
-    state[0] = turns
-    state[1], state[2] = unit_pair(p, q)
+    for first in range(0, n + 1, BLOCK):
+        last = min(first + BLOCK, n + 1)
+        count = min(last, n) - first
+        for i in range(count):
+            j = first + i
+            h = t[j + 1] - t[j]
+            after = mean_rates(t, dv, dtheta, K, tan_beta, j + 1) if j < n - 1 else NONE
+            (a, y, z), (sa, sy, sz) = here, slopes_of(t, dv, dtheta, K, tan_beta, j, (before, here, after))
+            cross = h * h * h * (1.0 / 12.0)
+            s.A[i] = h * a + cross * (y * sz - z * sy)
+            s.Y[i], s.Z[i] = h * y + cross * (a * sz - z * sa), h * z - cross * (a * sy - y * sa)
+            before, here = here, after
+        make_matrices(t[first:], count, s)
+        done, turns, p, q = carry_pair(count, s, turns, p, q)
+        if done < count:
+            return first + done
+        read_angles(s, alpha[first:last])
+    state[0], state[1], state[2] = turns, p, q
     return GOOD
 
 

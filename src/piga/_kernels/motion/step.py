@@ -21,7 +21,7 @@ from piga._kernels.arithmetic import double_arctangent
 from piga._kernels.jit import Array, exact, inline, kernel
 
 SMALL_STEP = 1.0
-"""Largest ``A^2 + Y^2 + Z^2`` [rad^2] for which the series of :func:`small_step` and the count of turns are valid."""
+"""Largest ``A^2 + Y^2 + Z^2`` [rad^2] for which the series of :func:`step_matrix` and the count of turns are valid."""
 GOOD = -1
 """Result of the kernels for whole records if all samples are usable; otherwise they return the start of a bad step."""
 TOO_LARGE = 1e150
@@ -31,19 +31,16 @@ _S0, _S1, _S2, _S3, _S4, _S5, _S6, _S7 = (0.5 / math.factorial(2 * k + 1) for k 
 
 
 @inline
-def small_step(p: float, q: float, A: float, Y: float, Z: float) -> tuple[float, float]:
-    """The pair after a small step, not normalised.
+def step_matrix(A: float, Y: float, Z: float) -> tuple[float, float, float, float]:
+    """The matrix of a small step less the identity: rows P and Q.
 
     ``C - 1`` and ``S/2`` as Taylor series in ``x``, ``|x| <= 1/4``: truncation below 1e-18. The difference from the identity is
-    kept apart, so that the rounding of small steps does not add up in one direction. The terms are added in pairs (Estrin), because
-    the processor waits for a chain of them.
+    kept apart, so that the rounding of small steps does not add up in one direction.
     """
     x = 0.25 * (Y * Y + Z * Z - A * A)
-    x2 = x * x
-    x4 = x2 * x2
-    c = x * (((_C1 + x * _C2) + x2 * (_C3 + x * _C4)) + x4 * ((_C5 + x * _C6) + x2 * _C7))
-    s = ((_S0 + x * _S1) + x2 * (_S2 + x * _S3)) + x4 * ((_S4 + x * _S5) + x2 * (_S6 + x * _S7))
-    return (p + (c + s * Y) * p) + s * (A - Z) * q, (q + (c - s * Y) * q) - s * (A + Z) * p
+    c = x * (_C1 + x * (_C2 + x * (_C3 + x * (_C4 + x * (_C5 + x * (_C6 + x * _C7))))))
+    s = _S0 + x * (_S1 + x * (_S2 + x * (_S3 + x * (_S4 + x * (_S5 + x * (_S6 + x * _S7))))))
+    return c + s * Y, s * (A - Z), -s * (A + Z), c - s * Y
 
 
 @inline

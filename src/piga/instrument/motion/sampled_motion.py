@@ -9,16 +9,22 @@ increments use the same expansion; a constant segment is one step whatever its l
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga._kernels.motion.samples import PARAMETERS, MotionSamples, propagate_samples, propagate_sensitivities
+from piga._kernels.motion.samples import (
+    PARAMETERS,
+    FleetInput,
+    MotionSamples,
+    propagate_many,
+    propagate_samples,
+    propagate_sensitivities,
+)
 from piga._kernels.motion.samples import propagate_increments as run_increments
 from piga._kernels.motion.step import GOOD, TWO_PI_HIGH, TWO_PI_LOW, segment_motion, split_turns
 from piga.errors import ArgumentError
@@ -406,14 +412,6 @@ def sensitivities(
     return Sensitivities(alpha, rate, d_alpha, d_rate)
 
 
-def available_cores() -> int:
-    """Number of cores this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on Linux
-        return os.cpu_count() or 1
-
-
 def propagate_fleet(
     instruments: Instrument | Sequence[Instrument],
     t: ArrayLike,
@@ -422,12 +420,12 @@ def propagate_fleet(
     *,
     output: str = "angle",
     between: Between = "smooth",
-    workers: int | None = None,
 ) -> Array:
     """Angle or rate of many motions over the same times: the batch form of :func:`piga.propagate`.
 
-    It computes many instruments with one input, one instrument with many inputs, or pairs. Row i is identical to the
-    bit to the result of :func:`piga.propagate` for motion i, for any number of ``workers``.
+    It computes many instruments with one input, one instrument with many inputs, or pairs. Row i is the
+    result of :func:`piga.propagate` for motion i. The motions are shared among the threads of Numba: one per core, or as many as
+    ``numba.set_num_threads`` says.
 
     Parameters
     ----------
@@ -443,8 +441,6 @@ def propagate_fleet(
         ``"angle"`` [rad] or ``"rate"`` [rad/s].
     between:
         As in :func:`piga.propagate`.
-    workers:
-        Threads; None: one per core.
 
     Returns
     -------
@@ -473,21 +469,40 @@ def propagate_fleet(
             f"instruments and inputs: their numbers do not match: {counts}",
             remedy="give the same number of each, or one for all",
         )
-    result = np.empty((m, times.size))
-
-    def run(i: int) -> None:
+    if omega is not None and omega.shape == (3,):
+        omega = float_array("base_rate", np.broadcast_to(omega, (times.size, 3)))
+    motions = []
+    for i in range(m):
         inst = fleet[i if len(fleet) > 1 else 0]
         rates = omega[i] if omega is not None and omega.ndim == 3 else omega
-        try:
-            record = sampled_input(inst, times, force[i] if force.ndim == 3 else force, rates, between=between)
-            angle, rate = (result[i], _NO_OUTPUT) if output == "angle" else (_NO_OUTPUT, result[i])
-            run_samples(record, inst.alpha0, angle, rate)
-        except ArgumentError as error:
-            raise ArgumentError(f"motion {i}: {error.message}", remedy=error.remedy) from None
-        if output == "angle":
-            result[i, 0] = inst.alpha0
-
-    with ThreadPoolExecutor(min(m, workers or available_cores())) as pool:
-        for _ in pool.map(run, range(m)):
-            pass
+        with _named(i):
+            motions.append(
+                sampled_input(inst, times, force[i] if force.ndim == 3 else force, rates, between=between)
+            )
+    starts = np.array([fleet[i if len(fleet) > 1 else 0].alpha0 for i in range(m)])
+    states = np.array([initial_state(alpha0) for alpha0 in starts])
+    result, status = np.empty((m, times.size)), np.empty(m)
+    inputs = FleetInput(
+        t=times,
+        f=force if force.ndim == 3 else force[None],
+        base_rate=_EMPTY_VECTORS[None] if omega is None else (omega if omega.ndim == 3 else omega[None]),
+        constants=np.array([(motion.K, motion.tan_beta) for motion in motions]),
+        smooth=between == "smooth",
+    )
+    with np.errstate(all="ignore"):
+        propagate_many(inputs, states, output == "angle", result, status)
+    for i, motion in enumerate(motions):
+        with _named(i):
+            _require(motion, int(status[i]))
+    if output == "angle":
+        result[:, 0] = starts
     return result
+
+
+@contextmanager
+def _named(i: int) -> Iterator[None]:
+    """Errors name the motion of a fleet."""
+    try:
+        yield
+    except ArgumentError as error:
+        raise ArgumentError(f"motion {i}: {error.message}", remedy=error.remedy) from None
