@@ -14,7 +14,9 @@ import logging
 import os
 import queue
 import re
+import signal
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
@@ -145,12 +147,24 @@ def _client(
     )
     compile_kernels(campaign.plan)
     options = {"threads_per_worker": 1, "security": True, "protocol": "tls://", "dashboard_address": None}
-    with (
-        dask.config.set({"distributed.scheduler.worker-saturation": 1.0}),
-        distributed.LocalCluster(n_workers=count, host="127.0.0.1", env=ONE_THREAD, **options) as cluster,
-        distributed.Client(cluster, set_as_default=False) as client,
-    ):
-        yield client
+    with dask.config.set({"distributed.scheduler.worker-saturation": 1.0}):
+        with _without_ctrl_c():
+            cluster = distributed.LocalCluster(n_workers=count, host="127.0.0.1", env=ONE_THREAD, **options)
+        with cluster, distributed.Client(cluster, set_as_default=False) as client:
+            yield client
+
+
+@contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Processes started here never see Ctrl-C: a terminal sends it to all of them, and only this one is to answer."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _dask() -> tuple[Any, Any]:

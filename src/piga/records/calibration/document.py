@@ -158,7 +158,6 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     The verdict is for people who read the file. piga does not read it back: it computes the verdict again from the record.
     """
     c, verdict = calibration, calibration.verdict
-    expanded = "half_width_95" if c.type_a_only else "expanded"
     angle = "rad/s" if c.diagnostics.residual_kind == "rate" else "rad"
     document: dict[str, Any] = {
         "schema": SCHEMA,
@@ -171,7 +170,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
             _Level(c.temperature_reference, "K"),
             Amount(c.time_reference, "s"),
         ),
-        "coefficients": [_stated(k, expanded) for k in c.coefficients],
+        "coefficients": [_stated(k) for k in c.coefficients],
         "covariance": {"names": [k.key for k in c.coefficients], "matrix": c.covariance.tolist()},
         "noise": _Noise(
             _Level(c.angle_rms, "rad"),
@@ -207,16 +206,16 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     return cast("dict[str, Any]", msgspec.to_builtins(document, enc_hook=float))
 
 
-def _stated(c: Coefficient, name: str) -> dict[str, Any]:
-    """A coefficient. Half-width for 95 % under ``name``; infinite degrees of freedom are null."""
+def _stated(c: Coefficient) -> dict[str, Any]:
+    """A coefficient. ``expanded`` is the half-width for 95 %; infinite degrees of freedom are null."""
     stated: dict[str, Any] = {"name": c.name, "value": c.value, "std": c.std, "unit": c.unit}
     stated |= {"segment": c.segment} if c.name == "phi" else {}
     stated |= {} if c.run is None else {"run": c.run}
     nu, covered = c.degrees_of_freedom, c.coverage
     stated["degrees_of_freedom"] = nu if math.isfinite(nu) else None
     if covered.monte_carlo:
-        return stated | {name: covered.half_width, "interval": [covered.low, covered.high]}
-    return stated | {"coverage_factor": covered.factor, name: covered.half_width}
+        return stated | {"expanded": covered.half_width, "interval": [covered.low, covered.high]}
+    return stated | {"coverage_factor": covered.factor, "expanded": covered.half_width}
 
 
 def calibration_to_bytes(calibration: Calibration) -> bytes:
