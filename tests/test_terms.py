@@ -6,7 +6,6 @@ import pytest
 
 from piga._kernels.compensation.data import INSTRUMENT
 from piga.calibration.joint.summary import STATIC_TERMS
-from piga.calibration.remarks.missing_terms import SINGLE
 from piga.instrument import ErrorModel
 from piga.records.terms import SERVO_TERMS
 from piga.terms import ERROR_TERMS, PRODUCTS, THERMAL_TERMS
@@ -19,7 +18,6 @@ def test_a_term_stands_everywhere(name: str) -> None:
     places = {
         "Instrument in _kernels/compensation/data.py": name in INSTRUMENT.names,
         "ErrorModel in instrument/parameters.py": servo or name in ErrorModel.__dataclass_fields__,
-        "SINGLE in calibration/remarks/missing_terms.py": name in SINGLE,
         "STATIC_TERMS in calibration/joint/summary.py": name in ("k1", *THERMAL_TERMS) or name in STATIC_TERMS,
         "factors in terms.py": servo or name in PRODUCTS,
     }

@@ -205,7 +205,7 @@ def compare_models(
     steps("finding the noise")
     union = union_of(wanted)
     request = make_request(run, union, "information", phases, per_run=())
-    weighed = Weighed.of(run, request)
+    weighed = UnionReduction.of(run, request)
     rows = []
     for terms in wanted:
         steps(f"fitting {' '.join(terms)}")
@@ -289,7 +289,7 @@ def union_of(wanted: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Weighed:
+class UnionReduction:
     """A record, whitened and reduced over the union of all columns: one summary per part."""
 
     fit: Fit
@@ -301,7 +301,7 @@ class Weighed:
     log_determinant: float
 
     @classmethod
-    def of(cls, run: Run, request: Request) -> Weighed:
+    def of(cls, run: Run, request: Request) -> UnionReduction:
         """Find the noise with the determined part of the union, then reduce the whole union once."""
         fit = prepare(run, request, run_name(run, 0)).fit
         columns = tuple(dict.fromkeys((*request.terms, PROBE)))

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from piga.calibration.choice.model_choice import TermSet, Weighed, union_of
+from piga.calibration.choice.model_choice import TermSet, UnionReduction, union_of
 from piga.calibration.model.request import make_request
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, UNITS, check_terms, harmonic, shown_unit, term_names, unit_of
@@ -101,7 +101,7 @@ def term_prospects(run: Run, terms: str | Sequence[str] | None = None) -> tuple[
     own_phases = len(set(run.phase_group)) > 1 or run.model.phases == "per-segment"
     phase = "per-segment" if own_phases else "shared"
     wish = union_of((asked, *((*asked, term) for term in others)))
-    weighed = Weighed.of(run, make_request(run, wish, "information", phase, "output", ()))
+    weighed = UnionReduction.of(run, make_request(run, wish, "information", phase, "output", ()))
     base, rows = _base(weighed, asked)
     for term in others:
         names = (*base, *_needed(term, base), term)
@@ -127,7 +127,7 @@ def _needed(term: str, base: tuple[str, ...]) -> tuple[str, ...]:
     return ("tan_beta",) if term in SERVO_TERMS and "tan_beta" not in base else ()
 
 
-def _base(weighed: Weighed, asked: tuple[str, ...]) -> tuple[tuple[str, ...], list[TermProspect]]:
+def _base(weighed: UnionReduction, asked: tuple[str, ...]) -> tuple[tuple[str, ...], list[TermProspect]]:
     """The asked terms that the record determines together, and the prospect of each asked term."""
     whole = weighed.compared(asked, predict=False)
     if not whole.reason:

@@ -30,7 +30,7 @@ from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.remarks.missing_terms import (
     CUBIC,
     Candidates,
-    Tested,
+    CandidateTest,
     after_change,
     constant_squares,
     tested,
@@ -196,7 +196,7 @@ def damped(
     coefficients: tuple[Coefficient, ...],
     before: dict[str, float],
     after: dict[str, float],
-    test: Tested,
+    test: CandidateTest,
     scale_factor: float,
 ) -> LeftOut:
     """A wave of ``servo_damping`` that is missing in the model.
@@ -280,7 +280,7 @@ class Wider:
 
     before: JointFit
     after: JointFit
-    test: Tested
+    test: CandidateTest
 
     @property
     def fall(self) -> float:

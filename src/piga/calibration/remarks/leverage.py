@@ -49,7 +49,7 @@ LEVERAGE = LeverageSettings()
 
 
 @dataclass(frozen=True)
-class Without:
+class JackknifeFit:
     """Coefficients (values and Type A standard uncertainties) without one segment; names of those lost."""
 
     values: dict[str, float]
@@ -157,11 +157,11 @@ def _lost(total: Reduction) -> frozenset[str]:
     return frozenset(lost | ({"phi"} if "tan_beta" in lost else set()))
 
 
-def _named(fit: Fit, layout: Layout, total: Reduction, linear: bool) -> Without:
+def _named(fit: Fit, layout: Layout, total: Reduction, linear: bool) -> JackknifeFit:
     """Coefficients of a merger; ``linear``: the merger contains corrections of the amplitudes."""
     lost = _lost(total)
     if lost:
-        return Without({}, {}, lost)
+        return JackknifeFit({}, {}, lost)
     if linear:
         change, covariance, _ = total.solve()
         padded = np.zeros_like(fit.solution.covariance)
@@ -173,11 +173,11 @@ def _named(fit: Fit, layout: Layout, total: Reduction, linear: bool) -> Without:
         estimate = solve_parts(replace(layout, tails=layout.tails[:1]), [total])
     named, _ = name_coefficients(fit.design, estimate, estimate.covariance)
     common = [c for c in named if c.segment is None]
-    return Without({c.name: c.value for c in common}, {c.name: c.std for c in common}, lost)
+    return JackknifeFit({c.name: c.value for c in common}, {c.name: c.std for c in common}, lost)
 
 
 def _influence(
-    common: list[Coefficient], whole: Without, left: Without
+    common: list[Coefficient], whole: JackknifeFit, left: JackknifeFit
 ) -> tuple[dict[str, float], dict[str, float | None]]:
     """Share and shift of each coefficient."""
     share: dict[str, float] = {}
@@ -211,7 +211,7 @@ def _sole_words(table: dict[str, SegmentLeverage], common: list[Coefficient]) ->
 
 
 def _shift_words(
-    table: dict[str, SegmentLeverage], common: list[Coefficient], whole: Without, unit: str
+    table: dict[str, SegmentLeverage], common: list[Coefficient], whole: JackknifeFit, unit: str
 ) -> tuple[str, ...]:
     """Segments that move a coefficient by more than noise would."""
     sentences: list[tuple[float, str]] = []

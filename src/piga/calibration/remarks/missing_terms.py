@@ -25,6 +25,7 @@ from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, harmonic, si_factor, unit_of
 from piga.results import Array
+from piga.terms import ERROR_TERMS
 
 Names = tuple[str, ...]
 
@@ -61,10 +62,6 @@ class CandidateSettings:
 CANDIDATES = CandidateSettings()
 
 
-SINGLE = (
-    "k0", "k1", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
-    *SERVO_TERMS,
-)  # fmt: skip
 CUBIC = ("servo", "k3", "k2o")
 """Terms that take up an odd signature of a_x, most plausible first."""
 PAIRS = (("tan_beta", ("p", "q")), ("s1", ("s1", "c1")), ("s2", ("s2", "c2")))
@@ -83,7 +80,7 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
     left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
     left_out |= {"k0_T", "k1_T"} if low == high else set()
     left_out |= servo_out_of_reach(design)
-    candidates: list[tuple[str, ...]] = [(name,) for name in SINGLE if name not in left_out]
+    candidates: list[tuple[str, ...]] = [(name,) for name in ERROR_TERMS if name not in left_out]
     if design.request.phases == "shared" or "tan_beta" in terms:
         candidates += [columns for name, columns in PAIRS if name not in terms]
     return candidates
@@ -115,7 +112,7 @@ def constant_squares(run: Run) -> tuple[float | None, float | None]:
 
 
 @dataclass(frozen=True)
-class Tested:
+class CandidateTest:
     """A candidate (one column, or a pair that turns with the output) against the model.
 
     ``columns`` are its column coefficients with ``std`` by the noise and ``spread`` by the scatter between the parts of
@@ -222,8 +219,11 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
 
 
 def _servo_first(
-    best: Tested, shift: tuple[float, str], worth: list[tuple[Tested, tuple[float, str]]], square: float | None
-) -> tuple[Tested, tuple[float, str]]:
+    best: CandidateTest,
+    shift: tuple[float, str],
+    worth: list[tuple[CandidateTest, tuple[float, str]]],
+    square: float | None,
+) -> tuple[CandidateTest, tuple[float, str]]:
     """The servo's stiffness in place of a cube of a_x with a similar fit, if the record cannot separate them."""
     if square is None or best.names[0] not in CUBIC:
         return best, shift
@@ -232,7 +232,7 @@ def _servo_first(
 
 
 def _both_meanings(
-    test: Tested, after: dict[str, float], square: float, scale_factor: float
+    test: CandidateTest, after: dict[str, float], square: float, scale_factor: float
 ) -> dict[str, float]:
     """K with each meaning of a cubic signature; they differ by the coefficient times ``a_x^2 + a_t^2``."""
     size, scale = float(test.columns[0]) / scale_factor * square, after.get("scale_factor")
@@ -325,7 +325,7 @@ def _weighted(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
     return [np.concatenate(chunks) for chunks in collected], total
 
 
-def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Tested | None:
+def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> CandidateTest | None:
     """Test of a candidate; None if it has no independent part."""
     from scipy.special import fdtrc
 
@@ -354,7 +354,7 @@ def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Te
     change = -(model @ size) / scale[:m]
     chance = max(by_noise, by_parts)
     columns, std, spread = size / scale[m:], std / scale[m:], spread / scale[m:]
-    return Tested(names, columns, std, spread, count, fall / (fall + rest), chance, change)
+    return CandidateTest(names, columns, std, spread, count, fall / (fall + rest), chance, change)
 
 
 def _scatter(parts: list[Array], scale: Array, model: Array, R: Array, size: Array) -> tuple[float, Array, int]:
@@ -400,7 +400,7 @@ def after_change(fit: Fit, change: Array) -> dict[str, float]:
     return {c.key: c.value for c in named}
 
 
-def _largest_shift(fit: Fit, coefficients: tuple[Coefficient, ...], test: Tested) -> tuple[float, str]:
+def _largest_shift(fit: Fit, coefficients: tuple[Coefficient, ...], test: CandidateTest) -> tuple[float, str]:
     """Largest change of a reported coefficient in its standard uncertainties, and its name.
 
     The phase is included if the candidate affects it by nature.
@@ -428,7 +428,9 @@ def with_term(piece: Array, order: list[str], names: Names) -> Array:
     return piece[:, [*range(m), *taken, *rest, piece.shape[1] - 1]]
 
 
-def _suggestion(test: Tested, shift: tuple[float, str], alike: list[str], scale_factor: float) -> MissingTerm:
+def _suggestion(
+    test: CandidateTest, shift: tuple[float, str], alike: list[str], scale_factor: float
+) -> MissingTerm:
     size, std = test.columns / scale_factor, test.std / scale_factor
     if test.names == ("p", "q"):
         size, std = np.array([math.hypot(*size)]), std[:1]
