@@ -17,7 +17,7 @@ from piga.describe.columns import WORDS, ColumnGuess, Values
 from piga.describe.draft import RunFileDraft, number_in, quantity_text
 from piga.describe.log import LogDescription
 from piga.errors import ArgumentError, UnitError
-from piga.reading.positions import positions
+from piga.reading.checks import positions
 from piga.results import Array
 from piga.stand.scenario import head_positions
 from piga.units import G0, parse_unit, to_si

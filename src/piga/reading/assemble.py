@@ -25,12 +25,13 @@ from piga.reading.checks import (
     mistaken_rate,
     mistaken_unit,
     sampled,
+    segment_by_positions,
     sequence_breaks,
+    settling,
     stopped_output,
     stuck_extremes,
 )
 from piga.reading.columns import RawColumns, collect, read_columns
-from piga.reading.positions import segment_by_positions, settling
 from piga.records.arrays import empty, scaled, stored, taken
 from piga.records.calibration import Event, Quality, counted
 from piga.records.run import Run, TimeBase, drop_repeats, examine_time

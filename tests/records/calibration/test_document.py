@@ -32,7 +32,7 @@ def document(calibration: piga.Calibration) -> dict:
 def test_schema_and_round_trip(calibration: piga.Calibration, tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
     calibration.to_json(path)
-    schema = json.loads(files("piga.records.schema").joinpath("calibration-1.json").read_text())
+    schema = json.loads(files("piga.records").joinpath("schema/calibration-1.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
     document = json.loads(path.read_text())
     jsonschema.Draft202012Validator(schema).validate(document)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import piga
 from piga.errors import DataError
-from piga.reading.positions import positions
+from piga.reading.checks import positions
 
 RATE = 100.0
 K = 0.8884

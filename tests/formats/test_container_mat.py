@@ -11,8 +11,7 @@ import pytest
 from scipy.io import savemat
 
 from piga.errors import DataError
-from piga.formats.container import read_container
-from piga.formats.mat import read_mat
+from piga.formats.container import read_container, read_mat
 
 ROWS = 300
 KINDS = {"u1": 2, "i2": 3, "i4": 5, "f4": 7, "f8": 9, "i8": 12}

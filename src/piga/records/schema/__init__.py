@@ -1,1 +1,0 @@
-"""JSON schemas of the records, one file per kind and version."""
