@@ -34,7 +34,7 @@ from piga.compensation.compensator import (
     init_state,
     run_kernel,
 )
-from piga.compensation.files.file_to_file import compensate_to_file
+from piga.compensation.files import compensate_to_file
 from piga.compensation.model import Model, make_model
 from piga.records import Calibration, Coefficient, Provenance, Quality
 from piga.records.calibration import Diagnostics

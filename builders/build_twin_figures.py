@@ -18,8 +18,8 @@ import numpy as np
 from benchmarks import measured
 from benchmarks.measured import ROOT, rounded
 from scipy.integrate import solve_ivp
-from tests.compensation.sets.twin_triad import run as run_triad
-from tests.compensation.sets.twin_triad import spectrum
+from tests.compensation.twin_triad import run as run_triad
+from tests.compensation.twin_triad import spectrum
 
 from piga._kernels.motion import servo
 from piga.calibration.calibrate import calibrate

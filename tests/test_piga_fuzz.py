@@ -17,7 +17,7 @@ import pyarrow as pa
 import pytest
 
 import piga
-from piga.compensation.files.live import compensate_arrow, compensate_lines
+from piga.compensation.live import compensate_arrow, compensate_lines
 from piga.compensation.model import make_model
 from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
 from piga.records.run_file import read_run_file

@@ -205,7 +205,7 @@ def test_a_joint_calibration_names_its_runs_and_sources(run, cal):
 def test_a_set_in_pieces_is_the_set_to_the_bit(run, cal, monkeypatch):
     call = long_calls(run, cal)["set"]
     whole = call(progress=None)
-    monkeypatch.setattr("piga.compensation.sets.set_files.READINGS", 3 * 77)
+    monkeypatch.setattr("piga.compensation.files.READINGS", 3 * 77)
     parts, steps = heard(call)
     assert parts == whole
     assert len(steps) == 1 + -(-whole.size // 77)
@@ -214,7 +214,7 @@ def test_a_set_in_pieces_is_the_set_to_the_bit(run, cal, monkeypatch):
 
 def test_a_stopped_file_is_as_it_was(run, cal, tmp_path, monkeypatch):
     from piga.cli.common import write_by_rename
-    from piga.compensation.files.file_to_file import compensate_to_file
+    from piga.compensation.files import compensate_to_file
 
     monkeypatch.setattr("piga.records.arrays.BLOCK_ROWS", 100)
     out = tmp_path / "out.parquet"

@@ -12,7 +12,7 @@ import pyarrow.parquet
 
 import piga
 from piga.cli.main import main
-from piga.compensation.files import file_to_file
+from piga.compensation import files
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 TIME, ANGLE = 'time = { column = "t", unit = "s" }', 'kind = "angle", unit = "rad"'
@@ -58,9 +58,9 @@ def write(folder, name="run.parquet", rows=500, serial="A", counts=False, phi=0.
 
 def small_chunks(monkeypatch, rows: int) -> None:
     """Records lie on disk, and so many rows are read and compensated at a time; sets of three are solved in as many."""
-    monkeypatch.setattr("piga.compensation.sets.set_files.READINGS", 3 * rows)
+    monkeypatch.setattr("piga.compensation.files.READINGS", 3 * rows)
     monkeypatch.setattr("piga.records.arrays.LARGE_BYTES", 0)
-    monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
+    monkeypatch.setattr("piga.compensation.files.HELD_ROWS", 0)
     monkeypatch.setattr("piga.records.arrays.BLOCK_ROWS", rows)
     monkeypatch.setattr("piga.formats.parquet.CHUNK_ROWS", rows)
     monkeypatch.setattr("piga.formats.columns.CHUNK_ROWS", rows)
@@ -70,8 +70,8 @@ def small_chunks(monkeypatch, rows: int) -> None:
 def to_file(path, calibration, out, **options):
     """Read and compensate a run into Parquet: the summary, and the findings by kind."""
     record = piga.read_run(path)
-    summary = file_to_file.compensate_to_file(record, calibration, out, "parquet", **options)
-    return summary, file_to_file.found_while_reading(record)
+    summary = files.compensate_to_file(record, calibration, out, "parquet", **options)
+    return summary, files.found_while_reading(record)
 
 
 def assert_file_holds(path, whole: piga.compensation.Compensated) -> None:

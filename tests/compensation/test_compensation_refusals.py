@@ -16,11 +16,11 @@ import pytest
 import piga
 from piga._kernels.compensation.data import PlainRecords
 from piga.compensation import FLAGS, Mounted, Phase, SetCompensator, compensate_set
+from piga.compensation.files import read_triad
 from piga.compensation.model import MEANING, age_in_days
-from piga.compensation.sets.set_files import read_triad
 from piga.units import G0
 from tests.compensation.run_files import CAL, command, write
-from tests.compensation.sets.triads import orthogonal
+from tests.compensation.triads import orthogonal
 from tests.compensation.twin_data import K_G, TAN_BETA, assert_same_bits, calibration_of, constant_force, run_of
 
 T = 0.01 * np.arange(60)

@@ -15,7 +15,7 @@ from piga.calibration.orders import order_spectrum
 from piga.compensation import FLAGS, Mounted, Phase, SetCompensator
 from piga.reports.compensation.figures import compensation_errors, error_figures
 from piga.units import G0
-from tests.compensation.sets.triads import orthogonal
+from tests.compensation.triads import orthogonal
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, mean_force, run_of
 
 PHI = np.pi / 4

@@ -11,7 +11,7 @@ import pytest
 import piga
 from piga.compensation import Mounted, PhaseFinder, SetCompensator
 from piga.units import G0
-from tests.compensation.sets.triads import orthogonal
+from tests.compensation.triads import orthogonal
 from tests.compensation.twin_data import assert_same_bits, calibration_of, in_pieces
 from tests.instrument.servo_truth import Design, motion
 

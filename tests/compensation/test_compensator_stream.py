@@ -15,7 +15,7 @@ import piga
 from piga.compensation import Mounted, SetCompensator
 from piga.records.calibration import Diagnostics
 from piga.units import G0
-from tests.compensation.sets.triads import orthogonal
+from tests.compensation.triads import orthogonal
 from tests.compensation.twin_data import (
     K_G,
     TAN_BETA,

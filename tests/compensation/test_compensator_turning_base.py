@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 import piga
 from piga.compensation import Mounted, SetCompensator
 from piga.units import G0
-from tests.compensation.sets.triads import orthogonal
+from tests.compensation.triads import orthogonal
 from tests.compensation.twin_data import K_G, TAN_BETA, assert_same_bits, calibration_of, in_pieces
 
 K, PHI = K_G / G0, 0.3

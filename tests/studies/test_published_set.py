@@ -9,9 +9,9 @@ import pytest
 
 import piga
 from piga.compensation import Mounted, compensate_set
-from piga.studies.published_set import PublishedSet
+from piga.studies.published import PublishedSet
 from piga.units import G0
-from tests.compensation.sets.triads import made, orthogonal
+from tests.compensation.triads import made, orthogonal
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
 
 CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4})

@@ -174,7 +174,7 @@ def _refuse(live: bool, **options: object) -> None:
 
 
 def _is_triad(path: Path) -> bool:
-    from piga.compensation.sets.set_files import is_triad_file
+    from piga.compensation.files import is_triad_file
 
     return is_triad_file(path)
 
@@ -232,7 +232,7 @@ def _single(
     """
     from piga.compensation import Resampler, identify_phase
     from piga.compensation.compensator import compensate
-    from piga.compensation.files.file_to_file import HELD_ROWS, compensate_to_file, found_while_reading
+    from piga.compensation.files import HELD_ROWS, compensate_to_file, found_while_reading
     from piga.compensation.model import check_method
     from piga.compensation.result import format_of, inputs_listed
     from piga.stand import read_run
@@ -284,13 +284,13 @@ def _together(
     options: CompensationOptions,
 ) -> tuple[dict[str, Any], list[Calibration]]:  # fmt: skip
     """Summary and the calibrations used: those given, or those that the triad file names."""
+    from piga.compensation.files import compensate_set_files, orthogonal_triad, read_triad
     from piga.compensation.result import format_of
-    from piga.compensation.sets.set_files import compensate_set_files, orthogonal_triad, read_triad
 
     if options.method == "published":
         raise ArgumentError(
             "--method published is not for several instruments",
-            remedy="leave it out; piga.studies.published_set compares the published solution of a set",
+            remedy="leave it out; piga.studies.published compares the published solution of a set",
         )
     kind = format_of(out)
     if len(runs) == 1:
@@ -339,7 +339,7 @@ def _write_page(
 
 def _live(calibration: Calibration, kind: str, options: CompensationOptions, arrow: bool) -> None:
     from piga.compensation import Compensator
-    from piga.compensation.files.live import compensate_arrow, compensate_lines
+    from piga.compensation.live import compensate_arrow, compensate_lines
 
     check_pipes()
     stream = Compensator(

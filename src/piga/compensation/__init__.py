@@ -1,11 +1,11 @@
 """Compensation: specific force and velocity from the output of calibrated instruments."""
 
 from piga.compensation.compensator import Chunk, Compensator, compensate
+from piga.compensation.files import compensate_set
 from piga.compensation.model import FLAGS, Limits, Phase
 from piga.compensation.phase import PhaseFinder, identify_phase
 from piga.compensation.result import Compensated, CompensatedSet, Resampler
-from piga.compensation.sets.set_compensator import Mounted, SetCompensator
-from piga.compensation.sets.set_files import compensate_set
+from piga.compensation.set_compensator import Mounted, SetCompensator
 
 __all__ = [
     "FLAGS",

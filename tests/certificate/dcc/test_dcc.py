@@ -19,7 +19,7 @@ from scipy import stats
 import piga
 from piga.calibration.budget.uncertainty import with_given_servo
 from piga.certificate.certificate_file import ConformityTable
-from piga.certificate.dcc.units import DIGITS, G, dsi_unit, label_of, power_of_g, to_dsi
+from piga.certificate.dcc.document import DIGITS, G, dsi_unit, label_of, power_of_g, to_dsi
 from piga.errors import DataError, PigaError
 from piga.records.calibration import Coefficient, Diagnostics
 from piga.records.calibration.coefficient import joint_factor

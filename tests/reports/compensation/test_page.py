@@ -50,7 +50,7 @@ def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, str
     """Counts, velocity and files of the page are those of the summary; a streamed file says what is not shown."""
     run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
     if streamed:
-        monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
+        monkeypatch.setattr("piga.compensation.files.HELD_ROWS", 0)
         small_chunks(monkeypatch, 211)
     code, text, _ = compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--json")
     assert code == 0
@@ -99,7 +99,7 @@ def test_inputs_are_stated_as_they_were_read(tmp_path, monkeypatch, capsys):
 def test_streamed_and_whole_show_the_same(tmp_path, monkeypatch, capsys, watched):
     run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
     compensated(tmp_path, monkeypatch, capsys, run, "--report", page)
-    monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
+    monkeypatch.setattr("piga.compensation.files.HELD_ROWS", 0)
     small_chunks(monkeypatch, 211)
     compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--rate", "10 Hz", "--force")
     whole, streamed = watched[0][0], watched[1][0]

@@ -11,7 +11,7 @@ import pyarrow.parquet
 import pytest
 
 from piga.compensation import FLAGS, SetCompensator, compensate_set
-from piga.compensation.sets.set_files import SetReading
+from piga.compensation.files import SetReading
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.reports.compensation.figures import correction_spectrum, force_figure, misfit_figure, orders_figure
 from piga.reports.compensation.outline import CompensationOutline
@@ -19,7 +19,7 @@ from piga.reports.compensation.page import CompensationFacts, compensation_page
 from piga.reports.render.page import page_html
 from piga.units import G0
 from tests.compensation.run_files import command, small_chunks, write
-from tests.compensation.sets.triads import PHASES, SKEWED, made, orthogonal, rotation
+from tests.compensation.triads import PHASES, SKEWED, made, orthogonal, rotation
 from tests.compensation.twin_data import K_G, TAN_BETA
 
 NAMES = ("a", "b", "c", "d")
@@ -152,7 +152,7 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, kind):
     for streamed in (False, True):
         if streamed:
             small_chunks(monkeypatch, 70)
-            monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
+            monkeypatch.setattr("piga.compensation.files.HELD_ROWS", 0)
         code, text, said = command(monkeypatch, capsys, *words)
         assert code == 0, said
         assert json.loads(text)["rows"] == 400

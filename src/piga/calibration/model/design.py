@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation.outliers import merge_rows
+from piga._kernels.estimation.noise import merge_rows
 from piga._kernels.estimation.regressors import (
     add_product_bows,
     coupling_columns,

@@ -24,7 +24,6 @@ import msgspec
 
 from piga._version import __version__
 from piga.certificate.certificate_file import CertificateFile, ConditionTable, quantity_text, title_of
-from piga.certificate.dcc.units import dsi_unit, label_of, significant_digit, to_dsi
 from piga.certificate.dcc.xml_signature import SIGNATURE, read_xml
 from piga.certificate.statements import TRACEABILITY, statements, verdicts
 from piga.errors import DataError, PigaWarning
@@ -36,6 +35,10 @@ from piga.units import parse_unit
 if TYPE_CHECKING:
     import jinja2
     from lxml import etree
+
+
+from decimal import Context
+from urllib.parse import quote
 
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 NAMES = {"dcc": DCC, "si": SI}
@@ -376,3 +379,64 @@ def _place(node: etree._Element) -> str:
     labels = (one.findtext("si:real/si:label", None, NAMES) for one in around)
     label = next((label for label in labels if label), "")
     return "/".join(names[1:][-4:] or names) + (f" of {label[:60]}" if label else "")
+
+
+_SAFE = "[]_.,:;+-=()/*"
+
+
+def label_of(key: str) -> str:
+    """A coefficient's key without spaces (segment labels may contain spaces)."""
+    return quote(key, safe=_SAFE)
+
+
+G = Decimal("9.80665")
+"""Standard gravity [m/s^2], exact."""
+DIGITS = 17
+"""Significant digits of converted numbers: enough to distinguish any two floats."""
+
+_EXACT = Context(prec=60)
+_SHOWN = Context(prec=DIGITS)
+_POWERS = {"rad/s/g": -1, "1": 0, "rad": 0, "g": 1, "g/g^2": -1, "g/g^3": -2, "g/s": 1, "g/K": 1, "1/K": 0}
+"""Power of ``g`` in each unit of a coefficient."""
+_BASE = (r"\metre", r"\second", r"\radian", r"\kilogram", r"\kelvin")
+
+
+def power_of_g(unit: str) -> int:
+    """Power of ``g`` in a coefficient's unit: ``value_SI = value * 9.80665**power``."""
+    return _POWERS[unit]
+
+
+@lru_cache(maxsize=256)
+def dsi_unit(*units: str) -> str:
+    r"""D-SI text of a unit, or of the product of several units.
+
+    Examples
+    --------
+    >>> dsi_unit("g/g^2"), dsi_unit("g", "rad")
+    ('\\metre\\tothe{-1}\\second\\tothe{2}', '\\metre\\second\\tothe{-2}\\radian')
+    """
+    totals = [sum(column) for column in zip(*(parse_unit(unit).dimension for unit in units), strict=True)]
+    if any(totals[len(_BASE) :]):
+        raise DataError(
+            f"unit '{' '.join(units)}' is not made of SI base units and the radian",
+            remedy="write the quantity in units that are",
+        )
+    parts = [_powered(name, power) for name, power in zip(_BASE, totals, strict=False) if power]
+    return "".join(parts) or r"\one"
+
+
+def _powered(name: str, power: float) -> str:
+    return name if power == 1.0 else f"{name}\\tothe{{{power:g}}}"
+
+
+def to_dsi(value: float, *units: str) -> str:
+    """SI text of a number in the product of these units."""
+    power = sum(power_of_g(unit) for unit in units)
+    if power == 0:
+        return repr(float(value))
+    return str(_SHOWN.plus(_EXACT.multiply(Decimal(value), _EXACT.power(G, power))))
+
+
+def significant_digit(half_width: Decimal, value: Decimal) -> int:
+    """Power of ten of the last significant digit. U has two significant digits. Without U (a given value) all digits count."""
+    return half_width.adjusted() - 1 if half_width else value.adjusted() - (DIGITS - 1)

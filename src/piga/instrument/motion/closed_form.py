@@ -32,9 +32,8 @@ from numpy.typing import ArrayLike
 from piga._kernels import arithmetic as dd
 from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, constant_motion_at, split_turns
 from piga.errors import ArgumentError
-from piga.instrument.checks import require_finite
 from piga.instrument.parameters import Instrument
-from piga.instrument.regimes import effective_rates
+from piga.instrument.regimes import effective_rates, require_finite
 from piga.results import Array
 
 Case = Literal[1, 2, 3, 4]

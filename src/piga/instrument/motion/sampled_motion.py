@@ -28,8 +28,8 @@ from piga._kernels.motion.samples import (
 from piga._kernels.motion.samples import propagate_increments as run_increments
 from piga._kernels.motion.step import GOOD, TWO_PI_HIGH, TWO_PI_LOW, segment_motion, split_turns
 from piga.errors import ArgumentError
-from piga.instrument.checks import explain, float_array, require_finite, time_array
 from piga.instrument.parameters import ErrorModel, Instrument
+from piga.instrument.regimes import explain, float_array, require_finite, time_array
 from piga.results import Array, Result
 
 Between = Literal["smooth", "linear"]

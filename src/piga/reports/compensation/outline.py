@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga.compensation import FLAGS, Compensated, CompensatedSet, Mounted
 from piga.compensation.compensator import NO_RATES, NONE, Chunk
-from piga.compensation.sets.set_files import SetReading
+from piga.compensation.files import SetReading
 from piga.records.calibration import Calibration, Residuals
 from piga.records.run import Run
 from piga.reports.calibration.tables import scale_factor

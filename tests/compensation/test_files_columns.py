@@ -10,8 +10,8 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation.sets import set_files
-from piga.compensation.sets.set_files import orthogonal_triad
+from piga.compensation import files
+from piga.compensation.files import orthogonal_triad
 from piga.units import G0
 from tests.compensation.run_files import (
     ANGLE,
@@ -177,19 +177,19 @@ def test_sets_that_do_not_fit_together(tmp_path: Path, monkeypatch: pytest.Monke
     runs = [written(tmp_path, name=name) for name in "xy"]
     rate = written(tmp_path, name="z", kind="rate", output='kind = "rate", unit = "rad/s"')
     with pytest.raises(piga.DataError, match=r"z\.toml: the output is of kind 'rate', .*x\.toml is 'angle'"):
-        set_files.compensate_set_files([*runs, rate], mounted, tmp_path / "o.parquet", "parquet")
+        files.compensate_set_files([*runs, rate], mounted, tmp_path / "o.parquet", "parquet")
     short = written(tmp_path, name="z")
     table = pa.parquet.read_table(tmp_path / "z.parquet")
     pa.parquet.write_table(table.slice(0, 333), tmp_path / "z.parquet")
     with pytest.raises(piga.DataError, match=r"z\.toml: has 333 rows that can be used, .*x\.toml has 400"):
-        set_files.compensate_set_files([*runs, short], mounted, tmp_path / "o.parquet", "parquet")
+        files.compensate_set_files([*runs, short], mounted, tmp_path / "o.parquet", "parquet")
     pa.parquet.write_table(table.slice(0, 0), tmp_path / "z.parquet")
     for name in "xyz":
         pa.parquet.write_table(
             table.set_column(3, "fy", pa.array(np.full(ROWS, np.nan))), tmp_path / f"{name}.parquet"
         )
     with pytest.raises(piga.DataError, match=r"x\.parquet: no row has all needed values"):
-        set_files.compensate_set_files([*runs, short], mounted, tmp_path / "o.parquet", "parquet")
+        files.compensate_set_files([*runs, short], mounted, tmp_path / "o.parquet", "parquet")
 
 
 NUMBERED_CAL = calibration_of(

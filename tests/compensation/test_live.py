@@ -11,7 +11,7 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation.files.live import compensate_arrow, compensate_lines
+from piga.compensation.live import compensate_arrow, compensate_lines
 from tests.compensation.run_files import CAL
 from tests.compensation.twin_data import calibration_of, constant_force, run_of
 
@@ -240,7 +240,7 @@ def packed_stream(rows: int, compression: str | None = "zstd") -> bytes:
 
 
 def test_a_batch_of_too_many_rows_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("piga.compensation.files.live.MOST_ROWS", 1999)
+    monkeypatch.setattr("piga.compensation.live.MOST_ROWS", 1999)
     stream = piga.Compensator(calibration_of(CAL))
     with pytest.raises(piga.DataError, match=r"a batch of 2000 rows, more than 1999"):
         compensate_arrow(io.BytesIO(packed_stream(2000)), io.BytesIO(), stream)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from piga.errors import ArgumentError
-from piga.instrument.checks import float_array
+from piga.instrument.regimes import float_array
 
 
 def test_what_is_no_array_of_numbers() -> None:

@@ -14,9 +14,8 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation.files.file_to_file import FileSummary
-from piga.compensation.sets import set_files
-from piga.compensation.sets.set_files import orthogonal_triad
+from piga.compensation import files
+from piga.compensation.files import FileSummary, orthogonal_triad
 from tests.compensation.run_files import ANGLE, CAL, TIME, assert_file_holds, run_text, small_chunks, to_file
 from tests.compensation.twin_data import calibration_of
 
@@ -140,7 +139,7 @@ def test_a_set_turns_with_its_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     runs = [written(tmp_path, STANDS["rate table"], name=name) for name in "xyz"]
     mounted = orthogonal_triad([calibration()] * 3)
     for name in ("whole", "parts"):
-        set_files.compensate_set_files(runs, mounted, tmp_path / name, "parquet")
+        files.compensate_set_files(runs, mounted, tmp_path / name, "parquet")
         small_chunks(monkeypatch, 37)
     assert (tmp_path / "parts").read_bytes() == (tmp_path / "whole").read_bytes()
 

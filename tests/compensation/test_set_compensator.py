@@ -12,9 +12,9 @@ import pytest
 import piga
 from piga.compensation import Mounted, SetCompensator, compensate_set, identify_phase
 from piga.units import G0
-from tests.compensation.sets.triads import PHASES, SKEWED, made, orthogonal, rotation
-from tests.compensation.sets.twin_triad import run, spectrum
+from tests.compensation.triads import PHASES, SKEWED, made, orthogonal, rotation
 from tests.compensation.twin_data import K_G, TAN_BETA, assert_same_bits, calibration_of, run_of
+from tests.compensation.twin_triad import run, spectrum
 
 ROWS = 300 if numba.config.DISABLE_JIT else 3000
 

@@ -11,10 +11,10 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 
-from piga.compensation.sets.set_files import is_triad_file
+from piga.compensation.files import is_triad_file
 from piga.units import G0
-from tests.compensation.files.test_file_to_file_stand import WORK
 from tests.compensation.run_files import CAL, REFERENCE, run_text
+from tests.compensation.test_files_stand import WORK
 from tests.compensation.twin_data import calibration_of
 
 LIMIT = 350_000_000

@@ -1,13 +1,13 @@
-"""Records of a set of three or more instruments on one base: whole in memory, or from file to file.
+"""Compensate a record, or the records of a set of three or more instruments on one base, from file to file in bounded memory.
 
-From file to file, the set file (TOML) and its runs are read block by block.
+A set is also compensated whole in memory (:func:`compensate_set`). The set file is TOML.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +15,23 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.compensation.compensator import check_phase_kept, check_serial
-from piga.compensation.files.file_to_file import (
-    found_while_reading,
-)
+from piga.compensation.compensator import Chunk, check_phase_kept, check_serial, pieces_of, stream_of
 from piga.compensation.model import FLAGS, Limits, Phase
-from piga.compensation.result import CompensatedSet, Inputs, Resampler, TableWriter, inputs_listed, notes_on
-from piga.compensation.sets.set_compensator import Mounted, SetCompensator
+from piga.compensation.result import (
+    Compensated,
+    CompensatedSet,
+    Inputs,
+    Resampler,
+    TableWriter,
+    inputs_listed,
+    notes_on,
+)
+from piga.compensation.set_compensator import Mounted, SetCompensator
 from piga.errors import ArgumentError, DataError, RunFileError
 from piga.progress import Progress, report
 from piga.reading.checks import RateAngle
-from piga.records import Calibration, read_toml
+from piga.records import read_toml
+from piga.records.calibration import Calibration
 from piga.records.calibration.document import read_with_digest
 from piga.records.run import Run
 from piga.records.run_file import Quantity
@@ -258,7 +264,7 @@ class SetReading:
     temperature: list[Array] | None
 
 
-Watch = Callable[[str, SetReading, CompensatedSet], None]
+SetWatch = Callable[[str, SetReading, CompensatedSet], None]
 """Called with the label of the first instrument's segment, the rows read, and their compensated rows."""
 
 
@@ -273,7 +279,7 @@ def compensate_set_files(
     force: bool = False,
     period: float | None = None,
     progress: Progress | None = None,
-    watch: Watch | None = None,
+    watch: SetWatch | None = None,
     inputs: Inputs = (),
 ) -> dict[str, Any]:
     """Compensate the run files of a set into ``out`` (``kind``: parquet or csv); returns a summary.
@@ -390,3 +396,89 @@ def _reading(records: Sequence[Run], part: slice) -> SetReading:
 def _begins(records: Sequence[Run], part: slice) -> NDArray[np.bool_]:
     """Rows at which a stretch begins in any record."""
     return np.logical_or.reduce([record.begins[part] for record in records])
+
+
+HELD_ROWS = 1 << 18
+"""Rows of all records together above which their columns are kept on disk, to bound the memory."""
+Watch = Callable[[str, Chunk, Compensated], object]
+"""Called with the label of a segment, its samples, and their compensated rows."""
+
+
+@dataclass(eq=False)
+class FileSummary:
+    """Totals of a written file: rows, velocity [m/s], and rows per flag."""
+
+    rows: int = 0
+    velocity: float = 0.0
+    flags: dict[str, int] = field(default_factory=dict)
+
+    def add(self, part: Compensated) -> None:
+        """Add a compensated part."""
+        self.rows += part.size
+        self.velocity += float(part.dv.sum())
+        any_flags = int(np.bitwise_or.reduce(part.flags))
+        for name, bit in FLAGS.items():
+            if any_flags & bit:
+                count = int(np.count_nonzero(part.flags & bit))
+                self.flags[name] = self.flags.get(name, 0) + count
+
+
+def found_while_reading(*records: Run) -> dict[str, int]:
+    """Number of findings of each kind in the records, as ``piga check`` counts them."""
+    counts: dict[str, int] = {}
+    for record in records:
+        for event in record.quality.events:
+            counts[event.kind] = counts.get(event.kind, 0) + event.count
+    return counts
+
+
+def compensate_to_file(
+    record: Run,
+    calibration: Calibration,
+    out: Path,
+    kind: str,
+    *,
+    resampler: Resampler | None = None,
+    progress: Progress | None = None,
+    watch: Watch | None = None,
+    inputs: Inputs = (),
+    **options: Any,
+) -> FileSummary:
+    """Compensate a record piece by piece into the file ``out``.
+
+    Parameters
+    ----------
+    record, calibration, **options:
+        As for :func:`piga.compensate`.
+    out, kind:
+        The file, and its format: ``"parquet"`` or ``"csv"``.
+    resampler:
+        Resamples the rows to its rate.
+    progress:
+        Called as ``progress(done, total, what)`` with the rows of the record that are done; it returns False to stop
+        (:mod:`piga.progress`). ``out`` is then not complete.
+    watch:
+        Called with every piece before resampling.
+    inputs:
+        Input files of the result, for the metadata of a Parquet file.
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`piga.compensate`.
+    """
+    summary, rows = FileSummary(), 0
+    report(progress, 0, record.size, "compensating")
+    with TableWriter(out, kind, notes_on(calibration), inputs) as writer:
+        stream = stream_of(record, calibration, **options)
+        for _, label, chunk in pieces_of(record, stream):
+            piece = stream.push(chunk)
+            rows += piece.size
+            report(progress, rows, record.size, "compensating")
+            if watch is not None:
+                watch(label, chunk, piece)
+            part = resampler.push_rows(piece) if resampler else piece
+            summary.add(part)
+            if part.size:
+                writer.write(part.columns())
+    return summary

@@ -1,1 +1,0 @@
-"""Compensation from file to file and of live streams."""

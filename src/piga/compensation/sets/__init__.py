@@ -1,1 +1,0 @@
-"""Several instruments on one body, compensated together."""
