@@ -109,18 +109,31 @@ class ColumnWriter:
 
     def __init__(self, dtype: DTypeLike = np.float64) -> None:
         self._dtype = np.dtype(dtype)
-        self._stream: Any = tempfile.SpooledTemporaryFile(LARGE_BYTES, dir=folder())  # noqa: SIM115 - closed by finish
+        self._parts: list[NDArray[Any]] = []
+        self._bytes = 0
+        self._stream: Any = None
 
     def append(self, values: NDArray[Any]) -> None:
-        """Append rows.
+        """Append rows. The writer keeps the array itself, not a copy.
 
         Raises
         ------
         DataError
             If the column is long and the disk has no room for it.
         """
+        self._parts.append(np.ascontiguousarray(values, self._dtype))
+        self._bytes += self._parts[-1].nbytes
+        if self._bytes > LARGE_BYTES:
+            self._write()
+
+    def _write(self) -> None:
+        """Move the rows kept so far to the file."""
         try:
-            self._stream.write(np.ascontiguousarray(values, self._dtype).data)
+            if self._stream is None:
+                self._stream = tempfile.TemporaryFile(dir=folder())  # noqa: SIM115 - closed by finish
+            for part in self._parts:
+                self._stream.write(part.data)
+            self._parts.clear()
         except OSError as error:
             raise _no_room(error) from None
 
@@ -132,18 +145,18 @@ class ColumnWriter:
         DataError
             As :meth:`append`.
         """
+        if self._stream is None:
+            return np.concatenate([np.empty(0, self._dtype), *self._parts])
         try:
             with self._stream as stream:
-                if stream.tell() > LARGE_BYTES:
-                    stream.flush()
-                    return np.asarray(np.memmap(stream, self._dtype, "r+"))
-                stream.seek(0)
-                return np.frombuffer(bytearray(stream.read()), self._dtype)
+                stream.flush()
+                return np.asarray(np.memmap(stream, self._dtype, "r+"))
         except OSError as error:
             raise _no_room(error) from None
 
     def __del__(self) -> None:
-        self._stream.close()
+        if self._stream is not None:
+            self._stream.close()
 
 
 def folder() -> str:
