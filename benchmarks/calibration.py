@@ -32,7 +32,14 @@ def synthetic() -> piga.Run:
     alpha = piga.propagate(inst, t, f + np.array([1e-3 * G0, 0.0, 0.0]), between="linear")
     count = 2.0 * np.pi / 72000
     output = np.round((alpha + 1e-5 * rng.standard_normal(ROWS)) / count) * count
-    return piga.Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", resolution=count)
+    return piga.Run.from_arrays(
+        t,
+        output,
+        f,
+        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+        scale_factor="0.8884 rad/s/g",
+        resolution=count,
+    )
 
 
 def scipy_fit(run: piga.Run) -> None:

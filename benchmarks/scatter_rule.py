@@ -164,6 +164,7 @@ def record(case: Case, seed: int, number: int = 0) -> tuple[piga.Run, float]:
         t,
         output,
         force,
+        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
         scale_factor="0.8884 rad/s/g",
         segment=position,
         resolution=count,

@@ -133,7 +133,7 @@ def test_the_working_copy_has_the_cautions(cal):
     assert "moves k0" not in issued
     assert "Segment 3 moves k0 by 4 u." in copy
     assert "not to be issued" in copy
-    assert "Use with care: 1 doubt." in copy
+    assert "Doubt: segment 3 moves k0 by 4 u." in copy
 
 
 def test_what_the_calibration_must_have(cal):

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from piga.workbench.light import OFF_NOMINAL, light
+from piga.records.calibration import StandSource
+from piga.workbench.light import light
 from tests.certificate.certificate_data import budgeted
 from tests.reports.example import calibration
 
@@ -21,7 +22,7 @@ def with_k(ratio: float) -> object:
 
 @pytest.mark.parametrize(
     ("ratio", "grade"),
-    [(1.0 + 0.9 * OFF_NOMINAL, "same"), (1.0 + 1.1 * OFF_NOMINAL, "red"), (9.0, "red"), (0.98, "red")],
+    [(1.009, "same"), (1.011, "red"), (9.0, "red"), (0.98, "red")],
 )
 def test_k_off_nominal_is_red_and_cannot_be_kept(ratio: float, grade: str) -> None:
     shown = light(with_k(ratio))  # type: ignore[arg-type]
@@ -40,11 +41,17 @@ def test_a_fit_that_leaves_more_than_it_explains_is_red() -> None:
     assert light(small).grade == light(GOOD).grade
 
 
-def test_a_doubt_is_amber_and_missing_type_b_is_a_remark() -> None:
-    whole = calibration(serial="a", with_residuals=False)
-    clean = replace(whole, notes=(), budget=tuple(row for row in whole.budget if row.type == "A"))
-    assert clean.type_a_only
+def test_a_doubt_is_amber_and_a_remark_is_not() -> None:
+    clean = replace(GOOD, notes=())
     assert light(clean).grade == "green"
-    assert light(clean).more
+    assert light(replace(clean, remarks=("k2 is small",))).more == ("k2 is small",)
     assert light(replace(clean, notes=("the noise grew",))).grade == "amber"
     assert light(replace(clean, notes=("the noise grew",))).reason == "the noise grew"
+
+
+def test_a_source_that_nobody_stated_is_amber() -> None:
+    source = StandSource("arm_radius", "unstated", "um", {"arm_radius": {"scale_factor": 1e-6}})
+    shown = light(replace(GOOD, notes=(), sources=(StandSource("timing", "stated", "ppm"), source)))
+    assert shown.grade == "amber"
+    assert "Type A and 1 of 2 sources" in shown.reason
+    assert "1 um of arm_radius changes scale_factor by 1e-06" in shown.reason

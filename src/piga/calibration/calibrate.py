@@ -10,13 +10,14 @@ from functools import partial
 import numpy as np
 
 from piga.calibration.budget.monte_carlo import monte_carlo_intervals
+from piga.calibration.budget.sources import gravity_in_words, sources
 from piga.calibration.budget.uncertainty import (
     Budget,
     budget_rows,
     combined,
     make_budget,
     share_of_type_a,
-    sources,
+    sources_of_stand,
     stated_scatter,
     with_given_servo,
 )
@@ -36,6 +37,7 @@ from piga.calibration.joint.joint_fit import (
     fit_jointly,
     joint_contributions,
     joint_sources,
+    joint_sources_of_stand,
 )
 from piga.calibration.joint.joint_result import joint_result
 from piga.calibration.joint.summary import RunSummary, provenance, residual_figures, validity_ranges
@@ -187,7 +189,13 @@ def _calibration(
     examined = _examined(fit, residuals)
     notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, examined.scatter)
     result = _assemble(run, fit, coefficients, covariance, budget.rows, examined, notes, history)
-    result = replace(result, remarks=remarks_in_words(coefficients, request.phases))
+    result = replace(
+        result,
+        remarks=remarks_in_words(coefficients, request.phases),
+        sources=sources_of_stand(fit, coefficients),
+        scale_factor_tolerance=run.model.tolerance,
+        gravity=gravity_in_words(run),
+    )
     result = with_remarks(result, fit, said, doubts)
     result = with_given_servo(result, given_servo(run), _moved_servo(run))
     compared = compare_models(run).document() if run.model.compare else None
@@ -310,6 +318,13 @@ def _joint_calibration(
     )
     whole = whole + sum((doubt.covariance for doubt in doubts), start=np.zeros_like(whole))
     result = joint_result(fit, whole, rows, degrees)
+    live = [item for item in items if isinstance(item, Run)]
+    result = replace(
+        result,
+        sources=joint_sources_of_stand(fit),
+        scale_factor_tolerance=max((run.model.tolerance for run in live), default=0.01),
+        gravity="; ".join(dict.fromkeys(filter(None, map(gravity_in_words, live)))),
+    )
     result = replace(result, notes=(*(doubt.words for doubt in doubts if doubt.words), *result.notes))
     given = dict(fit.summaries[0].known_servo)
     moved = {

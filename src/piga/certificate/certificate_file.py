@@ -356,6 +356,13 @@ def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
     if calibration.given:
         yield "calibration (7.8.4.1 a): the coefficients were given, not estimated; calibrate a record"
         return
+    open_ones = calibration.verdict.unstated
+    if open_ones:
+        yield (
+            f"calibration (7.8.4.1 a, 7.6): {', '.join(open_ones)}: neither stated in [uncertainty] of the run file nor "
+            "waived there with a reason"
+        )
+        return
     if calibration.type_a_only:
         yield "calibration (7.8.4.1 a, 7.6): no source of Type B in the budget; state [uncertainty] in the run file"
         return

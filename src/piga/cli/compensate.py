@@ -143,12 +143,12 @@ def _page_folder(
 
 
 def _verdicts(calibrations: list[Calibration]) -> list[dict[str, Any]]:
-    """What the calibrations used do not hold for, as JSON values."""
+    """The verdicts on the calibrations that were used, as JSON values."""
     return [
         {
             "serial": one.serial,
-            "verdict": one.verdict.level,
-            "does_not_hold": [d.words for d in one.verdict.doubts],
+            "verdict": one.verdict.grade,
+            "doubts": [d.words for d in one.verdict.doubts],
         }
         for one in calibrations
     ]

@@ -394,7 +394,16 @@ def _centrifuge(
         draft.put("stand.radius", quantity_text(radius.value, "m"), radius.reason)
 
 
+HEIGHT = (
+    "CHECK: how high is the laboratory? Without [stand] height (or gravity) 500 m are assumed as its uncertainty: "
+    "155 ppm of the scale factor"
+)
+
+
 def _site(draft: RunFileDraft, log: LogDescription) -> None:
+    stand = draft.document.get("stand", {})
+    if "height" not in stand and "gravity" not in stand and "stand.gravity" not in log.facts:
+        draft.comments.setdefault("stand.kind", []).append(HEIGHT)
     for key, unit in (("stand.latitude", "deg"), ("stand.gravity", "m/s^2")):
         known = log.facts.get(key)
         if known is not None:

@@ -146,6 +146,7 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: St
         estimation=run_file.estimation,
         uncertainty=run_file.uncertainty,
         stand=run_file.stand,
+        computed_reference=data.reference is None and run_file.stand is not None,
         servo=() if servo is None else servo.parameters(),
         source=str(path),
     )

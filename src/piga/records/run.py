@@ -22,7 +22,7 @@ from piga.errors import ArgumentError
 from piga.records.arrays import stored
 from piga.records.calibration import Event, Quality, counted
 from piga.records.distribution import GivenParameter
-from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
+from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable, check_waived
 from piga.records.terms import check_terms
 from piga.records.text_files import RENAMED
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular
@@ -67,6 +67,8 @@ class Run(Result, Plotted, Reported, Tabular):
         increment ends at them.
     stand:
         The run file's ``[stand]`` table as written, for the uncertainty budget.
+    computed_reference:
+        True if ``f`` was computed from the stand, not logged.
     servo:
         Known parameters of the servo by name [SI], from the run file's ``[instrument] servo``; empty if none are given.
     """
@@ -90,7 +92,8 @@ class Run(Result, Plotted, Reported, Tabular):
     estimation: EstimationTable = field(default_factory=EstimationTable)
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
     left_out: NDArray[np.bool_] | None = None
-    stand: dict[str, object] | None = None
+    stand: dict[str, Any] | None = None
+    computed_reference: bool = False
     servo: tuple[GivenParameter, ...] = ()
     source: str = ""
     input_sha256: dict[str, str] = field(default_factory=dict)
@@ -217,6 +220,7 @@ class Run(Result, Plotted, Reported, Tabular):
 
         t, output = (np.ascontiguousarray(a, dtype=float) for a in (t, output))
         places, names = _segments(segment, labels, t.size)
+        computed = f is None
         if f is None:
             if stand is None:
                 raise ArgumentError("f: there is neither a reference nor a stand", remedy="give f or stand")
@@ -228,6 +232,8 @@ class Run(Result, Plotted, Reported, Tabular):
         base = examine_time(t, places, row)
         asked = _table("model", model, ModelTable)
         check_terms(asked.terms, where="model terms")
+        budget = _table("uncertainty", uncertainty, UncertaintyTable)
+        check_waived(budget)
         return cls(
             serial=serial,
             scale_factor=to_si(scale_factor, "rad/s/g", what="scale_factor"),
@@ -246,8 +252,9 @@ class Run(Result, Plotted, Reported, Tabular):
             quality=Quality(rows=t.size, used=t.size, masked=0, events=base.events),
             model=asked,
             estimation=_table("estimation", estimation, EstimationTable),
-            uncertainty=_table("uncertainty", uncertainty, UncertaintyTable),
+            uncertainty=budget,
             stand=stand,
+            computed_reference=computed,
         )
 
     @classmethod

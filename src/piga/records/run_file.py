@@ -253,7 +253,8 @@ class DataTable(TomlTable, frozen=True):
 class ModelTable(TomlTable, frozen=True):
     """``[model]``: the terms to estimate, and whether the record has one phase of the output zero or one for each segment.
 
-    ``compare`` lists further sets of terms, which are compared.
+    ``compare`` lists further sets of terms, which are compared. A result whose K differs from the nominal value by more
+    than ``scale_factor_tolerance`` (``"2 %"``; 1 % by default) is marked "do not use".
     """
 
     terms: tuple[str, ...] = ("scale_factor", "tan_beta", "k0")
@@ -261,6 +262,12 @@ class ModelTable(TomlTable, frozen=True):
     phases: Phases = "shared"
     phase_source: PhaseSource = "output"
     temperature_reference: Quantity = "20 degC"
+    scale_factor_tolerance: Quantity = 0.01
+
+    @property
+    def tolerance(self) -> float:
+        """Largest relative difference [1] of K from its nominal value with which a result may be used."""
+        return to_si(self.scale_factor_tolerance, "1", what="[model] scale_factor_tolerance")
 
 
 class EstimationTable(TomlTable, frozen=True):
@@ -284,9 +291,12 @@ class UncertaintyTable(TomlTable, frozen=True):
     the ``[stand]`` table. A ``..._repeatability`` has a new value in each segment (``angle_``, ``rate_``,
     ``reference_``) or in each run (``mounting_``, ``levelling_``).
     ``reference_id`` names the device that gives the reference. Runs with the same device share its errors.
+    ``vibration`` is the bias along X0 by rectification: k2 times the variance of a vibration that the log does not show.
+    ``waived`` names sources that are left out on purpose, each with its reason in one line.
     """
 
     reference_id: str | None = None
+    waived: dict[str, str] = {}
 
     reference_scale: Quantity | Spread | None = None
     reference_bias: Quantity | Spread | None = None
@@ -294,6 +304,7 @@ class UncertaintyTable(TomlTable, frozen=True):
     gravity: Quantity | Spread | None = None
     timing: Quantity | Spread | None = None
     temperature: Quantity | Spread | None = None
+    vibration: Quantity | Spread | None = None
     reference_repeatability: Quantity | Spread | None = None
     mounting_repeatability: Quantity | Spread | None = None
     levelling: Any = None
@@ -316,7 +327,7 @@ class UncertaintyTable(TomlTable, frozen=True):
         return {
             name: value
             for name, value in own.items()
-            if name not in UNCERTAINTY_UNITS and name != "reference_id" and value is not None
+            if name not in (*UNCERTAINTY_UNITS, "reference_id", "waived") and value is not None
         }
 
 
@@ -348,6 +359,7 @@ UNCERTAINTY_UNITS = {
     "gravity": "ug",
     "timing": "ppm",
     "temperature": "K",
+    "vibration": "ug",
     "reference_repeatability": "ppm",
     "mounting_repeatability": "arcsec",
 }
@@ -433,7 +445,10 @@ def _check_units(run_file: RunFile) -> None:
         value = getattr(run_file.uncertainty, name)
         if value is not None:
             standard_uncertainty(value, like, f"[uncertainty] {name}")
+    check_waived(run_file.uncertainty)
     to_si(run_file.model.temperature_reference, "K", what="[model] temperature_reference")
+    if not run_file.model.tolerance > 0.0:
+        raise RunFileError("[model] scale_factor_tolerance: must be positive", remedy='e.g. "2 %"')
     for name, like in (("angle_rms", "rad"), ("angle_random_walk", "rad/sqrt(s)")):
         value = getattr(estimation, name)
         if value is not None and to_si(value, like, what=f"[estimation] {name}") < 0.0:
@@ -445,6 +460,35 @@ def _check_units(run_file: RunFile) -> None:
             "[estimation] angle_rms and angle_random_walk: one of them is missing",
             remedy="add the other one; write '0 rad' or '0 rad/sqrt(s)' if there is no such noise",
         )
+
+
+ASSUMED_SOURCES = ("earth_rate", "height", "servo")
+"""Sources with a size that piga assumes if nobody states it. They can be waived, too."""
+
+
+def check_waived(uncertainty: UncertaintyTable) -> None:
+    """Refuse a waived source that does not exist, that is stated too, or that has no reason in one line.
+
+    Raises
+    ------
+    RunFileError
+        The message names the source.
+    """
+    where = "[uncertainty] waived"
+    entries = msgspec.structs.asdict(uncertainty)
+    known = [name for name in entries if name not in ("reference_id", "waived")]
+    for name, reason in uncertainty.waived.items():
+        if name not in (*known, *ASSUMED_SOURCES):
+            raise RunFileError(
+                f"{where}: there is no source '{name}'",
+                remedy=f"sources: {', '.join((*known, *ASSUMED_SOURCES))}",
+            )
+        if entries.get(name) is not None:
+            raise RunFileError(f"{where}: '{name}' is stated too", remedy="leave one of the two out")
+        if not reason.strip() or len(reason.splitlines()) > 1:
+            raise RunFileError(
+                f"{where}: '{name}' needs a reason in one line", remedy=f'e.g. waived = {{ {name} = "why" }}'
+            )
 
 
 def _check_time(time: TimeColumn) -> None:

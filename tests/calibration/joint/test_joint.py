@@ -82,6 +82,7 @@ def _rows(run: piga.Run, mask: np.ndarray) -> piga.Run:
         run.t[mask],
         run.output[mask],
         run.f[mask],
+        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
         scale_factor=run.scale_factor,
         segment=run.segment_index[mask],
         serial=run.serial,

@@ -53,7 +53,10 @@ def record(seed: int, tangent: float) -> tuple[piga.Run, dict[str, float]]:
         f.append(np.tile([x[k], y[k], 0.0], (size, 1)))
         segment.append(np.full(size, k, dtype=np.int32))
     run = piga.Run.from_arrays(
-        *map(np.concatenate, (t, output, f)), scale_factor="0.8884 rad/s/g", segment=np.concatenate(segment)
+        *map(np.concatenate, (t, output, f)),
+        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+        scale_factor="0.8884 rad/s/g",
+        segment=np.concatenate(segment),
     )
     return run, {"scale_factor": K * G0, "tan_beta": tangent, "k0": k0 / G0, "m_Y": m_Y}
 

@@ -74,7 +74,15 @@ def _run(
         output[part] = path - phase + walk / np.sqrt(rate) * np.cumsum(rng.standard_normal(n))
         alpha = float(output[part][-1]) + phase + 1.0
     output += white * rng.standard_normal(t.size)
-    return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment, serial="synthetic")
+    return piga.Run.from_arrays(
+        t,
+        output,
+        f,
+        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+        scale_factor=SCALE,
+        segment=segment,
+        serial="synthetic",
+    )
 
 
 def scores(calibration: piga.Calibration, truth: dict[str, float]) -> dict[str, float]:

@@ -96,6 +96,7 @@ def record(path: Motion, rng: np.random.Generator) -> piga.Run:
         path.t,
         output,
         path.force,
+        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
         scale_factor=0.85 / G0,
         base_rate=path.base_rate,
         segment=path.segment,

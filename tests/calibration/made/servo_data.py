@@ -62,7 +62,8 @@ def recorded(
     if count:
         output = count * np.round(output / count)
     return Run.from_arrays(
-        np.concatenate(t), output, np.vstack(f), scale_factor=0.8884 / G0, segment=np.concatenate(segment),
+        np.concatenate(t), output, np.vstack(f),
+        uncertainty={"waived": {"earth_rate": "simulated at rest"}}, scale_factor=0.8884 / G0, segment=np.concatenate(segment),
         base_rate=np.vstack(omega) if np.any(base) else None, resolution=count,
     )  # fmt: skip
 

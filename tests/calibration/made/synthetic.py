@@ -60,7 +60,14 @@ def record(
     if count_angle:
         output = np.round(output / count_angle) * count_angle
     return piga.Run.from_arrays(
-        t, output, f, scale_factor=SCALE, segment=segment, resolution=count_angle, serial="synthetic"
+        t,
+        output,
+        f,
+        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+        scale_factor=SCALE,
+        segment=segment,
+        resolution=count_angle,
+        serial="synthetic",
     )
 
 

@@ -114,7 +114,7 @@ def test_a_phase_that_no_sample_shows_is_not_determined_and_spoils_nothing() -> 
         psi.append(turned + 1e-5 * generator.standard_normal(count))
     run = piga.Run.from_arrays(
         np.concatenate(t), np.concatenate(psi), np.concatenate(f), scale_factor=inst.scale_factor,
-        segment=np.concatenate(segment), serial="P",
+        segment=np.concatenate(segment), serial="P", uncertainty={"waived": {"earth_rate": "simulated"}},
     )  # fmt: skip
     cal = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], phases="per-segment")
     assert np.isfinite(cal.covariance).all()

@@ -105,7 +105,7 @@ def test_from_coefficients_compensates_as_the_estimate_does(run, cal):
     text = piga.Calibration.from_coefficients({"scale_factor": "0.8884 rad/s/g", "k0": ("300 ug", "2 ug")})
     assert text["k0"].value == pytest.approx(3e-4)
     assert text["k0"].std == pytest.approx(2e-6)
-    assert text.verdict.headline == "Use with care: 1 doubt."
+    assert text.verdict.headline == f"Doubt: {text.notes[0]}."
     assert "given, not estimated" in repr(text)
     assert not text.type_a_only
     phases = piga.Calibration.from_coefficients(

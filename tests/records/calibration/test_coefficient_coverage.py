@@ -52,7 +52,9 @@ def rate_log(rows: int, seed: int = 1) -> piga.Run:
     run = piga.Run.from_arrays(
         np.arange(rows) * 1.0, rate, f, scale_factor="0.8884 rad/s/g", kind="rate", serial="G-0417"
     )
-    return replace(run, uncertainty=UncertaintyTable(reference_scale="0.2 ppm", reference_bias="0.3e-6 g"))
+    waived = dict.fromkeys(("reference_misalignment", "timing", "vibration", "earth_rate"), "simulated")
+    stated = UncertaintyTable(reference_scale="0.2 ppm", reference_bias="0.3e-6 g", waived=waived)
+    return replace(run, uncertainty=stated)
 
 
 @pytest.fixture(scope="module", params=list(ROWS))

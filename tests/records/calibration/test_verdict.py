@@ -39,7 +39,11 @@ def rate_log(f_unit: float = 1.0, harmonic: float = 0.0, **options) -> piga.Run:
     )
 
 
-KNOWN = {"reference_scale": "1 ppm"}
+WAIVED = dict.fromkeys(
+    ("reference_bias", "reference_misalignment", "timing", "vibration", "earth_rate"),
+    "simulated: there is none",
+)
+KNOWN = {"reference_scale": "1 ppm", "waived": WAIVED}
 TERMS = ["scale_factor", "k0"]
 
 
@@ -64,10 +68,12 @@ def body(page: str) -> str:
     return " ".join(html.unescape(re.sub("<[^>]*>", " ", text)).split())
 
 
-def test_a_sound_calibration_is_good_and_warns_of_nothing(sound):
-    assert sound.verdict.level == "good"
+def test_a_sound_calibration_is_clear_and_warns_of_nothing(sound):
+    assert sound.verdict.grade == "clear"
     assert sound.verdict.doubts == ()
-    assert "Every test that was made holds" in sound.summary().splitlines()[0]
+    assert "Clear: no doubt in what was tested; Type A and 1 of 1 sources." in sound.summary().splitlines()[0]
+    assert "not tested: a change of the bias as slow as the test" in sound.summary()
+    assert "waived, not in the uncertainties: reference_bias (simulated: there is none)" in sound.summary()
     with warnings.catch_warnings():
         warnings.simplefilter("error", piga.PigaWarning)
         piga.calibrate(rate_log(uncertainty=KNOWN), TERMS, "rate")
@@ -75,7 +81,7 @@ def test_a_sound_calibration_is_good_and_warns_of_nothing(sound):
 
 def test_coloured_residuals_are_said_everywhere_and_nothing_is_green(coloured):
     assert coloured.diagnostics.verdict != "white"
-    assert coloured.verdict.level == "doubtful"
+    assert coloured.verdict.grade == "doubt"
     page = calibration_page(coloured)
     whiteness = next(tile for tile in page.tiles if tile.label.startswith("Whitened"))
     assert whiteness.tone == "doubtful"
@@ -86,8 +92,8 @@ def test_coloured_residuals_are_said_everywhere_and_nothing_is_green(coloured):
     assert said in " ".join(coloured.summary().split("Calibration of")[0].split())
     assert said in repr(coloured)
     document = json.loads(calibration_to_bytes(coloured))
-    assert any(said in doubt["what"] for doubt in document["verdict"]["does_not_hold"])
-    assert document["verdict"]["level"] == "doubtful"
+    assert any(said in doubt["what"] for doubt in document["verdict"]["doubts"])
+    assert document["verdict"]["grade"] == "doubt"
 
 
 def test_the_verdict_is_the_same_after_reading_back(coloured, tmp_path):
@@ -121,7 +127,7 @@ def test_without_uncertainty_every_output_says_type_a_only(alone):
     from piga.certificate.certificate_file import missing_items
     from tests.certificate.certificate_data import complete
 
-    assert any("no source of Type B" in item for item in missing_items(complete("G-1"), alone))
+    assert any("neither stated" in item for item in missing_items(complete("G-1"), alone))
 
 
 def test_compensated_rows_say_type_a_only(alone, sound, tmp_path):
@@ -148,13 +154,13 @@ def test_compensated_rows_say_type_a_only(alone, sound, tmp_path):
 def test_a_force_in_g_is_named(recwarn):
     result = piga.calibrate(rate_log(f_unit=G0, uncertainty=KNOWN), TERMS, "rate")
     assert result["scale_factor"].value == pytest.approx(0.8884 * G0, rel=1e-3)
-    assert result.verdict.level == "bad"
+    assert result.verdict.grade == "do not use"
     said = "\n".join(str(warning.message) for warning in recwarn.list)
     assert "the scale factor is 9.807 times the nominal one" in said
     assert "f (wanted in m/s^2) multiplied by 9.80665" in said
     assert "[data]" not in said
-    assert "Do not use these coefficients" in repr(result)
-    assert repr(result).count("9.807 times") <= 2
+    assert "verdict: Do not use: the scale factor" in repr(result)
+    assert repr(result).count("9.807 times") <= 3
 
 
 def test_repr_shows_values_with_uncertainty(sound):
@@ -171,24 +177,24 @@ def test_repr_hides_digits_beyond_the_uncertainty(sound):
 
 
 @pytest.mark.parametrize(
-    ("change", "words", "level"),
+    ("change", "words", "grade"),
     [
-        ({"condition": 1.1 * THRESHOLDS.well_separated}, "hard to separate", "doubtful"),
-        ({"condition": 1.1 * THRESHOLDS.separated}, "hardly separates", "bad"),
-        ({"budget": ()}, TYPE_A_ONLY, "doubtful"),
-        ({"notes": ("odd",)}, "odd", "doubtful"),
+        ({"condition": 1.1 * THRESHOLDS.well_separated}, "hard to separate", "doubt"),
+        ({"condition": 1.1 * THRESHOLDS.separated}, "hardly separates", "do not use"),
+        ({"budget": ()}, TYPE_A_ONLY, "doubt"),
+        ({"notes": ("odd",)}, "odd", "doubt"),
         (
             {"diagnostics": Diagnostics(variance=1.5, verdict="white", ljung_box_probability=0.5)},
             "of 1.225",
-            "doubtful",
+            "doubt",
         ),
     ],
 )
-def test_each_doubt(change, words, level):
+def test_each_doubt(change, words, grade):
     base = replace(calibration(with_residuals=False), notes=())
-    assert verdict(base).level == "good"
+    assert verdict(base).grade == "clear"
     result = verdict(replace(base, **change))
-    assert result.level == level
+    assert result.grade == grade
     assert len(result.doubts) == 1
     assert words in result.doubts[0].what
 
@@ -209,3 +215,107 @@ def test_rows_that_were_not_used():
 def test_uncertainty_of_arrays_is_checked():
     with pytest.raises(piga.ArgumentError, match="uncertainty"):
         rate_log(uncertainty={"reference_scales": "1 ppm"})
+
+
+def centrifuge(tilt: float, **uncertainty) -> piga.Run:
+    """A centrifuge of +-10 g with a reference of the perfect stand; its arm is tilted by ``tilt`` [rad].
+
+    The tilt brings ``g sin(tilt)`` to the input axis, written here from the geometry and not by the simulator.
+    """
+    level = np.repeat(np.array([-10.0, -7.0, -4.0, -1.0, 1.0, 4.0, 7.0, 10.0]), 40) * G0
+    f = np.column_stack([level, np.zeros(320), np.full(320, G0)])
+    rate = K * (level + 300e-6 * G0 + G0 * np.sin(tilt)) + 1e-8 * np.random.default_rng(2).standard_normal(320)
+    stand = {"kind": "centrifuge", "latitude": "40 deg", "levels": ["1 g"]}
+    return piga.Run.from_arrays(
+        np.arange(320.0), rate, f, scale_factor=K, kind="rate", stand=stand, uncertainty=uncertainty,
+        segment=np.repeat(np.arange(8), 40),
+    )  # fmt: skip
+
+
+def test_a_tilted_arm_does_not_pass_when_only_the_scale_is_stated():
+    tilt = np.radians(20.0 / 3600.0)
+    with pytest.warns(piga.PigaWarning, match="Type A and 1 of 9 sources"):
+        result = piga.calibrate(centrifuge(tilt, reference_scale="1 ppm"), TERMS, "rate")
+    assert abs(result["k0"].value - 300e-6) > 100.0 * result["k0"].std
+    assert result.verdict.grade == "doubt"
+    document = json.loads(calibration_to_bytes(result))["verdict"]
+    assert document["sources"] == "Type A and 1 of 9 sources"
+    assert "reference_misalignment" in document["sources_unstated"]
+    effects = next(s for s in result.sources if s.name == "reference_misalignment").effects
+    moved = effects["reference_misalignment Y0"]["k0"]
+    assert abs(20.0 * moved) == pytest.approx(abs(result["k0"].value - 300e-6), rel=0.01)
+    assert "reference_misalignment Y0" in body(page_html(calibration_page(result)))
+    from piga.certificate.certificate_file import missing_items
+    from tests.certificate.certificate_data import complete
+
+    assert any("reference_misalignment" in item for item in missing_items(complete(""), result))
+
+
+def test_a_stated_tilt_covers_k0_and_its_absence_can_be_waived_by_a_reason():
+    rest = ("arm_radius", "arm_stretch", "rate_error", "gravity", "levelling", "timing", "vibration")
+    waived = dict.fromkeys(rest, "negligible on this machine")
+    stated = {"reference_scale": "1 ppm", "reference_misalignment": "20 arcsec", "waived": waived}
+    result = piga.calibrate(centrifuge(np.radians(20.0 / 3600.0), **stated), TERMS, "rate")
+    assert result["k0"].limits[0] < 300e-6 < result["k0"].limits[1]
+    assert result.verdict.unstated == ()
+    assert result.verdict.sources == "Type A and 2 of 2 sources"
+
+
+@pytest.mark.parametrize(
+    ("waived", "words"),
+    [
+        ({"radius": "small"}, "no source 'radius'"),
+        ({"timing": " "}, "a reason"),
+        ({"reference_scale": "x"}, "stated too"),
+    ],
+)
+def test_what_is_waived_is_checked(waived, words):
+    with pytest.raises(piga.PigaError, match=words):
+        rate_log(uncertainty={"reference_scale": "1 ppm", "waived": waived})
+
+
+def test_without_a_base_rate_the_rotation_of_the_earth_is_a_source():
+    """The true instrument turns with the Earth at latitude 50 degrees: K is 63 ppm off, and covered."""
+    run = rate_log(uncertainty=KNOWN | {"waived": {k: v for k, v in WAIVED.items() if k != "earth_rate"}})
+    up = run.f[:, 0] / G0
+    turned = replace(run, output=run.output - 7.292115e-5 * np.sin(np.radians(50.0)) * up)
+    result = piga.calibrate(turned, TERMS, "rate")
+    off = result["scale_factor"].value / 0.8884 - 1.0
+    assert off == pytest.approx(-62.9e-6, rel=0.02)
+    assert result["scale_factor"].limits[0] < 0.8884 < result["scale_factor"].limits[1]
+    assert "earth_rate (no base rate and no site are given: the rotation of the Earth is up to 82 ppm of K" in (
+        result.verdict.reason
+    )
+    still = piga.calibrate(replace(turned, base_rate=np.zeros_like(run.f)), TERMS, "rate")
+    assert not any(source.name == "earth_rate" for source in still.sources)
+
+
+def test_a_height_that_is_not_stated_is_a_source_and_g_is_stated():
+    """Gravity falls by 3.1e-7 of itself a metre: 155 ppm of K for 500 m."""
+
+    def head(**site) -> piga.Calibration:
+        stand = {
+            "kind": "dividing-head",
+            "latitude": "40 deg",
+            "dwell": "10 s",
+            "move": "10 s",
+            "positions": "0:360:30 deg",
+        }
+        x, t = np.radians(30.0 * np.arange(12)), np.arange(12.0) * 20.0
+        t = (t[:, None] + np.arange(11.0)).ravel()
+        rate = K * 9.80172 * np.repeat(np.cos(x), 11) + 1e-8 * np.random.default_rng(3).standard_normal(132)
+        run = piga.Run.from_arrays(
+            t, rate, None, scale_factor=K, kind="rate", segment=np.repeat(np.arange(12), 11), stand=stand | site,
+            uncertainty={"reference_scale": "1 ppm"},
+        )  # fmt: skip
+        return piga.calibrate(run, ["scale_factor", "k0", "m_Y"], "rate")
+
+    unknown, known = head(), head(height="120 m")
+    assert unknown["scale_factor"].std / unknown["scale_factor"].value == pytest.approx(155e-6, rel=0.02)
+    assert known["scale_factor"].std / known["scale_factor"].value < 5e-6
+    assert "height" in unknown.verdict.unstated
+    assert "height" not in known.verdict.unstated
+    assert "sea level (the height is not stated)" in unknown.gravity
+    assert "9.8013" in known.gravity
+    assert known.gravity in body(page_html(calibration_page(known)))
+    assert json.loads(calibration_to_bytes(known))["gravity"] == known.gravity

@@ -14,39 +14,20 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from piga.calibration.budget.sources import Source, listed, sources, with_effects, with_units
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.progress import SILENT, Steps
-from piga.records.arrays import copied, empty, scaled, spans
-from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient
+from piga.records.arrays import copied
+from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient, StandSource
 from piga.records.calibration.coefficient import short_way, welch_satterthwaite
-from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
-from piga.records.run_file import UNCERTAINTY_UNITS, Draw, drawn_for
 from piga.records.terms import si_factor, unit_of
 from piga.results import Array, Result
-from piga.stand import stand_changes
-from piga.units import G0, from_si
 
 if TYPE_CHECKING:
     from piga.calibration.fit.one_run import Fit
     from piga.calibration.model.design import Design
-
-
-@dataclass(frozen=True)
-class Source:
-    """One source of Type B: name, standard uncertainty in ``unit``, the record moved by it, distribution.
-
-    ``draw`` says how often the source takes a new value. In ``moved`` all segments are moved.
-    """
-
-    name: str
-    value: float
-    unit: str
-    moved: Run
-    distribution: str = "normal"
-    degrees_of_freedom: float = math.inf
-    draw: Draw = "reference"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,76 +46,6 @@ class SharedSource(Result):
     degrees_of_freedom: float = math.inf
     segments: int = 0
     in_fit: bool = False
-
-
-def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
-    """The sources named in the run file's ``[uncertainty]``, moved by ``size`` standard uncertainties.
-
-    ``reference_scale`` multiplies the specific force; ``reference_bias`` adds along X0, Y0 and Z0 (three
-    independent sources); ``reference_misalignment`` turns it about X0, Y0 and Z0; ``gravity`` acts as a
-    scale, relative to 1 g; ``timing`` stretches the clock; ``temperature`` shifts the thermometer. Uncertain
-    servo parameters change the coefficients that the model takes from them. The
-    entries of a particular stand (levelling, dividing errors, arm, rate ...) act through its own geometry.
-    A ``..._repeatability`` acts like the error of the same name.
-    """
-    for name, like in UNCERTAINTY_UNITS.items():
-        given = getattr(run.uncertainty, name)
-        standard = 0.0 if given is None else standard_uncertainty(given, like, f"[uncertainty] {name}")
-        if standard == 0.0:
-            continue
-        value, shape = size * standard, (*shape_of(given), drawn_for(name))
-        shown, unit = from_si(standard, like), like
-        if name in ("reference_scale", "reference_repeatability", "gravity"):
-            relative = value / G0 if name == "gravity" else value
-            yield Source(name, shown, unit, replace(run, f=scaled(run.f.T, 1.0 + relative).T), *shape)
-        elif name == "timing":
-            moved = replace(run, t=scaled(run.t, 1.0 + value))
-            yield Source(name, shown, unit, moved, *shape)
-        elif name == "temperature":
-            if run.temperature is not None:
-                moved = replace(run, temperature=scaled(run.temperature, 1.0, value))
-                yield Source(name, shown, unit, moved, *shape)
-        else:
-            move = _bias if name == "reference_bias" else _turn
-            for axis, label in enumerate(("X0", "Y0", "Z0")):
-                moved = replace(run, f=move(run.f, axis, value))
-                yield Source(f"{name} {label}", shown, unit, moved, *shape)
-    for parameter in run.servo:
-        if parameter.standard > 0.0:
-            value = parameter.value + size * parameter.standard
-            entries = tuple(replace(p, value=value) if p is parameter else p for p in run.servo)
-            name = f"servo {parameter.name.replace('_', ' ')}"
-            shown = from_si(parameter.standard, parameter.unit)
-            known = (parameter.distribution, parameter.degrees_of_freedom)
-            yield Source(name, shown, parameter.unit, replace(run, servo=entries), *known)
-    for change in stand_changes(run):
-        number, _, written_unit = change.written.partition(" ")
-        moved = replace(run, f=_added(run.f, size, change.change))
-        shape = (change.distribution, change.degrees_of_freedom, change.draw)
-        yield Source(change.name, float(number), written_unit or "1", moved, *shape)
-
-
-def _added(f: Array, size: float, change: Callable[[slice], Array]) -> Array:
-    """Specific force with ``size`` times a change that a stand computes for a slice of rows."""
-    moved = empty((3, len(f))).T
-    for part in spans(len(f)):
-        moved[part] = f[part] + size * change(part)
-    return moved
-
-
-def _bias(f: Array, axis: int, value: float) -> Array:
-    moved = copied(f)
-    moved[:, axis] += value
-    return moved
-
-
-def _turn(f: Array, axis: int, angle: float) -> Array:
-    """Specific force as seen when the reference is turned by ``angle`` about one axis (first order)."""
-    moved = copied(f)
-    second, third = (axis + 1) % 3, (axis + 2) % 3
-    moved[:, second] -= angle * f[:, third]
-    moved[:, third] += angle * f[:, second]
-    return moved
 
 
 Estimate = Callable[[Run], Array]
@@ -228,6 +139,18 @@ def share_of_type_a(type_a: Array, covariance: Array) -> Array:
     """
     share: Array = np.maximum(np.diag(type_a) / np.maximum(np.diag(covariance), 1e-300), 1e-6) ** 2
     return share
+
+
+def sources_of_stand(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[StandSource, ...]:
+    """The sources of the stand, and the change of each coefficient by one unit of those that are not stated."""
+    run = with_units(fit.design.run)
+    base = np.array([c.value for c in coefficients])
+
+    def estimate(moved: Run) -> Array:
+        return values_near(base, fit.design, fit.reduce(fit.design.of(moved)))
+
+    effects = {source.name: change[0] for source, change in contributions(run, base, estimate)}
+    return with_effects(listed(fit.design.run), effects, [c.key for c in coefficients])
 
 
 def make_budget(

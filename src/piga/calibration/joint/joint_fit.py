@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piga.calibration.budget.sources import merged_sources, with_effects, with_units
 from piga.calibration.budget.uncertainty import SharedSource
 from piga.calibration.fit.servo import at_state, state_of
 from piga.calibration.intervals import Interval, Repetition, find_interval
-from piga.calibration.joint.summary import LiveRun, RunSummary, prepare, run_name, summarise
+from piga.calibration.joint.summary import LiveRun, RunSummary, moved_sources, prepare, run_name, summarise
 from piga.calibration.model.design import Names, ServoState, phaseless_columns
 from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
@@ -30,8 +31,8 @@ from piga.calibration.model.solution import (
 )
 from piga.calibration.weights import RATE
 from piga.errors import ArgumentError, CalibrationError
-from piga.progress import Steps
-from piga.records.calibration import Coefficient
+from piga.progress import SILENT, Steps
+from piga.records.calibration import Coefficient, StandSource
 from piga.records.calibration.coefficient import changes
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_terms
@@ -417,6 +418,28 @@ def joint_contributions(fit: JointFit, steps: Steps) -> Iterator[tuple[SharedSou
         steps.parts(number, f"adding up the budget: {source.name}")
         draws = range(source.segments) if source.segments else (None,)
         yield source, np.array([change(source, segment) for segment in draws])
+
+
+def joint_sources_of_stand(fit: JointFit) -> tuple[StandSource, ...]:
+    """The sources of the stands of all runs, and the change of each coefficient by one unit of those not stated.
+
+    The summary of a run without its raw data has no effects.
+    """
+    units = [
+        replace(
+            summary,
+            sources=()
+            if live is None
+            else moved_sources(
+                live, with_units(live.run), fit.wish.terms_of(index), summary.inner_scale_factor
+            ),
+        )
+        for index, (summary, live) in enumerate(zip(fit.summaries, fit.live, strict=True))
+    ]
+    changes_by_source = joint_contributions(replace(fit, summaries=tuple(units)), SILENT)
+    effects = {source.name: change[0] for source, change in changes_by_source}
+    sources = merged_sources(summary.stand_sources for summary in fit.summaries)
+    return with_effects(sources, effects, [c.key for c in fit.coefficients])
 
 
 def check_items(items: object) -> list[Run | RunSummary]:

@@ -17,7 +17,8 @@ import msgspec
 import numpy as np
 
 from piga._version import __version__
-from piga.calibration.budget.uncertainty import Source, sources, stated_scatter
+from piga.calibration.budget.sources import Source, listed, sources
+from piga.calibration.budget.uncertainty import stated_scatter
 from piga.calibration.fit.one_run import Fit, fit_run, repetitions
 from piga.calibration.fit.residuals import find_residuals, root_mean_square, segment_table
 from piga.calibration.intervals import Repetition
@@ -29,7 +30,7 @@ from piga.calibration.weights import RATE, Noise, reduce_positions
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.output import check_results
 from piga.reading.checks import largest_size
-from piga.records.calibration import Outlier, Provenance, Quality, Residuals, SegmentSummary
+from piga.records.calibration import Outlier, Provenance, Quality, Residuals, SegmentSummary, StandSource
 from piga.records.limits import read_whole
 from piga.records.run import Run
 from piga.records.run_file import Draw
@@ -94,6 +95,8 @@ class RunSummary(Result):
         Terms that this run alone cannot determine.
     known_servo:
         Servo coefficients [1/(m/s^2)^2] from the servo parameters of the run file.
+    stand_sources:
+        Sources that exist on its stand, and whether they are stated.
     quality, segments, figures, ranges:
         As in a calibration of this run alone.
     """
@@ -126,6 +129,7 @@ class RunSummary(Result):
     created: str = ""
     outliers: tuple[Outlier, ...] = ()
     known_servo: tuple[tuple[str, float], ...] = ()
+    stand_sources: tuple[StandSource, ...] = ()
 
     @property
     def parts(self) -> tuple[Reduction, ...]:
@@ -294,7 +298,6 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
     wish = replace(live.request, terms=columns, per_run=())
     design = Design(run, wish, inner)
     positions = repetitions(design, fit.noise, reduce_positions(design, fit.mode, fit.noise))
-    plain = fit.reduce(design)
     return RunSummary(
         name=live.name,
         serial=run.serial,
@@ -310,13 +313,23 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
         turning=run.base_rate is not None,
         labels=run.labels if design.per_segment else (None,),
         positions=positions,
-        sources=tuple(_source(s, plain, Design(s.moved, wish, inner), fit) for s in sources(run)),
+        sources=moved_sources(live, run, columns, inner),
+        stand_sources=listed(run),
         stand=None if run.stand is None else str(run.stand.get("kind")),
         reference_id=run.uncertainty.reference_id,
         undetermined=live.undetermined,
         known_servo=tuple(given_servo(run).items()),
         **_described(fit),
     )
+
+
+def moved_sources(
+    live: LiveRun, run: Run, columns: tuple[str, ...], scale_factor: float
+) -> tuple[SourceSummary, ...]:
+    """The sources of Type B of ``run``: the record of ``live``, perhaps with another ``[uncertainty]``."""
+    wish = replace(live.request, terms=columns, per_run=())
+    plain = live.fit.reduce(Design(run, wish, scale_factor))
+    return tuple(_source(s, plain, Design(s.moved, wish, scale_factor), live.fit) for s in sources(run))
 
 
 def _source(source: Source, plain: list[Reduction], moved: Design, fit: Fit) -> SourceSummary:

@@ -77,7 +77,12 @@ def with_remarks(result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[
         *(doubt.words for doubt in doubts if doubt.words and doubt.source not in said),
     )
     cause = (*advice, *suggested) or remarks.moved
-    return replace(result, notes=(*cause, *result.notes, *remarks.alone), diagnostics=diagnostics)
+    return replace(
+        result,
+        notes=(*cause, *result.notes),
+        remarks=(*remarks.alone, *result.remarks),
+        diagnostics=diagnostics,
+    )
 
 
 def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:

@@ -239,7 +239,7 @@ def calibration_of(root: etree._Element, path: Path) -> Calibration:
         return calibration
     try:
         file = msgspec.json.decode(data, type=CertificateFile)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise DataError(
             f"{path}: the attached data of the certificate are damaged ({error})", remedy=AGAIN
         ) from None

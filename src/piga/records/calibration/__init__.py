@@ -17,6 +17,7 @@ from piga.records.calibration.coefficient import (
     Level,
     Number,
     SIValue,
+    StandSource,
     TypeB,
 )
 from piga.records.calibration.diagnostics import (
@@ -62,6 +63,7 @@ __all__ = [
     "SegmentLeverage",
     "SegmentScatter",
     "SegmentSummary",
+    "StandSource",
     "TypeB",
     "counted",
 ]

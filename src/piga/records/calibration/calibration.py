@@ -21,6 +21,7 @@ from piga.records.calibration.coefficient import (
     BudgetEntry,
     BudgetTable,
     Coefficient,
+    StandSource,
     TypeB,
     is_of_reference,
     rounded,
@@ -181,6 +182,8 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     ``surplus_observations`` is the number of observations (increments of the angle, rates, positions) minus the number
     of coefficients. It is not the degrees of freedom of an uncertainty: each coefficient has its own effective ones.
     ``segment_scatter`` [rad/s] is the scatter of the rates of the positions in the weights, 0 if none was detected.
+    ``sources`` are the sources of Type B of the stand, stated or not; empty if they are not known. ``gravity`` says which
+    local gravity the reference contains, empty if it is not known.
     """
 
     serial: str
@@ -213,6 +216,9 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     outliers: tuple[Outlier, ...] = ()
     segment_scatter: float = 0.0
     remarks: tuple[str, ...] = ()
+    sources: tuple[StandSource, ...] = ()
+    scale_factor_tolerance: float = 0.01
+    gravity: str = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.budget, BudgetTable):
@@ -237,7 +243,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict of :func:`piga.records.calibration.verdict.verdict`: what holds, what does not, what to do."""
+        """The verdict of :func:`piga.records.calibration.verdict.verdict`: grade, reason, doubts, tests and sources."""
         return verdict(self)
 
     def __repr__(self) -> str:
@@ -245,7 +251,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         named = f"<Calibration of {self.serial or 'an instrument'} by {made}, standard uncertainties"
         rows = [f"{c.key} = {rounded(c)} +- {c.std:.2g} {c.unit}" for c in self.coefficients]
         judged = self.verdict
-        doubts = [f"  does not hold: {doubt.words}" for doubt in judged.doubts]
+        doubts = [f"  doubt: {doubt.words}" for doubt in judged.doubts]
         lines = [
             *first_lines(rows, _SHOWN),
             f"verdict: {judged.headline}",

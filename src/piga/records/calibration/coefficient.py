@@ -23,10 +23,36 @@ PROBABILITY = 0.95
 """Coverage probability of every interval that piga states."""
 TYPE_A_ONLY = "Type A only; the reference's uncertainty was not given"
 """Remark beside every uncertainty of a calibration whose budget has no source of Type B."""
-OF_THE_MODEL = ("servo ", "k3 ", "meaning of ")
-"""Prefixes of the names of Type B sources that belong to the model, not to the reference."""
+OF_THE_MODEL = ("servo ", "k3 ", "meaning of ", "earth_rate", "height")
+"""Prefixes of the names of Type B sources that belong to the model, or whose size nobody stated."""
 ALMOST_KNOWN = 1e9
 """From this number of degrees of freedom on, F(n, nu) equals F(n, infinity) to every printed digit."""
+
+
+SourceStatus = Literal["stated", "waived", "assumed", "unstated"]
+
+
+@dataclass(frozen=True)
+class StandSource:
+    """A source of Type B that exists on the stand of a record, and what one unit of it does.
+
+    Attributes
+    ----------
+    name, status:
+        Its key in ``[uncertainty]`` or in ``[uncertainty] waived``. ``assumed``: not stated, and in the budget with a
+        size that piga assumes.
+    unit, effects:
+        Change of each coefficient (file unit) by one ``unit`` of each component, by component and coefficient. Empty
+        for a stated source: its row of the budget has its sensitivities.
+    reason:
+        Why it was waived, or the size that is assumed.
+    """
+
+    name: str
+    status: SourceStatus
+    unit: str = "1"
+    effects: dict[str, dict[str, float]] = field(default_factory=dict)
+    reason: str = ""
 
 
 @dataclass(frozen=True)

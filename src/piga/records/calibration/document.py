@@ -32,6 +32,7 @@ from piga.records.calibration import (
     Quality,
     RunRecord,
     SegmentSummary,
+    StandSource,
 )
 from piga.records.limits import check_label, read_whole
 from piga.records.run_file import Method, Phases, PhaseSource
@@ -72,6 +73,7 @@ class _Level(msgspec.Struct, frozen=True):
 class _Instrument(msgspec.Struct, frozen=True):
     serial: str
     scale_factor_nominal: _Level
+    scale_factor_tolerance: Level = 0.01
 
 
 class _Model(msgspec.Struct, frozen=True):
@@ -150,6 +152,8 @@ class _Document(_Figures, frozen=True, kw_only=True):
     segments: tuple[SegmentSummary, ...] = ()
     runs: tuple[dict[str, Any], ...] = ()
     outliers: tuple[Outlier, ...] = ()
+    sources_of_the_stand: tuple[StandSource, ...] = ()
+    gravity: str = ""
 
 
 def to_document(calibration: Calibration) -> dict[str, Any]:
@@ -161,7 +165,9 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     angle = "rad/s" if c.diagnostics.residual_kind == "rate" else "rad"
     document: dict[str, Any] = {
         "schema": SCHEMA,
-        "instrument": _Instrument(c.serial, _Level(from_si(c.scale_factor_nominal, "rad/s/g"), "rad/s/g")),
+        "instrument": _Instrument(
+            c.serial, _Level(from_si(c.scale_factor_nominal, "rad/s/g"), "rad/s/g"), c.scale_factor_tolerance
+        ),
         "model": _Model(
             c.terms,
             cast("Phases", c.phases),
@@ -188,15 +194,12 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "identifiability": _Identifiability(
             c.condition if math.isfinite(c.condition) else None, c.notes, c.remarks
         ),
-        "verdict": {
-            "level": verdict.level,
-            "headline": verdict.headline,
-            "does_not_hold": [{"what": doubt.what, "remedy": doubt.remedy} for doubt in verdict.doubts],
-            "holds": verdict.holds,
-        },
+        "verdict": verdict.document(),
         "diagnostics": c.diagnostics.document(),
         "segments": c.segments,
         "uncertainty_budget": [row.document() for row in c.budget],
+        "sources_of_the_stand": c.sources,
+        "gravity": c.gravity,
         "provenance": c.provenance,
     }
     if c.runs:
@@ -298,6 +301,9 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         time_reference=_in_si(model.time_reference, "s", path),
         runs=runs,
         outliers=document.outliers,
+        sources=document.sources_of_the_stand,
+        scale_factor_tolerance=document.instrument.scale_factor_tolerance,
+        gravity=document.gravity,
     )
 
 

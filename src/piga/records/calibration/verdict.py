@@ -1,7 +1,7 @@
-"""The verdict on a calibration: what holds, what does not, and what to do.
+"""The verdict on a calibration: a grade, one reason, the doubts, what was tested and what was not.
 
-Report page, terminal, ``repr``, calibration.json, the certificate's working copy and the warnings of
-:func:`piga.calibrate` all show this verdict. No other code judges a calibration as a whole.
+Report page, terminal, ``repr``, calibration.json, the certificate's working copy, the light of the workbench and the
+warnings of :func:`piga.calibrate` all show this verdict. No other code judges a calibration as a whole.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from piga.records.calibration.coefficient import TYPE_A_ONLY
+from piga.records.calibration.coefficient import TYPE_A_ONLY, StandSource
 from piga.units import G0
 
 if TYPE_CHECKING:
     from piga.records.calibration import Calibration
 
-Level = Literal["good", "doubtful", "bad"]
+Grade = Literal["clear", "doubt", "do not use"]
 
 COUNTED = "white but for the counting"
 """Verdict on whitened residuals whose correlation comes from counting. The others are ``white`` and ``not white: ...``."""
@@ -25,7 +25,7 @@ COUNTED = "white but for the counting"
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Limits beyond which a figure of a calibration becomes a doubt.
+    """Limits beyond which a figure of a calibration becomes a doubt (own choices).
 
     Attributes
     ----------
@@ -37,21 +37,26 @@ class Thresholds:
         the same ratio as the noise levels.
     used:
         Least share [1] of used rows. A smaller share gives a remark.
-    scale:
-        Ratio [1] of the estimated to the nominal scale factor (or its inverse) above which data or units are wrong.
+    large_residual:
+        Root mean square of the residuals [rad] (one degree) above which a fit must explain something.
+    explains:
+        Ratio [1] of the residuals after and before the fit at which it explains half of their variance.
     """
 
     well_separated: float = 1e3
     separated: float = 1e6
     residual_rms: float = 0.1
     used: float = 0.95
-    scale: float = 2.0
+    large_residual: float = 0.01745
+    explains: float = 0.7071
 
 
 THRESHOLDS = Thresholds()
 
 NOISE_WORDS = ("drift", "scatter", "not white")
 """A doubt with one of these words warns of the noise of the record."""
+EXAMPLES = 3
+"""Most effects of sources that are not stated which the verdict names."""
 
 
 @dataclass(frozen=True)
@@ -70,17 +75,37 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What holds of a calibration, and its doubts, the gravest first."""
+    """Doubts, the gravest first; what was tested, and what was not; the sources of the stand by name.
 
-    holds: tuple[str, ...]
-    doubts: tuple[Doubt, ...]
+    A doubt can change a number by more than its uncertainty. ``stated`` and ``unstated`` are names of sources of Type
+    B of the stand. A source that is waived is in neither.
+    """
+
+    doubts: tuple[Doubt, ...] = ()
+    tested: tuple[str, ...] = ()
+    not_tested: tuple[str, ...] = ()
+    stated: tuple[str, ...] = ()
+    unstated: tuple[str, ...] = ()
 
     @property
-    def level(self) -> Level:
-        """Level of the verdict: ``good`` without doubts, ``bad`` with a grave doubt."""
+    def grade(self) -> Grade:
+        """``clear`` without doubts, ``do not use`` with a grave doubt, else ``doubt``."""
         if any(doubt.grave for doubt in self.doubts):
-            return "bad"
-        return "doubtful" if self.doubts else "good"
+            return "do not use"
+        return "doubt" if self.doubts else "clear"
+
+    @property
+    def reason(self) -> str:
+        """The reason of the grade: the gravest doubt; without doubts, what the uncertainties contain."""
+        return self.doubts[0].what if self.doubts else f"no doubt in what was tested; {self.sources}"
+
+    @property
+    def sources(self) -> str:
+        """What the uncertainties contain: ``Type A and 1 of 9 sources``."""
+        count = len(self.stated) + len(self.unstated)
+        return (
+            f"Type A and {len(self.stated)} of {count} sources" if count else "no source of the stand is known"
+        )
 
     @property
     def warns_of_noise(self) -> bool:
@@ -89,36 +114,49 @@ class Verdict:
 
     @property
     def headline(self) -> str:
-        """The verdict in one sentence."""
-        count = len(self.doubts)
-        return {
-            "good": "Every test that was made holds.",
-            "doubtful": f"Use with care: {count} doubt{'s' * (count > 1)}.",
-            "bad": "Do not use these coefficients before this is settled.",
-        }[self.level]
+        """Grade and reason in one sentence."""
+        return f"{self.grade.capitalize()}: {self.reason}."
 
-    def lines(self) -> list[str]:
-        """The verdict for a terminal: headline, doubts with remedies, what holds."""
-        doubts = [f"  does not hold: {doubt.words}" for doubt in self.doubts]
-        return [f"verdict: {self.headline}", *doubts, *(f"  holds: {what}" for what in self.holds)]
+    def document(self) -> dict[str, Any]:
+        """The verdict as JSON values."""
+        return {
+            "grade": self.grade,
+            "reason": self.reason,
+            "doubts": [{"what": doubt.what, "remedy": doubt.remedy} for doubt in self.doubts],
+            "tested": self.tested,
+            "not_tested": self.not_tested,
+            "sources": self.sources,
+            "sources_stated": self.stated,
+            "sources_unstated": self.unstated,
+        }
 
 
 def verdict(calibration: Calibration) -> Verdict:
     """The verdict on a calibration. It uses only the record, so it is the same after writing and reading."""
     if calibration.given:
-        return Verdict((), tuple(Doubt(note) for note in calibration.notes))
+        return Verdict(
+            tuple(Doubt(note) for note in calibration.notes), not_tested=("a record: there is none",)
+        )
     statements = [
-        *_scale(calibration),
+        *_nominal(calibration),
+        *_explained(calibration),
         *_whiteness(calibration),
         *_separation(calibration),
-        *_budget(calibration),
         *_rows(calibration),
     ]
-    said = " ".join(item.remedy for item in statements if isinstance(item, Doubt))
-    statements += [Doubt(note) for note in calibration.notes if note not in said]
+    remedies = " ".join(item.remedy for item in statements if isinstance(item, Doubt))
+    statements += [Doubt(note) for note in calibration.notes if note not in remedies]
+    statements += _unstated(calibration)
     doubts = [item for item in statements if isinstance(item, Doubt)]
     doubts.sort(key=lambda doubt: not doubt.grave)
-    return Verdict(tuple(item for item in statements if isinstance(item, str)), tuple(doubts))
+    names = {status: _names(calibration.sources, status) for status in ("stated", "unstated", "assumed")}
+    return Verdict(
+        doubts=tuple(doubts),
+        tested=tuple(item for item in statements if isinstance(item, str)),
+        not_tested=tuple(_not_tested(calibration)),
+        stated=names["stated"],
+        unstated=(*names["unstated"], *names["assumed"]),
+    )
 
 
 def whitened_rms(calibration: Calibration) -> float:
@@ -127,17 +165,32 @@ def whitened_rms(calibration: Calibration) -> float:
     return math.sqrt(math.nan if variance is None else variance)
 
 
-def _scale(calibration: Calibration) -> Iterator[str | Doubt]:
+def _nominal(calibration: Calibration) -> Iterator[str | Doubt]:
     values = {c.name: c.value for c in calibration.coefficients}
     nominal = calibration.scale_factor_nominal * G0
     ratio = values.get("scale_factor", nominal) / nominal + values.get("k1", 0.0)
-    if 1.0 / THRESHOLDS.scale < ratio < THRESHOLDS.scale:
+    tolerance = calibration.scale_factor_tolerance
+    if abs(ratio - 1.0) <= tolerance:
+        yield f"K is within {100.0 * tolerance:.3g} % of its nominal value"
         return
+    size = f"{ratio:.4g} times" if abs(ratio - 1.0) > 0.5 else f"{100.0 * (ratio - 1.0):+.2g} % off"
     remedy = (
         "; ".join(calibration.diagnostics.advice)
-        or "check units and signs of reference, output, time and scale_factor"
+        or "check the nominal value, units and signs of reference, output and time, and the counts per revolution; "
+        "or state [instrument] tolerance"
     )
-    yield Doubt(f"the scale factor is {ratio:.4g} times the nominal one", remedy, grave=True)
+    yield Doubt(f"the scale factor is {size} the nominal one", remedy, grave=True)
+
+
+def _explained(calibration: Calibration) -> Iterator[str | Doubt]:
+    before, after = calibration.residual_rms_before, calibration.residual_rms
+    large = calibration.diagnostics.residual_kind != "angle" or after > THRESHOLDS.large_residual
+    if large and after > THRESHOLDS.explains * before:
+        yield Doubt(
+            "the fit leaves more than it explains: the reference and the output do not belong together",
+            "check the times, the axes and the segments of both",
+            grave=True,
+        )
 
 
 def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
@@ -186,16 +239,6 @@ def _separation(calibration: Calibration) -> Iterator[str | Doubt]:
         )
 
 
-def _budget(calibration: Calibration) -> Iterator[str | Doubt]:
-    if calibration.type_a_only:
-        yield Doubt(
-            TYPE_A_ONLY, "state [uncertainty] in the run file (in Python: Run.from_arrays(uncertainty=...))"
-        )
-        return
-    count = sum(row.type == "B" for row in calibration.budget)
-    yield f"the uncertainties hold the fit and {count} source{'s' * (count > 1)} of Type B"
-
-
 def _rows(calibration: Calibration) -> Iterator[str | Doubt]:
     quality = calibration.quality
     share = quality.used / quality.rows if quality.rows else 1.0
@@ -203,3 +246,62 @@ def _rows(calibration: Calibration) -> Iterator[str | Doubt]:
         yield Doubt(f"only {100.0 * share:.3g} % of the rows were used", "see the findings in the data")
     else:
         yield f"{'all' if share == 1.0 else f'{100.0 * share:.4g} % of the'} rows were used"
+
+
+def _names(sources: tuple[StandSource, ...], status: str) -> tuple[str, ...]:
+    return tuple(source.name for source in sources if source.status == status)
+
+
+def _unstated(calibration: Calibration) -> Iterator[str | Doubt]:
+    """The sources of the stand that nobody stated, with the largest effects of one unit."""
+    sources = calibration.sources
+    open_ones = [source for source in sources if source.status in ("unstated", "assumed")]
+    count = sum(source.status != "waived" for source in sources)
+    stated = sum(source.status == "stated" for source in sources)
+    if open_ones:
+        alone = f"{TYPE_A_ONLY}. " if calibration.type_a_only else ""
+        yield Doubt(
+            f"{alone}The uncertainties contain Type A and {stated} of {count} sources; not stated: "
+            f"{', '.join(map(_open_words, open_ones))}{_largest_effects(calibration, open_ones)}",
+            'state them in [uncertainty], or waive one with a reason: waived = { timing = "clock of the laboratory" }',
+        )
+    elif calibration.type_a_only and not sources:
+        yield Doubt(
+            TYPE_A_ONLY, "state [uncertainty] in the run file (in Python: Run.from_arrays(uncertainty=...))"
+        )
+    elif sources:
+        yield f"the uncertainties contain Type A and {stated} of {count} sources of the stand"
+    waived = [f"{source.name} ({source.reason})" for source in sources if source.status == "waived"]
+    if waived:
+        yield f"waived, not in the uncertainties: {', '.join(waived)}"
+
+
+def _open_words(source: StandSource) -> str:
+    return f"{source.name} ({source.reason})" if source.reason else source.name
+
+
+def _largest_effects(calibration: Calibration, sources: list[StandSource]) -> str:
+    """The largest effects of one unit of the sources, in standard uncertainties of the coefficient."""
+    named = {c.key: c for c in calibration.coefficients if c.std > 0.0}
+    effects = [
+        (
+            abs(change) / named[key].std,
+            f"1 {source.unit} of {component} changes {key} by {change:.2g}",
+            named[key],
+        )
+        for source in sources
+        for component, changes in source.effects.items()
+        for key, change in changes.items()
+        if key in named and source.status == "unstated"
+    ]
+    effects.sort(key=lambda effect: -effect[0])
+    words = [f"{text} {c.unit}".removesuffix(" 1") + f", {size:.2g} u" for size, text, c in effects[:EXAMPLES]]
+    return f". {'; '.join(words)}" if words else ""
+
+
+def _not_tested(calibration: Calibration) -> Iterator[str]:
+    """What no test of one record can show."""
+    yield "a change of the bias as slow as the test, and the bias of another day"
+    yield "an error of the stand that is the same at each visit of a position: only stated sources contain it"
+    if calibration.diagnostics.verdict is None:
+        yield "the whiteness of the residuals"

@@ -99,6 +99,10 @@ SOURCES = {
     "gravity": "local gravity",
     "timing": "clock of the record",
     "temperature": "thermometer",
+    "vibration": "rectification of vibration",
+    "earth_rate": "rotation of the Earth",
+    "height": "height of the site",
+    "servo": "servo that no term describes",
     "reference_repeatability": "reference, set anew at each position",
     "mounting_repeatability": "mounting, set anew for each run",
     "levelling": "levelling of the stand",
@@ -154,6 +158,36 @@ def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
         )
     )
     return table.table().parts(2, TABLES.sensitivities_across)
+
+
+def source_tables(cal: Calibration) -> tuple[Table, ...]:
+    """The sources of the stand that nobody stated: the change of each coefficient for one unit. Empty if all are stated."""
+    rows = [
+        (source, component, changes)
+        for source in cal.sources
+        if source.status in ("unstated", "assumed")
+        for component, changes in (source.effects or {source.name: {}}).items()
+    ]
+    if not rows:
+        return ()
+    table = (
+        TableOf(rows)
+        .text("Source that is not stated", lambda row: source_in_words(row[1]))
+        .text("Change for", lambda row: f"1 {pretty_unit(row[0].unit)}" if row[2] else row[0].reason)
+        .across(
+            common_coefficients(cal)[: TABLES.coefficients],
+            lambda c: c.key,
+            lambda row, c: _effect(row[2].get(c.key, 0.0), c),
+            lambda c: pretty_unit(shown_unit(c.name, c.unit)[1]),
+        )
+    )
+    return table.table().parts(2, TABLES.sensitivities_across)
+
+
+def _effect(change: float, c: Coefficient) -> str | Cell:
+    if abs(change) <= TABLES.negligible * c.std:
+        return Cell("–", "quiet")
+    return printed(short(change * shown_unit(c.name, c.unit)[0], 3))
 
 
 def _sensitivity(row: BudgetEntry, c: Coefficient) -> str | Cell:

@@ -13,7 +13,7 @@ from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.verdict import COUNTED, THRESHOLDS, Doubt, Verdict, whitened_rms
 from piga.records.terms import meaning_of, shown_unit
-from piga.reports.calibration.budget import budget_tables, sensitivity_tables
+from piga.reports.calibration.budget import budget_tables, sensitivity_tables, source_tables
 from piga.reports.calibration.figures import (
     BEAT,
     budget_figure,
@@ -244,8 +244,8 @@ def _sections(cal: Calibration, shown: dict[str, Figure]) -> tuple[Section, ...]
 
 
 def _with_lines(verdict: Verdict, lines: tuple[str, ...]) -> Verdict:
-    """The verdict with the lines of the order spectrum: explained ones hold, others are doubts."""
-    holds = tuple(f"l{line[1:].removesuffix('.')}" for line in lines if BEAT in line)
+    """The verdict with the lines of the order spectrum: those that are not explained are doubts."""
+    explained = tuple(f"l{line[1:].removesuffix('.')}" for line in lines if BEAT in line)
     doubts = tuple(
         Doubt(
             line.removesuffix("."),
@@ -254,7 +254,7 @@ def _with_lines(verdict: Verdict, lines: tuple[str, ...]) -> Verdict:
         for line in lines
         if BEAT not in line
     )
-    return replace(verdict, holds=verdict.holds + holds, doubts=verdict.doubts + doubts)
+    return replace(verdict, tested=verdict.tested + explained, doubts=verdict.doubts + doubts)
 
 
 def _subtitle(cal: Calibration) -> str:
@@ -271,8 +271,8 @@ def _improvement(before: float, after: float) -> str:
 def _tiles(cal: Calibration) -> tuple[Tile, ...]:
     if cal.given:
         return tuple(_coefficient_tiles(cal))
-    level = cal.verdict.level
-    better: Tone = "bad" if cal.residual_rms >= cal.residual_rms_before else "good" if level == "good" else ""
+    clear = cal.verdict.grade == "clear"
+    better: Tone = "bad" if cal.residual_rms >= cal.residual_rms_before else "good" if clear else ""
     quantity, unit = residual_quantity(cal)
     tiles = [
         Tile(
@@ -447,12 +447,17 @@ def _budget(cal: Calibration, shown: dict[str, Figure]) -> Section:
             "Times the standard uncertainty of the source they are the contributions above."
         )
         blocks += [Text(text, lead=True), *sensitivities]
-    if not any(row.type == "B" for row in cal.budget):
+    missing = source_tables(cal)
+    if missing:
         text = (
-            f"{TYPE_A_ONLY}: reference scale, alignment and local gravity are taken as exact. "
-            "Add an [uncertainty] table to the run file to include them."
+            f"{cal.verdict.sources}. The sources below exist on this stand, and nobody stated them: the change of each "
+            "coefficient for one unit. Add them to [uncertainty] in the run file, or waive them there with a reason."
         )
-        blocks.append(Notice("warning", text))
+        blocks += [Notice("warning", text), *missing]
+    elif cal.type_a_only:
+        blocks.append(Notice("warning", f"{TYPE_A_ONLY}. Add an [uncertainty] table to the run file."))
+    if cal.gravity:
+        blocks.append(Text(f"Local gravity of the reference: {cal.gravity}."))
     return Section("Uncertainty budget", "budget", tuple(blocks))
 
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration.coefficient import TYPE_A_ONLY
-from piga.records.calibration.verdict import Verdict
+from piga.records.calibration.verdict import Grade, Verdict
 from piga.records.terms import shown_unit, term_words
 from piga.reports.render.numbers import count, fixed, pretty_unit, printed, relative, rounded, short, signed
-from piga.reports.render.page import Cell, Judgement, Table, TableOf, named_values
+from piga.reports.render.page import Cell, Judgement, Table, TableOf, Tone, named_values
 from piga.units import ARCSEC, G0
 
 
@@ -48,6 +48,10 @@ class TableSettings:
 TABLES = TableSettings()
 
 
+TONES: dict[Grade, Tone] = {"clear": "good", "doubt": "doubtful", "do not use": "bad"}
+"""Tone of each grade of a verdict."""
+
+
 def judgement(cal: Calibration, subject: str = "", verdict: Verdict | None = None) -> Judgement:
     """The verdict on a calibration as the box of a page. ``subject`` names the calibration on pages about something else.
 
@@ -55,7 +59,9 @@ def judgement(cal: Calibration, subject: str = "", verdict: Verdict | None = Non
     """
     verdict = verdict or cal.verdict
     problems = tuple((sentence(doubt.what), doubt.remedy) for doubt in verdict.doubts)
-    return Judgement(verdict.level, f"{subject}{verdict.headline}", problems, verdict.holds)
+    return Judgement(
+        TONES[verdict.grade], f"{subject}{verdict.headline}", problems, verdict.tested, verdict.not_tested
+    )
 
 
 def sentence(text: str) -> str:

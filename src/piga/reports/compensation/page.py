@@ -138,10 +138,13 @@ def _judgement(outline: CompensationOutline, facts: CompensationFacts) -> Judgem
         for doubt in one.problems:
             named.setdefault(doubt, []).append(name)
     problems = tuple((f"{', '.join(names)}: {what}", remedy) for (what, remedy), names in named.items())
-    holds = tuple(dict.fromkeys(words for one in each for words in one.holds)) if not problems else ()
-    count_of_doubts = f"Use with care: {len(problems)} doubt{'s' * (len(problems) > 1)}."
-    headline = count_of_doubts if worst.tone == "doubtful" else worst.headline
-    return Judgement(worst.tone, f"The calibrations that were used: {headline}", problems, holds)
+    tested, open_ones = (
+        tuple(dict.fromkeys(words for one in each for words in getattr(one, name)))
+        for name in ("tested", "not_tested")
+    )
+    return Judgement(
+        worst.tone, f"The calibrations that were used: {worst.headline}", problems, tested, open_ones
+    )
 
 
 _SEVERITY: tuple[Tone, ...] = ("", "quiet", "good", "doubtful", "bad")

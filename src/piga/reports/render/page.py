@@ -222,12 +222,13 @@ Block = Text | Table | FigureBlock | Notice
 
 @dataclass(frozen=True)
 class Judgement:
-    """The verdict box at the top of a page: ``tone``, one sentence, doubts with remedies, and what holds."""
+    """The verdict box at the top of a page: ``tone``, one sentence, doubts with remedies, what was tested and what not."""
 
     tone: Tone
     headline: str
     problems: tuple[tuple[str, str], ...] = ()
-    holds: tuple[str, ...] = ()
+    tested: tuple[str, ...] = ()
+    not_tested: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -296,8 +297,9 @@ def page_text(page: Page, *, width: int = 100, plain: bool = True) -> str:
     if page.judgement is not None:
         lines.append(f"verdict: {page.judgement.headline}")
         for what, remedy in page.judgement.problems:
-            lines.append(f"  does not hold: {what}" + (f": {remedy}" if remedy else ""))
-        lines += [*(f"  holds: {what}" for what in page.judgement.holds), ""]
+            lines.append(f"  doubt: {what}" + (f": {remedy}" if remedy else ""))
+        lines += [f"  tested: {what}" for what in page.judgement.tested]
+        lines += [*(f"  not tested: {what}" for what in page.judgement.not_tested), ""]
     lines += [page.title, *(f"  {line}" for line in page.subtitle.splitlines())]
     for number, section in enumerate(page.sections):
         lines += [""] if number or section.title or page.subtitle else []

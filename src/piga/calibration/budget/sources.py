@@ -1,0 +1,296 @@
+"""The sources of Type B of a record: those that are stated, those of an assumed size, and those that nobody stated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piga.earth import EARTH_RATE, Site
+from piga.errors import RunFileError
+from piga.records.arrays import copied, empty, scaled, spans
+from piga.records.calibration import StandSource
+from piga.records.distribution import shape_of, standard_uncertainty
+from piga.records.run import Run
+from piga.records.run_file import ASSUMED_SOURCES, UNCERTAINTY_UNITS, Draw, UncertaintyTable, drawn_for
+from piga.results import Array
+from piga.stand import stand_changes
+from piga.units import G0, from_si, to_si
+
+HEIGHT = 500.0
+"""Standard uncertainty [m] of a height that is not stated."""
+GRADIENT = 3.1e-7
+"""Relative change of gravity with height [1/m] (free air)."""
+GRAVITY_REFERENCE = 0.05
+"""Largest relative difference of the specific force from 1 g for which gravity is the reference."""
+
+ANY = {"reference_misalignment": "arcsec", "timing": "ppm", "vibration": "ug"}
+LOGGED = {"reference_scale": "ppm", "reference_bias": "ug"} | ANY
+OF_STAND: dict[str, dict[str, str]] = {
+    "dividing-head": {"gravity": "ug", "levelling": "arcsec", "angle_error": "arcsec", "settling": "arcsec"}
+    | ANY,
+    "centrifuge": {
+        "reference_scale": "ppm",
+        "arm_radius": "um",
+        "arm_stretch": "1e-9 s^2/rad^2",
+        "rate_error": "ppm",
+        "gravity": "ug",
+        "levelling": "arcsec",
+    }
+    | ANY,
+    "rate-table": {"gravity": "ug", "levelling": "arcsec", "arm_radius": "um", "rate_error": "ppm"} | ANY,
+    "vibration-table": {"levelling": "arcsec", "transverse_motion": "ppm", "rocking": "arcsec"} | LOGGED,
+}
+"""Sources that exist on each stand, by the key of ``[uncertainty]``, with the unit in which they are listed."""
+INSTEAD = {"gravity": ("reference_scale", "centrifuge")}
+"""A source that another key states too, but on one stand: a scale of the reference contains local gravity."""
+
+
+def catalogue(run: Run) -> dict[str, str]:
+    """Sources that exist on the stand of a record, with their units. A record without a stand has a logged reference."""
+    stand = run.stand or {}
+    parts = stand.get("parts")
+    kinds = [part.get("kind") for part in parts] if isinstance(parts, (list, tuple)) else [stand.get("kind")]
+    listed: dict[str, str] = {}
+    for kind in kinds:
+        listed |= OF_STAND.get(str(kind), LOGGED)
+    thermal = run.temperature is not None and any(term.endswith("_T") for term in run.model.terms)
+    return listed | ({"temperature": "K"} if thermal else {})
+
+
+def is_stated(run: Run, name: str) -> bool:
+    """True if ``[uncertainty]`` states a source by its key, or by one that contains it."""
+    other, but = INSTEAD.get(name, (name, ""))
+    stand = (run.stand or {}).get("kind")
+    names = (name,) if stand == but else (name, other)
+    repeated = {
+        "levelling": ("levelling_repeatability",),
+        "reference_misalignment": ("mounting_repeatability",),
+    }
+    return any(getattr(run.uncertainty, key) is not None for key in (*names, *repeated.get(name, ())))
+
+
+def assumed_sizes(run: Run) -> dict[str, str]:
+    """Sources that nobody stated and that have an assumed size, each with its size in words."""
+    waived, sizes = run.uncertainty.waived, {}
+    if run.base_rate is None and "earth_rate" not in waived and _gravity_alone(run):
+        ppm = 1e6 * EARTH_RATE / (run.scale_factor * G0)
+        sizes["earth_rate"] = (
+            f"no base rate and no site are given: the rotation of the Earth is up to {ppm:.2g} ppm of K, {ppm:.2g} ug"
+        )
+    if "height" not in waived and run.uncertainty.gravity is None and _unknown_height(run):
+        sizes["height"] = (
+            f"not stated: {HEIGHT:.0f} m assumed, {1e6 * GRADIENT * HEIGHT:.3g} ppm of local gravity"
+        )
+    return sizes
+
+
+def _gravity_alone(run: Run) -> bool:
+    """True if the largest specific force is 1 g: gravity is the reference."""
+    largest = max(float(np.max(np.linalg.norm(run.f[part], axis=1))) for part in spans(run.size))
+    return abs(largest / G0 - 1.0) < GRAVITY_REFERENCE
+
+
+def _unknown_height(run: Run) -> bool:
+    """True if gravity is computed from a latitude alone."""
+    if not run.computed_reference or run.stand is None:
+        return False
+    parts = run.stand.get("parts")
+    tables = parts if isinstance(parts, (list, tuple)) else [run.stand]
+    return any("latitude" in table and not {"height", "gravity"} & set(table) for table in tables)
+
+
+def _assumed(run: Run, size: float) -> Iterator[Source]:
+    """Sources with an assumed size: the rotation of the Earth, upwards and across, and the height of the site."""
+    sizes = assumed_sizes(run)
+    if "earth_rate" in sizes:
+        half = size * EARTH_RATE / math.sqrt(3.0)
+        shown = EARTH_RATE / math.sqrt(3.0)
+        upwards = scaled(run.f.T, half / G0).T
+        across = copied(upwards)
+        across[:, 0], across[:, 1] = -upwards[:, 1], upwards[:, 0]
+        for name, rate in (("upwards", upwards), ("across", across)):
+            yield Source(f"earth_rate {name}", shown, "rad/s", replace(run, base_rate=rate), "rectangular")
+    if "height" in sizes:
+        factor = 1.0 - size * GRADIENT * HEIGHT
+        yield Source("height", HEIGHT, "m", replace(run, f=scaled(run.f.T, factor).T), "normal")
+
+
+@dataclass(frozen=True)
+class Source:
+    """One source of Type B: name, standard uncertainty in ``unit``, the record moved by it, distribution.
+
+    ``draw`` says how often the source takes a new value. In ``moved`` all segments are moved.
+    """
+
+    name: str
+    value: float
+    unit: str
+    moved: Run
+    distribution: str = "normal"
+    degrees_of_freedom: float = math.inf
+    draw: Draw = "reference"
+
+
+def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
+    """The sources named in the run file's ``[uncertainty]``, moved by ``size`` standard uncertainties.
+
+    ``reference_scale`` multiplies the specific force; ``reference_bias`` adds along X0, Y0 and Z0 (three
+    independent sources); ``reference_misalignment`` turns it about X0, Y0 and Z0; ``gravity`` acts as a
+    scale, relative to 1 g; ``timing`` stretches the clock; ``temperature`` shifts the thermometer. Uncertain
+    servo parameters change the coefficients that the model takes from them. The
+    entries of a particular stand (levelling, dividing errors, arm, rate ...) act through its own geometry.
+    A ``..._repeatability`` acts like the error of the same name. ``vibration`` is a bias along X0. The rate of the Earth and
+    the height of the site are sources of an assumed size if nothing says them (docs/theory/calibration).
+    """
+    for name, like in UNCERTAINTY_UNITS.items():
+        given = getattr(run.uncertainty, name)
+        standard = 0.0 if given is None else standard_uncertainty(given, like, f"[uncertainty] {name}")
+        if standard == 0.0:
+            continue
+        value, shape = size * standard, (*shape_of(given), drawn_for(name))
+        shown, unit = from_si(standard, like), like
+        if name in ("reference_scale", "reference_repeatability", "gravity"):
+            relative = value / G0 if name == "gravity" else value
+            yield Source(name, shown, unit, replace(run, f=scaled(run.f.T, 1.0 + relative).T), *shape)
+        elif name == "timing":
+            moved = replace(run, t=scaled(run.t, 1.0 + value))
+            yield Source(name, shown, unit, moved, *shape)
+        elif name == "temperature":
+            if run.temperature is not None:
+                moved = replace(run, temperature=scaled(run.temperature, 1.0, value))
+                yield Source(name, shown, unit, moved, *shape)
+        elif name == "vibration":
+            yield Source(name, shown, unit, replace(run, f=_bias(run.f, 0, value)), *shape)
+        else:
+            move = _bias if name == "reference_bias" else _turn
+            for axis, label in enumerate(("X0", "Y0", "Z0")):
+                moved = replace(run, f=move(run.f, axis, value))
+                yield Source(f"{name} {label}", shown, unit, moved, *shape)
+    yield from _assumed(run, size)
+    for parameter in run.servo:
+        if parameter.standard > 0.0:
+            value = parameter.value + size * parameter.standard
+            entries = tuple(replace(p, value=value) if p is parameter else p for p in run.servo)
+            name = f"servo {parameter.name.replace('_', ' ')}"
+            shown = from_si(parameter.standard, parameter.unit)
+            known = (parameter.distribution, parameter.degrees_of_freedom)
+            yield Source(name, shown, parameter.unit, replace(run, servo=entries), *known)
+    for change in stand_changes(run):
+        number, _, written_unit = change.written.partition(" ")
+        moved = replace(run, f=_added(run.f, size, change.change))
+        shape = (change.distribution, change.degrees_of_freedom, change.draw)
+        yield Source(change.name, float(number), written_unit or "1", moved, *shape)
+
+
+def _added(f: Array, size: float, change: Callable[[slice], Array]) -> Array:
+    """Specific force with ``size`` times a change that a stand computes for a slice of rows."""
+    moved = empty((3, len(f))).T
+    for part in spans(len(f)):
+        moved[part] = f[part] + size * change(part)
+    return moved
+
+
+def _bias(f: Array, axis: int, value: float) -> Array:
+    moved = copied(f)
+    moved[:, axis] += value
+    return moved
+
+
+def _turn(f: Array, axis: int, angle: float) -> Array:
+    """Specific force as seen when the reference is turned by ``angle`` about one axis (first order)."""
+    moved = copied(f)
+    second, third = (axis + 1) % 3, (axis + 2) % 3
+    moved[:, second] -= angle * f[:, third]
+    moved[:, third] += angle * f[:, second]
+    return moved
+
+
+def listed(run: Run) -> tuple[StandSource, ...]:
+    """The sources that exist on the stand of a record, each with its status; without their effects."""
+    waived, assumed = run.uncertainty.waived, assumed_sizes(run)
+    result = [
+        StandSource(
+            name,
+            "waived" if name in waived else "stated" if is_stated(run, name) else "unstated",
+            unit,
+            reason=waived.get(name, ""),
+        )
+        for name, unit in catalogue(run).items()
+    ]
+    known = {source.name for source in result}
+    result += [
+        StandSource(name, "waived", reason=reason) for name, reason in waived.items() if name not in known
+    ]
+    return (*result, *(StandSource(name, "assumed", reason=words) for name, words in assumed.items()))
+
+
+def with_units(run: Run) -> Run:
+    """The record with one unit of each source that is not stated, and no other source.
+
+    Those of a stand that does not describe the record are left out: their effects are not known.
+    """
+    units = {source.name: _one(source.unit) for source in listed(run) if source.status == "unstated"}
+    waived = dict.fromkeys(ASSUMED_SOURCES, "not of interest here")
+    moved = replace(run, uncertainty=UncertaintyTable(**units, waived=waived))
+    try:
+        next(stand_changes(moved), None)
+    except RunFileError:
+        general = {name: unit for name, unit in units.items() if name in UNCERTAINTY_UNITS}
+        moved = replace(run, uncertainty=UncertaintyTable(**general, waived=waived))
+    return moved
+
+
+def _one(unit: str) -> str:
+    return unit if unit[0].isdigit() else f"1 {unit}"
+
+
+def with_effects(
+    sources: tuple[StandSource, ...], effects: Mapping[str, Array], keys: Sequence[str]
+) -> tuple[StandSource, ...]:
+    """The sources with the change of each coefficient (n,; file units) by one unit of each component.
+
+    ``keys`` are the coefficients.
+    """
+    return tuple(
+        replace(
+            source,
+            effects={
+                component: {key: float(change) for key, change in zip(keys, changes, strict=True) if change}
+                for component, changes in effects.items()
+                if component.startswith(source.name)
+            },
+        )
+        if source.status == "unstated"
+        else source
+        for source in sources
+    )
+
+
+def merged_sources(lists: Iterable[tuple[StandSource, ...]]) -> tuple[StandSource, ...]:
+    """The sources of several runs by name. A source has the worst status that a run gives it."""
+    worst = ("waived", "stated", "assumed", "unstated")
+    merged: dict[str, StandSource] = {}
+    for source in (one for sources in lists for one in sources):
+        first = merged.get(source.name, source)
+        chosen = max(first, source, key=lambda one: worst.index(one.status))
+        merged[source.name] = replace(chosen, effects=first.effects | source.effects)
+    return tuple(merged.values())
+
+
+def gravity_in_words(run: Run) -> str:
+    """The local gravity that the reference contains, and where it comes from; empty if it is not known."""
+    stand = run.stand or {}
+    if run.computed_reference and "latitude" in stand:
+        height = to_si(stand.get("height", 0.0), "m", what="[stand] height")
+        site = Site(to_si(stand["latitude"], "rad", what="[stand] latitude"), height=height)
+        if "gravity" in stand:
+            return f"{to_si(stand['gravity'], 'm/s^2', what='[stand] gravity'):.8g} m/s^2, from [stand] gravity"
+        where = f"{height:.0f} m" if "height" in stand else "sea level (the height is not stated)"
+        return f"{site.local_gravity:.8g} m/s^2, normal gravity at latitude {stand['latitude']} and {where}"
+    if not run.computed_reference and _gravity_alone(run):
+        total = sum(float(np.linalg.norm(run.f[part], axis=1).sum()) for part in spans(run.size))
+        return f"{total / run.size:.8g} m/s^2, mean size of the logged reference"
+    return ""
