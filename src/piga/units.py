@@ -349,5 +349,6 @@ UNIT_FACTORS = (
     UnitFactor(2.0 * math.pi, mixed={"output": ("rev", "rad")}),
     UnitFactor(360.0, mixed={"output": ("rev", "deg")}),
     UnitFactor(4.0),
+    UnitFactor(10.0),
 )
-"""Factors between units that are often confused, and the four edges of a quadrature encoder."""
+"""Factors between units that are often confused, the four edges of a quadrature encoder, and a slip of the decimal point."""

@@ -44,6 +44,7 @@ from piga.calibration.joint.summary import RunSummary, provenance, residual_figu
 from piga.calibration.model.design import given_servo
 from piga.calibration.model.identifiability import (
     notes_in_words,
+    one_way_in_words,
     refuse_useless,
     remarks_in_words,
 )
@@ -191,7 +192,7 @@ def _calibration(
     result = _assemble(run, fit, coefficients, covariance, budget.rows, examined, notes, history)
     result = replace(
         result,
-        remarks=remarks_in_words(coefficients, request.phases),
+        remarks=(*one_way_in_words(run, request.terms), *remarks_in_words(coefficients, request.phases)),
         sources=sources_of_stand(fit, coefficients),
         scale_factor_tolerance=run.model.tolerance,
         gravity=gravity_in_words(run),

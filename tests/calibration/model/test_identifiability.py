@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.model.identifiability import _aligned, notes_in_words, refuse_useless, remarks_in_words
+from piga.calibration.model.identifiability import (
+    _aligned,
+    notes_in_words,
+    one_way_in_words,
+    refuse_useless,
+    remarks_in_words,
+)
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Layout
 from piga.errors import IdentifiabilityError
@@ -131,3 +137,31 @@ def test_a_phase_that_no_sample_shows_is_not_determined_and_spoils_nothing() -> 
     for name, truth in (("scale_factor", 0.8884), ("tan_beta", inst.tan_beta), ("k0", 0.0)):
         assert abs(cal[name].value - truth) < 4.0 * cal[name].std, name
     assert cal["scale_factor"].std < 1e-4
+
+
+def tumble(angles: list[float]) -> piga.Run:
+    """Ten seconds of rest at each angle [deg] of a dividing head; the output is that of a perfect instrument."""
+    t = (20.0 * np.arange(len(angles))[:, None] + np.arange(11.0)).ravel()
+    x = np.repeat(np.radians(angles), 11)
+    f = 9.80665 * np.column_stack([np.cos(x), -np.sin(x), np.zeros_like(x)])
+    return piga.Run.from_arrays(
+        t, 0.09 * f[:, 0], f, scale_factor=0.09, kind="rate", segment=np.repeat(np.arange(len(angles)), 11)
+    )
+
+
+@pytest.mark.parametrize(
+    ("angles", "remarked"),
+    [
+        (list(range(0, 360, 30)), True),
+        (list(range(360, 0, -30)), True),
+        ([*range(0, 360, 60), *range(360, 0, -60)], False),
+        ([0, 180, 60, 300, 120, 240], False),
+    ],
+)
+def test_a_head_that_turned_one_way_cannot_tell_hysteresis(angles, remarked):
+    run = tumble(angles)
+    said = one_way_in_words(run, ("scale_factor", "k0", "m_Y"))
+    assert bool(said) == remarked
+    assert not one_way_in_words(run, ("scale_factor", "k0"))
+    if remarked:
+        assert "there and back" in said[0]

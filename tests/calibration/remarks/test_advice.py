@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numba
@@ -124,7 +125,18 @@ def test_a_wrong_unit_of_the_output_is_named_with_the_right_one(good, factor, wo
     assert words in advised(replace(good, output=good.output * factor))
 
 
-@pytest.mark.parametrize(("factor", "words"), [(4.0, "multiplied by 4"), (0.25, "divided by 4")])
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (4.0, "multiplied by 4"),
+        (0.25, "divided by 4"),
+        (10.0, "multiplied by 10"),
+        (0.1, "divided by 10"),
+        (2.0 * math.pi, "multiplied by 6.28319"),
+        (1.0 / 57.29578, "divided by 57.2958"),
+        (1e-3, "divided by 1000"),
+    ],
+)
 def test_of_counts_it_is_the_counts_per_revolution(good, factor, words):
     run = replace(good, output=good.output * factor, resolution=1e-5)
     assert f"[instrument] counts_per_revolution {words}" in advised(run)

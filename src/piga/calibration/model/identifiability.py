@@ -11,6 +11,8 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Layout, layout_of, merged_groups
 from piga.errors import IdentifiabilityError
 from piga.records.calibration import Coefficient, SegmentScatter
+from piga.records.calibration.coefficient import short_way
+from piga.records.run import Run
 from piga.records.terms import harmonic, unit_of
 from piga.results import Array
 from piga.terms import PRODUCTS
@@ -34,6 +36,21 @@ class SeparationSettings:
 
 
 SEPARATION = SeparationSettings()
+
+
+@dataclass(frozen=True)
+class OneWaySettings:
+    """Limits for the remark on a head that turned one way only (own choices)."""
+
+    positions: int = 4
+    """Fewest positions."""
+    same_size: float = 0.05
+    """Largest relative difference of the specific forces of a head."""
+    move: float = 1e-3
+    """Least turn between positions that counts as a move [rad]."""
+
+
+ONE_WAY = OneWaySettings()
 
 
 _LEVEL = frozenset({"scale_factor", "k0"})
@@ -299,6 +316,32 @@ def alike_in_words(coefficients: tuple[Coefficient, ...], covariance: Array) -> 
 def _loose(coefficients: tuple[Coefficient, ...]) -> list[str]:
     """Segments with an undetermined phase."""
     return [c.segment for c in coefficients if c.segment is not None and not c.determined]
+
+
+def one_way_in_words(run: Run, terms: tuple[str, ...]) -> tuple[str, ...]:
+    """A remark of the plan if a head turned one way only: hysteresis then looks like ``m_Y`` or ``m_Z``.
+
+    The direction comes from the mean specific forces of the segments in order, in the plane that they lie in.
+    """
+    held = [name for name in ("m_Y", "m_Z") if name in terms]
+    count = np.bincount(run.segment_index, minlength=len(run.labels))
+    if not held or np.count_nonzero(count) < ONE_WAY.positions:
+        return ()
+    sums = np.stack([np.bincount(run.segment_index, run.f[:, axis], len(run.labels)) for axis in range(3)])
+    mean = (sums[:, count > 0] / count[count > 0]).T
+    size = np.linalg.norm(mean, axis=1)
+    if np.ptp(size) > ONE_WAY.same_size * size.max():
+        return ()
+    plane = np.linalg.svd(mean - mean.mean(axis=0))[2][:2]
+    steps = short_way(np.diff(np.arctan2(*(mean @ plane.T).T)))
+    moves = steps[np.abs(steps) > ONE_WAY.move]
+    if moves.size < ONE_WAY.positions - 1 or abs(np.sign(moves).sum()) < moves.size:
+        return ()
+    words = (
+        f"the stand turned one way only: a lag of the head or of the instrument after each move looks like {held[0]} "
+        f"(1 arcsec of lag is 1 arcsec of {held[0]}): visit the positions there and back"
+    )
+    return (words,)
 
 
 def remarks_in_words(coefficients: tuple[Coefficient, ...], phases: str) -> tuple[str, ...]:

@@ -113,10 +113,15 @@ class AdviceReading:
         return " and ".join(parts)
 
 
-def factor_near(ratio: float) -> UnitFactor | None:
-    """The factor close to a ratio or to its inverse; None if no factor is close."""
+OF_COUNTS = (4.0, 10.0)
+"""Factors by which counts per revolution are wrong: edges of a quadrature encoder, a slip of the decimal point."""
+
+
+def factor_near(ratio: float, *, counted: bool = False) -> UnitFactor | None:
+    """The factor close to a ratio or to its inverse; None if no factor is close. Ten is one of counts alone."""
     ratio = max(ratio, 1.0 / ratio)
-    near = min(UNIT_FACTORS, key=lambda factor: abs(ratio / factor.value - 1.0))
+    factors = [factor for factor in UNIT_FACTORS if counted or factor.value != 10.0]
+    near = min(factors, key=lambda factor: abs(ratio / factor.value - 1.0))
     return near if abs(ratio / near.value - 1.0) < ADVICE.snap else None
 
 
@@ -145,7 +150,7 @@ def unit_words(ratio: float, factor: UnitFactor, run: Run, *, output: bool) -> s
     times = f"{'multiplied' if larger else 'divided'} by {size}"
     if run.source:
         places = [_change(key, units, larger=larger, rate=False) for key, units in mixed]
-        if output and ("output" in factor.mixed or factor.value == 4.0):
+        if output and ("output" in factor.mixed or factor.value in OF_COUNTS):
             places.append(_output_unit(run, factor.value, larger=not larger))
         places.append(f"[instrument] scale_factor {times}")
     else:
@@ -238,7 +243,7 @@ def _scale_words(trial: Trial, trials: list[Trial], run: Run) -> tuple[str, ...]
     as_good = [t.reading.output for t in trials if t.residual <= ADVICE.as_good * trial.residual]
     sentences = (sign_words(output=-1.0 in as_good),) if trial.scale < 0.0 else ()
     ratio = abs(trial.scale)
-    factor = factor_near(ratio) if ratio > 0.0 else None
+    factor = factor_near(ratio, counted=run.resolution > 0.0) if ratio > 0.0 else None
     if factor is None:
         return sentences
     return (*sentences, unit_words(ratio, factor, run, output=any(abs(output) != 1.0 for output in as_good)))
