@@ -208,7 +208,11 @@ def test_near_the_separatrix_the_first_order_is_enough() -> None:
     assert all(row.validated for key, row in table.items() if key != "phi")
     assert not scenario.calibrate(run).diagnostics.monte_carlo
     given = UncertaintyTable(
-        reference_bias="100 ug", reference_misalignment="60 arcsec", reference_scale="100 ppm", timing="10 ppm"
+        waived={"earth_rate": "simulated at rest"},
+        reference_bias="100 ug",
+        reference_misalignment="60 arcsec",
+        reference_scale="100 ppm",
+        timing="10 ppm",
     )
     known = msgspec.structs.replace(
         run.estimation, angle_rms="2.5e-5 rad", angle_random_walk="2e-5 rad/sqrt(s)", uncertainty="gum"
@@ -218,7 +222,10 @@ def test_near_the_separatrix_the_first_order_is_enough() -> None:
     std = np.array([c.std for c in scenario.calibrate(run).coefficients])
 
     def moved(size: float) -> list[np.ndarray]:
-        plain = [replace(source.moved, uncertainty=UncertaintyTable()) for source in sources(run, size)]
+        plain = [
+            replace(source.moved, uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}))
+            for source in sources(run, size)
+        ]
         return [np.array([c.value for c in scenario.calibrate(record).coefficients]) for record in plain]
 
     bent = [0.5 * (up + down) - base for up, down in zip(moved(1.0), moved(-1.0), strict=True)]
@@ -241,7 +248,9 @@ def contributions(table: UncertaintyTable) -> tuple[dict[str, dict[str, float]],
 @pytest.mark.only_compiled
 @pytest.mark.parametrize("source", ["reference_scale", "timing"])
 def test_a_scale_goes_into_k(source: str) -> None:
-    result = contributions(UncertaintyTable(**{source: "20 ppm"}))[0][source]
+    result = contributions(UncertaintyTable(waived={"earth_rate": "simulated at rest"}, **{source: "20 ppm"}))[
+        0
+    ][source]
     assert abs(result["scale_factor"]) == pytest.approx(20e-6 * 0.8884, rel=1e-2)
     assert abs(result["k0"]) < 20e-6 * 4e-3  # of the bias itself, 1.6e-3 g
 
@@ -249,14 +258,18 @@ def test_a_scale_goes_into_k(source: str) -> None:
 @pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_gravity_goes_into_k() -> None:
-    result = contributions(UncertaintyTable(gravity="20 mGal"))[0]["gravity"]
+    result = contributions(UncertaintyTable(waived={"earth_rate": "simulated at rest"}, gravity="20 mGal"))[0][
+        "gravity"
+    ]
     assert abs(result["scale_factor"]) == pytest.approx(20e-5 / G0 * 0.8884, rel=1e-2)
 
 
 @pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> None:
-    outcome, result = contributions(UncertaintyTable(reference_bias="5 ug"))
+    outcome, result = contributions(
+        UncertaintyTable(waived={"earth_rate": "simulated at rest"}, reference_bias="5 ug")
+    )
     assert abs(outcome["reference_bias X0"]["k0"]) == pytest.approx(5e-6, rel=1e-2)
     assert abs(outcome["reference_bias Y0"]["k0"]) == pytest.approx(5e-6 * result["m_Y"].value, rel=1e-3)
     assert set(outcome) == {f"reference_bias {axis}" for axis in ("X0", "Y0", "Z0")}
@@ -265,7 +278,9 @@ def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> 
 @pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_a_turn_of_the_reference_about_z_goes_into_the_misalignment() -> None:
-    result, _ = contributions(UncertaintyTable(reference_misalignment="2 arcsec"))
+    result, _ = contributions(
+        UncertaintyTable(waived={"earth_rate": "simulated at rest"}, reference_misalignment="2 arcsec")
+    )
     assert abs(result["reference_misalignment Z0"]["m_Y"]) == pytest.approx(np.radians(2.0 / 3600.0), rel=1e-2)
     assert abs(result["reference_misalignment Z0"]["scale_factor"]) < 1e-8
 
@@ -273,9 +288,13 @@ def test_a_turn_of_the_reference_about_z_goes_into_the_misalignment() -> None:
 @pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_a_thermometer_goes_into_the_bias_by_its_slope() -> None:
-    outcome, result = contributions(UncertaintyTable(temperature="0.5 K"))
+    outcome, result = contributions(
+        UncertaintyTable(waived={"earth_rate": "simulated at rest"}, temperature="0.5 K")
+    )
     assert abs(outcome["temperature"]["k0"]) == pytest.approx(0.5 * abs(result["k0_T"].value), rel=1e-6)
     assert abs(outcome["temperature"]["scale_factor"]) < 1e-12
     cold = record(np.random.default_rng(22), seconds=6.0, rate=3.0, count=4, levels=(1.0,))
-    cold = replace(cold, uncertainty=UncertaintyTable(temperature="0.5 K"))
+    cold = replace(
+        cold, uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}, temperature="0.5 K")
+    )
     assert [row.type for row in piga.calibrate(cold, ["scale_factor", "k0"]).budget] == ["A"]

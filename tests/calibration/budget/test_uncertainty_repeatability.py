@@ -116,7 +116,9 @@ def test_what_is_stated_is_not_found_again() -> None:
     for seed in range(3):
         run = case.record(np.random.default_rng(seed))
         told = case.scenario.calibrate(run)
-        silent = case.scenario.calibrate(replace(run, uncertainty=UncertaintyTable()))
+        silent = case.scenario.calibrate(
+            replace(run, uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}))
+        )
         assert told.segment_scatter < 0.7 * silent.segment_scatter
         ratio.append([c.std for c in told.coefficients] / dense(case, run))
     assert np.array(ratio)[:, 1:].min() > 0.95, "the larger of model and scatter is reported"
@@ -140,10 +142,18 @@ def test_more_than_is_stated_is_found_beside_it() -> None:
 
 @pytest.mark.only_compiled
 def test_what_is_lost_in_the_noise_leaves_the_fit_as_it_is(record: piga.Run) -> None:
-    told = replace(record, uncertainty=UncertaintyTable(angle_repeatability="0.05 arcsec"))
+    told = replace(
+        record,
+        uncertainty=UncertaintyTable(
+            waived={"earth_rate": "simulated at rest"}, angle_repeatability="0.05 arcsec"
+        ),
+    )
     with_it, without = (
         piga.calibrate(r, SETTING.scenario.terms)
-        for r in (told, replace(record, uncertainty=UncertaintyTable()))
+        for r in (
+            told,
+            replace(record, uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"})),
+        )
     )
     for a, b in zip(with_it.coefficients, without.coefficients, strict=True):
         assert a.value == pytest.approx(b.value, abs=0.05 * b.std)
@@ -157,7 +167,7 @@ def test_what_is_lost_in_the_noise_leaves_the_fit_as_it_is(record: piga.Run) -> 
 @pytest.fixture(scope="module")
 def pair() -> list[piga.Run]:
     """Two tests on one head with one reference: repeated settings and mountings, a shared turn of the axis."""
-    stated = UncertaintyTable(
+    stated = UncertaintyTable(waived={"earth_rate": "simulated at rest"},
         reference_id="head 2", angle_repeatability="2 arcsec", reference_misalignment="1 arcsec",
         mounting_repeatability="1 arcsec",
     )  # fmt: skip
@@ -227,7 +237,10 @@ def test_the_reference_of_each_level_of_a_centrifuge() -> None:
     arm = SCENARIOS["centrifuge"]
     assert isinstance(arm, Scenario)
     arm = replace(arm, seconds=2.0, rate=20.0, terms=("scale_factor", "k0"))
-    run = replace(known_noise(arm.record(np.random.default_rng(3))), uncertainty=UncertaintyTable())
+    run = replace(
+        known_noise(arm.record(np.random.default_rng(3))),
+        uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}),
+    )
 
     def scale(r: piga.Run) -> float:
         return piga.calibrate(r, arm.terms)["scale_factor"].value
@@ -237,7 +250,12 @@ def test_the_reference_of_each_level_of_a_centrifuge() -> None:
         for s in range(len(run.labels))
     ]
     expected = np.linalg.norm([scale(r) - scale(run) for r in moved])
-    told = replace(run, uncertainty=UncertaintyTable(reference_repeatability="20 ppm"))
+    told = replace(
+        run,
+        uncertainty=UncertaintyTable(
+            waived={"earth_rate": "simulated at rest"}, reference_repeatability="20 ppm"
+        ),
+    )
     result = rows(piga.calibrate(told, arm.terms))["reference_repeatability"]
     assert 0.5 * expected < result.contributions["scale_factor"] < 1.001 * expected, "the weights know of it"
 
@@ -267,7 +285,11 @@ def test_planning_knows_that_each_visit_is_set_anew(tmp_path: Path) -> None:
 
 
 def test_a_stand_refuses_what_it_does_not_repeat(record: piga.Run) -> None:
-    wrong = replace(record, source="a.toml", uncertainty=UncertaintyTable(rate_repeatability="1 ppm"))
+    wrong = replace(
+        record,
+        source="a.toml",
+        uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}, rate_repeatability="1 ppm"),
+    )
     with pytest.raises(RunFileError, match=r"rate_repeatability does not exist on a dividing-head") as refused:
         piga.calibrate(wrong, TERMS)
     assert "angle_repeatability" in str(refused.value.remedy)
@@ -275,7 +297,10 @@ def test_a_stand_refuses_what_it_does_not_repeat(record: piga.Run) -> None:
 
 def test_a_distribution_may_be_stated(record: piga.Run) -> None:
     spread = {"half_width": "2 arcsec", "distribution": "rectangular"}
-    told = replace(known_noise(record), uncertainty=UncertaintyTable(angle_repeatability=spread))
+    told = replace(
+        known_noise(record),
+        uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}, angle_repeatability=spread),
+    )
     row = rows(piga.calibrate(told, SETTING.scenario.terms))[ROW]
     assert row.distribution == "rectangular"
     assert row.standard_uncertainty.value == pytest.approx(2.0 / np.sqrt(3.0))
