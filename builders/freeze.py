@@ -23,6 +23,8 @@ from pathlib import Path
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+import piga
+
 ROOT = Path(__file__).resolve().parents[1]
 STANDS = ("dividing-head", "centrifuge", "rate-table", "vibration-table")
 HISTORY = (1, 2, 3, 4)
@@ -125,6 +127,7 @@ def run(name: str) -> dict[str, list[float]]:
                 done = subprocess.run(
                     [sys.executable, "-m", "piga", *words],
                     cwd=folder,
+                    env=os.environ | {"PYTHONPATH": str(Path(piga.__file__).parents[1])},
                     capture_output=True,
                     text=True,
                     check=False,
