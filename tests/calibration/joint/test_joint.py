@@ -150,7 +150,12 @@ def test_common_source_moves_all_runs_an_own_one_only_its_run(runs: list[piga.Ru
     terms = TERMS
 
     def scale_part(first: str | None, second: str | None) -> tuple[float, int]:
-        tables = (UncertaintyTable(reference_scale="10 ppm", reference_id=name) for name in (first, second))
+        tables = (
+            UncertaintyTable(
+                waived={"earth_rate": "simulated at rest"}, reference_scale="10 ppm", reference_id=name
+            )
+            for name in (first, second)
+        )
         moved = [replace(run, uncertainty=table) for run, table in zip(runs, tables, strict=True)]
         rows = [row for row in piga.calibrate(moved, terms).budget if row.type == "B"]
         return float(np.sqrt(sum(row.contributions["scale_factor"] ** 2 for row in rows))), len(rows)
@@ -231,5 +236,11 @@ def test_degrees_of_freedom_of_two_runs(runs: list[piga.Run]) -> None:
 
 def test_a_bounded_source_keeps_its_distribution(runs: list[piga.Run]) -> None:
     spread = Spread(half_width="10 ppm", distribution="rectangular")
-    moved = [replace(run, uncertainty=UncertaintyTable(reference_scale=spread)) for run in runs]
+    moved = [
+        replace(
+            run,
+            uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}, reference_scale=spread),
+        )
+        for run in runs
+    ]
     assert piga.calibrate(moved, TERMS).budget[1].distribution == "rectangular"

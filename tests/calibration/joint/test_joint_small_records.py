@@ -64,7 +64,10 @@ def test_two_small_runs_together(
 
 @pytest.mark.only_compiled
 def test_a_summary_for_the_raw_data(runs: list[piga.Run], tmp_path: Path) -> None:
-    kept = replace(runs[1], uncertainty=UncertaintyTable(reference_scale="10 ppm"))
+    kept = replace(
+        runs[1],
+        uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}, reference_scale="10 ppm"),
+    )
     RunSummary.of(kept, FEW).to_json(tmp_path / "old.json")
     assert json.loads((tmp_path / "old.json").read_text(encoding="utf-8"))["phase"] == "shared"
     old = RunSummary.from_json(tmp_path / "old.json")
@@ -99,7 +102,12 @@ def test_sources_that_runs_share(runs: list[piga.Run]) -> None:
 
     def parts(first: str, second: str) -> list[float]:
         moved = [
-            replace(run, uncertainty=UncertaintyTable(reference_scale="10 ppm", reference_id=name))
+            replace(
+                run,
+                uncertainty=UncertaintyTable(
+                    waived={"earth_rate": "simulated at rest"}, reference_scale="10 ppm", reference_id=name
+                ),
+            )
             for run, name in zip(runs, (first, second), strict=True)
         ]
         rows = piga.calibrate(moved, FEW).budget
