@@ -2,8 +2,7 @@
 
 Run with ``python benchmarks/scatter_rule.py [CASE ...] [--seeds N]``; without a case, all. Prints, for each case, the share of
 95 % intervals that hold the truth, the standard deviation of the errors over the median standard uncertainty, and the
-median expanded uncertainty. k0 is the bias during the test: the mean of a slow error is a part of it. The simulator is
-NumPy alone: steps of fourth order for the motion, noise added to the angle.
+median expanded uncertainty. k0 is the bias during the test: the mean of a slow error is a part of it. The simulator is NumPy alone: steps of fourth order for the motion, noise added to the angle.
 """
 
 from __future__ import annotations
