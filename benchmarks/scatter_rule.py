@@ -2,7 +2,7 @@
 
 Run with ``python benchmarks/scatter_rule.py [CASE ...] [--seeds N]``; without a case, all. Prints, for each case, the share of
 95 % intervals that hold the truth, the standard deviation of the errors over the median standard uncertainty, and the
-median expanded uncertainty. k0 is the bias during the test: the mean of a slow error is a part of it. The simulator is NumPy alone: steps of fourth order for the motion, noise added to the angle.
+median expanded uncertainty. The simulator is NumPy alone: steps of fourth order for the motion, noise added to the angle.
 """
 
 from __future__ import annotations
@@ -141,16 +141,15 @@ def rates(case: Case, t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.interp(t, grid, total)
 
 
-def record(case: Case, seed: int, number: int = 0) -> tuple[piga.Run, float]:
-    """One simulated record, and the bias during its test: k0 and the mean of the slow error [g]."""
+def record(case: Case, seed: int, number: int = 0) -> piga.Run:
+    """One simulated record."""
     rng = np.random.default_rng([seed, number])
     t, force, angle, position = plan(case, np.random.default_rng(number))
     h = np.diff(t, prepend=t[0])
     begins = np.diff(position, prepend=-1) != 0
     loud = np.where(position % 3 == 0, case.loud, 1.0)
     noise = loud * case.walk * np.sqrt(h) * rng.standard_normal(t.size)
-    slow = rates(case, t, rng)
-    noise += h * (slow + case.scatter * rng.standard_normal(case.positions)[position])
+    noise += h * (rates(case, t, rng) + case.scatter * rng.standard_normal(case.positions)[position])
     noise[begins] = 0.0
     output = angle - PHASE + np.cumsum(noise) + loud * case.white * rng.standard_normal(t.size)
     if case.phases == "per-segment":
@@ -159,7 +158,7 @@ def record(case: Case, seed: int, number: int = 0) -> tuple[piga.Run, float]:
     if count:
         start = rng.uniform(0.0, count)
         output = np.round((output + start) / count) * count - start
-    run = piga.Run.from_arrays(
+    return piga.Run.from_arrays(
         t,
         output,
         force,
@@ -170,15 +169,13 @@ def record(case: Case, seed: int, number: int = 0) -> tuple[piga.Run, float]:
         serial="S1",
         model={"terms": list(case.terms), "phases": case.phases},
     )
-    return run, BIAS + float(slow[~begins].mean()) / (K * G0)
 
 
 def campaign(name: str, seeds: int) -> str:
     """Calibrate ``seeds`` records of a case; a row of the table."""
     case, rows, noisy, refused = CASES[name], [], 0, 0
     for seed in range(seeds):
-        made = [record(case, seed, number) for number in range(case.runs)]
-        runs, truth = [run for run, _ in made], TRUTH | {"k0": float(np.mean([bias for _, bias in made]))}
+        runs = [record(case, seed, number) for number in range(case.runs)]
         try:
             result = piga.calibrate(runs if case.runs > 1 else runs[0])
         except piga.PigaError:
@@ -186,9 +183,9 @@ def campaign(name: str, seeds: int) -> str:
             continue
         noisy += bool(result.verdict.warns_of_noise)
         rows += [
-            (c.name, c.value - truth[c.name], c.std, c.coverage_factor * c.std)
+            (c.name, c.value - TRUTH[c.name], c.std, c.coverage_factor * c.std)
             for c in result.coefficients
-            if c.name in truth
+            if c.name in TRUTH
         ]
     cells = []
     for term in case.terms:

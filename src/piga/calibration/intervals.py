@@ -116,8 +116,7 @@ def find_interval(
     variances = [r.variance for r in repetitions]
     scattered = [_without_rate(part, variance) for part, variance in zip(rows, variances, strict=True)]
     u, degrees = sandwich(scattered, repetitions, words)
-    bias = [name == "k0" for name, _ in layout.amplitude_keys] + [False] * len(common)
-    excess, probability, slow = _order(rows, repetitions, bias)
+    excess, probability, slow = _order(rows, repetitions)
     growth = np.ones(u.size)
     if slow is not None and probability < INTERVALS.excess:
         growth = np.sqrt(1.0 + (slow**2 - 1.0) * (1.0 - 1.0 / excess))
@@ -270,13 +269,10 @@ def _between_runs(
     return np.where(taken, wide, 0.0), few
 
 
-def _order(
-    rows: Sequence[Array], repetitions: Sequence[Repetition], bias: Sequence[bool]
-) -> tuple[float, float, Array | None]:
+def _order(rows: Sequence[Array], repetitions: Sequence[Repetition]) -> tuple[float, float, Array | None]:
     """Excess scatter of the rates, its probability by chance, and the factor by a slow change of the rates.
 
-    The factor is None where the order does not matter: blocks of one record, or too few positions. ``bias`` marks the
-    parameters that are a bias.
+    The factor is None where the order does not matter: blocks of one record, or too few positions.
     """
     from scipy.special import fdtrc
 
@@ -302,16 +298,13 @@ def _order(
     probability = float(fdtrc(freedom, rest, excess))
     if any(r.block for r in repetitions):
         return excess, probability, None
-    return excess, probability, _slow_factor(repetitions, hat, inverse @ along.T, freedom, np.array(bias))
+    return excess, probability, _slow_factor(repetitions, hat, inverse @ along.T, freedom)
 
 
-def _slow_factor(
-    repetitions: Sequence[Repetition], hat: Array, effect: Array, freedom: float, bias: NDArray[np.bool_]
-) -> Array:
+def _slow_factor(repetitions: Sequence[Repetition], hat: Array, effect: Array, freedom: float) -> Array:
     """How much more 1/f noise moves a parameter than the residual rates show (at least 1): a number of the plan.
 
     ``effect`` (c, j) is the change of a parameter by a rate error in each position, ``hat`` (j, j) the change of the fitted rates.
-    A ``bias`` is that during the test: the mean of the noise over the test is a part of it, not an error.
     """
     begin, end = (np.array([getattr(r, name) for r in repetitions]) for name in ("begin", "end"))
     run = np.array([r.run for r in repetitions])
@@ -323,11 +316,7 @@ def _slow_factor(
     covariance *= run[:, None] == run[None, :]
     rest = np.eye(len(hat)) - hat
     shown = float(np.trace(rest @ covariance @ rest.T)) / freedom
-    wrong = effect.copy()
-    for k in set(run.tolist()):
-        share = np.where(run == k, end - begin, 0.0)
-        wrong[bias] -= np.outer(effect[bias][:, run == k].sum(axis=1), share / share.sum())
-    moved = np.einsum("ci,ij,cj->c", wrong, covariance, wrong)
+    moved = np.einsum("ci,ij,cj->c", effect, covariance, effect)
     factor: Array = np.sqrt(np.maximum(moved / ((effect**2).sum(axis=1) * shown), 1.0))
     return factor
 
