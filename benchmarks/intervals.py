@@ -119,7 +119,8 @@ def compare(old: str, new: str) -> None:
         former = before["cases"][case]
         ratio = [c["width"] / former[name]["width"] for name, c in result.items()]
         rows[case] = {"records": after["repeats"]}
-        for version, values in ((before["version"], former), (after["version"], result)):
+        for whole, values in ((before["version"], former), (after["version"], result)):
+            version = ".".join(whole.split(".")[:2])
             held, bias = ([c[key] for c in values.values()] for key in ("held", "bias"))
             units[f"hold, {version}"] = "%"
             rows[case][f"hold, {version}"] = (round(min(held), 1), round(max(held), 1))
