@@ -20,7 +20,7 @@ from piga._kernels.estimation.noise import innovation_weights, rate_sums, whiten
 from piga.calibration.model.design import Block, Design
 from piga.calibration.model.reduction import Reduction, triangle
 from piga.reading.checks import largest_size
-from piga.records.arrays import empty, spans
+from piga.records.arrays import empty, spans, zeros
 from piga.records.run import Run
 from piga.results import Array
 
@@ -219,7 +219,7 @@ def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
 
 def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
     """Observed minus modelled increments and their intervals, for ``values`` (segments, m)."""
-    d, h = np.zeros(design.run.size), np.zeros(design.run.size)
+    d, h = zeros(design.run.size), zeros(design.run.size)
     for block in design.blocks():
         rows = slice(block.start, block.stop)
         d[rows] = block.columns[-1] - values[block.segment] @ block.columns[:-1]

@@ -35,12 +35,17 @@ def spans(count: int) -> Iterator[slice]:
 
 def changes(values: NDArray[Any]) -> NDArray[Any]:
     """``values[i] - values[i - 1]``; 0 for row 0."""
-    return np.diff(values, prepend=values[:1])
+    made = np.zeros_like(values)
+    np.subtract(values[1:], values[:-1], out=made[1:])
+    return made
 
 
 def middles(values: NDArray[Any]) -> NDArray[Any]:
     """Mean of ``values[i]`` and ``values[i - 1]``; row 0 keeps its value."""
-    return 0.5 * (values + np.concatenate((values[:1], values[:-1])))
+    made = values.copy()
+    made[1:] += values[:-1]
+    made[1:] *= 0.5
+    return made
 
 
 def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:

@@ -100,9 +100,14 @@ def _nominal_increments(design: Design) -> Array:
             step += run.base_rate[:, 0]
         return stored(step)
     h = changes(run.t)
-    step = changes(run.output) - run.scale_factor * h * middles(run.f[:, 0])
+    turn = middles(run.f[:, 0])
+    turn *= -run.scale_factor
     if run.base_rate is not None:
-        step += h * middles(run.base_rate[:, 0])
+        turn += middles(run.base_rate[:, 0])
+    turn *= h
+    del h
+    step = changes(run.output)
+    step += turn
     step[run.begins] = 0.0
     return stored(step)
 

@@ -422,10 +422,11 @@ class Design:
         if not self.local_names or self.point:
             return
         run = self.run
-        h = np.where(run.begins, 0.0, changes(run.t))
-        bend = np.abs(self.scale_factor / 8.0 * h * changes(run.f[:, 0]))
-        at = int(np.argmax(bend))
-        worst = float(bend[at])
+        bend = changes(run.f[:, 0])
+        bend *= changes(run.t)
+        bend[run.begins] = 0.0
+        at = int(np.argmax(np.abs(bend, out=bend)))
+        worst = self.scale_factor / 8.0 * float(bend[at])
         if worst > DESIGN.most_bend:
             rate = np.sqrt(worst / DESIGN.most_bend) / (run.t[at] - run.t[at - 1])
             raise DataError(
