@@ -60,7 +60,7 @@ def test_many_wrong_readings_at_an_end_are_a_doubt_with_its_remedy(angle, clean)
     run = BENCH.run(spoiled(angle, 3, (False, True), 15, 0.3))
     (event,) = [one for one in piga.calibrate(run, TERMS).quality.events if one.kind == "outlier-jump"]
     assert "phases = 'per-segment'" in event.detail
-    assert piga.calibrate(run, TERMS).verdict.level != "good"
+    assert piga.calibrate(run, TERMS).verdict.grade != "clear"
     free = piga.calibrate(run, TERMS, phases="per-segment")
     for name in TERMS:
         assert abs(BENCH.miss(free, name)) < 4.0 * clean[name].std, name

@@ -28,7 +28,7 @@ def test_the_lines_of_whole_counts_are_no_doubt() -> None:
     assert tests.verdict == COUNTED
     assert tests.counting_probability > 1e-3
     words = "correlate as whole counts make them"
-    assert any(words in held for held in calibration.verdict.holds)
+    assert any(words in held for held in calibration.verdict.tested)
     assert not any("not white" in doubt.words for doubt in calibration.verdict.doubts)
 
 
