@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from piga.campaign.campaign_file import CampaignPlan, RecordName
 from piga.errors import ArgumentError, PigaError, PigaWarning, RunFileError, UnitError
 from piga.records.calibration.coefficient import changes
-from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
+from piga.records.run_file import ASSUMED_SOURCES, EstimationTable, ModelTable, UncertaintyTable
 from piga.records.text_files import convert_toml, toml_text
 from piga.results import finite
 from piga.stand.scenario import Scenario, ScenarioTable, run_scenario, scenario_of
@@ -218,7 +218,8 @@ def _bound(test: SimulatedTest, run: Run) -> Array | None:
     from piga.calibration.calibrate import calibrate
 
     e = test.electronics
-    stated = any(value is not None for value in msgspec.structs.astuple(run.uncertainty))
+    entries = msgspec.structs.asdict(run.uncertainty)
+    stated = any(value is not None for name, value in entries.items() if name != "waived")
     if (
         e.bias_random_walk
         or e.clock_jitter
@@ -236,7 +237,8 @@ def _bound(test: SimulatedTest, run: Run) -> Array | None:
         angle_random_walk=f"{e.angle_random_walk!r} rad/sqrt(s)",
         uncertainty="gum",
     )
-    best = calibrate(replace(run, estimation=told))
+    noise_alone = UncertaintyTable(waived=dict.fromkeys(ASSUMED_SOURCES, "the bound is that of the noise"))
+    best = calibrate(replace(run, estimation=told, uncertainty=noise_alone))
     return np.array([c.std for c in best.coefficients])
 
 
