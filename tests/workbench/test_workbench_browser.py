@@ -215,6 +215,7 @@ def test_keep_keep_another_compare_undo(browser: Browser, place: Path) -> None:
         page.wait_for_load_state()
 
 
+@WIDE
 def test_leave_out_by_mouse_and_undo(browser: Browser, place: Path) -> None:
     page = browser.page
     shutil.copy(place / "tumble-a.toml", place / "marked.toml")
