@@ -203,8 +203,8 @@ class Browser:
         self.page.set_default_timeout(120_000)
 
     def _note(self, kind: str, text: str) -> None:
-        # the browser notes by itself a refused form, and a record that is just being replaced
-        refused = any(f"status of {status}" in text for status in (422, 409, 404))
+        # the browser notes a refused form by itself
+        refused = any(f"status of {status}" in text for status in (422, 409))
         if kind in ("error", "warning") and not refused:
             self.faults.append(text)
 
@@ -215,9 +215,9 @@ class Browser:
     def open(self, path: str) -> None:
         self.page.goto(f"{self.server.client.home}{path}")
 
-    def until(self, expression: str, seconds: float = 120.0) -> None:
+    def until(self, expression: str) -> None:
         """Wait until an expression is true. The page's policy forbids the browser's own way of waiting."""
-        limit = time.monotonic() + seconds
+        limit = time.monotonic() + 120.0
         from playwright.sync_api import Error
 
         while True:

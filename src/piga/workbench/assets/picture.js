@@ -149,7 +149,7 @@ const startPicture = () => {
     find("mark").setAttribute("aria-pressed", String(!marking()));
     form.hidden = !marking();
     marked = null;
-    if (marking()) mark(...shown);  // without a mouse: the span that is shown
+    if (marking() && shown[1] - shown[0] < duration) mark(...shown);  // without a mouse: the part that is shown
     else redraw();
   });
   find("position").addEventListener("change", (event) => {

@@ -338,6 +338,8 @@ def _leave_out(bench: Bench, name: str, table: Any, fields: dict[str, list[str]]
         if not reason:
             raise ArgumentError("a reason is needed", remedy="say why these rows are left out")
         spans = [rows_between(cache_of(bench, name), *ends)]
+    if sum(last - first + 1 for first, last in spans) >= outline.rows:
+        raise ArgumentError("these are all rows of the record", remedy="mark a part of it")
     if "leave_out" not in table:
         table["leave_out"] = tomlkit.array()
     for rows in spans:
