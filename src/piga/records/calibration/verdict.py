@@ -103,9 +103,7 @@ class Verdict:
     def sources(self) -> str:
         """What the uncertainties contain: ``Type A and 1 of 9 sources``."""
         count = len(self.stated) + len(self.unstated)
-        return (
-            f"Type A and {len(self.stated)} of {count} sources" if count else "no source of the stand is known"
-        )
+        return _in_budget(len(self.stated), count) if count else "no source of the stand is known"
 
     @property
     def warns_of_noise(self) -> bool:
@@ -159,6 +157,11 @@ def verdict(calibration: Calibration) -> Verdict:
     )
 
 
+def _in_budget(stated: int, count: int) -> str:
+    """What the uncertainties contain, of ``count`` sources of the stand that are not waived."""
+    return f"Type A and {stated} of {count} sources"
+
+
 def whitened_rms(calibration: Calibration) -> float:
     """Root mean square of the whitened residual: 1 if model and noise levels are right, nan if unknown."""
     variance = calibration.diagnostics.variance
@@ -177,7 +180,7 @@ def _nominal(calibration: Calibration) -> Iterator[str | Doubt]:
     remedy = (
         "; ".join(calibration.diagnostics.advice)
         or "check the nominal value, units and signs of reference, output and time, and the counts per revolution; "
-        "or state [instrument] tolerance"
+        "or state [model] scale_factor_tolerance"
     )
     yield Doubt(f"the scale factor is {size} the nominal one", remedy, grave=True)
 
@@ -261,7 +264,7 @@ def _unstated(calibration: Calibration) -> Iterator[str | Doubt]:
     if open_ones:
         alone = f"{TYPE_A_ONLY}. " if calibration.type_a_only else ""
         yield Doubt(
-            f"{alone}The uncertainties contain Type A and {stated} of {count} sources; not stated: "
+            f"{alone}The uncertainties contain {_in_budget(stated, count)}; not stated: "
             f"{', '.join(map(_open_words, open_ones))}{_largest_effects(calibration, open_ones)}",
             'state them in [uncertainty], or waive one with a reason: waived = { timing = "clock of the laboratory" }',
         )
@@ -270,7 +273,7 @@ def _unstated(calibration: Calibration) -> Iterator[str | Doubt]:
             TYPE_A_ONLY, "state [uncertainty] in the run file (in Python: Run.from_arrays(uncertainty=...))"
         )
     elif sources:
-        yield f"the uncertainties contain Type A and {stated} of {count} sources of the stand"
+        yield f"the uncertainties contain {_in_budget(stated, count)} of the stand"
     waived = [f"{source.name} ({source.reason})" for source in sources if source.status == "waived"]
     if waived:
         yield f"waived, not in the uncertainties: {', '.join(waived)}"
