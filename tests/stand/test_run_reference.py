@@ -15,7 +15,7 @@ from piga.stand import (
     LoggedProfile,
     stand_changes,
 )
-from piga.stand.run_reference import _followed
+from piga.stand.run_reference import plan_times
 from piga.units import ARCSEC, G0
 from tests.stand.simulated import SITE
 
@@ -178,7 +178,7 @@ SHORT_HEAD = DividingHead(SITE, (0.0, 1.0), dwell=4.0, move=2.0)
 
 def test_segments_of_a_log_are_taken_in_order_when_their_names_say_nothing() -> None:
     t = np.array([100.0, 101.0, 200.0, 203.0, 209.0])
-    at = _followed(SHORT_HEAD, None, ("first", "second")).times(t, np.array([0, 0, 1, 1, 1], dtype=np.int32))
+    at = plan_times(SHORT_HEAD, None, ("first", "second"), t, np.array([0, 0, 1, 1, 1], dtype=np.int32))
     assert at == pytest.approx([0.0, 1.0, 6.0, 9.0, 10.0])  # no further than the end of the dwell
     log = LoggedProfile(np.array([0.0, 1.0]), np.zeros((2, 3)), np.zeros((2, 3)))
-    assert _followed(log, None, ()).times(t, np.zeros(5, dtype=np.int32)) is t
+    assert plan_times(log, None, (), t, np.zeros(5, dtype=np.int32)) is t

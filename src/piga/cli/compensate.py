@@ -290,7 +290,7 @@ def _together(
     if options.method == "published":
         raise ArgumentError(
             "--method published is not for several instruments",
-            remedy="leave it out; piga.studies.published compares the published solution of a set",
+            remedy="leave it out: a set is solved exactly",
         )
     kind = format_of(out)
     if len(runs) == 1:

@@ -33,7 +33,7 @@ from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import REPEATED, Draw, RunFile, check_run_file, drawn_for
 from piga.results import Array, Result
-from piga.stand.imperfections import GENERAL, Imperfections, imperfections
+from piga.stand.imperfections import GENERAL, NONE, Imperfections, imperfections
 from piga.stand.profile import Segment, Stand, force_change
 from piga.stand.scenario import CompositeTable, SimpleStand
 from piga.units import from_si
@@ -42,34 +42,6 @@ MOST_NAMED = 24
 """Most segments that a message names."""
 TIMED = ("vibration-table", "profile", "composite")
 """Stands that are matched to a record by time."""
-
-
-@dataclass
-class FollowedStand:
-    """The motion of a stand along a record: rows in order, in pieces of any size. The size does not affect the result.
-
-    ``starts`` and ``durations`` [s] (m,) locate each segment of the record on the stand's plan. None: the stand is
-    matched by time.
-    """
-
-    stand: Stand
-    starts: Array | None = None
-    durations: Array | None = None
-
-    def __post_init__(self) -> None:
-        self._first = np.full(0 if self.starts is None else self.starts.size, np.nan)
-
-    def times(self, t: Array, segment: NDArray[np.int32]) -> Array:
-        """Time on the stand's plan [s] of the next samples, given their ``t`` [s] (n,) and segments (n,)."""
-        if self.starts is None or self.durations is None:
-            return t
-        met, at = np.unique(segment, return_index=True)
-        self._first[met] = np.where(np.isnan(self._first[met]), t[at], self._first[met])
-        return self.starts[segment] + np.clip(t - self._first[segment], 0.0, self.durations[segment])
-
-    def motion(self, t: Array, segment: NDArray[np.int32]) -> tuple[Array, Array]:
-        """Specific force [m/s^2] and base rate [rad/s] of the perfect stand at the next samples, (n, 3) each."""
-        return self.stand.motion(self.times(t, segment), Imperfections())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -165,10 +137,10 @@ def stand_reference(
             "[stand] kind 'vibration-table': the phase of the drive is not known to the run file",
             remedy="log the reference and give [data] reference",
         )
-    followed = _followed(stand, names, labels, segment)
+    times = plan_times(stand, names, labels, t, segment)
     force, rate = (empty((3, t.size)).T for _ in range(2))
     for part in spans(t.size):
-        force[part], rate[part] = followed.motion(t[part], segment[part])
+        force[part], rate[part] = stand.motion(times[part], NONE)
     return force, rate
 
 
@@ -186,7 +158,7 @@ def stand_changes(run: Run) -> Iterator[StandChange]:
     try:
         stand, names = _build(run.stand or {}, Path(run.source).parent)
         _check_unchanged(run)
-        t = _all_times(_followed(stand, names, run.labels), run)
+        t = plan_times(stand, names, run.labels, run.t, run.segment_index)
         for name, written in named.items():
             standard, shape = _standard(name, written)
             for text, errors in _components(name, standard):
@@ -234,37 +206,38 @@ def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] 
     return built.build(folder), names
 
 
-def _followed(
+def plan_times(
     stand: Stand,
     names: tuple[str, ...] | None,
     labels: tuple[str, ...],
-    segment: NDArray[np.int32] | None = None,
-) -> FollowedStand:
-    """The stand, with the time of every segment of the record on its plan."""
+    t: Array,
+    segment: NDArray[np.int32],
+) -> Array:
+    """Time on the stand's plan [s] of every sample, (n,): from the first sample of its segment, no further than the dwell.
+
+    ``names`` are the labels of the positions, if they have names. A stand that is matched by time has the times ``t`` itself.
+    """
     if stand.kind in TIMED:
-        return FollowedStand(stand)
+        return t
     planned = [part for part in stand.segments() if part.recorded]
     by_name = dict(zip(names or tuple(part.label for part in planned), planned, strict=True))
     parts = [by_name.get(label.split("/")[0]) for label in labels]
     if None in parts:
         parts = _in_order(planned, labels, segment)
     starts, durations = np.array([(part.start, part.duration) for part in parts if part is not None]).T
-    return FollowedStand(stand, starts, durations)
-
-
-def _all_times(followed: FollowedStand, run: Run) -> Array:
-    """Time on the stand's plan [s] of all samples, (n,)."""
-    times = empty(run.size)
-    for rows in spans(run.size):
-        times[rows] = followed.times(run.t[rows], run.segment_index[rows])
+    first, times = np.zeros(len(labels)), empty(t.size)
+    first[segment[::-1]] = t[::-1]  # of the samples of a segment, the first is written last
+    for rows in spans(t.size):
+        place = segment[rows]
+        times[rows] = starts[place] + np.clip(t[rows] - first[place], 0.0, durations[place])
     return times
 
 
 def _in_order(
-    planned: list[Segment], labels: tuple[str, ...], segment: NDArray[np.int32] | None
+    planned: list[Segment], labels: tuple[str, ...], segment: NDArray[np.int32]
 ) -> list[Segment | None]:
     """The planned part of each segment, in order. Segments whose rows are all left out may be absent from the plan."""
-    used = np.arange(len(labels)) if segment is None else np.unique(segment)
+    used = np.flatnonzero(np.bincount(segment, minlength=len(labels)))
     if len(planned) == used.size < len(labels):
         order = dict(zip(used.tolist(), planned, strict=True))
         return [order.get(k, planned[0]) for k in range(len(labels))]
