@@ -7,9 +7,9 @@ import pytest
 
 from piga.errors import ArgumentError, IdentifiabilityError
 from piga.platform import identify, identify_growing, observability, simulate
-from piga.platform.estimate import UnknownGroup, solve
 from piga.platform.geometry import apparent_gyro
-from piga.platform.observation import ForceFilter, ObservedRecord
+from piga.platform.identify import solve
+from piga.platform.observation import ForceFilter, ObservedRecord, UnknownGroup
 from piga.platform.scenario import Gyro, PigaSensors, Rotation, Sensors
 from tests.platform.conftest import (
     ARCMIN,

@@ -189,7 +189,7 @@ def compare(
     """
     import msgspec
 
-    from piga.platform.budget import error_budget, line_budget, line_budget_document, standard_sources
+    from piga.platform.chain import error_budget, line_budget, line_budget_document, standard_sources
     from piga.platform.scenario import load_scenario
 
     with _results(out, "compare", scenario, force, json, "comparison.json", "capstone.html") as to:

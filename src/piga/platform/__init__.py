@@ -6,8 +6,14 @@ One run is ``load_scenario`` - ``simulate`` - ``identify`` / ``align`` - ``compe
 
 from piga.platform.alignment import Alignment, align
 from piga.platform.analysis import daily_lines, line_amplitudes, spectrum, theory_lines
-from piga.platform.budget import error_budget, standard_sources
-from piga.platform.chain import ModelComparisonRun, compare, prepare, run_model
+from piga.platform.chain import (
+    ModelComparisonRun,
+    compare,
+    error_budget,
+    prepare,
+    run_model,
+    standard_sources,
+)
 from piga.platform.geometry import nulled_attitude, small_angle_attitude, small_angles
 from piga.platform.identify import (
     GrowingIdentification,

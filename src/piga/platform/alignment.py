@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
-from piga.platform.estimate import UnknownGroup, by_source, solve_with_noise
 from piga.platform.geometry import geodetic_to_earth, local_axes, specific_force_at_rest, wrapped
+from piga.platform.identify import by_source, solve_with_noise
 from piga.platform.navigator import Knowledge, Start, site_start
 from piga.platform.observation import (
     Tip,
+    UnknownGroup,
     Unknowns,
     coarse_unknowns,
     force_rows,

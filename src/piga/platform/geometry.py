@@ -89,6 +89,17 @@ def gravitation(position: ArrayLike) -> Array:
     return -earth.GM * inverse2**1.5 * r * (1.0 + q * factor)
 
 
+def gravitation_gradient(position: Array) -> Array:
+    """Derivative (3, 3) of :func:`gravitation` by the position (3,) [1/s^2]."""
+    r2 = float(position @ position)
+    q = 1.5 * earth.J2 * earth.SEMI_MAJOR_AXIS**2 / r2
+    s2 = position[2] ** 2 / r2
+    factor = 1.0 + q * (np.array([1.0, 1.0, 3.0]) - 5.0 * s2)
+    change = np.outer(position * (2.0 + 10.0 * q * s2 - 5.0 * factor) / r2, position)
+    change[:, 2] -= 10.0 * q * position[2] / r2 * position
+    return np.asarray(-earth.GM / r2**1.5 * (np.diag(factor) + change))
+
+
 def specific_force_at_rest(position: ArrayLike) -> Array:
     """Specific force [m/s^2] in Earth axes of a body at rest on the turning Earth, (..., 3)."""
     r = np.asarray(position, dtype=float)

@@ -20,26 +20,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import expm, matrix_balance
 
 from piga import earth
 from piga._kernels.platform.motion import follow
 from piga._kernels.platform.navigation import (
     Correction,
-    ErrorDynamics,
     States,
     Stepping,
     Triad,
     local_level,
     navigate_chunk,
-    propagate_errors,
 )
 from piga.errors import ArgumentError
-from piga.frames import rotation_vector_to_matrix
+from piga.frames import rotation_vector_to_matrix, skew
 from piga.platform.geometry import (
     KERNEL_EARTH,
     encoder_harmonics,
     geodetic_to_earth,
     gravitation,
+    gravitation_gradient,
     local_axes,
     specific_force_at_rest,
     wrapped,
@@ -428,18 +428,36 @@ def linear_errors(place: Place, perturbation: Perturbation, duration: float, *, 
     Shape (m, 7), every ``step`` seconds. The perturbation is that of the navigator: its triad is turned
     by ``attitude + drift t`` too far, its accelerometers read ``bias`` too much.
     """
-    count = round(duration / step)
-    position = geodetic_to_earth(place.latitude, place.longitude, place.height)
+    spin = skew(np.array([0.0, 0.0, earth.EARTH_RATE]))
     axes = local_axes(place.latitude, place.longitude)
-    spin = np.array([0.0, 0.0, earth.EARTH_RATE])
-    start = np.zeros(6)
+    start = np.zeros(16)
     start[:3] = axes @ np.array(perturbation.position)
-    start[3:] = axes @ np.array(perturbation.velocity) + np.cross(spin, start[:3])
-    out = np.empty((count + 1, 6))
-    model = ErrorDynamics(
-        position, specific_force_at_rest(position), axes, np.array(perturbation.attitude),
-        np.array(perturbation.drift), np.array(perturbation.bias), perturbation.height,
-        damping_gains(damping_time), KERNEL_EARTH[0], KERNEL_EARTH[1], earth.EARTH_RATE,
-    )  # fmt: skip
-    propagate_errors(start, model, step, out)
-    return np.column_stack([np.arange(count + 1) * step, out])
+    start[3:6] = axes @ np.array(perturbation.velocity) + spin @ start[:3]
+    start[6:] = [*perturbation.attitude, *perturbation.drift, *perturbation.bias, perturbation.height]
+    scaled, scales = matrix_balance(_error_dynamics(place, damping_gains(damping_time)) * step, permute=False)
+    rows, power = start[None, :], scales @ expm(scaled) @ np.linalg.inv(scales)
+    count = round(duration / step) + 1
+    while len(rows) < count:
+        rows, power = np.concatenate([rows, rows @ power.T]), power @ power
+    position, velocity = rows[:count, :3], rows[:count, 3:6] - rows[:count, :3] @ spin.T
+    return np.column_stack([np.arange(count) * step, position @ axes, velocity @ axes])
+
+
+def _error_dynamics(place: Place, gains: Array) -> Array:
+    """Matrix (16, 16) of the error dynamics of the module's docstring. It is constant, as all vectors are in Earth axes.
+
+    State: error of inertial position and velocity, attitude, drift and bias (3 each), and of the reference height.
+    """
+    position = geodetic_to_earth(place.latitude, place.longitude, place.height)
+    up = -local_axes(place.latitude, place.longitude)[:, 2]
+    one, vertical = np.eye(3), np.outer(up, up)
+    matrix = np.kron(np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]), -skew(np.array([0.0, 0.0, earth.EARTH_RATE])))[
+        :16, :16
+    ]
+    matrix[:3, :3] -= gains[0] * vertical
+    matrix[:3, 3:6], matrix[:3, 15] = one, gains[0] * up
+    matrix[3:6, :3] = gravitation_gradient(position) - gains[1] * vertical
+    matrix[3:6, 6:9], matrix[3:6, 12:15] = -skew(specific_force_at_rest(position)), one
+    matrix[3:6, 15] = gains[1] * up
+    matrix[6:9, 9:12] = one
+    return np.asarray(matrix)

@@ -29,7 +29,6 @@ from piga import earth
 from piga._kernels.platform.motion import Misalignment
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
-from piga.platform.estimate import UnknownGroup
 from piga.platform.geometry import encoder_harmonics, exact_attitude, gimbal_attitude, turns_to_gimbals, wrapped
 from piga.platform.scenario import Gyro, Harmonic
 from piga.platform.simulate import Readouts
@@ -403,6 +402,39 @@ def _turns(attitude: Array) -> Array:
 def _knots(pieces: int) -> Array:
     """Knots of the cubic B-splines on equal pieces of 0 to 1."""
     return np.arange(-3.0, pieces + 4.0) / pieces
+
+
+@dataclass(frozen=True)
+class UnknownGroup:
+    """Rows of one kind with one noise level: ``residual`` (n,), ``regressors`` (n, p).
+
+    ``rows`` is the number of independent rows. It is less than n if a trend was removed from them; 0 means n.
+    """
+
+    name: str
+    residual: Array
+    regressors: Array
+    rows: float = 0.0
+
+    def reduced(self) -> Reduced:
+        """Triangular factor (p + 1, p + 1) of ``[regressors | residual]``. An estimate needs nothing else."""
+        table = np.column_stack([self.regressors, self.residual])
+        factor: Array = np.linalg.qr(table, mode="r")  # type: ignore[assignment]
+        return Reduced(self.name, factor, self.rows or float(len(self.residual)))
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """A group reduced to its triangular ``factor`` (p + 1, p + 1) and the number of independent rows."""
+
+    name: str
+    factor: Array
+    rows: float
+
+    def squares(self, step: Array) -> float:
+        """Sum of squares of the residuals after ``step`` (p,)."""
+        left = self.factor[:, -1] - self.factor[:, :-1] @ step
+        return float(left @ left)
 
 
 STATIC_SOURCES = ("gimbals", "pick-off")

@@ -9,8 +9,7 @@ import numpy as np
 
 from piga.platform.alignment import Alignment
 from piga.platform.analysis import case_rates
-from piga.platform.budget import BudgetRow, LineRow
-from piga.platform.chain import ModelComparisonRun, Preparation, last_east_lines
+from piga.platform.chain import BudgetRow, LineRow, ModelComparisonRun, Preparation, last_east_lines
 from piga.platform.geometry import apparent_gyro, averaged_drift, wrapped
 from piga.platform.identify import (
     UNKNOWN_PHASE,

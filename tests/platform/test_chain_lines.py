@@ -13,7 +13,7 @@ import pytest
 
 from piga.platform import compare, compensator, theory_lines, true_knowledge
 from piga.platform.analysis import CHANNELS, daily_lines, fitted_lines, has_theory, theory_note
-from piga.platform.budget import line_budget
+from piga.platform.chain import line_budget
 from piga.platform.navigator import Errors
 from piga.platform.scenario import (
     Compensation,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piga.platform import error_budget, linear_errors, simulate
-from piga.platform.budget import perturbed_errors, standard_sources
+from piga.platform.chain import perturbed_errors, standard_sources
 from piga.platform.navigator import Perturbation
 from piga.platform.scenario import Place
 from tests.platform.conftest import DEG, INTERPRETED, alignment, published
