@@ -49,6 +49,21 @@ def test_shards_last_two_minutes_and_are_not_fewer_than_sixteen(records, seconds
     assert shard_size(records, seconds) == size
 
 
+def test_reading_a_part_leaves_no_thread_behind(tmp_path):
+    """The scanner of data sets reads in threads that outlive the call; a process that then ended was aborted."""
+    folder = computed(written(tmp_path), tmp_path / "out", [0]).folder
+    script = (
+        "import sys; from piga.campaign import open_campaign; from piga.campaign.shards import read_part\n"
+        f"campaign = open_campaign({str(folder)!r}); (shard, path), = campaign.parts().items()\n"
+        "assert read_part(campaign, shard, path).num_rows\n"
+        "assert 'pyarrow.dataset' not in sys.modules"
+    )
+    for _ in range(3):
+        subprocess.run(
+            [sys.executable, "-c", script], env=os.environ | {"PYTHONPATH": str(ROOT / "src")}, check=True
+        )
+
+
 def test_folder_of_another_campaign(tmp_path):
     plan_campaign(written(tmp_path), tmp_path / "out")
     changed = written(tmp_path, SMALL.replace("repeats = 7", "repeats = 8"))

@@ -411,4 +411,6 @@ def read_part(campaign: Campaign, shard: int, path: Path) -> pa.Table:
     match = _PART.fullmatch(path.name)
     if match is None or match[2] != campaign.digest(shard, content):
         raise DataError(f"{path}: is damaged, or belongs to another campaign or shard", remedy=remedy)
-    return parquet.read_table(pa.BufferReader(content))
+    # read_table scans in threads that outlive the call; one that lets go of `content` while Python ends aborts the process
+    with parquet.ParquetFile(pa.BufferReader(content), pre_buffer=False) as source:
+        return source.read(use_threads=False)

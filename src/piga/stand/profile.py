@@ -317,9 +317,11 @@ def _read_columns(path: Path, wanted: list[str]) -> dict[str, Array]:
 
     numbers = csv.ConvertOptions(column_types=dict.fromkeys(wanted, pa.float64()))
     try:
-        with open_regular(path) as stream:
+        # no stream of Python's and no scanner: their threads outlive the call, and abort a process that ends meanwhile
+        with open_regular(path), pa.OSFile(str(path)) as stream:
             if path.suffix == ".parquet":
-                table = parquet.read_table(stream, page_checksum_verification=True)
+                options = {"pre_buffer": False, "page_checksum_verification": True}
+                table = parquet.ParquetFile(stream, **options).read(use_threads=False)
             else:
                 table = csv.read_csv(stream, convert_options=numbers)
         lacking = [name for name in wanted if name not in table.column_names]
