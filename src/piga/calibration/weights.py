@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels.estimation.noise import innovation_weights, rate_sums, whiten
+from piga._kernels.estimation import innovation_weights, rate_sums, whiten
 from piga.calibration.model.design import Block, Design
 from piga.calibration.model.reduction import Reduction, triangle
 from piga.reading.checks import largest_size

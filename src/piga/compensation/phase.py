@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga._kernels.estimation.noise import innovation_weights, whiten
-from piga._kernels.estimation.regressors import coupling_columns
+from piga._kernels.estimation import coupling_columns, innovation_weights, whiten
 from piga.compensation.model import Phase, make_model
 from piga.errors import CalibrationError
 from piga.reading.checks import integrated_rate

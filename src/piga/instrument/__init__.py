@@ -1,16 +1,6 @@
 """The PIGA: parameters, exact motion, closed forms, regimes, the servo-loop twin, its readout."""
 
-from piga.instrument.motion.closed_form import closed_form, closed_form_turns, published_closed_form
-from piga.instrument.motion.sampled_motion import (
-    SENSITIVITY_NAMES,
-    Sensitivities,
-    propagate,
-    propagate_fleet,
-    propagate_increments,
-    propagate_rate,
-    propagate_segments,
-    sensitivities,
-)
+from piga.instrument.closed_form import closed_form, closed_form_turns, published_closed_form
 from piga.instrument.parameters import ErrorModel, Instrument
 from piga.instrument.regimes import (
     Regime,
@@ -21,6 +11,16 @@ from piga.instrument.regimes import (
     regime,
     revolution_period,
     separatrix_distance,
+)
+from piga.instrument.sampled_motion import (
+    SENSITIVITY_NAMES,
+    Sensitivities,
+    propagate,
+    propagate_fleet,
+    propagate_increments,
+    propagate_rate,
+    propagate_segments,
+    sensitivities,
 )
 from piga.instrument.twin.electronics import Electronics
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from piga._kernels.estimation.regressors import cubic_moments, servo_columns
+from piga._kernels.estimation import cubic_moments, servo_columns
 from piga.calibration import RunSummary, compare_models
 from piga.calibration.calibrate import calibrate
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError, RunFileError, UnitError

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import piga
-from piga._kernels.estimation.regressors import add_product_bows, coupling_columns, smooth_bows
+from piga._kernels.estimation import add_product_bows, coupling_columns, smooth_bows
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import Request
 from piga.terms import PRODUCTS

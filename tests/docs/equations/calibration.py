@@ -8,8 +8,7 @@ import numpy as np
 from scipy.integrate import quad
 
 import piga
-from piga._kernels.estimation.noise import innovation_weights, whiten
-from piga._kernels.estimation.regressors import coupling_columns, servo_columns
+from piga._kernels.estimation import coupling_columns, innovation_weights, servo_columns, whiten
 from piga.calibration.intervals import sandwich
 from piga.calibration.model.design import ServoState
 from piga.calibration.model.reduction import Reduction, triangle

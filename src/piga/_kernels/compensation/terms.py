@@ -10,7 +10,7 @@ import math
 
 from piga._kernels.compensation import data as at
 from piga._kernels.compensation.data import Covariance, Inputs, Instrument
-from piga._kernels.estimation.regressors import half_angle_moments
+from piga._kernels.estimation import half_angle_moments
 from piga._kernels.jit import Array, exact, inline_exact
 
 NEAR = 1.25

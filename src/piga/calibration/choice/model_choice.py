@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation.noise import innovation_weights
+from piga._kernels.estimation import innovation_weights
 from piga.calibration.choice.cross_validation import HeldOutPrediction, fold_of, predict, row_edges
 from piga.calibration.fit.one_run import Fit
 from piga.calibration.fit.servo import at_state, state_of

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation.noise import merge_rows, scan_samples
+from piga._kernels.estimation import merge_rows, scan_samples
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import solve

@@ -19,10 +19,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation.noise import merge_rows
-from piga._kernels.estimation.regressors import (
+from piga._kernels.estimation import (
     add_product_bows,
     coupling_columns,
+    merge_rows,
     product_column,
     servo_columns,
     smooth_bows,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from piga._kernels.estimation.noise import merge_rows, scan_samples
+from piga._kernels.estimation import merge_rows, scan_samples
 
 pytestmark = pytest.mark.compiled
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from piga._kernels.estimation.noise import innovation_weights, rate_sums, whiten
+from piga._kernels.estimation import innovation_weights, rate_sums, whiten
 
 pytestmark = pytest.mark.compiled
 

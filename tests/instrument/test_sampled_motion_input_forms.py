@@ -17,8 +17,8 @@ from piga.instrument import (
     propagate_segments,
 )
 from piga.units import G0
-from tests.instrument.motion.test_sampled_motion import dop853
 from tests.instrument.references import constant_cases
+from tests.instrument.test_sampled_motion import dop853
 
 INST = Instrument("0.8884 rad/s/g", "1 deg", 0.4)
 

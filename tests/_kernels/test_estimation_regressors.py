@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from piga._kernels.estimation.regressors import coupling_columns, half_angle_moments, product_column
+from piga._kernels.estimation import coupling_columns, half_angle_moments, product_column
 from piga.terms import PRODUCTS
 
 pytestmark = pytest.mark.compiled

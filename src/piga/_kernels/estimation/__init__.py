@@ -1,1 +1,0 @@
-"""Kernels of the calibration: regressors, whitening, reduction."""

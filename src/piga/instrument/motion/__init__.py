@@ -1,1 +1,0 @@
-"""The exact motion of the output for each form of input."""
