@@ -19,7 +19,7 @@ from piga.instrument import (
     published_closed_form,
     revolution_period,
 )
-from piga.instrument.closed_form import Case as FormNumber
+from piga.instrument.constant_input import Case as FormNumber
 from piga.reports.render.figure import XYZ, Figure, Plot, axis
 from piga.results import Result
 from piga.studies.case import INSTRUMENT, RATIO, Chapter, Value, chapter_of, example_force

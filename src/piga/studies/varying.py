@@ -17,7 +17,7 @@ from piga.instrument import (
     mean_rate,
     published_closed_form,
 )
-from piga.instrument.closed_form import Case as FormNumber
+from piga.instrument.constant_input import Case as FormNumber
 from piga.reports.render.figure import XYZ, Figure, Plot
 from piga.studies.case import (
     INSTRUMENT,
