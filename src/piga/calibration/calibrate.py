@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from piga.calibration.budget.effects import sources_of_stand
 from piga.calibration.budget.monte_carlo import monte_carlo_intervals
 from piga.calibration.budget.sources import gravity_in_words, sources
 from piga.calibration.budget.uncertainty import (
@@ -17,7 +18,6 @@ from piga.calibration.budget.uncertainty import (
     combined,
     make_budget,
     share_of_type_a,
-    sources_of_stand,
     stated_scatter,
     with_given_servo,
 )
@@ -193,7 +193,7 @@ def _calibration(
     result = replace(
         result,
         remarks=(*one_way_in_words(run, request.terms), *remarks_in_words(coefficients, request.phases)),
-        sources=sources_of_stand(fit, coefficients),
+        sources=sources_of_stand(fit),
         scale_factor_tolerance=run.model.tolerance,
         gravity=gravity_in_words(run),
     )
@@ -206,11 +206,7 @@ def _calibration(
 
 def _moved_servo(run: Run) -> dict[str, dict[str, float]]:
     """Given coefficients of the servo, moved by each source of Type B that affects them."""
-    return (
-        {s.name: given_servo(s.moved) for s in sources(run) if s.moved.servo is not run.servo}
-        if run.servo
-        else {}
-    )
+    return {s.name: given_servo(s.moved) for s in sources(run) if "servo" in s.fields} if run.servo else {}
 
 
 def _degrees(fit: Fit, interval: Interval) -> Array:

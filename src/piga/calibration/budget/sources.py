@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -112,26 +114,50 @@ def _assumed(run: Run, size: float) -> Iterator[Source]:
         across = copied(upwards)
         across[:, 0], across[:, 1] = -upwards[:, 1], upwards[:, 0]
         for name, rate in (("upwards", upwards), ("across", across)):
-            yield Source(f"earth_rate {name}", shown, "rad/s", replace(run, base_rate=rate), "rectangular")
+            fields = {"base_rate": rate}
+            yield Source(run, f"earth_rate {name}", shown, "rad/s", "rectangular", fields=fields)
     if "height" in sizes:
-        factor = 1.0 - size * GRADIENT * HEIGHT
-        yield Source("height", HEIGHT, "m", replace(run, f=scaled(run.f.T, factor).T), "normal")
+        yield Source(run, "height", HEIGHT, "m", force=_scale(run, -size * GRADIENT * HEIGHT))
+
+
+Force = Callable[[slice], Array]
+"""Change of the specific force [m/s^2] in a slice of rows, (n, 3)."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """One source of Type B: name, standard uncertainty in ``unit``, the record moved by it, distribution.
+    """One source of Type B of a run: name, standard uncertainty in ``unit``, distribution, and what it moves.
 
-    ``draw`` says how often the source takes a new value. In ``moved`` all segments are moved.
+    ``force`` is the change of the specific force, ``stretch`` the relative change of the clock, ``warmth`` [K] that of the
+    thermometer; ``fields`` are other data of the run in place of its own. ``draw`` says how often the source takes a new
+    value.
     """
 
+    run: Run
     name: str
     value: float
     unit: str
-    moved: Run
     distribution: str = "normal"
     degrees_of_freedom: float = math.inf
     draw: Draw = "reference"
+    force: Force | None = None
+    stretch: float = 0.0
+    warmth: float = 0.0
+    fields: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def moved(self) -> Run:
+        """The record moved by the source, in all segments; made anew at each call, because it is as large as the record."""
+        run, fields = self.run, dict(self.fields)
+        if self.force is not None:
+            fields["f"] = empty((3, run.size)).T
+            for part in spans(run.size):
+                fields["f"][part] = run.f[part] + self.force(part)
+        if self.stretch:
+            fields["t"] = scaled(run.t, 1.0 + self.stretch)
+        if self.warmth and run.temperature is not None:
+            fields["temperature"] = scaled(run.temperature, 1.0, self.warmth)
+        return replace(run, **fields)
 
 
 def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
@@ -151,24 +177,20 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
         if standard == 0.0:
             continue
         value, shape = size * standard, (*shape_of(given), drawn_for(name))
-        shown, unit = from_si(standard, like), like
+        whole = partial(Source, run, name, from_si(standard, like), like, *shape)
         if name in ("reference_scale", "reference_repeatability", "gravity"):
-            relative = value / G0 if name == "gravity" else value
-            yield Source(name, shown, unit, replace(run, f=scaled(run.f.T, 1.0 + relative).T), *shape)
+            yield whole(force=_scale(run, value / G0 if name == "gravity" else value))
         elif name == "timing":
-            moved = replace(run, t=scaled(run.t, 1.0 + value))
-            yield Source(name, shown, unit, moved, *shape)
+            yield whole(stretch=value)
         elif name == "temperature":
             if run.temperature is not None:
-                moved = replace(run, temperature=scaled(run.temperature, 1.0, value))
-                yield Source(name, shown, unit, moved, *shape)
+                yield whole(warmth=value)
         elif name == "vibration":
-            yield Source(name, shown, unit, replace(run, f=_bias(run.f, 0, value)), *shape)
+            yield whole(force=_bias(run, value, 0))
         else:
             move = _bias if name == "reference_bias" else _turn
             for axis, label in enumerate(("X0", "Y0", "Z0")):
-                moved = replace(run, f=move(run.f, axis, value))
-                yield Source(f"{name} {label}", shown, unit, moved, *shape)
+                yield replace(whole(force=move(run, value, axis)), name=f"{name} {label}")
     yield from _assumed(run, size)
     for parameter in run.servo:
         if parameter.standard > 0.0:
@@ -177,35 +199,44 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
             name = f"servo {parameter.name.replace('_', ' ')}"
             shown = from_si(parameter.standard, parameter.unit)
             known = (parameter.distribution, parameter.degrees_of_freedom)
-            yield Source(name, shown, parameter.unit, replace(run, servo=entries), *known)
+            yield Source(run, name, shown, parameter.unit, *known, fields={"servo": entries})
     for change in stand_changes(run):
         number, _, written_unit = change.written.partition(" ")
-        moved = replace(run, f=_added(run.f, size, change.change))
         shape = (change.distribution, change.degrees_of_freedom, change.draw)
-        yield Source(change.name, float(number), written_unit or "1", moved, *shape)
+        force = partial(_times, size, change.change)
+        yield Source(run, change.name, float(number), written_unit or "1", *shape, force=force)
 
 
-def _added(f: Array, size: float, change: Callable[[slice], Array]) -> Array:
-    """Specific force with ``size`` times a change that a stand computes for a slice of rows."""
-    moved = empty((3, len(f))).T
-    for part in spans(len(f)):
-        moved[part] = f[part] + size * change(part)
-    return moved
+def _times(size: float, change: Force, part: slice) -> Array:
+    return size * change(part)
 
 
-def _bias(f: Array, axis: int, value: float) -> Array:
-    moved = copied(f)
-    moved[:, axis] += value
-    return moved
+def _scale(run: Run, value: float) -> Force:
+    """Specific force times ``1 + value``."""
+    return lambda part: value * run.f[part]
 
 
-def _turn(f: Array, axis: int, angle: float) -> Array:
+def _bias(run: Run, value: float, axis: int) -> Force:
+    """Specific force with ``value`` added along one axis."""
+
+    def change(part: slice) -> Array:
+        moved = np.zeros_like(run.f[part])
+        moved[:, axis] = value
+        return moved
+
+    return change
+
+
+def _turn(run: Run, angle: float, axis: int) -> Force:
     """Specific force as seen when the reference is turned by ``angle`` about one axis (first order)."""
-    moved = copied(f)
     second, third = (axis + 1) % 3, (axis + 2) % 3
-    moved[:, second] -= angle * f[:, third]
-    moved[:, third] += angle * f[:, second]
-    return moved
+
+    def change(part: slice) -> Array:
+        moved = np.zeros_like(run.f[part])
+        moved[:, second], moved[:, third] = -angle * run.f[part, third], angle * run.f[part, second]
+        return moved
+
+    return change
 
 
 def listed(run: Run) -> tuple[StandSource, ...]:

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from piga.calibration.budget.sources import Source, listed, sources, with_effects, with_units
+from piga.calibration.budget.sources import Source, sources
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.progress import SILENT, Steps
 from piga.records.arrays import copied
-from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient, StandSource
+from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient
 from piga.records.calibration.coefficient import short_way, welch_satterthwaite
 from piga.records.run import Run
 from piga.records.terms import si_factor, unit_of
@@ -63,15 +63,16 @@ def contributions(
     """
     for number, source in enumerate(sources(run)):
         steps.parts(number, f"adding up the budget: {source.name}")
+        record = source.moved
         if source.draw != "segment":
-            moved = [estimate(source.moved)]
+            moved = [estimate(record)]
         elif one_by_one is not None:
-            moved = list(one_by_one(source.moved))
+            moved = list(one_by_one(record))
         else:
-            moved = [estimate(_in_segment(run, source.moved, s)) for s in range(len(run.labels))]
+            moved = [estimate(_in_segment(run, record, s)) for s in range(len(run.labels))]
         changes = np.array(moved) - base
-        if source.moved.servo is run.servo or changes.any():
-            yield replace(source, moved=run), changes
+        if "servo" not in source.fields or changes.any():
+            yield source, changes
 
 
 def _in_segment(run: Run, moved: Run, segment: int) -> Run:
@@ -139,18 +140,6 @@ def share_of_type_a(type_a: Array, covariance: Array) -> Array:
     """
     share: Array = np.maximum(np.diag(type_a) / np.maximum(np.diag(covariance), 1e-300), 1e-6) ** 2
     return share
-
-
-def sources_of_stand(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[StandSource, ...]:
-    """The sources of the stand, and the change of each coefficient by one unit of those that are not stated."""
-    run = with_units(fit.design.run)
-    base = np.array([c.value for c in coefficients])
-
-    def estimate(moved: Run) -> Array:
-        return values_near(base, fit.design, fit.reduce(fit.design.of(moved)))
-
-    effects = {source.name: change[0] for source, change in contributions(run, base, estimate)}
-    return with_effects(listed(fit.design.run), effects, [c.key for c in coefficients])
 
 
 def make_budget(

@@ -340,7 +340,7 @@ def _source(source: Source, plain: list[Reduction], moved: Design, fit: Fit) -> 
         (),
         source.distribution,
         source.degrees_of_freedom,
-        tuple(given_servo(source.moved).items()),
+        tuple(given_servo(moved.run).items()),
         source.draw,
     )
     rows, groups = fit.reduce(moved), moved.groups

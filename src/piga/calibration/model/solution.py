@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -19,6 +19,7 @@ from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.errors import CalibrationError
 from piga.records.calibration import Coefficient
+from piga.records.calibration.coefficient import short_way
 from piga.records.terms import si_factor, unit_of
 from piga.results import Array
 
@@ -519,6 +520,19 @@ def name_coefficients(
     owners: list[Owner] = [(label if design.per_segment else None, None) for label in design.run.labels[:count]]
     layout = layout_of(design, max(count, 1))
     return name_parameters(layout, solution, covariance, design.run.scale_factor, design.request.terms, owners)
+
+
+def moved_values(design: Design, solution: Solution, change: Array) -> Array:
+    """Change of the coefficients (n,; file units) by a change of the internal parameters ``[amplitudes, phases]``."""
+    size = solution.amplitudes.size
+    moved = replace(
+        solution, amplitudes=solution.amplitudes + change[:size], phases=solution.phases + change[size:]
+    )
+    before, after = (name_coefficients(design, one, solution.covariance)[0] for one in (solution, moved))
+    changes = [b.value - a.value for a, b in zip(before, after, strict=True)]
+    return np.array(
+        [float(short_way(d)) if c.name == "phi" else d for c, d in zip(before, changes, strict=True)]
+    )
 
 
 def variances_of(design: Design, solution: Estimate, covariance: Array) -> Array:
