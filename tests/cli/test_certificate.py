@@ -82,6 +82,37 @@ def test_refused_with_the_whole_list(lab, tmp_path):
     assert not (tmp_path / "o").exists()
 
 
+def test_a_number_is_used_once(lab, tmp_path):
+    """The same certificate may be written again; a different one needs another number, also beside it."""
+    out = tmp_path / "o"
+    text = EXAMPLE.read_text(encoding="utf-8")
+    (number,) = re.findall(r'^number = "(.*?)"', text, re.MULTILINE)
+
+    def issue(text, *options, name="c.toml"):
+        data = tmp_path / name
+        data.write_text(text, encoding="utf-8")
+        return piga("certificate", lab / "calibration.json", "--data", data, "--out", out, *options)
+
+    first, again = issue(text), issue(text)
+    assert (first.returncode, again.returncode) == (0, 0), first.stderr + again.stderr
+    page = (out / "certificate.html").read_text(encoding="utf-8")
+    changed = text.replace("Head of", "Deputy head of")
+    assert changed != text
+    refused = issue(changed)
+    assert refused.returncode == 2
+    assert f"a different certificate has the number {number}" in refused.stderr
+    assert (out / "certificate.html").read_text(encoding="utf-8") == page
+    assert not (out / "2").exists()
+    renumbered = issue(changed.replace(f'number = "{number}"', f'number = "{number}-b"'), name="d.toml")
+    assert renumbered.returncode == 0, renumbered.stderr
+    assert f"{number}-b" in (out / "2" / "certificate.html").read_text(encoding="utf-8")
+    assert (out / "certificate.html").read_text(encoding="utf-8") == page
+    other = text.replace(f'number = "{number}"', f'number = "{number}-b"')
+    assert f"{out}/2/certificate.html: a different certificate" in issue(other).stderr
+    assert issue(changed, "--force").returncode == 0
+    assert "Deputy head of" in (out / "certificate.html").read_text(encoding="utf-8")
+
+
 @pytest.mark.only_compiled
 def test_a_file_without_a_date_is_issued_today(lab, tmp_path):
     """The shipped example, with a calibration made now: a date in the file would be before its evaluation."""

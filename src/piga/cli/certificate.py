@@ -110,6 +110,8 @@ def issue(
     before = _before(file, data)
     html = certificate_html(file, certified, before, record_sha256=hashlib.sha256(raw).hexdigest())
     xml = _xml(file, certified, before, key, certificate) if dcc else None
+    if not force:
+        _refuse_used_number(file.certificate.number, html, out)
     copy = certificate_html(
         file, certified, before, record_sha256=hashlib.sha256(raw).hexdigest(), working_copy=True
     )
@@ -127,6 +129,23 @@ def issue(
         to.tell(lambda: document, str)
     for words in [] if as_json else cautions:
         note(f"piga: caution: {words}")
+
+
+def _refuse_used_number(number: str, html: str, out: Path) -> None:
+    """Refuse a number that a different certificate in the folder or in one of its numbered folders has."""
+    from markupsafe import escape
+
+    line = f'<p class="number">{escape(number)}</p>'
+    for path in [out / RESULTS[0], *sorted(out.glob(f"[0-9]*/{RESULTS[0]}"))]:
+        if not path.is_file():
+            continue
+        there = path.read_text(encoding="utf-8", errors="replace")
+        if line in there and there != html:
+            raise PigaError(
+                f"{path}: a different certificate has the number {number}",
+                remedy="give a new number, and name the old one in [certificate] replaces; "
+                "--force replaces a certificate that nobody has received",
+            )
 
 
 def _issued(file: CertificateFile, date: str | None) -> CertificateFile:
