@@ -7,8 +7,7 @@
 """
 
 from piga.studies.capstone import Capstone, capstone, capstone_figure
-from piga.studies.case import Case, Chapter
-from piga.studies.published import published_recursion
+from piga.studies.case import Case, Chapter, published_recursion
 from piga.studies.reproduction import CHAPTERS, Reproduction, chosen, reproduce, run_chapters
 
 __all__ = [

@@ -13,8 +13,7 @@ from piga.calibration.calibrate import calibrate
 from piga.instrument import ErrorModel, Instrument, propagate
 from piga.records import Calibration, Run
 from piga.reports.render.figure import Figure, Plot, axis
-from piga.studies.case import SCALE, Chapter, Value, chapter_of, model_phase, velocity
-from piga.studies.published import published_recursion
+from piga.studies.case import SCALE, Chapter, Value, chapter_of, model_phase, published_recursion, velocity
 from piga.units import G0
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from piga.reports.render.page import (
     Tone,
     named_values,
 )
-from piga.studies import constant, errata, five, platform, recursion, varying
+from piga.studies import constant, five, platform, recursion, varying
 from piga.studies.case import Case, Chapter, Verdict
 
 CHAPTERS: dict[str, Callable[[], Chapter]] = {
@@ -39,7 +39,7 @@ CHAPTERS: dict[str, Callable[[], Chapter]] = {
     "drift-coupling": platform.coupling,
     "ten-days": platform.ten_days,
     "wobble": platform.wobble,
-    "errata": errata.chapter,
+    "errata": recursion.errata,
 }
 """Every chapter by its id, in the order of the publications."""
 
