@@ -167,6 +167,8 @@ def main() -> None:
         return
     warnings.simplefilter("ignore")
     seed, every = plans(chosen.name, chosen.repeats)
+    if chosen.write:
+        every = [plan._replace(bounds=0) for plan in every]
     rows = {}
     with ProcessPoolExecutor(chosen.workers) as pool:
         for plan in [plan for plan in every if not chosen.case or plan.name in chosen.case]:

@@ -19,15 +19,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.budget.uncertainty import contributions, values_near
+from piga.calibration.fit.one_run import repetitions
 from piga.calibration.fit.servo import settled_design, with_mean_servo
+from piga.calibration.intervals import LeverageError, find_interval
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.identifiability import examine, refuse_if_confounded
-from piga.calibration.model.solution import name_coefficients, solve
-from piga.calibration.weights import Noise, reduce_segments, weighted_blocks, weighting_mode
+from piga.calibration.model.solution import asked_order, layout_of, name_coefficients, solve
+from piga.calibration.weights import (
+    Noise,
+    Positions,
+    of_segments,
+    reduce_positions,
+    reduce_segments,
+    weighted_blocks,
+    weighting_mode,
+    with_scatter,
+)
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.instrument import Instrument, propagate
 from piga.planning.plan_file import PlanRequest, request_of
 from piga.records.calibration import Coefficient
+from piga.records.calibration.coefficient import coverage_factor
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, harmonic, si_factor
 from piga.results import Array, Result
@@ -282,8 +294,9 @@ class Visit:
 class Prediction(Result):
     """Predicted result of a test.
 
-    ``coefficients`` have standard uncertainties of Type A with ``covariance``. ``type_b`` (n,) is the standard
-    uncertainty by the stand. File units. ``refusal`` gives the reason if there is no result.
+    ``coefficients`` have standard uncertainties of Type A with ``covariance``, and the degrees of freedom that the scatter of
+    the positions will have. ``type_b`` (n,) is the standard uncertainty by the stand. File units. ``refusal`` gives the reason if
+    there is no result, or if :func:`piga.calibrate` would refuse the record.
     """
 
     name: str
@@ -311,6 +324,18 @@ class Prediction(Result):
                 return float(np.hypot(c.std, 0.0 if self.type_b is None else self.type_b[k]))
         return float("inf")
 
+    def degrees(self, name: str) -> float:
+        """Degrees of freedom of the Type A standard uncertainty of a coefficient."""
+        return next((float(c.degrees_of_freedom or math.inf) for c in self.coefficients if c.name == name), 0.0)
+
+    def expanded(self, name: str) -> float:
+        """Half width of the 95 % interval that the calibration will state: Student's t, Welch and Satterthwaite."""
+        whole = self.combined(name)
+        if not math.isfinite(whole):
+            return math.inf
+        ratio = whole / max(self.std(name), 1e-300)
+        return coverage_factor(self.degrees(name) * ratio**4) * whole
+
 
 def duration_of(visits: tuple[Visit, ...], move: float) -> float:
     """Time of a test with a move between visits [s]."""
@@ -334,16 +359,21 @@ def predict(
     mode = weighting_mode(design, "information")
     try:
         design = settled_design(design, mode, noise)
-        summaries = reduce_segments(design, mode, noise)
+        parts = reduce_positions(design, mode, noise)
+        summaries = of_segments(with_scatter(parts, noise), Positions.of(run))
         refuse_if_confounded(examine(design, summaries))
+        solution = solve(design, summaries)
+        layout = layout_of(design, max(solution.phases.size, 1))
+        interval = find_interval(layout, solution, repetitions(design, noise, parts))
     except IdentifiabilityError as error:
-        if refuse:
+        if refuse and not isinstance(error, LeverageError):
             raise IdentifiabilityError(
                 error.message.replace("record", "plan", 1), remedy=error.remedy
             ) from None
         return Prediction(name, visits, duration, refusal=error.message.replace("record", "plan", 1))
-    solution = solve(design, summaries)
-    coefficients, covariance = name_coefficients(design, solution, solution.covariance)
+    named, covariance = name_coefficients(design, solution, solution.covariance)
+    degrees = interval.degrees[asked_order(layout, wish.terms, solution.phases.size)]
+    coefficients = tuple(replace(c, degrees_of_freedom=float(nu)) for c, nu in zip(named, degrees, strict=True))
     base = np.array([c.value for c in coefficients])
 
     def estimate(moved: Run) -> Array:

@@ -33,6 +33,7 @@ from piga.planning.candidates import (
 from piga.planning.criterion import (
     SEARCH,
     Criterion,
+    Index,
     Mixture,
     PlanLimits,
     Schedule,
@@ -316,8 +317,7 @@ def _best(
 ) -> tuple[Prediction, float]:
     """The best test for the duration; a standard plan that keeps the margin if no test is better."""
     request = search.request
-    visits = _search_visits(search, criterion, mixture, request.duration, standard)
-    planned = predict(request, "planned", visits)
+    planned = _search_visits(search, criterion, mixture, "planned", request.duration, standard)
     value = _value(search, criterion, planned)
     for prediction in standard:
         other = _value(search, criterion, prediction)
@@ -342,10 +342,15 @@ def _search_visits(
     search: _Search,
     criterion: Criterion,
     mixture: Mixture,
+    name: str,
     duration: float,
     starts: tuple[Prediction, ...] = (),
-) -> tuple[Visit, ...]:
-    """Exchange search from the mixture and from the standard plans whose positions are candidates."""
+) -> Prediction:
+    """Exchange search from the mixture and from the standard plans whose positions are candidates.
+
+    A visit that alone determines a coefficient shows no scatter of it, and the calibration refuses it. The search is then repeated
+    with half the longest dwell.
+    """
     limits, steps, criterion = search.limits(duration), search.tables.shape[1], criterion.guarded()
     begun = [start_of(mixture, steps, limits)]
     angles = {c.label: k for k, c in enumerate(search.usable)}
@@ -354,11 +359,26 @@ def _search_visits(
         if places:
             dwell = max(limits.shortest, int(prediction.visits[0].dwell / search.request.dwell_step))
             begun.append((np.array(places), np.full(len(places), dwell)))
-    best = min((improve(search.tables, criterion, limits, *start) for start in begun), key=lambda s: s.value)
-    return _finished(search, best, duration)
+    while True:
+        best = min(
+            (improve(search.tables, criterion, limits, *start) for start in begun), key=lambda s: s.value
+        )
+        longest = limits.longest * search.request.dwell_step
+        planned = predict(search.request, name, _finished(search, best, duration, longest))
+        if not planned.refusal or limits.longest == limits.shortest:
+            return planned
+        limits = replace(limits, longest=max(limits.longest // 2, limits.shortest))
+        begun = [_cut(best, limits)]
 
 
-def _finished(search: _Search, schedule: Schedule, duration: float) -> tuple[Visit, ...]:
+def _cut(schedule: Schedule, limits: PlanLimits) -> tuple[Index, Index]:
+    """The visits of a schedule, each cut into visits within the limits."""
+    number = -(-schedule.dwells // limits.longest)
+    dwells = np.maximum(schedule.dwells // number, limits.shortest)
+    return np.repeat(schedule.places, number), np.repeat(dwells, number)
+
+
+def _finished(search: _Search, schedule: Schedule, duration: float, longest: float) -> tuple[Visit, ...]:
     """Visits in their order, dwells in whole gimbal revolutions, spare time distributed."""
     request, step = search.request, search.request.dwell_step
     order = np.argsort(schedule.places, kind="stable")
@@ -371,7 +391,7 @@ def _finished(search: _Search, schedule: Schedule, duration: float) -> tuple[Vis
     rounded = np.where(rounded < request.minimum_dwell, dwells, rounded)
     while True:
         spare = duration - rounded.sum() - request.move * (rounded.size - 1)
-        fits = np.flatnonzero(whole & (turns <= spare) & (rounded + turns <= request.longest_dwell))
+        fits = np.flatnonzero(whole & (turns <= spare) & (rounded + turns <= longest))
         if fits.size == 0:
             break
         most = fits[np.argmin(rounded[fits] / dwells[fits])]
@@ -411,9 +431,9 @@ def _stretched(
         standard = _standard(search.request, search.usable, duration)
         if duration < search.request.minimum_dwell or not standard:
             continue
-        visits = _search_visits(search, criterion, mixture, duration)
         name, usual = standard[-1]
-        pair = (predict(search.request, "planned", visits), predict(search.request, name, usual))
+        planned = _search_visits(search, criterion, mixture, "planned", duration)
+        pair = (planned, predict(search.request, name, usual))
         rows.append((duration, *pair))
     return tuple(rows)
 
@@ -438,8 +458,7 @@ def _cheapest(search: _Search, best: Prediction) -> Cheapest:
     begin = best_mixture(search.per_second(), criterion.guarded())
     duration = max(bound, request.minimum_dwell)
     for _ in range(STANDARD_PLANS.attempts):
-        visits = _search_visits(search, criterion, begin, duration)
-        plan = predict(request, "cheapest", visits)
+        plan = _search_visits(search, criterion, begin, "cheapest", duration)
         ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())
         if ratio <= 1.0:
             return Cheapest(max(bound, 0.0), plan)
@@ -533,6 +552,8 @@ def _prediction_document(plan: Plan, prediction: Prediction) -> dict[str, Any]:
         name: {
             "type_a": prediction.std(name),
             "combined": prediction.combined(name),
+            "expanded": _finite(prediction.expanded(name)),
+            "degrees_of_freedom": _finite(prediction.degrees(name)),
             "unit": unit_of(name),
         }
         for name in plan.names
