@@ -160,11 +160,12 @@ def test_mirrored_positions_earn_alike(tmp_path):
 
 @pytest.mark.only_compiled
 def test_bias_and_scale_factor_alone_need_up_and_down(tmp_path):
-    """K and k0 from +-1 g: half the time each, as every textbook says."""
-    plan = plan_test(request(tmp_path, terms='"scale_factor", "k0"', plan='longest_dwell = "400 s"'))
+    """K and k0 from +-1 g: half the time each, as every textbook says, to a step of the dwell."""
+    wish = request(tmp_path, terms='"scale_factor", "k0"', plan='longest_dwell = "400 s"')
+    plan = plan_test(wish)
     assert {visit.candidate.label for visit in plan.best.visits} == {"0 deg", "180 deg"}
     dwells = [visit.dwell for visit in plan.best.visits]
-    assert dwells[0] == pytest.approx(dwells[1], rel=0.03)
+    assert dwells[0] == pytest.approx(dwells[1], abs=wish.dwell_step)
 
 
 @pytest.mark.only_compiled
@@ -412,7 +413,8 @@ def test_long_visits_of_the_shipped_plan_are_cut_so_that_it_can_be_calibrated():
     assert usual.duration == pytest.approx(2130.0)
     assert plan.best.duration <= usual.duration
     places = [visit.candidate.label for visit in plan.best.visits]
-    assert min(places.count(label) for label in places) >= 2
+    assert len(places) > len(set(places))
+    assert not plan.best.refusal
     ratios = [plan.best.std(name) / usual.std(name) for name in plan.names]
     assert np.exp(np.mean(np.log(ratios))) < 0.85
     assert "alone determines" in plan.standard[0].refusal

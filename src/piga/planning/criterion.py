@@ -208,7 +208,7 @@ def improve(tables: Array, criterion: Criterion, limits: PlanLimits, places: Ind
 
     ``tables`` (n, steps, m, m) hold the information of 1, 2, ... dwell steps, scaled parameters.
     """
-    places, dwells = _fitted(places, dwells, limits)
+    places, dwells = fitted(places, dwells, limits)
     value = float(criterion.values(_information(tables, places, dwells)))
     while True:
         options = list(_neighbours(tables, limits, places, dwells))
@@ -229,7 +229,7 @@ def _information(tables: Array, places: Index, dwells: Index) -> Array:
     return tables[places, dwells - 1].sum(axis=0)
 
 
-def _fitted(places: Index, dwells: Index, limits: PlanLimits) -> tuple[Index, Index]:
+def fitted(places: Index, dwells: Index, limits: PlanLimits) -> tuple[Index, Index]:
     """Visits within the limits: surplus visits are removed from the end, spare time is distributed."""
     dwells = np.clip(dwells, limits.shortest, limits.longest)
     while limits.room(dwells) < 0:

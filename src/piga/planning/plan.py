@@ -33,11 +33,11 @@ from piga.planning.candidates import (
 from piga.planning.criterion import (
     SEARCH,
     Criterion,
-    Index,
     Mixture,
     PlanLimits,
     Schedule,
     best_mixture,
+    fitted,
     improve,
     start_of,
 )
@@ -348,8 +348,8 @@ def _search_visits(
 ) -> Prediction:
     """Exchange search from the mixture and from the standard plans whose positions are candidates.
 
-    A visit that alone determines a coefficient shows no scatter of it, and the calibration refuses it. The search is then repeated
-    with half the longest dwell.
+    A visit that alone determines a coefficient shows no scatter of it, and the calibration refuses it. Long visits are then cut
+    to half the longest dwell, until it would not.
     """
     limits, steps, criterion = search.limits(duration), search.tables.shape[1], criterion.guarded()
     begun = [start_of(mixture, steps, limits)]
@@ -368,14 +368,14 @@ def _search_visits(
         if not planned.refusal or limits.longest == limits.shortest:
             return planned
         limits = replace(limits, longest=max(limits.longest // 2, limits.shortest))
-        begun = [_cut(best, limits)]
+        best = _cut(best, limits)
 
 
-def _cut(schedule: Schedule, limits: PlanLimits) -> tuple[Index, Index]:
-    """The visits of a schedule, each cut into visits within the limits."""
+def _cut(schedule: Schedule, limits: PlanLimits) -> Schedule:
+    """The schedule with each visit cut into visits within the limits; the dwells pay for the moves."""
     number = -(-schedule.dwells // limits.longest)
-    dwells = np.maximum(schedule.dwells // number, limits.shortest)
-    return np.repeat(schedule.places, number), np.repeat(dwells, number)
+    dwells = np.repeat(np.maximum(schedule.dwells // number, limits.shortest), number)
+    return Schedule(*fitted(np.repeat(schedule.places, number), dwells, limits), schedule.value)
 
 
 def _finished(search: _Search, schedule: Schedule, duration: float, longest: float) -> tuple[Visit, ...]:
