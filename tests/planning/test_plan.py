@@ -203,7 +203,7 @@ def test_one_coefficient_alone_keeps_the_others_determined(tmp_path):
     assert plan.efficiency > 0.8
     assert np.all(np.isfinite([plan.best.std(name) for name in plan.names]))
     upright = sum(v.dwell for v in plan.best.visits if v.candidate.label in ("0 deg", "180 deg"))
-    assert upright > 0.8 * plan.best.recorded
+    assert upright > 0.65 * plan.best.recorded  # every other position is visited twice, too
 
 
 @pytest.mark.only_compiled

@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 
 import pytest
+from scipy import stats
 from typer.testing import CliRunner
 
 from piga.cli.main import app
@@ -20,7 +21,7 @@ from tests.planning.cases import request
 
 pytestmark = pytest.mark.only_compiled
 WALK = 1e-5
-TINY = {"rate": 1, "positions": "0:360:90 deg", "duration": 150, "terms": '"scale_factor", "k0"', "walk": WALK}
+TINY = {"rate": 1, "positions": "0:360:90 deg", "duration": 250, "terms": '"scale_factor", "k0"', "walk": WALK}
 SMALL = {"rate": 1, "positions": "0:360:60 deg", "duration": 301, "terms": '"scale_factor", "k0"', "walk": WALK}
 
 
@@ -33,9 +34,10 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
 def test_up_and_down_with_the_uncertainty_of_the_closed_form(plan: Plan) -> None:
     """A walk q over the dwell T leaves the mean rate with q / sqrt(T): K and k0 from two of them at +-g."""
     assert {visit.candidate.label for visit in plan.best.visits} == {"0 deg", "180 deg"}
-    dwells = [visit.dwell for visit in plan.best.visits]
-    assert len(dwells) == 2
-    assert dwells[0] == pytest.approx(dwells[1], rel=0.03)
+    labels = [visit.candidate.label for visit in plan.best.visits]
+    assert min(labels.count(label) for label in set(labels)) >= 2  # visited once, it determines both alone
+    up = sum(visit.dwell for visit in plan.best.visits if visit.candidate.label == "0 deg")
+    assert up == pytest.approx(0.5 * plan.best.recorded, rel=0.05)
     assert plan.best.duration <= 301.0 + 1e-9
     mean = (
         WALK / math.sqrt(0.5 * plan.best.recorded) / math.sqrt(2.0)
@@ -65,7 +67,15 @@ def test_document_text_and_scenario(plan: Plan, tmp_path: Path) -> None:
     assert json.loads(json.dumps(document, allow_nan=False)) == document
     assert document["cheapest"]["duration_s"] == plan.cheapest.plan.duration  # type: ignore[union-attr]
     planned = document["planned"]["standard_uncertainty"]["k0"]
-    assert planned == {"type_a": plan.best.std("k0"), "combined": plan.best.combined("k0"), "unit": "g"}
+    degrees = plan.best.degrees("k0")
+    assert degrees == pytest.approx(len(plan.best.visits) - 2, rel=0.02)  # two means of equal visits
+    assert planned == {
+        "type_a": plan.best.std("k0"),
+        "combined": plan.best.combined("k0"),
+        "expanded": pytest.approx(stats.t.ppf(0.975, degrees) * plan.best.std("k0"), rel=1e-6),
+        "degrees_of_freedom": pytest.approx(degrees),
+        "unit": "g",
+    }
     text = page_text(plan_brief(plan, None))
     assert re.search(r"60 deg +within 700 times the lock zone", text)
     (tmp_path / "s.toml").write_text(scenario_text(plan), encoding="utf-8")
@@ -110,7 +120,7 @@ def test_other_criteria_are_no_worse_than_the_standard_test(tmp_path: Path, crit
 
 
 def test_dwells_of_whole_turns(tmp_path: Path) -> None:
-    plan = plan_test(request(tmp_path, **TINY | {"rate": 4, "duration": 100}, whole="true"))
+    plan = plan_test(request(tmp_path, **TINY | {"rate": 4, "duration": 270}, whole="true"))
     turns = [visit.dwell / visit.candidate.revolution for visit in plan.best.visits]
     for visit, turn in zip(plan.best.visits, turns, strict=True):
         assert abs(turn - round(turn)) * visit.candidate.revolution <= 0.25 + 1e-9

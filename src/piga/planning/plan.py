@@ -33,6 +33,7 @@ from piga.planning.candidates import (
 from piga.planning.criterion import (
     SEARCH,
     Criterion,
+    Index,
     Mixture,
     PlanLimits,
     Schedule,
@@ -325,7 +326,7 @@ def _best(
         if safe and other < value:
             planned, value = replace(prediction, name="planned"), other
     if not math.isfinite(value):
-        raise IdentifiabilityError(planned.refusal, remedy="give the test more time, or leave a term out")
+        raise IdentifiabilityError(planned.refusal, remedy="more time, a shorter minimum_dwell, or fewer terms")
     return planned, value
 
 
@@ -348,8 +349,8 @@ def _search_visits(
 ) -> Prediction:
     """Exchange search from the mixture and from the standard plans whose positions are candidates.
 
-    A visit that alone determines a coefficient shows no scatter of it, and the calibration refuses it. Long visits are then cut
-    to half the longest dwell, until it would not.
+    A visit that alone determines a coefficient shows no scatter of it, and the calibration refuses it. The longest dwell is then
+    halved, until it would not.
     """
     limits, steps, criterion = search.limits(duration), search.tables.shape[1], criterion.guarded()
     begun = [start_of(mixture, steps, limits)]
@@ -367,15 +368,15 @@ def _search_visits(
         planned = predict(search.request, name, _finished(search, best, duration, longest))
         if not planned.refusal or limits.longest == limits.shortest:
             return planned
-        limits = replace(limits, longest=max(limits.longest // 2, limits.shortest))
-        best = _cut(best, limits)
+        limits = replace(limits, longest=max(int(best.dwells.max()) // 2, limits.shortest))
+        begun.append(_cut(best, limits))
 
 
-def _cut(schedule: Schedule, limits: PlanLimits) -> Schedule:
-    """The schedule with each visit cut into visits within the limits; the dwells pay for the moves."""
+def _cut(schedule: Schedule, limits: PlanLimits) -> tuple[Index, Index]:
+    """Places and dwells of the schedule, each visit cut into visits within the limits; the dwells pay for the moves."""
     number = -(-schedule.dwells // limits.longest)
     dwells = np.repeat(np.maximum(schedule.dwells // number, limits.shortest), number)
-    return Schedule(*fitted(np.repeat(schedule.places, number), dwells, limits), schedule.value)
+    return fitted(np.repeat(schedule.places, number), dwells, limits)
 
 
 def _finished(search: _Search, schedule: Schedule, duration: float, longest: float) -> tuple[Visit, ...]:
@@ -433,8 +434,8 @@ def _stretched(
             continue
         name, usual = standard[-1]
         planned = _search_visits(search, criterion, mixture, "planned", duration)
-        pair = (planned, predict(search.request, name, usual))
-        rows.append((duration, *pair))
+        if not planned.refusal:
+            rows.append((duration, planned, predict(search.request, name, usual)))
     return tuple(rows)
 
 
