@@ -160,6 +160,16 @@ def test_a_clock_that_starts_anew_is_shown_after(tmp_path: Path) -> None:
     ]
 
 
+def test_a_reading_that_ends_late_leaves_the_cache_of_a_newer_record(tmp_path: Path) -> None:
+    run_file = read_run_file(Path("run.toml"), RUN.replace("UNIT", "K").encode())
+    began = time.time() - 10.0
+    write(record(100, []), tmp_path / "a-new")
+    write_envelopes(record(50, []), run_file, tmp_path / "a-old", began)
+    assert read_outline(tmp_path / "a-new") is not None
+    write(record(100, []), tmp_path / "a-newest")
+    assert [path.name for path in tmp_path.iterdir()] == ["a-newest"]
+
+
 def test_older_caches_of_a_record_go_and_a_broken_one_is_none(tmp_path: Path) -> None:
     run = record(100, [])
     write(run, tmp_path / "a-1")

@@ -89,7 +89,8 @@ def _envelopes(run: Path, folder: Path) -> None:
     from piga.stand import read_run
     from piga.workbench.signals import write_envelopes
 
-    write_envelopes(read_run(run), read_run_file(run), folder)
+    began = time.time()
+    write_envelopes(read_run(run), read_run_file(run), folder, began)
 
 
 if __name__ == "__main__":

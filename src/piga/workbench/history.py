@@ -79,6 +79,10 @@ class History:
                 raise ArgumentError("there is nothing to undo", remedy="reload the page")
             change = self._changes.pop()
             for path, former in reversed(change.steps):
+                if former is not None and former.is_file() and path.is_file():
+                    self.copy_away(path)
+                    former.replace(path)  # at once: an open page may ask for it at any time
+                    continue
                 self.put_away(path)
                 if former is not None and former.exists():
                     former.rename(path)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -104,7 +105,7 @@ def cache_key(paths: list[Path]) -> str:
     return hashlib.sha256(json.dumps([FORM, states]).encode()).hexdigest()[:24]
 
 
-def write_envelopes(run: Run, run_file: RunFile, folder: Path) -> Outline:
+def write_envelopes(run: Run, run_file: RunFile, folder: Path, began: float = math.inf) -> Outline:
     """Write the columns and envelopes of a record.
 
     Parameters
@@ -113,18 +114,29 @@ def write_envelopes(run: Run, run_file: RunFile, folder: Path) -> Outline:
         The record as read, and its run file.
     folder:
         New folder, ``RECORD-KEY``. It appears when it is complete; older ones of the same record are removed.
+    began:
+        When the reading began [s since 1970]. What another reading completed since is of a newer record, and stays.
     """
     part = Path(tempfile.mkdtemp(prefix="part-", dir=folder.parent))
     try:
         outline = _write_all(run, run_file, part)
-        shutil.rmtree(folder, ignore_errors=True)
-        part.rename(folder)
+        if read_outline(folder) is None:  # else another reading has completed it, and pages use it
+            shutil.rmtree(folder, ignore_errors=True)
+            part.rename(folder)
     finally:
         shutil.rmtree(part, ignore_errors=True)
     for place in folder.parent.glob(f"{folder.name.partition('-')[0]}-*"):
-        if place != folder:
+        if place != folder and _completed(place) < began:
             shutil.rmtree(place, ignore_errors=True)
     return outline
+
+
+def _completed(folder: Path) -> float:
+    """When a cache was completed [s since 1970]; long ago if it is not complete."""
+    try:
+        return (folder / "outline.json").stat().st_mtime
+    except OSError:
+        return -math.inf
 
 
 def _write_all(run: Run, run_file: RunFile, folder: Path) -> Outline:

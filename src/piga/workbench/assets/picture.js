@@ -114,6 +114,10 @@ const startPicture = () => {
     const width = Math.min(Math.max(200, Math.round(picture.place.clientWidth * devicePixelRatio)), 4096);
     const keys = picture.signals.map((one) => one.key).join(",");
     const answer = await fetch(`${page.dataset.source}?keys=${keys}&from=${shown[0]}&to=${shown[1]}&width=${width}`).catch(() => null);
+    if (answer && answer.status === 204 && page.isConnected && turn === wanted) {  // the record was changed: it is read again
+      wanted += 1;
+      htmx.ajax("GET", page.dataset.again, { target: "#picture", swap: "outerHTML" });
+    }
     if (!answer || !answer.ok || turn !== wanted) return;
     const columns = Number(answer.headers.get("x-columns"));
     const values = new Float64Array(await answer.arrayBuffer());

@@ -186,8 +186,13 @@ def reading(bench: Bench, name: str, *, again: bool = False) -> tuple[Outline | 
         return outline, None
     mark = f"signals/{cache.name}"
     last = bench.jobs.latest(name, mark)
-    if last is not None and not again and bench.jobs.status(last).state in ("running", *ENDED):
-        return None, last
+    if last is not None:
+        state = bench.jobs.status(last).state
+        outline = read_outline(cache)  # the job may have ended meanwhile
+        if outline is not None:
+            return outline, None
+        if state == "running" or (state in ENDED and not again):
+            return None, last
     return None, bench.jobs.start(("envelopes", name, str(cache)), "Read the record", name, mark)
 
 
@@ -211,6 +216,7 @@ def show_picture(request: Request) -> Response:
 def _picture(request: Request, entry: Entry) -> dict[str, Any]:
     bench = bench_of(request)
     values: dict[str, Any] = {"outline": None, "job": None, "message": entry.message, "repairs": [], "seen": ""}
+    values["waits"] = ""
     if entry.state == "faulty":
         values["repairs"] = _repairs(bench, entry)
         with contextlib.suppress(PigaError):
@@ -220,7 +226,7 @@ def _picture(request: Request, entry: Entry) -> dict[str, Any]:
     try:
         outline, job = reading(bench, entry.name, again="again" in request.query_params)
     except BusyError as error:
-        return values | {"message": str(error)}
+        return values | {"waits": error.message}
     if outline is not None:
         drawn = {"signals": [asdict(one) for one in outline.signals], "duration": outline.duration}
         drawn |= {
@@ -258,12 +264,17 @@ def data(request: Request) -> Response:
         first, last, width = float(query["from"]), float(query["to"]), int(query["width"])
     except (KeyError, ValueError):
         raise ArgumentError("the span of the picture is not valid", remedy="reload the page") from None
-    if outline is None:
-        raise ArgumentError(f"{name}: is not read yet", remedy="reload the page")
+    if outline is None:  # the record was changed; the page asks for its picture again
+        return Response(status_code=204)
     signals = {signal.key: signal for signal in outline.signals}
     columns: list[Any] = []
     for key in query.get("keys", "").split(","):
-        rows = picture(cache, key, first, last, width)
+        try:
+            rows = picture(cache, key, first, last, width)
+        except (ArgumentError, OSError):
+            if read_outline(cache) is None:  # it was removed meanwhile
+                return Response(status_code=204)
+            raise
         shown = rows[:, 1:] * signals[key].factor + signals[key].offset
         columns += [shown] if columns else [rows[:, :1], shown]
     table = np.ascontiguousarray(np.hstack(columns), dtype="<f8")
@@ -456,11 +467,13 @@ def show_answer(request: Request) -> Response:
     entry = bench.folder.entry(name)
     asked = request.query_params.getlist("term")
     text = ",".join(asked) if asked else request.query_params.get("terms", "")
-    outline = None if entry.state in ("faulty", "log") else reading(bench, name)[0]
+    outline, waits = None, ""
+    try:
+        outline = None if entry.state in ("faulty", "log") else reading(bench, name)[0]
+    except BusyError as error:
+        waits = error.message
     if outline is None:
-        return render(
-            request, "answer.html.jinja", entry=entry, answer=None, status=None, message="", query=text
-        )
+        return _no_answer(request, entry, text, waits)
     terms = _asked(bench, name, text)
     if asked and "again" not in request.query_params:
         terms = tuple(dict.fromkeys((ALWAYS, *terms)))
@@ -469,7 +482,10 @@ def show_answer(request: Request) -> Response:
         for old in bench.jobs.all():
             if old.subject == name and old.title == "Fit":
                 bench.jobs.forget(old)
-    answer, job = _answer(bench, name, terms, outline)
+    try:
+        answer, job = _answer(bench, name, terms, outline)
+    except BusyError as error:
+        return _no_answer(request, entry, text, error.message)
     last = bench.answers.setdefault(name, [])
     if answer.calibration is not None and answer.key not in last[:1]:
         bench.answers[name] = last = [answer.key, *last][:2]
@@ -488,6 +504,12 @@ def show_answer(request: Request) -> Response:
     if asked:
         response.headers["hx-push-url"] = f"/record/{quote(name)}?{urlencode({'terms': text})}"
     return response
+
+
+def _no_answer(request: Request, entry: Entry, text: str, waits: str) -> Response:
+    """The answer before its fit can begin, and what it waits for. The page asks again."""
+    values = {"entry": entry, "answer": None, "status": None, "message": "", "query": text, "waits": waits}
+    return render(request, "answer.html.jinja", **values)
 
 
 def _mark(entry: Entry) -> str:
