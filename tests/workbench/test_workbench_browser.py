@@ -62,12 +62,9 @@ def test_a_strangers_log_takes_six_actions(
     for label, value in values.items():
         page.get_by_label(label, exact=True).fill(value)
         actions += 1
-    if values:
-        page.get_by_label(SCALE, exact=True).press("Tab")
     if page.get_by_label(COUNTS, exact=True).count():
         page.get_by_label(COUNTS, exact=True).fill(str(logs.COUNTS))
         actions += 1
-    browser.until("!document.getElementById('not-yet')")
     page.get_by_role("button", name="Go on").click()
     actions += 1
     page.wait_for_url("**/record/**")
@@ -245,6 +242,27 @@ def test_leave_out_by_mouse_and_undo(browser: Browser, place: Path) -> None:
     wait_until(lambda: (place / "marked.toml").read_bytes() == first)
     browser.open("/jobs")  # a page of the record asks for it again
     (place / "marked.toml").unlink()
+
+
+def test_a_press_counts_while_its_part_of_the_page_is_asked_again(browser: Browser) -> None:
+    page = browser.page
+    page.route("**/part", lambda route: route.fulfill(body="<button id=pressed>press</button>"))
+    browser.open("/jobs")
+    page.evaluate(
+        """() => { const part = document.createElement('div');
+           for (const [name, value] of [['get', '/part'], ['trigger', 'every 100ms'], ['swap', 'innerHTML']])
+             part.setAttribute(`hx-${name}`, value);
+           part.addEventListener('click', event => { window.clicked = event.target.id; });
+           document.getElementById('main').prepend(part); htmx.process(part); }"""
+    )
+    page.locator("#pressed").hover()
+    page.mouse.down()
+    page.evaluate("document.getElementById('pressed').dataset.old = 'yes'")
+    page.wait_for_timeout(500)
+    page.mouse.up()
+    assert page.evaluate("window.clicked") == "pressed"
+    browser.until("!document.querySelector('[data-old]')")  # it is renewed afterwards
+    page.unroute_all(behavior="ignoreErrors")
 
 
 @WIDE

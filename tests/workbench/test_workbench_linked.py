@@ -17,6 +17,8 @@ SELECTED = """key => document.getElementById(key).querySelector('.live').data
     .filter(trace => trace.uid.endsWith('-selected'))
     .map(trace => ({ name: trace.name, x: trace.x.filter((_, k) => trace.y[k] !== null), y: trace.y.filter(y => y !== null) }))"""
 
+HEIGHTS = "[...document.querySelectorAll('figure.figure')].map(figure => figure.getBoundingClientRect().height)"
+
 
 def selected(frame: Any, key: str, count: int) -> list[dict[str, Any]]:
     """The marked parts of a figure, once there are ``count``."""
@@ -103,6 +105,18 @@ def test_a_segment_is_selected_everywhere(browser: Browser, report: tuple[str, A
     selected(frame, "residual-time", 0)
     assert frame.locator("tr.selected").count() == 0
     assert frame.locator("#chosen").input_value() == ""
+
+
+def test_no_figure_moves_the_page_when_it_is_drawn(browser: Browser, report: tuple[str, Any]) -> None:
+    page = browser.page
+    browser.open(_alone(report[0]))
+    before = page.evaluate(HEIGHTS)
+    for figure in page.locator("figure.figure").all():
+        figure.scroll_into_view_if_needed()
+        figure.locator(".main-svg").first.wait_for()
+    assert page.evaluate(HEIGHTS) == before
+    assert len(before) > 5
+    assert "points of" in page.locator("p.shown").first.inner_text()
 
 
 def test_what_the_reader_zoomed_stays(browser: Browser, report: tuple[str, Any]) -> None:

@@ -41,9 +41,7 @@
     const points = trace.customdata.filter((_, k) => trace.x[k] >= low && trace.x[k] <= high && trace.y[k] !== null);
     const first = points.reduce((a, b) => Math.min(a, b), Infinity);
     const last = points.reduce((a, b) => Math.max(a, b), -Infinity);
-    const line = figure.querySelector("p.shown") || live.insertAdjacentElement("afterend", document.createElement("p"));
-    line.className = "note shown";
-    line.textContent = points.length ? `In view: ${points.length} points of ${last - first + 1} rows.` : "In view: no point.";
+    figure.querySelector("p.shown").textContent = points.length ? `In view: ${points.length} points of ${last - first + 1} rows.` : "In view: no point.";
   };
 
   // A selected segment is marked in every figure and table: its points are ringed or drawn heavily, the others fade.
@@ -79,11 +77,18 @@
   const paper = { getPropertyValue: (name) => Object.keys(palette).find((key) => palette[key] === name) || "" };
   const PAPER_WIDTH = 680;
   let printing = false;
+  const isNarrow = (figure) => !printing && figure.clientWidth < 560;
+  // A figure has its height before it is drawn. Else the page moves under a reader who is just clicking.
+  const reserve = (figure) => {
+    const { layout, narrow } = specs.get(figure);
+    const height = isNarrow(figure) && narrow.height ? narrow.height : layout.height;
+    figure.querySelector(".live").style.minHeight = `${height}px`;
+  };
   const draw = (figure) => {
     const spec = specs.get(figure);
     const style = printing ? paper : getComputedStyle(document.documentElement);
     const layout = themed(spec.layout, style);
-    const narrow = !printing && figure.clientWidth < 560;
+    const narrow = isNarrow(figure);
     figure.dataset.narrow = narrow;
     if (printing) layout.width = PAPER_WIDTH;
     if (narrow) Object.entries(spec.narrow).forEach(([path, value]) => change(layout, path, value));
@@ -100,7 +105,7 @@
     const live = figure.querySelector(".live");
     live.dataset.plain = live.dataset.plain || live.getAttribute("aria-label");
     live.setAttribute("aria-label", live.dataset.plain + (data.length > spec.data.length ? ` Segment ${names[selected]} is marked.` : ""));
-    live.style.minHeight = "";
+    reserve(figure);
     figure.classList.add("upgraded");
     // In a narrow figure the buttons would cover the legend; dragging and a double click zoom there, too.
     const own = touch.matches || narrow || printing ? { ...config, displayModeBar: false } : config;
@@ -123,7 +128,12 @@
     });
   }, { rootMargin: "400px" });
   figures.forEach((figure) => {
-    figure.querySelector(".live").style.minHeight = `${specs.get(figure).layout.height}px`;
+    if (specs.get(figure).data.some((trace) => trace.customdata)) {
+      const line = figure.querySelector(".live").insertAdjacentElement("afterend", document.createElement("p"));
+      line.className = "note shown";
+      line.textContent = "\u00a0";
+    }
+    reserve(figure);
     observer.observe(figure);
   });
   const print = (now) => {
@@ -168,6 +178,9 @@
   let pending = 0;
   window.addEventListener("resize", () => {
     clearTimeout(pending);
-    pending = setTimeout(() => redraw((f) => f.dataset.narrow !== String(f.clientWidth < 560)), 150);
+    pending = setTimeout(() => {
+      figures.forEach(reserve);
+      redraw((f) => f.dataset.narrow !== String(isNarrow(f)));
+    }, 150);
   });
 })();

@@ -87,7 +87,28 @@ const watch = () => {
   setInterval(ask, 3000);
 };
 
+// A press counts if the same button is there when it is let go. No part of the page is renewed in between.
+const steady = () => {
+  let limit = 0;
+  const pressed = () => performance.now() < limit;
+  addEventListener("pointerdown", (event) => {
+    if (event.button === 0 && event.target.closest("button, a, label")) limit = performance.now() + 5000;
+  }, true);
+  ["pointerup", "pointercancel"].forEach((kind) => addEventListener(kind, () => { limit = 0; }, true));
+  const later = (act) => setTimeout(() => (pressed() ? later(act) : act()), 20);
+  const polls = (part) => (part.getAttribute("hx-trigger") || "").startsWith("every");  // it asks again soon
+  document.addEventListener("htmx:confirm", (event) => {
+    if (!pressed()) return;
+    event.preventDefault();
+    if (!polls(event.detail.elt)) later(() => event.detail.issueRequest(true));
+  });
+  document.addEventListener("htmx:beforeSwap", ({ detail }) => {
+    if (pressed() && polls(detail.requestConfig.elt)) detail.shouldSwap = false;
+  });
+};
+
 document.addEventListener("DOMContentLoaded", () => {
+  steady();
   upload();
   records();
   watch();
