@@ -508,8 +508,8 @@ def show_answer(request: Request) -> Response:
 
 def _no_answer(request: Request, entry: Entry, text: str, waits: str) -> Response:
     """The answer before its fit can begin, and what it waits for. The page asks again."""
-    values = {"entry": entry, "answer": None, "status": None, "message": "", "query": text, "waits": waits}
-    return render(request, "answer.html.jinja", **values)
+    values: dict[str, Any] = {"entry": entry, "answer": None, "status": None, "message": "", "query": text}
+    return render(request, "answer.html.jinja", waits=waits, **values)
 
 
 def _mark(entry: Entry) -> str:
