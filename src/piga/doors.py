@@ -11,13 +11,6 @@ from __future__ import annotations
 from types import ModuleType
 
 
-def shown_plainly() -> ModuleType:
-    """Shows names and values of any result."""
-    from piga.reports.render import brief
-
-    return brief
-
-
 def shown_calibration() -> ModuleType:
     """Shows a calibration."""
     from piga.reports.calibration import page
@@ -75,7 +68,7 @@ def platform_figures() -> ModuleType:
 
 
 def pages() -> ModuleType:
-    """Pages as HTML, card and text."""
+    """Pages as HTML, card and text; shows names and values of any result."""
     from piga.reports.render import page
 
     return page

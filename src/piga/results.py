@@ -92,7 +92,7 @@ class Shown:
 
     def _subject(self) -> ModuleType:
         """The module that shows this result. Here: names and values."""
-        return doors.shown_plainly()
+        return doors.pages()
 
     def heading(self) -> str:
         """The first line of what is shown."""

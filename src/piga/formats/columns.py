@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -305,7 +305,12 @@ def as_label(values: Iterable[object]) -> Label:
 
 
 def label_text(value: object) -> str:
-    """Segment label of a cell. Bytes are decoded, whole numbers have no decimal point, None and nan give an empty text."""
+    """Segment label of a cell. Bytes are decoded, whole numbers have no decimal point, None and nan give an empty text.
+
+    A cell of MATLAB is an array of one value.
+    """
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.reshape(-1)[0].item()
     if value is None:
         return ""
     if isinstance(value, bytes):
@@ -317,18 +322,24 @@ def label_text(value: object) -> str:
 
 
 def make_table(
-    path: Path, numbers: dict[str, NDArray], label: tuple[str, Label] | None, units: dict[str, str]
+    path: Path,
+    numeric: Iterable[str],
+    label: str | None,
+    column: Callable[[str], NDArray],
+    units: Mapping[str, str],
 ) -> RawTable:
-    """A table of columns of equal length. ``label`` has the name of the segment column.
+    """A table of columns of equal length, each read by ``column``. ``label`` names the segment column.
 
     Raises
     ------
     DataError
-        If lengths differ or there are no rows.
+        If a number column holds something else, lengths differ, or there are no rows.
     """
-    lengths = {name: int(column.size) for name, column in numbers.items()}
-    if label is not None:
-        lengths[label[0]] = int(label[1][0].size)
+    numbers = {name: as_numbers(path, name, column(name)) for name in dict.fromkeys(numeric)}
+    labels = None if label is None else as_label(column(label).tolist())
+    lengths = {name: int(values.size) for name, values in numbers.items()}
+    if label is not None and labels is not None:
+        lengths[label] = int(labels[0].size)
     first, rows = next(iter(lengths.items()))
     for name, length in lengths.items():
         if length != rows:
@@ -339,4 +350,4 @@ def make_table(
             )
     if rows == 0:
         raise DataError(f"{path}: no data row", remedy="check that the logger wrote data")
-    return RawTable(path, numbers, None if label is None else label[1], rows, units)
+    return RawTable(path, numbers, labels, rows, {name: unit for name, unit in units.items() if unit})

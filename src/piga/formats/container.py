@@ -1,9 +1,13 @@
-"""Read HDF5, MATLAB, TDMS and XLSX files whole: one table of the wanted columns. Their size is limited."""
+"""Read HDF5, MATLAB, TDMS and XLSX files whole: one table of the wanted columns. Their size is limited.
+
+HDF5 data, including MATLAB v7.3, are read only from the file itself and with built-in filters. No plug-in is ever loaded.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,21 +15,174 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import EXTRAS, DataError, PigaError, Where
-from piga.formats.columns import (
-    RawTable,
-    as_label,
-    as_numbers,
-    make_table,
-    matrix_columns,
-    no_column,
-    split_name,
-    vector,
-)
-from piga.formats.hdf5 import read_hdf5
+from piga.formats.columns import RawTable, label_text, make_table, matrix_columns, no_column, split_name, vector
 from piga.formats.xlsx import read_xlsx
 from piga.records.limits import check_regular, check_unpacked, extra_missing, first_line, open_regular
 
+# -- HDF5 ----------------------------------------------------------------------------------------------
+
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
+PLAIN_FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}
+"""Filters built into the HDF5 library."""
+MAX_NAMES, MAX_LEVELS = 200, 8
+"""Most names that are listed, and most groups inside each other of which they are listed."""
+MAX_CELL = 4096
+"""Most characters of one text cell."""
+UNIT_KEYS = ("unit", "units", "Unit", "Units", "unit_string", "NI_UnitDescription")
+"""Attributes of an HDF5 dataset or a TDMS channel that state its unit."""
+
+
+def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
+    """Read the named datasets.
+
+    Parameters
+    ----------
+    path:
+        The file.
+    numeric, label:
+        ``name`` or ``group/name`` of a dataset, ``name(:,2)`` for a column of a matrix, or
+        ``name/field`` for a field of a table.
+
+    Raises
+    ------
+    DataError
+        If the file lacks a dataset, or a dataset is external, virtual or compressed by a plug-in.
+    """
+    import h5py
+
+    with h5py.File(path, "r", locking=False) as source:
+        units = {name: _unit(_find(source, path, name)[0].attrs) for name in numeric}
+        return make_table(path, numeric, label, partial(_dataset, source, path), units)
+
+
+def _unit(attributes: Any) -> str:
+    return next((_text(attributes[key]) for key in UNIT_KEYS if key in attributes), "")
+
+
+def _dataset(source: Any, path: Path, name: str) -> NDArray:
+    """One column of a dataset: numbers or texts (n,)."""
+    import h5py
+
+    item, field = _find(source, path, name)
+    plain, column = split_name(name)
+    _check_storage(item, path, plain)
+    kind, matlab = item.dtype, _text(item.attrs.get("MATLAB_class"))
+    text = h5py.check_string_dtype(kind) is not None
+    check_unpacked(
+        path, int(item.size) * (max(kind.itemsize, 64) if text else kind.itemsize), path.stat().st_size
+    )
+    if text:
+        return vector(path, name, np.asarray(item.asstr(errors="replace")[...], dtype=str), column)
+    if matlab == "cell" and h5py.check_ref_dtype(kind) is h5py.Reference:
+        return vector(path, name, _cell_array(source, path, plain, item), column)
+    if kind.hasobject:
+        raise DataError(
+            f"{path}: '{plain}' holds objects or references", remedy="store numbers or text in a plain dataset"
+        )
+    values = np.asarray(item[field] if field else item[...])
+    if matlab:  # stored column by column
+        values = _characters(values) if matlab == "char" else values.T
+    return vector(path, name, values, column)
+
+
+def _characters(values: NDArray) -> NDArray:
+    """Rows of a MATLAB char array as text: UTF-16 units, stored column by column, padded with blanks."""
+    rows = np.atleast_2d(values.T).astype("<u2")
+    return np.array([row.tobytes().decode("utf-16-le", errors="replace").rstrip(" \0") for row in rows])
+
+
+def _cell_array(source: Any, path: Path, name: str, item: Any) -> NDArray:
+    """A MATLAB cell array of texts or single numbers. Its cells are references to objects of the same file."""
+    import h5py
+
+    cells: list[str] = []
+    for reference in item[...].T.reshape(-1):
+        cell = source[reference] if reference else None
+        if not isinstance(cell, h5py.Dataset) or cell.dtype.kind not in "uif" or cell.size > MAX_CELL:
+            raise DataError(
+                f"{path}: '{name}', cell {len(cells) + 1} holds no text and no number",
+                remedy="store one label for each sample",
+            )
+        _check_storage(cell, path, name)
+        values = np.asarray(cell[...])
+        if cell.attrs.get("MATLAB_empty") or values.size == 0:
+            cells.append("")
+        elif _text(cell.attrs.get("MATLAB_class")) == "char":
+            cells.append("".join(_characters(values)))
+        else:
+            cells.append(label_text(values.reshape(-1)[0].item()))
+    return np.array(cells, dtype=str)
+
+
+def _find(source: Any, path: Path, name: str) -> tuple[Any, str | None]:
+    """Find a dataset by name, only through hard links, and the field of a compound dataset."""
+    import h5py
+
+    plain = split_name(name)[0]
+    for separated in (plain, plain.replace(".", "/")):
+        item: Any = source
+        parts = [part for part in separated.split("/") if part]
+        for at, part in enumerate(parts):
+            if isinstance(item, h5py.Dataset):
+                if at == len(parts) - 1 and part in (item.dtype.names or ()):
+                    return item, part
+                break
+            if part not in item:
+                break
+            link = item.get(part, getlink=True)
+            if not isinstance(link, h5py.HardLink):
+                raise DataError(
+                    f"{path}: '{part}' is a link to another place ({type(link).__name__}), which is not followed",
+                    remedy="copy the dataset into the file (h5repack or h5copy)",
+                )
+            item = item[part]
+        else:
+            if isinstance(item, h5py.Dataset) and item.dtype.names is None:
+                return item, None
+    raise no_column(path, plain, _dataset_names(source))
+
+
+def _dataset_names(source: Any) -> list[str]:
+    """Names of the datasets of the file itself, up to a limit. Links are not followed."""
+    import h5py
+
+    names: list[str] = []
+
+    def visit(name: str, item: Any) -> bool | None:
+        if isinstance(item, h5py.Dataset) and not name.startswith("#") and name.count("/") <= MAX_LEVELS:
+            shape = item.shape[::-1] if _text(item.attrs.get("MATLAB_class")) else item.shape
+            fields = [f"{name}/{part}" for part in item.dtype.names or ()]
+            names.extend(fields or matrix_columns(name, shape or ()))
+        return len(names) >= MAX_NAMES or None
+
+    source.visititems(visit)
+    return names
+
+
+def _check_storage(item: Any, path: Path, name: str) -> None:
+    """Refuse data that lie in other files or need a plug-in."""
+    if item.is_virtual or item.external:
+        raise DataError(
+            f"{path}: the data of '{name}' lie in other files", remedy="repack it into one file (h5repack)"
+        )
+    plan = item.id.get_create_plist()
+    for index in range(plan.get_nfilters()):
+        code = plan.get_filter(index)[0]
+        if code not in PLAIN_FILTERS:
+            raise DataError(
+                f"{path}: '{name}' is packed with filter {code}; only {', '.join(PLAIN_FILTERS.values())} are read",
+                remedy="repack it: h5repack -f GZIP=4",
+            )
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bytes):
+        return value.decode("utf-8", errors="replace")
+    return value if isinstance(value, str) else ""
+
+
+# -- MATLAB --------------------------------------------------------------------------------------------
+
 MAX_STRUCTS = 4
 """Most structs inside each other."""
 
@@ -51,11 +208,7 @@ def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTabl
         return read_hdf5(path, numeric, label)
     wanted = [*numeric, *([label] if label else [])]
     variables = _variables(path, [split_name(name)[0].split(".")[0] for name in wanted])
-    numbers = {
-        name: as_numbers(path, name, _variable(path, variables, name)) for name in dict.fromkeys(numeric)
-    }
-    labels = None if label is None else (label, as_label(_label_cells(_variable(path, variables, label))))
-    return make_table(path, numbers, labels, {})
+    return make_table(path, numeric, label, partial(_variable, path, variables), {})
 
 
 def _variables(path: Path, names: list[str] | None) -> dict[str, Any]:
@@ -98,18 +251,10 @@ def _variable_names_below(name: str, item: object, depth: int) -> list[str]:
     return matrix_columns(name, item.shape) if isinstance(item, np.ndarray) else [name]
 
 
-def _label_cells(values: NDArray) -> list[object]:
-    """Texts of a char matrix or of a cell array of char rows. Numbers are unchanged."""
-    if values.dtype.kind != "O":
-        return list(values.tolist())
-    return [
-        cell.reshape(-1)[0] if isinstance(cell, np.ndarray) and cell.size == 1 else str(cell) for cell in values
-    ]
-
+# -- TDMS ----------------------------------------------------------------------------------------------
 
 WAVEFORM_TIME = "waveform time"
 """Name of the time of a waveform: its channels state the interval between samples, and no channel holds the time."""
-UNIT_KEYS = ("unit_string", "NI_UnitDescription", "unit")
 
 
 def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
@@ -122,20 +267,23 @@ def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTab
     """
     import nptdms
 
-    numbers: dict[str, NDArray] = {}
-    units: dict[str, str] = {}
     with open_regular(path) as stream, nptdms.TdmsFile.open(stream) as source:
         channels = [channel for group in source.groups() for channel in group.channels()]
-        for name in dict.fromkeys(numeric):
-            if name == WAVEFORM_TIME or name.endswith(f"/{WAVEFORM_TIME}"):
-                numbers[name], units[name] = _waveform_time(path, channels, name), "s"
-                continue
-            channel = _channel(path, channels, name)
-            numbers[name] = as_numbers(path, name, np.asarray(channel[:]))
-            unit = next((channel.properties[key] for key in UNIT_KEYS if key in channel.properties), "")
-            units |= {name: unit} if isinstance(unit, str) and unit else {}
-        labels = None if label is None else (label, as_label(_channel(path, channels, label)[:].tolist()))
-    return make_table(path, numbers, labels, units)
+        units = {
+            name: "s" if _is_time(name) else _unit(_channel(path, channels, name).properties)
+            for name in numeric
+        }
+        return make_table(path, numeric, label, partial(_samples, path, channels), units)
+
+
+def _is_time(name: str) -> bool:
+    return name.rpartition("/")[2] == WAVEFORM_TIME
+
+
+def _samples(path: Path, channels: list[Any], name: str) -> NDArray:
+    if _is_time(name):
+        return _waveform_time(path, channels, name)
+    return np.asarray(_channel(path, channels, name)[:])
 
 
 def _waveforms(channels: list[Any]) -> dict[str, tuple[float, float, int]]:
@@ -187,6 +335,9 @@ def _channel(path: Path, channels: list[Any], name: str) -> Any:
             remedy="the file is damaged: copy it again",
         )
     return matching[0]
+
+
+# -- all of them ----------------------------------------------------------------------------------------
 
 
 class Container(NamedTuple):

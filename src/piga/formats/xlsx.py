@@ -69,13 +69,9 @@ def _formulas_and_hidden_rows(path: Path, stream: Any) -> list[Event]:
         parts = container.infolist()
         check_unpacked(path, sum(part.file_size for part in parts), path.stat().st_size)
         for part in (one for one in parts if one.filename.startswith("xl/worksheets/")):
-            with container.open(part) as unpacking:
-                rest = b""
-                while piece := unpacking.read(1 << 20):
-                    tags, mark, begun = (rest + piece).rpartition(b"<")
-                    formulas += len(_FORMULA.findall(tags))
-                    hidden += len(_HIDDEN.findall(tags))
-                    rest = mark + begun
+            text = container.read(part)
+            formulas += len(_FORMULA.findall(text))
+            hidden += len(_HIDDEN.findall(text))
     stream.seek(0)
     events = []
     if formulas:

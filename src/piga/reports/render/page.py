@@ -24,6 +24,7 @@ from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 from piga.errors import MissingPackageError, needed
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import aligned, ascii_text
+from piga.results import Plotted, Shown
 
 Tone = Literal["", "good", "doubtful", "bad", "quiet"]
 Kind = Literal["info", "good", "warning", "problem"]
@@ -32,6 +33,10 @@ Item = TypeVar("Item")
 Other = TypeVar("Other")
 ALONE = "This file holds all it shows: it opens without a network, and prints on A4."
 """Last sentence of a page's footer."""
+
+
+MOST_ROWS = 40
+"""Rows of a table in a notebook."""
 
 
 @dataclass(frozen=True)
@@ -350,6 +355,14 @@ def _wrapped(line: str, width: int) -> list[str]:
         return [line.removeprefix(_WHOLE)]
     indent = " " * (len(line) - len(line.lstrip()))
     return textwrap.wrap(line.strip(), width, initial_indent=indent, subsequent_indent=f"{indent}    ")
+
+
+def brief(result: Shown) -> Page:
+    """What a notebook shows of a result that no module shows: names and values, and its figure if it has one."""
+    blocks: tuple[Block, ...] = (named_values("", "", result.in_brief()[:MOST_ROWS]),)
+    if isinstance(result, Plotted):
+        blocks += (FigureBlock(result.figure()),)
+    return Page(result.heading(), sections=(Section("", "result", blocks),))
 
 
 def card_html(page: Page) -> str:
