@@ -116,6 +116,25 @@ def test_kernels_are_kept_in_a_folder_of_the_user_alone(tmp_path: Path) -> None:
     assert list(folder.rglob("small.twice*.nbc"))
 
 
+def test_other_sources_have_another_folder(tmp_path: Path) -> None:
+    """Numba takes a cached kernel whose callee changed or is gone."""
+    import piga
+    from piga._kernels.jit import cache_folder, sources_digest
+
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "outer.py").write_text("a")
+    (tmp_path / "inner" / "callee.py").write_text("b")
+    digests = {sources_digest(tmp_path)}
+    (tmp_path / "inner" / "callee.py").write_text("c")
+    digests.add(sources_digest(tmp_path))
+    (tmp_path / "inner" / "callee.py").rename(tmp_path / "inner" / "other.py")
+    digests.add(sources_digest(tmp_path))
+    assert len(digests) == 3
+    folder = cache_folder(tmp_path / "home")
+    assert folder is not None
+    assert folder.name.endswith(sources_digest(Path(piga.__file__).parent / "_kernels"))
+
+
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="owners are POSIX")
 def test_a_folder_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from piga._kernels.jit import cache_folder

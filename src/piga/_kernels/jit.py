@@ -15,6 +15,7 @@ import os
 import stat
 import sys
 import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, cast
@@ -45,12 +46,23 @@ def user_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
+def sources_digest(folder: Path) -> str:
+    """Digest of the kernels' sources in ``folder``.
+
+    Numba compares a cached kernel with its own file only, not with the files of the kernels that it calls.
+    """
+    digest = 0
+    for path in sorted(folder.rglob("*.py")):
+        digest = zlib.crc32(path.read_bytes(), zlib.crc32(path.name.encode(), digest))
+    return f"{digest:08x}"
+
+
 def cache_folder(parent: Path) -> Path | None:
-    """The folder of compiled kernels of this version in ``parent``, made for this user alone (mode 0700).
+    """The folder of compiled kernels of these sources in ``parent``, made for this user alone (mode 0700).
 
     None if it cannot be made, is not a folder, or belongs to another user.
     """
-    folder = parent / f"piga-kernels-{__version__}"
+    folder = parent / f"piga-kernels-{__version__}-{sources_digest(Path(__file__).parent)}"
     try:
         parent.mkdir(parents=True, exist_ok=True)
         if not folder.exists():
