@@ -326,7 +326,9 @@ def _best(
         if safe and other < value:
             planned, value = replace(prediction, name="planned"), other
     if not math.isfinite(value):
-        raise IdentifiabilityError(planned.refusal, remedy="more time, a shorter minimum_dwell, or fewer terms")
+        raise IdentifiabilityError(
+            planned.refusal, remedy="give the test more time, a shorter minimum_dwell, or fewer terms"
+        )
     return planned, value
 
 
