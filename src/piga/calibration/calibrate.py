@@ -52,6 +52,7 @@ from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import asked_order, layout_of, name_coefficients
 from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
+from piga.calibration.remarks.creep import find_creep, with_creep
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
 from piga.calibration.remarks.missing_terms import Candidates
 from piga.calibration.revolutions import whole_turns
@@ -186,6 +187,7 @@ def _calibration(
     )
     steps("looking for missing terms")
     said = find_remarks(fit, candidates, coefficients)
+    creep = find_creep(fit, coefficients)
     history = history_of(fit) if request.method == "recursive" else None
     examined = _examined(fit, residuals)
     notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, examined.scatter)
@@ -197,7 +199,7 @@ def _calibration(
         scale_factor_tolerance=run.model.tolerance,
         gravity=gravity_in_words(run),
     )
-    result = with_remarks(result, fit, said, doubts)
+    result = with_creep(with_remarks(result, fit, said, doubts), run, creep)
     result = with_given_servo(result, given_servo(run), _moved_servo(run))
     compared = compare_models(run).document() if run.model.compare else None
     diagnostics = replace(result.diagnostics, monte_carlo=monte_carlo, model_comparison=compared)

@@ -9,7 +9,7 @@ scatter of the positions (:mod:`piga.calibration.intervals`). Formulas: docs/the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -117,6 +117,14 @@ class Positions:
         return np.asarray(run.t[self.edges[:-1]]), np.asarray(run.t[self.edges[1:] - 1])
 
 
+@dataclass(frozen=True)
+class Extra:
+    """More columns of a record: their names, and a function that gives their rows in a block (names, n)."""
+
+    names: tuple[str, ...]
+    columns: Callable[[Block], Array]
+
+
 class Whitener:
     """Whitens blocks in order; its state continues from block to block.
 
@@ -160,14 +168,16 @@ def weighting_mode(design: Design, method: str) -> str:
 
 
 def weighted_blocks(
-    design: Design, mode: str, noise: Noise, *, rate: bool = False
+    design: Design, mode: str, noise: Noise, *, rate: bool = False, extra: Extra | None = None
 ) -> Iterator[tuple[Block, Array]]:
-    """Blocks with their weighted columns in order: model, with ``rate`` that of the position, observation."""
-    whitener = Whitener(mode, noise, len(design.names) + 1 + rate, design.run.median_step)
+    """Blocks with their weighted columns in order: model, with ``rate`` that of the position, ``extra``, observation."""
+    size = len(design.names) + 1 + rate + (0 if extra is None else len(extra.names))
+    whitener = Whitener(mode, noise, size, design.run.median_step)
     for block in design.blocks():
         columns = block.columns
         if rate:
-            columns = np.vstack([columns[:-1], np.maximum(block.h, 0.0)[None], columns[-1:]])
+            more = [] if extra is None else [extra.columns(block)]
+            columns = np.vstack([columns[:-1], np.maximum(block.h, 0.0)[None], *more, columns[-1:]])
         yield block, whitener.apply(columns, block.h)
 
 
@@ -182,13 +192,17 @@ def rate_share(variance: ArrayLike, square: ArrayLike) -> Array:
 
 
 def reduce_positions(
-    design: Design, mode: str, noise: Noise, positions: Positions | None = None
+    design: Design,
+    mode: str,
+    noise: Noise,
+    positions: Positions | None = None,
+    extra: Extra | None = None,
 ) -> list[Reduction]:
-    """One triangle ``[model | rate | y]`` per position, of rows with unit variance; the scatter is not in it."""
+    """One triangle ``[model | rate | extra | y]`` per position, of rows with unit variance; the scatter is not in it."""
     positions = positions or Positions.of(design.run)
-    edges, names = positions.edges, (*design.names, RATE)
+    edges, names = positions.edges, (*design.names, RATE, *(() if extra is None else extra.names))
     parts = [Reduction.empty(names) for _ in range(positions.count)]
-    for block, columns in weighted_blocks(design, mode, noise, rate=True):
+    for block, columns in weighted_blocks(design, mode, noise, rate=True, extra=extra):
         first, last = np.searchsorted(edges, [block.start, block.stop - 1], side="right") - 1
         for index in range(int(first), int(last) + 1):
             low, high = max(int(edges[index]), block.start), min(int(edges[index + 1]), block.stop)

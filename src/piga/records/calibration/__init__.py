@@ -22,6 +22,7 @@ from piga.records.calibration.coefficient import (
 )
 from piga.records.calibration.diagnostics import (
     Count,
+    Creep,
     Diagnostics,
     Event,
     MissingTerm,
@@ -46,6 +47,7 @@ __all__ = [
     "CalibrationPlots",
     "Coefficient",
     "Count",
+    "Creep",
     "Diagnostics",
     "Event",
     "Given",

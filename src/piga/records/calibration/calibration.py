@@ -152,6 +152,10 @@ class CalibrationPlots:
         """Residuals of each segment."""
         return self._draw("segments", ax)
 
+    def creep(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Residual rate against the time since the start of the position."""
+        return self._draw("creep", ax)
+
     def budget(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Share of each source in the variance of each coefficient."""
         return self._draw("budget", ax)

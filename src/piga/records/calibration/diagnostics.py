@@ -192,6 +192,46 @@ class MissingTerm(Result):
     scale_factor_under: dict[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Creep(Result):
+    """A bias that decays after each move, ``size exp(-t / time_constant)`` at the time t since the start of the position.
+
+    Attributes
+    ----------
+    size, standard_uncertainty:
+        Bias at the start of a position [g]. With ``by_move`` it is proportional to the change of a_x by the move, and this
+        is its size for 1 g.
+    time_constant:
+        The likeliest of a few [s].
+    probability:
+        Probability of such a creep by chance, for all sizes and times that were tried.
+    shift:
+        Change of each coefficient if the creep is taken out, in its standard uncertainties.
+    time, mean, band:
+        Residual rate over K [g], less that of its position, stacked by the time [s] since the start of the position: mean over
+        the positions, and half width of the 95 % interval by their scatter.
+    """
+
+    size: float
+    standard_uncertainty: float
+    time_constant: float
+    by_move: bool
+    probability: float
+    shift: dict[str, float]
+    time: tuple[float, ...]
+    mean: tuple[float, ...]
+    band: tuple[float, ...]
+
+    @property
+    def seen(self) -> bool:
+        """True if it is hardly chance."""
+        return self.probability < CREEP_ALARMS
+
+
+CREEP_ALARMS = 0.01
+"""Probability that a record without creep shows one, over all sizes and times that are tried."""
+
+
 @dataclass(frozen=True)
 class SegmentScatter:
     """Scatter of the mean rates of the segments; None if there are too few segments.
@@ -229,6 +269,8 @@ class Diagnostics(Result):
         Leverage of each segment, by label.
     advice, missing_terms:
         Other interpretations of the data that fit far better, in words; missing terms that the residuals show, best first.
+    creep:
+        The likeliest creep after a move, seen or not; None if it was not tested.
     monte_carlo:
         Comparison of Monte Carlo and first-order propagation.
     model_comparison:
@@ -253,6 +295,7 @@ class Diagnostics(Result):
     leverage: dict[str, SegmentLeverage] = field(default_factory=dict)
     advice: tuple[str, ...] = ()
     missing_terms: tuple[MissingTerm, ...] = ()
+    creep: Creep | None = None
     monte_carlo: MonteCarlo | None = None
     model_comparison: dict[str, Any] | None = None
 

@@ -139,6 +139,7 @@ def verdict(calibration: Calibration) -> Verdict:
         *_nominal(calibration),
         *_explained(calibration),
         *_whiteness(calibration),
+        *_creep(calibration),
         *_separation(calibration),
         *_rows(calibration),
     ]
@@ -221,6 +222,12 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
         )
     elif tests.verdict == "white":
         yield f"the whitened residuals are white (Ljung-Box, {shown}) and of size one ({rms:.3f})"
+
+
+def _creep(calibration: Calibration) -> Iterator[str]:
+    creep = calibration.diagnostics.creep
+    if creep is not None and not creep.seen:
+        yield f"no creep after a move stands out of the scatter of the positions (p = {creep.probability:.2g})"
 
 
 def _separation(calibration: Calibration) -> Iterator[str | Doubt]:
@@ -306,5 +313,7 @@ def _not_tested(calibration: Calibration) -> Iterator[str]:
     """What no test of one record can show."""
     yield "a change of the bias as slow as the test, and the bias of another day"
     yield "an error of the stand that is the same at each visit of a position: only stated sources contain it"
+    if calibration.diagnostics.creep is None:
+        yield "a creep after each move"
     if calibration.diagnostics.verdict is None:
         yield "the whiteness of the residuals"

@@ -66,6 +66,7 @@ def calibration_figures(cal: Calibration) -> dict[str, Figure]:
         figures["orders"] = spectrum_figure(spectrum, cal, single) if spectrum.segments else None
         figures["ripple"] = ripple_figure(turned) if turned.segments else None
     figures["segments"] = segment_figure(cal) if len(cal.segments) > 1 else None
+    figures["creep"] = creep_figure(cal)
     figures["outliers"] = outlier_figure(cal)
     figures["convergence"] = convergence_figure(cal)
     return {name: figure for name, figure in figures.items() if figure is not None}
@@ -379,6 +380,25 @@ def segment_figure(cal: Calibration) -> Figure:
     return plot.caption(
         "Each point is one segment. Good: all points after calibration lie at one level, whatever the "
         "input; a level that rises with the input asks for another model term."
+    )
+
+
+def creep_figure(cal: Calibration) -> Figure | None:
+    """Residual rate against the time since the start of the position; None if creep was not tested."""
+    creep = cal.diagnostics.creep
+    if creep is None or not creep.time:
+        return None
+    t, mean, band = np.array(creep.time), 1e6 * np.array(creep.mean), 1e6 * np.array(creep.band)
+    plot = Plot(
+        "creep", "Residual after a move.", "time since the start of the position [s]",
+        "residual rate over K [µg]", height=2.7,
+    )  # fmt: skip
+    plot.band(t, -band, band, "95 % by the scatter of the positions", "reference")
+    plot.marked(t, mean, "mean over the positions", "after")
+    return plot.caption(
+        "Residual rate over K, less its mean in the position, stacked by the time since the start of the position. Good: all "
+        "points but one in twenty lie in the band. A curve that begins outside and comes back is a creep after each move: "
+        "leave out that time with settle in [data]."
     )
 
 

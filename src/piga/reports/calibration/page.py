@@ -19,6 +19,7 @@ from piga.reports.calibration.figures import (
     budget_figure,
     calibration_figures,
     convergence_figure,
+    creep_figure,
     elapsed_time,
     residual_figure,
     segment_figure,
@@ -118,12 +119,14 @@ _METHODS = {
 def figures(cal: Calibration) -> dict[str, Callable[[], Figure]]:
     """The figures by name. One that the calibration has no data for is refused when it is called."""
     names = (
-        "residuals", "orders", "ripple", "segments", "budget", "allan", "whiteness", "outliers", "convergence",
+        "residuals", "orders", "ripple", "segments", "creep", "budget", "allan", "whiteness", "outliers",
+        "convergence",
     )  # fmt: skip
     return {name: partial(figure, cal, name) for name in names}
 
 
 NO_FIGURE = {
+    "creep": "calibrate a record of five positions or more",
     "segments": "calibrate a record: these coefficients have no segments",
     "budget": "calibrate a record, or read a calibration.json that has a budget",
     "convergence": "calibrate in this process with method='recursive'",
@@ -139,7 +142,12 @@ def figure(cal: Calibration, name: str) -> Figure:
     CalibrationError
         If the calibration has no data for it.
     """
-    known = {"segments": segment_figure, "budget": budget_figure, "convergence": convergence_figure}
+    known = {
+        "segments": segment_figure,
+        "creep": creep_figure,
+        "budget": budget_figure,
+        "convergence": convergence_figure,
+    }
     lacks = (name == "segments" and not cal.segments) or (name == "budget" and not cal.budget)
     if name in known:
         drawn = None if lacks else known[name](cal)
@@ -429,7 +437,7 @@ def _segments(cal: Calibration, shown: dict[str, Figure]) -> Section:
         "Residuals of each part of the record. Good: one level everywhere; an odd segment points to the test."
     )
     blocks: list[Block] = [Text(lead, lead=True)]
-    blocks += [FigureBlock(shown["segments"])] if "segments" in shown else []
+    blocks += [FigureBlock(shown[name]) for name in ("segments", "creep") if name in shown]
     return Section("Segments", "segments", (*blocks, segment_table(cal)))
 
 

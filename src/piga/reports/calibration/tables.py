@@ -363,7 +363,7 @@ def scalars(document: dict[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-OWN_TABLES = frozenset({"leverage", "monte_carlo", "missing_terms", "advice", "model_comparison"})
+OWN_TABLES = frozenset({"leverage", "monte_carlo", "missing_terms", "advice", "model_comparison", "creep"})
 """Diagnostics that are shown as tables or remarks of their own."""
 LEVERAGE_LEAD = (
     "Leverage: the share of each coefficient's information that one segment holds, and in brackets how many standard "

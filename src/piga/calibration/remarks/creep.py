@@ -1,0 +1,231 @@
+"""Creep after a move: a bias that decays within each position, and that the coefficients take up.
+
+Residuals are stacked by the time since the start of the position. Each position gives an estimate of a creep
+``exp(-t / time constant)`` from the shape of its residuals, its mean rate taken out. The weighted mean over the positions is
+tested against their scatter (Bell and McCaffrey's rule, :mod:`piga.calibration.intervals`). The size is the same at each position,
+or proportional to the change of a_x by the move. A few time constants are tried (Bonferroni).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piga._kernels.estimation import merge_rows
+from piga.calibration.fit.one_run import Fit
+from piga.calibration.intervals import sandwich
+from piga.calibration.model.design import Block
+from piga.calibration.model.reduction import Reduction, solve_upper, triangle
+from piga.calibration.model.solution import parameter_rows
+from piga.calibration.remarks.missing_terms import after_change
+from piga.calibration.weights import RATE, Extra, Positions, reduce_positions
+from piga.records.calibration import Calibration, Coefficient, Creep
+from piga.records.calibration.coefficient import changes
+from piga.records.calibration.diagnostics import CREEP_ALARMS
+from piga.records.run import Run
+from piga.results import Array
+from piga.units import G0
+
+
+@dataclass(frozen=True)
+class CreepSettings:
+    """Settings of the test for creep after a move (own choices)."""
+
+    fewest: int = 5
+    """Fewest positions that are tested: with fewer their scatter is hardly known."""
+    times: tuple[float, ...] = (1 / 48, 1 / 24, 1 / 12, 1 / 6, 1 / 3)
+    """Time constants over the median length of a position."""
+    near: tuple[float, ...] = (0.7, 0.84, 1.0, 1.2, 1.4)
+    """Time constants beside the best one that are then tried, relative to it."""
+    samples: int = 2
+    """Fewest samples in a time constant."""
+    bins: int = 24
+    """Bins of the figure in a position of median length."""
+    rest: float = 0.1
+    """Largest shift of a coefficient, in its standard uncertainties, that is left after the time advised for ``settle``."""
+
+
+CREEP = CreepSettings()
+
+
+def find_creep(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Creep | None:
+    """The likeliest creep of a record, seen or not; None if it has too few positions, or no position long enough.
+
+    Parameters
+    ----------
+    fit:
+        The finished fit.
+    coefficients:
+        The result, with combined standard uncertainties.
+    """
+    run, positions = fit.design.run, Positions.of(fit.design.run)
+    begin, end = positions.times(run)
+    length = float(np.median(end - begin))
+    times = [part * length for part in CREEP.times if part * length >= CREEP.samples * run.median_step]
+    if positions.continuous or positions.count < CREEP.fewest or not times:
+        return None
+    tries = _tests(fit, positions, times)
+    if not tries:
+        return None
+    clear = [test for test in tries if test.chance * len(tries) < CREEP_ALARMS]
+    best = min(tries, key=lambda test: test.chance)
+    chance = min(1.0, best.chance * len(tries))
+    if clear:
+        best = max(clear, key=lambda test: test.fall)
+        near = _tests(fit, positions, [best.time * part for part in CREEP.near])
+        best = max((test for test in near if test.by_move == best.by_move), key=lambda test: test.fall)
+    before, after = (
+        np.array([after_change(fit, change)[c.key] for c in coefficients])
+        for change in (np.zeros(1), -best.size * _taken_up(fit, positions, best.rows))
+    )
+    scale = fit.design.scale_factor * (1.0 if best.by_move else G0)
+    shifts = zip(coefficients, changes(coefficients, before, after), strict=True)
+    return Creep(
+        best.size / scale,
+        best.std / scale,
+        best.time,
+        best.by_move,
+        chance,
+        {c.key: float(shift) / c.std for c, shift in shifts if c.std > 0.0},
+        *_stacked(fit, positions, length),
+    )
+
+
+def _decays(fit: Fit, block: Block, times: list[float]) -> Array:
+    """Rows ``[times | rows]`` of a block: the integral of ``exp(-age/time)`` over each interval; for a rate log its value."""
+    design, run = fit.design, fit.design.run
+    samples = slice(block.start - (not design.point), block.stop)
+    age = np.maximum(run.t[samples] - run.t[run.segment_edges()[block.segment]], 0.0)
+    constants = np.array(times)[:, None]
+    out: Array = np.exp(-age / constants)
+    if not design.point:
+        out = -constants * np.diff(out)
+        out[:, run.begins[block.start : block.stop]] = 0.0
+    if run.left_out is not None:
+        left_out = run.left_out[block.start : block.stop]
+        if design.point:
+            out[:, left_out] = 0.0
+        else:
+            merge_rows(out, np.where(left_out, -1.0, block.h), left_out)
+    return out
+
+
+def _moves(run: Run, positions: Positions) -> Array:
+    """Change of the mean a_x from the position before [m/s^2]; 0 for the first."""
+    sums = np.add.reduceat(run.f[:, 0], positions.edges[:-1])
+    return np.diff(sums / np.diff(positions.edges), prepend=sums[0] / float(positions.edges[1]))
+
+
+@dataclass(frozen=True)
+class _Test:
+    """Estimate of a creep, its standard uncertainty, and its probability by chance; ``fall`` is that of the sum of squares.
+
+    ``rows`` are the triangles ``[model | rate | creep | y]`` of the positions.
+    """
+
+    time: float
+    by_move: bool
+    rows: list[Reduction]
+    size: float
+    std: float
+    chance: float
+    fall: float
+
+
+def _tests(fit: Fit, positions: Positions, times: list[float]) -> list[_Test]:
+    """The tests of all time constants [s], of the same size at each position and by the move; without those that are nowhere."""
+    from scipy.special import stdtr
+
+    names, m = tuple(map(str, range(len(times)))), len(fit.design.names)
+    extra = Extra(names, lambda block: _decays(fit, block, times))
+    parts = reduce_positions(fit.design, fit.mode, fit.noise, positions, extra)
+    tests = []
+    for by_move, moves in ((False, np.ones(positions.count)), (True, _moves(fit.design.run, positions))):
+        for name, time in zip(names, times, strict=True):
+            rows = [part.select((*fit.design.names, RATE, name)) for part in parts]
+            shapes = []
+            for own, segment, move in zip(rows, positions.segments.tolist(), moves, strict=True):
+                own.factor[:, m + 1] *= move
+                missed = own.factor[:, -1] - own.factor[:, :m] @ fit.solution.values[segment]
+                shapes.append(triangle(np.column_stack([own.factor[:, m : m + 2], missed]))[1:, 1:])
+            square = sum(float(shape[0, 0] ** 2) for shape in shapes)
+            if square > 0.0:
+                size = sum(float(shape[0, 0] * shape[0, 1]) for shape in shapes) / square
+                (std,), (degrees,) = sandwich(shapes, None, ())
+                chance = 2.0 * float(stdtr(degrees, -abs(size) / max(float(std), 1e-300)))
+                tests.append(_Test(time, by_move, rows, size, float(std), chance, size**2 * square))
+    return tests
+
+
+def _taken_up(fit: Fit, positions: Positions, rows: list[Reduction]) -> Array:
+    """Change of the parameters by a creep of size one that the model lacks, with the weights of the fit."""
+    variances = fit.noise.rate_variances(positions.count).tolist()
+    stacked = np.vstack(
+        [
+            parameter_rows(fit.design, fit.solution, segment, part.without((RATE,), own).factor[:, :-1])
+            for part, segment, own in zip(rows, positions.segments.tolist(), variances, strict=True)
+        ]
+    )
+    size = np.linalg.norm(stacked[:, :-1], axis=0)
+    R = triangle(stacked / np.append(size, 1.0))
+    return solve_upper(R[:-1, :-1], R[:-1, -1]) / size
+
+
+def _stacked(fit: Fit, positions: Positions, length: float) -> tuple[tuple[float, ...], ...]:
+    """Time since the start of the position [s], mean residual rate over K [g] over the positions, and its 95 % half width."""
+    from scipy.special import stdtrit
+
+    run = fit.design.run
+    visit = np.repeat(np.arange(positions.count), np.diff(positions.edges))
+    place = np.floor((run.t - run.t[positions.edges[:-1]][visit]) / length * CREEP.bins).astype(np.int64)
+    inside, h = (place >= 0) & (place < CREEP.bins), np.maximum(fit.h, 0.0)
+    shape = (positions.count, CREEP.bins)
+    d, h = (
+        np.bincount((visit * CREEP.bins + place)[inside], values[inside], math.prod(shape)).reshape(shape)
+        for values in (fit.d, h)
+    )
+    mean = d.sum(axis=1) / np.maximum(h.sum(axis=1), 1e-300)
+    full = h > 0.5 * h.max(axis=0)
+    count = full.sum(axis=0)
+    rate = np.where(full, d / np.where(full, h, 1.0) - mean[:, None], 0.0) / (fit.design.scale_factor * G0)
+    middle = rate.sum(axis=0) / np.maximum(count, 1)
+    spread = (np.where(full, rate - middle, 0.0) ** 2).sum(axis=0) / np.maximum(count - 1, 1)
+    band = stdtrit(np.maximum(count - 1, 1), 0.975) * np.sqrt(spread / np.maximum(count, 1))
+    kept = count > 1
+    time = (np.arange(CREEP.bins) + 0.5) * length / CREEP.bins
+    return tuple(tuple(values[kept].tolist()) for values in (time, middle, band))
+
+
+def with_creep(result: Calibration, run: Run, creep: Creep | None) -> Calibration:
+    """The result with a creep in its diagnostics: a doubt if it moves a coefficient by more than u, else a remark."""
+    result = replace(result, diagnostics=replace(result.diagnostics, creep=creep))
+    if creep is None or not creep.seen or result.diagnostics.advice:
+        return result
+    largest = max(map(abs, creep.shift.values()), default=0.0)
+    words = _in_words(run, creep, largest)
+    if largest > 1.0:
+        return replace(result, notes=(words, *result.notes))
+    return replace(result, remarks=(*result.remarks, words))
+
+
+def _in_words(run: Run, creep: Creep, largest: float) -> str:
+    """The creep, what it does to the coefficients, and the remedy."""
+    size, std = 1e6 * creep.size, 1e6 * creep.standard_uncertainty
+    per = " for a change of a_x by 1 g" if creep.by_move else ""
+    moved = sorted(creep.shift.items(), key=lambda item: -abs(item[1]))[:3]
+    shifts = ", ".join(f"{key} by {abs(shift):.2g} u" for key, shift in moved)
+    begin, end = Positions.of(run).times(run)
+    wait = math.ceil(creep.time_constant * math.log(max(largest / CREEP.rest, math.e)))
+    more = "more " if any(event.kind == "settling" for event in run.quality.events) else ""
+    key = f' ([data] settle = "{wait} s")' if run.source and not more else ""
+    remedy = (
+        f"leave out the first {wait} s {more}of each position{key}"
+        if wait < 0.5 * float(np.median(end - begin))
+        else f"wait {wait} s after each move, or stay longer at each position"
+    )
+    return (
+        f"a creep after each move: the bias begins {size:.3g} +/- {std:.2g} ug{per} off and decays in about "
+        f"{creep.time_constant:.2g} s; it moves {shifts}: {remedy}"
+    )
