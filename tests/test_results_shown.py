@@ -111,7 +111,7 @@ def test_without_its_package_a_method_names_the_extra():
     assert "pip install 'piga[lab]'" in without("pyarrow", "c.to_arrow()")
 
 
-FIGURES = ("residuals", "orders", "ripple", "segments", "creep", "budget", "allan", "whiteness")
+FIGURES = ("residuals", "orders", "ripple", "segments", "budget", "allan", "whiteness")
 
 
 def labelled(figure) -> bool:

@@ -19,7 +19,6 @@ from piga.reports.calibration.figures import (
     budget_figure,
     calibration_figures,
     convergence_figure,
-    creep_figure,
     elapsed_time,
     residual_figure,
     segment_figure,
@@ -142,12 +141,7 @@ def figure(cal: Calibration, name: str) -> Figure:
     CalibrationError
         If the calibration has no data for it.
     """
-    known = {
-        "segments": segment_figure,
-        "creep": creep_figure,
-        "budget": budget_figure,
-        "convergence": convergence_figure,
-    }
+    known = {"segments": segment_figure, "budget": budget_figure, "convergence": convergence_figure}
     lacks = (name == "segments" and not cal.segments) or (name == "budget" and not cal.budget)
     if name in known:
         drawn = None if lacks else known[name](cal)
