@@ -124,6 +124,8 @@ def compensate(
         note(f"{name}: {counted(count, 'row')}")
     for name, count in summary["repairs"].items():
         note(f"{count} x {name}")
+    for words in summary["notes"]:
+        note(words)
     for one in calibrations:
         for doubt in one.verdict.doubts:
             note(f"piga: calibration of {one.serial}: {doubt.words}")
@@ -268,12 +270,13 @@ def _single(
             phase_used = f"{options.phase.value:.6g} rad, standard uncertainty {options.phase.std:.2g} rad"
         words = {"method": check_method(options.method, calibration), "phase used": phase_used}
         data = inputs[1][0] if len(inputs) > 2 else inputs[0][0]
-        _write_page(outline, (data,), inputs, options.in_words(**words), page, repairs, whole)
+        _write_page(outline, (data,), inputs, options.in_words(**words), page, repairs, summary.notes, whole)
     document = {
         "rows": summary.rows,
         "velocity_m_s": summary.velocity,
         "flags": summary.flags,
         "repairs": repairs,
+        "notes": summary.notes,
         "inputs": inputs_listed(inputs),
     }
     return document, calibrations
@@ -321,18 +324,20 @@ def _together(
             for path, one in zip(paths, calibrations, strict=True)
         )
         files = list(dict.fromkeys((one["file"], one["sha256"]) for one in summary["inputs"]))
-        _write_page(outline, names, files, options.in_words(method="exact"), page, summary["repairs"])
+        _write_page(
+            outline, names, files, options.in_words(method="exact"), page, summary["repairs"], summary["notes"]
+        )
     return summary, calibrations
 
 
 def _write_page(
     outline: CompensationOutline, names: tuple[str, ...], files: list[tuple[str, str]], options: dict[str, str],
-    page: Path, repairs: dict[str, int], whole: tuple[Run, Compensated] | None = None,
+    page: Path, repairs: dict[str, int], notes: tuple[str, ...], whole: tuple[Run, Compensated] | None = None,
 ) -> None:  # fmt: skip
     from piga.reports.compensation.page import CompensationFacts, compensation_page
     from piga.reports.render.page import write_page
 
-    facts = CompensationFacts(names, files, options, repairs)
+    facts = CompensationFacts(names, files, options, repairs, notes)
     with progress("writing the report"):
         write_page(compensation_page(outline, facts, whole), page)
 

@@ -23,7 +23,7 @@ from piga.compensation.model import (
     needs_phase,
     phases,
 )
-from piga.compensation.result import Compensated, notes_on
+from piga.compensation.result import Compensated, note_on_vibration, notes_on
 from piga.errors import ArgumentError, CalibrationError
 from piga.progress import Progress, report
 from piga.records.arrays import spans
@@ -159,6 +159,10 @@ class Compensator:
     def state(self) -> Any:
         """A copy of the state. Another compensator can continue from it."""
         return self._state.copy()
+
+    def remarks(self) -> tuple[str, ...]:
+        """What the samples so far showed: vibration near the Nyquist frequency."""
+        return note_on_vibration(self._state, self._kind == "rate", self._calibration)
 
     @property
     def needs_temperature(self) -> bool:
@@ -339,7 +343,12 @@ def compensate(
         stream.push_into(chunk, Rows(rows.ax[part], rows.dv[part], rows.u[part], rows.flags[part]))
         report(progress, part.stop, record.size, "compensating")
     return Compensated(
-        record.t, *rows, record.serial, stream.method, stream.notes, made_from=(record, calibration)
+        record.t,
+        *rows,
+        record.serial,
+        stream.method,
+        stream.notes + stream.remarks(),
+        made_from=(record, calibration),
     )
 
 

@@ -91,7 +91,7 @@ def compensate_set(
         parts.append(part)
         solved += part.size
         report(progress, solved, size, "compensating")
-    return joined_set(parts)
+    return replace(joined_set(parts), notes=stream.notes + stream.remarks())
 
 
 def joined_set(parts: Sequence[CompensatedSet]) -> CompensatedSet:
@@ -99,14 +99,12 @@ def joined_set(parts: Sequence[CompensatedSet]) -> CompensatedSet:
     if len(parts) == 1:
         return parts[0]
     lengths = {"misfit": 1, "each": 1}
-    return CompensatedSet(
-        **{
-            field.name: np.concatenate(
-                [getattr(part, field.name) for part in parts], axis=lengths.get(field.name, 0)
-            )
-            for field in fields(CompensatedSet)
-        }
-    )
+    arrays = [field.name for field in fields(CompensatedSet) if field.name != "notes"]
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts], axis=lengths.get(name, 0))
+        for name in arrays
+    }
+    return CompensatedSet(**columns)
 
 
 def set_stream(
@@ -310,8 +308,7 @@ def compensate_set_files(
     )
     counts, velocity, rows, solved = dict.fromkeys(FLAGS, 0), np.zeros(3), 0, 0
     report(progress, 0, records[0].size, "compensating")
-    notes = notes_on(*(item.calibration for item in instruments))
-    with TableWriter(out, kind, notes, inputs) as writer:
+    with TableWriter(out, kind, stream.notes, inputs) as writer:
         for read, part in _solved(records, stream):
             solved += part.size
             report(progress, solved, records[0].size, "compensating")
@@ -323,11 +320,13 @@ def compensate_set_files(
             columns = part.columns() if resampler is None else resampler.push_set(part)
             rows += columns["t"].size
             writer.write(columns)
+        writer.close(stream.remarks())
     return {
         "rows": rows,
         "velocity_m_s": velocity.tolist(),
         "flags": {k: v for k, v in counts.items() if v},
         "repairs": found_while_reading(*records),
+        "notes": stream.remarks(),
         "inputs": inputs_listed(inputs),
     }
 
@@ -406,11 +405,12 @@ Watch = Callable[[str, Chunk, Compensated], object]
 
 @dataclass(eq=False)
 class FileSummary:
-    """Totals of a written file: rows, velocity [m/s], and rows per flag."""
+    """Totals of a written file: rows, velocity [m/s], rows per flag, and notes."""
 
     rows: int = 0
     velocity: float = 0.0
     flags: dict[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def add(self, part: Compensated) -> None:
         """Add a compensated part."""
@@ -481,4 +481,6 @@ def compensate_to_file(
             summary.add(part)
             if part.size:
                 writer.write(part.columns())
+        summary.notes = stream.remarks()
+        writer.close(summary.notes)
     return summary

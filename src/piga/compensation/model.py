@@ -269,6 +269,7 @@ FLAGS = {
     "age": at.AGE,
     "coarse": at.COARSE,
     "fault": at.FAULT,
+    "vibration": at.VIBRATION,
 }
 """Bit of each flag."""
 
@@ -281,5 +282,6 @@ MEANING = {
     "age": "the calibration is older than allowed",
     "coarse": "the output turned by more than 1 rad since the row before",
     "fault": "the instruments of the set contradict each other",
+    "vibration": "vibration near the Nyquist frequency: an interval hides part of it",
 }
 """Meaning of each flag."""

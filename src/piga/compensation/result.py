@@ -23,6 +23,7 @@ from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.run import Run
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular
+from piga.units import G0, MICRO_G
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -161,11 +162,13 @@ class TableWriter:
         said = f" ({short})" if name.startswith("u_") and any(TYPE_A_ONLY in n for n in self._notes) else ""
         return f"{name}{said} [{unit_of_column(name)}]"
 
-    def close(self) -> None:
-        """Finish the file."""
+    def close(self, remarks: tuple[str, ...] = ()) -> None:
+        """Finish the file. ``remarks``: notes that are known after the last row."""
         if self._writer is not None:
             if self._held.num_rows or self.rows == 0:
                 self._writer.write_table(self._held, GROUP_ROWS)
+            if remarks and self._kind == "parquet":
+                self._writer.add_key_value_metadata({"piga.notes": json.dumps(self._notes + remarks)})
             self._writer.close()
             self._writer = self._held = None
 
@@ -215,7 +218,8 @@ class Compensated(Result, Plotted, Reported, Tabular):
     serial, method:
         Serial number of the instrument, and ``"exact"`` or ``"published"``.
     notes:
-        Notes that every display of ``u_ax`` must show, from :func:`notes_on`; files contain them too.
+        Notes that every display of ``u_ax`` must show, from :func:`notes_on` and :func:`note_on_vibration`; files contain
+        them too.
     made_from:
         The record and the calibration, for :meth:`plot` and :meth:`report`. A pickle leaves them out.
     """
@@ -303,6 +307,28 @@ def notes_on(*calibrations: Calibration) -> tuple[str, ...]:
     return (TYPE_A_ONLY if len(calibrations) == 1 else f"{', '.join(alone)}: {TYPE_A_ONLY}",)
 
 
+def note_on_vibration(past: Any, sampled: bool, *calibrations: Calibration) -> tuple[str, ...]:
+    """A sentence on vibration near the Nyquist frequency, for the instrument on which it acts most; none without one.
+
+    ``past``: the records :class:`piga._kernels.compensation.data.Past` of the instruments. ``sampled``: the force is a value at
+    the samples, not the mean over intervals.
+    """
+    time, square, velocity = past["shaken"], past["shaken_square"], past["rectified"]
+    worst = int(np.argmax(np.where(velocity.any(), velocity, square)))
+    if time[worst] == 0.0:
+        return ()
+    variance, size = square[worst] / time[worst] / G0**2, velocity[worst] / time[worst] / MICRO_G
+    effect = f"an interval hides more of it, and moves the mean by {size:.2g} micro-g (standard uncertainty, part of u)"
+    if sampled:
+        effect = "the force between the samples is not known, and no uncertainty of dv contains it"
+    elif size == 0.0:
+        effect = f"an interval hides more of it: each micro-g/g^2 of k2, were it known, moves the mean by {variance:.2g} micro-g"
+    named = f"{calibrations[worst].serial}: " if calibrations[worst].serial else ""
+    seen = f"vibration of {math.sqrt(variance):.2g} g rms near the Nyquist frequency for {time[worst]:.3g} s"
+    remedy = "sample faster, or state the rectification as [uncertainty] vibration of the calibration"
+    return (f"{named}{seen} (flag vibration): {effect}; {remedy}",)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class CompensatedSet(Result, Plotted, Tabular):
     """Specific force and velocity increments in the common frame; arrays share their length n.
@@ -322,6 +348,7 @@ class CompensatedSet(Result, Plotted, Tabular):
     flags: NDArray[np.int32]
     misfit: Array = field(default_factory=lambda: np.zeros((0, 0)))
     each: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
+    notes: tuple[str, ...] = ()
 
     def _subject(self) -> ModuleType:
         return doors.shown_compensation()

@@ -16,7 +16,7 @@ from piga._kernels.compensation.set import MEMBER, SetCovariance, SetPast, SetRo
 from piga._kernels.compensation.set import compensate_set as set_kernel
 from piga.compensation.compensator import find_begins
 from piga.compensation.model import Limits, Phase, age_flag, make_model
-from piga.compensation.result import CompensatedSet
+from piga.compensation.result import CompensatedSet, note_on_vibration, notes_on
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
 from piga.results import Array, Result
@@ -156,7 +156,8 @@ class SetCompensator:
             for item in instruments
         ]
         self._flag = reduce(or_, (age_flag(item.calibration, max_age_days) for item in instruments), 0)
-        self._count = len(instruments)
+        self._count, self._calibrations = len(instruments), [item.calibration for item in instruments]
+        self.notes = notes_on(*self._calibrations)
         self._instruments = at.records(self._count, at.INSTRUMENT)
         for i, model in enumerate(self._models):
             self._instruments[i] = model.instrument[0]
@@ -164,6 +165,10 @@ class SetCompensator:
         self._threshold = fault_threshold(self._count - 3)
         self._past = SetPast(at.records(self._count, at.PAST), np.zeros(3), np.zeros((2, 3, 3)))
         self._members = at.records(self._count, MEMBER)
+
+    def remarks(self) -> tuple[str, ...]:
+        """What the samples so far showed: vibration near the Nyquist frequency."""
+        return note_on_vibration(self._past.past, self._sampled, *self._calibrations)
 
     def push(
         self,

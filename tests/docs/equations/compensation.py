@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 import piga
 from piga._kernels.compensation.sample import solve_far, solve_small
+from piga._kernels.compensation.vibration import near_nyquist
 from piga.units import G0
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, instrument, run_of
 
@@ -137,6 +138,17 @@ def _bow() -> Iterator[Pair]:
     compensator = [piga.Compensator(calibration_of({"scale_factor": K_G})) for _ in range(2)]
     with_rate, without = compensator[0].push({**columns, "base_rate": turn}), compensator[1].push(columns)
     yield literal / K, with_rate.ax[3] - without.ax[3], 1e-12
+
+
+@equation("inverse-hidden")
+def _hidden() -> Iterator[Pair]:
+    """Long oscillations of ten to two samples a period, and a white series, seen by the differences of their samples."""
+    series = [np.sin(2 * np.pi * np.arange(30000) / period) for period in (10.0, 4.4, 2.9, 2.1)]
+    for x in (*series, np.random.default_rng(0).standard_normal(30000)):
+        first, second = np.mean(np.diff(x) ** 2), np.mean(np.diff(x, 2) ** 2)
+        literal = second / 6 * min(1, (second - first) / (2 * first))
+        yield max(literal, 0.0), near_nyquist(first, second, 0.0), 1e-13
+    yield literal, 1.0, 0.05
 
 
 @equation("inverse-servo")

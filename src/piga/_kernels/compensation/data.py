@@ -24,6 +24,7 @@ MOST_TERMS = 40
 """Most uncertain coefficients of an instrument."""
 
 NO_INCREMENT, LOCKED, NEAR_CRITICAL, OUT_OF_RANGE, TEMPERATURE, AGE, COARSE, FAULT = 1, 2, 4, 8, 16, 32, 64, 256
+VIBRATION = 512
 """Bits of the flags."""
 
 
@@ -83,6 +84,11 @@ class Past(Protocol):
     ``slope``: change of ``a_x`` over the last interval without the base's part [m/s^2]; ``doubt``: uncertainty between samples
     [m/s^2]. ``turns``, ``rest``: angle of a rate log. ``start``: psi of the first sample (published formula). ``phi``: phase
     used. ``nominal``: interval to detect gaps [s]; 0 until known.
+
+    To see vibration near the Nyquist frequency (:func:`.vibration.rectified`): ``force_...``: last force in the axes of the
+    instrument, ``step_...``: its last difference [m/s^2]. ``first_...``, ``second_...``: running mean squares of first and
+    second differences, along X0 and across [m^2/s^4]. Sums over the rows with such a vibration: ``shaken`` [s],
+    ``shaken_square``: its variance times time [m^2/s^3], ``rectified``: its possible velocity [m/s].
     """
 
     seen: float
@@ -120,6 +126,19 @@ class Past(Protocol):
     start: float
     phi: float
     nominal: float
+    force_x: float
+    force_Y: float
+    force_Z: float
+    step_x: float
+    step_Y: float
+    step_Z: float
+    first_x: float
+    second_x: float
+    first_t: float
+    second_t: float
+    shaken: float
+    shaken_square: float
+    rectified: float
 
 
 INSTRUMENT = np.dtype([(name, np.float64) for name in Instrument.__annotations__])

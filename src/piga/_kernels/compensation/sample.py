@@ -51,6 +51,7 @@ from piga._kernels.compensation.terms import (
     uncertainty,
     variance_by_coefficients,
 )
+from piga._kernels.compensation.vibration import rectified
 from piga._kernels.jit import Array, exact, inline_exact
 from piga._kernels.motion.step import advance, magnus_increments, unwrapped
 
@@ -464,10 +465,13 @@ def compensate_sample(
     if more.orders.size:
         indicated -= harmonics(more, x, seen.bend)
     a, derivative = invert_terms(p, x, indicated)
+    steady = past.h1 * past.h2 * past.h3 != 0.0
+    hidden, shaken = rectified(p, past, (a, now.a_Y, now.a_Z), h, steady, kind != ANGLE)
     u = math.nan
     if work.size:
-        u = uncertainty(p, x, a, variance_by_coefficients(more, p, x, a, work), derivative)
-    flags = flags_of(p, x, a, warm)
+        variance = variance_by_coefficients(more, p, x, a, work) + hidden * hidden
+        u = uncertainty(p, x, a, variance, derivative)
+    flags = flags_of(p, x, a, warm) | (at.VIBRATION if shaken else 0)
     keep_sample(past, now, seen.psi, p.phi, a)
     if kind == ANGLE:
         return a, a * h + 0.0, u, flags  # never a negative zero

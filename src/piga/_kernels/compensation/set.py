@@ -40,6 +40,7 @@ from piga._kernels.compensation.terms import (
     uncertainty,
     variance_by_coefficients,
 )
+from piga._kernels.compensation.vibration import rectified
 from piga._kernels.jit import Array, exact
 
 EXACT_ROUNDS = 4
@@ -58,7 +59,8 @@ class Member(Protocol):
     sin(delta)/delta. ``rate`` [rad/s]: the output rate. ``base_x``, ``base_y``, ``base_z``: what base rate and first harmonic
     add to ``u_x`` and to the transverse input [rad/s], as means, with their changes ``rise_...``. ``left_...``: uncertainty of
     these means. ``axis_...``: effective axis in the common frame. ``harmonics``: second and higher ones [m/s^2]. ``weight``
-    [s^4/m^2], ``misfit`` [m/s^2]. ``a_x, a_Y, a_Z`` and changes ``da_...``: the force in the instrument's axes [m/s^2].
+    [s^4/m^2], ``misfit`` [m/s^2]. ``hidden``: possible rectification [m/s^2], ``shaken``: 1 in a vibration that is flagged.
+    ``a_x, a_Y, a_Z`` and changes ``da_...``: the force in the instrument's axes [m/s^2].
     ``error`` and ``derror``: error model there. ``v``: output rate over K [m/s^2]. ``t`` [s]. ``temperature``, ``dT`` [K].
     ``Omega_Y``, ``Omega_Z`` [rad/s].
     """
@@ -85,6 +87,8 @@ class Member(Protocol):
     harmonics: float
     weight: float
     misfit: float
+    hidden: float
+    shaken: float
     a_x: float
     a_Y: float
     a_Z: float
@@ -412,7 +416,8 @@ def doubt_of_member(p: Instrument, axes: Array, past: Past, h: float, found: Sol
 @exact
 def weigh(p: Instrument, more: Covariance, x: Inputs, m: Member, work: Array) -> float:
     """Weight ``1/u^2`` of an instrument from the uncertainty of its indication, dead zone included."""
-    u = uncertainty(p, x, m.a_x, variance_by_coefficients(more, p, x, m.a_x, work), 1.0)
+    variance = variance_by_coefficients(more, p, x, m.a_x, work) + m.hidden * m.hidden
+    u = uncertainty(p, x, m.a_x, variance, 1.0)
     return 1.0 / (u * u) if u > 0.0 else 1.0
 
 
@@ -450,10 +455,13 @@ def compensate_set(
             keep_sample(past, now, now.psi, p.phi, 0.0)
         if solved:
             solve_row(instruments, axes, members, first, h, sampled, last.early[PLAIN], found)
-            if wanted or count > 3:
-                for i in range(count):
-                    p, m = instruments[i], members[i]
-                    turn_force(axes[i], found, m)
+            for i in range(count):
+                p, past, m = instruments[i], last.past[i], members[i]
+                turn_force(axes[i], found, m)
+                steady, force = h * past.h1 * past.h2 != 0.0, (m.a_x, m.a_Y, m.a_Z)
+                m.hidden, shaken = rectified(p, past, force, h, steady, sampled)
+                m.shaken = 1.0 if shaken else 0.0
+                if wanted or count > 3:
                     if not sampled:
                         doubts[i] = doubt_of_member(p, axes[i], last.past[i], h, found, m)
                     m.weight = weigh(p, covariance_of(all_of, i), inputs_of(p, m, h, doubts[i]), m, work)
@@ -504,6 +512,7 @@ def flag_row(
         if solved:
             turn_force(axes[i], found, m)
             flag = base_flag | flags_of(p, inputs_of(p, m, h, 0.0), m.a_x, warm)
+            flag |= at.VIBRATION if m.shaken != 0.0 else 0
         together |= flag
         if detailed:
             rows.misfits[i, j] = m.misfit if solved else math.nan

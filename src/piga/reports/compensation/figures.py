@@ -260,7 +260,7 @@ def flag_figure(outline: CompensationOutline) -> Figure | None:
     raised = {name: marks for name, marks in outline.marks.items() if marks.count}
     if not raised:
         return None
-    axis = Axis("bit position of flag", "1", limits=(-0.5, 8.5))
+    axis = Axis("bit position of flag", "1", limits=(-0.5, 9.5))
     plot = Plot("compensation-flags", "Flags against time.", TIME, axis, height=2.8)
     for name, marks in raised.items():
         bit = FLAGS[name].bit_length() - 1

@@ -51,13 +51,14 @@ class CompensationFacts:
     """Inputs of a compensation.
 
     ``names`` of the instruments. ``files`` are all files read, each with the SHA-256 of the bytes read. ``options``: as
-    given, in words. ``repairs``: number of rows by kind, counted while reading.
+    given, in words. ``repairs``: number of rows by kind, counted while reading. ``notes``: those of the result.
     """
 
     names: tuple[str, ...]
     files: Inputs
     options: dict[str, str]
     repairs: dict[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 def figures(result: Compensated | CompensatedSet) -> dict[str, Callable[[], Figure]]:
@@ -90,7 +91,7 @@ def page(result: Compensated) -> Page:
     outline = CompensationOutline(run.kind, calibration)
     outline.record(run, result)
     data = Path(run.source).name or "arrays in memory", next(iter(run.input_sha256.values()), "")
-    facts = CompensationFacts((data[0],), (data,), {"method": result.method})
+    facts = CompensationFacts((data[0],), (data,), {"method": result.method}, notes=result.notes)
     return compensation_page(outline, facts, (run, result))
 
 
@@ -242,7 +243,8 @@ def _flags(outline: CompensationOutline, facts: CompensationFacts) -> Section:
     table.number("last at", lambda row: short(row[1].last - outline.start, 6), "s")
     table.text("meaning", lambda row: MEANING[row[0]])
     caption = "Flags that were raised; times since the first row."
-    return Section("Flags", "flags", (FigureBlock(figure), table.table(caption, notes)))
+    said = [Notice("warning", words) for words in facts.notes]
+    return Section("Flags", "flags", (*said, FigureBlock(figure), table.table(caption, notes)))
 
 
 def _instruments(outline: CompensationOutline, facts: CompensationFacts) -> Section:
