@@ -221,7 +221,7 @@ def parse_unit(text: str) -> Unit:
         factor, dimension = parser.expression()
     except (ArithmeticError, ValueError):
         factor, dimension = math.nan, _DIMENSIONLESS
-    if not (isinstance(factor, float) and 0.0 < factor < math.inf and all(map(math.isfinite, dimension))):
+    if not (0.0 < factor < math.inf and all(map(math.isfinite, dimension))):
         raise UnitError(f"unit '{text}' is too large or too small to compute with", remedy="e.g. 'rad/s/g'")
     if parser.at < len(parser.tokens):
         raise UnitError(f"unit '{text}' cannot be read at '{parser.peek()}'", remedy=_UNIT_REMEDY)

@@ -225,8 +225,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     gravity: str = ""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.budget, BudgetTable):
-            object.__setattr__(self, "budget", BudgetTable(tuple(self.budget)))
+        object.__setattr__(self, "budget", BudgetTable(tuple(self.budget)))
 
     @property
     def phase(self) -> str:
