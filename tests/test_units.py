@@ -107,11 +107,12 @@ DEFINITIONS = {
     "Pa": (1, "N/m^2"),
     "hPa": (si.hecto, "N/m^2"),
     "kPa": (si.kilo, "N/m^2"),
-    "K": (1, "K"), "degC": (1, "K"), "V": (1, "V"), "mV": (si.milli, "V"), "count": (1, "count"), "counts": (1, "count"),
+    "K": (1, "K"), "degC": (1, "K"), "V": (1, "V"), "mV": (si.milli, "V"), "uV": (si.micro, "V"),
+    "A": (1, "A"), "mA": (si.milli, "A"), "uA": (si.micro, "A"), "count": (1, "count"), "counts": (1, "count"),
 }  # fmt: skip
 
 
-BASES = ["m", "s", "rad", "kg", "K", "V", "count"]
+BASES = ["m", "s", "rad", "kg", "K", "V", "count", "A"]
 
 
 @pytest.mark.parametrize("unit", sorted(_ATOMS))
@@ -120,11 +121,11 @@ def test_every_unit_is_what_its_definition_says(unit: str) -> None:
     assert conversion_factor(unit, base) == pytest.approx(factor, rel=1e-15)
 
 
-def test_base_units_are_seven_different_kinds() -> None:
+def test_base_units_are_eight_different_kinds() -> None:
     dimensions = {parse_unit(base).dimension for base in BASES}
     assert len(dimensions) == len(BASES)
-    assert all(sorted(d) == [0.0] * 6 + [1.0] for d in dimensions)
-    assert parse_unit("1").dimension == (0.0,) * 7
+    assert all(sorted(d) == [0.0] * 7 + [1.0] for d in dimensions)
+    assert parse_unit("1").dimension == (0.0,) * 8
 
 
 @pytest.mark.parametrize("alias", sorted(_ALIASES))

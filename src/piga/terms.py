@@ -49,9 +49,9 @@ TERMS: dict[str, Term] = {
     "scale_factor": Term(
         "rad/s/g",
         "K a_x, the rate of the output itself",
-        "scale factor K = ml/H",
+        "scale factor K",
         _LEVELS,
-        "0.8884 rad/s/g in [Wei2020]",
+        "ml/H = 0.8884 rad/s/g in [Wei2020]",
         ("x",),
     ),
     "tan_beta": Term(

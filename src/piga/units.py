@@ -30,7 +30,7 @@ MICRO_G = 1e-6 * G0
 DAY = 86400.0
 """One day [s]."""
 
-_BASE = ("m", "s", "rad", "kg", "K", "V", "count")
+_BASE = ("m", "s", "rad", "kg", "K", "V", "count", "A")
 _DIMENSIONLESS = (0.0,) * len(_BASE)
 
 
@@ -96,6 +96,10 @@ _ATOMS: dict[str, tuple[float, tuple[float, ...]]] = {
     "degC": (1.0, _KELVIN),
     "V": (1.0, _dim(V=1)),
     "mV": (1e-3, _dim(V=1)),
+    "uV": (1e-6, _dim(V=1)),
+    "A": (1.0, _dim(A=1)),
+    "mA": (1e-3, _dim(A=1)),
+    "uA": (1e-6, _dim(A=1)),
     "count": (1.0, _dim(count=1)),
     "counts": (1.0, _dim(count=1)),
 }
@@ -124,7 +128,7 @@ LARGEST = 1e100
 
 @dataclass(frozen=True)
 class Unit:
-    """A parsed unit: SI value of one unit, and powers of (m, s, rad, kg, K, V, count)."""
+    """A parsed unit: SI value of one unit, and powers of (m, s, rad, kg, K, V, count, A)."""
 
     text: str
     factor: float

@@ -190,7 +190,9 @@ def _calibration(
     creep = find_creep(fit, coefficients)
     history = history_of(fit) if request.method == "recursive" else None
     examined = _examined(fit, residuals)
-    notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, examined.scatter)
+    notes = odd_square(fit, coefficients) + notes_in_words(
+        coefficients, covariance, examined.scatter, direct=run.direct
+    )
     result = _assemble(run, fit, coefficients, covariance, budget.rows, examined, notes, history)
     result = replace(
         result,
@@ -237,7 +239,7 @@ class _Examined:
 def _examined(fit: Fit, residuals: Residuals) -> _Examined:
     """The residuals of a fit and what they say."""
     design, run = fit.design, fit.design.run
-    plain = Diagnostics(residual_kind="rate" if run.kind == "rate" else "angle", range=validity_ranges(run))
+    plain = Diagnostics(residual_kind=run.quantity, range=validity_ranges(run))
     tests = diagnose(residuals, plain, (partial(counted_products, design, fit.noise, fit.mode, residuals),))
     scatter = segment_scatter(design, residuals, fit.noise)
     return _Examined(residuals, tests.with_scatter(scatter), scatter, segment_table(design, residuals))
@@ -283,6 +285,7 @@ def _assemble(
         time_reference=fit.design.time_reference,
         residuals=examined.residuals,
         history=history,
+        unit=fit.design.run.unit,
     )
 
 

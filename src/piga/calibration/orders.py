@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga.records.calibration import Residuals
+from piga.records.terms import integral_unit
 from piga.results import Result
 
 Array = NDArray[np.float64]
@@ -125,7 +126,7 @@ def segment_slices(segment: ArrayLike) -> list[slice]:
 
 
 def residual_angles(residuals: Residuals, kind: str) -> Residuals:
-    """The residuals as angles: those of ``kind`` rate integrated over each segment."""
+    """The residuals as angles (of a direct instrument: its count): those of ``kind`` rate integrated over each segment."""
     if kind != "rate":
         return residuals
     step = np.diff(residuals.t, prepend=residuals.t[:1])
@@ -134,7 +135,7 @@ def residual_angles(residuals: Residuals, kind: str) -> Residuals:
         np.cumsum(step * 0.5 * (rate + np.concatenate((rate[:1], rate[:-1]))))
         for rate in (residuals.before, residuals.after)
     )
-    return replace(residuals, before=before, after=after, unit="rad")
+    return replace(residuals, before=before, after=after, unit=integral_unit(residuals.unit))
 
 
 def order_grid() -> Array:

@@ -128,6 +128,7 @@ def make_model(
     CalibrationError
         If the phase is needed but missing; names the segment.
     """
+    calibration.require_gimbal("compensation")
     used = _used_coefficients(calibration, segment, phase)
     values = {c.name: c.value * si_factor(c.name) for c in used}
     if phase is not None:

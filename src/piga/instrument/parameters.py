@@ -197,6 +197,7 @@ class ErrorModel:
 
 def instrument_of(calibration: Calibration, alpha0: Quantity = 0.0) -> Instrument:
     """The instrument with the estimated scale factor and ``tan_beta``: :meth:`piga.Calibration.instrument`."""
+    calibration.require_gimbal("the motion of an instrument")
     values = {c.name: c.value_si for c in calibration.coefficients}
     scale_factor = values.get("scale_factor", calibration.scale_factor_nominal)
     return Instrument(scale_factor, math.atan(values.get("tan_beta", 0.0)), alpha0)

@@ -36,6 +36,7 @@ from piga.records.arrays import empty, scaled, stored, taken
 from piga.records.calibration import Event, Quality, counted
 from piga.records.run import Run, TimeBase, drop_repeats, examine_time
 from piga.records.run_file import DataTable, PositionColumn, RunFile, read_run_file
+from piga.records.terms import integral_unit, scale_factor_in
 from piga.records.text_files import toml_bytes
 from piga.results import Array
 from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
@@ -117,13 +118,14 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: St
         raw.events += sequence_breaks(number, data.sequence.wraps_at, base.begins, raw.rows)
     f, base_rate = _reference(path, run_file, raw, t, stand_reference)
     scale = _output_scale(run_file, raw)
-    scale_factor = to_si(run_file.instrument.scale_factor, "rad/s/g")
+    scale_factor = scale_factor_in(run_file.instrument.scale_factor, run_file.unit)
+    gyro = run_file.instrument.kind == "gyro"
+    base_rate = base_rate if gyro else None
     output, lost = _output(data, raw, base, scale, 1.2 * scale_factor * largest_size(f[:, 0]) * base.nominal)
-    if data.output.counted and run_file.instrument.counter_bits is None:
+    if gyro and data.output.counted and run_file.instrument.counter_bits is None:
         raw.events += _resets(raw, t, output, base, f, scale_factor, lost)
         raw.events += _lost_in_gaps(raw, t, output, base, lost)
-    resolution = scale.factor if scale.counts else 0.0
-    raw.events += _doubtful(data, raw, t, output, f, base, scale_factor, resolution)
+    raw.events += _doubtful(data, raw, t, output, f, base, scale_factor, scale)
     segment, labels, groups = _split_lost(raw, lost)
     servo = run_file.instrument.servo
     return Run(
@@ -140,15 +142,16 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: St
         begins=base.begins,
         phase_group=groups,
         row=raw.rows,
-        resolution=resolution,
+        resolution=scale.factor if scale.counts else 0.0,
         quality=Quality(rows_read, raw.count, rows_read - raw.count, tuple(raw.events)),
-        model=run_file.model,
+        model=run_file.model.of(run_file.unit),
         estimation=run_file.estimation,
         uncertainty=run_file.uncertainty,
         stand=run_file.stand,
         computed_reference=data.reference is None and run_file.stand is not None,
         servo=() if servo is None else servo.parameters(),
         source=str(path),
+        unit=run_file.unit,
     )
 
 
@@ -309,6 +312,14 @@ def _temperature(raw: RawColumns, data: DataTable) -> Array | None:
 def _output_scale(run_file: RunFile, raw: RawColumns) -> OutputScale:
     """Conversion of the logged output to SI."""
     instrument, output = run_file.instrument, run_file.data.output
+    if (
+        instrument.kind == "direct"
+    ):  # counts and the declared unit are kept: the phase of a count is of no matter
+        bits = instrument.counter_bits
+        span = None if bits is None or not output.counted else 2.0**bits
+        if output.kind == "rate":
+            _unit(raw, output.column, run_file.unit)
+        return OutputScale(1.0, span, counts=output.counted, unit=integral_unit(run_file.unit))
     if output.kind == "rate":
         return OutputScale(conversion_factor(_unit(raw, output.column, str(output.unit)), "rad/s"))
     if output.kind == "angle":
@@ -333,7 +344,7 @@ def _output(
     reading = Reading(raw.path, name, raw.numbers[name], raw.rows, base.begins, largest, base.nominal, scale)
     output, lost, events = reading.output()
     raw.events += events
-    if data.output.kind == "pulses":
+    if data.output.kind == "pulses" and scale.unit == "rad":
         raw.events += _lost_pulses(raw, base, lost)
     return scaled(output, -1.0) if data.output.direction < 0 else output, lost
 
@@ -406,18 +417,18 @@ def _doubtful(
     f: Array,
     base: TimeBase,
     scale_factor: float,
-    resolution: float,
+    scale: OutputScale,
 ) -> list[Event]:
     """Report units that are probably wrong and an output that does not turn. Nothing is changed."""
-    first, some = int(raw.rows[0]), sampled(t.size)
+    first, some, gyro = int(raw.rows[0]), sampled(t.size), scale.unit == "rad"
     events = [] if data.reference is None else mistaken_unit(f[some], t.size, first)
     if data.output.kind == "rate":
-        return events + mistaken_rate(f[some, 0], output[some], scale_factor, t.size, first)
+        return events + mistaken_rate(f[some, 0], output[some], scale_factor, t.size, first, gyro=gyro)
     at = some[~base.begins[some]]
     rate = (output[at] - output[at - 1]) / (t[at] - t[at - 1])
     inside = t.size - int(np.count_nonzero(base.begins))
-    events += mistaken_rate(f[at, 0], rate, scale_factor, inside, first)
-    per_step = scale_factor / (resolution or 1e-3)
+    events += mistaken_rate(f[at, 0], rate, scale_factor, inside, first, gyro=gyro)
+    per_step = scale_factor / (scale.factor if scale.counts else 1e-3)
     return events + stopped_output(output, t, base.begins, f[:, 0], per_step, raw.rows)
 
 

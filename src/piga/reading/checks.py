@@ -203,8 +203,10 @@ def mistaken_unit(f: Array, count: int, row: int) -> list[Event]:
     return [Event("implausible-unit", count, row, detail)]
 
 
-def mistaken_rate(a_x: Array, rate: Array, scale_factor: float, count: int, row: int) -> list[Event]:
-    """Report a mean output rate [rad/s] that differs from K a_x by a factor between units."""
+def mistaken_rate(
+    a_x: Array, rate: Array, scale_factor: float, count: int, row: int, *, gyro: bool = True
+) -> list[Event]:
+    """Report a mean output rate [rad/s, or the unit of a direct instrument] that differs from K a_x by a factor between units."""
     wanted = scale_factor * a_x
     strong = np.abs(wanted) > 0.2 * np.abs(wanted).max(initial=0.0)
     if strong.sum() < STUCK:
@@ -212,7 +214,8 @@ def mistaken_rate(a_x: Array, rate: Array, scale_factor: float, count: int, row:
     words = _unit_factor(abs(float(np.median(rate[strong] / wanted[strong]))), 0.05)
     if not words:
         return []
-    detail = f"the output is too {words}? check its unit, scale_factor and counts_per_revolution"
+    counted = " and counts_per_revolution" if gyro else ""
+    detail = f"the output is too {words}? check its unit{',' if gyro else ' and'} scale_factor{counted}"
     return [Event("implausible-unit", count, row, detail)]
 
 
@@ -230,13 +233,15 @@ class OutputScale:
     """Conversion from a reading to the output.
 
     ``factor``: SI per unit of the reading. ``span``: range after which the reading folds back, in its own unit
-    (None: never). ``keeps_phase``: the span is a whole number of revolutions. ``counts``: the reading is a count.
+    (None: never). ``keeps_phase``: the span is a whole number of revolutions. ``counts``: the reading is a count. ``unit`` is
+    that of the output: rad, or count for a direct instrument, which has no phase.
     """
 
     factor: float
     span: float | None = None
     keeps_phase: bool = True
     counts: bool = False
+    unit: str = "rad"
 
 
 @dataclass(frozen=True)
@@ -341,8 +346,8 @@ class Reading:
             rate = largest / self.nominal / (0.5 * span * factor)
             raise DataError(
                 f"{self.path}: column '{self.name}': between samples the output may move by {largest:.3g} "
-                f"rad, more than half of the counter's range ({span * factor:.3g} rad): a roll-over cannot be "
-                "recognised",
+                f"{self.scale.unit}, more than half of the counter's range ({span * factor:.3g} {self.scale.unit}): a "
+                "roll-over cannot be recognised",
                 remedy=f"sample at {1.2 * rate:.3g} Hz or more, or use a wider counter",
                 where=Where(self.path, columns=(self.name,)),
             )
@@ -355,7 +360,7 @@ class Reading:
         if size[at] > 10.0 * self.largest + 2.0:
             raise DataError(
                 f"{self.path}: row {self.rows[at]}, column '{self.name}': the output jumps by "
-                f"{size[at]:.4g} rad in one sample, the reference allows {self.largest:.3g} rad",
+                f"{size[at]:.4g} {self.scale.unit} in one sample, the reference allows {self.largest:.3g} {self.scale.unit}",
                 remedy="if the counter wraps, give [instrument] counter_bits (for an angle: wraps_at); "
                 "if it was reset, start a new segment there; otherwise check scale_factor and the units",
                 where=self._where(at),
@@ -376,9 +381,10 @@ class Reading:
             f"{step[k]:+.0f} counts"
             for k in resets[:100]
         )
+        also = " and use phases = 'per-segment'" if self.scale.unit == "rad" else ""
         raise DataError(
             f"{self.path}: {listed}: it was reset there",
-            remedy="start a new segment there (a segment column) and use phases = 'per-segment'; "
+            remedy=f"start a new segment there (a segment column){also}; "
             "if it wrapped instead, give [instrument] counter_bits",
             where=self._where(resets[0]),
             fixes=[Fix("instrument", "counter_bits")],

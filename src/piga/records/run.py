@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
@@ -22,8 +22,14 @@ from piga.errors import ArgumentError
 from piga.records.arrays import stored
 from piga.records.calibration import Event, Quality, counted
 from piga.records.distribution import GivenParameter
-from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable, check_waived
-from piga.records.terms import check_terms
+from piga.records.run_file import (
+    EstimationTable,
+    ModelTable,
+    UncertaintyTable,
+    check_direct_unit,
+    check_waived,
+)
+from piga.records.terms import GYRO, integral_unit, scale_factor_in
 from piga.records.text_files import RENAMED
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular
 
@@ -40,12 +46,13 @@ class Run(Result, Plotted, Reported, Tabular):
     Attributes
     ----------
     serial, scale_factor:
-        Serial number of the instrument and its nominal K [(rad/s)/(m/s^2)]. Compare it with
+        Serial number of the instrument and its nominal K [(rad/s)/(m/s^2); ``unit`` per m/s^2]. Compare it with
         ``cal["scale_factor"].value_si``; ``cal["scale_factor"].value`` is in rad/s/g, the unit of calibration.json.
     t:
         Time [s]. It increases inside a stretch.
     output:
-        Output angle psi [rad], unwrapped; or rate [rad/s] when ``kind`` is ``"rate"``.
+        Output angle psi [rad], unwrapped; or rate [rad/s] when ``kind`` is ``"rate"``. Of a direct instrument: its count,
+        or its output in ``unit``.
     f:
         Reference specific force in base axes [m/s^2], shape (n, 3).
     base_rate:
@@ -71,6 +78,8 @@ class Run(Result, Plotted, Reported, Tabular):
         True if ``f`` was computed from the stand, not logged.
     servo:
         Known parameters of the servo by name [SI], from the run file's ``[instrument] servo``; empty if none are given.
+    unit:
+        Unit of the output rate: ``rad/s``, or that of a direct instrument, e.g. ``V`` or ``count/s``.
     """
 
     serial: str
@@ -97,6 +106,19 @@ class Run(Result, Plotted, Reported, Tabular):
     servo: tuple[GivenParameter, ...] = ()
     source: str = ""
     input_sha256: dict[str, str] = field(default_factory=dict)
+    unit: str = GYRO
+
+    @property
+    def direct(self) -> bool:
+        """True for a direct instrument: one without a gimbal."""
+        return self.unit != GYRO
+
+    @property
+    def quantity(self) -> Literal["angle", "rate", "count"]:
+        """What the output is."""
+        if self.kind == "rate":
+            return "rate"
+        return "count" if self.direct else "angle"
 
     @property
     def size(self) -> int:
@@ -115,8 +137,8 @@ class Run(Result, Plotted, Reported, Tabular):
 
     @property
     def output_unit(self) -> str:
-        """Unit of ``output``: rad, or rad/s for a rate log."""
-        return "rad/s" if self.kind == "rate" else "rad"
+        """Unit of ``output``: rad, or rad/s for a rate log; of a direct instrument count, or its ``unit``."""
+        return self.unit if self.kind == "rate" else integral_unit(self.unit)
 
     def table_columns(self, part: slice = slice(None)) -> dict[str, Column]:
         """The samples as a table in SI; ``part`` takes some rows."""
@@ -138,14 +160,14 @@ class Run(Result, Plotted, Reported, Tabular):
 
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the record."""
-        from piga.units import from_si
+        from piga.units import G0
 
         quality = self.quality
         optional = {"base rate": self.base_rate, "temperature": self.temperature}
         return [
             ("instrument", self.serial or "not named"),
-            ("scale_factor", f"{from_si(self.scale_factor, 'rad/s/g'):.6g} rad/s/g, nominal"),
-            ("samples", f"{self.size} of {quality.rows} rows; output is the {self.kind}"),
+            ("scale_factor", f"{self.scale_factor * G0:.6g} {self.unit}/g, nominal"),
+            ("samples", f"{self.size} of {quality.rows} rows; output is the {self.quantity}"),
             ("time", f"{self.t[0]:.6g} to {self.t[-1]:.6g} s, {self.duration:.6g} s recorded"),
             (
                 "segments",
@@ -185,6 +207,7 @@ class Run(Result, Plotted, Reported, Tabular):
         estimation: EstimationTable | dict[str, object] | None = None,
         uncertainty: UncertaintyTable | dict[str, object] | None = None,
         stand: dict[str, object] | None = None,
+        unit: str = GYRO,
     ) -> Run:
         """Make a run from arrays in memory (SI). For counts, units, or rows with faults see :meth:`from_dataframe`.
 
@@ -209,6 +232,9 @@ class Run(Result, Plotted, Reported, Tabular):
             Angle of one count [rad]; serial number.
         model, estimation, uncertainty, stand:
             The tables of the run file, e.g. ``uncertainty={"reference_scale": "10 ppm"}``.
+        unit:
+            Unit of the output rate of a direct instrument: ``"V"``, ``"mA"`` with kind ``"rate"``; ``"count/s"`` for counts,
+            with kind ``"angle"``. A plain ``scale_factor`` is then in this unit per m/s^2.
 
         Raises
         ------
@@ -216,8 +242,8 @@ class Run(Result, Plotted, Reported, Tabular):
             If shapes do not match, a sample is not finite or time does not increase (the message names argument and
             index), or if a table is not valid.
         """
-        from piga.units import to_si
-
+        if unit != GYRO:
+            check_direct_unit(unit, "unit")
         t, output = (np.ascontiguousarray(a, dtype=float) for a in (t, output))
         places, names = _segments(segment, labels, t.size)
         computed = f is None
@@ -225,18 +251,17 @@ class Run(Result, Plotted, Reported, Tabular):
             if stand is None:
                 raise ArgumentError("f: there is neither a reference nor a stand", remedy="give f or stand")
             f, rate = doors.run_reference().stand_reference(stand, Path(), t, places, names)
-            base_rate = rate if base_rate is None else base_rate
+            base_rate = rate if base_rate is None and unit == GYRO else base_rate
         f = np.ascontiguousarray(f, dtype=float)
         check_arrays(t, output, f, base_rate, temperature, places, kind)
         row = np.arange(1, t.size + 1, dtype=np.int64)
         base = examine_time(t, places, row)
-        asked = _table("model", model, ModelTable)
-        check_terms(asked.terms, where="model terms")
+        asked = _table("model", model, ModelTable).of(unit, "model terms")
         budget = _table("uncertainty", uncertainty, UncertaintyTable)
         check_waived(budget)
         return cls(
             serial=serial,
-            scale_factor=to_si(scale_factor, "rad/s/g", what="scale_factor"),
+            scale_factor=scale_factor_in(scale_factor, unit),
             kind=kind,
             t=t,
             output=output,
@@ -255,6 +280,7 @@ class Run(Result, Plotted, Reported, Tabular):
             uncertainty=budget,
             stand=stand,
             computed_reference=computed,
+            unit=unit,
         )
 
     @classmethod

@@ -15,9 +15,9 @@ import msgspec
 from piga.errors import RunFileError, UnitError
 from piga.output import check_results
 from piga.records.distribution import Given, GivenParameter, Spread, given_parameter, standard_uncertainty
-from piga.records.terms import check_terms
+from piga.records.terms import GYRO, check_terms, integral_unit, scale_factor_in
 from piga.records.text_files import read_toml
-from piga.units import conversion_factor, to_si
+from piga.units import conversion_factor, parse_unit, to_si
 
 Quantity = str | float | int
 """Text with a unit, or a number in SI."""
@@ -138,10 +138,14 @@ class ServoTable(TomlTable, frozen=True):
 
 
 class InstrumentTable(TomlTable, frozen=True):
-    """``[instrument]``: identity, nominal parameters and known servo parameters of the instrument."""
+    """``[instrument]``: identity, nominal parameters and known servo parameters of the instrument.
+
+    A ``direct`` instrument has no gimbal: its output is a count, or a rate in any unit.
+    """
 
     serial: str
     scale_factor: Quantity
+    kind: Literal["gyro", "direct"] = "gyro"
     counts_per_revolution: float | None = None
     counter_bits: int | None = None
     servo: ServoTable | None = None
@@ -250,6 +254,10 @@ class DataTable(TomlTable, frozen=True):
         return self.segment if isinstance(self.segment, str) else None
 
 
+DEFAULT_TERMS = ("scale_factor", "tan_beta", "k0")
+"""Terms of a gyro accelerometer for which nobody asks; a direct instrument has no ``tan_beta``."""
+
+
 class ModelTable(TomlTable, frozen=True):
     """``[model]``: the terms to estimate, and whether the record has one phase of the output zero or one for each segment.
 
@@ -257,7 +265,7 @@ class ModelTable(TomlTable, frozen=True):
     than ``scale_factor_tolerance`` (``"2 %"``; 1 % by default) is marked "do not use".
     """
 
-    terms: tuple[str, ...] = ("scale_factor", "tan_beta", "k0")
+    terms: tuple[str, ...] = DEFAULT_TERMS
     compare: tuple[tuple[str, ...], ...] = ()
     phases: Phases = "shared"
     phase_source: PhaseSource = "output"
@@ -268,6 +276,20 @@ class ModelTable(TomlTable, frozen=True):
     def tolerance(self) -> float:
         """Largest relative difference [1] of K from its nominal value with which a result may be used."""
         return to_si(self.scale_factor_tolerance, "1", what="[model] scale_factor_tolerance")
+
+    def of(self, output: str, where: str = "[model] terms") -> ModelTable:
+        """The table for an instrument whose output rate has this unit: terms that nobody asked for are those of its kind.
+
+        Raises
+        ------
+        RunFileError
+            If a term does not exist, or belongs to the other kind.
+        """
+        table = self
+        if output != GYRO and self.terms is DEFAULT_TERMS:
+            table = msgspec.structs.replace(self, terms=("scale_factor", "k0"))
+        check_terms(table.terms, where=where, output=output)
+        return table
 
 
 class EstimationTable(TomlTable, frozen=True):
@@ -341,6 +363,13 @@ class RunFile(TomlTable, frozen=True):
     uncertainty: UncertaintyTable = UncertaintyTable()
     stand: dict[str, Any] | None = None
 
+    @property
+    def unit(self) -> str:
+        """Unit of the output rate: rad/s of a gyro accelerometer, the declared one of a direct instrument."""
+        if self.instrument.kind == "gyro":
+            return GYRO
+        return "count/s" if self.data.output.counted else str(self.data.output.unit)
+
 
 SERVO_UNITS = {
     "integral_gain": "N m/(rad s)",
@@ -405,7 +434,7 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
         check_run_file(run_file)
     except (UnitError, RunFileError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
-    return run_file
+    return msgspec.structs.replace(run_file, model=run_file.model.of(run_file.unit))
 
 
 def check_run_file(run_file: RunFile) -> None:
@@ -416,18 +445,19 @@ def check_run_file(run_file: RunFile) -> None:
     RunFileError, UnitError
         With table, key and value.
     """
-    _check_units(run_file)
     _check_output(run_file)
+    _check_units(run_file)
     _check_stand(run_file)
     _check_faults(run_file)
-    check_terms(run_file.model.terms, where="[model] terms")
+    run_file.model.of(run_file.unit)
     for terms in run_file.model.compare:
-        check_terms(terms, where="[model] compare")
+        check_terms(terms, where="[model] compare", output=run_file.unit)
 
 
 def _check_units(run_file: RunFile) -> None:
     data, estimation = run_file.data, run_file.estimation
-    if to_si(run_file.instrument.scale_factor, "rad/s/g", what="[instrument] scale_factor") <= 0.0:
+    what = "[instrument] scale_factor"
+    if scale_factor_in(run_file.instrument.scale_factor, run_file.unit, what) <= 0.0:
         raise RunFileError(
             "[instrument] scale_factor: must be positive",
             remedy="use a positive value; reverse X0 in the reference",
@@ -449,7 +479,8 @@ def _check_units(run_file: RunFile) -> None:
     to_si(run_file.model.temperature_reference, "K", what="[model] temperature_reference")
     if not run_file.model.tolerance > 0.0:
         raise RunFileError("[model] scale_factor_tolerance: must be positive", remedy='e.g. "2 %"')
-    for name, like in (("angle_rms", "rad"), ("angle_random_walk", "rad/sqrt(s)")):
+    count = integral_unit(run_file.unit)
+    for name, like in (("angle_rms", count), ("angle_random_walk", f"{count}/sqrt(s)")):
         value = getattr(estimation, name)
         if value is not None and to_si(value, like, what=f"[estimation] {name}") < 0.0:
             raise RunFileError(
@@ -503,16 +534,12 @@ def _check_time(time: TimeColumn) -> None:
 
 def _check_output(run_file: RunFile) -> None:
     data, instrument, output = run_file.data, run_file.instrument, run_file.data.output
+    gyro = instrument.kind == "gyro"
+    if not gyro:
+        _check_direct(run_file)
+    elif output.counted:
+        _check_revolution(instrument.counts_per_revolution)
     if output.counted:
-        if instrument.counts_per_revolution is None:
-            raise RunFileError(
-                "[instrument] counts_per_revolution is missing, but [data] output is in counts", remedy="add it"
-            )
-        if not LEAST_COUNTS <= instrument.counts_per_revolution <= MOST_COUNTS:
-            raise RunFileError(
-                f"[instrument] counts_per_revolution: must be positive, {LEAST_COUNTS:g} to {MOST_COUNTS:g}",
-                remedy="correct it",
-            )
         if output.unit not in (None, "count", "counts", "1"):
             raise RunFileError(
                 f"[data] output: unit '{output.unit}' cannot be used with kind '{output.kind}'",
@@ -524,7 +551,10 @@ def _check_output(run_file: RunFile) -> None:
             raise RunFileError(
                 f"[data] output: kind '{output.kind}' needs a unit", remedy=f"add unit = '{like}'"
             )
-        conversion_factor(output.unit, like, what="[data] output")
+        if gyro:
+            conversion_factor(output.unit, like, what="[data] output")
+        else:
+            check_direct_unit(output.unit, "[data] output")
     if output.wraps_at is not None:
         if output.kind != "angle":
             raise RunFileError(
@@ -546,6 +576,50 @@ def _check_output(run_file: RunFile) -> None:
         raise RunFileError("[data] sample_rate: must be positive", remedy="e.g. '100 Hz'")
     if data.decimal is not None and data.decimal == data.delimiter:
         raise RunFileError("[data] decimal and delimiter are the same character", remedy="correct one of them")
+
+
+def _check_revolution(counts: float | None) -> None:
+    if counts is None:
+        raise RunFileError(
+            "[instrument] counts_per_revolution is missing, but [data] output is in counts", remedy="add it"
+        )
+    if not LEAST_COUNTS <= counts <= MOST_COUNTS:
+        raise RunFileError(
+            f"[instrument] counts_per_revolution: must be positive, {LEAST_COUNTS:g} to {MOST_COUNTS:g}",
+            remedy="correct it",
+        )
+
+
+def _check_direct(run_file: RunFile) -> None:
+    """Refuse what belongs to the gimbal of a gyro accelerometer."""
+    data, instrument = run_file.data, run_file.instrument
+    belongs = {
+        "[instrument] counts_per_revolution": instrument.counts_per_revolution is not None,
+        "[instrument] servo": instrument.servo is not None,
+        "[data] base_rate": data.base_rate is not None,
+        "[data] output: kind 'angle'": data.output.kind == "angle",
+    }
+    for key, given in belongs.items():
+        if given:
+            raise RunFileError(
+                f"{key} belongs to a gyro accelerometer, and [instrument] kind is 'direct'",
+                remedy="kind = 'counts', or 'rate' with its unit" if "output" in key else "leave it out",
+            )
+
+
+def check_direct_unit(unit: str, what: str) -> None:
+    """Refuse a unit of the output rate that a direct instrument cannot have: an angle is that of a gimbal.
+
+    Raises
+    ------
+    RunFileError, UnitError
+        The message begins with ``what``.
+    """
+    if parse_unit(unit).dimension[2] or unit == GYRO:
+        raise RunFileError(
+            f"{what}: unit '{unit}' is that of an angle, and a direct instrument has no gimbal",
+            remedy="declare the unit of its output, e.g. 'V', 'mA' or 'Hz'; or leave [instrument] kind out",
+        )
 
 
 def _check_faults(run_file: RunFile) -> None:

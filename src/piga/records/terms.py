@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from piga.errors import RunFileError
 from piga.terms import HARMONICS, TERMS, Term
-from piga.units import parse_unit
+from piga.units import ARCSEC, parse_unit, to_si
 
 UNITS = {name: term.unit for name, term in TERMS.items()}
 """Unit of each coefficient in ``calibration.json``; harmonics ``s1 c1 s2 c2 ...`` are in g."""
@@ -48,8 +48,53 @@ def term_words(name: str) -> Term:
     return replace(words, formula=formula, meaning=meaning_of(base))
 
 
+GYRO = "rad/s"
+"""Unit of the output rate of a gyro accelerometer. Any other unit is that of a direct instrument, as text; its output and its
+K are numbers in this unit, not in SI."""
+
+
+def integral_unit(unit: str) -> str:
+    """Unit of the output integrated over time.
+
+    Examples
+    --------
+    >>> integral_unit("rad/s"), integral_unit("count/s"), integral_unit("V")
+    ('rad', 'count', 'V s')
+    """
+    return unit.removesuffix("/s") if unit.endswith("/s") else f"{unit} s"
+
+
+def shown_output(unit: str) -> tuple[float, str]:
+    """Unit in which an output is shown, and its size: an angle in seconds of arc, all others as they are.
+
+    Examples
+    --------
+    >>> shown_output("V"), shown_output("rad/s")[1]
+    ((1.0, 'V'), 'arcsec/s')
+    """
+    return (ARCSEC, unit.replace("rad", "arcsec", 1)) if unit.startswith("rad") else (1.0, unit)
+
+
+def scale_factor_in(value: str | float, unit: str, what: str = "scale_factor") -> float:
+    """K [unit per m/s^2] of an instrument whose output rate has this unit, from text with any unit of its kind.
+
+    Raises
+    ------
+    UnitError
+        If the text has a unit of another kind.
+    """
+    number = to_si(value, f"{unit}/g", what=what)
+    return number / parse_unit(unit).factor if isinstance(value, str) else number
+
+
 SERVO_TERMS = ("servo", "servo_damping")
 """Terms of the servo. They turn with the output angle, as ``tan_beta`` does. Their phase is that of ``tan_beta``."""
+
+
+def turns(name: str) -> bool:
+    """True for a term that turns with the gimbal: only a gyro accelerometer has it."""
+    return name in ("tan_beta", "phi", *SERVO_TERMS) or harmonic(name) is not None
+
 
 _HARMONIC = re.compile(r"^([sc])([1-9]\d?)$")
 
@@ -73,25 +118,31 @@ def shown_unit(name: str, unit: str) -> tuple[float, str]:
     ((1000000.0, 'ug'), (1.0, 'rad'))
     """
     head, _, tail = unit.partition("/")
-    if name.partition("[")[0] == "phi" or head not in ("g", "rad") or tail.startswith("s"):
+    if name.partition("[")[0] in ("phi", "scale_factor") or head not in ("g", "rad") or tail.startswith("s"):
         return 1.0, unit
     return 1e6, f"u{unit}"
 
 
-def unit_of(name: str) -> str:
-    """Unit of a coefficient in files; ``name`` may carry a segment in brackets."""
+def unit_of(name: str, output: str = GYRO) -> str:
+    """Unit of a coefficient in files; ``name`` may carry a segment in brackets. ``output`` is the unit of the output rate."""
     base = name.split("[", maxsplit=1)[0]
+    if base == "scale_factor":
+        return f"{output}/g"
     return "g" if harmonic(base) else UNITS[base]
 
 
 def si_factor(name: str) -> float:
-    """SI value of one file unit of the coefficient: ``value_SI = value_file * si_factor``."""
+    """SI value of one file unit of the coefficient: ``value_SI = value_file * si_factor``.
+
+    The K of a direct instrument is in the unit of its output per m/s^2.
+    """
     return parse_unit(unit_of(name)).factor
 
 
-def si_unit_of(name: str) -> str:
-    """SI unit of a coefficient; ``name`` may carry a segment in brackets."""
-    return SI_UNITS[unit_of(name)]
+def si_unit_of(name: str, output: str = GYRO) -> str:
+    """SI unit of a coefficient; ``name`` may carry a segment in brackets. ``output`` as for :func:`unit_of`."""
+    unit = unit_of(name, output)
+    return SI_UNITS.get(unit) or unit.replace("/g", "/(m/s^2)")
 
 
 def check_name(name: str) -> bool:
@@ -128,13 +179,14 @@ def known_terms(name: str) -> str:
     return f"{guess}known terms: {' '.join(known)} s1 c1 s2 c2 ..."
 
 
-def check_terms(terms: tuple[str, ...], *, where: str = "terms") -> None:
-    """Check the names of the wanted terms and their combination.
+def check_terms(terms: tuple[str, ...], *, where: str = "terms", output: str = GYRO) -> None:
+    """Check the names of the wanted terms and their combination, for an instrument whose output rate has a unit.
 
     Raises
     ------
     RunFileError
-        For an unknown or repeated name, a harmonic without its partner, or k1 beside scale_factor.
+        For an unknown or repeated name, a harmonic without its partner, k1 beside scale_factor, or a term of the other kind
+        of instrument.
     """
     if not terms:
         raise RunFileError(f"{where}: no term is asked for", remedy="e.g. ['scale_factor', 'tan_beta', 'k0']")
@@ -146,6 +198,11 @@ def check_terms(terms: tuple[str, ...], *, where: str = "terms") -> None:
         if terms.count(name) > 1:
             raise RunFileError(f"{where}: '{name}' is named twice", remedy="name it once")
         wave = harmonic(name)
+        if output != GYRO and turns(name):
+            raise RunFileError(
+                f"{where}: '{name}' turns with the gimbal of a gyro accelerometer, and the instrument is direct",
+                remedy="leave it out",
+            )
         partner = wave and ("c" if wave[0] == "s" else "s") + str(wave[1])
         if partner and partner not in terms:
             raise RunFileError(

@@ -156,7 +156,9 @@ def _write_all(run: Run, run_file: RunFile, folder: Path) -> Outline:
     signals = [signal for signal, _ in columns]
     if run.kind == "angle":
         _write_difference(run, t, folder, levels)
-        signals.insert(1, Signal("difference", "angle minus K ∫aₓdt", "deg", 180.0 / np.pi, "difference"))
+        shown = ("count", 1.0) if run.direct else ("deg", 180.0 / np.pi)
+        words = f"{run.quantity} minus K ∫aₓdt"
+        signals.insert(1, Signal("difference", words, *shown, "difference"))
     thinned = _write_thinned(run, run_file, folder) if run.size > LONG else 1
     outline = _outline(run, run_file, t, rows, tuple(signals), thinned)
     (folder / "outline.json").write_text(json.dumps(asdict(outline)), encoding="utf-8")
@@ -210,7 +212,11 @@ def _write_thinned(run: Run, run_file: RunFile, folder: Path) -> int:
         columns["temperature"] = run.temperature[part]
         data["temperature"] = {"column": "temperature", "unit": "K"}
     pyarrow.parquet.write_table(pa.table(columns), folder / "thinned.parquet")
-    instrument = {"serial": run.serial, "scale_factor": f"{run.scale_factor * G0!r} rad/s/g"}
+    instrument = {"serial": run.serial, "scale_factor": f"{run.scale_factor * G0!r} {run.unit}/g"}
+    if run.direct:
+        instrument["kind"] = "direct"
+    if run.quantity == "count":
+        data["output"] = {"column": "output", "kind": "counts"}
     model = {"terms": list(run_file.model.terms), "phases": run_file.model.phases}
     document = {"instrument": instrument, "data": data, "model": model}
     (folder / "thinned.toml").write_text(toml_text(document), encoding="utf-8")
@@ -371,6 +377,8 @@ def _columns(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
         if run.kind == "angle"
         else Signal("output", "output rate", "deg/s", 360.0 / turn, "output")
     )
+    if run.direct:
+        output = Signal("output", "output", run.output_unit, 1.0, "output")
     columns: list[tuple[Signal, Any]] = [(output, run.output)]
     for index, axis in enumerate("XYZ"):
         columns.append((Signal(f"f{axis}", f"a_{axis}", "g", 1.0 / G0, "specific force"), run.f[:, index]))

@@ -346,7 +346,7 @@ def test_diagnostics_have_words_and_no_digits_that_say_nothing():
         scalars({"segment_scatter_ratio_without_it": 3.25, "range": {"a_x": [-9.801660000002705, 9.8]}})
     )
     assert rows["Range of the axial specific force"] == "−9.802 to 9.800 m/s²"
-    assert "Scatter of the segments over what the noise of the angle explains" in rows
+    assert "Scatter of the segments over what the noise of the output explains" in rows
 
 
 def test_every_source_of_a_run_file_has_words():

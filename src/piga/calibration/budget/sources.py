@@ -77,7 +77,7 @@ def is_stated(run: Run, name: str) -> bool:
 def assumed_sizes(run: Run) -> dict[str, str]:
     """Sources that nobody stated and that have an assumed size, each with its size in words."""
     waived, sizes = run.uncertainty.waived, {}
-    if run.base_rate is None and "earth_rate" not in waived and _gravity_alone(run):
+    if not run.direct and run.base_rate is None and "earth_rate" not in waived and _gravity_alone(run):
         ppm = 1e6 * EARTH_RATE / (run.scale_factor * G0)
         sizes["earth_rate"] = (
             f"no base rate and no site are given: the rotation of the Earth is up to {ppm:.2g} ppm of K, {ppm:.2g} ug"

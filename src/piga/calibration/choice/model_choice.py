@@ -199,7 +199,7 @@ def compare_models(
         If ``progress`` returns False.
     """
     wanted = tuple(term_names(terms) for terms in (run.model.compare if term_sets is None else term_sets))
-    _check_sets(wanted)
+    _check_sets(wanted, run.unit)
     wanted = _with_servo_first(run, wanted)
     steps = Steps(progress, 1 + len(wanted))
     steps("finding the noise")
@@ -270,7 +270,7 @@ def _meanings(rows: list[TermSet]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _check_sets(wanted: tuple[tuple[str, ...], ...]) -> None:
+def _check_sets(wanted: tuple[tuple[str, ...], ...], unit: str) -> None:
     if not wanted:
         raise ArgumentError(
             "there are no term sets to compare",
@@ -279,7 +279,7 @@ def _check_sets(wanted: tuple[tuple[str, ...], ...]) -> None:
     for index, terms in enumerate(wanted, start=1):
         if not terms:
             raise ArgumentError(f"term set {index} is empty", remedy="name its terms")
-        check_terms(terms, where=f"term set {index}")
+        check_terms(terms, where=f"term set {index}", output=unit)
 
 
 def union_of(wanted: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
@@ -411,7 +411,7 @@ class UnionReduction:
             (label if own else None, None) for label in run.labels[: estimate.phases.size]
         ]
         named, covariance = name_parameters(
-            layout, estimate, estimate.covariance, run.scale_factor, terms, owners
+            layout, estimate, estimate.covariance, run.scale_factor, terms, owners, run.unit
         )
         spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
         refuse_useless(named, largest_size(run.f), float(np.ptp(run.t)), spread)

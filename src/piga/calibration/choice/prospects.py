@@ -14,7 +14,16 @@ from typing import Any
 from piga.calibration.choice.model_choice import TermSet, UnionReduction, union_of
 from piga.calibration.model.request import make_request
 from piga.records.run import Run
-from piga.records.terms import SERVO_TERMS, UNITS, check_terms, harmonic, shown_unit, term_names, unit_of
+from piga.records.terms import (
+    SERVO_TERMS,
+    UNITS,
+    check_terms,
+    harmonic,
+    shown_unit,
+    term_names,
+    turns,
+    unit_of,
+)
 from piga.terms import THERMAL_TERMS
 from piga.threads import one_thread
 
@@ -36,6 +45,8 @@ class TermProspect:
         Why it does not, and what to do; empty if it does.
     doubt:
         Which other terms are hard to separate from it; empty if there is none.
+    unit:
+        Unit of ``std``.
     """
 
     term: str
@@ -44,6 +55,7 @@ class TermProspect:
     reason: str = ""
     remedy: str = ""
     doubt: str = ""
+    unit: str = "1"
 
     @property
     def determined(self) -> bool:
@@ -54,7 +66,7 @@ class TermProspect:
         """The verdict in words."""
         if self.std is None:
             return self.reason
-        factor, unit = shown_unit(self.term, unit_of(self.term))
+        factor, unit = shown_unit(self.term, self.unit)
         size = f"determined, u = {factor * self.std:.2g}{'' if unit == '1' else f' {unit}'}"
         return f"{size}; {self.doubt}" if self.doubt else size
 
@@ -65,7 +77,7 @@ class TermProspect:
             "asked": self.asked,
             "determined": self.determined,
             "std": self.std,
-            "unit": unit_of(self.term),
+            "unit": self.unit,
             "words": self.words(),
             "remedy": self.remedy,
             "doubt": self.doubt,
@@ -96,7 +108,7 @@ def term_prospects(run: Run, terms: str | Sequence[str] | None = None) -> tuple[
         If the record does not fit the request, or determines nothing.
     """
     asked = run.model.terms if terms is None else term_names(terms)
-    check_terms(asked)
+    check_terms(asked, output=run.unit)
     others = tuple(term for term in _known(run, asked) if term not in asked)
     own_phases = len(set(run.phase_group)) > 1 or run.model.phases == "per-segment"
     phase = "per-segment" if own_phases else "shared"
@@ -111,7 +123,7 @@ def term_prospects(run: Run, terms: str | Sequence[str] | None = None) -> tuple[
 
 def _known(run: Run, asked: tuple[str, ...]) -> tuple[str, ...]:
     """All terms that may be added to the terms asked for; ``k1`` and ``scale_factor`` exclude each other."""
-    names = [name for name in UNITS if name != "phi"]
+    names = [name for name in UNITS if name != "phi" and not (run.direct and turns(name))]
     if {"scale_factor", "k1"} & set(asked):
         names = [name for name in names if name not in ("scale_factor", "k1")]
     else:
@@ -146,7 +158,7 @@ def _base(weighed: UnionReduction, asked: tuple[str, ...]) -> tuple[tuple[str, .
 
 def _prospect(term: str, tried: TermSet, *, asked: bool) -> TermProspect:
     if tried.reason:
-        return TermProspect(term, asked, None, tried.reason, tried.remedy)
-    std = next(c.std for c in tried.coefficients if c.name == term)
+        return TermProspect(term, asked, None, tried.reason, tried.remedy, unit=unit_of(term))
+    std, unit = next((c.std, c.unit) for c in tried.coefficients if c.name == term)
     doubt = next((words for words in tried.alike if re.search(rf"\b{term}\b", words)), "")
-    return TermProspect(term, asked, std, doubt=doubt)
+    return TermProspect(term, asked, std, doubt=doubt, unit=unit)

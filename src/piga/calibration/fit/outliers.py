@@ -339,7 +339,7 @@ def leave_out(run: Run, misses: Misses, flags: Flags, *, free: bool) -> tuple[Ru
         run.quality,
         used=run.quality.used - count,
         masked=run.quality.masked + count,
-        events=(*run.quality.events, *_events(outliers, counts, at_gap)),
+        events=(*run.quality.events, *_events(outliers, counts, at_gap, run.direct)),
     )
     return replace(run, output=run.output - wrong, begins=begins, left_out=left_out, quality=quality), outliers
 
@@ -426,17 +426,20 @@ _WORDS = {
 }
 
 
-def _events(outliers: tuple[Outlier, ...], counts: dict[str, int], at_gap: tuple[Outlier, ...]) -> list[Event]:
-    """Events for the findings, by kind. ``at_gap`` are spikes at a gap."""
+def _events(
+    outliers: tuple[Outlier, ...], counts: dict[str, int], at_gap: tuple[Outlier, ...], direct: bool
+) -> list[Event]:
+    """Events for the findings, by kind. ``at_gap`` are spikes at a gap; a ``direct`` instrument has no phase that it may lose."""
     events = []
     for kind, text in _WORDS.items():
         those = [outlier for outlier in outliers if outlier.kind == kind]
         if those:
             times = ", ".join(f"{outlier.time:.6g}" for outlier in those[: OUTLIERS.named])
             more = " and more" if counts[kind] > sum(max(o.samples, 1) for o in those[: OUTLIERS.named]) else ""
-            also = _perhaps_a_slip(at_gap) if kind == "spike" else ""
+            words = text.partition(". If")[0] if direct else text
+            also = _perhaps_a_slip(at_gap) if kind == "spike" and not direct else ""
             events.append(
-                Event(f"outlier-{kind}", counts[kind], those[0].row, f"t = {times}{more} s: {text}{also}")
+                Event(f"outlier-{kind}", counts[kind], those[0].row, f"t = {times}{more} s: {words}{also}")
             )
     return events
 

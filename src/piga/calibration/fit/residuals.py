@@ -140,7 +140,7 @@ def _summary(design: Design, residuals: Residuals, left: int, right: int) -> Seg
         rows=right - left,
         duration=duration,
         mean_a_x=float(run.f[part, 0].mean()),
-        turns=turned / (2.0 * math.pi),
+        turns=None if run.direct else turned / (2.0 * math.pi),
         rms=root_mean_square(residuals.after[part]),
         rms_before=root_mean_square(residuals.before[part]),
         max_after=largest_size(residuals.after[part]),

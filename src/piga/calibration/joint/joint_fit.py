@@ -199,7 +199,9 @@ class MergedRuns:
         if self.layout.coupled:
             owners = [(label, summary.name) for summary in self.summaries for label in summary.labels]
         nominal = self.summaries[0].scale_factor
-        return name_parameters(self.layout, estimate, covariance, nominal, self.wish.terms, owners)
+        return name_parameters(
+            self.layout, estimate, covariance, nominal, self.wish.terms, owners, self.summaries[0].unit
+        )
 
 
 @dataclass(frozen=True)
@@ -286,7 +288,7 @@ def _wish(
     if terms is not None:
         own = [tuple(terms)] * len(items)
     union = tuple(dict.fromkeys(name for names in own for name in names))
-    check_terms(union, where="terms of all runs together")
+    check_terms(union, where="terms of all runs together", output=items[0].unit)
     asked = [item.per_run if isinstance(item, RunSummary) else item.estimation.per_run for item in items]
     free = tuple(per_run) if per_run is not None else tuple(dict.fromkeys(n for names in asked for n in names))
     check_per_run(free, union)
@@ -313,6 +315,11 @@ def _check_one_instrument(items: Sequence[Run | RunSummary]) -> None:
             raise CalibrationError(
                 f"run '{names[0]}' is of instrument '{first.serial}', run '{name}' of '{item.serial}'",
                 remedy="a joint calibration is for one instrument; correct [instrument] serial if they are the same",
+            )
+        if item.unit != first.unit:
+            raise CalibrationError(
+                f"the output of run '{names[0]}' is in {first.unit}, that of run '{name}' in {item.unit}",
+                remedy="a joint calibration is for one kind of output; calibrate the runs one by one",
             )
         if abs(item.scale_factor / first.scale_factor - 1.0) > 1e-9:
             raise CalibrationError(

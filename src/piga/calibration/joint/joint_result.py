@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,7 @@ from piga.records.calibration import (
     SegmentScatter,
     SegmentSummary,
 )
+from piga.records.terms import GYRO, integral_unit
 from piga.results import Array
 
 
@@ -73,8 +74,10 @@ def joint_result(
     held = [part for part in parts if part is not None]
     scatter = max((part.scatter for part in held), key=lambda one: one.worst, default=SegmentScatter())
     products = tuple(part.products for part in held)
-    notes = notes_in_words(coefficients, covariance, scatter)
-    plain = Diagnostics(residual_kind="rate" if kind == "rate" else "angle", range=_ranges(fit))
+    direct = fit.summaries[0].unit != GYRO
+    notes = notes_in_words(coefficients, covariance, scatter, direct=direct)
+    angle: Literal["angle", "count"] = "count" if direct else "angle"
+    plain = Diagnostics(residual_kind="rate" if kind == "rate" else angle, range=_ranges(fit))
     weights = np.array([record.rows for record in records], dtype=float)
     first = fit.summaries[0]
     return Calibration(
@@ -111,6 +114,7 @@ def joint_result(
         residuals=residuals,
         runs=tuple(records),
         outliers=tuple(replace(o, run=s.name) for s in fit.summaries for o in s.outliers),
+        unit=first.unit,
     )
 
 
@@ -193,7 +197,7 @@ def _as_angles(rates: Residuals) -> Residuals:
     step = np.diff(rates.t, prepend=rates.t[:1])
     step[np.diff(rates.segment, prepend=rates.segment[:1]) != 0] = 0.0
     before, after = np.cumsum(step * rates.before), np.cumsum(step * rates.after)
-    return replace(rates, before=before, after=after, unit="rad")
+    return replace(rates, before=before, after=after, unit=integral_unit(rates.unit))
 
 
 def _mean_square(values: list[float], weights: Array) -> float:

@@ -34,7 +34,7 @@ from piga.records.calibration import Outlier, Provenance, Quality, Residuals, Se
 from piga.records.limits import read_whole
 from piga.records.run import Run
 from piga.records.run_file import Draw
-from piga.records.terms import SERVO_TERMS, check_name, harmonic
+from piga.records.terms import GYRO, SERVO_TERMS, check_name, harmonic, turns
 from piga.records.text_files import JsonError, decode_json, schema_of
 from piga.results import Array, Result
 from piga.terms import TERMS, THERMAL_TERMS
@@ -99,6 +99,8 @@ class RunSummary(Result):
         Sources that exist on its stand, and whether they are stated.
     quality, segments, figures, ranges:
         As in a calibration of this run alone.
+    unit:
+        Unit of the output rate.
     """
 
     name: str
@@ -130,6 +132,7 @@ class RunSummary(Result):
     outliers: tuple[Outlier, ...] = ()
     known_servo: tuple[tuple[str, float], ...] = ()
     stand_sources: tuple[StandSource, ...] = ()
+    unit: str = GYRO
 
     @property
     def parts(self) -> tuple[Reduction, ...]:
@@ -288,7 +291,8 @@ def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str,
 def all_columns(run: Run, request: Request) -> tuple[str, ...]:
     """Terms with columns in a stored summary."""
     thermal = () if run.temperature is None else THERMAL_TERMS
-    return (*STATIC_TERMS, *thermal, *(term for term in request.terms if harmonic(term)))
+    static = (name for name in STATIC_TERMS if not (run.direct and turns(name)))
+    return (*static, *thermal, *(term for term in request.terms if harmonic(term)))
 
 
 def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | None = None) -> RunSummary:
@@ -319,6 +323,7 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
         reference_id=run.uncertainty.reference_id,
         undetermined=live.undetermined,
         known_servo=tuple(given_servo(run).items()),
+        unit=run.unit,
         **_described(fit),
     )
 

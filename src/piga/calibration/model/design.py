@@ -259,6 +259,8 @@ class Design:
     def join(self) -> int:
         """Number of intervals joined to one."""
         size = self.run.size
+        if self.run.direct:
+            return max(1, math.ceil(self.rows / DESIGN.joined_rows))
         every = max(1, size // DESIGN.joined_rows)
         turn = np.abs(np.diff(self.phase_angle[::every]))
         step = float(np.quantile(turn, 0.9)) / every

@@ -259,8 +259,10 @@ def notes_in_words(
     coefficients: tuple[Coefficient, ...],
     covariance: Array,
     scatter: SegmentScatter,
+    *,
+    direct: bool = False,
 ) -> tuple[str, ...]:
-    """Doubts about the estimate, one sentence each."""
+    """Doubts about the estimate, one sentence each. ``direct``: the instrument has no gimbal."""
     notes = alike_in_words(coefficients, covariance)
     for coefficient in coefficients:
         if coefficient.name == "tan_beta" and coefficient.value < 4.0 * coefficient.std:
@@ -274,19 +276,19 @@ def notes_in_words(
         notes.append(
             f"phi is not determined in segment {', '.join(map(str, loose))}: no transverse force there, or the gimbal hardly turns"
         )
-    force = scatter.segment_scatter_g or 0.0
+    force, own = scatter.segment_scatter_g or 0.0, "instrument" if direct else "servo"
     ratio, without_it = scatter.segment_scatter_ratio or 0.0, scatter.segment_scatter_ratio_without_it or 0.0
     if ratio > SEPARATION.scatter:
         notes.append(
             f"the mean rates of the segments scatter {ratio:.1f} times more than the noise explains "
-            f"({force * 1e6:.2g} ug rms): the stand or the servo has an effect that the model lacks; the "
+            f"({force * 1e6:.2g} ug rms): the stand or the {own} has an effect that the model lacks; the "
             "standard uncertainties include the scatter, but not what is the same at every visit of a position"
         )
     elif without_it > SEPARATION.scatter:
         notes.append(
             f"the mean rates of the segments scatter {without_it:.1f} times more than the noise of the "
-            f"angle explains ({force * 1e6:.2g} ug rms): the standard uncertainties include this "
-            "scatter, but an effect of the stand or of the servo that is the same at every visit of a "
+            f"{'output' if direct else 'angle'} explains ({force * 1e6:.2g} ug rms): the standard uncertainties include this "
+            f"scatter, but an effect of the stand or of the {own} that is the same at every visit of a "
             "position does not average out"
         )
     return tuple(notes)

@@ -15,10 +15,10 @@ from piga.reading.checks import integrated_rate
 from piga.records.arrays import changes, middles, norms, stored
 from piga.records.run import Run
 from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES
-from piga.records.terms import SERVO_TERMS, check_terms, harmonic, term_names
+from piga.records.terms import SERVO_TERMS, check_terms, harmonic, integral_unit, term_names
 from piga.results import Array
 from piga.terms import THERMAL_TERMS
-from piga.units import to_si
+from piga.units import parse_unit, to_si
 
 
 @dataclass(frozen=True)
@@ -72,16 +72,14 @@ def make_request(
     CalibrationError
         If the record lacks data for a term, or lost the phase that ``shared`` needs.
     """
-    model, estimation = run.model, run.estimation
+    model, estimation, count = run.model, run.estimation, integral_unit(run.unit)
     request = Request(
         terms=term_names(terms) if terms is not None else model.terms,
         phases=phases or model.phases,
         phase_source=phase_source or model.phase_source,
         method=method or estimation.method,
-        angle_rms=None if estimation.angle_rms is None else to_si(estimation.angle_rms, "rad"),
-        angle_random_walk=(
-            None if estimation.angle_random_walk is None else to_si(estimation.angle_random_walk, "rad/sqrt(s)")
-        ),
+        angle_rms=_level(estimation.angle_rms, count),
+        angle_random_walk=_level(estimation.angle_random_walk, f"{count}/sqrt(s)"),
         temperature_reference=to_si(model.temperature_reference, "K"),
         per_run=tuple(per_run) if per_run is not None else estimation.per_run,
     )
@@ -97,10 +95,17 @@ def make_request(
     ):
         if value not in allowed:
             raise ArgumentError(f"{name}: '{value}' is not known", remedy=f"one of: {', '.join(allowed)}")
-    check_terms(request.terms)
+    check_terms(request.terms, output=run.unit)
     check_per_run(request.per_run, request.terms)
     _check_record(run, request)
     return request
+
+
+def _level(given: str | float | None, unit: str) -> float | None:
+    """A noise level in its unit, SI for a gyro accelerometer; None if it is not given."""
+    if given is None:
+        return None
+    return to_si(given, unit) / (parse_unit(unit).factor if isinstance(given, str) else 1.0)
 
 
 def check_per_run(per_run: tuple[str, ...], terms: tuple[str, ...]) -> None:
@@ -135,6 +140,17 @@ def _check_record(run: Run, request: Request) -> None:
                 f"term '{name}' needs the temperature, but the record has none",
                 remedy="add [data] temperature = { column = '...', unit = 'degC' }, or leave the term out",
             )
+    if run.direct:
+        for key, asked, only in (
+            ("phases", request.phases, "shared"),
+            ("phase_source", request.phase_source, "output"),
+            ("method", "revolutions" if request.method == "revolutions" else "", ""),
+        ):
+            if asked != only:
+                raise CalibrationError(
+                    f"{key} '{asked}' belongs to the gimbal of a gyro accelerometer, and the instrument is direct",
+                    remedy="leave it out",
+                )
     check_servo(request)
     at = lost_phase(run, request.terms, request.phases, request.method)
     if at is not None:
@@ -197,6 +213,8 @@ SPIKES = SpikeSettings()
 
 def phase_angle(run: Run, request: Request, scale_factor: float) -> Array:
     """The phase angle of the coupling: as read, integrated from a rate, or predicted from the input."""
+    if run.direct:  # it has no phase, and no column turns with one
+        return run.output
     predicted = request.phase_source == "input"
     if not predicted and run.kind != "rate":
         return run.output

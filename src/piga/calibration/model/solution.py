@@ -20,7 +20,7 @@ from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.errors import CalibrationError
 from piga.records.calibration import Coefficient
 from piga.records.calibration.coefficient import short_way
-from piga.records.terms import si_factor, unit_of
+from piga.records.terms import GYRO, si_factor, unit_of
 from piga.results import Array
 
 
@@ -519,7 +519,8 @@ def name_coefficients(
     count = solution.phases.size
     owners: list[Owner] = [(label if design.per_segment else None, None) for label in design.run.labels[:count]]
     layout = layout_of(design, max(count, 1))
-    return name_parameters(layout, solution, covariance, design.run.scale_factor, design.request.terms, owners)
+    run, terms = design.run, design.request.terms
+    return name_parameters(layout, solution, covariance, run.scale_factor, terms, owners, run.unit)
 
 
 def moved_values(design: Design, solution: Solution, change: Array) -> Array:
@@ -547,12 +548,14 @@ def name_parameters(
     scale_factor: float,
     terms: tuple[str, ...],
     owners: list[Owner],
+    unit: str = GYRO,
 ) -> tuple[tuple[Coefficient, ...], Array]:
     """Coefficients in file units and their covariance in the same units and order.
 
     Internal amplitudes are multiples of K (``K tan_beta``, ``K k0``, ...); division by K, estimated or
     nominal (``scale_factor``), and the change of units are propagated through the covariance to first order
-    (JCGM 100, 5.1). ``terms`` give the order; ``owners`` give the segment and run of each phase.
+    (JCGM 100, 5.1). ``terms`` give the order; ``owners`` give the segment and run of each phase; ``unit`` is that of the output
+    rate.
     """
     keys = layout.amplitude_keys
     total = np.concatenate([estimate.amplitudes, estimate.phases])
@@ -575,7 +578,7 @@ def name_parameters(
     result = jacobian @ covariance @ jacobian.T
     std = np.sqrt(np.maximum(np.diag(result), 0.0))
     coefficients = tuple(
-        Coefficient(name, float(value), float(s), unit_of(name), segment, run)
+        Coefficient(name, float(value), float(s), unit_of(name, unit), segment, run)
         for (name, segment, run), value, s in zip(named, values, std, strict=True)
     )
     order = asked_order(layout, terms, len(owners))

@@ -156,7 +156,7 @@ def unit_words(ratio: float, factor: UnitFactor, run: Run, *, output: bool) -> s
     else:
         places = [f"{_ARRAYS[key]} {times}" for key, _ in mixed]
         if output and "output" in factor.mixed:
-            unit = "rad/s" if run.kind == "rate" else "rad"
+            unit = run.output_unit
             places.append(f"output (wanted in {unit}) {'divided' if larger else 'multiplied'} by {size}")
         places.append(f"scale_factor {times}")
     return (
@@ -262,7 +262,7 @@ def _trials(run: Run, request: Request) -> Iterator[Trial]:
                 trial = replace(trial, reading=turned, scale=-trial.scale)
             yield trial
     yield _fit(sample, replace(base, output=-1.0))
-    for factor in UNIT_FACTORS:
+    for factor in () if run.direct else UNIT_FACTORS:  # K alone takes up a factor where nothing turns
         for known in (factor.value, 1.0 / factor.value):
             if abs(abs(plain.scale) / known - 1.0) < ADVICE.snap:
                 yield _fit(sample, replace(base, output=known))

@@ -236,7 +236,9 @@ def odd_square(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ..
     """Remark on the scale factor if ``k2o`` is requested and the record can hardly separate ``k2o`` from the servo."""
     odd = next((c for c in coefficients if c.name == "k2o"), None)
     scaled = any(c.name == "scale_factor" for c in coefficients)
-    if odd is None or not scaled or fit.design.turning_servo or constant_squares(fit.design.run)[0] is None:
+    if odd is None or not scaled or fit.design.turning_servo or fit.design.run.direct:
+        return ()
+    if constant_squares(fit.design.run)[0] is None:
         return ()
     if abs(odd.value) <= LEFT_OUT.seen * odd.std:
         return ()

@@ -93,7 +93,7 @@ def find_leverage(
         left = _named(fit, layout, rest, linear)
         table[label] = SegmentLeverage(traced + (1.0 if linear else 0.0), *_influence(common, whole, left))
     alone, named = _sole_words(table, common), odd_segments(fit) if slow else labels
-    unit = "standard uncertainties" + (" by the noise of the angle" if slow else "")
+    unit = "standard uncertainties" + (f" by the noise of the {fit.design.run.quantity}" if slow else "")
     return table, alone, _shift_words({k: table[k] for k in named}, common, whole, unit)
 
 

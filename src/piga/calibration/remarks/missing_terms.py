@@ -23,7 +23,7 @@ from piga.calibration.model.solution import layout_of, name_coefficients, parame
 from piga.calibration.weights import Whitener, rate_share
 from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.run import Run
-from piga.records.terms import SERVO_TERMS, harmonic, si_factor, unit_of
+from piga.records.terms import SERVO_TERMS, harmonic, si_factor, turns, unit_of
 from piga.results import Array
 from piga.terms import ERROR_TERMS
 
@@ -79,8 +79,10 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
     )
     left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
     left_out |= {"k0_T", "k1_T"} if low == high else set()
-    left_out |= servo_out_of_reach(design)
+    left_out |= set(filter(turns, ERROR_TERMS)) if run.direct else servo_out_of_reach(design)
     candidates: list[tuple[str, ...]] = [(name,) for name in ERROR_TERMS if name not in left_out]
+    if run.direct:
+        return candidates
     if design.request.phases == "shared" or "tan_beta" in terms:
         candidates += [columns for name, columns in PAIRS if name not in terms]
     return candidates
@@ -175,7 +177,7 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
     pieces, rows = candidates.pieces
     suggestions: list[MissingTerm] = []
     limit = CANDIDATES.false_alarms / len(left)
-    square = constant_squares(fit.design.run)[0]
+    square = None if fit.design.run.direct else constant_squares(fit.design.run)[0]
     for _ in range(CANDIDATES.suggestions):
         tests = [
             t

@@ -34,6 +34,7 @@ from piga.records.calibration.diagnostics import (
     SegmentSummary,
 )
 from piga.records.calibration.verdict import Verdict, verdict
+from piga.records.terms import GYRO, integral_unit
 from piga.results import (
     Array,
     ByValue,
@@ -187,7 +188,8 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     of coefficients. It is not the degrees of freedom of an uncertainty: each coefficient has its own effective ones.
     ``segment_scatter`` [rad/s] is the scatter of the rates of the positions in the weights, 0 if none was detected.
     ``sources`` are the sources of Type B of the stand, stated or not; empty if they are not known. ``gravity`` says which
-    local gravity the reference contains, empty if it is not known.
+    local gravity the reference contains, empty if it is not known. ``unit`` is that of the output rate: ``rad/s``, or that of
+    a direct instrument. Its residuals and noise are in this unit, or in the unit of its count.
     """
 
     serial: str
@@ -223,6 +225,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     sources: tuple[StandSource, ...] = ()
     scale_factor_tolerance: float = 0.01
     gravity: str = ""
+    unit: str = GYRO
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "budget", BudgetTable(tuple(self.budget)))
@@ -231,6 +234,16 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     def phase(self) -> str:
         """Former name of ``phases``."""
         return self.phases
+
+    @property
+    def direct(self) -> bool:
+        """True for a direct instrument: one without a gimbal."""
+        return self.unit != GYRO
+
+    @property
+    def residual_unit(self) -> str:
+        """Unit of the residuals: rad, rad/s, count, or the unit of a direct instrument."""
+        return self.unit if self.diagnostics.residual_kind == "rate" else integral_unit(self.unit)
 
     @property
     def type_a_only(self) -> bool:
@@ -272,8 +285,6 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     def table_columns(self) -> dict[str, Column]:
         """The coefficients as a table: one row each, in its own unit and in SI. Segment and run are empty where none is named."""
-        from piga.records.terms import si_unit_of
-
         held = self.coefficients
         texts = {
             "coefficient": [c.key for c in held],
@@ -281,7 +292,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
             "segment": [c.segment or "" for c in held],
             "run": [c.run or "" for c in held],
             "unit": [c.unit for c in held],
-            "unit_si": [si_unit_of(c.name) for c in held],
+            "unit_si": [c.si.unit for c in held],
         }
         numbers = {
             "value": [c.value for c in held],
@@ -383,6 +394,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         serial: str = "",
         scale_factor_nominal: float | str | None = None,
         phase_source: str = "output",
+        unit: str = GYRO,
     ) -> Calibration:
         """Make a calibration without a run, for instance from a data sheet.
 
@@ -396,6 +408,8 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
             Covariance (n, n) of the coefficients in their order and units. None: uncorrelated.
         serial, scale_factor_nominal, phase_source:
             As in a run file; the nominal scale factor is in SI or carries its unit. None: that of ``coefficients``.
+        unit:
+            Unit of the output rate of a direct instrument, e.g. ``"V"``: ``scale_factor`` is then in V/g.
 
         Raises
         ------
@@ -411,7 +425,23 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         """
         from piga.records.calibration.given import calibration_of
 
-        return calibration_of(coefficients, covariance, serial, scale_factor_nominal, phase_source)
+        return calibration_of(coefficients, covariance, serial, scale_factor_nominal, phase_source, unit)
+
+    def require_gimbal(self, what: str) -> None:
+        """Refuse a direct instrument where a gimbal is needed.
+
+        Raises
+        ------
+        CalibrationError
+            The message begins with ``what``.
+        """
+        from piga.errors import CalibrationError
+
+        if self.direct:
+            raise CalibrationError(
+                f"{what}: only for a gyro accelerometer, and the output of '{self.serial}' is in {self.unit}",
+                remedy="use the coefficients by themselves: they are those of a plain polynomial",
+            )
 
     def figures(self) -> CalibrationFigures:
         """The part that a history of the instrument needs."""

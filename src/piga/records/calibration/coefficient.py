@@ -209,7 +209,7 @@ class SIValue(float):
         """The SI unit."""
         from piga.records.terms import si_unit_of
 
-        return si_unit_of(self._coefficient.name)
+        return si_unit_of(self._coefficient.name, self._coefficient.unit.removesuffix("/g"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,7 +54,7 @@ class Outlier:
     """Output samples that do not lie on the path of the output. ``kind`` is spike, stuck or jump.
 
     ``time`` [s] and ``row`` (file row) are those of the first sample. ``samples`` is the number left out (0 for a
-    jump). ``size`` is the largest deviation [rad; rad/s for a rate log]. ``run`` is set in a joint calibration.
+    jump). ``size`` is the largest deviation, in the unit of the residuals. ``run`` is set in a joint calibration.
     """
 
     kind: str
@@ -67,13 +67,16 @@ class Outlier:
 
 @dataclass(frozen=True)
 class SegmentSummary:
-    """Residual figures of one segment: rows, duration [s], mean a_x [m/s^2], turns [rev], rms [rad]."""
+    """Residual figures of one segment: rows, duration [s], mean a_x [m/s^2], turns [rev], rms in the unit of the residuals.
+
+    ``turns`` is None for a direct instrument.
+    """
 
     label: str
     rows: int
     duration: float
     mean_a_x: float
-    turns: float
+    turns: float | None = field(default=None, kw_only=True)
     rms: float
     rms_before: float
     max_after: float
@@ -85,7 +88,8 @@ class Residuals(Result, Plotted, Tabular):
 
     ``plot()`` shows residuals against time, before and after: two panels.
 
-    ``row`` is the 1-based file row, ``t`` [s], ``psi`` [rad] the output angle (for a rate log: its integral),
+    ``row`` is the 1-based file row, ``t`` [s], ``psi`` [rad] the output angle (for a rate log: its integral; of a direct
+    instrument its output),
     ``a_x`` [m/s^2] the reference. ``before`` [rad] is the angle minus that of the nominal instrument without coupling.
     ``after`` [rad] is the angle minus that of the fitted model. Both have the mean of each stretch removed; for a
     rate log both are rates [rad/s]. ``innovation`` [1] is the whitened residual. It is white with unit variance if
@@ -114,7 +118,11 @@ class Residuals(Result, Plotted, Tabular):
             "row": Column(self.row),
             "segment": Column(self.segment),
             "t": Column(self.t, "s"),
-            "psi": Column(self.psi, "rad"),
+            **(
+                {"psi": Column(self.psi, "rad")}
+                if self.unit.startswith("rad")
+                else {"output": Column(self.psi)}
+            ),
             "a_x": Column(self.a_x, "m/s^2"),
             "before": Column(self.before, self.unit),
             "after": Column(self.after, self.unit),
@@ -258,7 +266,8 @@ class Diagnostics(Result):
     Attributes
     ----------
     residual_kind, range:
-        Kind of residuals (angle or rate); range in which the calibration holds: ``a_x``, ``a_t`` [m/s^2], ``temperature`` [K].
+        Kind of residuals (angle or rate; count of a direct instrument); range in which the calibration holds: ``a_x``, ``a_t``
+        [m/s^2], ``temperature`` [K].
     samples, variance, lag1_correlation, ljung_box, ljung_box_lags, ljung_box_probability, skewness, excess_kurtosis, verdict:
         Tests of the whitened residual; the verdict is "white", "white but for the counting", or says that it is not.
     counting_probability:
@@ -277,7 +286,7 @@ class Diagnostics(Result):
         Comparison of sets of terms: the document of :class:`piga.calibration.ModelComparison`.
     """
 
-    residual_kind: Literal["angle", "rate"] = "angle"
+    residual_kind: Literal["angle", "rate", "count"] = "angle"
     range: dict[str, tuple[Number, Number]] = field(default_factory=dict)
     samples: int | None = None
     variance: float | None = None

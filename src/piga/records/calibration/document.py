@@ -36,10 +36,10 @@ from piga.records.calibration import (
 )
 from piga.records.limits import check_label, read_whole
 from piga.records.run_file import Method, Phases, PhaseSource
-from piga.records.terms import check_name, unit_of
+from piga.records.terms import GYRO, check_name, integral_unit, si_factor, turns, unit_of
 from piga.records.text_files import JsonError, decode_json, schema_of
 from piga.results import Array
-from piga.units import conversion_factor, from_si
+from piga.units import conversion_factor, parse_unit
 
 T = TypeVar("T")
 
@@ -78,9 +78,9 @@ class _Instrument(msgspec.Struct, frozen=True):
 
 class _Model(msgspec.Struct, frozen=True):
     terms: tuple[str, ...]
-    phase: Phases
-    phase_source: PhaseSource
     method: Method | Literal["published"]
+    phase: Phases = "shared"
+    phase_source: PhaseSource = "output"
     temperature_reference: _Level = _Level(293.15, "K")
     time_reference: Amount = Amount(0.0, "s")
 
@@ -162,32 +162,32 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     The verdict is for people who read the file. piga does not read it back: it computes the verdict again from the record.
     """
     c, verdict = calibration, calibration.verdict
-    angle = "rad/s" if c.diagnostics.residual_kind == "rate" else "rad"
+    residual, count, per_g = c.residual_unit, integral_unit(c.unit), si_factor("scale_factor")
     document: dict[str, Any] = {
         "schema": SCHEMA,
         "instrument": _Instrument(
-            c.serial, _Level(from_si(c.scale_factor_nominal, "rad/s/g"), "rad/s/g"), c.scale_factor_tolerance
+            c.serial, _Level(c.scale_factor_nominal / per_g, f"{c.unit}/g"), c.scale_factor_tolerance
         ),
         "model": _Model(
             c.terms,
+            cast("Method", c.method),
             cast("Phases", c.phases),
             cast("PhaseSource", c.phase_source),
-            cast("Method", c.method),
             _Level(c.temperature_reference, "K"),
             Amount(c.time_reference, "s"),
         ),
         "coefficients": [_stated(k) for k in c.coefficients],
         "covariance": {"names": [k.key for k in c.coefficients], "matrix": c.covariance.tolist()},
         "noise": _Noise(
-            _Level(c.angle_rms, "rad"),
-            _Level(c.angle_random_walk, "rad/sqrt(s)"),
-            _Level(c.segment_scatter, "rad/s"),
+            _Level(c.angle_rms, count),
+            _Level(c.angle_random_walk, f"{count}/sqrt(s)"),
+            _Level(c.segment_scatter, c.unit),
         ),
         "residual": _Residual(
-            _Level(c.residual_rms, angle),
-            _Level(c.residual_rms_before, angle),
-            _Level(c.residual_max_before, angle),
-            _Level(c.residual_max_after, angle),
+            _Level(c.residual_rms, residual),
+            _Level(c.residual_rms_before, residual),
+            _Level(c.residual_max_before, residual),
+            _Level(c.residual_max_after, residual),
         ),
         "surplus_observations": c.surplus_observations,
         "quality": c.quality,
@@ -206,7 +206,15 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         document["runs"] = [_renamed(msgspec.to_builtins(run), "phases", "phase") for run in c.runs]
     if c.outliers:
         document["outliers"] = c.outliers[: DOCUMENT.outliers]
-    return cast("dict[str, Any]", msgspec.to_builtins(document, enc_hook=float))
+    plain = cast("dict[str, Any]", msgspec.to_builtins(document, enc_hook=float))
+    if c.direct:  # nothing turns
+        for table, keys in (
+            (plain["model"], ("phase", "phase_source")),
+            *((s, ("turns",)) for s in plain["segments"]),
+        ):
+            for key in keys:
+                del table[key]
+    return plain
 
 
 def _stated(c: Coefficient) -> dict[str, Any]:
@@ -266,10 +274,12 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     matrix = _check(path, document, coefficients, runs)
     model, noise, residual, found = document.model, document.noise, document.residual, document.identifiability
     hashes = document.provenance.input_sha256
+    unit = _output_unit(document, path)
+    count = integral_unit(unit)
     surplus = document.surplus_observations  # the first version called it degrees of freedom
     return Calibration(
         serial=document.instrument.serial,
-        scale_factor_nominal=_in_si(document.instrument.scale_factor_nominal, "rad/s/(m/s^2)", path),
+        scale_factor_nominal=_nominal(document, unit, path),
         terms=model.terms,
         phases=model.phase,
         phase_source=model.phase_source,
@@ -277,8 +287,8 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         coefficients=coefficients,
         covariance=matrix,
         surplus_observations=document.degrees_of_freedom if surplus is None else surplus,
-        angle_rms=_in_si(noise.angle_rms, "rad", path),
-        angle_random_walk=_in_si(noise.angle_random_walk, "rad/sqrt(s)", path),
+        angle_rms=_in_si(noise.angle_rms, count, path),
+        angle_random_walk=_in_si(noise.angle_random_walk, f"{count}/sqrt(s)", path),
         segment_scatter=0.0 if noise.segment_scatter is None else noise.segment_scatter.value,
         residual_rms=residual.rms.value,
         residual_rms_before=residual.rms_before.value,
@@ -304,7 +314,24 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         sources=document.sources_of_the_stand,
         scale_factor_tolerance=document.instrument.scale_factor_tolerance,
         gravity=document.gravity,
+        unit=unit,
     )
+
+
+def _nominal(document: _Document, unit: str, path: Path) -> float:
+    """Nominal K [unit of the output rate per m/s^2]."""
+    nominal = document.instrument.scale_factor_nominal
+    per_g = si_factor("scale_factor")
+    return nominal.value * per_g if nominal.unit == f"{unit}/g" else _in_si(nominal, f"{unit}/(m/s^2)", path)
+
+
+def _output_unit(document: _Figures, path: Path) -> str:
+    """Unit of the output rate: that of the nominal K without ``/g``. An angle is that of a gyro accelerometer."""
+    unit = document.instrument.scale_factor_nominal.unit.rpartition("/")[0]
+    try:
+        return GYRO if not unit or parse_unit(unit).dimension == parse_unit(GYRO).dimension else unit
+    except UnitError as error:
+        raise _not_valid(path, error.message) from None
 
 
 def figures_from_bytes(raw: bytes, path: Path) -> CalibrationFigures:
@@ -320,7 +347,8 @@ def figures_from_bytes(raw: bytes, path: Path) -> CalibrationFigures:
     """
     document = _decoded(raw, path, _Figures)
     coefficients = tuple(_coefficient(c) for c in document.coefficients)
-    wrong = next((fault for c in coefficients for fault in _faults(c)), None)
+    unit = _output_unit(document, path)
+    wrong = next((fault for c in coefficients for fault in _faults(c, unit)), None)
     if wrong is not None:
         raise CalibrationError(f"{path}: {wrong}", remedy="calibrate again", where=Where(path))
     return CalibrationFigures.of(
@@ -397,8 +425,9 @@ def _check(
     try:
         if document.instrument.serial:
             check_label(document.instrument.serial, "the serial")
+        unit = _output_unit(document, path)
         wrong = (
-            *(fault for c in coefficients for fault in _faults(c)),
+            *(fault for c in coefficients for fault in _faults(c, unit)),
             *_contradictions(document, coefficients, {run.name for run in records}),
         )
         if not wrong:
@@ -408,12 +437,14 @@ def _check(
     raise CalibrationError(f"{path}: {wrong[0]}", remedy="get the file from its author, or calibrate again")
 
 
-def _faults(c: Coefficient) -> Iterator[str]:
-    """Faults of one coefficient by itself."""
+def _faults(c: Coefficient, output: str) -> Iterator[str]:
+    """Faults of one coefficient by itself. ``output`` is the unit of the output rate."""
     if not check_name(c.name):
         yield f"unknown coefficient '{c.name[:60]}': a later version may know it"
-    elif c.unit != unit_of(c.name):
-        yield f"coefficient '{c.name}' in '{c.unit[:60]}', '{unit_of(c.name)}' is needed"
+    elif c.unit != unit_of(c.name, output):
+        yield f"coefficient '{c.name}' in '{c.unit[:60]}', '{unit_of(c.name, output)}' is needed"
+    elif output != GYRO and turns(c.name):
+        yield f"'{c.name}' belongs to a gyro accelerometer, and the output is in '{output}'"
     elif c.name == "scale_factor" and not c.value > 0.0:
         yield f"scale_factor is {c.value:g}, it must be positive"
     elif c.name == "tan_beta" and c.value < 0.0:

@@ -23,8 +23,8 @@ from piga.records.calibration import (
     Quality,
 )
 from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
-from piga.records.run_file import PHASE_SOURCES
-from piga.records.terms import check_name, unit_of
+from piga.records.run_file import PHASE_SOURCES, check_direct_unit
+from piga.records.terms import GYRO, check_name, scale_factor_in, unit_of
 from piga.units import from_si, to_si
 
 WHERE = "Calibration.from_coefficients"
@@ -37,12 +37,15 @@ def calibration_of(
     serial: str,
     scale_factor_nominal: float | str | None,
     phase_source: str,
+    unit: str = GYRO,
 ) -> Calibration:
     """The calibration with these coefficients: :meth:`piga.Calibration.from_coefficients`.
 
     It passes the checks of a calibration that is read from a file.
     """
-    named = [_coefficient(key, given) for key, given in coefficients.items()]
+    if unit != GYRO:
+        check_direct_unit(unit, f"{WHERE} unit")
+    named = [_coefficient(key, given, unit) for key, given in coefficients.items()]
     if not named:
         raise ArgumentError(
             f"{WHERE}: no coefficient is given", remedy='e.g. {"scale_factor": "0.8884 rad/s/g"}'
@@ -56,7 +59,7 @@ def calibration_of(
     per_segment = any(c.segment is not None for c in given)
     made = Calibration(
         serial=serial,
-        scale_factor_nominal=_nominal(given, scale_factor_nominal),
+        scale_factor_nominal=_nominal(given, scale_factor_nominal, unit),
         terms=tuple(c.name for c in given if c.name != "phi"),
         phases="per-segment" if per_segment else "shared",
         phase_source=_chosen(phase_source),
@@ -77,6 +80,7 @@ def calibration_of(
         diagnostics=Diagnostics(),
         segments=(),
         provenance=Provenance({}, f"piga {__version__}", dt.datetime.now(dt.UTC).isoformat(timespec="seconds")),
+        unit=unit,
     )
     try:
         return calibration_from_bytes(calibration_to_bytes(made), Path(WHERE))
@@ -84,7 +88,7 @@ def calibration_of(
         raise ArgumentError(str(error).partition("\n")[0], remedy="correct the coefficients") from None
 
 
-def _coefficient(key: str, given: Given) -> Coefficient:
+def _coefficient(key: str, given: Given, output: str) -> Coefficient:
     parts = _KEY.fullmatch(key)
     name, segment = parts.groups() if parts else (key, None)
     if not check_name(name):
@@ -100,7 +104,7 @@ def _coefficient(key: str, given: Given) -> Coefficient:
             raise ArgumentError(f"{WHERE}: '{key}' is the coefficient '{given.key}'", remedy="use its own name")
         return given
     value, std = given if isinstance(given, tuple) else (given, 0.0)
-    unit = unit_of(name)
+    unit = unit_of(name, output)
     u = _number(std, unit, f"{WHERE} u({key})")
     if u < 0.0:
         raise ArgumentError(
@@ -140,9 +144,9 @@ def _matrix(named: list[Coefficient], covariance: ArrayLike | None) -> np.ndarra
     return matrix
 
 
-def _nominal(named: list[Coefficient], given: float | str | None) -> float:
+def _nominal(named: list[Coefficient], given: float | str | None, unit: str) -> float:
     estimated = next((c.value_si for c in named if c.name == "scale_factor"), None)
-    nominal = estimated if given is None else to_si(given, "rad/s/g", what=f"{WHERE} scale_factor_nominal")
+    nominal = estimated if given is None else scale_factor_in(given, unit, f"{WHERE} scale_factor_nominal")
     if nominal is not None:
         if not nominal > 0.0:
             raise ArgumentError(f"{WHERE}: the scale factor must be positive", remedy="reverse the input axis")

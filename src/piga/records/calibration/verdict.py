@@ -180,8 +180,8 @@ def _nominal(calibration: Calibration) -> Iterator[str | Doubt]:
     size = f"{ratio:.4g} times" if abs(ratio - 1.0) > 0.5 else f"{100.0 * (ratio - 1.0):+.2g} % off"
     remedy = (
         "; ".join(calibration.diagnostics.advice)
-        or "check the nominal value, units and signs of reference, output and time, and the counts per revolution; "
-        "or state [model] scale_factor_tolerance"
+        or "check the nominal value, units and signs of reference, output and time"
+        f"{'' if calibration.direct else ', and the counts per revolution'}; or state [model] scale_factor_tolerance"
     )
     yield Doubt(f"the scale factor is {size} the nominal one", remedy, grave=True)
 
@@ -208,7 +208,9 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
         yield Doubt(
             f"the whitened residuals are not white (Ljung-Box, {shown}): the model or the noise "
             "description is incomplete; the intervals come from the scatter of the positions",
-            "look for lines in the residuals by revolution order, and for suggested terms",
+            "look for suggested terms"
+            if calibration.direct
+            else "look for lines in the residuals by revolution order, and for suggested terms",
         )
     if abs(rms - 1.0) > THRESHOLDS.residual_rms:
         yield Doubt(

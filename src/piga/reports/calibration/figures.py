@@ -22,7 +22,7 @@ from piga.calibration.orders import (
 )
 from piga.records.calibration import Calibration, Residuals
 from piga.records.calibration.verdict import COUNTED
-from piga.records.terms import shown_unit
+from piga.records.terms import GYRO, shown_output, shown_unit
 from piga.reports.calibration.budget import budget_shares, source_in_words
 from piga.reports.calibration.tables import residual_quantity, scale_factor, shown_segments
 from piga.reports.render.envelope import POINTS, envelope_rows, leading_part, outline, rows_of
@@ -61,7 +61,8 @@ def calibration_figures(cal: Calibration) -> dict[str, Figure]:
         figures["whiteness"] = whiteness_figure(part, verdict) if np.isfinite(part.innovation).any() else None
         angles = residual_angles(part, cal.diagnostics.residual_kind)
         noise, single = (cal.angle_rms, cal.angle_random_walk), shown_segments(cal)
-        figures["allan"] = None if cal.runs else allan_figure(angles, noise, single)
+        figures["allan"] = None if cal.runs else allan_figure(angles, noise, single, cal.unit)
+    if cal.residuals is not None and cal.residuals.t.size and not cal.direct:
         spectrum, turned = order_spectrum(angles, scale_factor(cal), noise), ripple(angles, scale_factor(cal))
         figures["orders"] = spectrum_figure(spectrum, cal, single) if spectrum.segments else None
         figures["ripple"] = ripple_figure(turned) if turned.segments else None
@@ -79,6 +80,8 @@ def residual_figure(
     residuals: Residuals, quantity: tuple[str, str] = ("residual angle", "arcsec"), key: str = "residual-time"
 ) -> Figure:
     """Residual (``quantity``: what and in which unit) against time, before and after."""
+    per, shown = shown_output(residuals.unit)
+    quantity = quantity if per == ARCSEC else ("residual output", shown)
     residuals = outline(residuals)
     t = elapsed_time(residuals)
     unit, scale = ("h", 3600.0) if t[-1] > 3 * 3600.0 else ("s", 1.0)
@@ -88,16 +91,19 @@ def residual_figure(
     plot = Plot(key, f"{quantity[0].capitalize()} against time.", height=2.1)
     both: tuple[tuple[Role, Array], ...] = (("before", residuals.before), ("after", residuals.after))
     for role, values in both:
-        y = np.asarray(values) / ARCSEC
+        y = np.asarray(values) / per
         x, y, kept = (times, y, np.arange(y.size)) if single else _with_gaps(times, y, parts)
         drawn = min(drawn, int(np.isfinite(y).sum()))
         rows, segments = np.asarray(residuals.row)[kept], np.asarray(residuals.segment)[kept]
         plot.panel(f"elapsed time [{unit}]", Axis(*quantity), role.capitalize())
         plot.line(x, y, role, mark="points" if single else "line", rows=rows, segments=segments)
+    before = "Before: measured output less K a_x with the nominal K."
+    if per == ARCSEC:
+        before = "Before: measured angle less the nominal model without cross-coupling."
     notes = () if drawn == residuals.t.size else (_outline_note(drawn, residuals),)
     return plot.caption(
-        "Before: measured angle less the nominal model without cross-coupling. After: less the fitted model. The scales "
-        "differ. Good: a band of noise around zero, without waves, steps or trends.",
+        f"{before} After: less the fitted model. The scales differ. Good: a band of noise around zero, without waves, steps or "
+        "trends.",
         *notes,
     )
 
@@ -271,34 +277,37 @@ def deviation_figure(deviation: AllanDeviation) -> Figure:
     return plot.caption("Overlapping Allan deviation with its 68 % band. Stretches are pooled, not joined.")
 
 
-def _allan_band(deviation: AllanDeviation) -> Series:
-    lower, upper = deviation.lower / ARCSEC, deviation.upper / ARCSEC
+def _allan_band(deviation: AllanDeviation, per: float = ARCSEC) -> Series:
+    lower, upper = deviation.lower / per, deviation.upper / per
     return Series(deviation.tau, lower, "68 % band", "band", "muted", upper=upper)
 
 
-def allan_figure(residuals: Residuals, noise: tuple[float, float], single: Sequence[int] = ()) -> Figure | None:
+def allan_figure(
+    residuals: Residuals, noise: tuple[float, float], single: Sequence[int] = (), unit: str = GYRO
+) -> Figure | None:
     """Overlapping Allan deviation with its 68 % band, the noise found, and the slope of a bias drift for comparison.
 
     ``residuals`` are angles [rad]; ``noise`` is the white angle noise [rad] and the random walk [rad/sqrt(s)]. Each of
-    the segments ``single`` gets a curve of its own, from its own samples.
+    the segments ``single`` gets a curve of its own, from its own samples. ``unit`` is that of the output rate.
     """
+    per, shown = shown_output(unit)
     white, walk = noise[0] ** 2, noise[1] ** 2
     after, time, begins = np.asarray(residuals.after, dtype=float), np.asarray(residuals.t), _begins(residuals)
     deviation = allan_deviation(after, time, begins, white=white, walk=walk)
     if deviation.tau.size < 2:
         return None
-    tau, measured = deviation.tau, deviation.deviation / ARCSEC
-    angle, wander = (part / ARCSEC for part in model_deviation(tau, white, walk))
+    tau, measured = deviation.tau, deviation.deviation / per
+    angle, wander = (part / per for part in model_deviation(tau, white, walk))
     both = np.hypot(angle, wander)
     drift = drift_line(tau, both[-1] / math.sqrt(tau[-1] / 3.0))
     near = tau >= 0.1 * tau[-1]
     limits = (
         0.3 * min(float(measured.min()), float(both.min())),
-        3.0 * max(float(deviation.upper.max()) / ARCSEC, float(both.max())),
+        3.0 * max(float(deviation.upper.max()) / per, float(both.max())),
     )
-    y = Axis("Allan deviation of the rate", "arcsec/s", log=True, limits=limits)
+    y = Axis("Allan deviation of the rate", shown, log=True, limits=limits)
     plot = Plot("allan", "Allan deviation of the residual rate.", "log averaging time [s]", y, height=3.4)
-    plot.add(_allan_band(deviation)).marked(tau, measured, "residual", "after")
+    plot.add(_allan_band(deviation, per)).marked(tau, measured, "residual", "after")
     plot.line(tau, both, "noise found", "model")
     if white > 0.0:
         plot.dashed(tau, angle, "white noise", "x")
@@ -309,7 +318,7 @@ def allan_figure(residuals: Residuals, noise: tuple[float, float], single: Seque
         index = int(residuals.segment[part.start])
         if index in single:
             one = allan_deviation(after[part], time[part], begins[part], white=white, walk=walk)
-            curve = Series(one.tau, one.deviation / ARCSEC, mark="line+points", role="reference")
+            curve = Series(one.tau, one.deviation / per, mark="line+points", role="reference")
             plot = plot.of_segment(index, curve) if one.tau.size > 1 else plot
     return plot.caption(
         "Overlapping Allan deviation of what the calibration leaves, with its 68 % band. Stretches are pooled, "
@@ -368,9 +377,9 @@ def segment_figure(cal: Calibration) -> Figure:
     a_x = np.array([segment.mean_a_x for segment in cal.segments]) / G0
     rows = np.argsort(a_x, kind="stable")
     labels = tuple(f"segment {cal.segments[row].label}" for row in rows)
-    before = np.array([segment.rms_before for segment in cal.segments])[rows] / ARCSEC
-    after = np.array([segment.rms for segment in cal.segments])[rows] / ARCSEC
-    quantity, unit = residual_quantity(cal)
+    (quantity, unit), per = residual_quantity(cal), shown_output(cal.residual_unit)[0]
+    before = np.array([segment.rms_before for segment in cal.segments])[rows] / per
+    after = np.array([segment.rms for segment in cal.segments])[rows] / per
     plot = Plot(
         "segment-rms", "Residual of each segment.", "mean specific force along the input axis [g]",
         f"log {quantity}, rms [{unit}]", height=2.7,
@@ -429,7 +438,7 @@ def outlier_figure(cal: Calibration) -> Figure | None:
     runs = list(dict.fromkeys(outlier.run for outlier in cal.outliers))
     if not runs:
         return None
-    quantity, unit = residual_quantity(cal)
+    (quantity, unit), per = residual_quantity(cal), shown_output(cal.residual_unit)[0]
     kinds: tuple[tuple[str, Role], ...] = (("spike", "after"), ("stuck", "model"), ("jump", "before"))
     plot = Plot("outliers", "Samples left out.", height=2.3)
     for run in runs:
@@ -438,7 +447,7 @@ def outlier_figure(cal: Calibration) -> Figure | None:
         for kind, role in kinds:
             those = [o for o in cal.outliers if o.run == run and o.kind == kind and o.size > 0.0]
             if those:
-                plot.points([o.time for o in those], [o.size / ARCSEC for o in those], kind, role)
+                plot.points([o.time for o in those], [o.size / per for o in those], kind, role)
     return plot.caption(
         "How far each finding lies off the path of the output. Good: few, and without a pattern; a pattern "
         "points to the counter, the cable or another machine."

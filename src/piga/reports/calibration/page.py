@@ -12,7 +12,7 @@ from piga.errors import CalibrationError
 from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.verdict import COUNTED, THRESHOLDS, Doubt, Verdict, whitened_rms
-from piga.records.terms import meaning_of, shown_unit
+from piga.records.terms import integral_unit, meaning_of, shown_output, shown_unit
 from piga.reports.calibration.budget import budget_tables, sensitivity_tables, source_tables
 from piga.reports.calibration.figures import (
     BEAT,
@@ -44,6 +44,7 @@ from piga.reports.calibration.tables import (
     segment_table,
     selectable_segments,
     sentence,
+    shown_noise,
 )
 from piga.reports.render.envelope import outline
 from piga.reports.render.figure import Figure
@@ -61,7 +62,7 @@ from piga.reports.render.page import (
     Tone,
     named_values,
 )
-from piga.units import ARCSEC, G0
+from piga.units import G0
 
 
 def files_in_words(cal: Calibration) -> str:
@@ -103,7 +104,7 @@ def _scatter(cal: Calibration) -> str:
     """Scatter of the rates of the positions, in words; empty if there is none."""
     level = cal.segment_scatter
     shown = short(level / cal.scale_factor_nominal / G0 * 1e6)
-    return f"{shown} µg ({printed(short(level))} rad/s)" if level else ""
+    return f"{shown} µg ({printed(short(level))} {cal.unit})" if level else ""
 
 
 _METHODS = {
@@ -187,19 +188,19 @@ def brief(cal: Calibration) -> Page:
 
 def _noise_table(cal: Calibration) -> Table:
     """Residuals, noise and findings in the data, as names and values."""
-    unit = residual_quantity(cal)[1]
+    per, unit = shown_output(cal.residual_unit)
 
     def angle(before: float, after: float) -> str:
-        return f"{short(before / ARCSEC)} -> {short(after / ARCSEC)} {unit} (before -> after)"
+        return f"{short(before / per)} -> {short(after / per)} {unit} (before -> after)"
 
     def noise(white: float, walk: float) -> str:
-        return f"{short(white / ARCSEC)} arcsec white, {short(walk / ARCSEC)} arcsec/√s walk"
+        return "{} {} white, {} {} walk".format(*shown_noise(cal, white, walk))
 
     scatter = _scatter(cal)
     rows = [
         ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
         ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
-        ("noise of the angle", noise(cal.angle_rms, cal.angle_random_walk)),
+        (f"noise of the {'output' if cal.direct else 'angle'}", noise(cal.angle_rms, cal.angle_random_walk)),
         *((("scatter of segments", scatter),) if scatter else ()),
         ("condition number", printed(short(cal.condition))),
         *((f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events),
@@ -220,7 +221,7 @@ def page(cal: Calibration) -> Page:
         tiles=_tiles(cal),
         sections=_sections(cal, shown),
         judgement=judgement(cal, verdict=_with_lines(cal.verdict, lines)),
-        kicker="piga · gyro accelerometer calibration",
+        kicker=f"piga · {'' if cal.direct else 'gyro '}accelerometer calibration",
         footer=f"Made by {cal.provenance.software} on {cal.provenance.created}. {ALONE}",
         segments=selectable_segments(cal),
     )
@@ -233,9 +234,9 @@ def _sections(cal: Calibration, shown: dict[str, Figure]) -> tuple[Section, ...]
         _tested(cal),
         *_runs(cal),
         _coefficients(cal),
-        _residuals(shown),
+        _residuals(cal, shown),
         *_convergence(shown),
-        _orders(shown),
+        *(() if cal.direct else (_orders(shown),)),
         _segments(cal, shown),
         _budget(cal, shown),
         _identifiability(cal, shown),
@@ -275,18 +276,18 @@ def _tiles(cal: Calibration) -> tuple[Tile, ...]:
         return tuple(_coefficient_tiles(cal))
     clear = cal.verdict.grade == "clear"
     better: Tone = "bad" if cal.residual_rms >= cal.residual_rms_before else "good" if clear else ""
-    quantity, unit = residual_quantity(cal)
+    (quantity, unit), per = residual_quantity(cal), shown_output(cal.residual_unit)[0]
     tiles = [
         Tile(
             f"{quantity.capitalize()}, rms",
-            f"{short(cal.residual_rms_before / ARCSEC)} → {short(cal.residual_rms / ARCSEC)}",
+            f"{short(cal.residual_rms_before / per)} → {short(cal.residual_rms / per)}",
             unit,
             f"before → after: {_improvement(cal.residual_rms_before, cal.residual_rms)}",
             better,
         ),
         Tile(
             f"{quantity.capitalize()}, largest",
-            f"{short(cal.residual_max_before / ARCSEC)} → {short(cal.residual_max_after / ARCSEC)}",
+            f"{short(cal.residual_max_before / per)} → {short(cal.residual_max_after / per)}",
             unit,
             f"{short(cal.residual_max_after / cal.residual_rms)} times the rms after"
             if cal.residual_rms
@@ -357,6 +358,7 @@ def _tested(cal: Calibration) -> Section:
     terms = ", ".join(f"{term} ({meaning_of(term)})" for term in cal.terms)
     shared, seen = cal.phases == "shared", cal.quality
     phase = "one for the whole record (shared)" if shared else "one for each segment (per-segment)"
+    method = _METHODS.get(cal.method, "").removesuffix(" in the angle domain" if cal.direct else "")
     if cal.runs:
         phase = "; ".join(f"run {run.name}: {run.phases}" for run in cal.runs)
     rows = [
@@ -365,8 +367,8 @@ def _tested(cal: Calibration) -> Section:
         ("Duration", f"{period_in_words(total_duration(cal))} in {segments_in_words(cal)}"),
         ("Rows", f"{count(seen.rows)} read, {count(seen.used)} used, {count(seen.masked)} masked"),
         ("Model terms", terms),
-        ("Phase of the output", f"{phase}; source: {cal.phase_source}"),
-        ("Method", f"{cal.method}: {_METHODS[cal.method]}" if cal.method in _METHODS else cal.method),
+        *(() if cal.direct else (("Phase of the output", f"{phase}; source: {cal.phase_source}"),)),
+        ("Method", f"{cal.method}: {method}" if method else cal.method),
     ]
     lead = "Which instrument, which record and which model this report is about."
     return Section("What was tested", "tested", (Text(lead, lead=True), facts_table(rows)))
@@ -396,10 +398,10 @@ def _coefficients(cal: Calibration) -> Section:
     return Section("Coefficients", "coefficients", tuple(blocks))
 
 
-def _residuals(shown: dict[str, Figure]) -> Section:
+def _residuals(cal: Calibration, shown: dict[str, Figure]) -> Section:
     lead = (
-        "What is left of the measured angle when the model is taken away: what the calibration explains is gone after "
-        "it, and what it leaves should be noise."
+        f"What is left of the measured {'output' if cal.direct else 'angle'} when the model is taken away: what the "
+        "calibration explains is gone after it, and what it leaves should be noise."
     )
     missing = "The residuals are not part of this record: run the calibration again to see them."
     drawn: list[Block] = [FigureBlock(f) for name, f in shown.items() if name.startswith("residuals")]
@@ -471,11 +473,13 @@ def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
     blocks: list[Block] = [Text(lead, lead=True)]
     blocks += [Notice("info", f"{sentence(remark)}.") for remark in cal.remarks]
     blocks += [FigureBlock(shown[name]) for name in ("whiteness", "allan") if name in shown]
-    white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
+    count = integral_unit(cal.unit)
+    white, unit, walk, slow = shown_noise(cal, cal.angle_rms, cal.angle_random_walk)
+    raw = ("", "") if cal.direct else (_raw(cal.angle_rms, count), _raw(cal.angle_random_walk, f"{count}/√s"))
     rows = [
         ("Condition number", printed(short(cal.condition))),
-        ("White noise of the angle", f"{white} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
-        ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
+        (f"White noise of the {'output' if cal.direct else 'angle'}", f"{white} {unit} rms{raw[0]}"),
+        ("Random walk of the output" if cal.direct else "Angle random walk", f"{walk} {slow}{raw[1]}"),
         ("Scatter of the rate from segment to segment", _scatter(cal) or "none seen"),
         *scalars({key: value for key, value in cal.diagnostics.document().items() if key not in OWN_TABLES}),
     ]
@@ -483,6 +487,10 @@ def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
     for tables, text in ((leverage_tables(cal), LEVERAGE_LEAD), (propagation_tables(cal), PROPAGATION_LEAD)):
         blocks += [Text(text, lead=True), *tables] if tables else []
     return Section("Identifiability and noise", "identifiability", tuple(blocks))
+
+
+def _raw(value: float, unit: str) -> str:
+    return f" ({printed(short(value))} {unit})"
 
 
 def _quality(cal: Calibration, shown: dict[str, Figure]) -> Section:

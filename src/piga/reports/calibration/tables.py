@@ -12,7 +12,7 @@ import numpy as np
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.verdict import Grade, Verdict
-from piga.records.terms import shown_unit, term_words
+from piga.records.terms import integral_unit, shown_output, shown_unit, term_words
 from piga.reports.render.numbers import count, fixed, pretty_unit, printed, relative, rounded, short, signed
 from piga.reports.render.page import Cell, Judgement, Table, TableOf, Tone, named_values
 from piga.units import ARCSEC, G0
@@ -87,7 +87,7 @@ def coefficient_table(cal: Calibration, *, every: bool = False) -> Table:
     ``every``: with those of single segments.
     """
     return (
-        TableOf(map(Shown, cal.coefficients if every else common_coefficients(cal)))
+        TableOf([Shown(c, cal.direct) for c in (cal.coefficients if every else common_coefficients(cal))])
         .text("Coefficient", lambda row: row.name)
         .number("Value", lambda row: row.value)
         .number("u", lambda row: row.std)
@@ -103,11 +103,11 @@ def coefficient_table(cal: Calibration, *, every: bool = False) -> Table:
 class Shown:
     """A coefficient as its cells of a table. What is not known is a dash."""
 
-    def __init__(self, c: Coefficient) -> None:
+    def __init__(self, c: Coefficient, direct: bool = False) -> None:
         scale, unit = shown_unit(c.name, c.unit)
         value, std = c.value * scale, c.std * scale
         number, wide = rounded(value, std), rounded(value, c.expanded * scale)
-        self.name = named(c)
+        self.name = named(c, direct)
         self.unit = pretty_unit(unit if c.determined else c.unit) or "1"
         if not c.determined:
             self.value: str | Cell = Cell("not determined", "doubtful")
@@ -143,8 +143,8 @@ def monte_carlo_interval(coefficient: Coefficient) -> str:
     return f"{printed(ends[0])} to {printed(ends[1])} {pretty_unit(unit)}".rstrip()
 
 
-def named(coefficient: Coefficient) -> Cell:
-    """The key of a coefficient. Its meaning is shown when the pointer rests on it."""
+def named(coefficient: Coefficient, direct: bool = False) -> Cell:
+    """The key of a coefficient. Its meaning is shown when the pointer rests on it; sizes are known of gyro accelerometers."""
     try:
         words = term_words(coefficient.name)
     except KeyError:  # a term of a later version
@@ -152,7 +152,7 @@ def named(coefficient: Coefficient) -> Cell:
     return Cell(
         coefficient.key,
         title=f"{words.meaning}; adds {words.formula}; shown by {words.shown_by}"
-        + (f"; e.g. {words.known}" if words.known else ""),
+        + (f"; e.g. {words.known}" if words.known and not direct else ""),
     )
 
 
@@ -206,9 +206,16 @@ def _correlation(value: float, diagonal: bool) -> Cell:
 
 
 def residual_quantity(cal: Calibration) -> tuple[str, str]:
-    """Quantity of the residuals and its unit in reports: an angle, or a rate for a rate log."""
-    rate = cal.diagnostics.residual_kind == "rate"
-    return ("residual rate", "arcsec/s") if rate else ("residual angle", "arcsec")
+    """Quantity of the residuals and its unit in reports: an angle, or a rate for a rate log; of a direct instrument its output."""
+    kind = "output" if cal.direct else cal.diagnostics.residual_kind
+    return f"residual {kind}", shown_output(cal.residual_unit)[1]
+
+
+def shown_noise(cal: Calibration, white: float, walk: float) -> tuple[str, str, str, str]:
+    """White noise and random walk of the output as numbers with their units: an angle in seconds of arc."""
+    per, unit = shown_output(integral_unit(cal.unit))
+    slow = f"{cal.unit}/√Hz" if unit == f"{cal.unit} s" else f"{unit}/√s"
+    return short(white / per), unit, short(walk / per), slow
 
 
 def shown_segments(cal: Calibration) -> list[int]:
@@ -229,7 +236,7 @@ def segment_table(cal: Calibration) -> Table:
     notes: tuple[str, ...] = ()
     if len(shown) < len(cal.segments):
         notes = (f"The {TABLES.segments} of {len(cal.segments)} segments with the largest residuals.",)
-    unit = residual_quantity(cal)[1]
+    per, unit = shown_output(cal.residual_unit)
     phases = {c.owner: c for c in cal.coefficients if c.name == "phi" and c.segment is not None}
     typical = float(np.median([segment.rms for segment in shown])) if shown else 0.0
     table = (
@@ -238,10 +245,13 @@ def segment_table(cal: Calibration) -> Table:
         .number("Samples", lambda segment: count(segment.rows))
         .number("Duration", lambda segment: f"{segment.duration:.1f}", "s")
         .number("Mean a_x", lambda segment: printed(fixed(segment.mean_a_x / G0, 5)), "g")
-        .number("Turns", lambda segment: printed(fixed(segment.turns, 2)), "rev")
-        .number("rms before", lambda segment: short(segment.rms_before / ARCSEC), unit)
-        .number("rms after", lambda segment: _rms_after(segment.rms, typical), unit)
-        .number("Largest after", lambda segment: short(segment.max_after / ARCSEC), unit)
+    )
+    if not cal.direct:
+        table.number("Turns", lambda segment: printed(fixed(segment.turns or 0.0, 2)), "rev")
+    table = (
+        table.number("rms before", lambda segment: short(segment.rms_before / per), unit)
+        .number("rms after", lambda segment: _rms_after(segment.rms / per, typical / per), unit)
+        .number("Largest after", lambda segment: short(segment.max_after / per), unit)
     )
     if phases:
         table.number("Phase φ", lambda segment: phase_shown(phases.get(segment.label)), "rad")
@@ -249,7 +259,7 @@ def segment_table(cal: Calibration) -> Table:
 
 
 def _rms_after(rms: float, typical: float) -> Cell:
-    return Cell(short(rms / ARCSEC), "doubtful" if rms > 3.0 * typical else "")
+    return Cell(short(rms), "doubtful" if rms > 3.0 * typical else "")
 
 
 def phase_shown(phase: Coefficient | None) -> str:
@@ -261,16 +271,17 @@ def phase_shown(phase: Coefficient | None) -> str:
 
 def runs_table(cal: Calibration) -> Table:
     """One row per run of a joint calibration."""
-    unit = residual_quantity(cal)[1]
+    _, white, _, walk = shown_noise(cal, 0.0, 0.0)
+    per, unit = shown_output(cal.residual_unit)
     return (
         TableOf(cal.runs)
         .text("Run", lambda run: run.name if run.raw else f"{run.name} (summary)")
         .text("Stand", lambda run: run.stand or "–")
         .number("Equations", lambda run: count(run.rows))
-        .number("White noise", lambda run: short(run.angle_rms / ARCSEC), "arcsec")
-        .number("Random walk", lambda run: short(run.angle_random_walk / ARCSEC), "arcsec/√s")
-        .number("rms before", lambda run: short(run.residual_rms_before / ARCSEC), unit)
-        .number("rms after", lambda run: short(run.residual_rms / ARCSEC), unit)
+        .number("White noise", lambda run: shown_noise(cal, run.angle_rms, 0.0)[0], white)
+        .number("Random walk", lambda run: shown_noise(cal, 0.0, run.angle_random_walk)[2], walk)
+        .number("rms before", lambda run: short(run.residual_rms_before / per), unit)
+        .number("rms after", lambda run: short(run.residual_rms / per), unit)
         .text("Alone it cannot separate", lambda run: ", ".join(run.undetermined) or "–")
         .table()
     )
@@ -279,7 +290,7 @@ def runs_table(cal: Calibration) -> Table:
 def outlier_table(cal: Calibration) -> Table:
     """Samples that were left out, with their times: jumps and stuck readings, then spikes; of many the first."""
     listed = sorted(cal.outliers, key=lambda outlier: outlier.kind == "spike")
-    unit = residual_quantity(cal)[1]
+    per, unit = shown_output(cal.residual_unit)
     more = len(cal.outliers) - TABLES.outliers
     notes = (f"The first {TABLES.outliers} of {count(len(cal.outliers))} findings.",) if more > 0 else ()
     table = TableOf(listed[: TABLES.outliers])
@@ -290,7 +301,7 @@ def outlier_table(cal: Calibration) -> Table:
         .number("Time", lambda outlier: f"{outlier.time:.3f}", "s")
         .number("Row", lambda outlier: count(outlier.row))
         .number("Samples left out", lambda outlier: count(outlier.samples))
-        .number("Miss", lambda outlier: printed(short(outlier.size / ARCSEC)), unit)
+        .number("Miss", lambda outlier: printed(short(outlier.size / per)), unit)
         .table(notes=notes)
     )
 
@@ -325,7 +336,7 @@ LABELS = {
     "excess_kurtosis": "Excess kurtosis",
     "verdict": "Whitened residuals are",
     "segment_scatter_ratio": "Scatter of the segments over what all noise explains",
-    "segment_scatter_ratio_without_it": "Scatter of the segments over what the noise of the angle explains",
+    "segment_scatter_ratio_without_it": "Scatter of the segments over what the noise of the output explains",
     "segment_scatter_g": "Scatter of the segments, g",
     "noise_given": "noise levels given",
     "per_run": "terms of single runs",

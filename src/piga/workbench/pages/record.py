@@ -24,8 +24,8 @@ from starlette.routing import Route
 from piga.errors import ArgumentError, CalibrationError, PigaError
 from piga.output import put_in_place, write_whole
 from piga.records.calibration import Calibration
-from piga.records.run_file import read_run_file
-from piga.records.terms import UNITS, check_terms, meaning_of, shown_unit
+from piga.records.run_file import RunFile, read_run_file
+from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_output, shown_unit, turns
 from piga.records.text_files import files_named_in
 from piga.units import G0
 from piga.workbench.folder import CALIBRATION, STATE_FOLDER, Entry, Kept, OutsideError, results_of
@@ -406,11 +406,9 @@ class Answer:
         return rows
 
 
-def _asked(bench: Bench, name: str, text: str) -> tuple[str, ...]:
-    terms = (
-        tuple(term for term in text.split(",") if term) or read_run_file(bench.folder.toml(name)).model.terms
-    )
-    check_terms(terms)
+def _asked(run_file: RunFile, text: str) -> tuple[str, ...]:
+    terms = tuple(term for term in text.split(",") if term) or run_file.model.terms
+    check_terms(terms, output=run_file.unit)
     return terms
 
 
@@ -474,7 +472,8 @@ def show_answer(request: Request) -> Response:
         waits = error.message
     if outline is None:
         return _no_answer(request, entry, text, waits)
-    terms = _asked(bench, name, text)
+    run_file = read_run_file(bench.folder.toml(name))
+    terms = _asked(run_file, text)
     if asked and "again" not in request.query_params:
         terms = tuple(dict.fromkeys((ALWAYS, *terms)))
     text = ",".join(terms)
@@ -497,8 +496,12 @@ def show_answer(request: Request) -> Response:
     response = render(
         request, "answer.html.jinja", entry=entry, answer=answer, job=job, status=status, message=message, former=former,
         rows=[] if answer.calibration is None else answer.rows(former), query=text,
-        terms=[(term, meaning_of(term), term in terms) for term in dict.fromkeys((*TERMS, *terms))],
-        usual=set(terms) == set(read_run_file(bench.folder.toml(name)).model.terms),
+        terms=[
+            (term, meaning_of(term), term in terms)
+            for term in dict.fromkeys((*TERMS, *terms))
+            if run_file.unit == GYRO or not turns(term)
+        ],
+        usual=set(terms) == set(run_file.model.terms), output_unit=shown_output,
         seen=bench.history.seen(bench.folder.text(name)), mark=_mark(entry),
     )  # fmt: skip
     if asked:
@@ -552,7 +555,7 @@ def _keep(request: Request, name: str, fields: dict[str, list[str]]) -> Response
         shutil.copytree(answer.place, part, dirs_exist_ok=True)
         part.rename(target)
         K, u, _ = answer.K
-        bench.history.note(f"keep K = {value_text(K, u)} rad/s/g", (target, former))
+        bench.history.note(f"keep K = {value_text(K, u)} {answer.calibration.unit}/g", (target, former))
     return redirect(request, f"/record/{quote(name)}{_query(only(fields, 'query'))}")
 
 
