@@ -142,15 +142,17 @@ def samples(run, cal):
         "SimulatedTest": piga.simulate_test(head, Specimen(inst), Electronics(sample_rate=5.0)),
         "Trend": piga.find_trend([(f"r{d:%m}", d, cal) for d in dates]),
         "AllanDeviation": piga.allan_deviation(
-            residual.after[:400], residual.t[:400], np.arange(400) == 0, white=1e-10, walk=0.0
+            residual.after[:400], residual.t[:400], np.arange(400) == 0, noise={0: 1.0}
         ),
+        "NoiseAnalysis": piga.analyse_noise(residual.after[:400], residual.t[:400], kind="angle"),
         "RunSummary": piga.RunSummary.of(run),
     }
 
 
 NAMES = (
     "Run", "Calibration", "Coefficient", "Residuals", "BudgetTable", "Quality", "Provenance", "Compensated",
-    "CompensatedSet", "Instrument", "ErrorModel", "SimulatedTest", "Trend", "AllanDeviation", "RunSummary",
+    "CompensatedSet", "Instrument", "ErrorModel", "SimulatedTest", "Trend", "AllanDeviation", "NoiseAnalysis",
+    "RunSummary",
 )  # fmt: skip
 
 

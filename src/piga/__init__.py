@@ -58,6 +58,7 @@ Compensate              ``piga.compensate(run, cal)``; live: ``piga.Compensator(
 A set of instruments    ``piga.compensate_set(runs, mounted)``
 Simulate a test         ``piga.run_scenario(piga.read_scenario("scenario.toml"))``
 Plan a test             ``piga.plan_test(piga.read_plan("plan.toml"))``
+Noise of a static log   ``piga.analyse_noise(values, t)``
 Follow over years       ``piga.find_trend([(name, date, cal), ...])``
 Motion and regimes      ``piga.propagate``, ``piga.closed_form``, ``piga.regime``
 Keep as evidence        ``piga.open_store("records.sqlite")``
@@ -103,6 +104,7 @@ if TYPE_CHECKING:
     from piga import compensation as compensation
     from piga import instrument as instrument
     from piga import ledger as ledger
+    from piga import noise as noise
     from piga import planning as planning
     from piga import platform as platform
     from piga import records as records
@@ -110,7 +112,7 @@ if TYPE_CHECKING:
     from piga import stand as stand
     from piga import studies as studies
     from piga import trend as trend
-    from piga.calibration import RunSummary, allan_deviation, compare_models
+    from piga.calibration import RunSummary, compare_models
     from piga.calibration.calibrate import calibrate
     from piga.compensation import (
         Compensated,
@@ -125,6 +127,7 @@ if TYPE_CHECKING:
     )
     from piga.instrument import ErrorModel, Instrument, closed_form, mean_rate, propagate, regime
     from piga.ledger.store import open_store
+    from piga.noise import allan_deviation, analyse_noise
     from piga.planning import plan_test, read_plan
     from piga.records import Calibration, Coefficient, Residuals, Run
     from piga.stand import example_run, read_run, read_scenario, run_scenario, simulate_test
@@ -133,12 +136,13 @@ if TYPE_CHECKING:
 _LAZY = {
     name: f"piga.{room}"
     for room, names in {
-        "calibration": "RunSummary allan_deviation compare_models",
+        "calibration": "RunSummary compare_models",
         "calibration.calibrate": "calibrate",
         "compensation": "Compensated CompensatedSet Compensator Limits Mounted Phase compensate "
         "compensate_set identify_phase",
         "instrument": "ErrorModel Instrument closed_form mean_rate propagate regime",
         "ledger.store": "open_store",
+        "noise": "allan_deviation analyse_noise",
         "planning": "plan_test read_plan",
         "records": "Calibration Coefficient Residuals Run",
         "stand": "example_run read_run read_scenario run_scenario simulate_test",
@@ -155,6 +159,7 @@ ROOMS = (
     "compensation",
     "instrument",
     "ledger",
+    "noise",
     "planning",
     "platform",
     "records",
@@ -168,6 +173,7 @@ ROOMS = (
 _NEEDS = {
     "example_run": "pyarrow",
     "allan_deviation": "scipy",
+    "analyse_noise": "scipy",
     "calibrate": "scipy",
     "compare_models": "scipy",
     "find_trend": "scipy",
@@ -207,6 +213,7 @@ __all__ = [
     "UnitError",
     "__version__",
     "allan_deviation",
+    "analyse_noise",
     "calibrate",
     "closed_form",
     "compare_models",

@@ -53,11 +53,18 @@ def shown_trend() -> ModuleType:
     return trend
 
 
-def noise_figures() -> ModuleType:
-    """Figures of residuals and noise."""
+def residual_figures() -> ModuleType:
+    """Figures of the residuals of a calibration."""
     from piga.reports.calibration import figures
 
     return figures
+
+
+def shown_noise() -> ModuleType:
+    """Shows the noise of a static record."""
+    from piga.reports import noise
+
+    return noise
 
 
 def platform_figures() -> ModuleType:

@@ -82,6 +82,21 @@ def lab_log(runner: Runner) -> None:
     shutil.copy(Path(__file__).parents[1] / "data" / "logs" / "iso.csv", runner.folder / "log.csv")
 
 
+def static_log(runner: Runner) -> None:
+    """An instrument at rest overnight, as the page names it."""
+    rng = np.random.default_rng(3)
+    rate = 3600.0 + 0.2 * rng.standard_normal(20000) + 2e-4 * np.cumsum(rng.standard_normal(20000))
+    rows = np.column_stack([np.arange(20000.0), rate])
+    np.savetxt(
+        runner.folder / "static.csv",
+        rows,
+        delimiter=",",
+        header="t [s],rate [arcsec/s]",
+        comments="",
+        fmt="%.9g",
+    )
+
+
 def demo(_runner: Runner) -> None:
     """``piga-demo``, as ``python3 dev.py demo`` writes it."""
     command(["demo"])
@@ -95,4 +110,5 @@ PREPARATIONS: dict[str, tuple[Callable[[Runner], None], ...]] = {
     "README.md": (demo,),
     "docs/how-to/records.md": (bench,),
     "docs/how-to/lab-data.md": (lab_log,),
+    "docs/how-to/noise.md": (static_log,),
 }

@@ -20,6 +20,7 @@ from piga.cli.check import check, convert
 from piga.cli.common import DOING, App, note, prepare_output
 from piga.cli.compensate import compensate
 from piga.cli.init import init
+from piga.cli.noise import noise
 from piga.cli.simulate import plan, reproduce, simulate
 from piga.cli.ui import ui
 from piga.cli.words import completion, examples, methods, terms
@@ -75,6 +76,7 @@ for command in (
     convert,
     calibrate,
     compensate,
+    noise,
     simulate,
     plan,
     reproduce,

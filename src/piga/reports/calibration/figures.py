@@ -10,7 +10,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.allan import AllanDeviation, allan_deviation, drift_line, model_deviation
 from piga.calibration.fit.residuals import add_lagged_products
 from piga.calibration.orders import (
     OrderSpectrum,
@@ -20,6 +19,7 @@ from piga.calibration.orders import (
     ripple,
     segment_slices,
 )
+from piga.noise.deviations import allan_deviation, drift_line, model_deviation
 from piga.records.calibration import Calibration, Residuals
 from piga.records.calibration.verdict import COUNTED
 from piga.records.terms import GYRO, shown_output, shown_unit
@@ -266,22 +266,6 @@ def _closed(psi: Array, values: Array, radius: float, role: Role) -> Series:
 # -- noise ---------------------------------------------------------------------------------------------
 
 
-def deviation_figure(deviation: AllanDeviation) -> Figure:
-    """An Allan deviation by itself, with its 68 % band."""
-    plot = Plot(
-        "allan-deviation", "Allan deviation of the rate.", "log averaging time [s]",
-        "log Allan deviation of the rate [arcsec/s]", height=3.4,
-    )  # fmt: skip
-    plot.add(_allan_band(deviation))
-    plot.marked(deviation.tau, deviation.deviation / ARCSEC, "deviation", "after")
-    return plot.caption("Overlapping Allan deviation with its 68 % band. Stretches are pooled, not joined.")
-
-
-def _allan_band(deviation: AllanDeviation, per: float = ARCSEC) -> Series:
-    lower, upper = deviation.lower / per, deviation.upper / per
-    return Series(deviation.tau, lower, "68 % band", "band", "muted", upper=upper)
-
-
 def allan_figure(
     residuals: Residuals, noise: tuple[float, float], single: Sequence[int] = (), unit: str = GYRO
 ) -> Figure | None:
@@ -293,7 +277,8 @@ def allan_figure(
     per, shown = shown_output(unit)
     white, walk = noise[0] ** 2, noise[1] ** 2
     after, time, begins = np.asarray(residuals.after, dtype=float), np.asarray(residuals.t), _begins(residuals)
-    deviation = allan_deviation(after, time, begins, white=white, walk=walk)
+    levels = {2: 3.0 * white, 0: walk}
+    deviation = allan_deviation(after, time, begins, noise=levels)
     if deviation.tau.size < 2:
         return None
     tau, measured = deviation.tau, deviation.deviation / per
@@ -307,7 +292,8 @@ def allan_figure(
     )
     y = Axis("Allan deviation of the rate", shown, log=True, limits=limits)
     plot = Plot("allan", "Allan deviation of the residual rate.", "log averaging time [s]", y, height=3.4)
-    plot.add(_allan_band(deviation, per)).marked(tau, measured, "residual", "after")
+    band = (deviation.lower / per, deviation.upper / per)
+    plot.band(tau, *band, "68 % band").marked(tau, measured, "residual", "after")
     plot.line(tau, both, "noise found", "model")
     if white > 0.0:
         plot.dashed(tau, angle, "white noise", "x")
@@ -317,7 +303,7 @@ def allan_figure(
     for part in segment_slices(residuals.segment):
         index = int(residuals.segment[part.start])
         if index in single:
-            one = allan_deviation(after[part], time[part], begins[part], white=white, walk=walk)
+            one = allan_deviation(after[part], time[part], begins[part], noise=levels)
             curve = Series(one.tau, one.deviation / per, mark="line+points", role="reference")
             plot = plot.of_segment(index, curve) if one.tau.size > 1 else plot
     return plot.caption(

@@ -5,12 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from piga.calibration.allan import allan_deviation, drift_line, equivalent_degrees, model_deviation
 from piga.errors import ArgumentError
+from piga.noise.deviations import (
+    allan_deviation,
+    drift_line,
+    equivalent_degrees,
+    model_deviation,
+)
 
 allantools = pytest.importorskip("allantools")
 
 STEP = 0.05
+NOISE = {0: 1.0}
 
 
 def angle(rng: np.random.Generator, samples: int, white: float, walk: float):
@@ -27,23 +33,44 @@ def one_stretch(samples: int):
 def test_one_stretch_as_allantools():
     x = angle(np.random.default_rng(1), 4000, 1e-10, 1e-11)
     t, begins = one_stretch(4000)
-    deviation = allan_deviation(x, t, begins, white=1e-10, walk=1e-11)
+    deviation = allan_deviation(x, t, begins, noise=NOISE)
     tau, reference, _, _ = allantools.oadev(x, rate=1.0 / STEP, data_type="phase", taus=deviation.tau)
     assert tau == pytest.approx(deviation.tau, rel=1e-12)
     assert deviation.deviation == pytest.approx(reference, rel=1e-9)
 
 
-@pytest.mark.parametrize(("walking", "kind"), [(False, 2), (True, 0)])
-@pytest.mark.parametrize("m", [1, 3, 30, 300])
-def test_degrees_of_freedom_as_allantools(m: int, walking: bool, kind: int):
-    assert equivalent_degrees(1001, m, walking=walking) == pytest.approx(allantools.edf_simple(1001, m, kind))
+ORDER = {"allan": 2, "modified": 2, "hadamard": 3}
+
+
+@pytest.mark.parametrize("kind", ORDER)
+@pytest.mark.parametrize("m", [1, 3, 10, 24])
+@pytest.mark.parametrize("exponent", [2, 1, 0, -1, -2, -3, -4])
+def test_degrees_of_freedom_as_allantools(m: int, exponent: int, kind: str):
+    """Within what the approximations of [Greenhall2003] for long averaging times allow."""
+    if exponent < -2 and kind != "hadamard":
+        return
+    reference = allantools.edf_greenhall(exponent, ORDER[kind], m, 1001, True, kind == "modified", False)
+    assert equivalent_degrees(1001, m, ((exponent, 1.0),), kind) == pytest.approx(reference, rel=0.012)
+
+
+@pytest.mark.parametrize("kind", ORDER)
+def test_degrees_of_freedom_are_those_of_the_scatter(kind: str):
+    """Variance of the variance over many records of white noise of the rate, from its definition: 2/edf."""
+    rng, m = np.random.default_rng(8), 20
+    x = np.cumsum(rng.standard_normal((2000, 301)), axis=1)
+    t, begins = one_stretch(301)
+    squares = [
+        allan_deviation(one, t, begins, noise=NOISE, kind=kind, factors=[m]).deviation[0] ** 2 for one in x
+    ]
+    degrees = 2.0 * np.mean(squares) ** 2 / np.var(squares)
+    assert equivalent_degrees(301, m, ((0, 1.0),), kind) == pytest.approx(degrees, rel=0.1)
 
 
 def test_band_as_allantools():
     """68 % band of chi-square with these degrees of freedom."""
     x = angle(np.random.default_rng(2), 1001, 1e-10, 0.0)
     t, begins = one_stretch(1001)
-    deviation = allan_deviation(x, t, begins, white=1e-10, walk=0.0)
+    deviation = allan_deviation(x, t, begins, noise=NOISE)
     for index in (0, deviation.tau.size - 1):
         low, high = allantools.confidence_interval(
             deviation.deviation[index], deviation.degrees_of_freedom[index], ci=0.682689492137
@@ -59,7 +86,7 @@ def test_bands_hold_the_model():
         x = np.concatenate([angle(rng, 400, white, walk) for _ in range(6)])
         t, begins = one_stretch(x.size)
         begins[::400] = True
-        deviation = allan_deviation(x, t, begins, white=white, walk=walk)
+        deviation = allan_deviation(x, t, begins, noise={2: 3.0 * white, 0: walk})
         true = np.hypot(*model_deviation(deviation.tau, white, walk))
         inside.append((deviation.lower < true) & (true < deviation.upper))
     share = np.mean(inside, axis=0)
@@ -75,8 +102,8 @@ def test_stretches_are_not_joined():
     t, begins = one_stretch(x.size)
     begins[500] = True
     t[500:] += 100.0
-    deviation = allan_deviation(x, t, begins, white=1e-10, walk=1e-11)
-    alone = [allan_deviation(p, *one_stretch(p.size), white=1e-10, walk=1e-11) for p in parts]
+    deviation = allan_deviation(x, t, begins, noise=NOISE)
+    alone = [allan_deviation(p, *one_stretch(p.size), noise=NOISE) for p in parts]
     pooled = np.sqrt((498 * alone[0].deviation[0] ** 2 + 1498 * alone[1].deviation[0] ** 2) / 1996)
     assert deviation.deviation[0] == pytest.approx(pooled, rel=1e-12)
     assert deviation.stretches[0] == 2
@@ -87,7 +114,7 @@ def test_stretches_are_not_joined():
 def test_uneven_sampling_is_read_on_an_even_grid():
     t = np.sort(np.random.default_rng(5).uniform(0.0, 200.0, 4000))
     begins = np.zeros(t.size, dtype=bool)
-    deviation = allan_deviation(0.3 * t + 1e-4 * t**2, t, begins, white=1e-10, walk=0.0)
+    deviation = allan_deviation(0.3 * t + 1e-4 * t**2, t, begins, noise=NOISE)
     assert deviation.deviation[-1] == pytest.approx(np.sqrt(2.0) * 1e-4 * deviation.tau[-1], rel=1e-2)
 
 
@@ -95,21 +122,54 @@ def test_random_walk_of_the_rate_has_the_slope_of_the_drift_line():
     rng, level = np.random.default_rng(6), 1e-6
     rate = np.cumsum(level * np.sqrt(STEP) * rng.standard_normal(60_000))
     t, begins = one_stretch(rate.size)
-    deviation = allan_deviation(np.cumsum(rate) * STEP, t, begins, white=1e-20, walk=1e-20)
+    deviation = allan_deviation(np.cumsum(rate) * STEP, t, begins, noise=NOISE)
     middle = (deviation.tau > 1.0) & (deviation.tau < 30.0)
     assert deviation.deviation[middle] == pytest.approx(drift_line(deviation.tau[middle], level), rel=0.25)
 
 
-def test_long_records_are_thinned_to_the_same_figure():
+FUNCTIONS = {"allan": "oadev", "modified": "mdev", "hadamard": "ohdev"}
+
+
+@pytest.mark.parametrize("kind", FUNCTIONS)
+def test_no_difference_of_a_long_record_is_left_out(kind: str):
     x = angle(np.random.default_rng(7), 300_000, 1e-10, 1e-11)
     t, begins = one_stretch(x.size)
-    deviation = allan_deviation(x, t, begins, white=1e-10, walk=1e-11)
-    _, reference, _, _ = allantools.oadev(x, rate=1.0 / STEP, data_type="phase", taus=deviation.tau[:20])
-    assert deviation.deviation[:20] == pytest.approx(reference, rel=0.01)
+    deviation = allan_deviation(x, t, begins, noise=NOISE, kind=kind)
+    function = getattr(allantools, FUNCTIONS[kind])
+    _, reference, _, _ = function(x, rate=1.0 / STEP, data_type="phase", taus=deviation.tau[::4])
+    assert deviation.deviation[::4] == pytest.approx(reference, rel=1e-8)
+
+
+def nist_rates():
+    """The 1000 rates of the test suite, by its generator of random numbers ([Riley2008] section 12.4)."""
+    numbers = [1234567890]
+    for _ in range(999):
+        numbers.append(16807 * numbers[-1] % 2147483647)
+    return np.array(numbers) / 2147483647.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "published"),
+    [
+        ("allan", (2.922319e-01, 9.159953e-02, 3.241343e-02)),
+        ("modified", (2.922319e-01, 6.172376e-02, 2.170921e-02)),
+        ("hadamard", (2.943883e-01, 9.581083e-02, 3.237638e-02)),
+    ],
+)
+def test_suite_of_nist(kind: str, published: tuple[float, ...]):
+    """The table of 1000 points, to its last digit."""
+    rates = nist_rates()
+    x = np.concatenate(([0.0], np.cumsum(rates)))
+    begins = np.zeros(x.size, dtype=bool)
+    begins[0] = True
+    deviation = allan_deviation(
+        x, np.arange(x.size, dtype=float), begins, noise=NOISE, kind=kind, factors=[1, 10, 100]
+    )
+    assert deviation.deviation == pytest.approx(published, rel=2e-7)
 
 
 def test_too_short_and_unequal():
     t, begins = one_stretch(3)
-    assert allan_deviation(np.zeros(3), t, begins, white=1.0, walk=0.0).tau.size == 0
+    assert allan_deviation(np.zeros(3), t, begins, noise=NOISE).tau.size == 0
     with pytest.raises(ArgumentError, match="3, 3 and 2"):
-        allan_deviation(np.zeros(3), t, begins[:2], white=1.0, walk=0.0)
+        allan_deviation(np.zeros(3), t, begins[:2], noise=NOISE)

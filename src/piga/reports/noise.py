@@ -1,0 +1,257 @@
+"""Noise of a static record shown: levels, deviations and spectrum on a page, in a terminal and as figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from piga._version import __version__
+from piga.noise.analysis import NoiseAnalysis, level_unit
+from piga.noise.deviations import ONE_SIGMA, AllanDeviation
+from piga.noise.levels import NoiseLevel, level_variances
+from piga.records.terms import shown_output
+from piga.reports.render.figure import Axis, Figure, Plot, Role
+from piga.reports.render.numbers import count, pretty_unit, short
+from piga.reports.render.page import (
+    ALONE,
+    Block,
+    FigureBlock,
+    Notice,
+    Page,
+    Section,
+    Table,
+    TableOf,
+    Text,
+    Tile,
+    named_values,
+)
+from piga.units import ARCSEC, MICRO_G
+
+NAMES = {
+    "quantisation": "quantisation Q",
+    "random_walk": "random walk N",
+    "bias_instability": "bias instability B",
+    "rate_random_walk": "rate random walk K",
+    "drift": "drift R",
+}
+"""Each level in words, with its usual letter."""
+_ROLES: dict[str, Role] = {"allan": "after", "modified": "x", "hadamard": "z"}
+
+
+def figures(noise: NoiseAnalysis) -> dict[str, Callable[[], Figure]]:
+    """The figures by name."""
+    return {"deviations": partial(deviations_figure, noise), "spectrum": partial(spectrum_figure, noise)}
+
+
+def deviation_figure(deviation: AllanDeviation) -> Figure:
+    """A deviation by itself, with its 68 % band."""
+    plot = Plot(
+        "allan-deviation", "Allan deviation of the rate.", "log averaging time [s]",
+        "log Allan deviation of the rate [arcsec/s]", height=3.4,
+    )  # fmt: skip
+    plot.band(deviation.tau, deviation.lower / ARCSEC, deviation.upper / ARCSEC, "68 % band")
+    plot.marked(deviation.tau, deviation.deviation / ARCSEC, deviation.kind, "after")
+    return plot.caption("Overlapping deviation with its 68 % band. Stretches are pooled, not joined.")
+
+
+def deviations_figure(noise: NoiseAnalysis) -> Figure:
+    """The three deviations, the band of the Allan deviation, and the levels."""
+    one, unit = shown_output(noise.unit)
+    allan = noise.deviations[0]
+    low = 0.2 * min(
+        float(each.deviation[each.deviation > 0.0].min(initial=np.inf)) for each in noise.deviations
+    )
+    limits = (low / one, 3.0 * float(allan.upper.max()) / one) if np.isfinite(low) else None
+    y = Axis("deviation", pretty_unit(unit), log=True, limits=limits)
+    plot = Plot("deviations", "Deviations of the rate.", "log averaging time [s]", y, height=4.2)
+    plot.band(allan.tau, allan.lower / one, allan.upper / one, "68 % band, Allan")
+    for each in noise.deviations:
+        plot.marked(each.tau, each.deviation / one, each.kind, _ROLES[each.kind])
+    variances = level_variances(allan.tau, noise.levels)
+    plot.line(allan.tau, np.sqrt(sum(variances.values())) / one, "all levels", "model")
+    for level in noise.levels:
+        if level.seen:
+            plot.dashed(allan.tau, np.sqrt(variances[level.name]) / one, NAMES[level.name], "reference")
+    return plot.caption(
+        "Overlapping Allan, modified and Hadamard deviation. Every difference counts. The full line is the Allan deviation "
+        "of all levels together. Good: it runs in the band."
+    )
+
+
+def spectrum_figure(noise: NoiseAnalysis) -> Figure:
+    """Root of the spectral density, and that of the levels."""
+    one, unit = shown_output(noise.unit)
+    spectrum = noise.spectrum
+    y = f"log density [{pretty_unit(level_unit('random_walk', unit))}]"
+    plot = Plot("spectrum", "Spectrum of the rate.", "log frequency [Hz]", y, height=3.4)
+    plot.points(spectrum.frequency, np.sqrt(spectrum.density) / one, "record", "data")
+    plot.line(spectrum.frequency, np.sqrt(spectrum.model) / one, "all levels", "model")
+    return plot.caption(
+        "Root of the two-sided spectral density of the rate, without its drift; white noise lies at the random walk N. "
+        "Good: the points scatter around the line. A peak is a wave, a fall at the right end a filter."
+    )
+
+
+def remarks(noise: NoiseAnalysis) -> tuple[str, ...]:
+    """What the levels do not say."""
+    if noise.spectrum.misfit is None:
+        return ()
+    low, high, ratio = noise.spectrum.misfit
+    words = (
+        f"Between {short(low)} and {short(high)} Hz the spectrum is {short(ratio)} times that of the levels: they do not "
+        "describe the whole record. Look for a wave, a filter or a change of temperature."
+    )
+    return (words,)
+
+
+def levels_table(noise: NoiseAnalysis) -> Table:
+    """The levels with their intervals, and as accelerations where the scale factor is known."""
+    one, unit = shown_output(noise.unit)
+
+    def interval(level: NoiseLevel, scale: float) -> str:
+        if level.name != "drift" and not level.seen:
+            return f"at most {short(level.upper / scale)}"
+        return f"{short(level.lower / scale)} to {short(level.upper / scale)}"
+
+    table = (
+        TableOf(noise.levels)
+        .text("level", lambda level: NAMES[level.name])
+        .number("value", lambda level: short(level.value / one) if level.seen else "not seen")
+        .number("interval of 95 %", lambda level: interval(level, one))
+        .text("unit", lambda level: pretty_unit(level_unit(level.name, unit)))
+    )
+    if noise.scale_factor:
+        gravity = noise.scale_factor * MICRO_G
+        table = (
+            table.number("as acceleration", lambda level: short(level.value / gravity) if level.seen else "")
+            .number("interval", lambda level: interval(level, gravity))
+            .text("its unit", lambda level: pretty_unit(level_unit(level.name, "ug")))
+        )
+    return table.table("Levels")
+
+
+def deviations_table(noise: NoiseAnalysis) -> Table:
+    """The Allan deviation with its band, and the two others."""
+    one, unit = shown_output(noise.unit)
+    allan, *others = noise.deviations
+    table = (
+        TableOf(range(allan.tau.size))
+        .number("averaging time", lambda k: short(allan.tau[k]), "s")
+        .number("Allan", lambda k: short(allan.deviation[k] / one, 5))
+        .number("68 % band", lambda k: f"{short(allan.lower[k] / one)} to {short(allan.upper[k] / one)}")
+        .number("degrees of freedom", lambda k: short(allan.degrees_of_freedom[k]))
+    )
+    for each in others:
+        table = table.number(each.kind, partial(_at, each, allan.tau, one))
+    return table.table(f"Deviations [{pretty_unit(unit)}]")
+
+
+def _at(each: AllanDeviation, tau: np.ndarray, one: float, k: int) -> str:
+    return short(each.deviation[k] / one, 5) if k < each.tau.size and each.tau[k] == tau[k] else ""
+
+
+def page(noise: NoiseAnalysis) -> Page:
+    """Levels, figures and all numbers."""
+    found: list[Block] = [Notice("warning", remark) for remark in remarks(noise)]
+    lead = Text(
+        "Levels are those of the largest likelihood of the spectrum. An interval ends where the likelihood falls to that of "
+        "95 %. A level is not seen where its interval begins at zero.",
+        lead=True,
+    )
+    return Page(
+        f"Noise of {noise.source}",
+        f"{count(noise.samples)} samples at {1.0 / noise.step:.6g} Hz, {noise.duration:.6g} s in {noise.stretches} stretches.",
+        _tiles(noise),
+        (
+            Section("Levels", "levels", (lead, levels_table(noise), *found)),
+            Section(
+                "Deviations", "all-deviations", (FigureBlock(deviations_figure(noise)), deviations_table(noise))
+            ),
+            Section("Spectrum", "the-spectrum", (FigureBlock(spectrum_figure(noise)),)),
+            Section(
+                "Origin", "origin", (named_values("file", "SHA-256", noise.input_sha256, "Files", code=True),)
+            ),
+        ),
+        kicker="piga noise",
+        footer=f"Made by piga {__version__}. {ALONE}",
+    )
+
+
+def _tiles(noise: NoiseAnalysis) -> tuple[Tile, ...]:
+    one, unit = shown_output(noise.unit)
+    allan = noise.deviations[0]
+    best = int(np.argmin(allan.deviation))
+    tiles = [
+        Tile(
+            "Smallest Allan deviation",
+            short(allan.deviation[best] / one),
+            pretty_unit(unit),
+            f"at {short(allan.tau[best])} s",
+        )
+    ]
+    tiles += [
+        Tile(NAMES[level.name], short(level.value / one), pretty_unit(level_unit(level.name, unit)))
+        for level in noise.levels
+        if level.seen
+    ]
+    return tuple(tiles)
+
+
+def brief(noise: NoiseAnalysis) -> Page:
+    """Levels and remarks for terminal and notebook, and the figure of the deviations."""
+    one, unit = shown_output(noise.unit)
+    allan = noise.deviations[0]
+    best = int(np.argmin(allan.deviation))
+    least = f"Smallest Allan deviation: {short(allan.deviation[best] / one)} {pretty_unit(unit)} at {short(allan.tau[best])} s."
+    notices = [Notice("warning", remark) for remark in remarks(noise)]
+    return Page(
+        f"Noise of {noise.source}: {noise.samples} samples, {noise.duration:.6g} s in {noise.stretches} stretches",
+        sections=(
+            Section("", "levels", (levels_table(noise), Text(least), *notices)),
+            Section("", "all-deviations", (FigureBlock(deviations_figure(noise)),)),
+        ),
+    )
+
+
+def noise_document(noise: NoiseAnalysis) -> dict[str, Any]:
+    """The result as plain data for JSON, in the unit of the rate."""
+    spectrum = noise.spectrum
+    return {
+        "source": noise.source,
+        "unit": noise.unit,
+        "scale_factor": noise.scale_factor,
+        "step_s": noise.step,
+        "duration_s": noise.duration,
+        "samples": noise.samples,
+        "stretches": noise.stretches,
+        "levels": {
+            level.name: {
+                "value": level.value,
+                "interval_95": [level.lower, level.upper],
+                "unit": level_unit(level.name, noise.unit),
+                "seen": level.seen,
+            }
+            for level in noise.levels
+        },
+        "deviations": {
+            each.kind: {
+                "tau_s": each.tau.tolist(),
+                "deviation": each.deviation.tolist(),
+                "lower": each.lower.tolist(),
+                "upper": each.upper.tolist(),
+                "probability": ONE_SIGMA,
+                "degrees_of_freedom": each.degrees_of_freedom.tolist(),
+            }
+            for each in noise.deviations
+        },
+        "spectrum": {
+            "frequency_hz": spectrum.frequency.tolist(),
+            "density": spectrum.density.tolist(),
+            "model": spectrum.model.tolist(),
+        },
+        "remarks": list(remarks(noise)),
+        "input_sha256": noise.input_sha256,
+    }

@@ -1,0 +1,101 @@
+"""Noise of a static record: rates, angles, gaps, run files, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import piga
+from piga.errors import ArgumentError, DataError
+from piga.noise import read_static_log
+from piga.noise.analysis import level_unit
+
+STEP = 0.2
+
+
+@pytest.fixture(scope="module")
+def record():
+    """Rates of white noise with a mean, and their times."""
+    rng = np.random.default_rng(21)
+    return 5.0 + 0.3 / np.sqrt(STEP) * rng.standard_normal(6000), STEP * np.arange(6000)
+
+
+def test_a_rate_and_its_integral_are_the_same_noise(record):
+    rate, t = record
+    of_rate = piga.analyse_noise(rate, t, unit="V")
+    angle = np.concatenate(([7.0], 7.0 + STEP * np.cumsum(rate)))
+    of_angle = piga.analyse_noise(angle, STEP * np.arange(6001), kind="angle", unit="V s/s")
+    for one, other in zip(of_rate.deviations, of_angle.deviations, strict=True):
+        assert one.deviation == pytest.approx(other.deviation, rel=1e-6)
+    assert of_rate.levels[1].value == pytest.approx(of_angle.levels[1].value, rel=1e-2)
+    assert of_rate.levels[1].lower < 0.3 < of_rate.levels[1].upper
+    assert of_rate.duration == pytest.approx(1200.0)
+
+
+def test_the_noise_is_that_of_the_definition(record):
+    """Allan variance of neighbouring rates at one step, and N from the deviation at 1 s by hand."""
+    rate, t = record
+    noise = piga.analyse_noise(rate, t)
+    allan, modified, hadamard = noise.deviations
+    first = np.sqrt(0.5 * np.mean(np.diff(rate) ** 2))
+    assert allan.deviation[0] == pytest.approx(first, rel=1e-9)
+    assert modified.deviation[0] == pytest.approx(first, rel=1e-9)
+    assert hadamard.deviation[0] == pytest.approx(np.sqrt(np.mean(np.diff(rate, 2) ** 2) / 6.0), rel=1e-9)
+    assert noise.levels[1].value == pytest.approx(first * np.sqrt(STEP), rel=0.03)
+
+
+def test_a_gap_ends_a_stretch(record):
+    """A jump across a gap is in no difference: the levels stay."""
+    rate, t = record
+    kept = np.r_[0:2500, 2600:6000]
+    noise = piga.analyse_noise(rate[kept] + 40.0 * (kept > 2550), t[kept])
+    assert noise.stretches == 2
+    assert noise.levels[1].lower < 0.3 < noise.levels[1].upper
+    assert not noise.levels[4].seen
+    jump = piga.analyse_noise(rate + 40.0 * (t > 510.0), t)
+    assert jump.levels[3].seen
+
+
+def test_a_run_file_gives_rate_and_acceleration(tmp_path):
+    """A gyro accelerometer at rest, its angle with a random walk: N in rad/sqrt(s), and as acceleration by K."""
+    rng, n = np.random.default_rng(22), 4000
+    t = STEP * np.arange(n)
+    psi = 0.8884 * t + np.cumsum(2e-5 * np.sqrt(STEP) * rng.standard_normal(n))
+    np.savetxt(
+        tmp_path / "run.csv", np.column_stack((t, psi)), delimiter=",", header="t,psi", comments="", fmt="%.12g"
+    )
+    (tmp_path / "run.toml").write_text(
+        '[instrument]\nserial = "G"\nscale_factor = "0.8884 rad/s/g"\n[data]\nfile = "run.csv"\n'
+        'time = { column = "t", unit = "s" }\noutput = { column = "psi", kind = "angle", unit = "rad" }\n'
+    )
+    noise = read_static_log(tmp_path / "run.toml")
+    assert noise.unit == "rad/s"
+    assert noise.levels[1].lower < 2e-5 < noise.levels[1].upper
+    assert noise.scale_factor == pytest.approx(0.8884 / 9.80665)
+    with pytest.raises(ArgumentError, match="states column"):
+        read_static_log(tmp_path / "run.toml", column="psi")
+    text = noise.summary()
+    assert "as acceleration" in text
+    assert f"{noise.levels[1].value / np.pi * 648000:.2f}"[:4] in text
+
+
+def test_what_is_refused(tmp_path, record):
+    rate, t = record
+    with pytest.raises(ArgumentError, match="10 samples"):
+        piga.analyse_noise(rate[:10], t[:10])
+    with pytest.raises(ArgumentError, match="not finite"):
+        piga.analyse_noise(np.where(t > 3.0, np.nan, rate), t)
+    np.savetxt(tmp_path / "two.csv", np.column_stack((rate, rate)), delimiter=",", header="U,V", comments="")
+    with pytest.raises(DataError, match="the columns are: U, V"):
+        read_static_log(tmp_path / "two.csv")
+    with pytest.raises(DataError, match="no column 'W'"):
+        read_static_log(tmp_path / "two.csv", column="W")
+    with pytest.raises(DataError, match="no column holds the time"):
+        read_static_log(tmp_path / "two.csv", column="U")
+    assert read_static_log(tmp_path / "two.csv", column="U", sample_rate="5 Hz").samples == 6000
+
+
+def test_units_of_levels():
+    """Dimensions: quantisation is an integral of the rate, the drift a change of it in a second."""
+    assert [level_unit("quantisation", unit) for unit in ("V", "1", "arcsec/s")] == ["V s", "s", "arcsec"]
+    assert [level_unit("rate_random_walk", unit) for unit in ("V", "arcsec/s")] == ["V/sqrt(s)", "arcsec/s^1.5"]
