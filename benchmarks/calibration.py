@@ -39,6 +39,7 @@ def synthetic() -> piga.Run:
         uncertainty={"waived": {"earth_rate": "simulated at rest"}},
         scale_factor="0.8884 rad/s/g",
         resolution=count,
+        units="SI",
     )
 
 

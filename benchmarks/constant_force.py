@@ -207,6 +207,7 @@ class ConstantForce:
             resolution=self.count,
             serial="synthetic",
             kind=self.kind,
+            units="SI",
         )
 
     def _times(self) -> Array:

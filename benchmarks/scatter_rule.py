@@ -168,6 +168,7 @@ def record(case: Case, seed: int, number: int = 0) -> piga.Run:
         resolution=count,
         serial="S1",
         model={"terms": list(case.terms), "phases": case.phases},
+        units="SI",
     )
 
 

@@ -28,7 +28,7 @@ def made_record() -> piga.Run:
     f = np.stack([a_x, np.full(ROWS, 0.6 * G0), np.zeros(ROWS)], axis=1)
     noise = 2e-6 * np.random.default_rng(1).standard_normal(ROWS)
     psi = piga.propagate(inst, t, f) - inst.alpha0 + noise
-    return piga.Run.from_arrays(t, psi, f, scale_factor=inst.scale_factor, serial="example")
+    return piga.Run.from_arrays(t, psi, f, scale_factor=inst.scale_factor, serial="example", units="SI")
 
 
 def made_calibration(record: piga.Run) -> piga.Calibration:

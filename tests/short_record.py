@@ -20,7 +20,7 @@ def a_run(**settings) -> piga.Run:
     inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=0.4)
     psi = piga.propagate(inst, t, f, between="linear") + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
     settings.setdefault("segment", np.repeat([0, 1], 400))
-    return piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, serial="T-1", **settings)
+    return piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, serial="T-1", **settings, units="SI")
 
 
 def pickled(value):

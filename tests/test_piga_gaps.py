@@ -16,7 +16,9 @@ def a_record_with_a_gap() -> piga.Run:
     t[600:] += 0.02  # less than a gap
     f = G0 * np.column_stack([0.8 + 0.3 * np.sin(0.7 * t), 0.5 * np.cos(0.4 * t), 0.2 + 0 * t])
     inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=0.4)
-    return piga.Run.from_arrays(t, piga.propagate(inst, t, f, between="linear"), f, scale_factor=SCALE)
+    return piga.Run.from_arrays(
+        t, piga.propagate(inst, t, f, between="linear"), f, scale_factor=SCALE, units="SI"
+    )
 
 
 @pytest.mark.parametrize("edges", [[], [300], [299], [301], [1, 2, 450, 899]])
@@ -41,8 +43,8 @@ def test_a_segment_is_a_gap_without_time():
     psi = piga.propagate(inst, t, f, between="linear")
     cal = piga.Calibration.from_coefficients({"scale_factor": 0.8884, "tan_beta": inst.tan_beta, "phi": 0.0})
     marks = t == t[100]
-    by_segment = piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, segment=np.repeat([0, 1], 100))
-    by_gap = piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, gaps=marks)
+    by_segment = piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, segment=np.repeat([0, 1], 100), units="SI")
+    by_gap = piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, gaps=marks, units="SI")
     one, other = piga.compensate(by_segment, cal), piga.compensate(by_gap, cal)
     assert np.array_equal(one.dv, other.dv)
     begins = marks | (t == 0.0)

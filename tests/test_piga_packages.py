@@ -82,7 +82,7 @@ inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec", alpha0
 t = np.arange(0.0, 2.0, 0.01)
 f = 9.80665 * np.column_stack([1 + 0.1 * np.sin(t), 3 * np.cos(t), 0 * t])
 alpha = piga.propagate(inst, t, f)
-run = piga.Run.from_arrays(t, alpha, f, scale_factor="0.8884 rad/s/g")
+run = piga.Run.from_arrays(t, alpha, f, scale_factor="0.8884 rad/s/g", units="SI")
 print(piga.regime(inst, 9.8, 0.0, 0.0), piga.closed_form(inst, 1.0, 9.8, 0.0, 0.0)[0], alpha[-1])
 """
 

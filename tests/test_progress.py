@@ -137,7 +137,11 @@ def long_calls(run: piga.Run, cal: piga.Calibration) -> dict[str, Callable[..., 
     known = piga.Calibration.from_coefficients({"scale_factor": 0.8884, "tan_beta": inst.tan_beta, "phi": 0.0})
     runs = [
         piga.Run.from_arrays(
-            run.t, piga.propagate(inst, run.t, run.f @ a.T, between="linear"), run.f @ a.T, scale_factor=SCALE
+            run.t,
+            piga.propagate(inst, run.t, run.f @ a.T, between="linear"),
+            run.f @ a.T,
+            scale_factor=SCALE,
+            units="SI",
         )
         for a in axes
     ]
@@ -163,7 +167,7 @@ def turns_record() -> piga.Run:
     f = G0 * np.column_stack([np.where(visit % 2 == 0, 1.0, -1.0), 0.05 + 0 * t, 0 * t])
     inst = piga.Instrument(scale_factor=SCALE, beta="100 arcsec", alpha0=0.4)
     psi = piga.propagate(inst, t, f, between="linear") + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
-    return piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, segment=visit)
+    return piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, segment=visit, units="SI")
 
 
 LONG = ("joint", "revolutions", "budget", "compare", "set", "rows")

@@ -122,7 +122,9 @@ def samples(run, cal):
     f = 9.8 * np.column_stack([0.6 + 0.1 * np.sin(t), 0.5 + 0 * t, 0.7 + 0 * t])
     known = piga.Calibration.from_coefficients({"scale_factor": 0.8884, "tan_beta": inst.tan_beta, "phi": 0.0})
     runs = [
-        piga.Run.from_arrays(t, piga.propagate(inst, t, f @ a.T, between="linear"), f @ a.T, scale_factor=SCALE)
+        piga.Run.from_arrays(
+            t, piga.propagate(inst, t, f @ a.T, between="linear"), f @ a.T, scale_factor=SCALE, units="SI"
+        )
         for a in axes
     ]
     dates = [dt.datetime(2024, month, 1, tzinfo=dt.UTC) for month in (1, 4, 8, 12)]

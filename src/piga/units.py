@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -264,22 +266,62 @@ def _too_large(what: str, value: str) -> UnitError:
     )
 
 
-def to_si(value: str | float, like: str, *, what: str = "quantity") -> float:
+_NUMBERS_ARE_SI = ContextVar("numbers are SI", default=False)
+
+
+@contextmanager
+def numbers_are_si(old: bool) -> Iterator[None]:
+    """Take plain numbers as SI inside, if ``old``: the rule of files of piga 0.1 and 0.2."""
+    token = _NUMBERS_ARE_SI.set(old)
+    try:
+        yield
+    finally:
+        _NUMBERS_ARE_SI.reset(token)
+
+
+def si_or_text(value: str | float, like: str, *, what: str = "quantity") -> float:
+    """SI value of an argument in Python, as :func:`to_si`; but a plain number is SI.
+
+    Parameters
+    ----------
+    value, like, what:
+        As in :func:`to_si`.
+
+    Raises
+    ------
+    UnitError
+        As :func:`to_si`.
+    """
+    with numbers_are_si(True):
+        return to_si(value, like, what=what)
+
+
+def _without_unit(what: str, number: str, like: str) -> UnitError:
+    unit = {"rad": "deg", "rad/s": "deg/s", "K": "degC"}.get(like, like)
+    return UnitError(
+        f"{what}: {number} has no unit",
+        remedy=f'write its unit, e.g. "{number} {unit}" (piga 0.2 took it as SI)',
+    )
+
+
+def to_si(value: str | float, like: str, *, what: str = "quantity", unit: str | None = None) -> float:
     """SI value of a quantity written by a person.
 
     Parameters
     ----------
     value:
-        ``"1000 arcsec"``; or a plain number, which is taken as SI.
+        ``"1000 arcsec"``. A plain number needs no unit if it is zero (but for a temperature), or if ``like`` is ``"1"``.
     like:
-        A unit of the kind of quantity expected, e.g. ``"rad"`` or ``"rad/s/g"``.
+        A unit of the kind of quantity expected, e.g. ``"rad"``, ``"rad/s/g"``; ``"ppm"`` for a relative size.
     what:
         Name of the quantity for messages, e.g. ``"[instrument] scale_factor"``.
+    unit:
+        Unit of a plain number, where something else states it.
 
     Raises
     ------
     UnitError
-        If the text has no number, no unit, or a unit of another kind; or the number is not finite.
+        If there is no number, no unit, or a unit of another kind; or the number is not finite.
     """
     expected = parse_unit(like)
     if isinstance(value, bool) or not isinstance(value, (str, int, float)):
@@ -287,6 +329,10 @@ def to_si(value: str | float, like: str, *, what: str = "quantity") -> float:
     if not isinstance(value, str):
         if not abs(value) <= LARGEST:
             raise _too_large(what, str(value))
+        if unit is not None and not _NUMBERS_ARE_SI.get():
+            return to_si(f"{value!r} {unit}", like, what=what)
+        if like != "1" and (value != 0.0 or like in ("K", "degC")) and not _NUMBERS_ARE_SI.get():
+            raise _without_unit(what, str(value), like)
         return float(value)
     match = _QUANTITY.match(value)
     if match is None:
@@ -300,19 +346,19 @@ def to_si(value: str | float, like: str, *, what: str = "quantity") -> float:
     if not abs(number) <= LARGEST:
         raise _too_large(what, f"'{value[:40]}'")
     if not unit_text:
-        if expected.dimension == _DIMENSIONLESS:
+        if like == "1" or (_NUMBERS_ARE_SI.get() and expected.dimension == _DIMENSIONLESS):
             return number
-        raise UnitError(f"{what}: '{value}' has no unit", remedy=f"write e.g. '{match.group(1)} {like}'")
+        raise _without_unit(what, match.group(1), like)
     try:
-        unit = parse_unit(unit_text)
+        written = parse_unit(unit_text)
     except UnitError as error:
         raise UnitError(f"{what}: {error.message}", remedy=error.remedy) from None
-    if unit.dimension != expected.dimension:
+    if written.dimension != expected.dimension:
         raise UnitError(
             f"{what}: '{value}' is given in '{unit_text}', but a quantity in '{like}' is needed",
             remedy=f"give it in '{like}' or a multiple of it",
         )
-    result = number * unit.factor + offset_to_si(unit_text)
+    result = number * written.factor + offset_to_si(unit_text)
     if not abs(result) <= LARGEST:
         raise _too_large(what, f"'{value[:40]}'")
     return result

@@ -84,7 +84,9 @@ def test_rate_log() -> None:
     f = G0 * np.column_stack([1.0 + np.sin(0.3 * t), 3.0 * np.cos(0.2 * t), 0.5 + 0.0 * t])
     inst = piga.Instrument(scale_factor=SCALE, beta=BETA)
     _, rate = piga.propagate(inst, t, f, with_rate=True, between="linear")
-    run = piga.Run.from_arrays(t, rate + 1e-5 * rng.standard_normal(t.size), f, scale_factor=SCALE, kind="rate")
+    run = piga.Run.from_arrays(
+        t, rate + 1e-5 * rng.standard_normal(t.size), f, scale_factor=SCALE, kind="rate", units="SI"
+    )
     calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"])
     assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), abs=4.0 * calibration["tan_beta"].std)
     assert calibration["scale_factor"].value == pytest.approx(0.8884, abs=4.0 * calibration["scale_factor"].std)
@@ -101,12 +103,12 @@ def test_base_rate_is_part_of_the_model() -> None:
     inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=0.3)
     alpha = piga.propagate(inst, fine, force, base_rate=rate, between="linear")[::20]
     t, f, omega = fine[::20], force[::20], rate[::20]
-    given = piga.Run.from_arrays(t, alpha, f, scale_factor="0.889 rad/s/g", base_rate=omega)
+    given = piga.Run.from_arrays(t, alpha, f, scale_factor="0.889 rad/s/g", base_rate=omega, units="SI")
     calibration = piga.calibrate(given, ["scale_factor", "tan_beta", "k0"])
     assert calibration["scale_factor"].value == pytest.approx(0.8884, abs=3e-8)
     assert calibration["tan_beta"].value == pytest.approx(0.00484817479568412, abs=2e-8)
     assert abs(calibration["k0"].value) < 3e-8
-    without = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE)
+    without = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE, units="SI")
     assert piga.calibrate(without, ["scale_factor", "tan_beta", "k0"])["k0"].value == pytest.approx(
         -5.29e-5, rel=0.01
     )
@@ -130,7 +132,9 @@ def test_every_term_of_the_error_model() -> None:
     force += truth["k_YY"] * y**2 + truth["k_ZZ"] * z**2 + truth["k_YZ"] * y * z
     force += truth["k0_t"] * middle + truth["k0_T"] * dT + truth["k1_T"] * x * dT
     alpha = _integrate_with_harmonics(0.0025, f, force * G0, truth)[::4]
-    run = piga.Run.from_arrays(t[::8], alpha - 0.4, f[::8], scale_factor=SCALE, temperature=temperature[::8])
+    run = piga.Run.from_arrays(
+        t[::8], alpha - 0.4, f[::8], scale_factor=SCALE, temperature=temperature[::8], units="SI"
+    )
     calibration = piga.calibrate(run, ["scale_factor", "tan_beta", *truth])
     for name, value in truth.items():
         assert calibration[name].value == pytest.approx(value, abs=2e-7), name
@@ -169,7 +173,9 @@ def test_trapezoid_of_the_coupling_would_be_biased() -> None:
     t = np.arange(0.0, 100.0, 0.1)
     f = np.tile(G0 * np.array([2.0, 3.0, 0.0]), (t.size, 1))
     inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec")
-    run = piga.Run.from_arrays(t, piga.propagate(inst, t, f, between="linear"), f, scale_factor=SCALE)
+    run = piga.Run.from_arrays(
+        t, piga.propagate(inst, t, f, between="linear"), f, scale_factor=SCALE, units="SI"
+    )
     estimate = piga.calibrate(run, ["tan_beta"])["tan_beta"].value
     truth = 0.00484817479568412
     assert estimate == pytest.approx(truth, rel=2e-6)
@@ -188,7 +194,7 @@ def ramp(kind: str) -> piga.Run:
     f = np.column_stack([a_x, 5.0 * a_x, 0.0 * a_x])
     inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=np.pi / 4)
     _, rate = piga.propagate(inst, t, f, with_rate=True, between="linear")
-    return piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate")
+    return piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate", units="SI")
 
 
 @pytest.mark.only_compiled
@@ -227,7 +233,7 @@ def still(f: tuple[float, float, float], seconds: float = 60.0) -> piga.Run:
     alpha = piga.propagate(inst, t, force, between="linear") + 2e-5 * np.random.default_rng(2).standard_normal(
         t.size
     )
-    return piga.Run.from_arrays(t, alpha, force, scale_factor=SCALE)
+    return piga.Run.from_arrays(t, alpha, force, scale_factor=SCALE, units="SI")
 
 
 @pytest.mark.only_compiled
@@ -290,7 +296,7 @@ def test_tan_beta_in_the_noise_is_said() -> None:
     t = np.arange(0.0, 60.0, 0.05)
     f = np.tile(G0 * np.array([1.0, 0.4, 0.0]), (t.size, 1))
     alpha = 0.8884 * t + 1e-3 * np.random.default_rng(4).standard_normal(t.size)
-    run = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE)
+    run = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE, units="SI")
     notes = " ".join(piga.calibrate(run, ["scale_factor", "tan_beta"]).notes)
     assert "phi is hardly determined" in notes
 
@@ -344,7 +350,7 @@ def test_given_noise_levels_are_used() -> None:
 def test_sampling_too_slow_for_the_motion_is_refused() -> None:
     t = np.arange(0.0, 60.0, 0.5)
     f = G0 * np.column_stack([30.0 * np.sin(2.0 * t), 1.0 + 0.0 * t, 0.0 * t])
-    run = piga.Run.from_arrays(t, t, f, scale_factor=SCALE)
+    run = piga.Run.from_arrays(t, t, f, scale_factor=SCALE, units="SI")
     with pytest.raises(piga.DataError, match=r"sample at [\d.]+ Hz"):
         piga.calibrate(run, ["tan_beta"])
 
@@ -352,7 +358,7 @@ def test_sampling_too_slow_for_the_motion_is_refused() -> None:
 @pytest.mark.only_compiled
 def test_too_short_a_record() -> None:
     t = np.arange(5) * 0.1
-    run = piga.Run.from_arrays(t, t, np.ones((5, 3)), scale_factor=SCALE)
+    run = piga.Run.from_arrays(t, t, np.ones((5, 3)), scale_factor=SCALE, units="SI")
     with pytest.raises(piga.CalibrationError, match="4 increments, too few for 6 parameters"):
         piga.calibrate(run, ["scale_factor", "tan_beta", "k0", "k2", "k3"])
 

@@ -144,7 +144,7 @@ def test_what_belongs_to_a_gimbal_is_refused_by_name(tmp_path: Path, old: str, n
 def test_terms_that_nobody_asked_for_are_those_of_the_kind() -> None:
     t, segment, f = MA.force()
     run = piga.Run.from_arrays(
-        t, MA.rate(), G * f, scale_factor="0.6 mA/g", kind="rate", unit="mA", segment=segment
+        t, MA.rate(), G * f, scale_factor="0.6 mA/g", kind="rate", unit="mA", segment=segment, units="SI"
     )
     assert run.model.terms == ("scale_factor", "k0")
     assert (run.output_unit, run.quantity) == ("mA", "rate")
@@ -196,6 +196,7 @@ def six_positions(terms: list[str]) -> piga.Run:
         unit="LSB",
         segment=segment,
         model={"terms": terms},
+        units="SI",
     )
 
 

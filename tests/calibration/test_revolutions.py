@@ -54,7 +54,7 @@ def pulled(beta: float, seed: int) -> piga.Run:
         start = piga.Instrument(scale_factor=SCALE, beta=beta, alpha0=float(rng.uniform(-3.0, 3.0)))
         output[part] = piga.propagate(start, t[part], f[part], between="linear")
     output += 1e-5 * rng.standard_normal(t.size)
-    return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment)
+    return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment, units="SI")
 
 
 @pytest.mark.only_compiled
@@ -101,7 +101,7 @@ def near_lock(rng: np.random.Generator, records: int, walk: float, white: float)
     segment = np.repeat(np.arange(a.size, dtype=np.int32), samples + 1)
     force = np.repeat(forces * G0, samples + 1, axis=0)
     return [
-        piga.Run.from_arrays(t.ravel(), one.ravel(), force, scale_factor=SCALE, segment=segment)
+        piga.Run.from_arrays(t.ravel(), one.ravel(), force, scale_factor=SCALE, segment=segment, units="SI")
         for one in output
     ]
 
@@ -153,7 +153,7 @@ def test_a_position_at_the_edge_of_lock_is_left_out() -> None:
     start = piga.Instrument(scale_factor=SCALE, beta=float(np.arctan(0.02)))
     parts = [piga.propagate(start, t[:n], f[segment == k], between="linear") for k in range(4)]
     output = np.concatenate(parts) + 1e-5 * np.random.default_rng(5).standard_normal(t.size)
-    run = piga.Run.from_arrays(t + 1000.0 * segment, output, f, scale_factor=SCALE, segment=segment)
+    run = piga.Run.from_arrays(t + 1000.0 * segment, output, f, scale_factor=SCALE, segment=segment, units="SI")
     calibration = piga.calibrate(run, ("scale_factor", "k0"), "revolutions")
     event = next(e for e in calibration.quality.events if e.kind == "near-lock")
     assert event.count == 1

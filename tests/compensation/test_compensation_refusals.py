@@ -149,7 +149,7 @@ def test_the_phase_of_a_record_of_rates_up_to_its_first_gap() -> None:
     first, second = run_of(t, f, phi=0.3, kind="rate"), run_of(t, f, phi=2.0, kind="rate")
     record = piga.Run.from_arrays(
         np.concatenate((t, t + 100.0)), np.concatenate((first.output, second.output)), np.concatenate((f, f)),
-        scale_factor=K_G / G0, kind="rate", segment=np.repeat([0, 1], t.size),
+        scale_factor=K_G / G0, kind="rate", segment=np.repeat([0, 1], t.size), units="SI",
     )  # fmt: skip
     cal = calibration_of(CAL, angle_rms=1e-6)
     phase = piga.compensation.identify_phase(record, cal, 1000.0)

@@ -237,7 +237,7 @@ def test_far_angles_are_those_near_zero(whole: int) -> None:
     turns = 2.0 * np.pi * whole
     assert (turns < LIMIT) == (whole == 254_647)
     assert turns + np.ptp(near.output) > LIMIT
-    far = piga.Run.from_arrays(t, near.output + turns, f, scale_factor=K_G / G0)
+    far = piga.Run.from_arrays(t, near.output + turns, f, scale_factor=K_G / G0, units="SI")
     cal = calibration_of(PLAIN, {"phi": 1e-4})
     a, b = piga.compensate(near, cal), piga.compensate(far, cal)
     assert np.abs(a.ax[1:] - b.ax[1:]).max() < 4.0 * np.spacing(turns) / (
@@ -260,13 +260,13 @@ def drifting(seconds: float = 40.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 @pytest.mark.compiled
 def test_a_part_of_the_record_is_compensated_at_its_own_time(tmp_path: Path) -> None:
     t, f, alpha = drifting()
-    whole = piga.Run.from_arrays(t, alpha, f, scale_factor="0.8884 rad/s/g")
+    whole = piga.Run.from_arrays(t, alpha, f, scale_factor="0.8884 rad/s/g", units="SI")
     path = tmp_path / "c.json"
     piga.calibrate(whole, ["scale_factor", "tan_beta", "k0", "k0_t"]).to_json(path)
     calibration = piga.Calibration.from_json(path)
     assert calibration["k0_t"].value == pytest.approx(1e-5, rel=1e-3)
     late = slice(300, None)
-    part = piga.Run.from_arrays(t[late], alpha[late], f[late], scale_factor="0.8884 rad/s/g")
+    part = piga.Run.from_arrays(t[late], alpha[late], f[late], scale_factor="0.8884 rad/s/g", units="SI")
     compensated = piga.compensate(part, calibration)
     velocity = G0 * (t - 0.6 * np.cos(0.5 * t))
     middle = np.diff(velocity[late]) / 0.1
@@ -277,14 +277,15 @@ def test_a_part_of_the_record_is_compensated_at_its_own_time(tmp_path: Path) -> 
 def test_rows_outside_the_calibrated_range_are_flagged() -> None:
     t, f, alpha = drifting(20.0)
     calibration = piga.calibrate(
-        piga.Run.from_arrays(t, alpha, f, scale_factor="0.8884 rad/s/g"), ["scale_factor", "tan_beta", "k0"]
+        piga.Run.from_arrays(t, alpha, f, scale_factor="0.8884 rad/s/g", units="SI"),
+        ["scale_factor", "tan_beta", "k0"],
     )
     low, high = calibration.diagnostics.range["a_x"]
     assert (low, high) == (f[:, 0].min(), f[:, 0].max())
     strong = f * [2.0, 1.0, 1.0]
     inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="200 arcsec")
     run = piga.Run.from_arrays(
-        t, piga.propagate(inst, t, strong, between="linear"), strong, scale_factor="0.8884 rad/s/g"
+        t, piga.propagate(inst, t, strong, between="linear"), strong, scale_factor="0.8884 rad/s/g", units="SI"
     )
     flagged = piga.compensate(run, calibration).flagged("out_of_range")
     assert flagged[1:].mean() > 0.5
@@ -338,7 +339,7 @@ def test_error_falls_with_the_sampling_interval(kind, sign):
         )
         source = run_of(fine, exact, phi=0.2, kind=kind)
         every = slice(None, None, round(1000.0 / rate))
-        record = piga.Run.from_arrays(t, source.output[every], f, scale_factor=K_G / G0, kind=kind)
+        record = piga.Run.from_arrays(t, source.output[every], f, scale_factor=K_G / G0, kind=kind, units="SI")
         cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.2})
         result = piga.compensate(record, cal).velocity()[-1]
         step = np.diff(fine)

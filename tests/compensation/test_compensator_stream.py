@@ -67,7 +67,7 @@ def test_one_sample_at_a_time_is_the_record():
     columns = {name: column[:300] for name, column in noisy_columns("angle").items()}
     del columns["base_rate"]
     columns["t"] = np.arange(300) * 0.01
-    run = piga.Run.from_arrays(columns["t"], columns["output"], columns["f"], scale_factor=K_G / G0)
+    run = piga.Run.from_arrays(columns["t"], columns["output"], columns["f"], scale_factor=K_G / G0, units="SI")
     whole = piga.compensate(run, CAL)
     stream = piga.Compensator(CAL)
     parts = [stream.push({name: column[i] for name, column in columns.items()}) for i in range(300)]
@@ -94,7 +94,9 @@ def test_a_record_with_a_gap_is_the_same_whole_and_streamed(kind):
     """The gap of 0.51 s begins a stretch in both, is counted, and is no interval of the record."""
     columns = {name: column[150:250] for name, column in noisy_columns(kind).items()}
     t, output, f = columns["t"], columns["output"], columns["f"]
-    run = piga.Run.from_arrays(t, output, f, scale_factor=K_G / G0, kind=kind, base_rate=columns["base_rate"])
+    run = piga.Run.from_arrays(
+        t, output, f, scale_factor=K_G / G0, kind=kind, base_rate=columns["base_rate"], units="SI"
+    )
     behind = int(np.argmax(t > 2.4))
     assert np.flatnonzero(run.begins).tolist() == [0, behind]
     assert [(event.kind, event.count, event.first_row) for event in run.quality.events] == [

@@ -48,7 +48,7 @@ def record(force, indicated, transverse=None, noise=0.0, seed=0):
     f[:, 0] = force[::FINE] * G0
     if transverse is not None:
         f[:, 1] = transverse[::FINE] * G0
-    return Run.from_arrays(np.arange(psi.size) * H, psi, f, scale_factor=K_G / G0)
+    return Run.from_arrays(np.arange(psi.size) * H, psi, f, scale_factor=K_G / G0, units="SI")
 
 
 def with_k2(k2=K2, **more):
@@ -156,7 +156,7 @@ def test_rate_samples_hide_nothing_but_are_flagged():
     force = 1.0 + white(6, 1.0, 5.0)
     rate = K_G * (force + K2 * force**2)[::FINE]
     f = np.zeros((rate.size, 3))
-    run = Run.from_arrays(np.arange(rate.size) * H, rate, f, scale_factor=K_G / G0, kind="rate")
+    run = Run.from_arrays(np.arange(rate.size) * H, rate, f, scale_factor=K_G / G0, kind="rate", units="SI")
     result = piga.compensate(run, with_k2())
     assert np.abs(result.ax / G0 - force[::FINE]).max() < 1e-9
     assert np.nanmax(result.u_ax) < 1e-9

@@ -107,6 +107,7 @@ def run_of(
         base_rate=base_rate,
         temperature=temperature,
         serial=serial,
+        units="SI",
     )
 
 

@@ -56,7 +56,7 @@ def calibrated(twin: TwinParameters) -> dict[str, float]:
     t = np.arange(8001) * STEP
     f = np.tile(np.array([0.8, 0.5, 0.3]) * G0, (t.size, 1))
     psi = run_twin(twin, t, f).alpha - twin.alpha0
-    record = Run.from_arrays(t, psi, f, scale_factor=twin.K)
+    record = Run.from_arrays(t, psi, f, scale_factor=twin.K, units="SI")
     values = {
         "scale_factor": twin.K * G0, "tan_beta": np.tan(twin.pick_off_null), "phi": twin.alpha0,
         "k2": predicted_k2(twin) * G0,

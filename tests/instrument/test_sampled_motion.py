@@ -471,7 +471,9 @@ def test_propagate_and_calibrate_mean_the_same_force_between_samples():
     inst = Instrument("0.8884 rad/s/g", "1000 arcsec", 0.785)
     left = {}
     for between in ("smooth", "linear"):
-        run = piga.Run.from_arrays(t, propagate(inst, t, f, between=between), f, scale_factor="0.8884 rad/s/g")
+        run = piga.Run.from_arrays(
+            t, propagate(inst, t, f, between=between), f, scale_factor="0.8884 rad/s/g", units="SI"
+        )
         with pytest.warns(piga.CalibrationWarning):
             cal = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"])
         left[between] = abs(cal["scale_factor"].value / 0.8884 - 1.0), abs(cal["k0"].value)

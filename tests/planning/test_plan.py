@@ -188,6 +188,7 @@ def test_no_plan_is_recommended_that_the_calibration_refuses(tmp_path):
             scale_factor="0.8884 rad/s/g",
             base_rate=log.base_rate,
             segment=log.segment,
+            units="SI",
         ),
         list(wish.model.terms),
     )
@@ -366,6 +367,7 @@ def check_repeats(folder, wish, repeats):
             scale_factor="0.8884 rad/s/g",
             base_rate=log.base_rate,
             segment=log.segment,
+            units="SI",
         )
         fit = fit_run(run, make_request(run, list(wish.model.terms), phases=wish.model.phases))
         named, _ = name_coefficients(fit.design, fit.solution, fit.solution.covariance)
@@ -475,7 +477,10 @@ def test_a_given_servo_is_a_source_of_the_plan(tmp_path, terms):
         prediction = predict(wish, "x", visits)
         return prediction.type_b[[c.name for c in prediction.coefficients].index("scale_factor")]
 
-    table = "servo = {{ integral_gain = {{ value = 3000.0, standard = {} }}, angular_momentum = 0.1 }}\n"
+    table = (
+        'servo = {{ integral_gain = {{ value = "3000 N m/(rad s)", standard = "{} N m/(rad s)" }}, '
+        'angular_momentum = "0.1 kg m^2/s" }}\n'
+    )
     plain, exact, known = moved(""), moved(table.format("0.0")), moved(table.format("60.0"))
     assert exact == pytest.approx(plain, rel=1e-3, abs=1e-12)
     part = 0.02 * 0.8884**2 * 0.1 / 6000.0 * 0.8884
@@ -486,7 +491,8 @@ def test_a_plan_refuses_a_faulty_servo(tmp_path):
     path = request(tmp_path).path
     text = path.read_text(encoding="utf-8")
     path.write_text(
-        text.replace("[instrument]\n", "[instrument]\nservo = { integral_gain = 3000.0 }\n"), encoding="utf-8"
+        text.replace("[instrument]\n", '[instrument]\nservo = { integral_gain = "3000 N m/(rad s)" }\n'),
+        encoding="utf-8",
     )
     with pytest.raises(RunFileError, match="one of pendulosity and angular_momentum"):
         read_plan(path)

@@ -30,7 +30,8 @@ def private():
 def warm():
     t = np.arange(300000) / 1000.0
     f = np.column_stack([9.8 + 0.1 * np.sin(t), 0.1 * t / 300, 0.0 * t])
-    run = piga.Run.from_arrays(t, np.cumsum(1e-3 * 0.0906 * f[:, 0]) + 1e-6 * np.sin(9 * t), f, scale_factor="0.8884 rad/s/g")
+    run = piga.Run.from_arrays(t, np.cumsum(1e-3 * 0.0906 * f[:, 0]) + 1e-6 * np.sin(9 * t), f, scale_factor="0.8884 rad/s/g",
+        units="SI")
     piga.calibrate(run, ["scale_factor", "k0"])
 
 arrays.LARGE_BYTES = int(sys.argv[2])

@@ -153,8 +153,9 @@ def test_an_array_of_records_is_a_table(run):
     [
         ({"output": "nothing"}, "no column 'nothing'"),
         ({"scale_factor": "0.9 rad"}, "a quantity in 'rad/s/g' is needed"),
-        ({"scale_factor": -1.0}, "must be positive"),
-        ({"units": {"fx": "g"}}, "reference: its columns have several units"),
+        ({"scale_factor": -1.0}, "scale_factor: -1.0 has no unit"),
+        ({"scale_factor": "-1 rad/s/g"}, "must be positive"),
+        ({"units": UNITS | {"fx": "mg"}}, "reference: its columns have several units"),
         ({"units": UNITS | {"psi": "K"}}, "does not measure the same quantity"),
         ({"kind": "counts"}, "counts_per_revolution is missing"),
         ({"reference": None}, "reference is missing"),
@@ -216,13 +217,13 @@ def test_a_stand_gives_the_reference_of_arrays():
     }  # fmt: skip
     t = np.arange(800) * 0.05
     run = piga.Run.from_arrays(
-        t, 0.8 * t, None, scale_factor=SCALE, segment=np.repeat(["up", "level"], 400), stand=stand
+        t, 0.8 * t, None, scale_factor=SCALE, segment=np.repeat(["up", "level"], 400), stand=stand, units="SI"
     )
     assert np.linalg.norm(run.f[0]) == pytest.approx(9.80166, rel=1e-9)
     assert abs(abs(run.f[0, 0]) - abs(run.f[-1, 0])) > 9.0
     assert run.base_rate is not None
     with pytest.raises(piga.ArgumentError, match="neither a reference nor a stand"):
-        piga.Run.from_arrays(t, t, None, scale_factor=SCALE)
+        piga.Run.from_arrays(t, t, None, scale_factor=SCALE, units="SI")
 
 
 @pytest.mark.parametrize(
@@ -329,12 +330,44 @@ def test_arrays_that_do_not_fit(change: dict[str, object], message: str) -> None
         name: value if isinstance(value, str) else np.array(value) for name, value in (given | change).items()
     }
     with pytest.raises(piga.ArgumentError, match=message):
-        Run.from_arrays(scale_factor="0.8884 rad/s/g", **arrays)
+        Run.from_arrays(scale_factor="0.8884 rad/s/g", **arrays, units="SI")
 
 
 def test_time_may_begin_anew_with_a_segment() -> None:
     run = Run.from_arrays(
         t=np.array([5.0, 6.0, 0.0, 1.0]), output=np.arange(4.0), f=np.ones((4, 3)), segment=np.array([0, 0, 1, 1]),
-        scale_factor="0.8884 rad/s/g",
+        scale_factor="0.8884 rad/s/g", units="SI",
     )  # fmt: skip
     assert run.size == 4
+
+
+def test_units_of_arrays_are_stated(run):
+    """Without a unit of the force, or of the scale factor, nothing is taken; the record in the units of a lab is the same."""
+    arrays = {"t": 1e3 * run.t, "output": np.degrees(run.output), "f": run.f / G0}
+    told = {"t": "ms", "output": "deg", "f": "g"}
+    with pytest.raises(
+        piga.PigaError, match=r"f: its unit is not stated\n  remedy: units='SI' if it is in m/s\^2"
+    ):
+        piga.Run.from_arrays(**arrays, scale_factor=SCALE, units=None)
+    with pytest.raises(piga.PigaError, match=r'scale_factor: 0.8884 has no unit\n  remedy: .*"0.8884 rad/s/g"'):
+        piga.Run.from_arrays(**arrays, scale_factor=0.8884, units=told)
+    with pytest.raises(piga.PigaError, match="units: there is no argument 'force'"):
+        piga.Run.from_arrays(**arrays, scale_factor=SCALE, units={"f": "g", "force": "g"})
+    with pytest.raises(piga.PigaError, match="units: f: unit 'deg' does not measure"):
+        piga.Run.from_arrays(**arrays, scale_factor=SCALE, units=told | {"f": "deg"})
+    celsius = {"temperature": np.full(run.size, 20.0)}
+    made = piga.Run.from_arrays(**arrays, **celsius, scale_factor=SCALE, units=told | {"temperature": "degC"})
+    assert made.temperature is not None
+    assert made.temperature[0] == 293.15
+    for name in ("t", "output", "f"):
+        assert np.allclose(getattr(made, name), getattr(run, name), rtol=1e-13, atol=1e-12), name
+    plain = piga.Run.from_arrays(run.t, run.output, run.f, scale_factor=run.scale_factor, units="SI")
+    assert plain.scale_factor == run.scale_factor
+
+
+def test_units_of_a_table_are_stated(run):
+    table = {name: column for name, column in a_table(run).items() if name != "position"}
+    for name in ("psi", "fy"):
+        units = {key: unit for key, unit in UNITS.items() if key != name}
+        with pytest.raises(piga.PigaError, match=f"units: that of column '{name}' is not stated"):
+            piga.Run.from_dataframe(table, time="ms", units=units, scale_factor=SCALE)

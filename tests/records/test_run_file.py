@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import piga
 from piga.records import read_run_file
-from tests.records.files import write_run
+from tests.records.files import lines, write_log, write_run
 
 
 def test_a_valid_file(tmp_path: Path) -> None:
@@ -151,3 +152,43 @@ def test_an_unknown_key_deep_in_a_list_is_refused_without_a_guess(tmp_path: Path
     path = write_run(tmp_path, data="time_zone = { a = 1 }")
     with pytest.raises(piga.RunFileError, match="unknown key 'time_zone'"):
         read_run_file(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [
+        (r"\[instrument\] scale_factor: 0.8884", ('"0.8884 rad/s/g"', "0.8884")),
+        (r"\[data\] settle: 20", ("[model]", "settle = 20\n[model]")),
+        (r"\[uncertainty\] reference_scale: 10", ("[model]", "[uncertainty]\nreference_scale = 10\n[model]")),
+        (
+            r"\[uncertainty\] gravity: 1e-06",
+            ("[model]", "[uncertainty]\ngravity = { standard = 1e-6 }\n[model]"),
+        ),
+        (r"\[model\] scale_factor_tolerance: 2", ("[model]", "[model]\nscale_factor_tolerance = 2")),
+        (r"\[model\] temperature_reference: 20", ("[model]", "[model]\ntemperature_reference = 20")),
+        (r"\[stand\] latitude: 52.3", ('reference = { columns = ["fx", "fy", "fz"], unit = "g" }\n', "")),
+    ],
+)
+def test_a_number_without_its_unit_is_refused_with_file_and_key(tmp_path, key, changes):
+    write_log(tmp_path, lines())
+    path = write_run(tmp_path)
+    stand = (
+        '[stand]\nkind = "dividing-head"\nlatitude = 52.3\npositions = ["0 deg"]\n' if "stand" in key else ""
+    )
+    path.write_text(path.read_text().replace(*changes) + stand)
+    with pytest.raises(piga.PigaError, match=rf'run.toml: {key} has no unit\n  remedy: write its unit, e.g. "'):
+        piga.read_run(path)
+
+
+def test_an_angle_folds_in_the_unit_of_its_column(tmp_path):
+    """A plain number has the unit of the column."""
+    rows = [f"{i / 20:.2f},{(29.16 * i) % 360.0:.4f},1.0,0.1,0.0" for i in range(40)]
+    write_log(tmp_path, rows)
+    read = {}
+    for fold in ("360", '"360 deg"'):
+        path = write_run(tmp_path)
+        angle = f'output = {{ column = "n", kind = "angle", unit = "deg", wraps_at = {fold} }}'
+        path.write_text(path.read_text().replace('output = { column = "n", kind = "counts" }', angle))
+        read[fold] = piga.read_run(path).output
+    assert np.array_equal(*read.values())
+    assert np.degrees(read["360"][-1]) == pytest.approx(39 * 29.16, abs=1e-3)

@@ -50,6 +50,6 @@ def test_bad_imperfections_are_named(values, words):
 
 def test_drawn_imperfections_have_the_stated_spread():
     rng = np.random.default_rng(5)
-    drawn = [imperfections({"reference_scale": 2e-6, "levelling": 3e-6}, rng=rng) for _ in range(2000)]
+    drawn = [imperfections({"reference_scale": "2 ppm", "levelling": "3 urad"}, rng=rng) for _ in range(2000)]
     assert np.std([d.reference_scale for d in drawn]) == pytest.approx(2e-6, rel=0.07)
     assert np.std([d.levelling for d in drawn]) == pytest.approx(3e-6, rel=0.07)

@@ -82,15 +82,17 @@ def test_servo_terms_are_prescribed_to_the_quasi_steady_model_and_predicted_of_t
     table = tomllib.loads(run_file_text(scenario, run_scenario(scenario), "run.parquet"))
     assert table["model"]["terms"] == ["scale_factor", "tan_beta", "k0", "servo", "servo_damping"]
     twin = SCENARIO.replace('"0:360:60 deg"', '"45:46:1 deg"').replace('dwell = "20 s"', 'dwell = "1 s"')
-    path.write_text(twin + '[twin]\nintegral_gain = 3000.0\n[run]\nmodel = "twin"\n', encoding="utf-8")
+    path.write_text(
+        twin + '[twin]\nintegral_gain = "3000 N m/(rad s)"\n[run]\nmodel = "twin"\n', encoding="utf-8"
+    )
     truth = truth_of(run_scenario(read_scenario(path)))
     assert truth["servo", None] == pytest.approx(0.8884 * 0.08884 / 6000.0)
     assert truth["servo_damping", None] == pytest.approx(0.05 * 0.8884**2 / 3000.0)
 
 
 SERVO = (
-    "servo = { integral_gain = { value = 3000.0, standard = 0.0 }, "
-    'damping = { value = "0.05 N m s/rad", standard = "0.005 N m s/rad" }, angular_momentum = 0.1 }\n'
+    'servo = { integral_gain = { value = "3000 N m/(rad s)", standard = 0.0 }, '
+    'damping = { value = "0.05 N m s/rad", standard = "0.005 N m s/rad" }, angular_momentum = "0.1 kg m^2/s" }\n'
 )
 
 
@@ -116,7 +118,7 @@ def test_given_servo_goes_into_the_run_file(tmp_path):
 
 @pytest.mark.compiled
 def test_faults_of_a_given_servo_name_the_scenario_and_the_key(tmp_path):
-    path = written(tmp_path, servo=(INSTRUMENT, INSTRUMENT + SERVO.replace("3000.0", "-1.0")))
+    path = written(tmp_path, servo=(INSTRUMENT, INSTRUMENT + SERVO.replace("3000", "-1")))
     with pytest.raises(RunFileError, match=r"integral_gain: must be positive") as refused:
         read_scenario(path)
     assert str(path) in str(refused.value)

@@ -21,7 +21,7 @@ def small_ramp(kind: str) -> piga.Run:
     inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec", alpha0=np.pi / 4)
     alpha, rate = piga.propagate(inst, t, f, with_rate=True, between="linear")
     output = rate if kind == "rate" else alpha - np.pi / 4
-    return piga.Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", kind=kind)
+    return piga.Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", kind=kind, units="SI")
 
 
 @pytest.mark.compiled

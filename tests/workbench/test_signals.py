@@ -25,7 +25,7 @@ def record(size: int, gaps: list[int], seed: int = 1) -> Run:
         t[gap:] += generator.uniform(1.0, 5.0)
     output = np.cumsum(generator.normal(size=size))
     f = np.column_stack((np.full(size, 9.8), generator.normal(size=size), np.zeros(size)))
-    return Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", serial="A")
+    return Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", serial="A", units="SI")
 
 
 RUN = """[instrument]
@@ -119,10 +119,10 @@ def test_moves_at_the_ends_of_positions_are_seen_and_a_turning_stand_is_not_one(
     angle[1990:2000] = np.linspace(1.0, 1.2, 10)
     t, f = 0.01 * np.arange(n), 9.8 * np.column_stack((np.cos(angle), np.sin(angle), np.zeros(n)))
     common = {"scale_factor": "0.8884 rad/s/g", "segment": np.repeat([0, 1, 2], 1000).astype(np.int32)}
-    outline = write(Run.from_arrays(t, t, f, **common), tmp_path / "a-1")
+    outline = write(Run.from_arrays(t, t, f, **common, units="SI"), tmp_path / "a-1")
     assert [(one.name, one.rows) for one in outline.moves] == [("1", (1001, 1039)), ("1", (1992, 2000))]
     turning = 9.8 * np.column_stack((np.cos(t), np.sin(t), np.zeros(n)))
-    assert write(Run.from_arrays(t, t, turning, **common), tmp_path / "b-1").moves == ()
+    assert write(Run.from_arrays(t, t, turning, **common, units="SI"), tmp_path / "b-1").moves == ()
     assert outline.left_out[0].name == "door"
     assert (outline.left_out[0].first, outline.left_out[0].last) == (pytest.approx(0.10), pytest.approx(0.20))
 
@@ -133,7 +133,9 @@ def test_the_thinned_copy_of_a_long_record_is_a_record(tmp_path: Path) -> None:
 
     t = 0.01 * np.arange(5000)
     f = np.column_stack((np.full(5000, 9.8), np.sin(t), np.zeros(5000)))
-    run = Run.from_arrays(t, 0.8884 / 9.80665 * 9.8 * t, f, scale_factor="0.8884 rad/s/g", serial="A")
+    run = Run.from_arrays(
+        t, 0.8884 / 9.80665 * 9.8 * t, f, scale_factor="0.8884 rad/s/g", serial="A", units="SI"
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(signals, "LONG", 4000)
         patch.setattr(signals, "THINNED", 1000)
@@ -149,7 +151,7 @@ def test_a_clock_that_starts_anew_is_shown_after(tmp_path: Path) -> None:
     t = np.concatenate((np.arange(1000), np.arange(500))) * 0.01
     run = Run.from_arrays(
         np.arange(1500) * 0.01, np.arange(1500.0), np.full((1500, 3), 9.8), scale_factor="0.8884 rad/s/g",
-        segment=np.repeat([0, 1], [1000, 500]).astype(np.int32),
+        segment=np.repeat([0, 1], [1000, 500]).astype(np.int32), units="SI",
     )  # fmt: skip
     object.__setattr__(run, "t", t)
     outline = write(run, tmp_path / "a-1")
@@ -234,7 +236,9 @@ def test_a_hundred_million_rows(tmp_path: Path) -> None:
 def test_temperature_is_shown_in_the_unit_of_the_record(tmp_path: Path) -> None:
     t = 0.01 * np.arange(100)
     kelvin = 293.15 + t
-    run = Run.from_arrays(t, t, np.full((100, 3), 9.8), scale_factor="0.8884 rad/s/g", temperature=kelvin)
+    run = Run.from_arrays(
+        t, t, np.full((100, 3), 9.8), scale_factor="0.8884 rad/s/g", temperature=kelvin, units="SI"
+    )
     shown = {}
     for name, unit in (("a-1", "degC"), ("b-1", "K")):
         (signal,) = (s for s in write(run, tmp_path / name, unit).signals if s.key == "temperature")

@@ -155,11 +155,13 @@ class TableStream(ArrowStream):
         yield from self._converted(iter(batches))
 
 
-def stated_units(table: object) -> dict[str, str]:
-    """Units by column in the ``attrs`` of a pandas data frame, as :meth:`to_dataframe` writes them."""
+def stated_units(table: object, arrow: Any) -> dict[str, str]:
+    """Units by column: of the fields of ``arrow``, and in the ``attrs`` of a pandas data frame (:meth:`to_dataframe`)."""
+    fields = {field.name: (field.metadata or {}).get(b"unit") for field in arrow.schema}
     attributes = getattr(table, "attrs", {})
     units = attributes.get("units", {}) if isinstance(attributes, dict) else {}
-    return {str(name): str(unit) for name, unit in units.items()} if isinstance(units, dict) else {}
+    own = {str(name): str(unit) for name, unit in units.items()} if isinstance(units, dict) else {}
+    return {name: unit.decode() for name, unit in fields.items() if unit} | own
 
 
 def as_arrow(table: object) -> Any:

@@ -15,7 +15,7 @@ from piga.errors import ArgumentError, PigaWarning
 from piga.records.calibration import Calibration
 from piga.records.terms import unit_of
 from piga.terms import MOTION, PRODUCTS, THERMAL_TERMS
-from piga.units import to_si
+from piga.units import si_or_text
 
 _MAX_BETA = 0.5 * math.pi
 Quantity = float | str
@@ -62,9 +62,9 @@ class Instrument:
     alpha0: float = 0.0
 
     def __init__(self, scale_factor: Quantity, beta: Quantity = 0.0, alpha0: Quantity = 0.0) -> None:
-        _set(self, "scale_factor", to_si(scale_factor, "rad/s/g", what="Instrument scale_factor"))
-        _set(self, "beta", to_si(beta, "rad", what="Instrument beta"))
-        _set(self, "alpha0", to_si(alpha0, "rad", what="Instrument alpha0"))
+        _set(self, "scale_factor", si_or_text(scale_factor, "rad/s/g", what="Instrument scale_factor"))
+        _set(self, "beta", si_or_text(beta, "rad", what="Instrument beta"))
+        _set(self, "alpha0", si_or_text(alpha0, "rad", what="Instrument alpha0"))
         if self.scale_factor <= 0.0:
             raise ArgumentError(
                 f"Instrument scale_factor: {scale_factor!r} is not positive",
@@ -150,7 +150,7 @@ class ErrorModel:
     def __post_init__(self) -> None:
         for field in fields(self):
             unit = "degC" if field.name == "T_ref" else unit_of(field.name)
-            _set(self, field.name, to_si(getattr(self, field.name), unit, what=f"ErrorModel {field.name}"))
+            _set(self, field.name, si_or_text(getattr(self, field.name), unit, what=f"ErrorModel {field.name}"))
 
     @classmethod
     def from_terms(cls, terms: Mapping[str, Quantity]) -> ErrorModel:

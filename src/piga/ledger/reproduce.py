@@ -30,6 +30,7 @@ from piga.ledger.store.store import Store
 from piga.records import Calibration, Coefficient
 from piga.records.calibration.document import to_document
 from piga.results import Result
+from piga.units import numbers_are_si
 
 ROUNDING = 1e-6
 """Difference allowed where the arithmetic differs, as a share of the standard uncertainty (own choice)."""
@@ -294,7 +295,7 @@ def reproduce(store: Store, name: str | int) -> Reproduced:
         raise StoreError(f"record {record.id} holds no run or no calibration", remedy="it cannot be recomputed")
     stored = store.calibration(record.id)
     wish = record.document.request
-    with tempfile.TemporaryDirectory(prefix="piga-") as folder:
+    with tempfile.TemporaryDirectory(prefix="piga-") as folder, numbers_are_si(_is_other(stored)):
         run = read_run(store.extract(record.id, Path(folder), inputs_only=True))
         recomputed = calibrate(
             run,

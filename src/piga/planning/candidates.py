@@ -151,6 +151,7 @@ def run_of(
         base_rate=rate,
         segment=segment,
         serial=request.table.instrument.serial,
+        units="SI",
     )
     return run if servo is None else replace(run, servo=servo.parameters())
 

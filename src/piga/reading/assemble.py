@@ -324,7 +324,7 @@ def _output_scale(run_file: RunFile, raw: RawColumns) -> OutputScale:
         return OutputScale(conversion_factor(_unit(raw, output.column, str(output.unit)), "rad/s"))
     if output.kind == "angle":
         factor = conversion_factor(_unit(raw, output.column, str(output.unit)), "rad")
-        span = None if output.wraps_at is None else to_si(output.wraps_at, "rad") / factor
+        span = None if output.fold is None else output.fold / factor
         revolution = 2.0 * np.pi / factor
     else:
         revolution = float(instrument.counts_per_revolution or 0.0)

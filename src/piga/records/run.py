@@ -195,6 +195,7 @@ class Run(Result, Plotted, Reported, Tabular):
         f: ArrayLike | None,
         *,
         scale_factor: float | str,
+        units: Mapping[str, str] | Literal["SI"] | None = None,
         kind: str = "angle",
         base_rate: ArrayLike | None = None,
         temperature: ArrayLike | None = None,
@@ -209,7 +210,7 @@ class Run(Result, Plotted, Reported, Tabular):
         stand: dict[str, object] | None = None,
         unit: str = GYRO,
     ) -> Run:
-        """Make a run from arrays in memory (SI). For counts, units, or rows with faults see :meth:`from_dataframe`.
+        """Make a run from arrays in memory. For counts, or rows with faults, see :meth:`from_dataframe`.
 
         A stretch begins with each segment and after each gap. A gap is an interval longer than 1.5 times the median
         interval, as in files.
@@ -217,12 +218,14 @@ class Run(Result, Plotted, Reported, Tabular):
         Parameters
         ----------
         t, output, f:
-            Time [s] and output [rad or rad/s] (n,), reference specific force [m/s^2] (n, 3). ``f`` may be None with
-            ``stand``, which then gives it.
+            Time and output (n,), reference specific force (n, 3). ``f`` may be None with ``stand``, which then gives it.
         scale_factor, kind:
-            Nominal K; ``"angle"`` (unwrapped) or ``"rate"``.
+            Nominal K, e.g. ``"0.8884 rad/s/g"``; ``"angle"`` (unwrapped) or ``"rate"``.
+        units:
+            ``"SI"``: every array, and a plain number as ``scale_factor``, is SI. Or units by argument, e.g.
+            ``{"f": "g", "output": "deg"}``: an argument that it does not name is SI, but ``f`` must be named.
         base_rate, temperature:
-            Inertial rate of the base [rad/s] (n, 3), and temperature [K] (n,).
+            Inertial rate of the base (n, 3), and temperature (n,).
         segment, labels:
             Segment of each sample (n,): numbers, or names. ``labels`` names the numbers, in rising order. A name that
             returns later is a new segment ``name#2``, as in files.
@@ -239,35 +242,52 @@ class Run(Result, Plotted, Reported, Tabular):
         Raises
         ------
         ArgumentError
-            If shapes do not match, a sample is not finite or time does not increase (the message names argument and
-            index), or if a table is not valid.
+            If the unit of ``f`` is not stated, shapes do not match, a sample is not finite or time does not increase (the
+            message names argument and index), or if a table is not valid.
         """
+        from piga.units import numbers_are_si
+
         if unit != GYRO:
             check_direct_unit(unit, "unit")
-        t, output = (np.ascontiguousarray(a, dtype=float) for a in (t, output))
+        si, told = units == "SI", {} if units is None or isinstance(units, str) else units
+        if f is not None and not si and "f" not in told:
+            raise ArgumentError(
+                "f: its unit is not stated", remedy="units='SI' if it is in m/s^2, or e.g. units={'f': 'g'}"
+            )
+        unknown = [name for name in told if name not in ("t", "output", "f", "base_rate", "temperature")]
+        if unknown:
+            raise ArgumentError(f"units: there is no argument '{unknown[0]}'", remedy="name arrays, e.g. 'f'")
+        t = _in_si("t", t, told, "s")
+        output = _in_si("output", output, told, unit if kind == "rate" else integral_unit(unit))
+        base_rate = None if base_rate is None else _in_si("base_rate", base_rate, told, "rad/s")
+        temperature = None if temperature is None else _in_si("temperature", temperature, told, "K")
         places, names = _segments(segment, labels, t.size)
         computed = f is None
         if f is None:
             if stand is None:
                 raise ArgumentError("f: there is neither a reference nor a stand", remedy="give f or stand")
             f, rate = doors.run_reference().stand_reference(stand, Path(), t, places, names)
-            base_rate = rate if base_rate is None and unit == GYRO else base_rate
-        f = np.ascontiguousarray(f, dtype=float)
+            f = np.ascontiguousarray(f)
+            base_rate = np.ascontiguousarray(rate) if base_rate is None and unit == GYRO else base_rate
+        else:
+            f = _in_si("f", f, told, "m/s^2")
         check_arrays(t, output, f, base_rate, temperature, places, kind)
         row = np.arange(1, t.size + 1, dtype=np.int64)
         base = examine_time(t, places, row)
         asked = _table("model", model, ModelTable).of(unit, "model terms")
         budget = _table("uncertainty", uncertainty, UncertaintyTable)
         check_waived(budget)
+        with numbers_are_si(si):
+            nominal = scale_factor_in(scale_factor, unit)
         return cls(
             serial=serial,
-            scale_factor=scale_factor_in(scale_factor, unit),
+            scale_factor=nominal,
             kind=kind,
             t=t,
             output=output,
             f=f,
-            base_rate=None if base_rate is None else np.ascontiguousarray(base_rate, dtype=float),
-            temperature=None if temperature is None else np.ascontiguousarray(temperature, dtype=float),
+            base_rate=base_rate,
+            temperature=temperature,
             segment_index=places,
             labels=names,
             begins=base.begins | _gaps(gaps, t.size),
@@ -293,7 +313,7 @@ class Run(Result, Plotted, Reported, Tabular):
         output: str = "psi",
         reference: Sequence[str] | None = ("fx", "fy", "fz"),
         kind: str = "angle",
-        units: Mapping[str, str] | None = None,
+        units: Mapping[str, str] | Literal["SI"] | None = None,
         base_rate: Sequence[str] | None = None,
         temperature: str | None = None,
         segment: str | None = None,
@@ -317,7 +337,7 @@ class Run(Result, Plotted, Reported, Tabular):
         table:
             The table.
         scale_factor:
-            Nominal K: SI, or text such as ``"0.8884 rad/s/g"``.
+            Nominal K, e.g. ``"0.8884 rad/s/g"``.
         time, output, reference, base_rate, temperature, segment:
             Names of the columns. ``reference=None`` with ``stand``: the stand gives it. ``time=None`` with ``sample_rate``.
             The time may be a column of dates (``datetime64``), times of day or durations; dates count from the first midnight.
@@ -325,7 +345,8 @@ class Run(Result, Plotted, Reported, Tabular):
             What the output is: ``"angle"``, ``"rate"`` or ``"counts"``.
         units:
             Unit of a column by its name, e.g. ``{"fx": "g", "fy": "g", "fz": "g"}``. Else the table's own
-            (:meth:`to_arrow`, :meth:`to_dataframe`); else SI.
+            (:meth:`to_arrow`, :meth:`to_dataframe`). A column in use that has none is refused; a time is then in seconds.
+            ``"SI"``: columns without a unit and plain numbers are SI.
         sample_rate, serial, counts_per_revolution, counter_bits, wraps_at, model, estimation, uncertainty, stand:
             As in the run file.
 
@@ -345,18 +366,19 @@ class Run(Result, Plotted, Reported, Tabular):
         >>> run.size, round(float(run.f[0, 0]), 5)
         (4, 9.80665)
         """
+        si = units == "SI"
         instrument = {
             "serial": serial,
-            "scale_factor": scale_factor,
+            "scale_factor": _told(scale_factor, "rad/s/(m/s^2)", si),
             "counts_per_revolution": counts_per_revolution,
             "counter_bits": counter_bits,
         }
         columns = {
             "time": None if sample_rate is not None else time,
-            "sample_rate": sample_rate,
+            "sample_rate": _told(sample_rate, "Hz", si),
             "output": output,
             "kind": kind,
-            "wraps_at": wraps_at,
+            "wraps_at": _told(wraps_at, "rad", si),
             "reference": reference,
             "base_rate": base_rate,
             "temperature": temperature,
@@ -369,7 +391,8 @@ class Run(Result, Plotted, Reported, Tabular):
             "uncertainty": msgspec.to_builtins(_table("uncertainty", uncertainty, UncertaintyTable)),
             "stand": stand,
         }
-        return doors.run_reference().run_from_table(table, columns, tables, dict(units or {}))
+        told = {} if units is None or isinstance(units, str) else dict(units)
+        return doors.run_reference().run_from_table(table, columns, tables, told, si=si)
 
     def between(self, start: float | str, stop: float | str) -> Run:
         """The samples with ``start <= t <= stop`` [s; or text, e.g. ``"8 min"``], as a run.
@@ -379,9 +402,11 @@ class Run(Result, Plotted, Reported, Tabular):
         ArgumentError
             If fewer than two samples are left.
         """
-        from piga.units import to_si
+        from piga.units import si_or_text
 
-        low, high = to_si(start, "s", what="between start"), to_si(stop, "s", what="between stop")
+        low, high = (
+            si_or_text(at, "s", what="between start" if at is start else "between stop") for at in (start, stop)
+        )
         return self._cut((self.t >= low) & (self.t <= high), f"between {low:g} and {high:g} s")
 
     def segment(self, *labels: str) -> Run:
@@ -471,6 +496,22 @@ def _table(name: str, given: T | dict[str, object] | None, kind: type[T]) -> T:
     except msgspec.ValidationError as error:
         example = " {'reference_scale': '10 ppm'}" if name == "uncertainty" else ""
         raise ArgumentError(f"{name}: {error}", remedy=f"the keys are those of the run file{example}") from None
+
+
+def _told(value: float | str | None, unit: str, si: bool) -> float | str | None:
+    """A plain number as text with its unit, if numbers are SI."""
+    return value if value is None or isinstance(value, str) or not si else f"{float(value)!r} {unit}"
+
+
+def _in_si(name: str, values: ArrayLike, units: Mapping[str, str], like: str) -> Array:
+    """An array in SI, contiguous. Without a unit in ``units`` it is in SI already."""
+    from piga.units import conversion_factor, offset_to_si
+
+    array = np.ascontiguousarray(values, dtype=float)
+    if name not in units:
+        return array
+    factor = conversion_factor(units[name], like, what=f"units: {name}")
+    return array * factor + offset_to_si(units[name])
 
 
 def _segments(

@@ -184,6 +184,13 @@ class OutputColumn(TomlTable, frozen=True):
         """True for counts and pulses."""
         return self.kind in ("counts", "pulses")
 
+    @property
+    def fold(self) -> float | None:
+        """Angle [rad] at which the output folds back; None if it does not. A plain number has the unit of the column."""
+        if self.wraps_at is None:
+            return None
+        return to_si(self.wraps_at, "rad", what="[data] output.wraps_at", unit=self.unit)
+
 
 class PositionColumn(TomlTable, frozen=True):
     """The angle or speed of the stand as logged. Each time at which it stands still is a segment; moves and ramps are left out."""
@@ -270,12 +277,12 @@ class ModelTable(TomlTable, frozen=True):
     phases: Phases = "shared"
     phase_source: PhaseSource = "output"
     temperature_reference: Quantity = "20 degC"
-    scale_factor_tolerance: Quantity = 0.01
+    scale_factor_tolerance: Quantity = "1 %"
 
     @property
     def tolerance(self) -> float:
         """Largest relative difference [1] of K from its nominal value with which a result may be used."""
-        return to_si(self.scale_factor_tolerance, "1", what="[model] scale_factor_tolerance")
+        return to_si(self.scale_factor_tolerance, "%", what="[model] scale_factor_tolerance")
 
     def of(self, output: str, where: str = "[model] terms") -> ModelTable:
         """The table for an instrument whose output rate has this unit: terms that nobody asked for are those of its kind.
@@ -561,7 +568,7 @@ def _check_output(run_file: RunFile) -> None:
                 "[data] output: wraps_at is for kind 'angle'",
                 remedy="for counts give [instrument] counter_bits",
             )
-        if to_si(output.wraps_at, "rad", what="[data] output.wraps_at") <= 0.0:
+        if output.fold is not None and output.fold <= 0.0:
             raise RunFileError("[data] output: wraps_at must be positive", remedy="e.g. '360 deg'")
     bits = instrument.counter_bits
     if bits is not None and not 1 <= bits <= 62:

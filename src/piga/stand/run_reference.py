@@ -11,7 +11,7 @@ A table in memory becomes a run here, too: with the same reading, checks and sta
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -297,15 +297,16 @@ SI = {
     "base_rate": "rad/s",
     "temperature": "K",
 }
-"""Unit of a column for which neither the caller nor the table states one."""
+"""SI unit of a column, by what it holds."""
 
 
 def run_from_table(
-    table: object, columns: dict[str, Any], tables: dict[str, Any], units: dict[str, str]
+    table: object, columns: dict[str, Any], tables: dict[str, Any], units: dict[str, str], *, si: bool
 ) -> Run:
     """A run from a table: :meth:`piga.Run.from_dataframe`.
 
     ``columns`` names the columns by their role, ``tables`` holds the other tables of a run file.
+    ``si``: columns without a unit are SI.
 
     Raises
     ------
@@ -315,7 +316,8 @@ def run_from_table(
         If the columns do not hold what the description says.
     """
     _check_names(columns)
-    own, arrow = stated_units(table), as_arrow(table)
+    arrow = as_arrow(table)
+    own = stated_units(table, arrow)
     at = arrow.schema.get_field_index(columns["time"] or "")
     timed = at >= 0 and is_time(arrow.schema.field(at).type)
     unknown = [name for name in units if name not in arrow.schema.names]
@@ -330,7 +332,9 @@ def run_from_table(
         )
     units = own | units | ({columns["time"]: "s"} if timed else {})
     try:
-        run_file = msgspec.convert(tables | {"data": _data(columns, units)}, RunFile)
+        run_file = msgspec.convert(
+            tables | {"data": _data(columns, units, () if si else arrow.schema.names)}, RunFile
+        )
         check_run_file(run_file)
         stream = TableStream(arrow, run_file.data.number_columns(), run_file.data.label_column)
         stream.units |= {name: unit for name, unit in units.items() if name in stream.units}
@@ -357,23 +361,32 @@ def _check_names(columns: dict[str, Any]) -> None:
             )
 
 
-def _data(columns: dict[str, Any], units: dict[str, str]) -> dict[str, Any]:
-    """The ``[data]`` table of a run file."""
+def _data(columns: dict[str, Any], units: dict[str, str], stated: Sequence[str]) -> dict[str, Any]:
+    """The ``[data]`` table of a run file. The units of the columns ``stated`` must be in ``units``; others are SI."""
+
+    def unit_of(column: str, like: str) -> str:
+        if column in stated and column not in units and like != "s":
+            raise ArgumentError(
+                f"units: that of column '{column}' is not stated",
+                remedy=f"add units={{'{column}': '{like}'}}, or units='SI' if all columns are in SI",
+            )
+        return units.get(column, like)
+
     kind = columns["kind"]
     output: dict[str, Any] = {"column": columns["output"], "kind": kind}
     if kind != "counts":
-        output["unit"] = units.get(columns["output"], SI.get(kind, "rad"))
+        output["unit"] = unit_of(columns["output"], SI.get(kind, "rad"))
     if columns["wraps_at"] is not None:
         output["wraps_at"] = columns["wraps_at"]
     data: dict[str, Any] = {"file": str(WHERE), "output": output}
     for name in ("time", "temperature"):
         column = columns[name]
         if column is not None:
-            data[name] = {"column": column, "unit": units.get(column, SI[name])}
+            data[name] = {"column": column, "unit": unit_of(column, SI[name])}
     for name in ("reference", "base_rate"):
         group = columns[name]
         if group is not None:
-            named = {units.get(column, SI[name]) for column in group}
+            named = {unit_of(column, SI[name]) for column in group}
             if len(named) > 1:
                 raise ArgumentError(
                     f"{name}: its columns have several units: {', '.join(sorted(named))}", remedy="use one unit"

@@ -87,7 +87,7 @@ class TemperatureTable(TomlTable, frozen=True):
 
     start: Kelvins = "20 degC"
     drift: Annotated[Quantity, in_unit("K/s")] = 0.0
-    swing: Kelvins = 0.0
+    swing: Kelvins = "0 K"
     period: Seconds = "1 d"
 
 

@@ -139,6 +139,7 @@ class SimulatedTest(Result, Plotted, Reported):
         return Run.from_dataframe(
             columns,
             scale_factor=self.specimen.instrument.scale_factor,
+            units="SI",
             output="output",
             kind=kind,
             base_rate=("wx", "wy", "wz"),

@@ -209,7 +209,7 @@ def record(profile: ForceHistory) -> Run:
     a_x = RAMP_TOP * G0 * (t / duration if profile == "ramp" else np.ones_like(t))
     f = np.outer(a_x, [1.0, TRANSVERSE, 0.0])
     _, output = propagate(INSTRUMENT, t, f, with_rate=True, between="linear")
-    return Run.from_arrays(t, output, f, scale_factor=SCALE, kind="rate", serial="published")
+    return Run.from_arrays(t, output, f, scale_factor=SCALE, kind="rate", serial="published", units="SI")
 
 
 @cache

@@ -47,7 +47,7 @@ def real_record() -> Run:
     stream = np.random.default_rng(_SEED)
     walk = _WALK * math.sqrt(_STEP) * np.cumsum(stream.standard_normal(t.size))
     psi = alpha - alpha[0] + walk + _COUNT_NOISE * stream.standard_normal(t.size)
-    return Run.from_arrays(t, psi, profile(t), scale_factor=SCALE, serial="five")
+    return Run.from_arrays(t, psi, profile(t), scale_factor=SCALE, serial="five", units="SI")
 
 
 @cache
@@ -59,7 +59,9 @@ def model_record() -> Run:
     a_x, a_Y = f[:, 0] / G0, f[:, 1] / G0
     phase = model_phase(real_record()) + TRUTH["phi"]
     error = TRUTH["tan_beta"] * a_Y * np.sin(phase) + TRUTH["k0"] + TRUTH["k1"] * a_x + TRUTH["k2"] * a_x**2
-    return Run.from_arrays(t, K * G0 * (a_x + error), f, scale_factor=SCALE, kind="rate", serial="five")
+    return Run.from_arrays(
+        t, K * G0 * (a_x + error), f, scale_factor=SCALE, kind="rate", serial="five", units="SI"
+    )
 
 
 @cache

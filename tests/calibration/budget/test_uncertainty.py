@@ -155,7 +155,7 @@ def test_counts_are_seen_in_a_log_of_angles() -> None:
     scenario = SCENARIOS["coarse"]
     run = scenario.record(np.random.default_rng(1))
     unknown = piga.Run.from_arrays(
-        run.t, run.output, run.f, scale_factor=run.scale_factor, segment=run.segment_index
+        run.t, run.output, run.f, scale_factor=run.scale_factor, segment=run.segment_index, units="SI"
     )
     assert count_of(unknown) == pytest.approx(scenario.count, rel=1e-9)
     free = SCENARIOS["static"].record(np.random.default_rng(1))

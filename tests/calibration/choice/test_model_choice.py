@@ -169,6 +169,7 @@ def test_blocks_when_there_is_one_segment():
         output + 1e-5 * np.random.default_rng(3).standard_normal(output.size),
         moving,
         scale_factor="0.8884 rad/s/g",
+        units="SI",
     )
     comparison = piga.compare_models(run, [["scale_factor"], ["scale_factor", "k0"]])
     assert (comparison.parted_by, comparison.parts, comparison.folds) == ("block", 10, 10)

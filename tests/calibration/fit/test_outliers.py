@@ -77,10 +77,10 @@ def test_increment_across_a_bad_sample_is_exact() -> None:
     inst = piga.Instrument(scale_factor=SCALE, beta=BETA)
     t, f, alpha = fine[::16], force[::16], piga.propagate(inst, fine, force, between="linear")[::16]
     alpha = alpha + 1e-7 * np.random.default_rng(1).standard_normal(t.size)
-    good = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE)
+    good = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE, units="SI")
     output = alpha.copy()
     output[2::5] += 0.01
-    bad = piga.Run.from_arrays(t, output, f, scale_factor=SCALE)
+    bad = piga.Run.from_arrays(t, output, f, scale_factor=SCALE, units="SI")
     terms = ["scale_factor", "tan_beta", "k0", "k2"]
     with_all, without = piga.calibrate(good, terms), piga.calibrate(bad, terms)
     assert sum(o.samples for o in without.outliers) == output[2::5].size
@@ -106,7 +106,7 @@ def test_rate_log() -> None:
     rate = rate + 1e-5 * rng.standard_normal(t.size)
     bad = rng.choice(t.size, 2000, replace=False)
     rate[bad] += rng.standard_normal(bad.size)
-    run = piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate")
+    run = piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate", units="SI")
     calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"])
     assert sum(o.samples for o in calibration.outliers) == pytest.approx(2000, abs=2)
     assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), abs=4.0 * calibration["tan_beta"].std)
@@ -126,7 +126,7 @@ def test_spikes_of_a_rate_log_do_not_turn_its_phase(size: float, bad: int) -> No
     rng = np.random.default_rng(3)
     rate += 1e-6 * rng.standard_normal(t.size)
     rate[rng.choice(np.arange(200, 500), bad, replace=False)] += size
-    run = piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate")
+    run = piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate", units="SI")
     calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"])
     assert sum(o.samples for o in calibration.outliers) == bad
     assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), rel=2e-3)
@@ -192,7 +192,9 @@ def test_errors_of_readings_come_back() -> None:
 def test_the_first_good_reading_begins_the_stretch() -> None:
     begins, flags = np.isin(np.arange(12), (0, 5)), np.zeros(12, dtype=np.int8)
     flags[[0, 5, 6]] = 1
-    run = piga.Run.from_arrays(0.1 * np.arange(12), np.arange(12.0), np.ones((12, 3)), scale_factor=SCALE)
+    run = piga.Run.from_arrays(
+        0.1 * np.arange(12), np.arange(12.0), np.ones((12, 3)), scale_factor=SCALE, units="SI"
+    )
     run = replace(run, begins=begins)
     cleaned, outliers = leave_out(run, Misses(np.zeros(12), np.full(12, 0.1), point=False), flags, free=False)
     assert np.flatnonzero(cleaned.begins).tolist() == [0, 1, 5, 7]
@@ -229,7 +231,9 @@ def slow_counter(rate: float) -> piga.Run:
     f[:, 0] = rate * count / 0.01 * (1.0 + 0.5 * np.sin(0.1 * t))
     alpha = np.append(0.0, np.cumsum(0.005 * (f[1:, 0] + f[:-1, 0])))
     alpha += 0.05 * count * np.random.default_rng(5).standard_normal(n)
-    return piga.Run.from_arrays(t, count * np.round(alpha / count), f, scale_factor=1.0, resolution=count)
+    return piga.Run.from_arrays(
+        t, count * np.round(alpha / count), f, scale_factor=1.0, resolution=count, units="SI"
+    )
 
 
 @pytest.mark.only_compiled
@@ -240,7 +244,9 @@ def test_counts_that_fit_to_the_last_bit_are_no_outliers(zero: int) -> None:
     t = np.arange(40) * 0.05
     output = (np.rint(10179.0 * t) + zero) * count
     force = np.tile(G0 * np.array([1.0, 0.1, 0.0]), (40, 1))
-    run = replace(piga.Run.from_arrays(t, output, force, scale_factor=0.8884 / G0), resolution=count)
+    run = replace(
+        piga.Run.from_arrays(t, output, force, scale_factor=0.8884 / G0, units="SI"), resolution=count
+    )
     with pytest.warns(piga.PigaWarning, match="Type A only"):
         calibration = piga.calibrate(run, ["scale_factor"])
     assert calibration.outliers == ()
@@ -255,7 +261,7 @@ def few_readings(rng: np.random.Generator, count: int, readings: int) -> piga.Ru
     feels = f + np.array([TRUTH["k0"] * G0, 0.0, 0.0])
     parts = [piga.propagate(inst, t[segment == k], feels[segment == k], between="linear") for k in range(count)]
     output = np.concatenate(parts) - 0.48 + 2.5e-5 * rng.standard_normal(t.size)
-    return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment)
+    return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment, units="SI")
 
 
 @pytest.mark.only_compiled
@@ -295,7 +301,9 @@ def test_spikes_of_a_log_of_rates() -> None:
     terms = ["scale_factor", "tan_beta", "k0"]
 
     def result(output: np.ndarray) -> piga.Calibration:
-        return piga.calibrate(piga.Run.from_arrays(t, output, f, scale_factor=SCALE, kind="rate"), terms)
+        return piga.calibrate(
+            piga.Run.from_arrays(t, output, f, scale_factor=SCALE, kind="rate", units="SI"), terms
+        )
 
     spoilt = rate.copy()
     spoilt[[17, 18, 101, 333]] += [0.5, -0.4, 0.9, -0.7]

@@ -381,11 +381,11 @@ def test_what_is_asked_for_is_estimated_even_where_it_is_given():
 @pytest.mark.parametrize(
     ("servo", "message"),
     [
-        ({"integral_gain": 3000.0}, "one of pendulosity and angular_momentum"),
-        ({"integral_gain": -1.0, "pendulosity": 0.009}, "integral_gain: must be positive"),
-        ({"integral_gain": "3 N m", "pendulosity": 0.009}, "integral_gain"),
+        ({"integral_gain": "3000 N m/(rad s)"}, "one of pendulosity and angular_momentum"),
+        ({"integral_gain": "-1 N m/(rad s)", "pendulosity": "0.009 kg m"}, "integral_gain: must be positive"),
+        ({"integral_gain": "3 N m", "pendulosity": "0.009 kg m"}, "integral_gain"),
         (
-            {"integral_gain": Given("3 N m/(rad s)", standard="-1 N m/(rad s)"), "pendulosity": 1.0},
+            {"integral_gain": Given("3 N m/(rad s)", standard="-1 N m/(rad s)"), "pendulosity": "1 kg m"},
             "is negative",
         ),
     ],

@@ -24,6 +24,7 @@ def run_of(log, white=2e-7, walk=2e-8, seed=1):
         scale_factor=0.88 / G,
         base_rate=log.base_rate,
         segment=log.segment,
+        units="SI",
     )
 
 

@@ -86,6 +86,7 @@ def _rows(run: piga.Run, mask: np.ndarray) -> piga.Run:
         scale_factor=run.scale_factor,
         segment=run.segment_index[mask],
         serial=run.serial,
+        units="SI",
     )
     return replace(made, estimation=run.estimation)
 

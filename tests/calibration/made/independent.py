@@ -85,6 +85,7 @@ class Bench:
             segment=np.repeat(np.arange(len(self.forces), dtype=np.int32), size),
             temperature=None if self.warmth is None else 293.15 + self.warmth(t.ravel()),
             serial="independent",
+            units="SI",
         )
 
     def record(self, seed: int) -> piga.Run:

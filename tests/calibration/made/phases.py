@@ -57,6 +57,7 @@ def record(seed: int, tangent: float) -> tuple[piga.Run, dict[str, float]]:
         uncertainty={"waived": {"earth_rate": "simulated at rest"}},
         scale_factor="0.8884 rad/s/g",
         segment=np.concatenate(segment),
+        units="SI",
     )
     return run, {"scale_factor": K * G0, "tan_beta": tangent, "k0": k0 / G0, "m_Y": m_Y}
 

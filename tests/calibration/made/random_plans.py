@@ -32,7 +32,12 @@ def problem(seed: int) -> tuple[piga.Run, dict[str, float]]:
     alpha = piga.propagate(inst, t, f + np.array([truth["k0"] * G0, 0.0, 0.0]), between="linear")
     output = alpha - truth["phi"] + 2e-5 * rng.standard_normal(t.size)
     run = piga.Run.from_arrays(
-        t, output, f, uncertainty={"waived": {"earth_rate": "simulated at rest"}}, scale_factor="0.8884 rad/s/g"
+        t,
+        output,
+        f,
+        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+        scale_factor="0.8884 rad/s/g",
+        units="SI",
     )
     known = EstimationTable(angle_rms="2e-5 rad", angle_random_walk="1e-8 rad/sqrt(s)")
     return replace(run, estimation=known), truth

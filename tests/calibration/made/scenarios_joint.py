@@ -82,6 +82,7 @@ def _run(
         scale_factor=SCALE,
         segment=segment,
         serial="synthetic",
+        units="SI",
     )
 
 

@@ -101,6 +101,7 @@ def record(path: Motion, rng: np.random.Generator) -> piga.Run:
         base_rate=path.base_rate,
         segment=path.segment,
         serial="twin",
+        units="SI",
     )
 
 

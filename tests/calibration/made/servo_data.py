@@ -64,7 +64,7 @@ def recorded(
     return Run.from_arrays(
         np.concatenate(t), output, np.vstack(f),
         uncertainty={"waived": {"earth_rate": "simulated at rest"}}, scale_factor=0.8884 / G0, segment=np.concatenate(segment),
-        base_rate=np.vstack(omega) if np.any(base) else None, resolution=count,
+        base_rate=np.vstack(omega) if np.any(base) else None, resolution=count, units="SI",
     )  # fmt: skip
 
 

@@ -68,6 +68,7 @@ def record(
         segment=segment,
         resolution=count_angle,
         serial="synthetic",
+        units="SI",
     )
 
 

@@ -37,7 +37,7 @@ def record(rate: float, seconds: float) -> piga.Run:
     )
     f, turn = (np.array([swaying(s)[i] for s in t]) for i in (0, 1))
     psi = solution.y[0] - PHI + 1e-8 * np.random.default_rng(0).standard_normal(t.size)
-    return piga.Run.from_arrays(t, psi, f, scale_factor="0.8884 rad/s/g", base_rate=turn)
+    return piga.Run.from_arrays(t, psi, f, scale_factor="0.8884 rad/s/g", base_rate=turn, units="SI")
 
 
 @pytest.mark.compiled
@@ -55,7 +55,7 @@ def test_static_positions_are_straight_lines() -> None:
     position = t >= 10.0
     f = G0 * np.where(position[:, None], [0.1, 0.9, 0.3], [0.8, -0.5, 0.1])
     turn = np.where(position[:, None], [1e-5, 5e-5, 0.0], [5e-5, -1e-5, 0.0])
-    run = piga.Run.from_arrays(t, 0.8 * t, f, scale_factor="0.8884 rad/s/g", base_rate=turn)
+    run = piga.Run.from_arrays(t, 0.8 * t, f, scale_factor="0.8884 rad/s/g", base_rate=turn, units="SI")
     terms = ("scale_factor", "tan_beta", "k0")
     request = Request(terms, "shared", "output", "information", None, None, 293.15)
     design = Design(run, request, run.scale_factor)

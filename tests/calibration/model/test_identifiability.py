@@ -120,7 +120,7 @@ def test_a_phase_that_no_sample_shows_is_not_determined_and_spoils_nothing() -> 
         psi.append(turned + 1e-5 * generator.standard_normal(count))
     run = piga.Run.from_arrays(
         np.concatenate(t), np.concatenate(psi), np.concatenate(f), scale_factor=inst.scale_factor,
-        segment=np.concatenate(segment), serial="P", uncertainty={"waived": {"earth_rate": "simulated"}},
+        segment=np.concatenate(segment), serial="P", uncertainty={"waived": {"earth_rate": "simulated"}}, units="SI",
     )  # fmt: skip
     cal = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], phases="per-segment")
     assert np.isfinite(cal.covariance).all()
@@ -145,7 +145,13 @@ def tumble(angles: list[float]) -> piga.Run:
     x = np.repeat(np.radians(angles), 11)
     f = 9.80665 * np.column_stack([np.cos(x), -np.sin(x), np.zeros_like(x)])
     return piga.Run.from_arrays(
-        t, 0.09 * f[:, 0], f, scale_factor=0.09, kind="rate", segment=np.repeat(np.arange(len(angles)), 11)
+        t,
+        0.09 * f[:, 0],
+        f,
+        scale_factor=0.09,
+        kind="rate",
+        segment=np.repeat(np.arange(len(angles)), 11),
+        units="SI",
     )
 
 

@@ -158,7 +158,7 @@ def test_a_log_of_rates_is_judged_too(good):
     f = 0.5 * (good.f[1:] + good.f[:-1])[inside]
     run = piga.Run.from_arrays(
         0.5 * (good.t[1:] + good.t[:-1])[inside], np.diff(good.output)[inside] / step, f,
-        scale_factor=good.scale_factor, kind="rate", segment=good.segment_index[1:][inside],
+        scale_factor=good.scale_factor, kind="rate", segment=good.segment_index[1:][inside], units="SI",
     )  # fmt: skip
     terms = ("scale_factor", "k0")
     assert advised(run, terms) == ""

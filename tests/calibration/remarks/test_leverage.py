@@ -101,7 +101,9 @@ def test_positions_that_all_scatter_are_not_named_one_by_one():
 def test_one_segment_has_no_leverage():
     run = SCENARIOS["static"].record(np.random.default_rng(2))
     keep = run.segment_index == 0
-    alone = piga.Run.from_arrays(run.t[keep], run.output[keep], run.f[keep], scale_factor=run.scale_factor)
+    alone = piga.Run.from_arrays(
+        run.t[keep], run.output[keep], run.f[keep], scale_factor=run.scale_factor, units="SI"
+    )
     assert not piga.calibrate(alone, ["k1"]).diagnostics.leverage
 
 

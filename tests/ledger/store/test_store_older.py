@@ -38,7 +38,7 @@ def store(version: Path, request: pytest.FixtureRequest, tmp_path: Path) -> Stor
 
 
 def test_there_is_a_corpus() -> None:
-    assert "0.1.0" in VERSIONS
+    assert VERSIONS == ["0.1.0", "0.2.0"]
 
 
 def test_everything_is_still_there(version: Path, store: Store) -> None:
@@ -71,6 +71,7 @@ def test_files_come_out_as_they_went_in(version: Path, store: Store, tmp_path: P
 
 
 def test_every_calibration_can_be_recomputed(version: Path, tmp_path: Path) -> None:
+    """In the run file of 0.2.0 no number has a unit: they are SI, as they were."""
     shutil.copy(version / "store.sqlite", tmp_path / "lab.sqlite")
     with open_store(tmp_path / "lab.sqlite") as store:
         for record in store.records():

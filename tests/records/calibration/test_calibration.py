@@ -88,7 +88,7 @@ def test_the_model_of_a_calibration_makes_its_record():
     t = np.arange(40_000) * 0.001
     f = G0 * np.column_stack([0.8 + 0.6 * np.sin(0.7 * t), 0.5 * np.cos(0.4 * t), 0.2 + 0 * t])
     alpha = piga.propagate(made.instrument(0.4), t, f, error_model=made.error_model(), between="linear")
-    again = piga.Run.from_arrays(t[::10], alpha[::10], f[::10], scale_factor="0.8884 rad/s/g")
+    again = piga.Run.from_arrays(t[::10], alpha[::10], f[::10], scale_factor="0.8884 rad/s/g", units="SI")
     calibration = piga.calibrate(again, ["scale_factor", "tan_beta", "k0"])
     for name in made:
         assert calibration[name].si == pytest.approx(made[name].si, abs=1e-6)

@@ -50,7 +50,7 @@ def rate_log(rows: int, seed: int = 1) -> piga.Run:
     f = np.column_stack([a, np.zeros(rows), np.zeros(rows)])
     rate = K * (a + 300e-6 * G0 + 5e-6 * a**2 / G0 + 2e-6 * G0 * rng.standard_normal(rows))
     run = piga.Run.from_arrays(
-        np.arange(rows) * 1.0, rate, f, scale_factor="0.8884 rad/s/g", kind="rate", serial="G-0417"
+        np.arange(rows) * 1.0, rate, f, scale_factor="0.8884 rad/s/g", kind="rate", serial="G-0417", units="SI"
     )
     waived = dict.fromkeys(("reference_misalignment", "timing", "vibration", "earth_rate"), "simulated")
     stated = UncertaintyTable(reference_scale="0.2 ppm", reference_bias="0.3e-6 g", waived=waived)

@@ -35,7 +35,14 @@ def rate_log(f_unit: float = 1.0, harmonic: float = 0.0, **options) -> piga.Run:
     rate = K * (a + 300e-6 * G0) + 2e-7 * rng.standard_normal(400)
     rate = rate + harmonic * np.sin(np.arange(400) / 7.0)
     return piga.Run.from_arrays(
-        np.arange(400.0), rate, f / f_unit, scale_factor="0.8884 rad/s/g", kind="rate", serial="G-1", **options
+        np.arange(400.0),
+        rate,
+        f / f_unit,
+        scale_factor="0.8884 rad/s/g",
+        kind="rate",
+        serial="G-1",
+        **options,
+        units="SI",
     )
 
 
@@ -228,7 +235,7 @@ def centrifuge(tilt: float, **uncertainty) -> piga.Run:
     stand = {"kind": "centrifuge", "latitude": "40 deg", "levels": ["1 g"]}
     return piga.Run.from_arrays(
         np.arange(320.0), rate, f, scale_factor=K, kind="rate", stand=stand, uncertainty=uncertainty,
-        segment=np.repeat(np.arange(8), 40),
+        segment=np.repeat(np.arange(8), 40), units="SI",
     )  # fmt: skip
 
 
@@ -306,7 +313,7 @@ def test_a_height_that_is_not_stated_is_a_source_and_g_is_stated():
         rate = K * 9.80172 * np.repeat(np.cos(x), 11) + 1e-8 * np.random.default_rng(3).standard_normal(132)
         run = piga.Run.from_arrays(
             t, rate, None, scale_factor=K, kind="rate", segment=np.repeat(np.arange(12), 11), stand=stand | site,
-            uncertainty={"reference_scale": "1 ppm"},
+            uncertainty={"reference_scale": "1 ppm"}, units="SI",
         )  # fmt: skip
         return piga.calibrate(run, ["scale_factor", "k0", "m_Y"], "rate")
 

@@ -25,7 +25,7 @@ from piga.records.calibration import (
 from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
 from piga.records.run_file import PHASE_SOURCES, check_direct_unit
 from piga.records.terms import GYRO, check_name, scale_factor_in, unit_of
-from piga.units import from_si, to_si
+from piga.units import from_si, numbers_are_si, to_si
 
 WHERE = "Calibration.from_coefficients"
 _KEY = re.compile(r"([^\[\]]+)(?:\[(.+)\])?")
@@ -146,7 +146,8 @@ def _matrix(named: list[Coefficient], covariance: ArrayLike | None) -> np.ndarra
 
 def _nominal(named: list[Coefficient], given: float | str | None, unit: str) -> float:
     estimated = next((c.value_si for c in named if c.name == "scale_factor"), None)
-    nominal = estimated if given is None else scale_factor_in(given, unit, f"{WHERE} scale_factor_nominal")
+    with numbers_are_si(True):
+        nominal = estimated if given is None else scale_factor_in(given, unit, f"{WHERE} scale_factor_nominal")
     if nominal is not None:
         if not nominal > 0.0:
             raise ArgumentError(f"{WHERE}: the scale factor must be positive", remedy="reverse the input axis")
