@@ -53,5 +53,6 @@ html_static_path = [
 ]  # MathJax in one file, letters as outlines: no font, no network
 mathjax_path = "tex-svg.js"
 html_css_files = ["piga.css"]
+html_js_files = ["piga.js"]
 html_copy_source = False
 html_show_sourcelink = False
