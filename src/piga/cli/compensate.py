@@ -263,22 +263,22 @@ def _single(
             record, calibration, out, kind, progress=advance, watch=watch, inputs=inputs,
             resampler=None if options.period is None else Resampler(options.period), **arguments,
         )  # fmt: skip
-    repairs = found_while_reading(record)
+    document = {
+        "rows": summary.rows,
+        "velocity_m_s": summary.velocity,
+        "u_velocity_m_s": summary.u_velocity if options.uncertainty else None,
+        "flags": summary.flags,
+        "repairs": found_while_reading(record),
+        "notes": summary.notes,
+        "inputs": inputs_listed(inputs),
+    }
     if page is not None and outline is not None:
         phase_used = "of the calibration"
         if options.phase is not None:
             phase_used = f"{options.phase.value:.6g} rad, standard uncertainty {options.phase.std:.2g} rad"
         words = {"method": check_method(options.method, calibration), "phase used": phase_used}
         data = inputs[1][0] if len(inputs) > 2 else inputs[0][0]
-        _write_page(outline, (data,), inputs, options.in_words(**words), page, repairs, summary.notes, whole)
-    document = {
-        "rows": summary.rows,
-        "velocity_m_s": summary.velocity,
-        "flags": summary.flags,
-        "repairs": repairs,
-        "notes": summary.notes,
-        "inputs": inputs_listed(inputs),
-    }
+        _write_page(outline, (data,), inputs, options.in_words(**words), page, document, whole)
     return document, calibrations
 
 
@@ -324,20 +324,20 @@ def _together(
             for path, one in zip(paths, calibrations, strict=True)
         )
         files = list(dict.fromkeys((one["file"], one["sha256"]) for one in summary["inputs"]))
-        _write_page(
-            outline, names, files, options.in_words(method="exact"), page, summary["repairs"], summary["notes"]
-        )
+        _write_page(outline, names, files, options.in_words(method="exact"), page, summary)
     return summary, calibrations
 
 
 def _write_page(
     outline: CompensationOutline, names: tuple[str, ...], files: list[tuple[str, str]], options: dict[str, str],
-    page: Path, repairs: dict[str, int], notes: tuple[str, ...], whole: tuple[Run, Compensated] | None = None,
+    page: Path, summary: dict[str, Any], whole: tuple[Run, Compensated] | None = None,
 ) -> None:  # fmt: skip
     from piga.reports.compensation.page import CompensationFacts, compensation_page
     from piga.reports.render.page import write_page
 
-    facts = CompensationFacts(names, files, options, repairs, notes)
+    u = summary["u_velocity_m_s"] or ()
+    u_velocity = (u,) if isinstance(u, float) else tuple(u)
+    facts = CompensationFacts(names, files, options, summary["repairs"], summary["notes"], u_velocity)
     with progress("writing the report"):
         write_page(compensation_page(outline, facts, whole), page)
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.compensation import data as at
 from piga._kernels.compensation.sample import Rows, Samples, compensate_record
+from piga._kernels.compensation.terms import SUMS
 from piga.compensation.model import (
     Limits,
     Model,
@@ -22,6 +23,7 @@ from piga.compensation.model import (
     make_model,
     needs_phase,
     phases,
+    velocity_variance,
 )
 from piga.compensation.result import Compensated, note_on_vibration, notes_on
 from piga.errors import ArgumentError, CalibrationError
@@ -87,7 +89,7 @@ def run_kernel(model: Model, state: Any, chunk: Chunk, kind: str, rows: Rows) ->
 def empty_rows(n: int, uncertainty: bool, flags: bool) -> Rows:
     """Arrays for ``n`` rows; those that are not wanted are empty."""
     marks = np.empty(n if flags else 0, dtype=np.int32)
-    return Rows(np.empty(n), np.empty(n), np.empty(n if uncertainty else 0), marks)
+    return Rows(np.empty(n), np.empty(n), np.empty(n if uncertainty else 0), marks, np.zeros(SUMS))
 
 
 ROW_KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle")
@@ -149,7 +151,7 @@ class Compensator:
         self._uncertainty, self._flags = uncertainty, flags
         self._typical, self._limits = np.nan if step is None else step, limits
         self._age = age_flag(calibration, max_age_days)
-        self._models: dict[str | None, Model] = {}
+        self._models: dict[str | None, tuple[Model, Array]] = {}
         self.take_segment(segment)
         self._state = init_state() if state is None else state.copy()
         if step is not None:
@@ -163,6 +165,12 @@ class Compensator:
     def remarks(self) -> tuple[str, ...]:
         """What the samples so far showed: vibration near the Nyquist frequency."""
         return note_on_vibration(self._state, self._kind == "rate", self._calibration)
+
+    def u_velocity(self) -> float:
+        """Standard uncertainty of the sum of all ``dv`` so far [m/s]; nan without uncertainty (docs/theory/compensation)."""
+        if not self._uncertainty:
+            return math.nan
+        return math.sqrt(velocity_variance(self._calibration, self._models.values()))
 
     @property
     def needs_temperature(self) -> bool:
@@ -178,11 +186,12 @@ class Compensator:
             If the calibration does not contain it.
         """
         if segment not in self._models:
-            self._models[segment] = make_model(
+            model = make_model(
                 self._calibration, method=self.method, segment=segment, phase=self._phase,
                 limits=self._limits, flag=self._age, typical=self._typical,
             )  # fmt: skip
-        self._model = self._models[segment]
+            self._models[segment] = model, np.zeros(SUMS)
+        self._model, self._sums = self._models[segment]
 
     def push(self, chunk: Mapping[str, ArrayLike] | Run | Chunk) -> Compensated:
         """Compensate the next samples.
@@ -204,16 +213,17 @@ class Compensator:
         samples = chunk if isinstance(chunk, Chunk) else self._samples(self._columns(chunk))
         rows = empty_rows(samples.t.size, self._uncertainty, self._flags)
         self.push_into(samples, rows)
-        return Compensated(samples.t, *rows, self.serial, self.method, self.notes)
+        return Compensated(samples.t, *rows[:4], self.serial, self.method, self.notes)
 
     def push_into(self, samples: Chunk, rows: Rows) -> None:
         """Compensate the next samples into arrays that exist."""
-        before = self._state.copy()
+        before, rows = self._state.copy(), rows._replace(sums=self._sums.copy())
         run_kernel(self._model, self._state, samples, self._kind, rows)
         if not math.isfinite(rows.dv.sum()):
             self._state = before
             _check_finite(samples)
             raise ArgumentError("chunk: its numbers are too large to compute with", remedy="check the units")
+        self._sums[:] = rows.sums
 
     def _columns(self, chunk: Mapping[str, ArrayLike] | Run) -> Mapping[str, Any]:
         """Columns of a chunk. A record has its own stretches; only its first sample is checked against the stream."""
@@ -340,14 +350,15 @@ def compensate(
     rows = empty_rows(record.size, uncertainty, flags)
     report(progress, 0, record.size, "compensating")
     for part, _, chunk in pieces_of(record, stream):
-        stream.push_into(chunk, Rows(rows.ax[part], rows.dv[part], rows.u[part], rows.flags[part]))
+        stream.push_into(chunk, Rows(rows.ax[part], rows.dv[part], rows.u[part], rows.flags[part], rows.sums))
         report(progress, part.stop, record.size, "compensating")
     return Compensated(
         record.t,
-        *rows,
+        *rows[:4],
         record.serial,
         stream.method,
         stream.notes + stream.remarks(),
+        stream.u_velocity(),
         made_from=(record, calibration),
     )
 

@@ -6,6 +6,7 @@ A set is also compensated whole in memory (:func:`compensate_set`). The set file
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -91,7 +92,7 @@ def compensate_set(
         parts.append(part)
         solved += part.size
         report(progress, solved, size, "compensating")
-    return replace(joined_set(parts), notes=stream.notes + stream.remarks())
+    return replace(joined_set(parts), notes=stream.notes + stream.remarks(), u_velocity=stream.u_velocity())
 
 
 def joined_set(parts: Sequence[CompensatedSet]) -> CompensatedSet:
@@ -99,7 +100,7 @@ def joined_set(parts: Sequence[CompensatedSet]) -> CompensatedSet:
     if len(parts) == 1:
         return parts[0]
     lengths = {"misfit": 1, "each": 1}
-    arrays = [field.name for field in fields(CompensatedSet) if field.name != "notes"]
+    arrays = [field.name for field in fields(CompensatedSet) if field.name not in ("notes", "u_velocity")]
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts], axis=lengths.get(name, 0))
         for name in arrays
@@ -324,6 +325,7 @@ def compensate_set_files(
     return {
         "rows": rows,
         "velocity_m_s": velocity.tolist(),
+        "u_velocity_m_s": stream.u_velocity().tolist(),
         "flags": {k: v for k, v in counts.items() if v},
         "repairs": found_while_reading(*records),
         "notes": stream.remarks(),
@@ -405,10 +407,11 @@ Watch = Callable[[str, Chunk, Compensated], object]
 
 @dataclass(eq=False)
 class FileSummary:
-    """Totals of a written file: rows, velocity [m/s], rows per flag, and notes."""
+    """Totals of a written file: rows, velocity and its standard uncertainty [m/s], rows per flag, and notes."""
 
     rows: int = 0
     velocity: float = 0.0
+    u_velocity: float = math.nan
     flags: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -481,6 +484,6 @@ def compensate_to_file(
             summary.add(part)
             if part.size:
                 writer.write(part.columns())
-        summary.notes = stream.remarks()
+        summary.notes, summary.u_velocity = stream.remarks(), stream.u_velocity()
         writer.close(summary.notes)
     return summary

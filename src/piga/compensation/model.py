@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.compensation import data as at
+from piga._kernels.compensation import terms as kernels
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.terms import harmonic, si_factor
@@ -100,13 +102,16 @@ class Model:
     """One instrument for one phase, for the kernels.
 
     ``instrument``: one record of :class:`piga._kernels.compensation.data.Instrument`. ``more``: its harmonics and the
-    covariance of its coefficients. ``base_flag``: flags that are valid for all rows.
+    covariance of its coefficients. ``base_flag``: flags that are valid for all rows. ``places``: place of each of these
+    coefficients in the calibration; -1: a phase that is given, with the standard uncertainty ``phase_std`` [rad].
     """
 
     instrument: Any
     more: at.Covariance
     base_flag: int
     needs_temperature: bool
+    places: tuple[int, ...]
+    phase_std: float
 
 
 def make_model(
@@ -151,13 +156,40 @@ def make_model(
     }.items():  # fmt: skip
         instrument[name] = value
     orders = sorted({wave[1] for name in values if (wave := harmonic(name)) and wave[1] > 1})
+    codes, factor, places = _covariance_factor(calibration, used, phase)
     more = at.Covariance(
         np.array(orders, dtype=float),
         np.array([values.get(f"s{n}", 0.0) for n in orders], dtype=float),
         np.array([values.get(f"c{n}", 0.0) for n in orders], dtype=float),
-        *_covariance_factor(calibration, used, phase),
+        codes,
+        factor,
     )
-    return Model(instrument, more, flag, any(name in values for name in THERMAL_TERMS))
+    warm = any(name in values for name in THERMAL_TERMS)
+    return Model(instrument, more, flag, warm, places, 0.0 if phase is None else phase.std)
+
+
+def velocity_variance(calibration: Calibration, parts: Iterable[tuple[Model, Array]]) -> float:
+    """Variance of a velocity [m^2/s^2] from the sums of its rows (:func:`piga._kernels.compensation.terms.add_to_velocity`).
+
+    ``parts``: a model for each segment, and its sums. The coefficients act on all rows together, the noise of the angle at the
+    ends of each stretch only (docs/theory/compensation).
+    """
+    slope, given, variance = np.zeros(len(calibration.coefficients)), 0.0, 0.0
+    total = np.zeros(kernels.SUMS)
+    for model, sums in parts:
+        total += sums
+        for place, value in zip(model.places, sums, strict=False):
+            if place < 0:
+                given += value * model.phase_std
+            else:
+                slope[place] += value
+        p = model.instrument[0]
+        gain = sums[kernels.GAIN] / sums[kernels.TIME] if sums[kernels.TIME] > 0.0 else 1.0
+        noise = 2.0 * p["white"] * sums[kernels.STRETCHES] + p["walk"] * sums[kernels.TIME]
+        variance += gain * float(noise) / float(p["K"]) ** 2
+    slope *= [si_factor(c.name) for c in calibration.coefficients]
+    variance += float(slope @ calibration.covariance @ slope) + given**2
+    return variance + float(total[kernels.DOUBT] + total[kernels.HIDDEN] ** 2 + total[kernels.DEAD] ** 2)
 
 
 def needs_phase(calibration: Calibration) -> bool:
@@ -215,8 +247,8 @@ def _code(name: str) -> int:
 
 def _covariance_factor(
     calibration: Calibration, used: tuple[Coefficient, ...], phase: Phase | None
-) -> tuple[NDArray[np.int64], Array]:
-    """Codes of the uncertain coefficients in falling order, and a triangular factor of their covariance in SI."""
+) -> tuple[NDArray[np.int64], Array, tuple[int, ...]]:
+    """Codes of the uncertain coefficients in falling order, a triangular factor of their covariance in SI, and their places."""
     index = {c.key: i for i, c in enumerate(calibration.coefficients)}
     count = len(used)
     matrix = np.zeros((count, count))
@@ -240,8 +272,10 @@ def _covariance_factor(
     keep = values > 1e-12
     root = (vectors[:, keep] * np.sqrt(values[keep])) * (size * units[spread])[:, None]
     codes = np.array([_code(c.name) for c, some in zip(used, spread, strict=True) if some], dtype=np.int64)
+    places = [index[c.key] if i in inside else -1 for i, c in enumerate(used) if spread[i]]
     order = np.argsort(-codes)
-    return codes[order], np.ascontiguousarray(np.linalg.qr(root[order].T, mode="r"))
+    factor = np.ascontiguousarray(np.linalg.qr(root[order].T, mode="r"))
+    return codes[order], factor, tuple(places[i] for i in order)
 
 
 def check_method(method: str | None, calibration: Calibration) -> str:

@@ -220,6 +220,9 @@ class Compensated(Result, Plotted, Reported, Tabular):
     notes:
         Notes that every display of ``u_ax`` must show, from :func:`notes_on` and :func:`note_on_vibration`; files contain
         them too.
+    u_velocity:
+        Standard uncertainty of the sum of ``dv`` [m/s]; nan for a part of a stream, and without uncertainty. That of a single
+        ``dv`` is ``u_ax`` times the interval.
     made_from:
         The record and the calibration, for :meth:`plot` and :meth:`report`. A pickle leaves them out.
     """
@@ -232,6 +235,7 @@ class Compensated(Result, Plotted, Reported, Tabular):
     serial: str = ""
     method: str = "exact"
     notes: tuple[str, ...] = field(default=())
+    u_velocity: float = math.nan
     made_from: tuple[Run, Calibration] | None = field(default=None, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -255,6 +259,8 @@ class Compensated(Result, Plotted, Reported, Tabular):
             ("rows", str(self.size)),
             ("velocity", f"{float(self.dv.sum()):.6g} m/s"),
         ]
+        if math.isfinite(self.u_velocity):
+            facts.append(("u of the velocity", f"{self.u_velocity:.2g} m/s"))
         if self.u_ax.size:
             facts.append(("u_ax, median", f"{float(np.nanmedian(self.u_ax)):.3g} m/s^2"))
         if self.flags.size:
@@ -335,7 +341,8 @@ class CompensatedSet(Result, Plotted, Tabular):
 
     ``plot()`` shows specific force in the common frame, and its uncertainty.
 
-    ``t`` [s]; ``f`` (n, 3) [m/s^2], ``dv`` (n, 3) [m/s], ``u_f`` (n, 3) [m/s^2] (or (0, 3)). ``residual``
+    ``t`` [s]; ``f`` (n, 3) [m/s^2], ``dv`` (n, 3) [m/s], ``u_f`` (n, 3) [m/s^2] (or (0, 3)). ``u_velocity`` (3,) or empty: standard
+    uncertainty of the sum of ``dv`` [m/s]. ``residual``
     [m/s^2] is the root of the summed squared misfits of the instruments (0 for three). ``flags`` are those of one
     instrument; a flag is set if it is set for any instrument.
     """
@@ -349,6 +356,7 @@ class CompensatedSet(Result, Plotted, Tabular):
     misfit: Array = field(default_factory=lambda: np.zeros((0, 0)))
     each: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
     notes: tuple[str, ...] = ()
+    u_velocity: Array = field(default_factory=lambda: np.zeros(0))
 
     def _subject(self) -> ModuleType:
         return doors.shown_compensation()

@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from piga._kernels.compensation import data as at
 from piga._kernels.compensation.set import MEMBER, SetCovariance, SetPast, SetRows, SetSamples
 from piga._kernels.compensation.set import compensate_set as set_kernel
+from piga._kernels.compensation.terms import SUMS
 from piga.compensation.compensator import find_begins
-from piga.compensation.model import Limits, Phase, age_flag, make_model
+from piga.compensation.model import Limits, Phase, age_flag, make_model, velocity_variance
 from piga.compensation.result import CompensatedSet, note_on_vibration, notes_on
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
@@ -165,10 +166,19 @@ class SetCompensator:
         self._threshold = fault_threshold(self._count - 3)
         self._past = SetPast(at.records(self._count, at.PAST), np.zeros(3), np.zeros((2, 3, 3)))
         self._members = at.records(self._count, MEMBER)
+        self._sums = np.zeros((self._count, 3, SUMS))
 
     def remarks(self) -> tuple[str, ...]:
         """What the samples so far showed: vibration near the Nyquist frequency."""
         return note_on_vibration(self._past.past, self._sampled, *self._calibrations)
+
+    def u_velocity(self) -> Array:
+        """Standard uncertainty of the sum of all ``dv`` so far [m/s], (3,); empty without uncertainty."""
+        each = zip(self._calibrations, self._models, self._sums, strict=True)
+        if not self._uncertainty:
+            return np.zeros(0)
+        variances = [[velocity_variance(c, [(model, one)]) for one in sums] for c, model, sums in each]
+        return np.sqrt(np.sum(variances, axis=0))
 
     def push(
         self,
@@ -211,7 +221,7 @@ class SetCompensator:
                 "temperature: missing, and a calibration has temperature terms",
                 remedy="give the temperature [K] of each instrument, shape (N, n)",
             )
-        before = SetPast(*(array.copy() for array in self._past))
+        before, sums = SetPast(*(array.copy() for array in self._past)), self._sums.copy()
         marks = find_begins(self._past.past[:1], time) if begins is None else np.asarray(begins, dtype=np.bool_)
         u = np.empty((n if self._uncertainty else 0, 3))
         result = CompensatedSet(
@@ -227,12 +237,13 @@ class SetCompensator:
         set_kernel(
             SetSamples(time, marks, psi, rates, omega, warm), self._instruments, self._more, self._axes, self._flag,
             self._threshold, self._past, self._members,
-            SetRows(result.f, result.dv, result.u_f, result.residual, result.flags, result.misfit, result.each),
+            SetRows(result.f, result.dv, result.u_f, result.residual, result.flags, result.misfit, result.each, sums),
         )  # fmt: skip
         last = psi[:, -1:].sum() + (result.f if self._sampled else result.dv).sum()
         if not math.isfinite(last):
             self._past = before
             _check_finite(output=psi, rate=rates, base_rate=omega, temperature=warm)
+        self._sums = sums
         return result
 
 

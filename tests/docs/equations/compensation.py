@@ -102,6 +102,25 @@ def _uncertainty() -> Iterator[Pair]:
     yield literal, piga.compensate(run, calibration).u_ax[1], 1e-4 * literal
 
 
+@equation("inverse-velocity")
+def _velocity() -> Iterator[Pair]:
+    """A bias and noise over two stretches; a force of zero in the dead zone alone."""
+    r, q, u_k0, h = 2e-6, 1e-6, 3e-6, 0.01
+    calibration = calibration_of(
+        {"scale_factor": K_G, "k0": 0.0}, {"k0": u_k0}, angle_rms=r, angle_random_walk=q
+    )
+    t = np.concatenate((h * np.arange(6), 1.0 + h * np.arange(9)))
+    columns = {"t": t, "output": K * F0[0] * t, "f": np.tile(F0, (t.size, 1))}
+    stream = piga.Compensator(calibration)
+    stream.push(columns)
+    duration = 13 * h
+    yield stream.u_velocity() ** 2, (u_k0 * G0 * duration) ** 2 + (2 * r**2 * 2 + q**2 * duration) / K**2, 1e-18
+    locked = piga.Compensator(calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.0}))
+    still = np.tile([0.0, G0, 0.0], (6, 1))
+    locked.push({"t": h * np.arange(6), "output": np.zeros(6), "f": still})
+    yield locked.u_velocity(), 5 * h * G0 * TAN_BETA / np.sqrt(3), 1e-12
+
+
 @equation("inverse-published")
 def _published() -> Iterator[Pair]:
     run = run_of(T, FORCE, phi=PHI)

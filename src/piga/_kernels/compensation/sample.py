@@ -45,6 +45,9 @@ from piga._kernels.arithmetic import bow_of, limited, sine_cosine
 from piga._kernels.compensation import data as at
 from piga._kernels.compensation.data import Covariance, Inputs, Instrument, Past, Sample
 from piga._kernels.compensation.terms import (
+    STRETCHES,
+    add_to_velocity,
+    dead_zone,
     flags_of,
     harmonics,
     invert_terms,
@@ -424,7 +427,15 @@ def turn_phase(p: Instrument, past: Past) -> None:
 
 @inline_exact
 def compensate_sample(
-    p: Instrument, more: Covariance, past: Past, now: Sample, h: float, kind: int, warm: bool, work: Array
+    p: Instrument,
+    more: Covariance,
+    past: Past,
+    now: Sample,
+    h: float,
+    kind: int,
+    warm: bool,
+    work: Array,
+    sums: Array,
 ) -> tuple[float, float, float, int]:
     """Force [m/s^2], velocity increment [m/s], standard uncertainty of the force [m/s^2] and flags at one sample.
 
@@ -442,6 +453,8 @@ def compensate_sample(
         The temperature is recorded.
     work:
         Room for the regressors; empty: no uncertainty is wanted.
+    sums:
+        Sums for the uncertainty of the velocity; updated.
 
     Returns
     -------
@@ -460,6 +473,7 @@ def compensate_sample(
     else:
         begin_stretch(p, past, now)
         keep_sample(past, now, now.psi, p.phi, 0.0)
+        sums[STRETCHES] += 1.0
         return math.nan, 0.0, math.nan, at.NO_INCREMENT
     x, indicated = seen.inputs, seen.force
     if more.orders.size:
@@ -471,6 +485,8 @@ def compensate_sample(
     if work.size:
         variance = variance_by_coefficients(more, p, x, a, work) + hidden * hidden
         u = uncertainty(p, x, a, variance, derivative)
+        dead = math.sqrt(dead_zone(p, x.a_Y, x.a_Z, a))
+        add_to_velocity(sums, more.codes.size, work, h, derivative, x.doubt, hidden, dead)
     flags = flags_of(p, x, a, warm) | (at.VIBRATION if shaken else 0)
     keep_sample(past, now, seen.psi, p.phi, a)
     if kind == ANGLE:
@@ -498,12 +514,16 @@ class Samples(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Results (n,): ``ax`` [m/s^2], ``dv`` [m/s], ``u`` [m/s^2] and flags; the last two may be empty."""
+    """Results (n,): ``ax`` [m/s^2], ``dv`` [m/s], ``u`` [m/s^2] and flags; the last two may be empty.
+
+    ``sums``: those of :func:`.terms.add_to_velocity`, updated.
+    """
 
     ax: Array
     dv: Array
     u: Array
     flags: NDArray[np.int32]
+    sums: Array
 
 
 @exact
@@ -531,7 +551,7 @@ def compensate_record(
             samples.temperature[j] - p.T_0 if warm else 0.0,
         )
         h = 0.0 if samples.begins[j] or last.seen == 0.0 else now.t - last.t
-        ax, dv, u, flags = compensate_sample(p, more, last, now, h, kind, warm, work)
+        ax, dv, u, flags = compensate_sample(p, more, last, now, h, kind, warm, work, rows.sums)
         rows.ax[j], rows.dv[j] = ax, dv
         if rows.u.size:
             rows.u[j] = u

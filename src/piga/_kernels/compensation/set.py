@@ -34,6 +34,8 @@ from piga._kernels.compensation.sample import (
 )
 from piga._kernels.compensation.terms import (
     TWELFTH,
+    add_to_velocity,
+    dead_zone,
     flags_of,
     harmonics,
     servo_error,
@@ -147,7 +149,8 @@ class SetRows(NamedTuple):
     """Results: ``force`` [m/s^2], ``dv`` [m/s], (n, 3); ``u`` (n, 3) or (0, 3): not wanted, empty ``flags`` alike.
 
     ``residual`` (n,) is the root of the sum of squared misfits [m/s^2]. ``misfits`` [m/s^2] and flags ``each`` of the
-    single instruments, (N, n) or (N, 0): not wanted.
+    single instruments, (N, n) or (N, 0): not wanted. ``sums`` (N, 3, SUMS): those of :func:`.terms.add_to_velocity` for each
+    instrument and component, updated.
     """
 
     force: Array
@@ -157,6 +160,7 @@ class SetRows(NamedTuple):
     flags: NDArray[np.int32]
     misfits: Array
     each: NDArray[np.int32]
+    sums: Array
 
 
 class Solution(NamedTuple):
@@ -434,7 +438,7 @@ def compensate_set(
     count, sampled, warm = instruments.size, samples.rate.shape[1] > 0, samples.temperature.shape[1] > 0
     turning, detailed, wanted = samples.base_rate.shape[1] > 0, rows.each.shape[1] > 0, rows.u.shape[0] > 0
     found = Solution(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros(2))
-    work, doubts = np.empty(at.MOST_TERMS), np.zeros(count)
+    work, doubts = np.empty((count, at.MOST_TERMS)), np.zeros(count)
     for j in range(samples.t.size):
         first = last.past[0]
         h = 0.0 if samples.begins[j] or first.seen == 0.0 else samples.t[j] - first.t
@@ -464,16 +468,41 @@ def compensate_set(
                 if wanted or count > 3:
                     if not sampled:
                         doubts[i] = doubt_of_member(p, axes[i], last.past[i], h, found, m)
-                    m.weight = weigh(p, covariance_of(all_of, i), inputs_of(p, m, h, doubts[i]), m, work)
+                    m.weight = weigh(p, covariance_of(all_of, i), inputs_of(p, m, h, doubts[i]), m, work[i])
             if count > 3:
                 solve_row(instruments, axes, members, first, h, sampled, last.early[WEIGHTED], found)
             elif wanted:
                 invert_normal(members, found)
+            if wanted:
+                add_velocities(instruments, all_of, members, h, doubts, work, found.inverse, rows.sums)
         write_row(j, h, sampled, found, last.force, rows)
         flag_row(j, h, sampled, base_flag, warm, instruments, axes, members, found, threshold, detailed, rows)
         for i in range(count):
             kept = doubts[i] if h != 0.0 and last.past[i].h1 != 0.0 else 0.0
             keep_interval(last.past[i], h, 0.0, 0.0, 0.0, kept)
+
+
+@exact
+def add_velocities(
+    instruments: Any,
+    all_of: SetCovariance,
+    members: Any,
+    h: float,
+    doubts: Array,
+    work: Array,
+    inverse: Array,
+    sums: Array,
+) -> None:
+    """Add the row to the sums of each instrument and component; the gain is how its indication moves the component."""
+    for i in range(instruments.size):
+        p, m = instruments[i], members[i]
+        dead = math.sqrt(dead_zone(p, m.a_Y, m.a_Z, m.a_x))
+        for axis in range(3):
+            n = inverse[axis]
+            gain = m.weight * (n[0] * m.axis_x + n[1] * m.axis_y + n[2] * m.axis_z)
+            add_to_velocity(
+                sums[i, axis], all_of.codes.shape[1], work[i], h, gain, doubts[i], m.hidden, abs(gain) * dead
+            )
 
 
 @exact

@@ -170,13 +170,45 @@ def uncertainty(p: Instrument, x: Inputs, a: float, variance: float, derivative:
     """Standard uncertainty of ``a_x`` [m/s^2]: coefficients, noise of the output, motion between samples, dead zone."""
     inverse = 1.0 / (p.K * p.K)
     noise = (2.0 * p.white * inverse * x.per + p.walk * inverse) * x.per
-    u = math.sqrt(variance + noise + x.doubt * x.doubt) * abs(derivative)
-    dead, size = p.tan_beta * math.sqrt(x.a_Y * x.a_Y + x.a_Z * x.a_Z), abs(a)
-    dead = abs(dead)
+    square = (variance + noise + x.doubt * x.doubt) * derivative * derivative
+    return math.sqrt(square + dead_zone(p, x.a_Y, x.a_Z, a))
+
+
+@inline_exact
+def dead_zone(p: Instrument, a_Y: float, a_Z: float, a: float) -> float:
+    """Variance of ``a_x`` by the dead zone [m^2/s^4]; 0 far from it."""
+    dead, size = abs(p.tan_beta) * math.sqrt(a_Y * a_Y + a_Z * a_Z), abs(a)
     if size >= NEAR * dead:
-        return u
+        return 0.0
     share = 1.0 if size <= dead else (NEAR * dead - size) / ((NEAR - 1.0) * dead)
-    return math.sqrt(u * u + dead * dead / 3.0 * share)
+    return dead * dead / 3.0 * share
+
+
+TIME, GAIN, STRETCHES, DOUBT, HIDDEN, DEAD = range(at.MOST_TERMS, at.MOST_TERMS + 6)
+SUMS = at.MOST_TERMS + 6
+"""Places and number of the sums for the uncertainty of a velocity; before them those of the coefficients."""
+
+
+@inline_exact
+def add_to_velocity(
+    sums: Array, count: int, work: Array, h: float, gain: float, doubt: float, hidden: float, dead: float
+) -> None:
+    """Add a row to the sums over rows from which the uncertainty of the velocity follows.
+
+    ``work``: derivatives of the indicated force by ``count`` coefficients. ``gain``: derivative of the force by the indicated
+    one. ``doubt``, ``hidden``, ``dead``: uncertainty by the motion between samples, by rectification and by the dead zone
+    [m/s^2].
+    """
+    for k in range(count):
+        sums[k] += gain * h * work[k]
+    size = abs(gain) * h
+    sums[TIME] += h
+    sums[GAIN] += gain * size
+    sums[DOUBT] += (size * doubt) ** 2
+    sums[HIDDEN] += size * hidden
+    sums[DEAD] += h * dead
+    if h == 0.0:
+        sums[STRETCHES] += 1.0
 
 
 @inline_exact

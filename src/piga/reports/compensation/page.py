@@ -52,6 +52,7 @@ class CompensationFacts:
 
     ``names`` of the instruments. ``files`` are all files read, each with the SHA-256 of the bytes read. ``options``: as
     given, in words. ``repairs``: number of rows by kind, counted while reading. ``notes``: those of the result.
+    ``u_velocity``: standard uncertainty of the velocity along each component [m/s], if it is known.
     """
 
     names: tuple[str, ...]
@@ -59,6 +60,7 @@ class CompensationFacts:
     options: dict[str, str]
     repairs: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    u_velocity: tuple[float, ...] = ()
 
 
 def figures(result: Compensated | CompensatedSet) -> dict[str, Callable[[], Figure]]:
@@ -91,7 +93,9 @@ def page(result: Compensated) -> Page:
     outline = CompensationOutline(run.kind, calibration)
     outline.record(run, result)
     data = Path(run.source).name or "arrays in memory", next(iter(run.input_sha256.values()), "")
-    facts = CompensationFacts((data[0],), (data,), {"method": result.method}, notes=result.notes)
+    facts = CompensationFacts(
+        (data[0],), (data,), {"method": result.method}, notes=result.notes, u_velocity=(result.u_velocity,)
+    )
     return compensation_page(outline, facts, (run, result))
 
 
@@ -120,7 +124,7 @@ def compensation_page(
     return Page(
         title=f"Compensation of {serial if single else f'{len(outline.mounted)} instruments'}",
         subtitle=f"{', '.join(facts.names)}; {count(outline.size)} rows; the output is of kind {outline.kind}.",
-        tiles=_tiles(outline),
+        tiles=_tiles(outline, facts),
         sections=tuple(sections),
         judgement=_judgement(outline, facts),
         kicker="piga · compensation",
@@ -160,11 +164,13 @@ def _together(outline: CompensationOutline, kind: str) -> str:
     return _micro_g(math.hypot(*(outline.sums.rms(f"{kind} {name}") for name in outline.components)))
 
 
-def _tiles(outline: CompensationOutline) -> tuple[Tile, ...]:
+def _tiles(outline: CompensationOutline, facts: CompensationFacts) -> tuple[Tile, ...]:
     velocity = ", ".join(printed(short(float(v), 4)) for v in outline.velocity)
     axes = "" if len(outline.velocity) == 1 else " x, y, z"
+    known = [printed(short(u, 2)) for u in facts.u_velocity if math.isfinite(u)]
+    u = f"standard uncertainty {', '.join(known)} m/s; " if known else ""
     tiles = [
-        Tile(f"Velocity{axes}", velocity, "m/s", "sum of dv; time between stretches is not counted"),
+        Tile(f"Velocity{axes}", velocity, "m/s", f"{u}sum of dv; time between stretches is not counted"),
         Tile("Correction, rms", _together(outline, "correction"), "µg", "indicated less compensated"),
     ]
     if outline.sums.has(f"u {outline.components[0]}"):
