@@ -259,6 +259,18 @@ def test_hostile_text_stays_text(cal):
     assert html.count("</style>") == 1
 
 
+def test_gravity_of_the_certificate_is_that_of_the_reference(cal):
+    """9.80166 m/s^2 in the example; K depends on it one to one."""
+    limit = cal["scale_factor"].std / cal["scale_factor"].value
+    for change, wrong in ((0.0, False), (0.9 * limit, False), (-1.1 * limit, True), (1.1 * limit, True)):
+        used = f"{9.80166 * (1.0 + change):.12g} m/s^2, from [stand] gravity"
+        items = missing_items(complete(), replace(cal, gravity=used))
+        assert (
+            any("Local gravity" in item and f"{1e6 * abs(change):.3g} ppm" in item for item in items) == wrong
+        )
+    assert not missing_items(complete(), replace(cal, gravity=""))
+
+
 def test_unknown_keys_are_named(tmp_path):
     path = tmp_path / "c.toml"
     path.write_text('[laboratory]\nnam = "x"\n')

@@ -255,6 +255,7 @@ def missing_items(
         *_evaluated_before(data, calibration),
         *_adjustment(data, calibration, before),
         *_numbers(data, calibration),
+        *_gravity(data, calibration),
         *_conformity(data, calibration),
     ]
     return missing
@@ -290,6 +291,25 @@ def _conditions(data: CertificateFile) -> Iterator[str]:
             quantity_text(condition.uncertainty or condition.value)
         except UnitError as error:
             yield f"[[environment]] {condition.name} (7.8.4.1 b): {error.message}"
+
+
+def _gravity(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
+    """The local gravity of the environment against that of the reference, measured by what the difference does to K."""
+    K = next((c for c in calibration.coefficients if c.name == "scale_factor"), None)
+    number = calibration.gravity.partition(" m/s^2")[0]
+    for condition in data.environment:
+        if K is None or not number or "gravity" not in condition.name.lower():
+            continue
+        try:
+            stated, used = to_si(condition.value, "m/s^2", what=condition.name), float(number)
+        except UnitError:
+            continue
+        if abs(used / stated - 1.0) > K.std / abs(K.value):
+            yield (
+                f"[[environment]] {condition.name} (7.8.4.1 b): {condition.value}, but the reference contains "
+                f"{calibration.gravity}: K differs by {1e6 * abs(used / stated - 1.0):.3g} ppm, "
+                f"its standard uncertainty is {1e6 * K.std / abs(K.value):.3g} ppm"
+            )
 
 
 def quantity_text(text: str) -> tuple[float, str]:
