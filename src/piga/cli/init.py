@@ -42,6 +42,14 @@ def init(
             help="A value of the run file, e.g. instrument.scale_factor='0.8884 rad/s/g'. May be repeated.",
         ),
     ] = None,
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--column",
+            metavar="NAME=KIND",
+            help="What a column holds: time, counts, angle, 'force x [g]', stand-speed, ... May be repeated.",
+        ),
+    ] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Take all guesses; do not ask.")] = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -60,8 +68,9 @@ def init(
         raise ArgumentError(f"--out {target}: the name must end in .toml", remedy="e.g. run.toml")
     check_outputs([target], [log], force=force)
     given = dict(setting(text) for text in settings or [])
+    told = {name: kind for name, _, kind in (text.rpartition("=") for text in columns or [])}
     with progress(f"reading {log.name}"):
-        described = describe_log(log)
+        described = describe_log(log, told)
     draft = draft_run_file(described, given, folder=target.parent)
     asking = not (yes or as_json) and sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     if asking:
@@ -82,7 +91,7 @@ def init(
     for line in (line for lines in draft.comments.values() for line in lines if line.startswith("CHECK")):
         say(line)
     if tried is None:
-        _say_open(log, draft, target, settings or [])
+        _say_open(described, draft, target, settings or [], columns or [])
     else:
         _say_outcome(target, tried)
 
@@ -95,7 +104,7 @@ def _ask(described: LogDescription, given: dict[str, Any], target: Path) -> RunF
     left: set[str] = set()
     while True:
         draft = draft_run_file(described, given, folder=target.parent)
-        question = next((one for one in draft.open if one.key not in left), None)
+        question = next((one for one in (*draft.open, *draft.optional) if one.key not in left), None)
         if question is not None:
             words = f"{question.words} [{question.key}], e.g. {question.example}, or Enter to leave it open: "
             answer = _answer(words)
@@ -154,17 +163,27 @@ def _tried(draft: RunFileDraft, target: Path) -> Run | PigaError:
         return error
 
 
-def _say_open(log: Path, draft: RunFileDraft, target: Path, settings: list[str]) -> None:
+def _say_open(
+    described: LogDescription, draft: RunFileDraft, target: Path, settings: list[str], columns: list[str]
+) -> None:
     """What the log does not say, and the two ways to answer."""
     say(f"{counted(len(draft.open), 'question')} open, since the log does not say it:")
-    for one in draft.open:
+    for one in (*draft.open, *draft.optional):
         say(f"  {one.key}: {one.words}")
+    unused = [one.name for one in described.columns if one.kind == "other" and one.name in described.numbers]
+    if unused and any(one.key in ("data.output", "data.reference") for one in draft.open):
+        say(
+            f"  Not understood: {', '.join(unused)}. Say what one holds: --column {shlex.quote(unused[0] + '=angle')}"
+        )
     for line in draft.comments.get("data.", []):
         say(f"  {line}")
     say(f"Answer in {target} (lines marked OPEN), or run the command again:")
     given = [f"--set {shlex.quote(text)}" for text in settings]
-    answers = " ".join([*given, *(f"--set {one.key}='{one.example}'" for one in draft.open)])
-    say(f"  piga init {_typed(log)} --out {_typed(target)} --force {answers}")
+    given += [f"--column {shlex.quote(text)}" for text in columns]
+    answers = " ".join(
+        [*given, *(f"--set {one.key}='{one.example}'" for one in (*draft.open, *draft.optional))]
+    )
+    say(f"  piga init {_typed(described.path)} --out {_typed(target)} --force {answers}")
 
 
 def _typed(path: Path) -> str:

@@ -8,15 +8,15 @@ from __future__ import annotations
 import re
 import tomllib
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import UnitError
+from piga.errors import ArgumentError, UnitError
 from piga.formats.text.time_stamp import forms_of
 from piga.results import Array
 from piga.units import G0, parse_unit
@@ -213,6 +213,66 @@ class Values:
     def stepped(self) -> bool:
         """True if the value is held over many rows, at several levels."""
         return 2 <= self.holds <= min(MOST_LEVELS, max(self.count // 4, 2))
+
+
+TOLD = "as you said"
+"""Reason of a column that the user named."""
+_TOLD = re.compile(r"(.+?)(?:[ -]([xyz])0?)?(?:\s*\[(.*)\])?")
+
+
+def as_told(
+    guesses: list[ColumnGuess], told: Mapping[str, str], numbers: dict[str, Array]
+) -> list[ColumnGuess]:
+    """The guesses with what the user said of some columns.
+
+    Parameters
+    ----------
+    guesses, numbers:
+        Of :func:`guess_columns`.
+    told:
+        By column: kind, axis and unit, such as ``"angle"``, ``"force x [g]"``. ``angle`` and ``rate`` are those of the output,
+        if no other column is the output and they do not stand still.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no such column or kind, or the unit does not fit.
+    """
+    for name, text in told.items():
+        place = next((k for k, guess in enumerate(guesses) if name in (guess.name, plain(guess.name))), None)
+        if place is None:
+            raise ArgumentError(
+                f"--column {name}: there is no such column",
+                remedy=f"the columns are: {', '.join(guess.name for guess in guesses)}",
+            )
+        guesses = [*guesses[:place], _told(guesses[place], text), *guesses[place + 1 :]]
+        kinds = {guess.kind for guess in guesses if guess is not guesses[place] and guess.name in numbers}
+        if text.split("[")[0].strip() in ("angle", "rate"):
+            output = bool(kinds & {"counts", "pulses", "angle", "rate"})
+            guesses[place] = replace(_turning(guesses[place], numbers, output), reason=TOLD, alternatives=())
+        guesses[place] = replace(_with_unit(guesses[place], guesses, numbers), alternatives=())
+    return guesses
+
+
+def _told(guess: ColumnGuess, text: str) -> ColumnGuess:
+    names = {words: kind for kind, words in WORDS.items()} | {kind: kind for kind in WORDS}
+    parts = _TOLD.fullmatch(text.strip())
+    name, axis, unit = parts.groups() if parts else (text, None, None)
+    kind: Any = names.get(name.strip().lower())
+    if kind is None or (kind in ("force", "base-rate")) != (axis is not None):
+        kinds = ", ".join(f"{one} x" if one in ("force", "base-rate") else one for one in WORDS)
+        raise ArgumentError(
+            f"--column {guess.name}={text}: '{name}' is not what a column can hold",
+            remedy=f"one of: {kinds}; with its unit: angle [deg]",
+        )
+    if unit is not None and not (kind in LIKE and known_unit(unit) and measures(known_unit(unit), LIKE[kind])):
+        raise ArgumentError(
+            f"--column {guess.name}={text}: '{unit}' is not a unit of {WORDS[kind]}",
+            remedy=f"e.g. {guess.name}={name} [{LIKE[kind]}]" if kind in LIKE else "leave it out",
+        )
+    kept = guess.unit if kind in LIKE and measures(guess.unit, LIKE[kind]) else ""
+    place = None if axis is None else _AXES[axis]
+    return replace(guess, kind=kind, axis=place, unit=known_unit(unit or "") or kept, reason=TOLD)
 
 
 def guess_columns(

@@ -206,6 +206,9 @@ QUESTIONS = {
         '{ columns = ["fx", "fy", "fz"], unit = "g" }',
     ),
     "stand.latitude": Question("stand.latitude", "latitude of the laboratory", "40 deg"),
+    "stand.height": Question(
+        "stand.height", "height of the laboratory above sea level (if you know it)", "320 m"
+    ),
     "stand.radius": Question("stand.radius", "radius of the centrifuge at the instrument", "1 m"),
 }
 """Values that no log need hold, by key of the run file."""
@@ -223,11 +226,14 @@ class RunFileDraft:
         Lines before a table or key: the reason of each guess, and the alternatives.
     open:
         Questions that the log does not answer. The run file is complete when there are none.
+    optional:
+        Questions without which a result is worse.
     """
 
     document: dict[str, dict[str, Any]]
     comments: dict[str, list[str]] = field(default_factory=dict)
     open: list[Question] = field(default_factory=list)
+    optional: list[Question] = field(default_factory=list)
 
     def put(self, key: str, value: Any, *reasons: str) -> None:
         """Set ``table.key`` and the comment on it."""
@@ -241,7 +247,7 @@ class RunFileDraft:
         order: list[str] = [name for name in ("instrument", "data", "stand", "model") if name in self.document]
         order += [name for name in self.document if name not in order]
         comments = dict(self.comments)
-        for one in self.open:
+        for one in (*self.open, *self.optional):
             table, _, key = one.key.partition(".")
             comments[f"{table}."] = [
                 *comments.get(f"{table}.", []),
@@ -296,6 +302,8 @@ class RunFileDraft:
         elif "reference" not in data:
             missing.append("data.reference")
         self.open = [QUESTIONS[key] for key in missing]
+        known = stand is None or "height" in stand or "gravity" in stand
+        self.optional = [] if known else [QUESTIONS["stand.height"]]
 
 
 def setting(text: str) -> tuple[str, Any]:

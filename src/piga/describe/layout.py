@@ -16,6 +16,7 @@ from piga.formats.text.convention import (
     LINE_END,
     MISSING,
     NO_UNIT,
+    joined_names,
     single_names,
     split_line,
     unit_text,
@@ -47,9 +48,9 @@ class Guess:
 class TextLayout:
     """Layout of a text log. Rows are counted from 1.
 
-    ``header_row`` is False if no row holds names: the columns are then A, B, C. ``skip_rows``: lines before the numbers
-    of such a file. ``marked``: the row of the names begins with the mark of a comment. ``facts`` are keys of the run file
-    that the preamble gives.
+    ``header_row`` is a pair where the names stand over two rows; False if no row holds names: the columns are then A, B, C.
+    ``skip_rows``: lines before the numbers of such a file. ``marked``: the row of the names begins with the mark of a comment.
+    ``facts`` are keys of the run file that the preamble gives.
     """
 
     encoding: Guess
@@ -117,6 +118,7 @@ def _layout(head: str, path: Path, encoding: str) -> TextLayout:
         )
     table = max(tables, key=lambda one: (one.width > 1, one.separator != " ", one.rows * one.width))
     header, units_at = _heads(lines, table)
+    upper = None if header is None else _upper(lines, header, table)
     body = [_cells(line, table.separator) for line in lines[table.start :] if line.strip()]
     width = max(len(row) for row in body[:-1] or body)
     cells = (
@@ -124,6 +126,8 @@ def _layout(head: str, path: Path, encoding: str) -> TextLayout:
         if header is None
         else _cells(_bare(lines[header]), table.separator)
     )
+    if upper is not None:
+        cells = list(joined_names(tuple(_cells(_bare(lines[upper]), table.separator)), tuple(cells)))
     if len(cells) == width + 1 and cells[-1] in ("", "Comment"):
         cells = cells[:-1]
     names, units = units_in_names(single_names(tuple(cells)))
@@ -136,7 +140,7 @@ def _layout(head: str, path: Path, encoding: str) -> TextLayout:
         for k, name in enumerate(names)
         if name
     }
-    above = table.start if header is None else header
+    above = table.start if header is None else header if upper is None else upper
     skipped = (
         "" if above == 0 else f"; rows 1 to {above} are a preamble" if above > 1 else "; row 1 is a preamble"
     )
@@ -144,6 +148,8 @@ def _layout(head: str, path: Path, encoding: str) -> TextLayout:
         Guess(False, f"the numbers begin in row {above + 1}, and no row above names them: A, B, C{skipped}")
         if header is None
         else Guess(header + 1, f"the first row above the numbers with {len(cells)} names{skipped}")
+        if upper is None
+        else Guess((upper + 1, header + 1), "the names stand over two rows")
     )
     units_guess = (
         Guess(False, "the numbers begin below the names")
@@ -225,10 +231,22 @@ def _heads(lines: list[str], table: _TextTable) -> tuple[int | None, int | None]
     if (
         len(wide) > 1
         and wide[-2] == above[-2]
+        and any(known_unit(unit_text(cell)) for cell in last)
         and (bracketed or (2 * len(marks) >= len(last) and len(marks) > names))
     ):
         return wide[-2], wide[-1]
     return wide[-1], None
+
+
+def _upper(lines: list[str], header: int, table: _TextTable) -> int | None:
+    """The row above the names, if the names say more together with it: ``Force`` over ``X``, ``Y``, ``Z``."""
+    if header == 0:
+        return None
+    cells = tuple(_cells(_bare(lines[header]), table.separator))
+    above = tuple(_cells(_bare(lines[header - 1]), table.separator))
+    joined = joined_names(above, cells)
+    more = known_names(units_in_names(joined)[0]) > known_names(units_in_names(cells)[0])
+    return header - 1 if 1 < len(above) <= len(cells) and more else None
 
 
 def _decimal(body: list[list[str]], separator: str) -> Guess:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.describe.columns import (
+    TOLD,
     ColumnGuess,
+    as_told,
     guess_columns,
     kind_of_name,
     known_names,
@@ -75,22 +78,27 @@ class LogDescription:
     rows: NDArray[np.int64] | None = None
 
     def of(self, kind: str) -> list[ColumnGuess]:
-        """Columns of a kind, by axis."""
+        """Columns of a kind, by axis; those that the user named come first."""
         return sorted(
-            (c for c in self.columns if c.kind == kind), key=lambda c: -1 if c.axis is None else c.axis
+            (c for c in self.columns if c.kind == kind),
+            key=lambda c: (-1 if c.axis is None else c.axis, not c.reason.startswith(TOLD)),
         )
 
 
-def describe_log(path: str | Path) -> LogDescription:
+def describe_log(path: str | Path, told: Mapping[str, str] | None = None) -> LogDescription:
     """Describe a log: encoding, preamble, header, units, separator, decimal mark, time stamps, and every column.
 
     Parameters
     ----------
     path:
         The log, in any format that :func:`piga.reading.columns.open_stream` reads.
+    told:
+        What some columns hold, by name: ``{"CH3": "angle [deg]"}``. The others are guessed.
 
     Raises
     ------
+    ArgumentError
+        If ``told`` names no column, no kind or a wrong unit.
     DataError
         If the file cannot be read, or holds no table of numbers.
     """
@@ -100,16 +108,18 @@ def describe_log(path: str | Path) -> LogDescription:
             f"{path}: no such file, or it is a folder, a pipe or a device", remedy="name the log of the test"
         )
     if file_kind(path) in TEXT_SUFFIXES:
-        return _describe_text(path)
-    return _describe_container(path)
+        return _describe_text(path, told or {})
+    return _describe_container(path, told or {})
 
 
-def _describe_text(path: Path) -> LogDescription:
+def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
     layout = text_layout(path)
     numeric = tuple(
         name for name, cells in layout.sample.items() if _mostly_numbers(cells, layout.decimal.value)
     )
-    label = _label_column(layout.names, layout.sample)
+    label = _label_column(layout.names, layout.sample, told)
+    if label in numeric and any(layout.decimal.value in cell for cell in layout.sample[label]):
+        numeric = tuple(name for name in numeric if name != label)  # a label is text: its decimal comma stays
     stamp = next(
         (
             (name, forms_of(cells[:50])[0])
@@ -134,7 +144,7 @@ def _describe_text(path: Path) -> LogDescription:
     fills = without_fills(numbers, numeric)
     spikes = without_spikes(numbers, numeric, rows)
     valued = {name: numbers[name] for name in numeric}
-    columns = guess_columns(layout.names, layout.units, layout.sample, valued)
+    columns = as_told(guess_columns(layout.names, layout.units, layout.sample, valued), told, valued)
     return LogDescription(
         path,
         layout,
@@ -159,8 +169,11 @@ def _mostly_numbers(cells: list[str], decimal: str) -> bool:
     return bool(cells) and words <= MOST_WORDS * len(cells) and len(cells) > words
 
 
-def _label_column(names: tuple[str, ...], sample: dict[str, list[str]]) -> str | None:
-    """The column that may number the segments: by its name."""
+def _label_column(names: tuple[str, ...], sample: dict[str, list[str]], told: Mapping[str, str]) -> str | None:
+    """The column that may number the segments: as told, else by its name."""
+    segments = [name for name, kind in told.items() if kind == "segment" and name in names]
+    if segments:
+        return segments[0]
     named = [name for name in names if sample.get(name) and kind_of_name(name)[0] == "segment"]
     return named[0] if named else None
 
@@ -185,7 +198,7 @@ def _collected(stream: RecordStream, names: tuple[str, ...]) -> tuple[dict[str, 
     return joined, np.concatenate(codes) if codes else None, file_rows
 
 
-def _describe_container(path: Path) -> LogDescription:
+def _describe_container(path: Path, told: Mapping[str, str]) -> LogDescription:
     """A log in another format than text: every column of numbers is read."""
     sheets = _sheets(path)
     listed = {sheet: _names_in(path, sheet) for sheet in sheets}
@@ -196,7 +209,10 @@ def _describe_container(path: Path) -> LogDescription:
     read = _numbers_of(path, sheet, list(known.values()))
     numbers = {short: read[0][name] for short, name in known.items() if name in read[0]}
     units |= {short: read[1][name] for short, name in known.items() if name in read[1]}
-    label = _label_column(tuple(known), {name: ["x"] for name in known})
+    told = {short: told[one] for short, name in known.items() for one in (short, name) if one in told} | {
+        name: kind for name, kind in told.items() if name not in (*known, *known.values())
+    }
+    label = _label_column(tuple(known), {name: ["x"] for name in known}, told)
     codes = None
     labels: tuple[str, ...] = ()
     if label is not None and numbers:
@@ -205,9 +221,8 @@ def _describe_container(path: Path) -> LogDescription:
         stream = open_stream(path.parent, with_label)
         codes, labels = _collected(stream, (other,))[1], tuple(stream.label_names)
     fills = without_fills(numbers, tuple(numbers))
-    columns = [
-        replace(guess, name=known[guess.name]) for guess in guess_columns(tuple(known), units, {}, numbers)
-    ]
+    guesses = as_told(guess_columns(tuple(known), units, {}, numbers), told, numbers)
+    columns = [replace(guess, name=known[guess.name]) for guess in guesses]
     others = [name for name in listed[sheet] if name not in known.values()]
     columns += [ColumnGuess(name, "other", "it is in another group") for name in others]
     facts = (

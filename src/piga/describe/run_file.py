@@ -131,7 +131,7 @@ def _layout(draft: RunFileDraft, log: LogDescription) -> None:
     guesses = {"delimiter": layout.separator, "decimal": layout.decimal}
     if layout.encoding.value not in ("utf-8", "ascii"):
         guesses["encoding"] = layout.encoding
-    if layout.header_row.value is False or layout.header_row.value > 1 or layout.marked:
+    if layout.header_row.value != 1 or layout.marked:
         guesses["header_row"] = layout.header_row
     if layout.skip_rows:
         guesses["skip_rows"] = Guess(layout.skip_rows, "lines before the numbers")

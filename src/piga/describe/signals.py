@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from piga.describe.columns import WORDS, ColumnGuess, Values
+from piga.describe.columns import TOLD, WORDS, ColumnGuess, Values
 from piga.describe.draft import RunFileDraft, number_in, quantity_text
 from piga.describe.log import LogDescription
 from piga.errors import ArgumentError, UnitError
@@ -40,7 +40,8 @@ LEAST_RELATED = 0.9
 
 def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
     """Describe the output of the log, and return its column; None if no column holds a running output."""
-    outputs = [column for kind in ("counts", "angle", "rate") for column in log.of(kind)]
+    outputs = [column for kind in ("counts", "pulses", "angle", "rate") for column in log.of(kind)]
+    outputs.sort(key=lambda column: not column.reason.startswith(TOLD))
     if not outputs:
         return None
     column = outputs[0]
@@ -61,7 +62,7 @@ def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
                 bits[1],
                 "  or: leave it out, if the counter was reset there",
             )
-    else:
+    elif column.kind != "pulses":
         value["unit"] = column.unit
         fold = _fold(x, column.unit) if column.kind == "angle" else None
         if fold is not None:

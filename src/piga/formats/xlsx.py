@@ -6,7 +6,7 @@ import re
 import zipfile
 from collections.abc import Iterator
 from datetime import datetime, time, timedelta
-from itertools import chain, islice
+from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from piga.formats.text.convention import (
     check_names,
     duplicate_name,
     is_units_row,
+    joined_names,
     single_names,
     unit_text,
     units_in_names,
@@ -123,8 +124,8 @@ class _Sheet:
         if not head:
             raise DataError(f"{self.path}: the sheet is empty", remedy="check [data] sheet")
         at, header = self._header(head)
-        names = _texts(header)
-        if all(not isinstance(cell, str) for cell in header if cell is not None):
+        names = header
+        if all(not isinstance(cell, str) for cell in dict(head)[at] if cell is not None):
             raise DataError(
                 f"{self.path}: row {at}: the first row holds numbers, not column names",
                 remedy="add a row with the column names above the numbers",
@@ -146,19 +147,28 @@ class _Sheet:
                 self.labels.append(row[where[self.label]] if where[self.label] < len(row) else None)
         return self._table(units)
 
-    def _header(self, head: list[tuple[int, tuple[Any, ...]]]) -> tuple[int, tuple[Any, ...]]:
-        """Row of the column names: the first that holds all wanted names, else the one that looks most like it."""
+    def _header(self, head: list[tuple[int, tuple[Any, ...]]]) -> tuple[int, tuple[str, ...]]:
+        """Row of the column names, and the names: the first row, or two rows, that hold all wanted names.
+
+        Else the row that looks most like it.
+        """
         wanted = {*self.numeric, *([self.label] if self.label else [])}
-        for at, row in head:
-            if wanted <= {*_texts(row), *units_in_names(_texts(row))[0]}:
-                return at, row
+        single = [(at, _texts(row)) for at, row in head]
+        double = [(at, joined_names(above, names)) for (_, above), (at, names) in pairwise(single)]
+        for at, names in (*single, *double):
+            if wanted <= {*names, *units_in_names(names)[0]}:
+                return at, names
         words = [sum(isinstance(cell, str) for cell in row) for _, row in head]
         numbers = [sum(isinstance(cell, (int, float)) for cell in row) for _, row in head]
         begin = next((k for k, count in enumerate(numbers) if count > 1), 0)
         wide = [k for k in range(begin) if words[k] > 1 and 2 * words[k] >= max(words[:begin])]
         if wide and len(wide) > 1 and is_units_row([*_texts(head[wide[-1]][1])], [*_texts(head[begin][1])]):
-            return head[wide[-2]]
-        return head[wide[-1] if wide else 0]
+            wide.pop()
+        place = wide[-1] if wide else 0
+        names = single[place][1]
+        if place - 1 in wide and (len(set(names)) < len(names) or "" in names):  # cells over several columns
+            return double[place - 1]
+        return single[place]
 
     def _places(self, names: tuple[str, ...], at: int) -> dict[str, int]:
         wanted = [*self.numeric, *([self.label] if self.label else [])]

@@ -34,6 +34,8 @@ Hertz = Annotated[Quantity, in_unit("Hz")]
 
 MOST_HEAD_ROWS = 10_000
 """Largest row number of the header or the units in a text file."""
+HeadRow = Annotated[int, msgspec.Meta(ge=1, le=MOST_HEAD_ROWS)]
+HeadPair = Annotated[tuple[HeadRow, ...], msgspec.Meta(min_length=2, max_length=2)]
 LEAST_COUNTS, MOST_COUNTS = 1e-6, 1e15
 """Allowed range of counts per revolution."""
 
@@ -235,8 +237,8 @@ class DataTable(TomlTable, frozen=True):
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
     skip_rows: Annotated[int, msgspec.Meta(ge=0, le=MOST_HEAD_ROWS)] = 0
-    header_row: Annotated[int, msgspec.Meta(ge=1, le=MOST_HEAD_ROWS)] | bool | None = None
-    units_row: Annotated[int, msgspec.Meta(ge=1, le=MOST_HEAD_ROWS)] | bool | None = None
+    header_row: HeadRow | bool | HeadPair | None = None
+    units_row: HeadRow | bool | None = None
     sheet: str | None = None
     missing: Annotated[tuple[str, ...], msgspec.Meta(max_length=100)] = ()
     damaged_rows: Literal["refuse", "mask"] = "refuse"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from pathlib import Path
 
 from piga.errors import DataError, Fix, UnitError, Where
@@ -52,18 +53,23 @@ class TextFormat:
 class HeadRows:
     """What the run file says about the first rows. Rows are counted from 1.
 
-    ``skip``: lines before the header. ``header``: row of the column names. ``units``: row of the units. False: there is
-    none. None: detected from the file.
+    ``skip``: lines before the header. ``header``: row of the column names, or the two rows over which they stand.
+    ``units``: row of the units. False: there is none. None: detected from the file.
     """
 
     skip: int = 0
-    header: int | bool | None = None
+    header: int | bool | tuple[int, ...] | None = None
     units: int | bool | None = None
 
     @property
     def last(self) -> int:
         """The last row named."""
-        return max(self.skip, int(self.header or 0), int(self.units or 0))
+        return max(self.skip, int(self.names or 0), int(self.units or 0))
+
+    @property
+    def names(self) -> int | bool | None:
+        """The row of the column names; of two rows the lower one."""
+        return self.header[1] if isinstance(self.header, tuple) else self.header
 
 
 def find_format(
@@ -95,7 +101,9 @@ def find_format(
     sample = [line for line in lines[header_at + 1 :] if line.strip()][:50]
     separator = separator or _find_separator(lines[header_at], sample)
     line = lines[header_at] if rows.header is None else COMMENT.sub("", lines[header_at])
-    names = tuple(cell.strip().strip('"').strip() for cell in split_line(line, separator))
+    names = head_cells(line, separator)
+    if isinstance(rows.header, tuple):
+        names = joined_names(head_cells(COMMENT.sub("", lines[rows.header[0] - 1]), separator), names)
     if all(_NUMBER_POINT.match(name) for name in names):
         raise DataError(
             f"{path}: row {header_at + 1}: the first row holds numbers, not column names",
@@ -123,6 +131,20 @@ def find_format(
     return TextFormat(encoding, separator, mark, names, skip, units, header_at + 1)
 
 
+def head_cells(line: str, separator: str) -> tuple[str, ...]:
+    """Cells of a row of names."""
+    return tuple(cell.strip().strip('"').strip() for cell in split_line(line, separator))
+
+
+def joined_names(upper: tuple[str, ...], lower: tuple[str, ...]) -> tuple[str, ...]:
+    """Names that stand over two rows: ``Force`` over ``X``, ``Y``, ``Z``. An empty upper cell belongs to the one on its left."""
+    names, group = [], ""
+    for above, name in zip_longest(upper, lower, fillvalue=""):
+        group = above or group
+        names.append(f"{group} {name}".strip())
+    return tuple(names)
+
+
 def split_line(line: str, separator: str) -> list[str]:
     """Cells of a line of the head. With a blank as separator any number of blanks is one."""
     return line.split() if separator == " " else line.split(separator)
@@ -143,15 +165,16 @@ def _without_names(
 
 def _header_at(lines: list[str], rows: HeadRows, path: Path) -> int:
     """Index of the line with the column names: as named, else the first that is neither empty nor a comment."""
-    if isinstance(rows.header, int) and not isinstance(rows.header, bool):
-        if rows.header > len(lines) or not lines[rows.header - 1].strip():
+    at = rows.names
+    if isinstance(at, int) and not isinstance(at, bool):
+        if at > len(lines) or not lines[at - 1].strip():
             raise DataError(
-                f"{path}: row {rows.header}: [data] header_row names an empty row",
+                f"{path}: row {at}: [data] header_row names an empty row",
                 remedy="name the row with the column names, counted from 1",
-                where=Where(path, rows.header),
+                where=Where(path, at),
                 fixes=[Fix("data", "header_row")],
             )
-        return rows.header - 1
+        return at - 1
     for index, line in enumerate(lines):
         if index >= rows.skip and line.strip() and not line.lstrip().startswith("#"):
             return index

@@ -16,7 +16,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from piga.describe import ColumnGuess, LogDescription, RunFileDraft, describe_log, draft_run_file, try_run_file
-from piga.describe.columns import WORDS
+from piga.describe.columns import TOLD, WORDS
 from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
 from piga.records.text_files import toml_document
@@ -105,9 +105,7 @@ def sheet(folder: Folder, name: str, fields: dict[str, list[str]]) -> Sheet:
         kind, _, axis = only(fields, f"role:{index}", role(column)).partition(":")
         unit = only(fields, f"unit:{index}", column.unit)
         if kind in WORDS and (kind, axis) != tuple(role(column).partition(":")[::2]):
-            column = replace(
-                column, kind=kind, axis=int(axis) if axis in "012" and axis else None, reason="as you said"
-            )
+            column = replace(column, kind=kind, axis=int(axis) if axis in "012" and axis else None, reason=TOLD)
             unit = unit if unit in COLUMN_UNITS.get(kind, ()) else ""
         columns.append(replace(column, unit=unit))
     described = replace(described, columns=tuple(columns))
@@ -138,12 +136,8 @@ def sheet(folder: Folder, name: str, fields: dict[str, list[str]]) -> Sheet:
         message = str(error)
         draft = draft_run_file(describe_log(log), {}, folder=log.parent)
     questions = {one.key: one for one in draft.open if one.key in UNITS}
-    if (
-        "stand" in draft.document
-        and "height" not in draft.document["stand"]
-        and "stand.latitude" in asked | questions
-    ):
-        asked.setdefault("stand.height", Field("stand.height", "", ""))
+    if "stand.latitude" in asked | questions:
+        questions |= {one.key: one for one in draft.optional}
     shown = []
     for key in dict.fromkeys((*asked, *questions)):
         known = asked.get(key, Field(key, "", ""))
@@ -164,11 +158,7 @@ def _value(key: str, text: str) -> Any:
 def _words(key: str) -> tuple[str, str]:
     from piga.describe.draft import QUESTIONS
 
-    if key in QUESTIONS:
-        return QUESTIONS[key].words, QUESTIONS[key].example
-    return {"stand.height": ("height of the laboratory above sea level (if you know it)", "320 m")}.get(
-        key, (key, "")
-    )
+    return (QUESTIONS[key].words, QUESTIONS[key].example) if key in QUESTIONS else (key, "")
 
 
 def _taken(folder: Folder, name: str) -> dict[str, Any]:

@@ -1,0 +1,135 @@
+"""What the user says of a column, names over two rows, and the height that is asked for with the latitude."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import openpyxl
+import pytest
+
+import piga
+from piga.describe import describe_log, draft_run_file
+from piga.errors import ArgumentError
+from tests.cli.runner import invoked
+
+SETTINGS = {"instrument.scale_factor": "0.8884 rad/s/g", "instrument.counts_per_revolution": 72000}
+
+
+def columns() -> list[np.ndarray]:
+    """Time [s], counts, angle of a head [deg] that moves between six positions, temperature [degC]."""
+    t = np.arange(3600) / 10.0
+    at = np.minimum(t // 60.0, 5.0)
+    angle = 60.0 * (at + np.clip((t - 60.0 * at - 50.0) / 10.0, 0.0, 1.0))
+    counts = np.round(np.cumsum(1018.0 * np.cos(np.radians(angle))))
+    return [t, counts, angle, 20.0 + 0.001 * t]
+
+
+def log(path: Path, *names: list[str]) -> Path:
+    rows = np.column_stack(columns())
+    if path.suffix == ".csv":
+        body = [";".join(f"{value:.6f}" for value in row).replace(".", ",") for row in rows]
+        path.write_text("\n".join([*(";".join(row) for row in names), *body]) + "\n", encoding="utf-8")
+    elif path.suffix == ".xlsx":
+        book = openpyxl.Workbook()
+        for row in (*names, *rows.tolist()):
+            book.active.append([cell if cell != "" else None for cell in row])
+        book.save(path)
+    else:
+        with h5py.File(path, "w") as out:
+            for name, column in zip(names[0], rows.T, strict=True):
+                out[f"test/{name}"] = column
+    return path
+
+
+@pytest.mark.parametrize("kind", ["csv", "xlsx", "h5"])
+def test_a_column_is_told_on_the_command_line(tmp_path: Path, kind: str) -> None:
+    path = log(tmp_path / f"log.{kind}", ["Zeit", "Zähler", "Kanal 4", "Kanal 5"])
+    options = [part for key, value in SETTINGS.items() for part in ("--set", f"{key}={value}")]
+    done = invoked("init", path, "--yes", *options)
+    assert "Not understood: " in done.stdout
+    assert "--column '" in done.stdout
+    told = ["--column", "Kanal 4=angle [deg]", "--column", "Kanal 5=temperature"]
+    done = invoked("init", path, "--yes", "--force", *options, *told)
+    assert "angle of the stand [deg]: as you said" in done.stdout
+    assert "stand.latitude" in done.stdout
+    assert "--column 'Kanal 4=angle [deg]' --column 'Kanal 5=temperature'" in done.stdout
+    assert "--set stand.height='320 m'" in done.stdout
+    site = ["--set", "stand.latitude=52 deg", "--set", "stand.height=80 m"]
+    done = invoked("init", path, "--yes", "--force", *options, *told, *site)
+    assert done.exit_code == 0
+    document = tomllib.loads((tmp_path / "log.toml").read_text(encoding="utf-8"))
+    assert document["data"]["segment"]["holds_of"].endswith("Kanal 4")
+    assert document["data"]["temperature"]["unit"] == "degC"
+    assert len(document["stand"]["positions"]) == 6
+    run = piga.read_run(tmp_path / "log.toml")
+    assert run.f[:, 0].max() == pytest.approx(9.81, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        (
+            {"Kanal 9": "angle"},
+            r"--column Kanal 9: there is no such column\n  remedy: the columns are: Zeit, Z",
+        ),
+        (
+            {"Kanal 4": "tilt"},
+            r"'tilt' is not what a column can hold\n  remedy: one of: time, .*force x, .*angle",
+        ),
+        ({"Kanal 4": "force"}, "'force' is not what a column can hold"),
+        ({"Kanal 4": "angle [s]"}, r"'s' is not a unit of output angle\n  remedy: e.g. Kanal 4=angle \[rad\]"),
+        ({"Kanal 4": "counts [deg]"}, "'deg' is not a unit of output in counts"),
+    ],
+)
+def test_what_cannot_be_told_is_refused(tmp_path: Path, told: dict[str, str], message: str) -> None:
+    path = log(tmp_path / "log.csv", ["Zeit", "Zähler", "Kanal 4", "Kanal 5"])
+    with pytest.raises(ArgumentError, match=message):
+        describe_log(path, told)
+
+
+def test_what_is_told_is_not_guessed_again(tmp_path: Path) -> None:
+    """Words of the page; an axis and a unit; a column that is not used; the segment is read with its labels."""
+    path = log(tmp_path / "log.csv", ["Zeit", "Zähler", "Winkel", "Temperatur"])
+    told = {"Winkel": "force y [mg]", "Temperatur": "not used", "Zähler": "pulses of each sample"}
+    kinds = {one.name: (one.kind, one.axis, one.unit, one.reason) for one in describe_log(path, told).columns}
+    assert kinds["Winkel"] == ("force", 1, "mg", "as you said")
+    assert kinds["Temperatur"][0] == "other"
+    assert draft_run_file(describe_log(path, told), SETTINGS).document["data"]["output"]["kind"] == "pulses"
+    assert describe_log(path, {"Winkel": "output angle"}).of("angle")[0].name == "Winkel"
+    described = describe_log(path, {"Winkel": "segment"})
+    assert described.labels is not None
+    assert draft_run_file(described, SETTINGS).document["data"]["segment"] == "Winkel"
+
+
+@pytest.mark.parametrize("kind", ["csv", "xlsx"])
+def test_names_over_two_rows_are_joined(tmp_path: Path, kind: str) -> None:
+    """``Kraft`` over ``X``, ``Y``, ``Z``; with units below, and with units in brackets."""
+    t, counts, angle, warm = columns()
+    x = np.radians(angle)
+    rows = np.column_stack([t, counts, np.cos(x), -np.sin(x), 0.0 * x, warm])[::10]
+    upper, lower = ["Zeit", "Zähler", "Kraft", "", "", "Temperatur"], ["", "", "X", "Y", "Z", ""]
+    for name, units in (("below", ["s", "-", "g", "g", "g", "°C"]), ("none", None)):
+        path = tmp_path / f"{name}.{kind}"
+        names = [upper, lower, *([units] if units else [])]
+        if kind == "csv":
+            body = [",".join(f"{value:.6f}" for value in row) for row in rows]
+            path.write_text("\n".join(["Pruefstand 3", *map(",".join, names), *body]) + "\n", encoding="utf-8")
+        else:
+            book = openpyxl.Workbook()
+            for row in (["Pruefstand 3"], *names, *rows.tolist()):
+                book.active.append([cell if cell != "" else None for cell in row])
+            book.save(path)
+        described = describe_log(path)
+        assert [one.name for one in described.of("force")] == ["Kraft X", "Kraft Y", "Kraft Z"]
+        assert [one.name for one in described.of("temperature")] == ["Temperatur"]
+        done = invoked(
+            "init", path, "--yes", *[part for k, v in SETTINGS.items() for part in ("--set", f"{k}={v}")]
+        )
+        assert "It reads 360 of 360 rows" in done.stdout, done.stdout
+        run = piga.read_run(path.with_suffix(".toml"))
+        assert run.f[:, 0] == pytest.approx(rows[:, 2] * 9.80665, rel=1e-5, abs=1e-5)
+    if kind == "csv":
+        assert "header_row = [2, 3]" in path.with_suffix(".toml").read_text()
