@@ -49,7 +49,12 @@ def gapped(kind="angle"):
     t = np.arange(ROWS) * H
     run = run_of(t, constant_force(t, 1.1, 2.0, -0.5), phi=0.3, kind=kind)
     return Run.from_arrays(
-        np.where(np.arange(ROWS) < 150, t, t + 2.0), run.output, run.f, scale_factor=K_G / G0, kind=kind
+        np.where(np.arange(ROWS) < 150, t, t + 2.0),
+        run.output,
+        run.f,
+        scale_factor=K_G / G0,
+        kind=kind,
+        units="SI",
     )
 
 
@@ -94,7 +99,7 @@ def test_phases_of_segments_are_coefficients_of_their_own():
     f = constant_force(t, 1.1, 4.0, -0.5)
     labels = np.where(t < 1.0, "a", "b")
     run = run_of(t, f, phi=0.3)
-    run = Run.from_arrays(t, run.output, f, scale_factor=K_G / G0, segment=labels)
+    run = Run.from_arrays(t, run.output, f, scale_factor=K_G / G0, segment=labels, units="SI")
     values = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi[a]": 0.3, "phi[b]": 0.3}
     each = [
         piga.compensate(run, calibration_of(values, {"phi[a]": a, "phi[b]": b})).u_velocity
