@@ -25,6 +25,7 @@ from harness import put_down, rounds
 
 import piga
 from piga._kernels.compensation.sample import Rows
+from piga._kernels.compensation.terms import SUMS
 from piga.compensation import Mounted, SetCompensator
 from piga.compensation.compensator import (
     NO_RATES,
@@ -106,7 +107,11 @@ def single(threads: int) -> None:
             angle,
         )
         result = Rows(
-            ax[rows], dv[rows], u[rows] if full else NONE, flags[rows] if full else NONE.astype(np.int32)
+            ax[rows],
+            dv[rows],
+            u[rows] if full else NONE,
+            flags[rows] if full else NONE.astype(np.int32),
+            np.zeros(SUMS),
         )
         return lambda: run_kernel(model, init_state(), chunk, kind, result)
 
@@ -228,7 +233,8 @@ def copy_by_arrow(path: Path) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
-    read = parquet.read_table(path / "data.parquet", use_threads=False, page_checksum_verification=True)
+    with parquet.ParquetFile(path / "data.parquet", page_checksum_verification=True) as file:
+        read = file.read(use_threads=False)
     flags = pa.array(np.zeros(read.num_rows, np.int32))
     columns = {"t": read["t"], "ax": read["psi"], "dv": read["x"], "u_ax": read["y"], "flags": flags}
     options = {"compression": "none", "use_dictionary": False, "write_statistics": False}

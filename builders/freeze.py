@@ -104,7 +104,7 @@ def flat(node: object, path: str, numbers: dict[str, list[float]], u: float = ma
 
 def columns(path: Path, numbers: dict[str, list[float]]) -> None:
     """Write mean, smallest and largest value of every column of numbers of a Parquet file."""
-    table = pq.read_table(path)
+    table = pq.ParquetFile(path).read(use_threads=False)
     for name in table.column_names:
         column = table[name]
         if str(column.type) in {"double", "float"}:

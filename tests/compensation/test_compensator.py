@@ -12,10 +12,11 @@ import piga
 from piga._kernels.arithmetic import LIMIT
 from piga._kernels.compensation.data import TERMS
 from piga.calibration.orders import order_spectrum
-from piga.compensation import FLAGS, Mounted, Phase, SetCompensator
+from piga.compensation import FLAGS, Mounted, Phase, SetCompensator, compensate_set
+from piga.compensation.result import LockedStarts
 from piga.reports.compensation.figures import compensation_errors, error_figures
 from piga.units import G0
-from tests.compensation.triads import orthogonal
+from tests.compensation.triads import made, orthogonal
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, mean_force, run_of
 
 PHI = np.pi / 4
@@ -348,3 +349,43 @@ def test_error_falls_with_the_sampling_interval(kind, sign):
         worst.append(abs(result - truth))
     assert worst[0] / worst[1] > 3.5
     assert worst[1] / worst[2] > 3.5
+
+
+def starts_named(flags, chunks):
+    starts = LockedStarts()
+    for part in np.split(np.array(flags, dtype=np.int32), chunks):
+        starts.add(part)
+    return starts.note()
+
+
+@pytest.mark.parametrize("chunks", [[], [1], [2], [3], [1, 2, 3, 4, 5, 6, 7, 8, 9], [6, 6, 8]])
+def test_rows_of_locked_starts_are_named_in_any_chunks(chunks):
+    """Row 8 is locked in the midst of a stretch; rows 2, 3 and 10 follow a start."""
+    start, locked = FLAGS["no_increment"], FLAGS["locked"]
+    flags = [start, locked, locked | FLAGS["near_critical"], 0, start, 0, 0, locked, start, locked]
+    (note,) = starts_named(flags, chunks)
+    assert "rows 2 to 3, 10 to 10:" in note
+    assert starts_named([start, 0, locked, locked, 0], chunks[:1]) == ()
+    (note,) = starts_named([start | locked, locked] + [start, locked, 0] * 7, chunks)
+    assert "and 3 more stretches" in note
+
+
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+def test_locked_start_is_named(kind):
+    """The force leaves the dead zone after 1 s; the same with a turning start says nothing."""
+    t = np.arange(0.0, 3.0, 0.01)
+    for still, size in ((0.5, 1), (3.0, 0)):
+        f = constant_force(t, 1.0, 5.0)
+        f[:100, 0] = still * TAN_BETA * 5.0 * G0
+        compensated = piga.compensate(run_of(t, f, phi=PHI, kind=kind), CAL)
+        assert len(compensated.notes) == 1 + size  # that of Type A is always there
+        if size:
+            first = 2 if kind == "angle" else 1
+            assert f"rows {first} to 100:" in compensated.notes[1]
+            assert compensated.flagged("locked")[first - 1 : 100].all()
+
+
+def test_locked_start_of_a_set_is_named():
+    t = np.arange(0.0, 1.0, 0.01)
+    runs, mounted = made(t, np.tile(np.array([1.0, 1e-4, 1.0]) * G0, (t.size, 1)), orthogonal())
+    assert "rows 2 to 100" in compensate_set(runs, mounted).notes[1]

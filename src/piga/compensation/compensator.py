@@ -25,7 +25,7 @@ from piga.compensation.model import (
     phases,
     velocity_variance,
 )
-from piga.compensation.result import Compensated, note_on_vibration, notes_on
+from piga.compensation.result import Compensated, LockedStarts, note_on_vibration, notes_on
 from piga.errors import ArgumentError, CalibrationError
 from piga.progress import Progress, report
 from piga.records.arrays import spans
@@ -151,6 +151,7 @@ class Compensator:
         self._uncertainty, self._flags = uncertainty, flags
         self._typical, self._limits = np.nan if step is None else step, limits
         self._age = age_flag(calibration, max_age_days)
+        self._starts = LockedStarts()
         self._models: dict[str | None, tuple[Model, Array]] = {}
         self.take_segment(segment)
         self._state = init_state() if state is None else state.copy()
@@ -163,8 +164,8 @@ class Compensator:
         return self._state.copy()
 
     def remarks(self) -> tuple[str, ...]:
-        """What the samples so far showed: vibration near the Nyquist frequency."""
-        return note_on_vibration(self._state, self._kind == "rate", self._calibration)
+        """What the samples so far showed: starts at which the output stands still, vibration near the Nyquist frequency."""
+        return self._starts.note() + note_on_vibration(self._state, self._kind == "rate", self._calibration)
 
     def u_velocity(self) -> float:
         """Standard uncertainty of the sum of all ``dv`` so far [m/s]; nan without uncertainty (docs/theory/compensation)."""
@@ -224,6 +225,7 @@ class Compensator:
             _check_finite(samples)
             raise ArgumentError("chunk: its numbers are too large to compute with", remedy="check the units")
         self._sums[:] = rows.sums
+        self._starts.add(rows.flags)
 
     def _columns(self, chunk: Mapping[str, ArrayLike] | Run) -> Mapping[str, Any]:
         """Columns of a chunk. A record has its own stretches; only its first sample is checked against the stream."""

@@ -335,6 +335,41 @@ def note_on_vibration(past: Any, sampled: bool, *calibrations: Calibration) -> t
     return (f"{named}{seen} (flag vibration): {effect}; {remedy}",)
 
 
+SHOWN_STARTS = 5
+"""Most stretches whose rows are named in a sentence."""
+
+
+class LockedStarts:
+    """Rows in which the output stands still from the start of a stretch on; rows come chunk by chunk."""
+
+    def __init__(self) -> None:
+        self._size, self._open = 0, False
+        self._rows: list[tuple[int, int]] = []
+
+    def add(self, flags: NDArray[np.int32]) -> None:
+        """Add the flags of the next rows."""
+        begins, locked = (flags & FLAGS["no_increment"]) != 0, (flags & FLAGS["locked"]) != 0
+        row = np.arange(1, flags.size + 1)
+        begun = np.maximum.accumulate(np.where(begins, row, 0 if self._open else -2))
+        ended = np.maximum.accumulate(np.where(begins | locked, -1, row))
+        still = begun > ended
+        edges = np.flatnonzero(np.diff(still & locked, prepend=False, append=False)) + self._size
+        for first, last in edges.reshape(-1, 2).tolist():
+            joined = bool(self._rows) and self._rows[-1][1] == first
+            self._rows.append((self._rows.pop()[0] if joined else first + 1, last))
+        self._size, self._open = self._size + flags.size, bool(still[-1]) if flags.size else self._open
+
+    def note(self) -> tuple[str, ...]:
+        """A sentence that names the rows; none without one."""
+        if not self._rows:
+            return ()
+        named = ", ".join(f"{first} to {last}" for first, last in self._rows[:SHOWN_STARTS])
+        more = f" and {len(self._rows) - SHOWN_STARTS} more stretches" if len(self._rows) > SHOWN_STARTS else ""
+        where = f"the output stands still from the start of a stretch on (flag locked) in rows {named}{more}"
+        remedy = "leave these rows out, or begin where |a_x| is larger"
+        return (f"{where}: a_x is known only to a_t tan(beta) there; {remedy}",)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class CompensatedSet(Result, Plotted, Tabular):
     """Specific force and velocity increments in the common frame; arrays share their length n.

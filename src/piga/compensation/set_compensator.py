@@ -17,7 +17,7 @@ from piga._kernels.compensation.set import compensate_set as set_kernel
 from piga._kernels.compensation.terms import SUMS
 from piga.compensation.compensator import find_begins
 from piga.compensation.model import Limits, Phase, age_flag, make_model, velocity_variance
-from piga.compensation.result import CompensatedSet, note_on_vibration, notes_on
+from piga.compensation.result import CompensatedSet, LockedStarts, note_on_vibration, notes_on
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
 from piga.results import Array, Result
@@ -166,11 +166,12 @@ class SetCompensator:
         self._threshold = fault_threshold(self._count - 3)
         self._past = SetPast(at.records(self._count, at.PAST), np.zeros(3), np.zeros((2, 3, 3)))
         self._members = at.records(self._count, MEMBER)
+        self._starts = LockedStarts()
         self._sums = np.zeros((self._count, 3, SUMS))
 
     def remarks(self) -> tuple[str, ...]:
-        """What the samples so far showed: vibration near the Nyquist frequency."""
-        return note_on_vibration(self._past.past, self._sampled, *self._calibrations)
+        """What the samples so far showed: starts at which an output stands still, vibration near the Nyquist frequency."""
+        return self._starts.note() + note_on_vibration(self._past.past, self._sampled, *self._calibrations)
 
     def u_velocity(self) -> Array:
         """Standard uncertainty of the sum of all ``dv`` so far [m/s], (3,); empty without uncertainty."""
@@ -244,6 +245,7 @@ class SetCompensator:
             self._past = before
             _check_finite(output=psi, rate=rates, base_rate=omega, temperature=warm)
         self._sums = sums
+        self._starts.add(result.flags)
         return result
 
 
