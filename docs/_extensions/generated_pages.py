@@ -21,6 +21,7 @@ from piga.certificate.certificate_file import CertificateFile
 from piga.cli.main import app as command_line
 from piga.compensation.files import TriadFile
 from piga.describe.draft import words_of
+from piga.gravity_norm import SetFile
 from piga.planning.plan_file import PlanTable
 from piga.platform.scenario import ScenarioFile
 from piga.records.run_file import METHOD_WORDS, RunFile
@@ -151,6 +152,11 @@ def file_pages() -> dict[str, str]:
             "The run file",
             RunFile,
             "One recorded test: `piga check`, `convert`, `calibrate`, `compensate`.",
+        ),
+        "set-file": (
+            "The run file of a set",
+            SetFile,
+            "Three or more accelerometers in many attitudes: `piga calibrate`.",
         ),
         "scenario-file": ("The scenario file", ScenarioTable, "A synthetic test: `piga simulate`."),
         "plan-file": ("The plan file", PlanTable, "A test to be planned: `piga plan`."),

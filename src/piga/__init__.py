@@ -58,6 +58,7 @@ Compensate              ``piga.compensate(run, cal)``; live: ``piga.Compensator(
 A set of instruments    ``piga.compensate_set(runs, mounted)``
 Simulate a test         ``piga.run_scenario(piga.read_scenario("scenario.toml"))``
 Plan a test             ``piga.plan_test(piga.read_plan("plan.toml"))``
+Set of accelerometers   ``piga.calibrate_set(t, outputs, gravity)``
 Noise of a static log   ``piga.analyse_noise(values, t)``
 Follow over years       ``piga.find_trend([(name, date, cal), ...])``
 Motion and regimes      ``piga.propagate``, ``piga.closed_form``, ``piga.regime``
@@ -102,6 +103,7 @@ if TYPE_CHECKING:
     from piga import campaign as campaign
     from piga import certificate as certificate
     from piga import compensation as compensation
+    from piga import gravity_norm as gravity_norm
     from piga import instrument as instrument
     from piga import ledger as ledger
     from piga import noise as noise
@@ -125,6 +127,7 @@ if TYPE_CHECKING:
         compensate_set,
         identify_phase,
     )
+    from piga.gravity_norm import calibrate_set
     from piga.instrument import ErrorModel, Instrument, closed_form, mean_rate, propagate, regime
     from piga.ledger.store import open_store
     from piga.noise import allan_deviation, analyse_noise
@@ -140,6 +143,7 @@ _LAZY = {
         "calibration.calibrate": "calibrate",
         "compensation": "Compensated CompensatedSet Compensator Limits Mounted Phase compensate "
         "compensate_set identify_phase",
+        "gravity_norm": "calibrate_set",
         "instrument": "ErrorModel Instrument closed_form mean_rate propagate regime",
         "ledger.store": "open_store",
         "noise": "allan_deviation analyse_noise",
@@ -157,6 +161,7 @@ ROOMS = (
     "campaign",
     "certificate",
     "compensation",
+    "gravity_norm",
     "instrument",
     "ledger",
     "noise",
@@ -175,6 +180,7 @@ _NEEDS = {
     "allan_deviation": "scipy",
     "analyse_noise": "scipy",
     "calibrate": "scipy",
+    "calibrate_set": "scipy",
     "compare_models": "scipy",
     "find_trend": "scipy",
     "plan_test": "scipy",
@@ -215,6 +221,7 @@ __all__ = [
     "allan_deviation",
     "analyse_noise",
     "calibrate",
+    "calibrate_set",
     "closed_form",
     "compare_models",
     "compensate",

@@ -46,6 +46,13 @@ def shown_plan() -> ModuleType:
     return planning
 
 
+def shown_set() -> ModuleType:
+    """Shows the calibration of a set."""
+    from piga.reports import gravity_norm
+
+    return gravity_norm
+
+
 def shown_trend() -> ModuleType:
     """Shows a trend."""
     from piga.reports import trend

@@ -82,6 +82,20 @@ def lab_log(runner: Runner) -> None:
     shutil.copy(Path(__file__).parents[1] / "data" / "logs" / "iso.csv", runner.folder / "log.csv")
 
 
+def held_set(runner: Runner) -> None:
+    """``set.csv``, a set in 25 attitudes, and ``set.toml`` as the page has it."""
+    rng, parts = np.random.default_rng(4), []
+    for _ in range(25):
+        up = rng.standard_normal(3)
+        still = 414.0 * 9.81744 * up / np.linalg.norm(up) + rng.standard_normal((200, 3))
+        parts += [still, still[:50] + 500.0 * rng.standard_normal((50, 3))]
+    rows = np.concatenate(parts)
+    rows = np.column_stack((0.02 * np.arange(len(rows)), rows))
+    np.savetxt(runner.folder / "set.csv", rows, delimiter=",", header="t,x,y,z", comments="")
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "gravity-norm.md").read_text(encoding="utf-8")
+    (runner.folder / "set.toml").write_text(page.split("```toml\n")[1].split("```")[0])
+
+
 def static_log(runner: Runner) -> None:
     """An instrument at rest overnight, as the page names it."""
     rng = np.random.default_rng(3)
@@ -111,4 +125,5 @@ PREPARATIONS: dict[str, tuple[Callable[[Runner], None], ...]] = {
     "docs/how-to/records.md": (bench,),
     "docs/how-to/lab-data.md": (lab_log,),
     "docs/how-to/noise.md": (static_log,),
+    "docs/how-to/gravity-norm.md": (held_set,),
 }

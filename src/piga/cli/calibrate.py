@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import ForceOption, JsonOption, deliver, files_named_in, names_in, progress
+from piga.cli.common import ForceOption, JsonOption, deliver, files_named_in, names_in, progress, write_json
 from piga.data import EXAMPLE, copy_example
 from piga.output import CALIBRATION_RESULTS
 
@@ -70,10 +70,19 @@ def calibrate(
     """Estimate the coefficients of an instrument from its runs.
 
     Writes calibration.json, residuals.parquet and report.html. Several runs of one instrument are calibrated together.
+    A set with reference = "gravity-norm" gives set-calibration.json and report.html.
     """
     inputs = [path for run in runs for path in files_named_in(run)]
     default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
     directory = out or runs[0].parent / default
+    from piga.gravity_norm.set_file import is_set_file
+
+    if any(is_set_file(run) for run in runs):
+        options = (terms, method, phases, phase_source, per_run, compare)
+        _calibrate_set(
+            runs, directory, inputs, plain=not summary and not any(options), force=force, as_json=as_json
+        )
+        return
     with deliver(directory, "calibrate", CALIBRATION_RESULTS, inputs, force=force, as_json=as_json) as to:
         items = read_items(runs) if compare is None else _with_sets(read_items(runs), compare)
         with progress("calibrating") as advance:
@@ -88,6 +97,29 @@ def calibrate(
             if summary:
                 write_summaries(items, to.stage)
         to.tell(lambda: _document(calibration), calibration.summary)
+
+
+def _calibrate_set(
+    runs: list[Path], directory: Path, inputs: list[Path], *, plain: bool, force: bool, as_json: bool
+) -> None:
+    """Calibrate a set of accelerometers by the size of gravity."""
+    from piga.errors import ArgumentError
+    from piga.gravity_norm import calibrate_set_file
+    from piga.reports.gravity_norm import page, set_document
+    from piga.reports.render.page import write_page
+
+    if len(runs) > 1 or not plain:
+        raise ArgumentError(
+            f"{runs[0]}: a set with reference = 'gravity-norm' is calibrated alone and has no terms or methods to choose",
+            remedy="name this file alone, without these options",
+        )
+    names = ("set-calibration.json", "report.html")
+    with deliver(directory, "calibrate", names, inputs, force=force, as_json=as_json) as to:
+        with progress("calibrating"):
+            calibration = calibrate_set_file(runs[0])
+        write_json(to / names[0], set_document(calibration))
+        write_page(page(calibration), to / names[1])
+        to.tell(lambda: set_document(calibration), calibration.summary)
 
 
 def _document(calibration: Calibration) -> dict[str, Any]:

@@ -1,0 +1,407 @@
+"""Bias, scale factor and axes of three or more accelerometers from static spells: the size of gravity is the reference.
+
+Spells and the scan of their threshold: [Tedaldi2014]. Intervals: the bias-reduced sandwich over the spells
+(:mod:`piga.calibration.intervals`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from types import ModuleType
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piga import doors
+from piga.calibration.intervals import Repetition, sandwich
+from piga.calibration.model.reduction import Reduction
+from piga.errors import ArgumentError, DataError, IdentifiabilityError
+from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
+from piga.results import Array, Plotted, Reported, Result
+
+Convention = Literal["upper", "lower"]
+MULTIPLES = tuple(float(k) for k in range(2, 11))
+"""Thresholds of the scan, as multiples of the variance of the quietest windows ([Tedaldi2014])."""
+QUIET = 0.1
+"""Share of the windows that is quiet: its largest variance is that of the instrument at rest (own choice)."""
+ALIKE = 0.9
+"""Correlation above which a remark says that the attitudes hardly tell two terms apart (own choice)."""
+FLAT = 0.02
+"""Distance of the attitudes from one plane [g, root mean square] below which they are refused (own choice)."""
+SINGULAR = 1e-3
+"""Share of the largest singular value below which the attitudes do not tell a combination of terms (own choice)."""
+
+
+@dataclass(frozen=True)
+class Spell(Result):
+    """A time at which the set stood still: begin and end [s], samples, and |f| - g of its mean [m/s^2]."""
+
+    begin: float
+    end: float
+    samples: int
+    residual: float = math.nan
+
+
+@dataclass(frozen=True)
+class SetTerm(Result):
+    """A coefficient with its standard uncertainty, its degrees of freedom and its unit."""
+
+    key: str
+    value: float
+    std: float
+    degrees_of_freedom: float
+    unit: str
+
+    @property
+    def expanded(self) -> float:
+        """Half width of the interval of 95 %."""
+        return coverage_factor(self.degrees_of_freedom) * self.std
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SetCalibration(Result, Plotted, Reported):
+    """Calibration of a set: output = bias + K (f along the axis, with its non-orthogonality).
+
+    Attributes
+    ----------
+    names, unit:
+        Columns of the accelerometers, and the unit of their outputs.
+    convention:
+        ``"upper"``: the third axis is Z, the second lies in the plane of Y and Z. ``"lower"``: the first is X, the
+        second lies in the plane of X and Y. Scale factors depend on it.
+    gravity, gravity_std:
+        Size of gravity and its standard uncertainty [m/s^2].
+    terms:
+        Biases, scale factors, non-orthogonality; of a fourth and further accelerometer its three sensitivities.
+    covariance:
+        That of the terms.
+    matrix, bias:
+        Sensitivities (n, 3) [unit/(m/s^2)] and biases (n,) [unit].
+    spells, threshold:
+        Static spells, and the multiple of the quiet variance by which they were found.
+    residual_rms:
+        Root of the mean square of the residuals, by degrees of freedom [m/s^2].
+    remarks:
+        What these attitudes hardly tell.
+    """
+
+    serial: str
+    names: tuple[str, ...]
+    unit: str
+    convention: Convention
+    gravity: float
+    gravity_std: float
+    terms: tuple[SetTerm, ...]
+    covariance: Array
+    matrix: Array
+    bias: Array
+    spells: tuple[Spell, ...]
+    threshold: float
+    residual_rms: float
+    remarks: tuple[str, ...]
+    input_sha256: dict[str, str] = field(default_factory=dict)
+
+    def __getitem__(self, key: str) -> SetTerm:
+        return next(term for term in self.terms if term.key == key)
+
+    def force(self, outputs: ArrayLike) -> Array:
+        """Specific force (n, 3) [m/s^2] of outputs (n, accelerometers); of a redundant set the least-squares one."""
+        return _force(np.asarray(outputs, dtype=float), self.matrix, self.bias)
+
+    def _subject(self) -> ModuleType:
+        return doors.shown_set()
+
+    def heading(self) -> str:
+        """The first line in a notebook."""
+        return f"Calibration of the set {self.serial}"
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """The terms."""
+        return [(term.key, f"{term.value:.8g} +- {term.expanded:.2g} {term.unit}") for term in self.terms]
+
+
+def static_spells(t: ArrayLike, outputs: ArrayLike, *, window: float, multiple: float) -> tuple[Spell, ...]:
+    """Times at which all accelerometers of a set are quiet.
+
+    The variances over a sliding window are added up over the accelerometers, each by its own quiet variance, and compared
+    with ``multiple`` times the sum of those. A spell has at least one window; half a window at each of its ends is left out.
+
+    Parameters
+    ----------
+    t, outputs:
+        Time (n,) [s] and outputs (n, accelerometers).
+    window:
+        Length of the window [s].
+    multiple:
+        Threshold, as a multiple of the quiet variance.
+    """
+    return _spells(np.asarray(t, dtype=float), *_activity(t, outputs, window), multiple)
+
+
+def _activity(t: ArrayLike, outputs: ArrayLike, window: float) -> tuple[Array, int]:
+    """Variance in a window around each sample over that of quiet windows, and the samples of half a window."""
+    t, y = np.asarray(t, dtype=float), np.asarray(outputs, dtype=float)
+    half = max(round(0.5 * window / float(np.median(np.diff(t)))), 5)
+    size = 2 * half + 1
+    if t.size < 2 * size:
+        raise DataError(f"{t.size} samples, fewer than two windows of {window:g} s", remedy="record longer")
+    y = y - y.mean(axis=0)
+    sums = [np.concatenate((np.zeros((1, y.shape[1])), np.cumsum(one, axis=0))) for one in (y, y**2)]
+    first, second = ((one[size:] - one[:-size]) / size for one in sums)
+    variance = np.maximum(second - first**2, 0.0)
+    quiet = np.quantile(variance, QUIET, axis=0)
+    if (quiet <= 0.0).any():
+        raise DataError(
+            "an accelerometer shows no noise at rest: its steps are too coarse to find static spells",
+            remedy="log finer steps, or give spells of a column",
+        )
+    return (variance / quiet).mean(axis=1), half
+
+
+def _spells(t: Array, activity: Array, half: int, multiple: float) -> tuple[Spell, ...]:
+    still = np.concatenate(([False], activity < multiple, [False]))
+    edges = np.flatnonzero(still[1:] != still[:-1])
+    found = [(a + half, b + half) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 2 * half]
+    return tuple(Spell(float(t[a]), float(t[b - 1]), int(b - a)) for a, b in found)
+
+
+def calibrate_set(
+    t: ArrayLike,
+    outputs: ArrayLike,
+    gravity: float,
+    *,
+    gravity_std: float = 0.0,
+    convention: Convention = "upper",
+    window: float = 1.0,
+    unit: str = "1",
+    names: tuple[str, ...] | None = None,
+    serial: str = "",
+) -> SetCalibration:
+    r"""Calibrate a set of accelerometers from static spells in many attitudes.
+
+    Accelerometer i gives :math:`y_i = b_i + K_i (f_i + \sum_j m_{ij} f_j)`, j > i for ``"upper"``, j < i for ``"lower"``; a
+    fourth and further one :math:`y_i = b_i + \sum_j s_{ij} f_j`. With S the matrix of all sensitivities, the force of a
+    spell is :math:`\hat f = S^+ (\bar y - b)`. The sum over the spells of :math:`(|\hat f| - g)^2`, and of what a redundant set
+    leaves, is minimised. Of the thresholds for the spells that with the smallest residual counts [Tedaldi2014]. Intervals
+    are those of the scatter of the spells; u of gravity is added to scale factors.
+
+    Parameters
+    ----------
+    t, outputs:
+        Time (n,) [s] and outputs (n, accelerometers) of three or more accelerometers.
+    gravity, gravity_std:
+        Size of gravity and its standard uncertainty [m/s^2].
+    convention, unit, names, serial:
+        As in the result.
+    window:
+        Length of the window for the spells [s].
+
+    Raises
+    ------
+    ArgumentError, DataError
+        If the arrays do not fit together, or too few spells are found.
+    IdentifiabilityError
+        If the attitudes do not tell the terms, or one spell alone determines a term.
+    """
+    t, y = np.asarray(t, dtype=float).reshape(-1), np.asarray(outputs, dtype=float)
+    if y.ndim != 2 or y.shape[1] < 3 or len(y) != t.size or not np.isfinite(y).all():
+        raise ArgumentError(
+            "outputs: (n, 3 or more) finite numbers are needed, one row for each time", remedy="correct them"
+        )
+    model = _Model(y.shape[1], convention, gravity)
+    activity, half = _activity(t, y, window)
+    best: tuple[float, float, tuple[Spell, ...], Array, Array] | None = None
+    most = 0
+    for multiple in MULTIPLES:
+        spells = _spells(t, activity, half, multiple)
+        most = max(most, len(spells))
+        if len(spells) * (y.shape[1] - 2) <= model.size:
+            continue
+        at = np.searchsorted(t, [[s.begin, s.end] for s in spells])
+        means = np.array([y[a : b + 1].mean(axis=0) for a, b in at])
+        parameters, square = model.fit(means)
+        rms = math.sqrt(square / (len(spells) * (y.shape[1] - 2) - model.size))
+        if best is None or rms < best[0]:
+            best = rms, multiple, spells, means, parameters
+    if best is None:
+        raise DataError(
+            f"{most} static spells are found, and {model.size} terms need {model.size // (y.shape[1] - 2) + 1} or more",
+            remedy="hold the set still for some seconds in more attitudes, or choose a shorter window",
+        )
+    rms, multiple, spells, means, parameters = best
+    keys = model.keys(names or tuple(f"{k + 1}" for k in range(y.shape[1])))
+    rows = model.residuals(parameters, means)
+    jacobian = model.jacobian(parameters, means)
+    _check_spread(_force(means, *model.sensitivities(parameters)) / gravity)
+    correlation, remarks = _told(jacobian.reshape(-1, model.size), keys)
+    u, degrees = _intervals(np.concatenate((-jacobian, rows[:, :, None]), axis=-1), spells, keys)
+    inherited = np.abs(model.by_gravity(parameters)) * gravity_std / gravity
+    std = np.hypot(u, inherited)
+    both = np.stack((u, inherited), axis=-1), np.stack((degrees, np.full(u.size, np.inf)), axis=-1)
+    freedom = welch_satterthwaite(*both)
+    terms = tuple(map(SetTerm, keys, parameters.tolist(), std.tolist(), freedom.tolist(), model.units(unit)))
+    matrix, bias = model.sensitivities(parameters)
+    shown = tuple(replace(one, residual=float(r)) for one, r in zip(spells, rows[:, 0], strict=True))
+    return SetCalibration(
+        serial=serial,
+        names=names or tuple(f"{k + 1}" for k in range(y.shape[1])),
+        unit=unit,
+        convention=convention,
+        gravity=gravity,
+        gravity_std=gravity_std,
+        terms=terms,
+        covariance=correlation * np.outer(std, std),
+        matrix=matrix,
+        bias=bias,
+        spells=shown,
+        threshold=multiple,
+        residual_rms=rms,
+        remarks=remarks,
+    )
+
+
+def _force(outputs: Array, matrix: Array, bias: Array) -> Array:
+    return np.asarray((outputs - bias) @ np.linalg.pinv(matrix).T)
+
+
+@dataclass
+class _Model:
+    """Residuals of a set of ``count`` accelerometers. Parameters: biases, scale factors, non-orthogonality, further rows."""
+
+    count: int
+    convention: Convention
+    gravity: float
+
+    def __post_init__(self) -> None:
+        pairs = [(i, j) for i in range(3) for j in range(3) if (j > i if self.convention == "upper" else j < i)]
+        self.pairs = pairs
+        self.size = 4 * self.count - 3
+
+    def sensitivities(self, parameters: Array) -> tuple[Array, Array]:
+        """Matrix (n, 3) and biases (n,)."""
+        n = self.count
+        matrix = np.zeros((n, 3))
+        scale = parameters[n : n + 3]
+        matrix[range(3), range(3)] = scale
+        for (i, j), value in zip(self.pairs, parameters[n + 3 : n + 6], strict=True):
+            matrix[i, j] = scale[i] * value
+        matrix[3:] = parameters[n + 6 :].reshape(-1, 3)
+        return matrix, parameters[:n]
+
+    def residuals(self, parameters: Array, means: Array) -> Array:
+        """|f| - g of each spell, and of a redundant set what no force explains, as accelerations (spells, 1 or 1 + n)."""
+        matrix, bias = self.sensitivities(parameters)
+        force = _force(means, matrix, bias)
+        off = np.linalg.norm(force, axis=1)[:, None] - self.gravity
+        if self.count == 3:
+            return off
+        left = (means - bias - force @ matrix.T) / np.linalg.norm(matrix, axis=1)
+        return np.column_stack((off, left))
+
+    def jacobian(self, parameters: Array, means: Array) -> Array:
+        """Derivatives of the residuals (spells, rows, parameters), by central differences."""
+        columns = []
+        for step in np.diag(1e-6 * self.scales(parameters)):
+            ahead, back = (self.residuals(parameters + sign * step, means) for sign in (1.0, -1.0))
+            columns.append((ahead - back) / (2.0 * step.max()))
+        return np.stack(columns, axis=-1)
+
+    def scales(self, parameters: Array) -> Array:
+        """Natural size of each parameter: an output of g for biases, the scale factor for sensitivities, 1 for angles."""
+        matrix, _ = self.sensitivities(parameters)
+        norms = np.linalg.norm(matrix, axis=1)
+        return np.concatenate((norms * self.gravity, norms[:3], np.ones(3), np.repeat(norms[3:], 3)))
+
+    def fit(self, means: Array) -> tuple[Array, float]:
+        """Parameters of the least sum of squares, and that sum. It starts at the ellipsoid's box, with all axes orthogonal."""
+        from scipy.optimize import least_squares
+
+        low, high = means.min(axis=0), means.max(axis=0)
+        n = self.count
+        start = np.zeros(self.size)
+        start[:n] = 0.5 * (low + high)
+        start[n : n + 3] = np.maximum(0.5 * (high - low)[:3], 1e-12) / self.gravity
+        if n > 3:
+            base = (means[:, :3] - start[:3]) / start[n : n + 3]
+            columns = np.column_stack((base, np.ones(len(base))))
+            further = np.linalg.lstsq(columns, means[:, 3:], rcond=None)[0]
+            start[3:n], start[n + 6 :] = further[3], further[:3].T.ravel()
+        found = least_squares(
+            lambda p: self.residuals(p, means).ravel(),
+            start,
+            jac=lambda p: self.jacobian(p, means).reshape(-1, self.size),
+            x_scale=self.scales(start),
+            xtol=1e-14,
+            ftol=1e-14,
+            gtol=1e-14,
+        )
+        return found.x, float(2.0 * found.cost)
+
+    def keys(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Keys of the parameters."""
+        axes = "XYZ"
+        keys = [f"bias[{name}]" for name in names] + [f"scale_factor[{name}]" for name in names[:3]]
+        keys += [f"m_{axes[j]}[{names[i]}]" for i, j in self.pairs]
+        return tuple(keys + [f"s_{axis}[{name}]" for name in names[3:] for axis in axes])
+
+    def units(self, unit: str) -> tuple[str, ...]:
+        """Units of the parameters."""
+        scale = f"{unit}/(m/s^2)"
+        return (*[unit] * self.count, *[scale] * 3, *["rad"] * 3, *[scale] * (3 * (self.count - 3)))
+
+    def by_gravity(self, parameters: Array) -> Array:
+        """Change of the parameters by a relative change of gravity: all sensitivities, no bias and no angle."""
+        moved = parameters.copy()
+        moved[: self.count] = 0.0
+        moved[self.count + 3 : self.count + 6] = 0.0
+        return moved
+
+
+def _intervals(parts: Array, spells: tuple[Spell, ...], keys: tuple[str, ...]) -> tuple[Array, Array]:
+    """Standard uncertainties and degrees of freedom by the scatter of the spells."""
+    repetitions = [
+        Repetition(Reduction(keys, part), 0, 1.0, f"{one.begin:.6g} s", one.begin, one.end)
+        for part, one in zip(parts, spells, strict=True)
+    ]
+    return sandwich(list(parts), repetitions, keys)
+
+
+def _check_spread(directions: Array) -> None:
+    """Refuse attitudes in one plane: an ellipse of outputs is a section of many ellipsoids."""
+    around = directions - directions.mean(axis=0)
+    if np.linalg.svd(around, compute_uv=False)[-1] < FLAT * math.sqrt(len(around)):
+        raise IdentifiabilityError(
+            "these attitudes lie in one plane: they cannot tell the sensitivities across it",
+            remedy="turn the set about a second axis, too: each axis up and down, and each pair at 45 degrees",
+        )
+
+
+def _told(jacobian: Array, keys: tuple[str, ...]) -> tuple[Array, tuple[str, ...]]:
+    """Correlations of the terms, and remarks on pairs that the attitudes hardly tell apart.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If they do not tell a combination at all.
+    """
+    scaled = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    _, singular, right = np.linalg.svd(scaled, full_matrices=False)
+    if singular[-1] < SINGULAR * singular[0]:
+        mixed = [key for key, share in zip(keys, np.abs(right[-1]), strict=True) if share > 0.1]
+        raise IdentifiabilityError(
+            f"these attitudes cannot tell {', '.join(mixed)}",
+            remedy="hold the set in more attitudes: each axis up and down, and each pair of axes at 45 degrees",
+            terms=tuple(mixed),
+        )
+    inverse = (right.T / singular**2) @ right
+    size = np.sqrt(np.diag(inverse))
+    correlation: NDArray[np.float64] = inverse / np.outer(size, size)
+    remarks = [
+        f"these attitudes hardly tell {keys[i]} from {keys[j]}: correlation {correlation[i, j]:.3f}"
+        for i in range(len(keys))
+        for j in range(i)
+        if abs(correlation[i, j]) > ALIKE
+    ]
+    return correlation, tuple(remarks)

@@ -1,0 +1,125 @@
+"""Run file of a set of accelerometers whose reference is the size of gravity."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+
+from piga.errors import RunFileError
+from piga.gravity_norm.estimate import Convention, SetCalibration, calibrate_set
+from piga.reading.columns import read_columns
+from piga.records.run_file import (
+    Columns,
+    DataTable,
+    OutputColumn,
+    Quantity,
+    Seconds,
+    TimeColumn,
+    TomlTable,
+    in_unit,
+)
+from piga.records.text_files import read_toml, toml_bytes, toml_document
+from piga.results import Array
+from piga.units import conversion_factor, to_si
+
+MARK = "gravity-norm"
+"""Value of ``[data] reference`` that makes a run file one of a set."""
+
+
+class SetInstrument(TomlTable, frozen=True):
+    """``[instrument]``: identity of the set, and the size of gravity."""
+
+    serial: str
+    gravity: Annotated[Quantity, in_unit("m/s^2")]
+    gravity_uncertainty: Annotated[Quantity, in_unit("m/s^2")] = 0.0
+
+
+class SetOutputs(TomlTable, frozen=True):
+    """Columns of three or more accelerometers, with one unit."""
+
+    columns: Annotated[tuple[str, ...], msgspec.Meta(min_length=3)]
+    unit: str
+
+
+class SetData(TomlTable, frozen=True):
+    """``[data]``: the file, its columns and, if the file does not show it, its format."""
+
+    file: str
+    reference: Literal["gravity-norm"]
+    outputs: SetOutputs
+    time: TimeColumn | None = None
+    sample_rate: Quantity | None = None
+    delimiter: str | None = None
+    decimal: Literal[".", ","] | None = None
+    skip_rows: int = 0
+    header_row: int | bool | None = None
+
+    def table(self, column: str, reference: tuple[str, str, str]) -> DataTable:
+        """The table of a run file that reads one column as output and three as reference."""
+        return DataTable(
+            self.file, OutputColumn(column, "counts"), Columns(reference, "1"), self.time, self.sample_rate,
+            delimiter=self.delimiter, decimal=self.decimal, skip_rows=self.skip_rows, header_row=self.header_row,
+        )  # fmt: skip
+
+
+class SetModel(TomlTable, frozen=True):
+    """``[model]``: convention of the axes, and window for the static spells."""
+
+    convention: Convention = "upper"
+    window: Seconds = 1.0
+
+
+class SetFile(TomlTable, frozen=True):
+    """A whole run file of a set."""
+
+    instrument: SetInstrument
+    data: SetData
+    model: SetModel = SetModel()
+
+
+def is_set_file(path: Path) -> bool:
+    """Whether a run file is one of a set: its ``[data] reference`` is ``"gravity-norm"``."""
+    if path.suffix != ".toml":
+        return False
+    data = toml_document(path).get("data")
+    return isinstance(data, dict) and data.get("reference") == MARK
+
+
+def calibrate_set_file(path: str | Path) -> SetCalibration:
+    """Calibrate a set by its run file.
+
+    Raises
+    ------
+    RunFileError, DataError, IdentifiabilityError
+        As :func:`calibrate_set`. The message names file, key, row or column.
+    """
+    path = Path(path)
+    content = toml_bytes(path)
+    file = read_toml(path, SetFile, content)
+    data, outputs = file.data, file.data.outputs
+    if (data.time is None) == (data.sample_rate is None):
+        raise RunFileError(f"{path}: [data] needs either time or sample_rate", remedy="give one of the two")
+    digests = {path.name: hashlib.sha256(content).hexdigest()}
+    columns: dict[str, Array] = {}
+    for at in range(0, len(outputs.columns), 3):
+        x, y, z = (outputs.columns[min(at + k, len(outputs.columns) - 1)] for k in range(3))
+        raw = read_columns(path.parent, data.table(x, (x, y, z)))
+        columns |= raw.numbers
+        digests |= raw.inputs
+    values = np.column_stack([columns[name] for name in outputs.columns])
+    if data.time is None:
+        t = np.arange(len(values)) / to_si(data.sample_rate or 1.0, "Hz", what="[data] sample_rate")
+    else:
+        t = columns[data.time.column] * (conversion_factor(data.time.unit, "s") if data.time.unit else 1.0)
+    used = np.isfinite(values).all(axis=1) & np.isfinite(t)
+    given, model = file.instrument.in_si("[instrument] "), file.model.in_si("[model] ")
+    result = calibrate_set(
+        t[used], values[used], given["gravity"], gravity_std=given["gravity_uncertainty"], window=model["window"],
+        convention=file.model.convention, unit=outputs.unit, names=outputs.columns, serial=file.instrument.serial,
+    )  # fmt: skip
+    return replace(result, input_sha256=digests)

@@ -1,0 +1,147 @@
+"""Calibration of a set by the size of gravity shown: terms, residuals of the spells, spells in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from piga._version import __version__
+from piga.gravity_norm.estimate import SetCalibration
+from piga.reports.render.figure import Figure, Plot
+from piga.reports.render.numbers import pretty_unit, printed, rounded, short
+from piga.reports.render.page import (
+    ALONE,
+    Block,
+    FigureBlock,
+    Notice,
+    Page,
+    Section,
+    Table,
+    TableOf,
+    Text,
+    Tile,
+    named_values,
+)
+from piga.units import MICRO_G
+
+
+def figures(cal: SetCalibration) -> dict[str, Callable[[], Figure]]:
+    """The figure of the residuals."""
+    return {"residuals": partial(residual_figure, cal)}
+
+
+def residual_figure(cal: SetCalibration) -> Figure:
+    """Size of the force less gravity in each spell."""
+    middle = np.array([0.5 * (one.begin + one.end) for one in cal.spells])
+    off = np.array([one.residual for one in cal.spells]) / MICRO_G
+    plot = Plot(
+        "residuals", "Size of the force less gravity.", "middle of the spell [s]", "|f| − g [µg]", height=3.2
+    )
+    plot.points(middle, off, "spells", "after", text=tuple(f"{one.begin:.6g} s" for one in cal.spells))
+    plot.level(middle, 0.0, "gravity")
+    return plot.caption(
+        "Residual of each static spell. Good: points scatter around zero without order. A trend in time is a drift of the "
+        "bias or of gravity's support; one spell far off was not at rest."
+    )
+
+
+def terms_table(cal: SetCalibration) -> Table:
+    """All terms with u, U and degrees of freedom."""
+    return (
+        TableOf(cal.terms)
+        .text("term", lambda term: term.key)
+        .number("value", lambda term: printed(rounded(term.value, term.std).value))
+        .number("u", lambda term: short(term.std))
+        .number("U, 95 %", lambda term: short(term.expanded))
+        .number("degrees of freedom", lambda term: short(term.degrees_of_freedom))
+        .text("unit", lambda term: pretty_unit(term.unit))
+        .table("Terms")
+    )
+
+
+def _words(cal: SetCalibration) -> str:
+    keeps = "Z of the third accelerometer" if cal.convention == "upper" else "X of the first accelerometer"
+    return f"Convention {cal.convention}: the axes of the set keep {keeps}. Scale factors depend on the convention."
+
+
+def page(cal: SetCalibration) -> Page:
+    """Terms, residuals and spells."""
+    notices = [Notice("warning", remark) for remark in cal.remarks]
+    spells = (
+        TableOf(cal.spells)
+        .number("begin", lambda one: f"{one.begin:.6g}", "s")
+        .number("end", lambda one: f"{one.end:.6g}", "s")
+        .number("samples", lambda one: str(one.samples))
+        .number("|f| − g", lambda one: short(one.residual / MICRO_G), "µg")
+        .table("Static spells")
+    )
+    return Page(
+        f"Set {cal.serial}",
+        f"{len(cal.names)} accelerometers, gravity {cal.gravity:.9g} m/s² as the reference.",
+        (
+            Tile(
+                "Static spells",
+                str(len(cal.spells)),
+                "",
+                f"threshold {cal.threshold:g} times the quiet variance",
+            ),
+            Tile("Residual", short(cal.residual_rms / MICRO_G), "µg", "root mean square by degrees of freedom"),
+        ),
+        (
+            Section("Terms", "terms", (Text(_words(cal), lead=True), terms_table(cal), *notices)),
+            Section("Residuals", "of-spells", (FigureBlock(residual_figure(cal)), spells)),
+            Section(
+                "Origin", "origin", (named_values("file", "SHA-256", cal.input_sha256, "Files", code=True),)
+            ),
+        ),
+        kicker="piga calibrate",
+        footer=f"Made by piga {__version__}. {ALONE}",
+    )
+
+
+def brief(cal: SetCalibration) -> Page:
+    """Terms and remarks for terminal and notebook."""
+    title = (
+        f"Set {cal.serial}: {len(cal.spells)} static spells, residual {short(cal.residual_rms / MICRO_G)} ug"
+    )
+    notices = [Notice("warning", remark) for remark in cal.remarks]
+    blocks: list[Block] = [terms_table(cal), Text(_words(cal)), *notices, FigureBlock(residual_figure(cal))]
+    return Page(title, sections=(Section("", "terms", tuple(blocks)),))
+
+
+def set_document(cal: SetCalibration) -> dict[str, Any]:
+    """The result as plain data for JSON."""
+    return {
+        "schema": "piga.set-calibration/1",
+        "software": f"piga {__version__}",
+        "serial": cal.serial,
+        "unit": cal.unit,
+        "names": list(cal.names),
+        "convention": cal.convention,
+        "gravity": cal.gravity,
+        "gravity_std": cal.gravity_std,
+        "terms": {
+            term.key: {
+                "value": term.value,
+                "std": term.std,
+                "expanded": term.expanded,
+                "degrees_of_freedom": term.degrees_of_freedom,
+                "unit": term.unit,
+            }
+            for term in cal.terms
+        },
+        "covariance": cal.covariance.tolist(),
+        "sensitivities": cal.matrix.tolist(),
+        "bias": cal.bias.tolist(),
+        "threshold": cal.threshold,
+        "residual_rms": cal.residual_rms,
+        "spells": [
+            {"begin": one.begin, "end": one.end, "samples": one.samples, "residual": one.residual}
+            for one in cal.spells
+        ],
+        "remarks": list(cal.remarks),
+        "input_sha256": cal.input_sha256,
+    }

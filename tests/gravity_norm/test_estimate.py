@@ -1,0 +1,135 @@
+"""Set calibration by the size of gravity: the truth put in, its intervals, both conventions, what attitudes do not tell."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import piga
+from piga.errors import ArgumentError, DataError, IdentifiabilityError
+from piga.gravity_norm import static_spells
+from piga.reports.gravity_norm import set_document
+from tests.gravity_norm.simulated import BIAS, LOWER, STEP, G, directions, record
+
+
+def truth(matrix, bias, lower=True):
+    """Terms of a set whose matrix is triangular."""
+    scale = np.diag(matrix)
+    m = (matrix / scale[:, None])[np.tril_indices(3, -1) if lower else np.triu_indices(3, 1)]
+    return np.concatenate((bias, scale, m))
+
+
+def test_the_truth_is_in_the_intervals():
+    """15 records of 30 attitudes: of each term the interval of 95 % holds at least 11 times; of all, 90 to 100 %."""
+    rng, held, degrees = np.random.default_rng(41), [], []
+    for _ in range(15):
+        cal = piga.calibrate_set(*record(rng, directions(rng, 30), scatter=0.3), G, convention="lower")
+        assert len(cal.spells) == 30
+        off = np.array([term.value for term in cal.terms]) - truth(LOWER, BIAS)
+        held.append(np.abs(off) <= [term.expanded for term in cal.terms])
+        degrees.append([term.degrees_of_freedom for term in cal.terms])
+    assert np.sum(held, axis=0).min() >= 11
+    assert 0.90 <= np.mean(held) <= 1.0
+    assert 3.0 < np.mean(degrees) < 21.0
+
+
+def test_conventions_are_the_same_set():
+    """Both describe the same ellipsoid: S'S is equal, and each matrix is triangular."""
+    rng = np.random.default_rng(42)
+    log = record(rng, directions(rng, 30))
+    lower, upper = (piga.calibrate_set(*log, G, convention=one) for one in ("lower", "upper"))
+    metrics = [np.linalg.inv(cal.matrix @ cal.matrix.T) for cal in (lower, upper)]
+    assert metrics[0] == pytest.approx(metrics[1], rel=1e-6, abs=1e-12)
+    assert np.triu(lower.matrix, 1) == pytest.approx(0.0)
+    assert np.tril(upper.matrix, -1) == pytest.approx(0.0)
+    assert lower["scale_factor[3]"].value != pytest.approx(upper["scale_factor[3]"].value, rel=1e-6)
+    assert np.linalg.norm(upper.force(log[1][10:100]), axis=1).mean() == pytest.approx(G, rel=1e-3)
+
+
+def test_a_redundant_set_of_four():
+    """A fourth accelerometer along the diagonal: its three sensitivities and its bias."""
+    rng = np.random.default_rng(43)
+    matrix, bias = np.vstack((LOWER, [230.0, 231.0, 232.0])), np.append(BIAS, 12.0)
+    cal = piga.calibrate_set(
+        *record(rng, directions(rng, 25), matrix, bias), G, convention="lower", names=tuple("abcd")
+    )
+    for key, true in zip(("s_X[d]", "s_Y[d]", "s_Z[d]", "bias[d]"), (230.0, 231.0, 232.0, 12.0), strict=True):
+        assert abs(cal[key].value - true) < 4.0 * cal[key].std
+        assert cal[key].std < 0.5
+    assert cal.covariance.shape == (13, 13)
+
+
+def test_spells_are_the_attitudes():
+    """Begin and end of each, half a window inside."""
+    rng = np.random.default_rng(44)
+    t, outputs = record(rng, directions(rng, 12))
+    found = static_spells(t, outputs, window=1.0, multiple=6.0)
+    begins = 3.5 * np.arange(12)
+    assert [one.begin for one in found] == pytest.approx(begins + 0.5, abs=0.2)
+    assert [one.end for one in found] == pytest.approx(begins + 2.5, abs=0.2)
+    assert found[3].samples == pytest.approx(2.0 / STEP, abs=12)
+
+
+def test_gravity_moves_sensitivities_alone():
+    """With another g all scale factors change by its share; its uncertainty is in theirs."""
+    rng = np.random.default_rng(45)
+    log = record(rng, directions(rng, 20))
+    one, other = (piga.calibrate_set(*log, g, gravity_std=1e-3 * g) for g in (G, 1.01 * G))
+    assert other["scale_factor[1]"].value * 1.01 == pytest.approx(one["scale_factor[1]"].value, rel=1e-9)
+    assert other["bias[2]"].value == pytest.approx(one["bias[2]"].value, abs=1e-5)
+    sharp = piga.calibrate_set(*log, G)
+    assert one["scale_factor[1]"].std == pytest.approx(
+        np.hypot(sharp["scale_factor[1]"].std, 1e-3 * one["scale_factor[1]"].value), rel=1e-6
+    )
+    assert one["bias[2]"].std == pytest.approx(sharp["bias[2]"].std, rel=1e-9)
+
+
+def test_attitudes_that_do_not_tell():
+    """About one axis only: the terms of the two other axes' tilt are not told; nearly so is refused or remarked by name."""
+    rng = np.random.default_rng(46)
+    angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    plane = np.column_stack((np.cos(angles), np.sin(angles), 0.0 * angles))
+    for scatter in (0.0, 0.3):
+        with pytest.raises(IdentifiabilityError, match="cannot tell"):
+            piga.calibrate_set(*record(rng, plane, scatter=scatter), G)
+    half = directions(rng, 40)
+    half[:, 2] = np.abs(half[:, 2]) * 0.2 + 0.9
+    half /= np.linalg.norm(half, axis=1)[:, None]
+    cal = piga.calibrate_set(*record(rng, half), G)
+    assert any("bias[3]" in remark and "scale_factor[3]" in remark for remark in cal.remarks)
+
+
+def test_one_attitude_that_alone_determines_a_term_is_named():
+    rng = np.random.default_rng(47)
+    angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    cone = np.column_stack((np.cos(angles), np.sin(angles), 1e-9 * angles))
+    one = np.vstack((cone, [[0.6, 0.0, 0.8], [0.0, 0.6, -0.8], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]))
+    with pytest.raises(IdentifiabilityError, match="alone determines"):
+        piga.calibrate_set(*record(rng, one), G)
+
+
+def test_too_few_spells_and_wrong_shapes():
+    rng = np.random.default_rng(48)
+    t, outputs = record(rng, directions(rng, 7))
+    with pytest.raises(DataError, match="7 static spells are found, and 9 terms need 10"):
+        piga.calibrate_set(t, outputs, G)
+    with pytest.raises(ArgumentError, match="3 or more"):
+        piga.calibrate_set(t, outputs[:, :2], G)
+    with pytest.raises(DataError, match="no noise at rest"):
+        piga.calibrate_set(t, np.round(outputs / 1e4), G)
+
+
+def test_the_document_is_json_and_complete():
+    rng = np.random.default_rng(49)
+    cal = piga.calibrate_set(
+        *record(rng, directions(rng, 20)), G, serial="S", unit="LSB", names=("x", "y", "z")
+    )
+    document = json.loads(json.dumps(set_document(cal), allow_nan=False))
+    assert document["convention"] == "upper"
+    term = document["terms"]["scale_factor[y]"]
+    assert term["unit"] == "LSB/(m/s^2)"
+    assert term["expanded"] == pytest.approx(cal["scale_factor[y]"].expanded)
+    assert len(document["spells"]) == 20
+    assert "scale_factor[y]" in cal.summary()
