@@ -78,7 +78,8 @@ def test_explain() -> None:
     done = invoked("check", "--explain", "data.time.stamp")
     assert done.exit_code == 0
     assert done.stdout == (
-        'data.time.stamp (run file); data.time.stamp (run file of a set)\n  Form of time stamps, or "iso"; instead of a unit.\n  value    text\n'
+        "data.time.stamp (run file); data.time.stamp (run file of a set)\n"
+        '  Form of time stamps, or "iso"; instead of a unit.\n  value    text\n'
         '  default  none\n  example  stamp = "DD.MM.YYYY hh:mm:ss.f"\n'
     )
     assert {place.file for place in explain("terms")} == {"run"}
