@@ -14,8 +14,11 @@ from piga.errors import RunFileError
 from piga.gravity_norm.estimate import Convention, SetCalibration, calibrate_set
 from piga.reading.columns import read_columns
 from piga.records.run_file import (
+    MOST_HEAD_ROWS,
     Columns,
     DataTable,
+    HeadPair,
+    HeadRow,
     OutputColumn,
     Quantity,
     Seconds,
@@ -36,7 +39,7 @@ class SetInstrument(TomlTable, frozen=True):
 
     serial: str
     gravity: Annotated[Quantity, in_unit("m/s^2")]
-    gravity_uncertainty: Annotated[Quantity, in_unit("m/s^2")] = 0.0
+    gravity_uncertainty: Annotated[Quantity, in_unit("m/s^2")] = "0 m/s^2"
 
 
 class SetOutputs(TomlTable, frozen=True):
@@ -56,8 +59,8 @@ class SetData(TomlTable, frozen=True):
     sample_rate: Quantity | None = None
     delimiter: str | None = None
     decimal: Literal[".", ","] | None = None
-    skip_rows: int = 0
-    header_row: int | bool | None = None
+    skip_rows: Annotated[int, msgspec.Meta(ge=0, le=MOST_HEAD_ROWS)] = 0
+    header_row: HeadRow | bool | HeadPair | None = None
 
     def table(self, column: str, reference: tuple[str, str, str]) -> DataTable:
         """The table of a run file that reads one column as output and three as reference."""
@@ -71,7 +74,7 @@ class SetModel(TomlTable, frozen=True):
     """``[model]``: convention of the axes, and window for the static spells."""
 
     convention: Convention = "upper"
-    window: Seconds = 1.0
+    window: Seconds = "1 s"
 
 
 class SetFile(TomlTable, frozen=True):
