@@ -18,7 +18,7 @@ import msgspec
 
 from piga.errors import UnitError
 from piga.records.calibration import Calibration, Coefficient
-from piga.records.terms import SERVO_TERMS, meaning_of, unit_of
+from piga.records.terms import SERVO_TERMS, meaning_of
 from piga.records.text_files import read_toml
 from piga.units import to_si
 
@@ -421,7 +421,7 @@ def _conformity(data: CertificateFile, calibration: Calibration) -> Iterator[str
             yield f"[conformity.limits] {key} (7.8.6.2 a): the calibration has no such coefficient"
             continue
         try:
-            low, high = limits_in_file_units(key, pair)
+            low, high = limits_in_file_units(calibration[key].unit, pair)
         except UnitError as error:
             yield f"[conformity.limits] {key} (7.8.6.2 a): {error.message}"
             continue
@@ -429,7 +429,7 @@ def _conformity(data: CertificateFile, calibration: Calibration) -> Iterator[str
             yield f"[conformity.limits] {key} (7.8.6.2 a): the lower limit is not below the upper one"
 
 
-def limits_in_file_units(key: str, pair: tuple[str, str]) -> tuple[float, float]:
+def limits_in_file_units(unit: str, pair: tuple[str, str]) -> tuple[float, float]:
     """Lower and upper limit of a coefficient in its unit in ``calibration.json``.
 
     Raises
@@ -437,7 +437,6 @@ def limits_in_file_units(key: str, pair: tuple[str, str]) -> tuple[float, float]
     UnitError
         If a limit has no unit or a unit of the wrong dimension.
     """
-    unit = unit_of(key)
     one = to_si(f"1 {unit}", unit)
     low, high = (to_si(text, unit, what=f"limit '{text}'") / one for text in pair)
     return low, high

@@ -70,8 +70,8 @@ def verdicts(data: CertificateFile, calibration: Calibration) -> tuple[Conformit
         return ()
     conformities = []
     for key, pair in rule.limits.items():
-        low, high = limits_in_file_units(key, pair)
         c = calibration[key]
+        low, high = limits_in_file_units(c.unit, pair)
         least, most = c.limits if rule.rule == "guarded" else (c.value, c.value)
         status = _status(c.value, least, most, low, high)
         conformities.append(Conformity(key, c.unit, low, high, c.value, c.coverage, status))

@@ -276,7 +276,8 @@ def _single(
         phase_used = "of the calibration"
         if options.phase is not None:
             phase_used = f"{options.phase.value:.6g} rad, standard uncertainty {options.phase.std:.2g} rad"
-        words = {"method": check_method(options.method, calibration), "phase used": phase_used}
+        words = {"method": check_method(options.method, calibration)}
+        words |= {} if calibration.direct else {"phase used": phase_used}
         data = inputs[1][0] if len(inputs) > 2 else inputs[0][0]
         _write_page(outline, (data,), inputs, options.in_words(**words), page, document, whole)
     return document, calibrations

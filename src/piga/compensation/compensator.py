@@ -79,7 +79,8 @@ def find_begins(state: Any, t: Array) -> NDArray[np.bool_]:
 
 def run_kernel(model: Model, state: Any, chunk: Chunk, kind: str, rows: Rows) -> None:
     """Compensate the samples of a chunk into ``rows`` and update ``state`` in place."""
-    psi, rate = (chunk.output, NONE) if kind == "angle" else (chunk.angle, chunk.output)
+    output = chunk.output if model.scale == 1.0 else model.scale * chunk.output
+    psi, rate = (output, NONE) if kind == "angle" else (chunk.angle, output)
     samples = Samples(
         chunk.t, psi, rate, chunk.a_Y, chunk.a_Z, chunk.begins, chunk.base_rate, chunk.temperature
     )
@@ -106,7 +107,8 @@ class Compensator:
     calibration:
         The coefficients.
     kind:
-        What ``output`` is: ``"angle"`` psi [rad], unwrapped, or ``"rate"`` [rad/s].
+        What ``output`` is: ``"angle"`` psi [rad], unwrapped, or ``"rate"`` [rad/s]. Of a direct instrument its running count
+        is the ``"angle"``.
     method:
         ``"exact"`` or ``"published"``; None: the method that matches the calibration's ``phase_source``.
     segment, phase:
@@ -398,13 +400,18 @@ def pieces_of(record: Run, stream: Compensator) -> Iterator[tuple[slice, str, Ch
 
 
 def check_serial(record: Run, calibration: Calibration, force: bool) -> None:
-    """Refuse the coefficients of another instrument.
+    """Refuse the coefficients of another instrument, unless ``force``, or of another output.
 
     Raises
     ------
     CalibrationError
-        Unless ``force``.
+        Naming both.
     """
+    if record.unit != calibration.unit:
+        raise CalibrationError(
+            f"the output of the record is in {record.unit}, that of the calibration in {calibration.unit}",
+            remedy="take the calibration of this output",
+        )
     if not force and record.serial and calibration.serial and record.serial != calibration.serial:
         raise CalibrationError(
             f"the record is of instrument '{record.serial}', the calibration of '{calibration.serial}'",

@@ -89,6 +89,10 @@ def age_flag(calibration: Calibration, max_age_days: float | None) -> int:
 COMPENSATION_METHODS = ("exact", "published")
 
 
+SMALL_K = 1e-9
+"""K [(rad/s)/(m/s^2)] that stands for that of a direct instrument: its angles are below all limits of the motion."""
+
+
 @dataclass(frozen=True)
 class Phase:
     """Phase of the output zero [rad] with its standard uncertainty, as identified at power-up."""
@@ -103,7 +107,8 @@ class Model:
 
     ``instrument``: one record of :class:`piga._kernels.compensation.data.Instrument`. ``more``: its harmonics and the
     covariance of its coefficients. ``base_flag``: flags that are valid for all rows. ``places``: place of each of these
-    coefficients in the calibration; -1: a phase that is given, with the standard uncertainty ``phase_std`` [rad].
+    coefficients in the calibration; -1: a phase that is given, with the standard uncertainty ``phase_std`` [rad]. ``scale``: what
+    the output is multiplied by; it is not 1 for a direct instrument, whose output is made a small angle that never turns far.
     """
 
     instrument: Any
@@ -112,6 +117,7 @@ class Model:
     needs_temperature: bool
     places: tuple[int, ...]
     phase_std: float
+    scale: float = 1.0
 
 
 def make_model(
@@ -133,7 +139,6 @@ def make_model(
     CalibrationError
         If the phase is needed but missing; names the segment.
     """
-    calibration.require_gimbal("compensation")
     used = _used_coefficients(calibration, segment, phase)
     values = {c.name: c.value * si_factor(c.name) for c in used}
     if phase is not None:
@@ -142,21 +147,22 @@ def make_model(
     for name in at.TERMS:
         instrument[name] = values.get(name, 0.0)
     K = values.get("scale_factor", calibration.scale_factor_nominal)
+    scale = SMALL_K / K if calibration.direct else 1.0
     chosen, T_0 = limits or Limits.of(calibration), calibration.temperature_reference
     low, high = chosen.a_x
     cold, hot = chosen.temperature
     for name, value in {
-        "K": K, "tan_beta": values.get("tan_beta", 0.0), "phi": values.get("phi", 0.0),
+        "K": K * scale, "tan_beta": values.get("tan_beta", 0.0), "phi": values.get("phi", 0.0),
         "offset_y": K * values.get("s1", 0.0), "offset_z": -K * values.get("c1", 0.0),
         "t_0": calibration.time_reference, "T_0": T_0,
-        "white": calibration.angle_rms**2, "walk": calibration.angle_random_walk**2,
+        "white": (scale * calibration.angle_rms) ** 2, "walk": (scale * calibration.angle_random_walk) ** 2,
         "low": low, "high": high, "most": chosen.a_t, "cold": cold - T_0, "hot": hot - T_0,
         "has_terms": float(any(values.get(name, 0.0) != 0.0 for name in at.TERMS)),
         "published": float(method == "published"), "typical": typical,
     }.items():  # fmt: skip
         instrument[name] = value
     orders = sorted({wave[1] for name in values if (wave := harmonic(name)) and wave[1] > 1})
-    codes, factor, places = _covariance_factor(calibration, used, phase)
+    codes, factor, places = _covariance_factor(calibration, used, phase, scale)
     more = at.Covariance(
         np.array(orders, dtype=float),
         np.array([values.get(f"s{n}", 0.0) for n in orders], dtype=float),
@@ -165,7 +171,7 @@ def make_model(
         factor,
     )
     warm = any(name in values for name in THERMAL_TERMS)
-    return Model(instrument, more, flag, warm, places, 0.0 if phase is None else phase.std)
+    return Model(instrument, more, flag, warm, places, 0.0 if phase is None else phase.std, scale)
 
 
 def velocity_variance(calibration: Calibration, parts: Iterable[tuple[Model, Array]]) -> float:
@@ -182,7 +188,8 @@ def velocity_variance(calibration: Calibration, parts: Iterable[tuple[Model, Arr
             if place < 0:
                 given += value * model.phase_std
             else:
-                slope[place] += value
+                known = calibration.coefficients[place].name == "scale_factor"
+                slope[place] += value * (model.scale if known else 1.0)
         p = model.instrument[0]
         gain = sums[kernels.GAIN] / sums[kernels.TIME] if sums[kernels.TIME] > 0.0 else 1.0
         noise = 2.0 * p["white"] * sums[kernels.STRETCHES] + p["walk"] * sums[kernels.TIME]
@@ -246,7 +253,7 @@ def _code(name: str) -> int:
 
 
 def _covariance_factor(
-    calibration: Calibration, used: tuple[Coefficient, ...], phase: Phase | None
+    calibration: Calibration, used: tuple[Coefficient, ...], phase: Phase | None, output_scale: float
 ) -> tuple[NDArray[np.int64], Array, tuple[int, ...]]:
     """Codes of the uncertain coefficients in falling order, a triangular factor of their covariance in SI, and their places."""
     index = {c.key: i for i, c in enumerate(calibration.coefficients)}
@@ -258,7 +265,7 @@ def _covariance_factor(
     for i, coefficient in enumerate(used):
         if i not in inside:
             matrix[i, i] = coefficient.std**2
-    units = np.array([si_factor(c.name) for c in used])
+    units = np.array([si_factor(c.name) * (output_scale if c.name == "scale_factor" else 1.0) for c in used])
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     spread = scale > 0.0
     if np.count_nonzero(spread) > at.MOST_TERMS:

@@ -48,6 +48,7 @@ class PhaseFinder:
     """
 
     def __init__(self, calibration: Calibration) -> None:
+        calibration.require_gimbal("the phase at power-up")
         p = self._instrument = make_model(calibration, phase=Phase(0.0)).instrument[0]
         if p["tan_beta"] == 0.0 and p["offset_y"] == 0.0 and p["offset_z"] == 0.0:
             raise CalibrationError(

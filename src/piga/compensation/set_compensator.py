@@ -148,6 +148,8 @@ class SetCompensator:
         limits: Limits | None = None,
         max_age_days: float | None = None,
     ) -> None:
+        for item in instruments:
+            item.calibration.require_gimbal("compensation of a set")
         self._axes = np.array([rotation(item.axes, i) for i, item in enumerate(instruments)])
         check_spread(self._axes)
         self._sampled, self._uncertainty, self._flags = sampled, uncertainty, flags

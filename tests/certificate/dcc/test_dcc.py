@@ -252,8 +252,15 @@ def test_units_of_the_digital_si():
     assert dsi_unit("g/K") == r"\metre\second\tothe{-2}\kelvin\tothe{-1}"
     assert dsi_unit("g", "g/g^2") == r"\one"
     assert dsi_unit("hPa") == r"\metre\tothe{-1}\second\tothe{-2}\kilogram"
-    with pytest.raises(PigaError, match="not made of SI"):
-        dsi_unit("count")
+    assert dsi_unit("count/s/g") == r"\metre\tothe{-1}\second"
+    assert dsi_unit("V/g") == r"\metre\tothe{-1}\second\tothe{2}\volt"
+    assert dsi_unit("mA/g", "g") == r"\ampere"
+
+
+def test_scale_factors_of_direct_instruments_in_the_si():
+    assert float(to_dsi(0.6, "mA/g")) == pytest.approx(0.6e-3 / 9.80665, rel=1e-15)
+    assert float(to_dsi(0.6, "mA/g", "g")) == 0.6e-3
+    assert float(to_dsi(1.5, "g/g")) == 1.5
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e200, max_value=1e200).filter(
@@ -473,8 +480,3 @@ def test_attached_data_that_do_not_fit_are_refused(stated, limits):
 
 def test_the_full_certificate_reads(stated):
     assert calibration_of(etree.fromstring(stated), Path("x.xml"))["k0"].limits == (1.5001e-3, 1.70035e-3)
-
-
-def test_units_that_are_not_of_the_si() -> None:
-    with pytest.raises(DataError, match="not made of SI base units"):
-        dsi_unit("V")

@@ -12,6 +12,7 @@ import base64
 import binascii
 import copy
 import datetime as dt
+import math
 import re
 import warnings
 from dataclasses import dataclass
@@ -84,6 +85,7 @@ def _write(
         data=data,
         calibration=calibration,
         before=before,
+        nominal=calibration.scale_factor_nominal * parse_unit(calibration.unit).factor,
         release=release,
         days=_days(data),
         statements=statements(data, calibration),
@@ -398,12 +400,18 @@ _EXACT = Context(prec=60)
 _SHOWN = Context(prec=DIGITS)
 _POWERS = {"rad/s/g": -1, "1": 0, "rad": 0, "g": 1, "g/g^2": -1, "g/g^3": -2, "g/s": 1, "g/K": 1, "1/K": 0}
 """Power of ``g`` in each unit of a coefficient."""
-_BASE = (r"\metre", r"\second", r"\radian", r"\kilogram", r"\kelvin")
+_BASE = (r"\metre", r"\second", r"\radian", r"\kilogram", r"\kelvin", r"\volt", "", r"\ampere")
+"""D-SI names of the base units of piga. A count is a plain number."""
 
 
 def power_of_g(unit: str) -> int:
-    """Power of ``g`` in a coefficient's unit: ``value_SI = value * 9.80665**power``."""
-    return _POWERS[unit]
+    """Power of ``g`` in a coefficient's unit: ``value_SI = value * 9.80665**power``; -1 in the K of any instrument."""
+    return _POWERS.get(unit, -1)
+
+
+def _of_output(unit: str) -> Decimal:
+    """SI value of the output unit in the K of a direct instrument, as in mA/g; 1 for all other units."""
+    return Decimal(1) if unit in _POWERS else Decimal(repr(parse_unit(unit.removesuffix("/g")).factor))
 
 
 @lru_cache(maxsize=256)
@@ -416,12 +424,7 @@ def dsi_unit(*units: str) -> str:
     ('\\metre\\tothe{-1}\\second\\tothe{2}', '\\metre\\second\\tothe{-2}\\radian')
     """
     totals = [sum(column) for column in zip(*(parse_unit(unit).dimension for unit in units), strict=True)]
-    if any(totals[len(_BASE) :]):
-        raise DataError(
-            f"unit '{' '.join(units)}' is not made of SI base units and the radian",
-            remedy="write the quantity in units that are",
-        )
-    parts = [_powered(name, power) for name, power in zip(_BASE, totals, strict=False) if power]
+    parts = [_powered(name, power) for name, power in zip(_BASE, totals, strict=True) if power and name]
     return "".join(parts) or r"\one"
 
 
@@ -431,10 +434,11 @@ def _powered(name: str, power: float) -> str:
 
 def to_dsi(value: float, *units: str) -> str:
     """SI text of a number in the product of these units."""
-    power = sum(power_of_g(unit) for unit in units)
-    if power == 0:
+    power, output = sum(map(power_of_g, units)), math.prod(map(_of_output, units), start=Decimal(1))
+    if power == 0 and output == 1:
         return repr(float(value))
-    return str(_SHOWN.plus(_EXACT.multiply(Decimal(value), _EXACT.power(G, power))))
+    factor = _EXACT.multiply(output, _EXACT.power(G, power))
+    return str(_SHOWN.plus(_EXACT.multiply(Decimal(value), factor)))
 
 
 def significant_digit(half_width: Decimal, value: Decimal) -> int:

@@ -213,7 +213,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
             *((s, ("turns",)) for s in plain["segments"]),
         ):
             for key in keys:
-                del table[key]
+                table.pop(key, None)
     return plain
 
 

@@ -41,11 +41,13 @@ def error_figures(
         White noise of the angle [rad, rms] and angle random walk [rad/sqrt(s)], as the calibration found them.
     """
     errors = compensation_errors(record, result, scale_factor)
+    if record.direct:
+        return (error_figure(errors),)
     return error_figure(errors), error_spectrum_figure(leading_part(errors), scale_factor, noise)
 
 
 def compensation_errors(record: Run, result: Compensated, scale_factor: float) -> Residuals:
-    """Error of the velocity as an angle [rad], indicated (``before``) and compensated (``after``)."""
+    """Error of the velocity as an angle [rad; a direct instrument: m/s], indicated (``before``) and compensated (``after``)."""
     h = np.diff(record.t)
     h[record.begins[1:]] = 0.0
     force = 0.5 * h * (record.f[1:, 0] + record.f[:-1, 0])
@@ -59,9 +61,12 @@ def compensation_errors(record: Run, result: Compensated, scale_factor: float) -
         turn = turn + 0.5 * h * (record.base_rate[1:, 0] + record.base_rate[:-1, 0])
     psi = np.concatenate(([0.0], np.cumsum(turn))) if rate else record.output
     errors = turn / scale_factor - force, result.dv[1:] - force
-    before, after = (np.concatenate(([0.0], np.cumsum(scale_factor * error))) for error in errors)
+    before, after = (
+        np.concatenate(([0.0], np.cumsum((1.0 if record.direct else scale_factor) * error))) for error in errors
+    )
     rows, nothing = np.arange(1, record.size + 1), np.zeros(record.size)
-    return Residuals(rows, record.t, psi, nothing, before, after, nothing, record.segment_index)
+    unit = "m/s" if record.direct else "rad"
+    return Residuals(rows, record.t, psi, nothing, before, after, nothing, record.segment_index, unit=unit)
 
 
 def in_windows(residuals: Residuals) -> Residuals:
@@ -83,13 +88,15 @@ def error_figure(errors: Residuals) -> Figure:
         "compensation-error",
         "Error before and after compensation.",
         TIME,
-        "velocity error as output angle [mrad]",
+        "velocity error as output angle [mrad]" if errors.unit == "rad" else "velocity error [mm/s]",
     )
     roles: tuple[tuple[Role, str], ...] = (("before", "as indicated"), ("after", "compensated"))
     for role, name in roles:
         values = getattr(errors, role)
         rows = envelope_rows(values, ERROR_POINTS)
         plot.line(errors.t[rows] - errors.t[0], 1e3 * values[rows], name, role)
+    if errors.unit != "rad":
+        return plot.caption("The running error of the velocity against the reference.")
     return plot.caption(
         "The running error of the velocity against the reference, in units of the output angle: the cross-coupling "
         "ripples once a revolution and drifts; what is left after compensation is the noise of the output."

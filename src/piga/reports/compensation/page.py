@@ -114,7 +114,8 @@ def compensation_page(
     sections = [Section("Specific force", "specific-force", (FigureBlock(force_figure(outline)),))]
     if not single:
         sections.append(_misfit(outline, facts))
-    sections.append(_orders(outline, facts))
+    direct = outline.instruments[0].calibration.direct
+    sections += [] if direct else [_orders(outline, facts)]
     if single:
         sections.append(_reference(outline, whole))
     sections.append(_flags(outline, facts))
@@ -123,7 +124,8 @@ def compensation_page(
     sections += [*_repairs(facts), _provenance(outline, facts)]
     return Page(
         title=f"Compensation of {serial if single else f'{len(outline.mounted)} instruments'}",
-        subtitle=f"{', '.join(facts.names)}; {count(outline.size)} rows; the output is of kind {outline.kind}.",
+        subtitle=f"{', '.join(facts.names)}; {count(outline.size)} rows; the output is of kind "
+        f"{'count' if direct and outline.kind == 'angle' else outline.kind}.",
         tiles=_tiles(outline, facts),
         sections=tuple(sections),
         judgement=_judgement(outline, facts),
@@ -292,9 +294,10 @@ def _provenance(outline: CompensationOutline, facts: CompensationFacts) -> Secti
         calibration, of = instrument.calibration, f" ({name})" if many else ""
         made = calibration.provenance
         options[f"calibration of{of}"] = f"{calibration.serial}, by {made.software} on {made.created}"
-        options[f"phases of the calibration{of}"] = calibration.phases
+        if not calibration.direct:
+            options[f"phases of the calibration{of}"] = calibration.phases
         options[f"scale factor of the indication{of}"] = (
-            f"{printed(short(instrument.scale_factor, 8))} (rad/s)/(m/s²)"
+            f"{printed(short(instrument.scale_factor, 8))} ({calibration.unit})/(m/s²)"
         )
         coefficients += [(name, c) for c in calibration.coefficients]
     for name, item in zip(facts.names, outline.mounted, strict=False):
