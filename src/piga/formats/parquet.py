@@ -282,11 +282,12 @@ def parquet_writer(path: Any, schema: pa.Schema, **options: Any) -> Any:
 
 def data_table(run: Run, file: str) -> str:
     """The ``[data]`` table of a run file that reads the Parquet back."""
+    unit = "" if run.quantity == "count" else f', unit = "{run.output_unit}"'
     lines = [
         "[data]",
         f"file = {json.dumps(file, ensure_ascii=False)}",
         'time = { column = "t", unit = "s" }',
-        f'output = {{ column = "output", kind = "{run.kind}", unit = "{run.output_unit}" }}',
+        f'output = {{ column = "output", kind = "{run.quantity.replace("count", "counts")}"{unit} }}',
         'reference = { columns = ["fx", "fy", "fz"], unit = "m/s^2" }',
     ]
     if run.base_rate is not None:

@@ -124,6 +124,11 @@ def read_plan(path: str | Path, *, content: str | None = None) -> PlanRequest:
     try:
         model = _converted(table.model, ModelTable, "model")
         uncertainty = _converted(table.uncertainty, UncertaintyTable, "uncertainty")
+        if table.instrument.kind == "direct":
+            raise RunFileError(
+                "[instrument] kind 'direct' cannot be planned: plans are for gyro accelerometers",
+                remedy="take 24 positions of a head, there and back, and simulate them with 'piga simulate'",
+            )
         check_terms(model.terms, where="[model] terms")
         _check(table, model)
         return _request(path, table, model, uncertainty)

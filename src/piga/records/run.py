@@ -326,6 +326,7 @@ class Run(Result, Plotted, Reported, Tabular):
         estimation: EstimationTable | dict[str, object] | None = None,
         uncertainty: UncertaintyTable | dict[str, object] | None = None,
         stand: dict[str, object] | None = None,
+        unit: str = GYRO,
     ) -> Run:
         """Make a run from a table: pandas, polars, pyarrow, anything that gives Arrow, or a dict of arrays.
 
@@ -349,6 +350,8 @@ class Run(Result, Plotted, Reported, Tabular):
             ``"SI"``: columns without a unit and plain numbers are SI.
         sample_rate, serial, counts_per_revolution, counter_bits, wraps_at, model, estimation, uncertainty, stand:
             As in the run file.
+        unit:
+            Unit of the output rate of a direct instrument, as for :meth:`from_arrays`.
 
         Raises
         ------
@@ -372,6 +375,7 @@ class Run(Result, Plotted, Reported, Tabular):
             "scale_factor": _told(scale_factor, "rad/s/(m/s^2)", si),
             "counts_per_revolution": counts_per_revolution,
             "counter_bits": counter_bits,
+            "kind": "gyro" if unit == GYRO else "direct",
         }
         columns = {
             "time": None if sample_rate is not None else time,
@@ -383,10 +387,11 @@ class Run(Result, Plotted, Reported, Tabular):
             "base_rate": base_rate,
             "temperature": temperature,
             "segment": segment,
+            "unit": unit,
         }
         tables: dict[str, object] = {
             "instrument": instrument,
-            "model": msgspec.to_builtins(_table("model", model, ModelTable)),
+            "model": msgspec.to_builtins(_table("model", model, ModelTable).of(unit, "model terms")),
             "estimation": msgspec.to_builtins(_table("estimation", estimation, EstimationTable)),
             "uncertainty": msgspec.to_builtins(_table("uncertainty", uncertainty, UncertaintyTable)),
             "stand": stand,

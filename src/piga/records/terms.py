@@ -87,6 +87,18 @@ def scale_factor_in(value: str | float, unit: str, what: str = "scale_factor") -
     return number / parse_unit(unit).factor if isinstance(value, str) else number
 
 
+def level_in(value: str | float, unit: str, what: str = "noise") -> float:
+    """A level of the output in this unit, from text with any unit of its kind.
+
+    Raises
+    ------
+    UnitError
+        If the text has a unit of another kind.
+    """
+    number = to_si(value, unit, what=what)
+    return number / parse_unit(unit).factor if isinstance(value, str) else number
+
+
 SERVO_TERMS = ("servo", "servo_damping")
 """Terms of the servo. They turn with the output angle, as ``tan_beta`` does. Their phase is that of ``tan_beta``."""
 

@@ -40,6 +40,8 @@ def figures(run: Run) -> dict[str, Callable[[], Figure]]:
 def record_figure(run: Run) -> Figure:
     """Interval between samples, output and reference against time, broken where a stretch begins."""
     unit, scale = ("rev", 1.0 / (2.0 * np.pi)) if run.kind == "angle" else ("deg/s", 180.0 / np.pi)
+    if run.direct:
+        unit, scale = run.output_unit, 1.0
     time = "time since the first sample [s]"
     plot = Plot("record", "The record as it would be calibrated.", height=2.1)
     plot.panel(time, "log interval [s]", "Time base").line(*_curve(run, changes(run.t)), "inside a stretch")
@@ -112,7 +114,7 @@ def brief(run: Run, name: str = "", prospects: Sequence[TermProspect] = ()) -> P
             f"{len(run.labels)}, {document['duration_s']:.6g} s recorded, {document['rate_hz']:.6g} Hz",
         ),
         ("reference", f"|f| {low:.6g} to {high:.6g} g"),
-        ("phase", phase),
+        *(() if run.direct else (("phase", phase),)),
         ("calibrate", document["calibration"]),
     ]
     for event in run.quality.events:
@@ -161,7 +163,8 @@ def check_document(record: Run, prospects: Sequence[TermProspect] = ()) -> dict[
 def calibration_words(run: Run) -> str:
     """Description of a calibration with this run file."""
     possible = "" if calibration_possible(run) else " (not possible: the phase was lost)"
-    return f"{run.estimation.method}, {len(run.model.terms)} terms, phases {run.model.phases}{possible}"
+    phases = "" if run.direct else f", phases {run.model.phases}"
+    return f"{run.estimation.method}, {len(run.model.terms)} terms{phases}{possible}"
 
 
 def calibration_possible(run: Run) -> bool:

@@ -15,7 +15,7 @@ from piga.instrument import Instrument, dead_zone, mean_rate
 from piga.instrument.twin.linear import analyse_loop, loop_poles, open_loop, step_response
 from piga.instrument.twin.parameters import TwinParameters
 from piga.instrument.twin.run import TwinMotion
-from piga.records.terms import shown_unit
+from piga.records.terms import integral_unit, shown_unit
 from piga.reports.render.envelope import thin
 from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, printed, short, significant
@@ -162,15 +162,19 @@ def output_figure(test: SimulatedTest) -> Figure:
     t, time = _time(test)
     p = test.profile
     error = test.rate / test.specimen.instrument.scale_factor - p.force[:, 0]
+    words, unit, scale = "gimbal angle", "rev", 2.0 * math.pi
+    if test.specimen.direct:
+        words, unit, scale = "integral of the output", integral_unit(test.specimen.unit), 1.0
     recorded = np.where(p.recorded, error / MICRO_G, np.nan)
     plot = Plot("output", "The output", height=4.6)
-    plot.panel(time, "gimbal angle [rev]", "Gimbal angle")
-    plot.line(*thin(t, test.alpha / (2.0 * math.pi)), "gimbal angle")
+    plot.panel(time, f"{words} [{unit}]", words.capitalize())
+    plot.line(*thin(t, test.alpha / scale), words)
     plot.panel(time, "rate/K less a_x [µg]", "Error of the uncoupled model")
     plot.line(*thin(t, recorded), "indicated less true", "model")
     return plot.caption(
-        "Revolutions of the outer gimbal, and what calibration has to explain: the rate over K less the true "
-        "specific force along the input axis (recorded segments; base rate and all errors included)."
+        f"{'The count' if test.specimen.direct else 'Revolutions of the outer gimbal'}, and what calibration has to explain: the "
+        "rate over K less the true specific force along the input axis (recorded segments; base rate and all errors "
+        "included)."
     )
 
 
@@ -241,6 +245,10 @@ def pole_figure(p: TwinParameters) -> Figure:
 _MODELS = {"quasi-steady": "quasi-steady model", "twin": "servo twin"}
 
 
+def _model(test: SimulatedTest) -> str:
+    return "direct instrument" if test.specimen.direct else _MODELS[test.model]
+
+
 def page(test: SimulatedTest, serial: str = "simulated") -> Page:
     """The page of a simulated test."""
     drawn = figures(test)
@@ -251,7 +259,7 @@ def page(test: SimulatedTest, serial: str = "simulated") -> Page:
     duration = test.profile.segments[-1].stop - test.profile.segments[0].start
     return Page(
         title=f"Simulated test of {serial}",
-        subtitle=f"{test.stand.kind}, {_MODELS[test.model]}, {short(duration)} s, seed {test.seed}.",
+        subtitle=f"{test.stand.kind}, {_model(test)}, {short(duration)} s, seed {test.seed}.",
         tiles=_tiles(test),
         sections=tuple(sections),
         kicker="piga · simulated test",
@@ -260,7 +268,7 @@ def page(test: SimulatedTest, serial: str = "simulated") -> Page:
 
 
 def _tiles(test: SimulatedTest) -> tuple[Tile, ...]:
-    e, log = test.electronics, test.log
+    e, log, direct = test.electronics, test.log, test.specimen.direct
     turns = (test.alpha[-1] - test.alpha[0]) / (2.0 * math.pi)
     tiles = [
         Tile(
@@ -271,10 +279,12 @@ def _tiles(test: SimulatedTest) -> tuple[Tile, ...]:
         Tile(
             "Output",
             e.kind,
-            detail=f"{short(e.counts_per_revolution)} per revolution" if e.kind == "counts" else "",
+            detail=f"{short(e.counts_per_revolution)} per revolution"
+            if e.kind == "counts" and not direct
+            else "",
         ),
-        Tile("Net turn of the gimbal", short(float(turns)), "rev"),
     ]
+    tiles += [] if direct else [Tile("Net turn of the gimbal", short(float(turns)), "rev")]
     if test.motion is not None:
         analysis = analyse_loop(test.specimen.design)
         tiles.append(Tile("Nutation", short(analysis.nutation / (2.0 * math.pi)), "Hz"))
@@ -307,7 +317,7 @@ def _stand_section(test: SimulatedTest, drawn: Drawn) -> Section:
 
 def _output_section(drawn: Drawn) -> Section:
     lead = Text(
-        "The lab sees the counts only. The lower panel is the truth that a calibration has to find.", lead=True
+        "The lab sees the output only. The lower panel is the truth that a calibration has to find.", lead=True
     )
     return Section("The output", "the-output", (lead, *_blocks(drawn, "output", "locking")))
 
@@ -376,6 +386,6 @@ def brief(test: SimulatedTest) -> Page:
         blocks.append(named_values("", "", [("lock", lock)]))
     rows = f"{count(test.log.t.size)} rows, {len(test.log.labels)} segments"
     return Page(
-        f"{test.stand.kind}, {_MODELS[test.model]}: {rows}",
+        f"{test.stand.kind}, {_model(test)}: {rows}",
         sections=(Section("", "truth", (*blocks, FigureBlock(stand_figure(test)))),),
     )

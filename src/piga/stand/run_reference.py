@@ -32,6 +32,7 @@ from piga.records.arrays import empty, spans
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import REPEATED, Draw, RunFile, check_run_file, drawn_for
+from piga.records.terms import GYRO
 from piga.results import Array, Result
 from piga.stand.imperfections import GENERAL, NONE, Imperfections, imperfections
 from piga.stand.profile import Segment, Stand, force_change
@@ -375,7 +376,8 @@ def _data(columns: dict[str, Any], units: dict[str, str], stated: Sequence[str])
     kind = columns["kind"]
     output: dict[str, Any] = {"column": columns["output"], "kind": kind}
     if kind != "counts":
-        output["unit"] = unit_of(columns["output"], SI.get(kind, "rad"))
+        own = SI.get(kind, "rad") if columns["unit"] == GYRO else columns["unit"]
+        output["unit"] = unit_of(columns["output"], own)
     if columns["wraps_at"] is not None:
         output["wraps_at"] = columns["wraps_at"]
     data: dict[str, Any] = {"file": str(WHERE), "output": output}

@@ -26,9 +26,20 @@ from piga.records.run_file import (
     Radians,
     Seconds,
     TomlTable,
+    check_direct_unit,
     in_unit,
 )
-from piga.records.terms import UNITS, check_name, harmonic, unit_of
+from piga.records.terms import (
+    GYRO,
+    UNITS,
+    check_name,
+    harmonic,
+    integral_unit,
+    level_in,
+    scale_factor_in,
+    turns,
+    unit_of,
+)
 from piga.records.text_files import read_toml
 from piga.stand.imperfections import Imperfections, imperfections
 from piga.stand.machines import (
@@ -58,13 +69,14 @@ class SpecimenTable(InstrumentTable, frozen=True):
 
 
 class ElectronicsTable(TomlTable, frozen=True):
-    """``[electronics]``: readout, clock and noise."""
+    """``[electronics]``: readout, clock and noise. ``unit`` is that of the rate of a direct instrument."""
 
     sample_rate: Hertz
     output: Literal["counts", "angle", "rate"] = "counts"
+    unit: str | None = None
     zero: Radians = 0.0
-    angle_noise: Radians = 0.0
-    angle_random_walk: Annotated[Quantity, in_unit("rad/sqrt(s)")] = 0.0
+    angle_noise: Quantity = 0.0
+    angle_random_walk: Quantity = 0.0
     bias_random_walk: Annotated[Quantity, in_unit("g/sqrt(s)")] = 0.0
     clock_offset: Seconds = 0.0
     clock_jitter: Seconds = 0.0
@@ -374,9 +386,36 @@ def run_scenario(
         raise type(error)(f"{scenario.path}: {error.message}", remedy=error.remedy) from None
 
 
+def output_unit(table: ScenarioTable) -> str:
+    """Unit of the output rate: rad/s, or that of a direct instrument.
+
+    Raises
+    ------
+    RunFileError
+        If the unit or a table belongs to the other kind of instrument.
+    """
+    electronics, direct = table.electronics, table.instrument.kind == "direct"
+    if direct and electronics.output == "rate" and electronics.unit is not None:
+        check_direct_unit(electronics.unit, "[electronics] unit")
+        return electronics.unit
+    if electronics.unit is not None or (direct and electronics.output != "counts"):
+        raise RunFileError(
+            f"[electronics] output '{electronics.output}' {'needs' if direct else 'has no'} unit",
+            remedy="use output = 'rate' with a unit, or 'counts' without one"
+            if direct
+            else "leave the unit out",
+        )
+    return "count/s" if direct else GYRO
+
+
 def _specimen(table: ScenarioTable) -> Specimen:
-    truth = table.truth
+    truth, unit = table.truth, output_unit(table)
     for name in truth:
+        if unit != GYRO and (name in ("beta", "alpha0") or turns(name)):
+            raise ArgumentError(
+                f"[truth]: '{name}' belongs to the gimbal of a gyro accelerometer, and the instrument is direct",
+                remedy="leave it out",
+            )
         if name not in _MOTION and (name == "phi" or not check_name(name)):
             known = [
                 *_MOTION,
@@ -391,13 +430,13 @@ def _specimen(table: ScenarioTable) -> Specimen:
         raise ArgumentError("[truth]: beta and tan_beta are the same thing", remedy="leave one out")
     tangent = to_si(truth.get("tan_beta", 0.0), "1", what="[truth] tan_beta")
     instrument = Instrument(
-        to_si(truth.get("scale_factor", table.instrument.scale_factor), "rad/s/g", what="[truth] scale_factor"),
+        scale_factor_in(truth.get("scale_factor", table.instrument.scale_factor), unit, "[truth] scale_factor"),
         to_si(truth["beta"], "rad", what="[truth] beta") if "beta" in truth else math.atan(tangent),
         to_si(truth.get("alpha0", 0.0), "rad", what="[truth] alpha0"),
     )
     twin = twin_parameters(table.twin) if table.twin or table.run.model == "twin" else None
     s, d = (to_si(truth.get(name, 0.0), unit_of(name), what=f"[truth] {name}") for name in _SERVO)
-    return Specimen(instrument, _error_model(table), _harmonics(table), s, d, twin, table.run.start)
+    return Specimen(instrument, _error_model(table), _harmonics(table), s, d, twin, table.run.start, unit)
 
 
 def _error_model(table: ScenarioTable) -> ErrorModel:
@@ -435,13 +474,20 @@ def _electronics(table: ScenarioTable) -> Electronics:
         raise ArgumentError(
             "[noise] markov: its correlation time is missing", remedy='set [noise] markov_time, e.g. "5 s"'
         )
+    unit = output_unit(table)
+    count = integral_unit(unit)
+    noise = {
+        name: level_in(getattr(table.electronics, name), like, f"[electronics] {name}")
+        for name, like in (("angle_noise", count), ("angle_random_walk", f"{count}/sqrt(s)"))
+    }
     return Electronics(
         kind=kind,
-        counts_per_revolution=table.instrument.counts_per_revolution,
+        counts_per_revolution=table.instrument.counts_per_revolution if unit == GYRO else 2.0 * math.pi,
         counter_bits=table.instrument.counter_bits if kind == "counts" else None,
         bias_flicker=coloured["flicker"],
         bias_markov=coloured["markov"],
         bias_markov_time=coloured["markov_time"],
+        **noise,
         **table.electronics.in_si("[electronics] "),
     )
 

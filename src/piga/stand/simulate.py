@@ -30,6 +30,7 @@ from piga.instrument.twin.run import Start, TwinMotion, run_twin
 from piga.progress import Progress, Steps
 from piga.records.run import Run
 from piga.records.run_file import ModelTable
+from piga.records.terms import GYRO
 from piga.results import Array, Plotted, Reported, Result
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.profile import Profile, Segment, Stand, sample_stand
@@ -56,7 +57,8 @@ class Specimen:
     [m/s^2] of sine and cosine of that multiple of the *true* gimbal angle. ``servo`` and ``servo_damping``
     [1/(m/s^2)^2] are the coefficients of the servo's terms. ``twin`` adds rotor, float and servo for the model
     ``twin``. Then K, beta and alpha0 of ``instrument`` replace those of the twin, and its motion contains the
-    servo's terms.
+    servo's terms. ``unit`` is that of the output rate: another one than ``rad/s`` makes it a direct instrument, with K in this
+    unit per m/s^2.
     """
 
     instrument: Instrument
@@ -66,6 +68,12 @@ class Specimen:
     servo_damping: float = 0.0
     twin: TwinParameters | None = None
     start: Start = "slow-manifold"
+    unit: str = GYRO
+
+    @property
+    def direct(self) -> bool:
+        """True for a direct instrument: its ``unit`` is not that of a gyro accelerometer."""
+        return self.unit != GYRO
 
     @property
     def design(self) -> TwinParameters:
@@ -105,8 +113,8 @@ class SimulatedTest(Result, Plotted, Reported):
 
     ``plot()`` shows specific force and base rate of the reference: two panels.
 
-    ``alpha`` [rad] and ``rate`` [rad/s] are at ``profile.t``. ``motion`` is that of the twin, else None. ``phases``
-    [rad] are the phases of the output zero, one per segment of the log.
+    ``alpha`` [rad] and ``rate`` [rad/s] are at ``profile.t``; those of a direct instrument are its count and rate. ``motion`` is
+    that of the twin, else None. ``phases`` [rad] are the phases of the output zero, one per segment of the log.
     """
 
     model: Model
@@ -133,7 +141,8 @@ class SimulatedTest(Result, Plotted, Reported):
         log, kind = self.log, self.electronics.kind
         columns: dict[str, NDArray] = {"t": log.t, "output": log.output, "temperature": log.temperature}
         columns |= {f"f{axis}": log.reference[:, i] for i, axis in enumerate("xyz")}
-        columns |= {f"w{axis}": log.base_rate[:, i] for i, axis in enumerate("xyz")}
+        direct = self.specimen.direct
+        columns |= {} if direct else {f"w{axis}": log.base_rate[:, i] for i, axis in enumerate("xyz")}
         columns["segment"] = np.array(log.labels, dtype=object)[log.segment]
         counts = kind == "counts"
         return Run.from_dataframe(
@@ -142,11 +151,12 @@ class SimulatedTest(Result, Plotted, Reported):
             units="SI",
             output="output",
             kind=kind,
-            base_rate=("wx", "wy", "wz"),
+            base_rate=None if direct else ("wx", "wy", "wz"),
             temperature="temperature",
             segment="segment",
             serial=serial,
-            counts_per_revolution=self.electronics.counts_per_revolution if counts else None,
+            counts_per_revolution=self.electronics.counts_per_revolution if counts and not direct else None,
+            unit=self.specimen.unit,
             counter_bits=self.electronics.counter_bits if counts else None,
             model=model,
         )
@@ -207,7 +217,15 @@ def simulate_test(
     steps("motion of the gimbal")
     streams = np.random.default_rng(seed).spawn(5)
     kelvin = temperature.at(profile.t)
-    if model == "twin":
+    if specimen.direct:
+        if model == "twin":
+            raise ArgumentError(
+                "model 'twin' is that of a gyro accelerometer, and the instrument is direct",
+                remedy='use model "quasi-steady"',
+            )
+        motion = None
+        alpha, rate = _direct(specimen, electronics, profile, kelvin, grid, streams)
+    elif model == "twin":
         motion = _twin_motion(specimen, electronics, profile, kelvin, grid, streams, force=force)
         alpha, rate = motion.alpha, motion.rate
     else:
@@ -307,6 +325,25 @@ def _quasi_steady(
     raise ArgumentError(
         "harmonics or servo terms: too large to be simulated", remedy="they are small corrections, e.g. 1e-5 g"
     )
+
+
+def _direct(
+    specimen: Specimen,
+    e: Electronics,
+    profile: Profile,
+    kelvin: Array,
+    grid: float,
+    streams: list[np.random.Generator],
+) -> tuple[Array, Array]:
+    """Running count and rate of a direct instrument [its unit], (n,) each."""
+    felt, size = profile.force.copy(), profile.t.size
+    felt[:, 0] += wandering_bias(e, streams[1], streams[4], size, grid)
+    force = felt[:, 0] + specimen.error_model.specific_force(profile.t, felt, kelvin)
+    rate = specimen.instrument.scale_factor * force
+    straight = straightened(rate[:, None])[:, 0]
+    count = np.concatenate(([0.0], np.cumsum(0.5 * grid * (straight[1:] + straight[:-1]))))
+    walk = random_walk(streams[0], size, grid, 0.0 if e.kind == "rate" else e.angle_random_walk)
+    return count + walk, rate
 
 
 def straightened(values: Array) -> Array:

@@ -55,7 +55,8 @@ def coefficients(test: SimulatedTest) -> tuple[TrueValue, ...]:
     Harmonics refer to the zero of the output angle.
     """
     own = test.specimen.instrument
-    values = {"scale_factor": own.scale_factor, "tan_beta": abs(own.tan_beta)}
+    values = {"scale_factor": own.scale_factor}
+    values |= {} if test.specimen.direct else {"tan_beta": abs(own.tan_beta)}
     model = test.specimen.error_model
     values |= {f.name: getattr(model, f.name) for f in fields(model) if f.name not in ("T_ref", "s1", "c1")}
     values |= {"servo": test.specimen.servo, "servo_damping": test.specimen.servo_damping}
@@ -63,11 +64,11 @@ def coefficients(test: SimulatedTest) -> tuple[TrueValue, ...]:
         for name, extra in _of_twin(test.specimen.design).items():
             values[name] += extra
     kept = [
-        TrueValue(name, value / si_factor(name), unit_of(name))
+        TrueValue(name, value / si_factor(name), unit_of(name, test.specimen.unit))
         for name, value in values.items()
         if value != 0.0 or name in ("scale_factor", "tan_beta", "k0")
     ]
-    return (*kept, *_harmonics(test), *_phases(test))
+    return tuple(kept) if test.specimen.direct else (*kept, *_harmonics(test), *_phases(test))
 
 
 def _of_twin(p: TwinParameters) -> dict[str, float]:
@@ -164,6 +165,13 @@ _AXES = "xyz"
 _OUTPUT = {"counts": "counts", "angle": "psi_rad", "rate": "rate_rad_s"}
 
 
+def _output_name(test: SimulatedTest) -> str:
+    """Column of the output."""
+    return (
+        "output" if test.specimen.direct and test.electronics.kind == "rate" else _OUTPUT[test.electronics.kind]
+    )
+
+
 def log_table(test: SimulatedTest) -> pa.Table:
     """The log as a table: ``t_s``, ``segment``, output, ``fx_g ...``, ``wx_rad_s ...``, ``T_degC``."""
     import pyarrow as pa
@@ -174,9 +182,10 @@ def log_table(test: SimulatedTest) -> pa.Table:
     else:
         segment = label_column(log.segment.astype(np.int32), log.labels).dictionary_decode()
     columns = {"t_s": number_column(log.t), "segment": segment}
-    columns[_OUTPUT[test.electronics.kind]] = number_column(log.output)
+    columns[_output_name(test)] = number_column(log.output)
     columns |= {f"f{axis}_g": number_column(log.reference[:, k] / G0) for k, axis in enumerate(_AXES)}
-    columns |= {f"w{axis}_rad_s": number_column(log.base_rate[:, k]) for k, axis in enumerate(_AXES)}
+    if not test.specimen.direct:
+        columns |= {f"w{axis}_rad_s": number_column(log.base_rate[:, k]) for k, axis in enumerate(_AXES)}
     columns["T_degC"] = number_column(log.temperature - 273.15)
     return pa.Table.from_arrays(list(columns.values()), names=list(columns))
 
@@ -196,13 +205,15 @@ def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> st
     """The run file (TOML) of the test, for ``piga calibrate``."""
     own, electronics = scenario.table.instrument, test.electronics
     instrument: dict[str, Any] = {"serial": own.serial, "scale_factor": own.scale_factor}
-    output: dict[str, Any] = {"column": _OUTPUT[electronics.kind], "kind": electronics.kind}
+    output: dict[str, Any] = {"column": _output_name(test), "kind": electronics.kind}
+    direct = test.specimen.direct
+    instrument |= {"kind": "direct"} if direct else {}
     if electronics.kind == "counts":
-        instrument["counts_per_revolution"] = own.counts_per_revolution
+        instrument |= {} if direct else {"counts_per_revolution": own.counts_per_revolution}
         if own.counter_bits is not None:
             instrument["counter_bits"] = own.counter_bits
     else:
-        output["unit"] = "rad" if electronics.kind == "angle" else "rad/s"
+        output["unit"] = "rad" if electronics.kind == "angle" else test.specimen.unit
     if own.servo is not None:
         instrument["servo"] = given_values(msgspec.to_builtins(own.servo))
     data = {
@@ -214,6 +225,8 @@ def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> st
         "temperature": {"column": "T_degC", "unit": "degC"},
         "segment": "segment",
     }
+    if direct:
+        del data["base_rate"]
     tables = {"instrument": instrument, "data": data, "model": _model(scenario, test)}
     tables |= {
         "stand": given_values(msgspec.to_builtins(scenario.table.stand)),
@@ -233,7 +246,8 @@ def _model(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
         known = _known_servo(scenario)
         names = [value.name for value in coefficients(test) if value.name not in ("phi", "k1", *known)]
         model["terms"] = names
-    model.setdefault("phases", "shared" if shares_phase(test) else "per-segment")
+    if not test.specimen.direct:
+        model.setdefault("phases", "shared" if shares_phase(test) else "per-segment")
     return model
 
 

@@ -15,10 +15,10 @@ from piga.reading.checks import integrated_rate
 from piga.records.arrays import changes, middles, norms, stored
 from piga.records.run import Run
 from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES
-from piga.records.terms import SERVO_TERMS, check_terms, harmonic, integral_unit, term_names
+from piga.records.terms import SERVO_TERMS, check_terms, harmonic, integral_unit, level_in, term_names
 from piga.results import Array
 from piga.terms import THERMAL_TERMS
-from piga.units import parse_unit, to_si
+from piga.units import to_si
 
 
 @dataclass(frozen=True)
@@ -73,13 +73,14 @@ def make_request(
         If the record lacks data for a term, or lost the phase that ``shared`` needs.
     """
     model, estimation, count = run.model, run.estimation, integral_unit(run.unit)
+    walk = estimation.angle_random_walk
     request = Request(
         terms=term_names(terms) if terms is not None else model.terms,
         phases=phases or model.phases,
         phase_source=phase_source or model.phase_source,
         method=method or estimation.method,
-        angle_rms=_level(estimation.angle_rms, count),
-        angle_random_walk=_level(estimation.angle_random_walk, f"{count}/sqrt(s)"),
+        angle_rms=None if estimation.angle_rms is None else level_in(estimation.angle_rms, count),
+        angle_random_walk=None if walk is None else level_in(walk, f"{count}/sqrt(s)"),
         temperature_reference=to_si(model.temperature_reference, "K"),
         per_run=tuple(per_run) if per_run is not None else estimation.per_run,
     )
@@ -99,13 +100,6 @@ def make_request(
     check_per_run(request.per_run, request.terms)
     _check_record(run, request)
     return request
-
-
-def _level(given: str | float | None, unit: str) -> float | None:
-    """A noise level in its unit, SI for a gyro accelerometer; None if it is not given."""
-    if given is None:
-        return None
-    return to_si(given, unit) / (parse_unit(unit).factor if isinstance(given, str) else 1.0)
 
 
 def check_per_run(per_run: tuple[str, ...], terms: tuple[str, ...]) -> None:

@@ -180,7 +180,7 @@ def brief(cal: Calibration) -> Page:
     return Page(
         f"Calibration of {name} from {files_in_words(cal)}",
         f"{segments_in_words(cal)}, {period_in_words(total_duration(cal))}, {used}\n"
-        f"method {cal.method}, phases {cal.phases}, terms {' '.join(cal.terms)}",
+        f"method {cal.method}{'' if cal.direct else f', phases {cal.phases}'}, terms {' '.join(cal.terms)}",
         sections=tuple(sections),
         judgement=judgement(cal),
     )
