@@ -153,6 +153,14 @@ def test_terms_that_nobody_asked_for_are_those_of_the_kind() -> None:
     assert not any(map(turns, suggested))
 
 
+def test_a_base_rate_in_memory_is_refused() -> None:
+    t, _, f = MA.force()
+    with pytest.raises(piga.PigaError, match="base_rate"):
+        piga.Run.from_arrays(
+            t, MA.rate(), f, scale_factor="0.6 mA/g", kind="rate", unit="mA", base_rate=f, units={"f": "g"}
+        )
+
+
 def test_noise_levels_may_be_given_in_the_unit_of_the_output(tmp_path: Path) -> None:
     more = '[estimation]\nangle_rms = "0.3 count"\nangle_random_walk = "0 count/sqrt(s)"\n'
     path = COUNTS.write(tmp_path, "counts", "", "50000 count/s/g", more)

@@ -249,6 +249,8 @@ class Run(Result, Plotted, Reported, Tabular):
 
         if unit != GYRO:
             check_direct_unit(unit, "unit")
+            if base_rate is not None:
+                raise ArgumentError("base_rate: a direct instrument does not add it", remedy="leave it out")
         si, told = units == "SI", {} if units is None or isinstance(units, str) else units
         if f is not None and not si and "f" not in told:
             raise ArgumentError(
@@ -372,7 +374,7 @@ class Run(Result, Plotted, Reported, Tabular):
         si = units == "SI"
         instrument = {
             "serial": serial,
-            "scale_factor": _told(scale_factor, "rad/s/(m/s^2)", si),
+            "scale_factor": _told(scale_factor, f"{unit}/(m/s^2)", si),
             "counts_per_revolution": counts_per_revolution,
             "counter_bits": counter_bits,
             "kind": "gyro" if unit == GYRO else "direct",

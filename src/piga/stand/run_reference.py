@@ -376,8 +376,8 @@ def _data(columns: dict[str, Any], units: dict[str, str], stated: Sequence[str])
     kind = columns["kind"]
     output: dict[str, Any] = {"column": columns["output"], "kind": kind}
     if kind != "counts":
-        own = SI.get(kind, "rad") if columns["unit"] == GYRO else columns["unit"]
-        output["unit"] = unit_of(columns["output"], own)
+        name, own = columns["output"], columns["unit"]
+        output["unit"] = unit_of(name, SI.get(kind, "rad")) if own == GYRO else units.get(name, own)
     if columns["wraps_at"] is not None:
         output["wraps_at"] = columns["wraps_at"]
     data: dict[str, Any] = {"file": str(WHERE), "output": output}
