@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import sys
 from pathlib import Path
 
 import pytest
@@ -46,3 +47,13 @@ def test_what_an_error_carries_besides_goes_with_it() -> None:
     error = pickled(DataError("no number", remedy="repair it", where=where, columns=["t", "n"], fixes=[fix]))
     assert (error.where, error.columns, error.fixes) == (where, ("t", "n"), (fix,))
     assert isinstance(pickled(missing_package("scipy")), ImportError)
+
+
+def test_a_long_text_is_not_echoed() -> None:
+    error = PigaError(f"run.toml: [instrument] scale_factor: '{'a' * 1_000_000}' is wrong", remedy="mend it")
+    assert len(error.message) < 400
+    assert error.message.startswith("run.toml: [instrument] scale_factor: 'aaa")
+
+
+def test_a_package_is_installed_for_the_python_that_runs() -> None:
+    assert f"{sys.executable} -m pip install 'piga[xlsx]'" in str(missing_package("openpyxl"))

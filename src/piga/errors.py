@@ -6,6 +6,8 @@ The command line turns a :class:`PigaError` into one message on stderr and exit 
 
 from __future__ import annotations
 
+import re
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -14,6 +16,8 @@ from typing import Any
 
 MOST_MESSAGE = 20_000
 """Most characters of a message. A longer one quotes a text that is much longer than anything a person wrote: it is cut."""
+
+_LONG_WORD = re.compile(r"(\S{60})\S{300,}")
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,7 @@ class PigaError(Exception):
     ) -> None:
         if len(message) > MOST_MESSAGE:
             message = f"{message[: MOST_MESSAGE // 2]} ... {message[-MOST_MESSAGE // 10 :]}"
+        message = _LONG_WORD.sub(r"\1...", message)
         self.message = message
         self.remedy = remedy
         self.where = where
@@ -168,11 +173,16 @@ EXTRAS = {
 """Extra of the distribution that brings a package which the core leaves out."""
 
 
+def install_command(extra: str) -> str:
+    """The command that installs an extra for the Python that runs."""
+    return f"{sys.executable} -m pip install 'piga[{extra}]'"
+
+
 def missing_package(package: str) -> MissingPackageError:
     """The error for a package of :data:`EXTRAS` that is not installed."""
     return MissingPackageError(
         f"this needs the package {package}, which the small core leaves out",
-        remedy=f"pip install 'piga[{EXTRAS[package]}]'",
+        remedy=install_command(EXTRAS[package]),
     )
 
 

@@ -182,3 +182,14 @@ def test_segments_of_a_log_are_taken_in_order_when_their_names_say_nothing() -> 
     assert at == pytest.approx([0.0, 1.0, 6.0, 9.0, 10.0])  # no further than the end of the dwell
     log = LoggedProfile(np.array([0.0, 1.0]), np.zeros((2, 3)), np.zeros((2, 3)))
     assert plan_times(log, None, (), t, np.zeros(5, dtype=np.int32)) is t
+
+
+def test_a_stand_without_a_kind_is_named_in_words(tmp_path: Path) -> None:
+    path = copy_example(tmp_path)
+    path.write_text(path.read_text().split("[stand]")[0] + '\n[stand]\nlatitude = "40 deg"\n')
+    text = "\n".join(line for line in path.read_text().splitlines() if not line.startswith("reference ="))
+    path.write_text(text)
+    with pytest.raises(
+        piga.PigaError, match=r"\[stand\] lacks the key 'kind'\n  remedy: add it; see piga check --expl"
+    ):
+        piga.read_run(path)

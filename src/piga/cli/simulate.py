@@ -145,6 +145,7 @@ def _table(reproduction: Reproduction) -> str:
 def _write(reproduction: Reproduction, folder: Path) -> None:
     from importlib.util import find_spec
 
+    from piga.errors import install_command
     from piga.reports.render.axes import write_figure
     from piga.reports.render.page import write_page
     from piga.studies.reproduction import reproduction_page
@@ -154,7 +155,7 @@ def _write(reproduction: Reproduction, folder: Path) -> None:
     write_page(reproduction_page(reproduction), folder / "reproduction.html")
     kinds = ("svg", "png") if find_spec("matplotlib") else ("svg",)
     if "png" not in kinds:
-        note("piga: no PNG figures: they need the extra 'report' (pip install 'piga[report]')")
+        note(f"piga: no PNG figures: they need the extra 'report' ({install_command('report')})")
     with progress("drawing", len(reproduction.figures)) as show:
         for number, figure in enumerate(reproduction.figures):
             show(number, len(reproduction.figures), figure.key)

@@ -319,8 +319,8 @@ class Reading:
         if bad.any():
             at = int(np.argmax(bad))
             raise DataError(
-                f"{self.path}: row {self.rows[at]}, column '{self.name}': {self.values[at]!r} is not a whole count",
-                remedy="set kind to 'angle' or 'rate' with its unit",
+                f"{self.path}: row {self.rows[at]}, column '{self.name}': {self.values[at]:.15g} is not a whole count",
+                remedy="set kind to 'angle' or 'rate' with its unit, or name the column of the counts",
                 where=self._where(at),
             )
 

@@ -7,7 +7,7 @@ import stat
 from io import BufferedReader
 from pathlib import Path
 
-from piga.errors import DataError, PigaError, Where
+from piga.errors import DataError, PigaError, Where, install_command
 
 MAX_UNPACKED = 2 << 30
 """Largest unpacked size of the wanted part of a container [bytes]."""
@@ -155,5 +155,5 @@ def extra_missing(path: Path, what: str, extra: str) -> PigaError:
     """The error if the library that a reader needs is not installed."""
     return DataError(
         f"{path}: reading {what} needs the extra '{extra}', which is not installed",
-        remedy=f"install it with: pip install 'piga[{extra}]'",
+        remedy=f"install it with: {install_command(extra)}",
     )

@@ -216,11 +216,20 @@ def convert_toml(path: Path, document: dict[str, Any], kind: type[T]) -> T:
     try:
         return msgspec.convert(document, kind)
     except msgspec.ValidationError as error:
-        raise _explain(path, str(error), kind, document) from None
+        text, remedy = explained(str(error), kind, document)
+        raise RunFileError(f"{path}: {text}", remedy=remedy) from None
 
 
-def _explain(path: Path, message: str, kind: type[msgspec.Struct], raw: dict[str, Any]) -> RunFileError:
-    """Turn a validation message into one that a test engineer understands."""
+def explained(message: str, kind: type[msgspec.Struct], raw: dict[str, Any]) -> tuple[str, str]:
+    """A validation message as a test engineer understands it, and its remedy.
+
+    Parameters
+    ----------
+    message:
+        The message of msgspec.
+    kind, raw:
+        The structure, and the tables that do not fit it.
+    """
     where_match = _PATH.search(message)
     keys = [key for key in (where_match.group(1) if where_match else "").split(".") if key]
     where = f"[{'.'.join(keys)}]" if keys else "top level"
@@ -232,14 +241,17 @@ def _explain(path: Path, message: str, kind: type[msgspec.Struct], raw: dict[str
         remedy = f"did you mean '{near[0]}'?" if near else f"allowed here: {', '.join(allowed)}"
         if other and not keys:
             remedy = f"it looks like {other}"
-        return RunFileError(f"{path}: {where} has the unknown key '{unknown.group(1)}'", remedy=remedy)
+        return f"{where} has the unknown key '{unknown.group(1)}'", remedy
     if missing:
-        return RunFileError(f"{path}: {where} lacks the key '{missing.group(1)}'", remedy="add it")
+        return (
+            f"{where} lacks the key '{missing.group(1)}'",
+            f"add it; see piga check --explain {missing.group(1)}",
+        )
     text = _TYPES.sub(_in_words, _PATH.sub("", message))
     text = re.sub(r"^Invalid enum value (.*)", r"\1 is not one of the allowed values", text).strip()
     last = keys[-1].split("[")[0] if keys else ""
     remedy = f"correct the value; piga check --explain {last} shows an example" if last else "correct the value"
-    return RunFileError(f"{path}: {where}: {text[:1].lower()}{text[1:]}", remedy=remedy)
+    return f"{where}: {text[:1].lower()}{text[1:]}", remedy
 
 
 _TYPES = re.compile(r"`([a-z]+(?: \| [a-z]+)*)`")

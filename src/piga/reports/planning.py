@@ -213,10 +213,10 @@ def _tiles(plan: Plan) -> tuple[Tile, ...]:
         tiles.append(
             Tile(
                 "Uncertainty",
-                f"{100.0 * (1.0 - gain):.0f}",
-                "% smaller",
+                f"{100.0 * abs(1.0 - gain):.0f}",
+                "% smaller" if gain <= 1.0 else "% larger",
                 f"than {reference.name}, geometric mean",
-                "good",
+                "good" if gain <= 1.0 else "",
             )
         )
     tiles.append(

@@ -33,6 +33,7 @@ from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import REPEATED, Draw, RunFile, check_run_file, drawn_for
 from piga.records.terms import GYRO
+from piga.records.text_files import explained
 from piga.results import Array, Result
 from piga.stand.imperfections import GENERAL, NONE, Imperfections, imperfections
 from piga.stand.profile import Segment, Stand, force_change
@@ -190,6 +191,10 @@ def _change(stand: Stand, t: Array, errors: Imperfections, part: slice) -> Array
     return force_change(stand, t[part], errors)
 
 
+class _Stand(msgspec.Struct):
+    stand: SimpleStand | CompositeTable
+
+
 def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] | None]:
     """The stand, and the labels of its positions if they have names."""
     positions = table.get("positions")
@@ -198,12 +203,10 @@ def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] 
         names = tuple(positions)
         table = table | {"positions": list(positions.values())}
     try:
-        built = msgspec.convert(table, SimpleStand | CompositeTable)
+        built = msgspec.convert({"stand": table}, _Stand).stand
     except msgspec.ValidationError as error:
-        raise ArgumentError(
-            f"[stand]: {str(error).lower()}",
-            remedy="write the table as in a scenario; the reference lists its keys",
-        ) from None
+        text, remedy = explained(str(error), _Stand, {"stand": table})
+        raise ArgumentError(text, remedy=remedy) from None
     return built.build(folder), names
 
 

@@ -232,9 +232,9 @@ class TextStream:
             types[self._label] = pa.string()
         bad: list[Any] = []
 
-        def collect(row: Any) -> str:
+        def stop(row: Any) -> str:
             bad.append(row)
-            return "skip"
+            return "error"
 
         try:
             table = csv.read_csv(
@@ -244,7 +244,7 @@ class TextStream:
                     block_size=BLOCK_BYTES,
                     use_threads=ends is not None and len(raw) > BLOCK_BYTES,
                 ),
-                parse_options=csv.ParseOptions(delimiter=form.separator, invalid_row_handler=collect),
+                parse_options=csv.ParseOptions(delimiter=form.separator, invalid_row_handler=stop),
                 convert_options=csv.ConvertOptions(
                     include_columns=list(types),
                     column_types=types,
@@ -254,9 +254,9 @@ class TextStream:
                 ),
             )
         except pa.ArrowInvalid as error:
+            if bad:
+                return None, f"Row #{bad[0].number or 1}: the row does not have {len(form.names)} cells"
             return None, str(error).splitlines()[0]
-        if bad:
-            return None, f"Row #{bad[0].number or 1}: the row does not have {len(form.names)} cells"
         counted = table.num_rows == ends or table.num_rows == _filled(raw)
         if not counted or _open_quote(raw, form.separator):
             return None, "a quotation mark is not closed"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from piga.errors import StoreError
+from piga.errors import StoreError, install_command
 from piga.ledger.store.documents import Draft, DraftFile, Head, Record
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def open_store(where: str | Path, *, create: bool = False) -> Store:
     if find_spec("sqlalchemy") is None:
         raise StoreError(
             "the store of records needs the extra 'records', which is not installed",
-            remedy="install it with: pip install 'piga[records]'",
+            remedy=f"install it with: {install_command('records')}",
         )
     from piga.ledger.store.database import open_database
     from piga.ledger.store.store import Store

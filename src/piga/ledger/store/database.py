@@ -17,7 +17,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import ArgumentError, DBAPIError, MultipleResultsFound, NoResultFound
 from sqlalchemy.pool import NullPool, StaticPool
 
-from piga.errors import StoreError
+from piga.errors import StoreError, install_command
 from piga.ledger.store.documents import new_identity, sha256
 from piga.ledger.store.rows import HEAD, STORE, VERSION, metadata
 from piga.output import remove_leftovers, write_whole
@@ -276,7 +276,7 @@ def postgresql_database(where: str) -> Database:
     except ImportError:
         raise StoreError(
             "a PostgreSQL store needs the extra 'postgres', which is not installed",
-            remedy="install it with: pip install 'piga[postgres]'",
+            remedy=f"install it with: {install_command('postgres')}",
         ) from None
     try:
         url = sa.make_url(where).set(drivername="postgresql+psycopg")
