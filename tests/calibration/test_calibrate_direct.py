@@ -172,7 +172,7 @@ def test_a_counter_that_wraps_and_rows_that_are_missing_split_no_position(tmp_pa
     whole = piga.calibrate(piga.read_run(path))
     log = tmp_path / "log.csv"
     lines = log.read_text().splitlines()
-    log.write_text("\n".join(lines[:1000] + lines[1003:]))
+    log.write_text("\n".join(lines[:1040] + lines[1043:]))
     run = piga.read_run(path)
     assert len(run.labels) == 48
     assert abs(piga.calibrate(run)["k0"].value - whole["k0"].value) < 0.2 * whole["k0"].std

@@ -23,7 +23,7 @@ from piga.calibration.model.solution import layout_of, name_coefficients, parame
 from piga.calibration.weights import Whitener, rate_share
 from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.run import Run
-from piga.records.terms import SERVO_TERMS, harmonic, si_factor, turns, unit_of
+from piga.records.terms import SERVO_TERMS, harmonic, si_factor, unit_of
 from piga.results import Array
 from piga.terms import ERROR_TERMS
 
@@ -79,7 +79,7 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
     )
     left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
     left_out |= {"k0_T", "k1_T"} if low == high else set()
-    left_out |= set(filter(turns, ERROR_TERMS)) if run.direct else servo_out_of_reach(design)
+    left_out |= servo_out_of_reach(design)
     candidates: list[tuple[str, ...]] = [(name,) for name in ERROR_TERMS if name not in left_out]
     if run.direct:
         return candidates
