@@ -133,3 +133,17 @@ def test_names_over_two_rows_are_joined(tmp_path: Path, kind: str) -> None:
         assert run.f[:, 0] == pytest.approx(rows[:, 2] * 9.80665, rel=1e-5, abs=1e-5)
     if kind == "csv":
         assert "header_row = [2, 3]" in path.with_suffix(".toml").read_text()
+
+
+def test_a_word_among_the_numbers_of_the_positions_is_a_label(tmp_path: Path) -> None:
+    """Wherever it stands; the numbers of the others are known."""
+    for at in (5, 800):
+        path = tmp_path / f"{at}.csv"
+        rows = (f"{i / 10};{i * 7};{'five' if i == at else i // 100}" for i in range(1000))
+        path.write_text("t;n;position\n" + "\n".join(rows) + "\n")
+        described = describe_log(path)
+        assert [one.kind for one in described.columns] == ["time", "counts", "segment"]
+        assert "five" in described.label_names
+        numbers = described.numbers["position"]
+        assert np.isnan(numbers[at])
+        assert numbers[at + 1] == at // 100

@@ -118,8 +118,6 @@ def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
         name for name, cells in layout.sample.items() if _mostly_numbers(cells, layout.decimal.value)
     )
     label = _label_column(layout.names, layout.sample, told)
-    if label in numeric and any(layout.decimal.value in cell for cell in layout.sample[label]):
-        numeric = tuple(name for name in numeric if name != label)  # a label is text: its decimal comma stays
     stamp = next(
         (
             (name, forms_of(cells[:50])[0])
@@ -128,7 +126,7 @@ def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
         ),
         None,
     )
-    read = (*numeric, stamp[0]) if stamp else numeric
+    read = tuple(name for name in (*numeric, *(stamp or ())[:1]) if name != label)
     stream = TextStream(
         path,
         read,
@@ -141,6 +139,8 @@ def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
         stamp=stamp,
     )
     numbers, codes, rows = _collected(stream, read)
+    if label in numeric and codes is not None:
+        numbers[label] = _label_numbers(stream.label_names, layout.decimal.value)[codes]
     fills = without_fills(numbers, numeric)
     spikes = without_spikes(numbers, numeric, rows)
     valued = {name: numbers[name] for name in numeric}
@@ -167,6 +167,12 @@ def _mostly_numbers(cells: list[str], decimal: str) -> bool:
     """True for a column of numbers, in which some cells may hold a word for a missing value."""
     words = sum(not is_number(cell, decimal) for cell in cells[:-1] or cells)
     return bool(cells) and words <= MOST_WORDS * len(cells) and len(cells) > words
+
+
+def _label_numbers(names: list[str], decimal: str) -> Array:
+    """The number of each label, nan of a word; then nan for the rows without a label, whose code is -1."""
+    numbers = (float(name.replace(decimal, ".")) if is_number(name, decimal) else np.nan for name in names)
+    return np.array([*numbers, np.nan])
 
 
 def _label_column(names: tuple[str, ...], sample: dict[str, list[str]], told: Mapping[str, str]) -> str | None:
