@@ -36,7 +36,7 @@ def synthetic() -> piga.Run:
         t,
         output,
         f,
-        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+        uncertainty={"waived": {"earth_rate": "simulated at rest", "servo": "simulated without"}},
         scale_factor="0.8884 rad/s/g",
         resolution=count,
         units="SI",

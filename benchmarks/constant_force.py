@@ -200,7 +200,7 @@ class ConstantForce:
             t,
             output,
             np.repeat(self.forces * G0, steps + 1, axis=0),
-            uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+            uncertainty={"waived": {"earth_rate": "simulated at rest", "servo": "simulated without"}},
             scale_factor=to_si(f"{self.scale_factor!r} rad/s/g", "rad/s/g"),
             base_rate=base,
             segment=np.repeat(np.arange(count, dtype=np.int32), steps + 1),

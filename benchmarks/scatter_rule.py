@@ -162,7 +162,7 @@ def record(case: Case, seed: int, number: int = 0) -> piga.Run:
         t,
         output,
         force,
-        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+        uncertainty={"waived": {"earth_rate": "simulated at rest", "servo": "simulated without"}},
         scale_factor="0.8884 rad/s/g",
         segment=position,
         resolution=count,

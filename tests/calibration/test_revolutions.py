@@ -181,7 +181,7 @@ def turning(seed: int, **options: Any) -> piga.Run:
 @pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_whole_turns_of_a_small_record() -> None:
-    rest = UncertaintyTable(waived={"earth_rate": "simulated at rest"})
+    rest = UncertaintyTable(waived={"earth_rate": "simulated at rest", "servo": "simulated without"})
     stated = UncertaintyTable(waived=rest.waived, reference_scale="20 ppm")
     calibration = piga.calibrate(replace(turning(31), uncertainty=stated), MEAN, "revolutions")
     (scale,) = [row.contributions["scale_factor"] for row in calibration.budget if row.type == "B"]

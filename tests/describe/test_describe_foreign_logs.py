@@ -48,7 +48,9 @@ def test_what_is_read_is_what_was_written(tmp_path: Path, name: str) -> None:
 def test_the_coefficients_are_the_true_ones(tmp_path: Path, name: str) -> None:
     """The simulated base is at rest, so the rotation of the Earth is waived."""
     draft, _ = drafted(tmp_path, name)
-    draft.document["uncertainty"] = {"waived": {"earth_rate": "simulated at rest"}}
+    draft.document["uncertainty"] = {
+        "waived": {"earth_rate": "simulated at rest", "servo": "simulated without"}
+    }
     result = piga.calibrate(try_run_file(draft, tmp_path / "run.toml"))
     assert set(foreign.TRUTH) <= set(result)
     for term, value in foreign.TRUTH.items():

@@ -197,7 +197,7 @@ def _calibration(
     result = replace(
         result,
         remarks=(*one_way_in_words(run, request.terms), *remarks_in_words(coefficients, request.phases)),
-        sources=sources_of_stand(fit),
+        sources=(*sources_of_stand(fit), *(doubt.listed for doubt in doubts if doubt.listed)),
         scale_factor_tolerance=run.model.tolerance,
         gravity=gravity_in_words(run),
     )
@@ -323,7 +323,7 @@ def _joint_calibration(
     live = [item for item in items if isinstance(item, Run)]
     result = replace(
         result,
-        sources=joint_sources_of_stand(fit),
+        sources=(*joint_sources_of_stand(fit), *(doubt.listed for doubt in doubts if doubt.listed)),
         scale_factor_tolerance=max((run.model.tolerance for run in live), default=0.01),
         gravity="; ".join(dict.fromkeys(filter(None, map(gravity_in_words, live)))),
     )

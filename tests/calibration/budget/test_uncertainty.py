@@ -208,7 +208,7 @@ def test_near_the_separatrix_the_first_order_is_enough() -> None:
     assert all(row.validated for key, row in table.items() if key != "phi")
     assert not scenario.calibrate(run).diagnostics.monte_carlo
     given = UncertaintyTable(
-        waived={"earth_rate": "simulated at rest"},
+        waived={"earth_rate": "simulated at rest", "servo": "simulated without"},
         reference_bias="100 ug",
         reference_misalignment="60 arcsec",
         reference_scale="100 ppm",
@@ -223,7 +223,12 @@ def test_near_the_separatrix_the_first_order_is_enough() -> None:
 
     def moved(size: float) -> list[np.ndarray]:
         plain = [
-            replace(source.moved, uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}))
+            replace(
+                source.moved,
+                uncertainty=UncertaintyTable(
+                    waived={"earth_rate": "simulated at rest", "servo": "simulated without"}
+                ),
+            )
             for source in sources(run, size)
         ]
         return [np.array([c.value for c in scenario.calibrate(record).coefficients]) for record in plain]
@@ -248,9 +253,11 @@ def contributions(table: UncertaintyTable) -> tuple[dict[str, dict[str, float]],
 @pytest.mark.only_compiled
 @pytest.mark.parametrize("source", ["reference_scale", "timing"])
 def test_a_scale_goes_into_k(source: str) -> None:
-    result = contributions(UncertaintyTable(waived={"earth_rate": "simulated at rest"}, **{source: "20 ppm"}))[
-        0
-    ][source]
+    result = contributions(
+        UncertaintyTable(
+            waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, **{source: "20 ppm"}
+        )
+    )[0][source]
     assert abs(result["scale_factor"]) == pytest.approx(20e-6 * 0.8884, rel=1e-2)
     assert abs(result["k0"]) < 20e-6 * 4e-3  # of the bias itself, 1.6e-3 g
 
@@ -258,9 +265,11 @@ def test_a_scale_goes_into_k(source: str) -> None:
 @pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_gravity_goes_into_k() -> None:
-    result = contributions(UncertaintyTable(waived={"earth_rate": "simulated at rest"}, gravity="20 mGal"))[0][
-        "gravity"
-    ]
+    result = contributions(
+        UncertaintyTable(
+            waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, gravity="20 mGal"
+        )
+    )[0]["gravity"]
     assert abs(result["scale_factor"]) == pytest.approx(20e-5 / G0 * 0.8884, rel=1e-2)
 
 
@@ -268,7 +277,9 @@ def test_gravity_goes_into_k() -> None:
 @pytest.mark.only_compiled
 def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> None:
     outcome, result = contributions(
-        UncertaintyTable(waived={"earth_rate": "simulated at rest"}, reference_bias="5 ug")
+        UncertaintyTable(
+            waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, reference_bias="5 ug"
+        )
     )
     assert abs(outcome["reference_bias X0"]["k0"]) == pytest.approx(5e-6, rel=1e-2)
     assert abs(outcome["reference_bias Y0"]["k0"]) == pytest.approx(5e-6 * result["m_Y"].value, rel=1e-3)
@@ -279,7 +290,10 @@ def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> 
 @pytest.mark.only_compiled
 def test_a_turn_of_the_reference_about_z_goes_into_the_misalignment() -> None:
     result, _ = contributions(
-        UncertaintyTable(waived={"earth_rate": "simulated at rest"}, reference_misalignment="2 arcsec")
+        UncertaintyTable(
+            waived={"earth_rate": "simulated at rest", "servo": "simulated without"},
+            reference_misalignment="2 arcsec",
+        )
     )
     assert abs(result["reference_misalignment Z0"]["m_Y"]) == pytest.approx(np.radians(2.0 / 3600.0), rel=1e-2)
     assert abs(result["reference_misalignment Z0"]["scale_factor"]) < 1e-8
@@ -289,12 +303,17 @@ def test_a_turn_of_the_reference_about_z_goes_into_the_misalignment() -> None:
 @pytest.mark.only_compiled
 def test_a_thermometer_goes_into_the_bias_by_its_slope() -> None:
     outcome, result = contributions(
-        UncertaintyTable(waived={"earth_rate": "simulated at rest"}, temperature="0.5 K")
+        UncertaintyTable(
+            waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, temperature="0.5 K"
+        )
     )
     assert abs(outcome["temperature"]["k0"]) == pytest.approx(0.5 * abs(result["k0_T"].value), rel=1e-6)
     assert abs(outcome["temperature"]["scale_factor"]) < 1e-12
     cold = record(np.random.default_rng(22), seconds=6.0, rate=3.0, count=4, levels=(1.0,))
     cold = replace(
-        cold, uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}, temperature="0.5 K")
+        cold,
+        uncertainty=UncertaintyTable(
+            waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, temperature="0.5 K"
+        ),
     )
     assert [row.type for row in piga.calibrate(cold, ["scale_factor", "k0"]).budget] == ["A"]

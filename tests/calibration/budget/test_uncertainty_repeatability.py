@@ -17,7 +17,7 @@ from piga.calibration.weights import Noise
 from piga.errors import CalibrationError, RunFileError
 from piga.planning.plan import plan_test
 from piga.records.calibration import Amount
-from piga.records.run_file import EstimationTable, UncertaintyTable
+from piga.records.run_file import ASSUMED_SOURCES, EstimationTable, UncertaintyTable
 from tests.calibration.made.dense import increments_covariance
 from tests.calibration.made.repeated import ARCSEC, CASES, TERMS, Repeated, coverage, head
 from tests.calibration.made.scenarios import SCENARIOS, Array, Scenario
@@ -50,7 +50,9 @@ def known_noise(run: piga.Run, uncertainty: str = "gum") -> piga.Run:
     table = EstimationTable(
         angle_rms="2.5e-5 rad", angle_random_walk="2e-5 rad/sqrt(s)", uncertainty=uncertainty
     )
-    stated = msgspec.structs.replace(run.uncertainty, waived={"earth_rate": "not of interest here"})
+    stated = msgspec.structs.replace(
+        run.uncertainty, waived=dict.fromkeys(ASSUMED_SOURCES, "not of interest here")
+    )
     return replace(run, estimation=table, uncertainty=stated)
 
 
@@ -117,7 +119,12 @@ def test_what_is_stated_is_not_found_again() -> None:
         run = case.record(np.random.default_rng(seed))
         told = case.scenario.calibrate(run)
         silent = case.scenario.calibrate(
-            replace(run, uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}))
+            replace(
+                run,
+                uncertainty=UncertaintyTable(
+                    waived={"earth_rate": "simulated at rest", "servo": "simulated without"}
+                ),
+            )
         )
         assert told.segment_scatter < 0.7 * silent.segment_scatter
         ratio.append([c.std for c in told.coefficients] / dense(case, run))
@@ -145,14 +152,20 @@ def test_what_is_lost_in_the_noise_leaves_the_fit_as_it_is(record: piga.Run) -> 
     told = replace(
         record,
         uncertainty=UncertaintyTable(
-            waived={"earth_rate": "simulated at rest"}, angle_repeatability="0.05 arcsec"
+            waived={"earth_rate": "simulated at rest", "servo": "simulated without"},
+            angle_repeatability="0.05 arcsec",
         ),
     )
     with_it, without = (
         piga.calibrate(r, SETTING.scenario.terms)
         for r in (
             told,
-            replace(record, uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"})),
+            replace(
+                record,
+                uncertainty=UncertaintyTable(
+                    waived={"earth_rate": "simulated at rest", "servo": "simulated without"}
+                ),
+            ),
         )
     )
     for a, b in zip(with_it.coefficients, without.coefficients, strict=True):
@@ -167,7 +180,7 @@ def test_what_is_lost_in_the_noise_leaves_the_fit_as_it_is(record: piga.Run) -> 
 @pytest.fixture(scope="module")
 def pair() -> list[piga.Run]:
     """Two tests on one head with one reference: repeated settings and mountings, a shared turn of the axis."""
-    stated = UncertaintyTable(waived={"earth_rate": "simulated at rest"},
+    stated = UncertaintyTable(waived={"earth_rate": "simulated at rest", "servo": "simulated without"},
         reference_id="head 2", angle_repeatability="2 arcsec", reference_misalignment="1 arcsec",
         mounting_repeatability="1 arcsec",
     )  # fmt: skip
@@ -239,7 +252,7 @@ def test_the_reference_of_each_level_of_a_centrifuge() -> None:
     arm = replace(arm, seconds=2.0, rate=20.0, terms=("scale_factor", "k0"))
     run = replace(
         known_noise(arm.record(np.random.default_rng(3))),
-        uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}),
+        uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest", "servo": "simulated without"}),
     )
 
     def scale(r: piga.Run) -> float:
@@ -253,7 +266,8 @@ def test_the_reference_of_each_level_of_a_centrifuge() -> None:
     told = replace(
         run,
         uncertainty=UncertaintyTable(
-            waived={"earth_rate": "simulated at rest"}, reference_repeatability="20 ppm"
+            waived={"earth_rate": "simulated at rest", "servo": "simulated without"},
+            reference_repeatability="20 ppm",
         ),
     )
     result = rows(piga.calibrate(told, arm.terms))["reference_repeatability"]
@@ -288,7 +302,9 @@ def test_a_stand_refuses_what_it_does_not_repeat(record: piga.Run) -> None:
     wrong = replace(
         record,
         source="a.toml",
-        uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}, rate_repeatability="1 ppm"),
+        uncertainty=UncertaintyTable(
+            waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, rate_repeatability="1 ppm"
+        ),
     )
     with pytest.raises(RunFileError, match=r"rate_repeatability does not exist on a dividing-head") as refused:
         piga.calibrate(wrong, TERMS)
@@ -299,7 +315,9 @@ def test_a_distribution_may_be_stated(record: piga.Run) -> None:
     spread = {"half_width": "2 arcsec", "distribution": "rectangular"}
     told = replace(
         known_noise(record),
-        uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}, angle_repeatability=spread),
+        uncertainty=UncertaintyTable(
+            waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, angle_repeatability=spread
+        ),
     )
     row = rows(piga.calibrate(told, SETTING.scenario.terms))[ROW]
     assert row.distribution == "rectangular"

@@ -82,7 +82,7 @@ def _rows(run: piga.Run, mask: np.ndarray) -> piga.Run:
         run.t[mask],
         run.output[mask],
         run.f[mask],
-        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+        uncertainty={"waived": {"earth_rate": "simulated at rest", "servo": "simulated without"}},
         scale_factor=run.scale_factor,
         segment=run.segment_index[mask],
         serial=run.serial,
@@ -153,7 +153,9 @@ def test_common_source_moves_all_runs_an_own_one_only_its_run(runs: list[piga.Ru
     def scale_part(first: str | None, second: str | None) -> tuple[float, int]:
         tables = (
             UncertaintyTable(
-                waived={"earth_rate": "simulated at rest"}, reference_scale="10 ppm", reference_id=name
+                waived={"earth_rate": "simulated at rest", "servo": "simulated without"},
+                reference_scale="10 ppm",
+                reference_id=name,
             )
             for name in (first, second)
         )
@@ -240,7 +242,9 @@ def test_a_bounded_source_keeps_its_distribution(runs: list[piga.Run]) -> None:
     moved = [
         replace(
             run,
-            uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}, reference_scale=spread),
+            uncertainty=UncertaintyTable(
+                waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, reference_scale=spread
+            ),
         )
         for run in runs
     ]

@@ -66,7 +66,9 @@ def test_two_small_runs_together(
 def test_a_summary_for_the_raw_data(runs: list[piga.Run], tmp_path: Path) -> None:
     kept = replace(
         runs[1],
-        uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest"}, reference_scale="10 ppm"),
+        uncertainty=UncertaintyTable(
+            waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, reference_scale="10 ppm"
+        ),
     )
     RunSummary.of(kept, FEW).to_json(tmp_path / "old.json")
     assert json.loads((tmp_path / "old.json").read_text(encoding="utf-8"))["phase"] == "shared"
@@ -105,7 +107,9 @@ def test_sources_that_runs_share(runs: list[piga.Run]) -> None:
             replace(
                 run,
                 uncertainty=UncertaintyTable(
-                    waived={"earth_rate": "simulated at rest"}, reference_scale="10 ppm", reference_id=name
+                    waived={"earth_rate": "simulated at rest", "servo": "simulated without"},
+                    reference_scale="10 ppm",
+                    reference_id=name,
                 ),
             )
             for run, name in zip(runs, (first, second), strict=True)

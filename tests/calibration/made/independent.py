@@ -80,7 +80,7 @@ class Bench:
             t.ravel(),
             (angle - self.phi).ravel(),
             np.repeat(self.forces * G0, size, axis=0),
-            uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+            uncertainty={"waived": {"earth_rate": "simulated at rest", "servo": "simulated without"}},
             scale_factor=f"{K} rad/s/g",
             segment=np.repeat(np.arange(len(self.forces), dtype=np.int32), size),
             temperature=None if self.warmth is None else 293.15 + self.warmth(t.ravel()),

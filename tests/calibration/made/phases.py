@@ -54,7 +54,7 @@ def record(seed: int, tangent: float) -> tuple[piga.Run, dict[str, float]]:
         segment.append(np.full(size, k, dtype=np.int32))
     run = piga.Run.from_arrays(
         *map(np.concatenate, (t, output, f)),
-        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+        uncertainty={"waived": {"earth_rate": "simulated at rest", "servo": "simulated without"}},
         scale_factor="0.8884 rad/s/g",
         segment=np.concatenate(segment),
         units="SI",

@@ -35,7 +35,7 @@ def problem(seed: int) -> tuple[piga.Run, dict[str, float]]:
         t,
         output,
         f,
-        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+        uncertainty={"waived": {"earth_rate": "simulated at rest", "servo": "simulated without"}},
         scale_factor="0.8884 rad/s/g",
         units="SI",
     )

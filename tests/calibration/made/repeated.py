@@ -47,7 +47,9 @@ class Repeated:
         run = replace(self.scenario, forces=self.set_forces(rng)).record(rng)
         asked = (self.scenario.forces * G0)[run.segment_index]
         told = (
-            UncertaintyTable(waived={"earth_rate": "simulated at rest"}, **self.stated)
+            UncertaintyTable(
+                waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, **self.stated
+            )
             if tell
             else UncertaintyTable()
         )

@@ -78,7 +78,7 @@ def _run(
         t,
         output,
         f,
-        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+        uncertainty={"waived": {"earth_rate": "simulated at rest", "servo": "simulated without"}},
         scale_factor=SCALE,
         segment=segment,
         serial="synthetic",

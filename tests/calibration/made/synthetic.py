@@ -63,7 +63,7 @@ def record(
         t,
         output,
         f,
-        uncertainty={"waived": {"earth_rate": "simulated at rest"}},
+        uncertainty={"waived": {"earth_rate": "simulated at rest", "servo": "simulated without"}},
         scale_factor=SCALE,
         segment=segment,
         resolution=count_angle,

@@ -92,7 +92,9 @@ def test_creep_that_follows_the_move_is_told_from_one_that_does_not():
 
 
 def test_creep_below_the_uncertainty_is_a_remark():
-    stated = UncertaintyTable(reference_bias="20 ug", waived={"earth_rate": "simulated at rest"})
+    stated = UncertaintyTable(
+        reference_bias="20 ug", waived={"earth_rate": "simulated at rest", "servo": "simulated without"}
+    )
     result = quiet(replace(record(14e-6), uncertainty=stated))
     creep = result.diagnostics.creep
     assert creep.seen

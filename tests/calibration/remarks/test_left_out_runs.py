@@ -9,11 +9,12 @@ import pytest
 from piga.calibration import RunSummary
 from piga.calibration.calibrate import calibrate
 from piga.records.calibration.coefficient import is_of_reference
-from piga.records.run_file import EstimationTable
+from piga.records.run_file import ASSUMED_SOURCES, EstimationTable, UncertaintyTable
 from tests.calibration.made.servo_data import TERMS, TRUTH, head, levels, recorded
 
 PLAIN = TERMS[:5]
 MEANING = "meaning of the cubic signature: servo or k3"
+UNNAMED = "servo that is not named"
 BY_K3 = TRUTH["scale_factor"] * (1.0 - 1.3e-5)
 NOISE = 2e-6
 
@@ -60,9 +61,18 @@ def test_two_heads_hold_both_meanings_of_a_cube(stored):
 
 
 @pytest.mark.only_compiled
-def test_two_heads_without_a_servo_have_no_such_row():
+def test_two_heads_without_a_servo_hold_what_they_do_not_exclude():
+    """K is off by s g^2/4 where the positions go round."""
     calibration = calibrate(two_heads(s=0.0, d=0.0), PLAIN)
-    assert [row.type for row in calibration.budget] == ["A"]
+    assert [row.source for row in calibration.budget][1:] == [UNNAMED]
+    (servo,) = (source for source in calibration.sources if source.name == "servo")
+    limit = float(re.search(r"more than ([\d.]+) ug", servo.reason)[1])
+    assert half_width(calibration, UNNAMED) == pytest.approx(2.5e-7 * limit * TRUTH["scale_factor"], rel=0.2)
+    runs = [
+        replace(run, uncertainty=UncertaintyTable(waived=dict.fromkeys(ASSUMED_SOURCES, "no servo")))
+        for run in two_heads(s=0.0, d=0.0)
+    ]
+    assert [row.type for row in calibrate(runs, PLAIN).budget] == ["A"]
     assert not any("cube" in note or "servo" in note for note in calibration.notes)
 
 

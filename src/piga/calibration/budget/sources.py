@@ -302,7 +302,7 @@ def with_effects(
 
 def merged_sources(lists: Iterable[tuple[StandSource, ...]]) -> tuple[StandSource, ...]:
     """The sources of several runs by name. A source has the worst status that a run gives it."""
-    worst = ("waived", "stated", "assumed", "unstated")
+    worst = ("waived", "stated", "bounded", "assumed", "unstated")
     merged: dict[str, StandSource] = {}
     for source in (one for sources in lists for one in sources):
         first = merged.get(source.name, source)

@@ -126,7 +126,7 @@ class Budget:
 
 def positive_part(covariance: Array) -> Array:
     """The matrix without negative eigenvalues of its correlations, which rounding can cause."""
-    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    std = np.sqrt(np.maximum(np.abs(np.diag(covariance)), 1e-300))
     value, vector = np.linalg.eigh(covariance / np.outer(std, std))
     root = std[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
     positive: Array = root @ root.T

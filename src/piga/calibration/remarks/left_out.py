@@ -7,6 +7,9 @@ neither term is requested, or only ``k3``, the difference is a source of Type B.
 servo turns the phase. If its wave is clear and ``servo_damping`` is not requested, the change by this term is a source
 too (docs/understanding/servo).
 
+A servo that is not named and not clear is a source of Type B, too: the record excludes it only above some size. What it may
+move K below this limit is in the budget.
+
 Several runs may separate what one stand cannot. If they separate ``servo`` from ``k3``, the better term is suggested, and its
 effect is in the budget.
 """
@@ -38,8 +41,8 @@ from piga.calibration.remarks.missing_terms import (
 )
 from piga.calibration.weights import reduce_positions
 from piga.errors import CalibrationError, IdentifiabilityError
-from piga.records.calibration import BudgetEntry, Coefficient
-from piga.records.calibration.coefficient import changes
+from piga.records.calibration import BudgetEntry, Coefficient, StandSource
+from piga.records.calibration.coefficient import changes, coverage_factor
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 from piga.results import Array
 
@@ -52,6 +55,8 @@ class LeftOutSettings:
     """Probability of such a signature by chance, below which it enters the budget."""
     seen: float = 2.0
     """Ratio of a requested k3 to its standard uncertainty above which its other meaning is reported."""
+    softest: float = 1e-4
+    """Softest servo that is assumed [g/g^3]: its rotor axis tilts by 1e-4 rad at 45 degrees in 1 g (2 s a_x a_t)."""
 
 
 LEFT_OUT = LeftOutSettings()
@@ -59,7 +64,10 @@ LEFT_OUT = LeftOutSettings()
 
 CUBIC_SOURCE = "meaning of the cubic signature: servo or k3"
 DAMPING_SOURCE = "servo damping that the model lacks"
+UNNAMED_SOURCE = "servo that is not named"
 """Names in the budget. They begin as :data:`piga.records.calibration.coefficient.OF_THE_MODEL` requires."""
+ONE_SIDED = 1.645
+"""Standard uncertainties up to a one-sided 95 % limit."""
 TURNED = ("phi", "tan_beta")
 """Coefficients that take up most of a missing ``servo_damping``."""
 
@@ -69,12 +77,13 @@ class LeftOut:
     """A clear signature of the servo that no term of the model absorbs.
 
     ``change`` is the half-width of its effect on each coefficient of the result (file units). ``words`` are its note;
-    empty if the signature is not clear by itself.
+    empty if the signature is not clear by itself. ``listed`` is its place among the sources of the stand.
     """
 
     source: str
     change: Array
     words: str
+    listed: StandSource | None = None
 
     @property
     def covariance(self) -> Array:
@@ -99,11 +108,15 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
     plain = candidates.fit
     design = plain.design
     held = (*design.request.terms, *design.turning_servo)
-    if "tan_beta" not in held or design.request.phase_source != "output":
+    if design.request.phase_source != "output":
         return ()
     square = constant_squares(design.run)[0]
-    asked = () if square is None or design.turning_servo else asked_cube(coefficients, square)
     cube = square is not None and "scale_factor" in held and not set(CUBIC) & set(held)
+    unnamed = _unnamed(candidates, coefficients, square) if square is not None and cube else ()
+    if "tan_beta" not in held:
+        return unnamed
+    settled = square is None or design.turning_servo or "servo" in design.run.uncertainty.waived
+    asked = () if square is None or settled else asked_cube(coefficients, square)
     damping = "servo_damping" not in held and not design.has_phases
     if not cube and not damping:
         return asked
@@ -127,7 +140,53 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
             after = after_change(plain, test.change)
             turned = {name: whole[name] for name in TURNED}
             doubts.append(damped(coefficients, before, after | turned, test, design.scale_factor))
-    return (*doubts, *asked)
+    covered = any(doubt.source == CUBIC_SOURCE for doubt in doubts)
+    return (*doubts, *asked, *(() if covered else unnamed))
+
+
+def _unnamed(
+    candidates: Candidates, coefficients: tuple[Coefficient, ...], square: float
+) -> tuple[LeftOut, ...]:
+    """The servo that a record does not exclude: by the column of ``servo``, without ``tan_beta`` by the cube."""
+    plain, unit = candidates.fit, si_factor("servo")
+    run = plain.design.run
+    if "servo" in run.uncertainty.waived:
+        return ()
+    pieces, rows = candidates.pieces
+    names = ("servo",) if "servo" in candidates.order else ("k3",)
+    test = tested(pieces, candidates.order, names, rows)
+    if test is None:
+        x = run.f[:, 0] ** 2
+        shift = LEFT_OUT.softest * unit * float(x @ (square - x) / x.sum())
+        moved = [c.value * shift if c.name == "scale_factor" else 0.0 for c in coefficients]
+        return (unnamed_servo(np.array(moved), LEFT_OUT.softest, math.inf),)
+    before, after = (after_change(plain, change) for change in (np.zeros(1), test.change))
+    size, std, spread = (
+        float(values[0]) / plain.design.scale_factor / unit for values in (test.columns, test.std, test.spread)
+    )
+    if names == ("k3",):
+        after["scale_factor"] *= 1.0 + size * unit * square
+    std = max(std, spread * coverage_factor(test.freedom) / coverage_factor(math.inf))
+    shift = _difference(coefficients, before, after | {name: before[name] for name in TURNED if name in before})
+    return (unnamed_servo(shift, size, std),)
+
+
+def unnamed_servo(shift: Array, size: float, std: float) -> LeftOut:
+    """The servo that is not named. A record, or several, give it as ``size``, with ``std`` [g/g^3].
+
+    ``shift`` is the change of the coefficients by ``size``. The half-width is that of the 95 % limit, one-sided because a
+    stiffness is not negative, but at most that of the softest servo.
+    """
+    softest = LEFT_OUT.softest
+    limit = max(size, 0.0) + ONE_SIDED * std
+    told = limit < softest
+    words = (
+        f"not named: the record excludes more than {1e6 * limit:.2g} ug/g^3"
+        if told
+        else f"not named, and the record hardly tells it from K: up to {1e6 * softest:.0f} ug/g^3 are assumed"
+    )
+    listed = StandSource("servo", "bounded" if told else "assumed", reason=words)
+    return LeftOut(UNNAMED_SOURCE, shift * (min(limit, softest) / size), "", listed)
 
 
 def _with_terms(plain: Fit, extra: tuple[str, ...]) -> dict[str, float] | None:
@@ -175,9 +234,13 @@ def asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[Le
     """The other meaning of a requested ``k3``, if ``a_x^2 + a_t^2`` is constant: ``square`` [m^2/s^4]."""
     named = {c.name: c for c in coefficients}
     scale, k3 = named.get("scale_factor"), named.get("k3")
-    if scale is None or k3 is None or abs(k3.value) <= LEFT_OUT.seen * k3.std:
+    if scale is None or k3 is None:
         return ()
-    return (_other_meaning(coefficients, scale, scale.value * k3.value * si_factor("k3") * square),)
+    shift = scale.value * k3.value * si_factor("k3") * square
+    if abs(k3.value) > LEFT_OUT.seen * k3.std:
+        return (_other_meaning(coefficients, scale, shift),)
+    moved = np.array([shift if c is scale else 0.0 for c in coefficients])
+    return (unnamed_servo(moved, k3.value, k3.std),)
 
 
 def _other_meaning(coefficients: tuple[Coefficient, ...], scale: Coefficient, shift: float) -> LeftOut:
@@ -304,8 +367,9 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
         return ()
     if base is None:
         return ()
+    unnamed = _unnamed_of_runs(rows, base) if cube and not set(CUBIC) & held else ()
     if cube and not set(CUBIC) & held and rows.refit((*terms, "servo", "k3")):
-        return _lacking(rows, base)
+        return _lacking(rows, base) or unnamed
     doubts: list[LeftOut] = []
     if cube and "k3" in terms and "k3" not in fit.wish.per_run:
         doubts += _asked(rows, base)
@@ -321,7 +385,22 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
     if wave:
         scale_factor = fit.summaries[0].scale_factor
         doubts.append(damped(fit.coefficients, _values(base), _values(wave.after), wave.test, scale_factor))
-    return tuple(doubts)
+    covered = any(doubt.source == CUBIC_SOURCE for doubt in doubts)
+    return (*doubts, *(() if covered else unnamed))
+
+
+def _unnamed_of_runs(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
+    """The servo that the runs do not exclude; empty if one of them waives it, or if they cannot tell it."""
+    sources = (source for summary in rows.fit.summaries for source in summary.stand_sources)
+    wider = rows.refit((*base.wish.terms, "servo"))
+    if wider is None or any(source.name == "servo" and source.status == "waived" for source in sources):
+        return ()
+    servo = next(c for c in wider.coefficients if c.name == "servo")
+    before, after = _values(base), _values(wider)
+    after |= {key: before[key] for key in before if key.startswith(TURNED)}
+    shift = _difference(rows.fit.coefficients, before, after)
+    std = servo.std * servo.coverage_factor / coverage_factor(math.inf)
+    return (unnamed_servo(shift, servo.value, std),)
 
 
 def _clear(rows: LeftOutRows, base: JointFit, names: Names, limit: float = LEFT_OUT.clear) -> Wider | None:

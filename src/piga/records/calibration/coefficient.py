@@ -29,7 +29,7 @@ ALMOST_KNOWN = 1e9
 """From this number of degrees of freedom on, F(n, nu) equals F(n, infinity) to every printed digit."""
 
 
-SourceStatus = Literal["stated", "waived", "assumed", "unstated"]
+SourceStatus = Literal["stated", "bounded", "waived", "assumed", "unstated"]
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,13 @@ class StandSource:
     Attributes
     ----------
     name, status:
-        Its key in ``[uncertainty]`` or in ``[uncertainty] waived``. ``assumed``: not stated, and in the budget with a
-        size that piga assumes.
+        Its key in ``[uncertainty]`` or in ``[uncertainty] waived``. ``bounded``: not stated, and in the budget with what the
+        record does not exclude. ``assumed``: not stated, and in the budget with a size that piga assumes.
     unit, effects:
         Change of each coefficient (file unit) by one ``unit`` of each component, by component and coefficient. Empty
         for a stated source: its row of the budget has its sensitivities.
     reason:
-        Why it was waived, or the size that is assumed.
+        Why it was waived, or the size that is bounded or assumed.
     """
 
     name: str

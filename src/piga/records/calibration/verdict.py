@@ -78,7 +78,7 @@ class Verdict:
     """Doubts, the gravest first; what was tested, and what was not; the sources of the stand by name.
 
     A doubt can change a number by more than its uncertainty. ``stated`` and ``unstated`` are names of sources of Type
-    B of the stand. A source that is waived is in neither.
+    B of the stand. A source whose size the record bounds counts as stated. A source that is waived is in neither.
     """
 
     doubts: tuple[Doubt, ...] = ()
@@ -148,12 +148,14 @@ def verdict(calibration: Calibration) -> Verdict:
     statements += _unstated(calibration)
     doubts = [item for item in statements if isinstance(item, Doubt)]
     doubts.sort(key=lambda doubt: not doubt.grave)
-    names = {status: _names(calibration.sources, status) for status in ("stated", "unstated", "assumed")}
+    names = {
+        status: _names(calibration.sources, status) for status in ("stated", "bounded", "unstated", "assumed")
+    }
     return Verdict(
         doubts=tuple(doubts),
         tested=tuple(item for item in statements if isinstance(item, str)),
         not_tested=tuple(_not_tested(calibration)),
-        stated=names["stated"],
+        stated=(*names["stated"], *names["bounded"]),
         unstated=(*names["unstated"], *names["assumed"]),
     )
 
@@ -269,7 +271,7 @@ def _unstated(calibration: Calibration) -> Iterator[str | Doubt]:
     sources = calibration.sources
     open_ones = [source for source in sources if source.status in ("unstated", "assumed")]
     count = sum(source.status != "waived" for source in sources)
-    stated = sum(source.status == "stated" for source in sources)
+    stated = sum(source.status in ("stated", "bounded") for source in sources)
     if open_ones:
         alone = f"{TYPE_A_ONLY}. " if calibration.type_a_only else ""
         yield Doubt(
@@ -283,6 +285,7 @@ def _unstated(calibration: Calibration) -> Iterator[str | Doubt]:
         )
     elif sources:
         yield f"the uncertainties contain {_in_budget(stated, count)} of the stand"
+    yield from (_open_words(source) for source in sources if source.status == "bounded")
     waived = [f"{source.name} ({source.reason})" for source in sources if source.status == "waived"]
     if waived:
         yield f"waived, not in the uncertainties: {', '.join(waived)}"
