@@ -189,6 +189,7 @@ def test_no_plan_is_recommended_that_the_calibration_refuses(tmp_path):
             base_rate=log.base_rate,
             segment=log.segment,
             units="SI",
+            uncertainty={"waived": {"servo": "simulated without"}},
         ),
         list(wish.model.terms),
     )
@@ -368,6 +369,7 @@ def check_repeats(folder, wish, repeats):
             base_rate=log.base_rate,
             segment=log.segment,
             units="SI",
+            uncertainty={"waived": {"servo": "simulated without"}},
         )
         fit = fit_run(run, make_request(run, list(wish.model.terms), phases=wish.model.phases))
         named, _ = name_coefficients(fit.design, fit.solution, fit.solution.covariance)

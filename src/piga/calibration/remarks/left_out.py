@@ -157,8 +157,8 @@ def _unnamed(
     test = tested(pieces, candidates.order, names, rows)
     if test is None:
         x = run.f[:, 0] ** 2
-        shift = LEFT_OUT.softest * unit * float(x @ (square - x) / x.sum())
-        moved = [c.value * shift if c.name == "scale_factor" else 0.0 for c in coefficients]
+        part = LEFT_OUT.softest * unit * float(x @ (square - x) / x.sum())
+        moved = [c.value * part if c.name == "scale_factor" else 0.0 for c in coefficients]
         return (unnamed_servo(np.array(moved), LEFT_OUT.softest, math.inf),)
     before, after = (after_change(plain, change) for change in (np.zeros(1), test.change))
     size, std, spread = (
