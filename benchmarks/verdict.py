@@ -64,7 +64,7 @@ def nominal(stand: dict[str, Any], labels: list[str], uncertainty: dict[str, Any
     segment = np.repeat(np.arange(len(labels)), inside.size)
     return piga.Run.from_arrays(
         t, np.zeros(t.size), None, scale_factor="0.8884 rad/s/g", segment=segment, labels=labels, stand=stand,
-        uncertainty=uncertainty,
+        uncertainty=uncertainty, units="SI",
     )  # fmt: skip
 
 

@@ -108,7 +108,7 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
     plain = candidates.fit
     design = plain.design
     held = (*design.request.terms, *design.turning_servo)
-    if design.request.phase_source != "output":
+    if design.request.phase_source != "output" or design.run.direct:
         return ()
     square = constant_squares(design.run)[0]
     cube = square is not None and "scale_factor" in held and not set(CUBIC) & set(held)
