@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import piga
+from piga._kernels.compensation.vibration import near_nyquist
 from piga.compensation import Compensator, Mounted, SetCompensator
 from piga.compensation.files import compensate_to_file
 from piga.records import Run
@@ -114,6 +115,11 @@ def test_shaken_reference_is_rectified_by_k_YY():
         misses += abs(error) > 2.0 * u or u > 2e-4
         assert result.flagged("vibration")[200:].all()
     assert misses == 0
+
+
+def test_force_without_any_step_before_the_last_is_no_division_by_zero():
+    assert near_nyquist(0.0, 6.0, 0.0) == 1.0
+    assert near_nyquist(0.0, 0.0, 0.0) == 0.0
 
 
 def test_chunks_of_any_size_agree():

@@ -348,7 +348,11 @@ class LockedStarts:
 
     def add(self, flags: NDArray[np.int32]) -> None:
         """Add the flags of the next rows."""
-        begins, locked = (flags & FLAGS["no_increment"]) != 0, (flags & FLAGS["locked"]) != 0
+        locked = (flags & FLAGS["locked"]) != 0
+        if flags.size and not locked.any():
+            self._size, self._open = self._size + flags.size, bool(flags[-1] & FLAGS["no_increment"])
+            return
+        begins = (flags & FLAGS["no_increment"]) != 0
         row = np.arange(1, flags.size + 1)
         begun = np.maximum.accumulate(np.where(begins, row, 0 if self._open else -2))
         ended = np.maximum.accumulate(np.where(begins | locked, -1, row))

@@ -484,8 +484,8 @@ def compensate_sample(
     u = math.nan
     if work.size:
         variance = variance_by_coefficients(more, p, x, a, work) + hidden * hidden
-        u = uncertainty(p, x, a, variance, derivative)
-        dead = math.sqrt(dead_zone(p, x.a_Y, x.a_Z, a))
+        dead = dead_zone(p, x.a_Y, x.a_Z, a)
+        u = uncertainty(p, x, variance, derivative, dead)
         add_to_velocity(sums, more.codes.size, work, h, derivative, x.doubt, hidden, dead)
     flags = flags_of(p, x, a, warm) | (at.VIBRATION if shaken else 0)
     keep_sample(past, now, seen.psi, p.phi, a)

@@ -421,7 +421,7 @@ def doubt_of_member(p: Instrument, axes: Array, past: Past, h: float, found: Sol
 def weigh(p: Instrument, more: Covariance, x: Inputs, m: Member, work: Array) -> float:
     """Weight ``1/u^2`` of an instrument from the uncertainty of its indication, dead zone included."""
     variance = variance_by_coefficients(more, p, x, m.a_x, work) + m.hidden * m.hidden
-    u = uncertainty(p, x, m.a_x, variance, 1.0)
+    u = uncertainty(p, x, variance, 1.0, dead_zone(p, x.a_Y, x.a_Z, m.a_x))
     return 1.0 / (u * u) if u > 0.0 else 1.0
 
 
@@ -496,7 +496,7 @@ def add_velocities(
     """Add the row to the sums of each instrument and component; the gain is how its indication moves the component."""
     for i in range(instruments.size):
         p, m = instruments[i], members[i]
-        dead = math.sqrt(dead_zone(p, m.a_Y, m.a_Z, m.a_x))
+        dead = dead_zone(p, m.a_Y, m.a_Z, m.a_x)
         for axis in range(3):
             n = inverse[axis]
             gain = m.weight * (n[0] * m.axis_x + n[1] * m.axis_y + n[2] * m.axis_z)

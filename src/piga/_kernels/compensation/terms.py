@@ -166,22 +166,23 @@ def variance_by_coefficients(more: Covariance, p: Instrument, x: Inputs, a: floa
 
 
 @inline_exact
-def uncertainty(p: Instrument, x: Inputs, a: float, variance: float, derivative: float) -> float:
-    """Standard uncertainty of ``a_x`` [m/s^2]: coefficients, noise of the output, motion between samples, dead zone."""
+def uncertainty(p: Instrument, x: Inputs, variance: float, derivative: float, dead: float) -> float:
+    """Standard uncertainty of ``a_x`` [m/s^2]: coefficients, noise of the output, motion between samples, ``dead`` zone."""
     inverse = 1.0 / (p.K * p.K)
     noise = (2.0 * p.white * inverse * x.per + p.walk * inverse) * x.per
     square = (variance + noise + x.doubt * x.doubt) * derivative * derivative
-    return math.sqrt(square + dead_zone(p, x.a_Y, x.a_Z, a))
+    return math.sqrt(square + dead * dead)
 
 
 @inline_exact
 def dead_zone(p: Instrument, a_Y: float, a_Z: float, a: float) -> float:
-    """Variance of ``a_x`` by the dead zone [m^2/s^4]; 0 far from it."""
-    dead, size = abs(p.tan_beta) * math.sqrt(a_Y * a_Y + a_Z * a_Z), abs(a)
-    if size >= NEAR * dead:
+    """Standard uncertainty of ``a_x`` by the dead zone [m/s^2]; 0 far from it."""
+    square = p.tan_beta * p.tan_beta * (a_Y * a_Y + a_Z * a_Z)
+    if a * a >= NEAR * NEAR * square:
         return 0.0
+    dead, size = math.sqrt(square), abs(a)
     share = 1.0 if size <= dead else (NEAR * dead - size) / ((NEAR - 1.0) * dead)
-    return dead * dead / 3.0 * share
+    return dead * math.sqrt(share / 3.0)
 
 
 TIME, GAIN, STRETCHES, DOUBT, HIDDEN, DEAD = range(at.MOST_TERMS, at.MOST_TERMS + 6)

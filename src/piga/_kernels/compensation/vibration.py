@@ -40,7 +40,9 @@ def near_nyquist(first: float, second: float, noise: float) -> float:
     """
     if second <= FAST * first or second <= ABOVE_NOISE * noise:
         return 0.0
-    return WHITE * min(1.0, (second / first - FAST) / (FULL - FAST)) * second
+    if second >= FULL * first:
+        return WHITE * second
+    return WHITE * (second / first - FAST) / (FULL - FAST) * second
 
 
 @inline_exact
@@ -62,7 +64,8 @@ def rectified(
         past.second_t += SHARE * (bend_y * bend_y + bend_z * bend_z - past.second_t)
     past.force_x, past.force_Y, past.force_Z = a_x, a_Y, a_Z
     past.step_x, past.step_Y, past.step_Z = x, y, z
-    if h == 0.0:
+    fast = past.second_x > FAST * past.first_x or past.second_t > FAST * past.first_t
+    if h == 0.0 or not fast:
         return 0.0, False
     noise = (20.0 * p.white / h + 6.0 * p.walk) / (h * p.K * p.K)
     along, across = (
