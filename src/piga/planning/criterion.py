@@ -219,10 +219,15 @@ def improve(tables: Array, criterion: Criterion, limits: PlanLimits, places: Ind
             return Schedule(places, dwells, value)
         for change, take in options:
             if best < change.shape[0]:
-                places, dwells = take(best)
+                taken = take(best)
                 break
             best -= change.shape[0]
-        value = float(criterion.values(_information(tables, places, dwells)))
+        better = float(criterion.values(_information(tables, *taken)))
+        if (
+            not better < value - SEARCH.improvement
+        ):  # rounding of a nearly singular plan: it would go round in circles
+            return Schedule(places, dwells, value)
+        (places, dwells), value = taken, better
 
 
 def _information(tables: Array, places: Index, dwells: Index) -> Array:

@@ -351,8 +351,8 @@ def _search_visits(
 ) -> Prediction:
     """Exchange search from the mixture and from the standard plans whose positions are candidates.
 
-    A visit that alone determines a coefficient shows no scatter of it, and the calibration refuses it. The longest dwell is then
-    halved, until it would not.
+    A visit that alone determines a coefficient shows no scatter of it, and the calibration refuses it. Each place is then visited
+    twice. If that is not enough, the longest dwell is halved, until it is.
     """
     limits, steps, criterion = search.limits(duration), search.tables.shape[1], criterion.guarded()
     begun = [start_of(mixture, steps, limits)]
@@ -366,27 +366,37 @@ def _search_visits(
         best = min(
             (improve(search.tables, criterion, limits, *start) for start in begun), key=lambda s: s.value
         )
+        twice = _cut(best, limits)
         longest = limits.longest * search.request.dwell_step
-        planned = predict(search.request, name, _finished(search, best, duration, longest))
-        if not planned.refusal or limits.longest == limits.shortest:
+        for places, dwells in ((best.places, best.dwells), twice):
+            planned = predict(search.request, name, _finished(search, places, dwells, duration, longest))
+            if not planned.refusal:
+                return planned
+        if limits.longest == limits.shortest:
             return planned
         limits = replace(limits, longest=max(int(best.dwells.max()) // 2, limits.shortest))
         begun.append(_cut(best, limits))
 
 
 def _cut(schedule: Schedule, limits: PlanLimits) -> tuple[Index, Index]:
-    """Places and dwells of the schedule, each visit cut into visits within the limits; the dwells pay for the moves."""
-    number = -(-schedule.dwells // limits.longest)
+    """Places and dwells of the schedule, each place visited at least twice, each visit within the limits.
+
+    The longest dwells pay for the moves.
+    """
+    visits = np.bincount(schedule.places)[schedule.places]
+    number = np.maximum(-(-schedule.dwells // limits.longest), np.where(visits == 1, 2, 1))
     dwells = np.repeat(np.maximum(schedule.dwells // number, limits.shortest), number)
     return fitted(np.repeat(schedule.places, number), dwells, limits)
 
 
-def _finished(search: _Search, schedule: Schedule, duration: float, longest: float) -> tuple[Visit, ...]:
+def _finished(
+    search: _Search, places: Index, dwells: Index, duration: float, longest: float
+) -> tuple[Visit, ...]:
     """Visits in their order, dwells in whole gimbal revolutions, spare time distributed."""
     request, step = search.request, search.request.dwell_step
-    order = np.argsort(schedule.places, kind="stable")
-    chosen = [search.usable[int(k)] for k in schedule.places[order]]
-    dwells = schedule.dwells[order] * step
+    order = np.argsort(places, kind="stable")
+    chosen = [search.usable[int(k)] for k in places[order]]
+    dwells = dwells[order] * step
     turns = np.array([c.revolution for c in chosen])
     whole = request.settings.whole_revolutions & (turns < dwells)
     unit = np.where(whole, turns, dwells)
