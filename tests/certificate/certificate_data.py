@@ -17,8 +17,14 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "certificate.toml"
 SCHEMAS = Path(__file__).parents[3] / "shared" / "reference" / "dcc"
 
 
-def complete(serial="G-0417") -> CertificateFile:
+def complete(serial="G-0417", gravity="9.80166") -> CertificateFile:
+    """The example, with another serial number and local gravity [m/s^2]."""
     data = read_certificate_file(EXAMPLE)
+    site = tuple(
+        msgspec.structs.replace(one, value=f"{gravity} m/s^2") if one.name == "Local gravity" else one
+        for one in data.environment
+    )
+    data = msgspec.structs.replace(data, environment=site)
     return changed(data, certificate={"issued": dt.date(2026, 3, 9)}, item={"serial": serial})
 
 

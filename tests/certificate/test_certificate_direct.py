@@ -32,7 +32,7 @@ def test_paper_and_dcc_state_the_unit_of_the_output(result: piga.Calibration) ->
         agreed_with_customer=True,
         limits={"scale_factor": ("590 uA/g", "610 uA/g")},
     )
-    today = changed(complete("QA-1"), certificate={"issued": dt.datetime.now(dt.UTC).date()})
+    today = changed(complete("QA-1", gravity="9.80665"), certificate={"issued": dt.datetime.now(dt.UTC).date()})
     data = msgspec.structs.replace(today, conformity=rule)
     shown = re.sub(r"<[^>]*>", " ", certificate_html(data, result).partition("<body>")[2])
     assert "mA/g" in shown

@@ -366,10 +366,9 @@ def _search_visits(
         best = min(
             (improve(search.tables, criterion, limits, *start) for start in begun), key=lambda s: s.value
         )
-        twice = _cut(best, limits)
         longest = limits.longest * search.request.dwell_step
-        for places, dwells in ((best.places, best.dwells), twice):
-            planned = predict(search.request, name, _finished(search, places, dwells, duration, longest))
+        for visits in ((best.places, best.dwells), _cut(best, limits)):
+            planned = predict(search.request, name, _finished(search, *visits, duration, longest))
             if not planned.refusal:
                 return planned
         if limits.longest == limits.shortest:
@@ -384,7 +383,7 @@ def _cut(schedule: Schedule, limits: PlanLimits) -> tuple[Index, Index]:
     The longest dwells pay for the moves.
     """
     visits = np.bincount(schedule.places)[schedule.places]
-    number = np.maximum(-(-schedule.dwells // limits.longest), np.where(visits == 1, 2, 1))
+    number = np.maximum(-(-schedule.dwells // limits.longest), np.where(visits == 1, 2, 1)).astype(np.int64)
     dwells = np.repeat(np.maximum(schedule.dwells // number, limits.shortest), number)
     return fitted(np.repeat(schedule.places, number), dwells, limits)
 
@@ -396,18 +395,18 @@ def _finished(
     request, step = search.request, search.request.dwell_step
     order = np.argsort(places, kind="stable")
     chosen = [search.usable[int(k)] for k in places[order]]
-    dwells = dwells[order] * step
+    wished = dwells[order] * step
     turns = np.array([c.revolution for c in chosen])
-    whole = request.settings.whole_revolutions & (turns < dwells)
-    unit = np.where(whole, turns, dwells)
-    rounded = np.floor(dwells / unit + 1e-9) * unit
-    rounded = np.where(rounded < request.minimum_dwell, dwells, rounded)
+    whole = request.settings.whole_revolutions & (turns < wished)
+    unit = np.where(whole, turns, wished)
+    rounded = np.floor(wished / unit + 1e-9) * unit
+    rounded = np.where(rounded < request.minimum_dwell, wished, rounded)
     while True:
         spare = duration - rounded.sum() - request.move * (rounded.size - 1)
         fits = np.flatnonzero(whole & (turns <= spare) & (rounded + turns <= longest))
         if fits.size == 0:
             break
-        most = fits[np.argmin(rounded[fits] / dwells[fits])]
+        most = fits[np.argmin(rounded[fits] / wished[fits])]
         rounded[most] += turns[most]
     visits = tuple(Visit(c, _whole_samples(request, float(d))) for c, d in zip(chosen, rounded, strict=True))
     return _ordered(request, visits)
