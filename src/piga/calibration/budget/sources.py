@@ -322,6 +322,7 @@ def gravity_in_words(run: Run) -> str:
         where = f"{height:.0f} m" if "height" in stand else "sea level (the height is not stated)"
         return f"{site.local_gravity:.8g} m/s^2, normal gravity at latitude {stand['latitude']} and {where}"
     if not run.computed_reference and _gravity_alone(run):
-        total = sum(float(np.linalg.norm(run.f[part], axis=1).sum()) for part in spans(run.size))
-        return f"{total / run.size:.8g} m/s^2, mean size of the logged reference"
+        mean = sum(float(np.linalg.norm(run.f[part], axis=1).sum()) for part in spans(run.size)) / run.size
+        if abs(mean / G0 - 1.0) < GRAVITY_REFERENCE:
+            return f"{mean:.8g} m/s^2, mean size of the logged reference"
     return ""
