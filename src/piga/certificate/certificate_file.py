@@ -387,7 +387,7 @@ def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
         yield "calibration (7.8.4.1 a, 7.6): no source of Type B in the budget; state [uncertainty] in the run file"
         return
     yield from _budget_sums(calibration)
-    masked = calibration.quality.masked / max(calibration.quality.rows, 1)
+    masked = calibration.quality.lost
     if masked > data.certificate.largest_masked_share:
         yield (
             f"calibration (7.7): {100.0 * masked:.3g} % of the rows are masked, more than [certificate] "

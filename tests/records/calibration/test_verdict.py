@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.records.calibration import BudgetEntry, Diagnostics
+from piga.records.calibration import BudgetEntry, Diagnostics, Event, Quality
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.document import calibration_to_bytes
 from piga.records.calibration.verdict import THRESHOLDS, verdict
@@ -204,6 +204,18 @@ def test_each_doubt(change, words, grade):
     assert result.grade == grade
     assert len(result.doubts) == 1
     assert words in result.doubts[0].what
+
+
+@pytest.mark.parametrize(
+    ("kind", "grade"), [("moving", "clear"), ("settling", "clear"), ("missing-value", "doubt")]
+)
+def test_rows_between_positions_are_not_lost(kind, grade):
+    """A fifth of the rows: moves of the stand, or readings that are missing."""
+    base = replace(calibration(with_residuals=False), notes=())
+    rows = base.quality.rows
+    gone = Quality(rows, rows - rows // 5, rows // 5, (Event(kind, rows // 5, 1, ""),))
+    assert verdict(replace(base, quality=gone)).grade == grade
+    assert gone.lost == pytest.approx(0.0 if grade == "clear" else 0.2, abs=1e-3)
 
 
 def test_a_source_of_the_model_is_not_the_reference():

@@ -254,12 +254,11 @@ def _separation(calibration: Calibration) -> Iterator[str | Doubt]:
 
 
 def _rows(calibration: Calibration) -> Iterator[str | Doubt]:
-    quality = calibration.quality
-    share = quality.used / quality.rows if quality.rows else 1.0
+    share = 1.0 - calibration.quality.lost
     if share < THRESHOLDS.used:
         yield Doubt(f"only {100.0 * share:.3g} % of the rows were used", "see the findings in the data")
     else:
-        yield f"{'all' if share == 1.0 else f'{100.0 * share:.4g} % of the'} rows were used"
+        yield f"{'all' if share == 1.0 else f'{100.0 * share:.4g} % of the'} rows of the positions were used"
 
 
 def _names(sources: tuple[StandSource, ...], status: str) -> tuple[str, ...]:
