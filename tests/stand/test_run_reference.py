@@ -9,6 +9,7 @@ import pytest
 
 import piga
 from piga.data import copy_example
+from piga.errors import ArgumentError
 from piga.records.calibration import Amount
 from piga.stand import (
     DividingHead,
@@ -182,6 +183,14 @@ def test_segments_of_a_log_are_taken_in_order_when_their_names_say_nothing() -> 
     assert at == pytest.approx([0.0, 1.0, 6.0, 9.0, 10.0])  # no further than the end of the dwell
     log = LoggedProfile(np.array([0.0, 1.0]), np.zeros((2, 3)), np.zeros((2, 3)))
     assert plan_times(log, None, (), t, np.zeros(5, dtype=np.int32)) is t
+
+
+def test_numbers_of_a_log_do_not_match_some_of_the_positions_by_chance() -> None:
+    """Two segments named by their numbers, as piga names what it finds, and a stand of more positions."""
+    planned = [part.label for part in SHORT_HEAD.segments() if part.recorded]
+    assert len(planned) == 2
+    with pytest.raises(ArgumentError, match="2 positions or levels, the record has 1 segments"):
+        plan_times(SHORT_HEAD, None, (planned[0],), np.zeros(3), np.zeros(3, dtype=np.int32))
 
 
 def test_a_stand_without_a_kind_is_named_in_words(tmp_path: Path) -> None:

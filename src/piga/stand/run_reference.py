@@ -225,8 +225,9 @@ def plan_times(
         return t
     planned = [part for part in stand.segments() if part.recorded]
     by_name = dict(zip(names or tuple(part.label for part in planned), planned, strict=True))
-    parts = [by_name.get(label.split("/")[0]) for label in labels]
-    if None in parts:
+    own = [label.split("/")[0] for label in labels]
+    parts = [by_name.get(label) for label in own]
+    if None in parts or (names is None and len(set(own)) != len(planned)):  # numbers alone match by chance
         parts = _in_order(planned, labels, segment)
     starts, durations = np.array([(part.start, part.duration) for part in parts if part is not None]).T
     first, times = np.zeros(len(labels)), empty(t.size)
@@ -250,7 +251,7 @@ def _in_order(
         raise ArgumentError(
             f"[stand] has {len(planned)} positions or levels, the record has {len(labels)} segments "
             f"({', '.join(labels[:MOST_NAMED])}{more})",
-            remedy="name them: positions = { 'label' = 'angle', ... }",
+            remedy="give them in order, positions = ['0 deg', ...], or by name, positions = { 'label' = 'angle', ... }",
         )
     return list(planned)
 
