@@ -62,6 +62,7 @@ CAL = correlated(calibration_of(VALUES, STD, angle_rms=WHITE, angle_random_walk=
 
 
 @pytest.mark.parametrize("kind", ["angle", "rate"])
+@pytest.mark.only_compiled
 def test_scatter_of_the_velocity_is_its_uncertainty(kind):
     """Coefficients and noise drawn 300 times; the standard deviation of 300 draws has a standard error of 4 %."""
     run, rng, velocities = gapped(kind), np.random.default_rng(1), []
@@ -143,6 +144,7 @@ def test_chunks_and_files_agree(tmp_path):
 
 
 @pytest.mark.parametrize("count", [3, 4])
+@pytest.mark.only_compiled
 def test_scatter_of_the_velocity_of_a_set(count):
     t, rng = np.arange(ROWS) * H, np.random.default_rng(2)
     force = np.array([0.9, 0.5, 0.7]) * G0

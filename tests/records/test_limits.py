@@ -195,6 +195,6 @@ def test_a_long_text_is_not_quoted_whole(tmp_path: Path) -> None:
     with pytest.raises(PigaError) as caught:
         read_run_file(run)
     assert len(str(caught.value)) < 25_000
-    error = PigaError("a" * 30_000 + "the end", remedy="shorten it")
+    error = PigaError("a " * 15_000 + "the end", remedy="shorten it")
     assert len(error.message) < 13_000
     assert error.message.endswith("the end")

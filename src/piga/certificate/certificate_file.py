@@ -364,6 +364,12 @@ def _adjustment(data: CertificateFile, calibration: Calibration, before: Calibra
 
 def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
     """Items that the calibration itself must have."""
+    lost = calibration.quality.lost
+    if lost > data.certificate.largest_masked_share:
+        yield (
+            f"calibration (7.7): {100.0 * lost:.3g} % of the rows are masked, more than [certificate] "
+            f"largest_masked_share of {100.0 * data.certificate.largest_masked_share:.3g} %"
+        )
     if data.item.serial and data.item.serial != calibration.serial:
         yield f"[item] serial (7.8.2.1 g): '{data.item.serial}', but the calibration is of '{calibration.serial}'"
     for c in calibration.coefficients:
@@ -387,12 +393,6 @@ def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
         yield "calibration (7.8.4.1 a, 7.6): no source of Type B in the budget; state [uncertainty] in the run file"
         return
     yield from _budget_sums(calibration)
-    masked = calibration.quality.lost
-    if masked > data.certificate.largest_masked_share:
-        yield (
-            f"calibration (7.7): {100.0 * masked:.3g} % of the rows are masked, more than [certificate] "
-            f"largest_masked_share of {100.0 * data.certificate.largest_masked_share:.3g} %"
-        )
 
 
 def _budget_sums(calibration: Calibration) -> Iterator[str]:

@@ -34,6 +34,13 @@ MOST_PARTS = 6
 """Most parts of a key's path."""
 
 
+HEIGHT = (
+    "CHECK: how high is the laboratory? Without [stand] height (or gravity) 500 m are assumed as its uncertainty: "
+    "155 ppm of the scale factor"
+)
+"""Comment of a draft that has neither height nor local gravity."""
+
+
 @dataclass(frozen=True)
 class KeyWords:
     """What a key means: its sentence, unit and an example of its value in TOML."""
@@ -269,6 +276,8 @@ class RunFileDraft:
 
     def give(self, key: str, value: Any) -> None:
         """Set a value that the user gave, also inside an inline table."""
+        if key in ("stand.height", "stand.gravity") and HEIGHT in self.comments.get("stand.kind", []):
+            self.comments["stand.kind"].remove(HEIGHT)
         parts = key.split(".")
         at: dict[str, Any] = self.document.setdefault(parts[0], {})
         for part in parts[1:-1]:

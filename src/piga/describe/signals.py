@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from piga.describe.columns import TOLD, WORDS, ColumnGuess, Values
-from piga.describe.draft import RunFileDraft, number_in, quantity_text
+from piga.describe.draft import HEIGHT, RunFileDraft, number_in, quantity_text
 from piga.describe.log import LogDescription
 from piga.errors import ArgumentError, UnitError
 from piga.reading.checks import positions
@@ -393,12 +393,6 @@ def _centrifuge(
     radius = log.facts.get("stand.radius")
     if radius is not None:
         draft.put("stand.radius", quantity_text(radius.value, "m"), radius.reason)
-
-
-HEIGHT = (
-    "CHECK: how high is the laboratory? Without [stand] height (or gravity) 500 m are assumed as its uncertainty: "
-    "155 ppm of the scale factor"
-)
 
 
 def _site(draft: RunFileDraft, log: LogDescription) -> None:
