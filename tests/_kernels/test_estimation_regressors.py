@@ -104,7 +104,7 @@ FORCE_TERMS = {
 }
 
 
-@pytest.mark.parametrize("name", list(FORCE_TERMS))
+@pytest.mark.parametrize("name", list(PRODUCTS))
 @pytest.mark.parametrize("ends", [(1.2, 3.4), (-2.0, 5.0), (-1.0, -4.0), (5.0, -0.1)])
 def test_force_terms_are_integrated_exactly(name: str, ends: tuple[float, float]) -> None:
     force = np.array([ends, (0.4, -1.1), (2.0, 2.5)])

@@ -119,13 +119,15 @@ def product_column(
     inputs = {"x": f[0], "y": f[1], "z": f[2], "t": t, "T": temperature}
     if not factors:
         out[:] = 1.0
-    elif "|x|" in factors or len(factors) > 2:
+    elif factors in (("x", "|x|"), ("x", "x", "x")):
         start, end = f[0, :-1], f[0, 1:]
         out[:] = _odd_square_mean(start, end) if "|x|" in factors else _cube_mean(start, end)
     elif len(factors) == 1:
         a = inputs[factors[0]]
         np.add(a[:-1], a[1:], out=out)
         out *= 0.5
+    elif len(factors) > 2:
+        raise NotImplementedError(f"a column of the product {' '.join(factors)}")
     else:
         a, b = (inputs[factor] for factor in factors)
         np.multiply(a[:-1], 2.0 * b[:-1] + b[1:], out=out)
