@@ -14,7 +14,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from piga import doors
 from piga.errors import ArgumentError
@@ -74,8 +74,8 @@ class AllanDeviation(Result, Plotted):
 
 
 def allan_deviation(
-    angle: Array,
-    t: Array,
+    angle: ArrayLike,
+    t: ArrayLike,
     begins: NDArray[np.bool_],
     *,
     noise: Mapping[int, float],
@@ -115,7 +115,7 @@ def allan_deviation(
     ArgumentError
         If the arrays differ in length.
     """
-    stretches, step = even_stretches(angle, t, begins)
+    stretches, step = even_stretches(np.asarray(angle, float), np.asarray(t, float), begins)
     most = (max((x.size for x in stretches), default=0) - 1) // 3
     if factors is None:
         count = int(PER_DECADE * math.log10(most)) + 1 if most >= 1 else 0
