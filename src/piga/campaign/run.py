@@ -147,6 +147,7 @@ def _client(
     )
     compile_kernels(campaign.plan)
     options = {"threads_per_worker": 1, "security": True, "protocol": "tls://", "dashboard_address": None}
+    options["silence_logs"] = logging.CRITICAL  # of the workers: their traceback at Ctrl-C
     with dask.config.set({"distributed.scheduler.worker-saturation": 1.0}):
         with _without_ctrl_c():
             cluster = distributed.LocalCluster(n_workers=count, host="127.0.0.1", env=ONE_THREAD, **options)
