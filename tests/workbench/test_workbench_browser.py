@@ -412,6 +412,8 @@ def test_a_plan_is_made_and_a_record_compensated(browser: Browser, place: Path) 
     browser.open("/record/tumble-a.toml")
     answered(browser)
     page.get_by_role("button", name="Keep", exact=True).click()
+    page.get_by_role("link", name="Compensate").wait_for()  # the page of the kept answer
+    answered(browser)
     page.get_by_role("link", name="Compensate").click()
     page.get_by_label("Phase of the output zero").fill("0.48")
     page.get_by_role("button", name="Compensate").click()
