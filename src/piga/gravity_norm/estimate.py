@@ -36,7 +36,7 @@ SINGULAR = 1e-3
 
 @dataclass(frozen=True)
 class Spell(Result):
-    """A time at which the set stood still: begin and end [s], samples, and |f| - g of its mean [m/s^2]."""
+    """A time at which the set stood still: begin and end [s], samples, and the size of its mean force less g [m/s^2]."""
 
     begin: float
     end: float
@@ -291,7 +291,7 @@ class _Model:
         return matrix, parameters[:n]
 
     def residuals(self, parameters: Array, means: Array) -> Array:
-        """|f| - g of each spell, and of a redundant set what no force explains, as accelerations (spells, 1 or 1 + n)."""
+        """Size of the force less g of each spell; of a redundant set also what no force explains (spells, 1 or 1 + n)."""
         matrix, bias = self.sensitivities(parameters)
         force = _force(means, matrix, bias)
         off = np.linalg.norm(force, axis=1)[:, None] - self.gravity
