@@ -233,7 +233,7 @@ def main() -> None:
 
 CONDITIONS = (
     "24 positions of 60 s on a head, or 8 levels of 60 s on an arm; K, k0 and m_Y; noise of 4 arcsec and 4 arcsec/√s. "
-    "Outside: one of them is not in its 95 % interval."
+    "Outside: one of them is not in its 95 % interval"
 )
 
 
