@@ -153,6 +153,12 @@ def _at(each: AllanDeviation, tau: np.ndarray, one: float, k: int) -> str:
     return short(each.deviation[k] / one, 5) if k < each.tau.size and each.tau[k] == tau[k] else ""
 
 
+def _length(noise: NoiseAnalysis) -> str:
+    """Duration and number of stretches, in words."""
+    plural = "" if noise.stretches == 1 else "es"
+    return f"{noise.duration:.6g} s in {noise.stretches} stretch{plural}"
+
+
 def page(noise: NoiseAnalysis) -> Page:
     """Levels, figures and all numbers."""
     found: list[Block] = [Notice("warning", remark) for remark in remarks(noise)]
@@ -163,7 +169,7 @@ def page(noise: NoiseAnalysis) -> Page:
     )
     return Page(
         f"Noise of {noise.source}",
-        f"{count(noise.samples)} samples at {1.0 / noise.step:.6g} Hz, {noise.duration:.6g} s in {noise.stretches} stretches.",
+        f"{count(noise.samples)} samples at {1.0 / noise.step:.6g} Hz, {_length(noise)}.",
         _tiles(noise),
         (
             Section("Levels", "levels", (lead, levels_table(noise), *found)),
@@ -208,7 +214,7 @@ def brief(noise: NoiseAnalysis) -> Page:
     least = f"Smallest Allan deviation: {short(allan.deviation[best] / one)} {pretty_unit(unit)} at {short(allan.tau[best])} s."
     notices = [Notice("warning", remark) for remark in remarks(noise)]
     return Page(
-        f"Noise of {noise.source}: {noise.samples} samples, {noise.duration:.6g} s in {noise.stretches} stretches",
+        f"Noise of {noise.source}: {noise.samples} samples, {_length(noise)}",
         sections=(
             Section("", "levels", (levels_table(noise), Text(least), *notices)),
             Section("", "all-deviations", (FigureBlock(deviations_figure(noise)),)),
