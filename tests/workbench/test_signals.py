@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from piga.errors import ArgumentError
 from piga.records import Run
 from piga.records.run_file import read_run_file
+from piga.workbench import signals
 from piga.workbench.signals import Outline, picture, read_outline, write_envelopes
 from tests.workbench.size import SIZES, measure
 
@@ -66,6 +67,7 @@ def test_the_whole_picture_holds_the_extremes(tmp_path: Path) -> None:
     ends=st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)),
     width=st.integers(1, 3000),
     key=st.sampled_from(["output", "fX", "fY", "fZ"]),
+    drawn=st.sampled_from([0, 1 << 18]),
 )
 def test_no_peak_is_lost_and_none_invented(
     tmp_path_factory: pytest.TempPathFactory,
@@ -74,6 +76,7 @@ def test_no_peak_is_lost_and_none_invented(
     ends: tuple[float, float],
     width: int,
     key: str,
+    drawn: int,
 ) -> None:
     run = record(size, sorted({gap for gap in gaps if gap < size}))
     cache = tmp_path_factory.mktemp("envelopes") / "a-1"
@@ -82,7 +85,9 @@ def test_no_peak_is_lost_and_none_invented(
     first, last = sorted(end * outline.duration for end in ends)
     if first == last:
         return
-    rows = picture(cache, key, first, last, width)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(signals, "DRAWN", drawn)  # from the samples, or from the blocks
+        rows = picture(cache, key, first, last, width)
     t = run.t - run.t[0]
     inside = (t >= first) & (t <= last)
     rows = rows[~np.isnan(rows[:, 1])]
@@ -97,8 +102,6 @@ def test_no_peak_is_lost_and_none_invented(
 
 def test_the_difference_is_the_angle_minus_what_k_makes_of_the_force(tmp_path: Path) -> None:
     """By the trapezoidal rule from sample to sample, anew in each stretch, also over the ends of the blocks read at once."""
-    from piga.workbench import signals
-
     run = record(3000, [1000, 2001])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(signals, "CHUNK", 700)
@@ -129,7 +132,6 @@ def test_moves_at_the_ends_of_positions_are_seen_and_a_turning_stand_is_not_one(
 
 def test_the_thinned_copy_of_a_long_record_is_a_record(tmp_path: Path) -> None:
     import piga
-    from piga.workbench import signals
 
     t = 0.01 * np.arange(5000)
     f = np.column_stack((np.full(5000, 9.8), np.sin(t), np.zeros(5000)))
@@ -202,8 +204,6 @@ def test_an_outline_is_read_as_it_was_written(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_hundred_million_rows(tmp_path: Path) -> None:
     size = 100_000_000
-    from piga.workbench import signals
-
     folder = tmp_path / "a-1"
     folder.mkdir()
     t = np.lib.format.open_memmap(folder / "t.npy", mode="w+", dtype=np.float64, shape=(size,))
@@ -214,10 +214,9 @@ def test_a_hundred_million_rows(tmp_path: Path) -> None:
         values[part] = np.sin(1e-4 * t[part])
     breaks = np.zeros(1, np.int64)
     np.save(folder / "breaks.npy", breaks[1:])
-    levels = signals._levels(size, breaks)
-    for number, edges in enumerate(levels):
-        np.save(folder / f"edges-{number}.npy", edges)
-    signals._write_column(folder, "output", values, size, levels)
+    blocks = signals._blocks(size, breaks)
+    np.save(folder / "blocks.npy", blocks)
+    signals._write_column(folder, "output", values, blocks)
     shown = (signals.Signal("output", "", "rev", 1.0, "output"),)
     outline = Outline(shown, float(t[-1]), size, size, 200.0, (), (), (), (), phase_kept=True)
     import json

@@ -1,7 +1,7 @@
-"""Pictures of a record: its least and largest values at several widths, from which any zoom is drawn at once.
+"""Pictures of a record: least and largest values per pixel, for any zoom.
 
-A record is read once, by the reader of the calibration. Each of its columns is written to a cache folder, with
-envelopes of 16, 64, 256, ... samples. A picture of any span then needs a few thousand values. No block crosses the
+A record is read once, by the reader of the calibration. Each of its columns is written to a cache folder, with the
+extremes of each 256 samples. A short span is drawn from the samples, a long one from these blocks. No block crosses the
 begin of a stretch, so a gap is drawn as a gap. Of a long record a thinned copy is written, too, for a first answer.
 """
 
@@ -29,10 +29,10 @@ from piga.units import G0, offset_to_si, parse_unit
 
 Array = NDArray[np.float64]
 
-FIRST_BLOCK, FACTOR = 16, 4
-"""Samples per block of the finest envelope, and the ratio of one envelope's blocks to the next finer one's."""
-COARSEST = 2048
-"""Blocks at which no coarser envelope is made."""
+BLOCK = 256
+"""Samples per block of the envelope."""
+DRAWN = 1 << 18
+"""Samples of a span that is drawn from the samples themselves."""
 MOST_STRETCHES = 20_000
 """Longest breaks that are drawn as gaps. More of them would not be seen."""
 MOST_WIDTH = 4096
@@ -42,7 +42,7 @@ LONG, THINNED = 1_000_000, 100_000
 MOVING = 0.01 * G0
 """Specific force [m/s^2] by which a sample of a moving stand differs from its position, at least."""
 CHUNK = 1 << 20
-FORM = 4
+FORM = 5
 """Version of the cache's files."""
 
 
@@ -146,16 +146,15 @@ def _write_all(run: Run, run_file: RunFile, folder: Path) -> Outline:
     rows = np.lib.format.open_memmap(folder / "row.npy", mode="w+", dtype=np.int64, shape=(run.size,))
     for part in _chunks(run.size):
         rows[part] = run.row[part]
-    levels = _levels(run.size, begins)
-    for number, edges in enumerate(levels):
-        np.save(folder / f"edges-{number}.npy", edges)
+    blocks = _blocks(run.size, begins)
+    np.save(folder / "blocks.npy", blocks)
     temperature = run_file.data.temperature
     columns = _columns(run, "K" if temperature is None else temperature.unit)
     for signal, values in columns:
-        _write_column(folder, signal.key, values, run.size, levels)
+        _write_column(folder, signal.key, values, blocks)
     signals = [signal for signal, _ in columns]
     if run.kind == "angle":
-        _write_difference(run, t, folder, levels)
+        _write_difference(run, t, folder, blocks)
         shown = ("count", 1.0) if run.direct else ("deg", 180.0 / np.pi)
         words = f"{run.quantity} minus K ∫aₓdt"
         signals.insert(1, Signal("difference", words, *shown, "difference"))
@@ -170,7 +169,7 @@ def _chunks(size: int) -> Iterator[slice]:
         yield slice(first, min(first + CHUNK, size))
 
 
-def _write_difference(run: Run, t: Array, folder: Path, levels: list[NDArray[np.int64]]) -> None:
+def _write_difference(run: Run, t: Array, folder: Path, blocks: NDArray[np.int64]) -> None:
     """The output angle minus what the nominal scale factor makes of a_x; it begins at zero in each stretch."""
     whole = np.lib.format.open_memmap(folder / "difference.npy", mode="w+", dtype=np.float64, shape=(run.size,))
     carried = 0.0
@@ -187,7 +186,7 @@ def _write_difference(run: Run, t: Array, folder: Path, levels: list[NDArray[np.
             total[first[0] :] -= np.repeat(total[first], np.diff(np.append(first, total.size)))
         whole[part] = total
         carried = float(total[-1])
-    _write_envelopes(folder, "difference", whole, levels)
+    _write_envelope(folder, "difference", whole, blocks)
 
 
 def _write_thinned(run: Run, run_file: RunFile, folder: Path) -> int:
@@ -263,9 +262,21 @@ def picture(folder: Path, key: str, first: float, last: float, width: int) -> Ar
     t = np.load(folder / "t.npy", mmap_mode="r")
     low = max(int(np.searchsorted(t, first)) - 1, 0)
     high = min(int(np.searchsorted(t, last, side="right")) + 1, t.size)
-    if high - low <= 4 * width:
-        return _samples(folder, key, t, low, high)
-    return _blocks(folder, key, t, low, high, width)
+    if high - low <= DRAWN:
+        at = np.arange(low, high)
+        least = largest = np.load(folder / f"{key}.npy", mmap_mode="r")[low:high]
+    else:
+        blocks = np.load(folder / "blocks.npy", mmap_mode="r")
+        part = slice(int(np.searchsorted(blocks, low, side="right")) - 1, int(np.searchsorted(blocks, high)))
+        at = np.asarray(blocks[part])
+        least, largest = np.load(folder / f"{key}-extremes.npy", mmap_mode="r")[:, part]
+    breaks = np.load(folder / "breaks.npy", mmap_mode="r")
+    new = np.searchsorted(
+        at, breaks[np.searchsorted(breaks, at[0], side="right") : np.searchsorted(breaks, high)]
+    )
+    starts = np.union1d(np.arange(0, at.size, max(at.size // (2 * width), 1)), new).astype(np.int64)
+    rows = np.column_stack((t[at[starts]], np.fmin.reduceat(least, starts), np.fmax.reduceat(largest, starts)))
+    return _with_gaps(rows, np.searchsorted(starts, new))
 
 
 def rows_between(folder: Path, first: float, last: float) -> tuple[int, int]:
@@ -284,40 +295,8 @@ def rows_between(folder: Path, first: float, last: float) -> tuple[int, int]:
     return int(rows.min()), int(rows.max())
 
 
-def _samples(folder: Path, key: str, t: Array, low: int, high: int) -> Array:
-    values = np.load(folder / f"{key}.npy", mmap_mode="r")[low:high]
-    edges = np.load(folder / "edges-0.npy", mmap_mode="r")
-    inside = edges[np.searchsorted(edges, low + 1) : np.searchsorted(edges, high)] - low
-    rows = np.column_stack((t[low:high], values, values))
-    return _with_gaps(rows, inside[_are_breaks(folder, inside + low)])
-
-
-def _blocks(folder: Path, key: str, t: Array, low: int, high: int, width: int) -> Array:
-    """About one to four blocks per pixel, from the coarsest envelope that has as many."""
-    level = 0
-    while (folder / f"edges-{level + 1}.npy").exists():
-        coarser = np.load(folder / f"edges-{level + 1}.npy", mmap_mode="r")
-        if np.searchsorted(coarser, high) - np.searchsorted(coarser, low) < width:
-            break
-        level += 1
-    edges = np.load(folder / f"edges-{level}.npy", mmap_mode="r")
-    start = max(int(np.searchsorted(edges, low, side="right")) - 1, 0)
-    stop = int(np.searchsorted(edges, high))
-    envelope = np.load(folder / f"{key}-{level}.npy", mmap_mode="r")[start:stop]
-    at = np.asarray(edges[start:stop])
-    rows = np.column_stack((t[at], envelope))
-    return _with_gaps(rows, np.flatnonzero(_are_breaks(folder, at)))
-
-
-def _are_breaks(folder: Path, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    breaks = np.load(folder / "breaks.npy", mmap_mode="r")
-    at = np.minimum(np.searchsorted(breaks, rows), max(breaks.size - 1, 0))
-    return breaks[at] == rows if breaks.size else np.zeros(rows.size, np.bool_)
-
-
 def _with_gaps(rows: Array, at: NDArray[np.int64]) -> Array:
     """The rows with a row of NaN before each index ``at``; its time is in the middle."""
-    at = at[(at > 0) & (at < len(rows))]
     gaps = np.full((at.size, 3), np.nan)
     gaps[:, 0] = 0.5 * (rows[at - 1, 0] + rows[at, 0])
     return np.insert(rows, at, gaps, axis=0)
@@ -357,17 +336,10 @@ def _shown_time(run: Run, path: Path) -> Array:
     return t
 
 
-def _levels(size: int, breaks: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """First samples of the blocks of each envelope, from the finest to the coarsest."""
+def _blocks(size: int, breaks: NDArray[np.int64]) -> NDArray[np.int64]:
+    """First samples of the blocks of the envelope."""
     ends = np.append(breaks[1:], size)
-    levels, block = [], FIRST_BLOCK
-    while True:
-        counts = -(-(ends - breaks) // block)
-        first = np.repeat(breaks - block * np.concatenate(([0], np.cumsum(counts)[:-1])), counts)
-        levels.append(first + block * np.arange(first.size, dtype=np.int64))
-        if first.size <= max(COARSEST, 2 * breaks.size):
-            return levels
-        block *= FACTOR
+    return np.concatenate([np.arange(*span, BLOCK) for span in zip(breaks, ends, strict=True)])
 
 
 def _columns(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
@@ -395,35 +367,20 @@ def _columns(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
     return columns
 
 
-def _write_column(folder: Path, key: str, values: Any, size: int, levels: list[NDArray[np.int64]]) -> None:
-    """Write a column and its envelopes."""
-    whole = np.lib.format.open_memmap(folder / f"{key}.npy", mode="w+", dtype=np.float64, shape=(size,))
-    for part in _chunks(size):
+def _write_column(folder: Path, key: str, values: Any, blocks: NDArray[np.int64]) -> None:
+    """Write a column and its envelope."""
+    whole = np.lib.format.open_memmap(folder / f"{key}.npy", mode="w+", dtype=np.float64, shape=(len(values),))
+    for part in _chunks(len(values)):
         whole[part] = values[part]
-    _write_envelopes(folder, key, whole, levels)
+    _write_envelope(folder, key, whole, blocks)
 
 
-def _write_envelopes(folder: Path, key: str, whole: Array, levels: list[NDArray[np.int64]]) -> None:
-    """The envelopes of a column. The finest is made from the samples, each other one from the one before."""
-    low, high = _extremes(whole, whole, levels[0], whole.size)
-    np.save(folder / f"{key}-0.npy", np.column_stack((low, high)))
-    for number, edges in enumerate(levels[1:], start=1):
-        starts = np.searchsorted(levels[number - 1], edges)
-        low, high = _extremes(low, high, starts, low.size)
-        np.save(folder / f"{key}-{number}.npy", np.column_stack((low, high)))
-
-
-def _extremes(low: Array, high: Array, starts: NDArray[np.int64], size: int) -> tuple[Array, Array]:
-    """Least of ``low`` and largest of ``high`` in the blocks that begin at ``starts``; a million blocks' samples at a time."""
-    least, largest = np.empty(starts.size), np.empty(starts.size)
-    step = 1 << 16
-    for begin in range(0, starts.size, step):
-        blocks = starts[begin : begin + step]
-        stop = int(starts[begin + step]) if begin + step < starts.size else size
-        part = slice(int(blocks[0]), stop)
-        least[begin : begin + step] = np.fmin.reduceat(low[part], blocks - blocks[0])
-        largest[begin : begin + step] = np.fmax.reduceat(high[part], blocks - blocks[0])
-    return least, largest
+def _write_envelope(folder: Path, key: str, whole: Array, blocks: NDArray[np.int64]) -> None:
+    """Write the least and largest value of each block."""
+    np.save(
+        folder / f"{key}-extremes.npy",
+        np.stack((np.fmin.reduceat(whole, blocks), np.fmax.reduceat(whole, blocks))),
+    )
 
 
 def _outline(

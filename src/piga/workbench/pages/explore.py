@@ -75,12 +75,8 @@ def show(request: Request) -> Response:
 def _numbers(inst: Instrument, forces: tuple[float, float, float]) -> list[tuple[str, str]]:
     """Results of the library for these inputs, as label-value pairs."""
     name = regime(inst, *forces)
-    low, high = dead_zone(inst, forces[1], forces[2])
-    zone = (
-        f"{number_text(1e3 * float(low) / G0)} to {number_text(1e3 * float(high) / G0)} mg"
-        if high > low
-        else "none"
-    )
+    low, high = (1e3 * float(edge) / G0 for edge in dead_zone(inst, forces[1], forces[2]))
+    zone = f"{number_text(low)} to {number_text(high)} mg" if high > low else "none"
     rows = [
         ("regime", name),
         ("locked zone of a_x", zone),
@@ -94,15 +90,9 @@ def _numbers(inst: Instrument, forces: tuple[float, float, float]) -> list[tuple
     return rows
 
 
-def _figure(
-    title: str,
-    caption: str,
-    x: Any,
-    labels: tuple[str, str],
-    curves: dict[str, Any],
-    points: dict[str, tuple[float, float]],
-) -> Any:
-    """A figure as plain data: curves over x, and single points at the nearest x."""
+def _figure(words: tuple[str, str, str, str], x: Any, curves: dict[str, Any], points: dict[str, Any]) -> Any:
+    """A figure as plain data: title, caption and labels of the axes; curves over x; points (x, y) at the nearest x."""
+    title, caption, *labels = words
     series = [{"name": name, "values": np.asarray(y).tolist(), "point": False} for name, y in curves.items()]
     for name, (at, y) in points.items():
         values: list[float | None] = [None] * len(x)
@@ -118,16 +108,11 @@ def _portrait(inst: Instrument, forces: tuple[float, float, float]) -> Any:
     if regime(inst, *forces) == "locked":
         names = ("stable rest", "unstable rest")
         points = {n: (float(a) * DEG, 0.0) for n, a in zip(names, fixed_points(inst, *forces), strict=True)}
-    labels = ("output angle \u03b1 [deg]", "output rate [deg/s]")
-    curves = {"rate": rate * DEG, "at rest": np.zeros(POINTS)}
-    return _figure(
-        "Rate against angle",
-        "Where the curve crosses zero the gimbal can rest.",
-        alpha * DEG,
-        labels,
-        curves,
-        points,
-    )
+    words = (
+        "Rate against angle", "Where the curve crosses zero the gimbal can rest.",
+        "output angle \u03b1 [deg]", "output rate [deg/s]",
+    )  # fmt: skip
+    return _figure(words, alpha * DEG, {"rate": rate * DEG, "at rest": np.zeros(POINTS)}, points)
 
 
 def _rates(inst: Instrument, forces: tuple[float, float, float]) -> Any:
@@ -136,15 +121,11 @@ def _rates(inst: Instrument, forces: tuple[float, float, float]) -> Any:
     rate = mean_rate(inst, grid, np.full(POINTS, forces[1]), np.full(POINTS, forces[2]))
     now = (forces[0] * 1e3 / G0, DEG * float(mean_rate(inst, *forces)))
     curves = {"with cross-coupling": DEG * rate, "without": DEG * inst.scale_factor * grid}
-    labels = ("a_x [mg]", "mean output rate [deg/s]")
-    return _figure(
-        "Mean rate against input",
-        "Inside the locked zone the mean rate is zero.",
-        grid * 1e3 / G0,
-        labels,
-        curves,
-        {"now": now},
-    )
+    words = (
+        "Mean rate against input", "Inside the locked zone the mean rate is zero.",
+        "a_x [mg]", "mean output rate [deg/s]",
+    )  # fmt: skip
+    return _figure(words, grid * 1e3 / G0, curves, {"now": now})
 
 
 def _motion(inst: Instrument, forces: tuple[float, float, float], time: float) -> Any:
@@ -152,14 +133,11 @@ def _motion(inst: Instrument, forces: tuple[float, float, float], time: float) -
     alpha, _ = closed_form(inst, t, *forces)
     turn = 2.0 * math.pi
     curves = {"with cross-coupling": alpha / turn, "without": inst.scale_factor * forces[0] * t / turn}
-    return _figure(
-        "Output angle against time",
-        "The exact closed form, from \u03b1 = 0.",
-        t,
-        ("time [s]", "output angle \u03b1 [rev]"),
-        curves,
-        {},
-    )
+    words = (
+        "Output angle against time", "The exact closed form, from \u03b1 = 0.",
+        "time [s]", "output angle \u03b1 [rev]",
+    )  # fmt: skip
+    return _figure(words, t, curves, {})
 
 
 async def reproduce(request: Request) -> Response:
