@@ -1,34 +1,29 @@
 """Write results to disk. A file is complete or absent, an input is never overwritten, and files of two runs do not mix unseen.
 
-A single file is written under a hidden name beside its target (mode 0600), synchronised to disk, and renamed. The files of
-one run are written in a hidden folder. A new folder of results appears by one rename. Into a folder that exists the files
-are moved one by one, between two marks: ``.piga-moving-COMMAND`` while they are moved, ``.piga-results-COMMAND.json`` with
-their sizes and times last. A reader that sees the first mark says that the folder holds results of two runs. A killed run
-leaves its hidden file or folder behind; the next run that writes there removes it. Everything obeys the umask.
+Everything is written in a hidden folder beside its place, synchronised to disk, and renamed. A new folder of results
+appears by one rename. Into a folder that exists the files are moved one by one, between two marks:
+``.piga-moving-COMMAND`` while they are moved, ``.piga-results-COMMAND.json`` with their sizes and times last. A reader that
+sees the first mark says that the folder holds results of two runs. A killed run leaves its hidden folder behind; the next
+run that writes there removes it.
 """
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from piga.errors import ArgumentError, PigaError
 
-_PART, _JOURNAL, _STAGE = ".piga-part", "-journal", ".piga-stage-"
-_MARK, _MOVING = ".piga-results-", ".piga-moving-"
+_HIDDEN, _MARK, _MOVING = ".piga-stage-", ".piga-results-", ".piga-moving-"
 CALIBRATION_RESULTS = ("calibration.json", "residuals.parquet", "report.html", "summary-*.json")
 """Names of the result files of a calibration."""
-MOST_NAME = 100
-"""Most bytes of a file's name, and of its ending, that are used in the name of its temporary file. The limit of file
-systems is 255 in all."""
-_WINDOWS = os.name == "nt"
-"""On Windows a file must be closed before it is renamed, an open file is its own lock, and renames need no sync."""
 
 
 # --- one file ----------------------------------------------------------------------------------------
@@ -42,14 +37,14 @@ def write_whole(
     remedy: str = "check space and rights",
     kind: type[PigaError] = PigaError,
 ) -> Path:
-    """Let ``write`` fill a temporary file, sync it to disk, and rename it to ``target``.
+    """Let ``write`` make a file of the same name in a hidden folder, sync it to disk, and rename it to ``target``.
 
     Parameters
     ----------
     target:
         The final file.
     write:
-        Function that writes the file at the path it gets. The path has the same ending as ``target``.
+        Function that writes the file at the path it gets.
     replace:
         False: an existing ``target`` is never replaced.
     remedy, kind:
@@ -61,43 +56,21 @@ def write_whole(
         If the file cannot be written. ``target`` is then unchanged.
     """
     try:
-        remove_leftovers(target)
-        prefix, suffix = f".{_short(target.name)}.", f"{_PART}{_short(target.suffix)}"
-        handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=target.parent)
-    except OSError as error:
-        raise _unwritable(target, error, remedy, kind) from None
-    temporary = Path(name)
-    try:
-        if _WINDOWS:
-            os.close(handle)
-        else:
-            _lock(handle)
-        write(temporary)
-        temporary.chmod(allowed(0o666))
-        put_in_place(temporary, target, replace=replace)
+        with _hidden_folder(target.parent) as hidden:
+            write(hidden / target.name)
+            put_in_place(hidden / target.name, target, replace=replace)
     except FileExistsError:
         raise kind(f"{target}: exists already", remedy="choose another name") from None
     except OSError as error:
-        raise _unwritable(target, error, remedy, kind) from None
+        raise kind(f"{target}: cannot be written ({error.strerror or error})", remedy=remedy) from None
     except KeyboardInterrupt as stop:
         stop.add_note(f"{target}: not written")
         raise
-    finally:
-        _remove(temporary)
-        if not _WINDOWS:
-            os.close(handle)
     return target
 
 
-def allowed(mode: int) -> int:
-    """The bits of a mode that the umask allows. While it is read, it is the strictest."""
-    umask = os.umask(0o077)
-    os.umask(umask)
-    return mode & ~umask
-
-
 def put_in_place(part: Path, target: Path, *, replace: bool = True) -> None:
-    """Sync a complete file beside ``target`` to disk, and rename it to ``target``.
+    """Sync a complete file to disk, and rename it to ``target`` on the same file system.
 
     Raises
     ------
@@ -105,8 +78,8 @@ def put_in_place(part: Path, target: Path, *, replace: bool = True) -> None:
         If it fails; FileExistsError if ``target`` exists and must not be replaced.
     """
     _sync(part)
-    if replace or _WINDOWS:
-        (part.replace if replace else part.rename)(target)
+    if replace:
+        part.replace(target)
     else:
         try:
             os.link(part, target)
@@ -116,21 +89,54 @@ def put_in_place(part: Path, target: Path, *, replace: bool = True) -> None:
             if target.exists():
                 raise FileExistsError(17, "exists", str(target)) from None
             part.rename(target)
-    sync_directory(target.parent)
+    _sync(target.parent)
 
 
-def remove_leftovers(target: Path) -> None:
-    """Remove the temporary files of runs that were killed while writing ``target``."""
-    pattern = f".{_escaped(_short(target.name))}.*{_PART}*"
-    for path in target.parent.glob(pattern):
-        if not path.name.endswith(_JOURNAL):
-            with suppress(OSError), path.open("rb") as stream:
-                _lock(stream.fileno())
-                _remove(path)
-    for path in target.parent.glob(f"{pattern}{_JOURNAL}"):
-        if not path.with_name(path.name.removesuffix(_JOURNAL)).exists():
-            with suppress(OSError):
-                path.unlink()
+@contextmanager
+def _hidden_folder(home: Path) -> Iterator[Path]:
+    """A hidden folder of this process in ``home``, removed at the end."""
+    remove_leftovers(home)
+    with ExitStack() as stack:
+        with _locked(home):
+            hidden = Path(tempfile.mkdtemp(prefix=_HIDDEN, dir=home))
+            stack.enter_context(_locked(hidden))
+        try:
+            yield hidden
+        finally:
+            shutil.rmtree(hidden, ignore_errors=True)
+
+
+def remove_leftovers(home: Path) -> None:
+    """Remove the hidden folders of processes that were killed: nobody holds their lock."""
+    with suppress(OSError), _locked(home):
+        for left in home.glob(f"{_HIDDEN}*"):
+            with suppress(OSError), _locked(left, wait=False) as held:
+                if held:
+                    shutil.rmtree(left)
+
+
+@contextmanager
+def _locked(folder: Path, *, wait: bool = True) -> Iterator[bool]:
+    """Lock a folder. False if another process holds the lock, or the file system has no locks."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            held = True
+        except OSError:
+            held = False
+        yield held
+    finally:
+        os.close(handle)
+
+
+def _sync(path: Path) -> None:
+    """Bring a file, or the names in a folder, to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 # --- what may be replaced ----------------------------------------------------------------------------
@@ -160,11 +166,9 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: boo
 
 def _same_file(outputs: Iterable[Path], inputs: Iterable[Path]) -> tuple[Path, Path] | None:
     """An output that is an input under the same or another name, and that input."""
-    read = {_identity(path): path for path in inputs if path.exists()}
-    for path in outputs:
-        if path.exists() and _identity(path) in read:
-            return path, read[_identity(path)]
-    return None
+    read = [path for path in inputs if path.exists()]
+    written = (path for path in outputs if path.exists())
+    return next(((path, source) for path in written for source in read if path.samefile(source)), None)
 
 
 def results_folder(
@@ -192,14 +196,9 @@ def results_folder(
         if place.exists() and not place.is_dir():
             raise ArgumentError(f"{place}: is a file", remedy=f"choose another {option}")
         there = _matching(place, names)
-        folders = [
-            path for name in names for path in place.glob(name) if path.is_dir() and not path.is_symlink()
-        ]
-        if folders:
-            raise ArgumentError(
-                f"{folders[0]}: is a folder where a result goes",
-                remedy=f"move it away, or choose another {option}",
-            )
+        for path in (path for name in names for path in place.glob(name)):
+            if path.is_dir() and not path.is_symlink():
+                raise _folder_in_the_way(path, option)
         same = _same_file(there, inputs)
         if force and same is not None:
             raise ArgumentError(
@@ -210,6 +209,41 @@ def results_folder(
         if force or (same is None and all(_is_unchanged(path, place, mark) for path in there)):
             return place
         number, place = number + 1, folder / str(number + 1)
+
+
+def _folder_in_the_way(path: Path, option: str) -> ArgumentError:
+    return ArgumentError(
+        f"{path}: is a folder where a result goes", remedy=f"move it away, or choose another {option}"
+    )
+
+
+def _matching(folder: Path, names: Sequence[str]) -> list[Path]:
+    """Files with these names (patterns) in a folder. Files behind a link to another folder are not of the folder."""
+    home = folder.resolve()
+    found = {path for name in names for path in folder.glob(name) if not path.is_dir() or path.is_symlink()}
+    return sorted(path for path in found if path.parent.resolve().is_relative_to(home))
+
+
+def _key(command: str, inputs: Sequence[Path]) -> str:
+    return " ".join([command, *sorted({os.path.realpath(path) for path in inputs})])
+
+
+def _read_mark(path: Path, key: str) -> dict[str, Any]:
+    """Size and time, by name, of the results from an earlier run with the same command and inputs."""
+    try:
+        mark = json.loads(path.read_text(encoding="utf-8"))
+        return dict(mark["files"]) if mark["key"] == key else {}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def _is_unchanged(path: Path, folder: Path, mark: dict[str, Any]) -> bool:
+    return not path.is_symlink() and mark.get(path.relative_to(folder).as_posix()) == _state(path)
+
+
+def _state(path: Path) -> list[int]:
+    status = path.stat()
+    return [status.st_size, status.st_mtime_ns]
 
 
 # --- the results of one run --------------------------------------------------------------------------
@@ -250,15 +284,17 @@ def results(
     folder = results_folder(folder, command, names, inputs, force=force, option=option)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        home = folder if folder.is_dir() else folder.parent
-        for place in {home, folder.parent}:
-            _remove_stages(place)
-        with _staged(home) as stage:
+        remove_leftovers(folder.parent)
+        with _hidden_folder(folder if folder.is_dir() else folder.parent) as hidden:
+            stage = hidden / folder.name
+            stage.mkdir()
             yield stage
-            mark = _finish_stage(stage, command, _key(command, inputs))
-            stage.chmod(allowed(0o777))
-            if home == folder or not _renamed(stage, folder):
-                _move(stage, folder, command, names, mark)
+            mark = _finish(stage, command, _key(command, inputs))
+            if folder.is_dir():
+                _move(stage, folder, command, names, mark, option)
+            else:
+                stage.rename(folder)
+                _sync(folder.parent)
     except KeyboardInterrupt as stop:
         stop.add_note(_after_stop(folder))
         raise
@@ -292,39 +328,12 @@ def check_results(folder: Path) -> None:
         )
 
 
-def is_staged(folder: Path) -> bool:
+def is_hidden(folder: Path) -> bool:
     """True for the hidden folder of results that are not in place yet."""
-    return folder.name.startswith(_STAGE)
+    return folder.name.startswith(_HIDDEN)
 
 
-@contextmanager
-def _staged(home: Path) -> Iterator[Path]:
-    """A hidden folder of this process. It is removed at the end unless it was renamed."""
-    stage = Path(tempfile.mkdtemp(prefix=_STAGE, dir=home))
-    handle = None if _WINDOWS else os.open(stage, os.O_RDONLY)
-    try:
-        if handle is not None:
-            _lock(handle)
-        yield stage
-    finally:
-        if handle is not None:
-            os.close(handle)
-        shutil.rmtree(stage, ignore_errors=True)
-
-
-def _remove_stages(home: Path) -> None:
-    """Remove the hidden folders of processes that ended."""
-    for stage in [] if _WINDOWS else home.glob(f"{_STAGE}*"):
-        with suppress(OSError):
-            handle = os.open(stage, os.O_RDONLY)
-            try:
-                _lock(handle)
-                shutil.rmtree(stage, ignore_errors=True)
-            finally:
-                os.close(handle)
-
-
-def _finish_stage(stage: Path, command: str, key: str) -> Path:
+def _finish(stage: Path, command: str, key: str) -> Path:
     """Sync the files of a hidden folder to disk, and write the mark with their sizes and times."""
     files = {}
     for path in sorted(stage.rglob("*")):
@@ -334,159 +343,27 @@ def _finish_stage(stage: Path, command: str, key: str) -> Path:
     mark = stage / f"{_MARK}{command}.json"
     mark.write_text(json.dumps({"key": key, "files": files}), encoding="utf-8")
     _sync(mark)
-    sync_directory(stage)
+    _sync(stage)
     return mark
 
 
-def _renamed(stage: Path, folder: Path) -> bool:
-    """Make the hidden folder the folder of results; False if there is one by now."""
-    try:
-        stage.rename(folder)
-    except OSError:
-        folder.mkdir(exist_ok=True)
-        return False
-    sync_directory(folder.parent)
-    return True
-
-
-def _move(stage: Path, folder: Path, command: str, names: Sequence[str], mark: Path) -> None:
+def _move(stage: Path, folder: Path, command: str, names: Sequence[str], mark: Path, option: str) -> None:
     """Move results into a folder that exists, in place of older ones, between two marks."""
     staged = {
         path: folder / path.relative_to(stage) for path in stage.rglob("*") if path.is_file() and path != mark
     }
     for target in staged.values():
         if target.is_dir() or target.parent.is_symlink():
-            raise ArgumentError(
-                f"{target}: is a folder where a result goes", remedy="move it away, or choose another --out"
-            )
+            raise _folder_in_the_way(target, option)
     moving = folder / f"{_MOVING}{command}"
     with _locked(folder):
         moving.touch()
-        sync_directory(folder)
+        _sync(folder)
         for path, target in staged.items():
             target.parent.mkdir(parents=True, exist_ok=True)
             path.replace(target)
         for path in set(_matching(folder, names)) - set(staged.values()):
             path.unlink()
         mark.replace(folder / mark.name)
-        sync_directory(folder)
+        _sync(folder)
         moving.unlink()
-
-
-def _matching(folder: Path, names: Sequence[str]) -> list[Path]:
-    """Files with these names (patterns) in a folder. Files behind a link to another folder are not of the folder."""
-    home = folder.resolve()
-    found = {path for name in names for path in folder.glob(name) if not path.is_dir() or path.is_symlink()}
-    return sorted(path for path in found if path.parent.resolve().is_relative_to(home))
-
-
-def _key(command: str, inputs: Sequence[Path]) -> str:
-    return " ".join([command, *sorted({os.path.realpath(path) for path in inputs})])
-
-
-def _read_mark(path: Path, key: str) -> dict[str, Any]:
-    """Size and time, by name, of the results from an earlier run with the same command and inputs."""
-    try:
-        mark = json.loads(path.read_text(encoding="utf-8"))
-        return dict(mark["files"]) if mark["key"] == key else {}
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
-
-
-def _is_unchanged(path: Path, folder: Path, mark: dict[str, Any]) -> bool:
-    return not path.is_symlink() and mark.get(path.relative_to(folder).as_posix()) == _state(path)
-
-
-def _state(path: Path) -> list[int]:
-    status = path.stat()
-    return [status.st_size, status.st_mtime_ns]
-
-
-def _identity(path: Path) -> tuple[int, int] | str:
-    status = path.stat()
-    return (status.st_dev, status.st_ino) if status.st_ino else os.path.realpath(path)
-
-
-# --- the file system ---------------------------------------------------------------------------------
-
-
-def hold(path: Path) -> Callable[[], None]:
-    """Lock a file for this process; create it if it does not exist. Returns the function that unlocks it.
-
-    Raises
-    ------
-    OSError
-        If another process holds the lock, or the file system has no locks.
-    """
-    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-    try:
-        if _WINDOWS:
-            import msvcrt
-
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
-        else:
-            _lock(handle)
-    except OSError:
-        os.close(handle)
-        raise
-    return lambda: os.close(handle)
-
-
-def sync_directory(folder: Path) -> None:
-    """Sync a directory, so that renames in it are on disk."""
-    if _WINDOWS:
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _sync(path: Path) -> None:
-    with path.open("rb+") as stream:
-        os.fsync(stream.fileno())
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Let one process work at a time; the others wait. Without effect on Windows and on a file system without locks."""
-    if _WINDOWS:
-        yield
-        return
-    import fcntl
-
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
-
-
-def _lock(handle: int) -> None:
-    """Lock a file; raise OSError if another process holds it."""
-    if not _WINDOWS:
-        import fcntl
-
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _remove(temporary: Path) -> None:
-    """Remove a temporary file, and its SQLite journal if it is a store."""
-    for path in (temporary, temporary.with_name(temporary.name + _JOURNAL)):
-        with suppress(OSError):
-            path.unlink(missing_ok=True)
-
-
-def _short(name: str) -> str:
-    return name.encode()[:MOST_NAME].decode(errors="ignore")
-
-
-def _escaped(name: str) -> str:
-    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)
-
-
-def _unwritable(target: Path, error: OSError, remedy: str, kind: type[PigaError]) -> PigaError:
-    return kind(f"{target}: cannot be written ({error.strerror or error})", remedy=remedy)

@@ -9,6 +9,7 @@ without a part.
 
 from __future__ import annotations
 
+import fcntl
 import ipaddress
 import logging
 import os
@@ -18,16 +19,15 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from piga.campaign.shards import LOCK, Campaign, ShardReport, compile_kernels, read_part, run_shard
 from piga.errors import ArgumentError, PigaError, missing_package
-from piga.output import hold
 from piga.progress import Progress
 from piga.progress import report as report_progress
 
@@ -87,8 +87,7 @@ def run_campaign(
     PigaError
         If another run works in the folder, a part is damaged, the cluster cannot be used, or parts cannot be written.
     """
-    release = _lock(campaign.folder)
-    try:
+    with _lock(campaign.folder):
         done = campaign.parts()
         for shard, path in done.items():
             read_part(campaign, shard, path)
@@ -98,13 +97,16 @@ def run_campaign(
             with _client(campaign, executor, workers, progress) as client:
                 _compute(client, campaign, missing, report, progress)
         return report
-    finally:
-        release()
 
 
-def _lock(folder: Path) -> Callable[[], None]:
+def _lock(folder: Path) -> IO[str]:
+    """The locked file of a run; closing it unlocks the folder."""
     try:
-        return hold(folder / LOCK)
+        with ExitStack() as stack:
+            stream = stack.enter_context((folder / LOCK).open("a"))
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            stack.pop_all()
+        return stream
     except BlockingIOError:
         raise PigaError(
             f"{folder}: another 'piga campaign run' works in this folder", remedy="wait for it, or stop it"

@@ -12,7 +12,7 @@ import typer
 
 from piga.cli.common import ForceOption, JsonOption, deliver, progress, write_json
 from piga.errors import PigaError
-from piga.output import is_staged
+from piga.output import is_hidden
 
 if TYPE_CHECKING:
     from piga.records.calibration import CalibrationFigures
@@ -105,7 +105,7 @@ def _files(sources: list[Path]) -> list[Path]:
                 raise PigaError(
                     f"{source}: cannot be searched ({error.strerror or error})", remedy="name a smaller folder"
                 ) from None
-            inside = [path for path in named if not any(is_staged(part) for part in path.parents)]
+            inside = [path for path in named if not any(is_hidden(part) for part in path.parents)]
         if not inside:
             raise PigaError(f"{source}: holds no calibration.json", remedy="name another directory")
         paths += inside

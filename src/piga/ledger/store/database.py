@@ -20,7 +20,7 @@ from sqlalchemy.pool import NullPool, StaticPool
 from piga.errors import StoreError, install_command
 from piga.ledger.store.documents import new_identity, sha256
 from piga.ledger.store.rows import HEAD, STORE, VERSION, metadata
-from piga.output import remove_leftovers, write_whole
+from piga.output import write_whole
 from piga.records.limits import open_regular
 
 APPLICATION_ID = 0x70696761
@@ -121,8 +121,6 @@ def open_database(where: str | Path, *, create: bool = False, identity: bytes | 
 
 def _open_sqlite(path: Path, create: bool, identity: bytes | None) -> Database:
     writable = _writable(path)
-    if writable:
-        remove_leftovers(path)
     if not _exists(path) and create:
         try:
             write_whole(
