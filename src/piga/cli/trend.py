@@ -15,7 +15,6 @@ from piga.errors import PigaError
 from piga.output import is_hidden
 
 if TYPE_CHECKING:
-    from piga.records.calibration import CalibrationFigures
     from piga.trend.history import Common, HistoryEntry
 
 MOST_RECORDS = 10_000
@@ -91,7 +90,7 @@ def history(sources: list[Path], store: str | None, serial: str | None) -> Itera
     from piga.ledger.store import open_store
 
     with open_store(store) as opened:
-        yield from opened.figures(serial)
+        yield from opened.history(serial)
 
 
 def _files(sources: list[Path]) -> list[Path]:
@@ -114,7 +113,7 @@ def _files(sources: list[Path]) -> list[Path]:
     return list(dict.fromkeys(paths))
 
 
-def _entry(path: Path) -> tuple[str, dt.datetime, CalibrationFigures]:
+def _entry(path: Path) -> HistoryEntry:
     """A file as a record. Its path is the id; the time is that of the evaluation."""
     from piga.records.calibration.document import read_calibration
 
@@ -126,7 +125,7 @@ def _entry(path: Path) -> tuple[str, dt.datetime, CalibrationFigures]:
         raise PigaError(
             f"{path}: provenance.created '{created[:40]}' is not a time", remedy="calibrate again"
         ) from None
-    return str(path), time if time.tzinfo else time.replace(tzinfo=dt.UTC), calibration.figures()
+    return str(path), time if time.tzinfo else time.replace(tzinfo=dt.UTC), calibration
 
 
 def _common(given: list[str]) -> Common:

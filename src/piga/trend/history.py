@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from piga import doors
 from piga.errors import ArgumentError
-from piga.records.calibration import Calibration, CalibrationFigures, Coefficient
+from piga.records.calibration import BudgetEntry, Calibration, Coefficient
 from piga.records.calibration.coefficient import TYPE_A_ONLY, Coverage, coverage_factor, is_of_reference
 from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
@@ -48,8 +48,8 @@ if TYPE_CHECKING:
 
 YEAR = 31557600.0
 """One year [s], as the unit ``year``."""
-HistoryEntry = tuple[str, dt.datetime, Calibration | CalibrationFigures]
-"""Record id, time of the calibration (with time zone), and the calibration or its figures, as in a store."""
+HistoryEntry = tuple[str, dt.datetime, Calibration]
+"""Record id, time of the calibration (with time zone), and the calibration, as in a store."""
 Common = float | Mapping[str, float]
 """Share (0 to 1) of the Type B variance common to the records: for all sources, or by source name (others: 1)."""
 
@@ -209,37 +209,34 @@ def find_trend(history: Iterable[HistoryEntry], *, common: Common = 1.0) -> Tren
     ArgumentError
         For fewer than two records, several instruments, a duplicate record, or a share outside 0 to 1.
     """
-    entries = [
-        (name, time, calibration.figures() if isinstance(calibration, Calibration) else calibration)
-        for name, time, calibration in history
-    ]
+    entries = list(history)
     _check(entries, common)
     entries.sort(key=lambda entry: (entry[1], entry[0]))
     times = [time.astimezone(dt.UTC) for _, time, _ in entries]
     days = np.unique([time.toordinal() for time in times], return_inverse=True)[1].astype(np.int64)
     years = np.array([(time - times[0]).total_seconds() / YEAR for time in times])
     records = _Records(
-        tuple(name for name, _, _ in entries), years, days, [figures for _, _, figures in entries], common
+        tuple(name for name, _, _ in entries), years, days, [one for _, _, one in entries], common
     )
     trends = tuple(records.trend(key) for key in records.shared_keys())
     return Trend(
-        records.figures[0].serial,
+        records.calibrations[0].serial,
         times[0],
         records.names,
         tuple(times),
         trends,
         alarms_in_words(trends, records.names, times),
-        remarks_in_words(trends, records.figures, days, float(years[-1])),
+        remarks_in_words(trends, records.calibrations, days, float(years[-1])),
     )
 
 
-def _check(entries: Sequence[tuple[str, dt.datetime, CalibrationFigures]], common: Common) -> None:
+def _check(entries: Sequence[HistoryEntry], common: Common) -> None:
     if len(entries) < 2:
         raise ArgumentError(
             f"a trend needs at least two records, not {len(entries)}",
             remedy="add calibrations of the instrument",
         )
-    serials = sorted({figures.serial for _, _, figures in entries})
+    serials = sorted({calibration.serial for _, _, calibration in entries})
     if len(serials) > 1:
         raise ArgumentError(
             f"the records are of different instruments: {', '.join(serials)}", remedy="give those of one"
@@ -261,12 +258,12 @@ def _check(entries: Sequence[tuple[str, dt.datetime, CalibrationFigures]], commo
 
 @dataclass(frozen=True)
 class _Records:
-    """The records in the order of time: names, years since the first (n,), days (n,) numbered from 0, figures."""
+    """The records in the order of time: names, years since the first (n,), days (n,) numbered from 0, calibrations."""
 
     names: tuple[str, ...]
     years: Array
     days: NDArray[np.int64]
-    figures: list[CalibrationFigures]
+    calibrations: list[Calibration]
     common: Common
 
     def shared_keys(self) -> list[str]:
@@ -277,13 +274,13 @@ class _Records:
     @cached_property
     def by_key(self) -> list[dict[str, Coefficient]]:
         """Coefficients of each record by their key."""
-        return [{c.key: c for c in one.coefficients} for one in self.figures]
+        return [{c.key: c for c in one.coefficients} for one in self.calibrations]
 
     def trend(self, key: str) -> CoefficientTrend:
         """Trend of one coefficient."""
         held = [one[key] for one in self.by_key]
         values, stds = np.array([c.value for c in held]), np.array([c.std for c in held])
-        shared = common_contributions(key, self.figures, self.common)
+        shared = common_contributions(key, self.calibrations, self.common)
         own = np.sqrt(np.maximum(stds**2 - np.sum(shared**2, axis=0), (1e-3 * stds) ** 2))
         last = shared[:, -1].copy()
         model = trend_model(self.years, values, own**2, self.days, shared)
@@ -315,14 +312,16 @@ class _Records:
         """
         taken_off = {
             source: 1.0 - (1.0 - _shared_part(self.common, source)) ** 2
-            for source in {row.source for one in self.figures for row in one.type_b}
+            for source in {row.source for one in self.calibrations for row in _type_b(one)}
         }
         doubt = np.array([c.std**4 / c.degrees_of_freedom for c in held]) - [
             sum(
-                taken_off[row.source] * row.contributions.get(key, 0.0) ** 4 / row.degrees_of_freedom
-                for row in one.type_b
+                taken_off[row.source]
+                * row.contributions.get(key, 0.0) ** 4
+                / (row.degrees_of_freedom or math.inf)
+                for row in _type_b(one)
             )
-            for one in self.figures
+            for one in self.calibrations
         ]
         degrees = np.where(doubt > 0.0, own**4 / np.where(doubt > 0.0, doubt, 1.0), math.inf)
         return np.asarray(coverage_factor(degrees)) * own
@@ -360,13 +359,17 @@ def _shared_part(common: Common, source: str) -> float:
     return 1.0 if isinstance(common, Mapping) else float(common)
 
 
-def common_contributions(key: str, figures: Sequence[CalibrationFigures], common: Common) -> Array:
+def _type_b(calibration: Calibration) -> list[BudgetEntry]:
+    return [row for row in calibration.budget if row.type == "B"]
+
+
+def common_contributions(key: str, calibrations: Sequence[Calibration], common: Common) -> Array:
     """Contribution of each Type B source that is common to all records, (sources, records), from their budgets."""
-    sources = sorted({row.source for one in figures for row in one.type_b})
+    sources = sorted({row.source for one in calibrations for row in _type_b(one)})
     places = {source: i for i, source in enumerate(sources)}
-    table = np.zeros((len(sources), len(figures)))
-    for column, one in enumerate(figures):
-        for row in one.type_b:
+    table = np.zeros((len(sources), len(calibrations)))
+    for column, one in enumerate(calibrations):
+        for row in _type_b(one):
             table[places[row.source], column] += row.contributions.get(key, 0.0)
     parts = np.array([_shared_part(common, source) for source in sources], dtype=float)
     return table * np.sqrt(parts).reshape(-1, 1)
@@ -417,7 +420,7 @@ def _stepped(trend: CoefficientTrend, step: Step, names: Sequence[str], times: S
 
 def remarks_in_words(
     trends: Sequence[CoefficientTrend],
-    calibrations: Sequence[CalibrationFigures],
+    calibrations: Sequence[Calibration],
     days: NDArray[np.int64],
     span: float,
 ) -> tuple[str, ...]:
@@ -438,11 +441,11 @@ def remarks_in_words(
             "record left to a term of its own."
         )
     alone = sum(
-        not any(is_of_reference(row.source) for row in calibration.type_b) for calibration in calibrations
+        not any(is_of_reference(row.source) for row in _type_b(calibration)) for calibration in calibrations
     )
     if alone:
         sentences.append(f"{alone} of {len(calibrations)} records: {TYPE_A_ONLY}.")
-    without = sum(not calibration.has_budget for calibration in calibrations)
+    without = sum(not len(calibration.budget) for calibration in calibrations)
     if without:
         sentences.append(
             f"{without} of {len(calibrations)} records have no uncertainty budget: their whole uncertainty counts as "

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import sqlalchemy as sa
 
@@ -48,12 +48,11 @@ from piga.ledger.store.rows import (
     read_head,
     read_identity,
 )
-from piga.records.calibration import Calibration, CalibrationFigures
-from piga.records.calibration.document import DOCUMENT, calibration_from_bytes, figures_from_bytes
+from piga.records.calibration import Calibration
+from piga.records.calibration.document import DOCUMENT, calibration_from_bytes
 
 ROWS = 500
 """Records fetched in one query."""
-T = TypeVar("T")
 
 INPUT_ROLES = ("run", "data", "sidecar", "stand")
 """Roles of the files that a calibration is computed from."""
@@ -154,19 +153,10 @@ class Store:
     def history(self, serial: str) -> list[tuple[str, datetime, Calibration]]:
         """Calibrations of one instrument in the order of the tests: record, time, calibration.
 
-        Superseded records are left out, because their successors replace them. For a trend over thousands of
-        records use :meth:`figures`: it needs far less time and memory.
+        Superseded records are left out, because their successors replace them. A calibration that cannot be read is left
+        out, and a :class:`piga.PigaWarning` names it.
         """
-        return list(self._calibrations(serial, calibration_from_bytes))
-
-    def figures(self, serial: str) -> Iterator[tuple[str, datetime, CalibrationFigures]]:
-        """As :meth:`history`, but one by one, and only the part that :func:`piga.trend.history.find_trend` needs.
-
-        A calibration that cannot be read is left out, and a :class:`piga.PigaWarning` names it.
-        """
-        return self._calibrations(serial, figures_from_bytes)
-
-    def _calibrations(self, serial: str, read: Callable[[bytes, Path], T]) -> Iterator[tuple[str, datetime, T]]:
+        found = []
         with self.database.reading() as connection:
             old: set[str | None] = set()
             kept = []
@@ -178,11 +168,12 @@ class Store:
             files = read_blobs(connection, ((entry[3], entry[4]) for entry in kept))
             for (measured, _, name, _, _), (_, raw) in zip(kept, files, strict=True):
                 try:
-                    calibration = read(raw, Path(f"record {name}"))
+                    calibration = calibration_from_bytes(raw, Path(f"record {name}"))
                 except CalibrationError as error:
-                    warnings.warn(f"{self.name}: left out: {error}", PigaWarning, stacklevel=3)
+                    warnings.warn(f"{self.name}: left out: {error}", PigaWarning, stacklevel=2)
                     continue
-                yield name, measured, calibration
+                found.append((name, measured, calibration))
+        return found
 
     def extract(self, name: str | int, folder: Path, *, inputs_only: bool = False) -> Path:
         """Write the files of a record below ``folder`` under their own names. Returns the path of the run file.

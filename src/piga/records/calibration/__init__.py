@@ -2,7 +2,6 @@
 
 from piga.records.calibration.calibration import (
     Calibration,
-    CalibrationFigures,
     CalibrationPlots,
     Given,
     Provenance,
@@ -18,7 +17,6 @@ from piga.records.calibration.coefficient import (
     Number,
     SIValue,
     StandSource,
-    TypeB,
 )
 from piga.records.calibration.diagnostics import (
     Count,
@@ -43,7 +41,6 @@ __all__ = [
     "BudgetEntry",
     "BudgetTable",
     "Calibration",
-    "CalibrationFigures",
     "CalibrationPlots",
     "Coefficient",
     "Count",
@@ -66,6 +63,5 @@ __all__ = [
     "SegmentScatter",
     "SegmentSummary",
     "StandSource",
-    "TypeB",
     "counted",
 ]

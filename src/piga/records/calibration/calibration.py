@@ -5,7 +5,6 @@ JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
@@ -18,11 +17,9 @@ from numpy.typing import ArrayLike
 from piga import doors
 from piga.records.calibration.coefficient import (
     TYPE_A_ONLY,
-    BudgetEntry,
     BudgetTable,
     Coefficient,
     StandSource,
-    TypeB,
     is_of_reference,
     rounded,
 )
@@ -94,32 +91,6 @@ class Provenance(Result):
     software: str
     created: str
     options: dict[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class CalibrationFigures(Result):
-    """The part of a calibration that the history of an instrument needs. It is small: thousands fit into memory."""
-
-    serial: str
-    terms: tuple[str, ...]
-    coefficients: tuple[Coefficient, ...]
-    type_b: tuple[TypeB, ...]
-    has_budget: bool
-
-    @staticmethod
-    def of(
-        serial: str,
-        terms: tuple[str, ...],
-        coefficients: tuple[Coefficient, ...],
-        budget: tuple[BudgetEntry, ...],
-    ) -> CalibrationFigures:
-        """The figures, with the sources of Type B of the budget."""
-        type_b = tuple(
-            TypeB(row.source, row.degrees_of_freedom or math.inf, row.contributions)
-            for row in budget
-            if row.type == "B"
-        )
-        return CalibrationFigures(serial, terms, coefficients, type_b, bool(budget))
 
 
 class CalibrationPlots:
@@ -442,10 +413,6 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
                 f"{what}: only for a gyro accelerometer, and the output of '{self.serial}' is in {self.unit}",
                 remedy="use the coefficients by themselves: they are those of a plain polynomial",
             )
-
-    def figures(self) -> CalibrationFigures:
-        """The part that a history of the instrument needs."""
-        return CalibrationFigures.of(self.serial, self.terms, self.coefficients, self.budget.entries)
 
     def for_run(self, name: str) -> Calibration:
         """One run of a joint calibration as a calibration: the common coefficients and those of the run, under plain names.

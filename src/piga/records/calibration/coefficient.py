@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
-from typing import Annotated, Any, Literal, NamedTuple, overload
+from typing import Annotated, Any, Literal, overload
 
 import numpy as np
 from msgspec import Meta
@@ -447,11 +447,3 @@ class BudgetTable(ByValue, Shown, Tabular):
             "standard_uncertainty": Column(size, "as in column unit_of_source"),
             "unit_of_source": Column(np.array(units, dtype=object)),
         }
-
-
-class TypeB(NamedTuple):
-    """A source of Type B: its contribution to each coefficient, in its unit, and its degrees of freedom."""
-
-    source: str
-    degrees_of_freedom: float
-    contributions: dict[str, float]

@@ -22,7 +22,6 @@ from piga.records.calibration import (
     BudgetEntry,
     BudgetTable,
     Calibration,
-    CalibrationFigures,
     Coefficient,
     Diagnostics,
     Level,
@@ -127,19 +126,14 @@ class _Provenance(msgspec.Struct, frozen=True):
     options: dict[str, Any] = {}
 
 
-class _Figures(msgspec.Struct, frozen=True):
-    """The part of a document that the history of an instrument needs."""
+class _Document(msgspec.Struct, frozen=True, kw_only=True):
+    """A whole document. Keys that are not named here, such as those of earlier or later versions, are ignored."""
 
     schema: str
     instrument: _Instrument
     model: _Model
     coefficients: tuple[_Coefficient, ...]
     uncertainty_budget: tuple[BudgetEntry, ...] = ()
-
-
-class _Document(_Figures, frozen=True, kw_only=True):
-    """A whole document. Keys that are not named here, such as those of earlier or later versions, are ignored."""
-
     covariance: _Covariance
     noise: _Noise
     residual: _Residual
@@ -325,35 +319,13 @@ def _nominal(document: _Document, unit: str, path: Path) -> float:
     return nominal.value * per_g if nominal.unit == f"{unit}/g" else _in_si(nominal, f"{unit}/(m/s^2)", path)
 
 
-def _output_unit(document: _Figures, path: Path) -> str:
+def _output_unit(document: _Document, path: Path) -> str:
     """Unit of the output rate: that of the nominal K without ``/g``. An angle is that of a gyro accelerometer."""
     unit = document.instrument.scale_factor_nominal.unit.rpartition("/")[0]
     try:
         return GYRO if not unit or parse_unit(unit).dimension == parse_unit(GYRO).dimension else unit
     except UnitError as error:
         raise _not_valid(path, error.message) from None
-
-
-def figures_from_bytes(raw: bytes, path: Path) -> CalibrationFigures:
-    """Read the part of a record that a history needs, from the bytes of its file.
-
-    This is many times faster and smaller than the whole record. Each coefficient is checked by itself. Whether the parts
-    of the record agree with each other is checked when it enters a store.
-
-    Raises
-    ------
-    CalibrationError
-        As :func:`read_calibration`.
-    """
-    document = _decoded(raw, path, _Figures)
-    coefficients = tuple(_coefficient(c) for c in document.coefficients)
-    unit = _output_unit(document, path)
-    wrong = next((fault for c in coefficients for fault in _faults(c, unit)), None)
-    if wrong is not None:
-        raise CalibrationError(f"{path}: {wrong}", remedy="calibrate again", where=Where(path))
-    return CalibrationFigures.of(
-        document.instrument.serial, document.model.terms, coefficients, document.uncertainty_budget
-    )
 
 
 def _coefficient(entry: _Coefficient) -> Coefficient:
