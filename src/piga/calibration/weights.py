@@ -130,10 +130,12 @@ class Whitener:
 
     ``mode`` is ``"increments"`` (white angle noise and random walk), ``"rates"`` (each increment divided by its
     interval, equal weights: the rate method) or ``"samples"`` (a rate log, equal weights). ``step`` is the usual interval [s].
+    ``logarithm`` is that of the determinant of the covariance of the rows so far.
     """
 
     def __init__(self, mode: str, noise: Noise, size: int, step: float = 1.0) -> None:
         self.mode, self.noise, self.step = mode, noise, step
+        self.logarithm = 0.0
         self._state = np.zeros(size)
         self._variance = 0.0
 
@@ -148,6 +150,7 @@ class Whitener:
             scale = np.where(h > 0.0, 1.0 / math.sqrt(variance or 1.0), 0.0)
             if self.mode == "rates":
                 scale /= np.where(h > 0.0, h, 1.0)
+        self.logarithm -= 2.0 * float(np.log(scale[h > 0.0]).sum())
         out = np.empty(columns.shape)
         whiten(columns, carry, scale, self._state, out)
         return out
@@ -191,6 +194,28 @@ def rate_share(variance: ArrayLike, square: ArrayLike) -> Array:
     return np.divide(1.0 - root, size, out=np.zeros_like(root), where=size > 0.0)
 
 
+def reduce_between(
+    design: Design, mode: str, noise: Noise, edges: NDArray[np.int64], extra: Extra | None = None
+) -> tuple[list[Reduction], float]:
+    """One triangle ``[model | rate | extra | y]`` of rows with unit variance between each two ``edges`` (G + 1,).
+
+    With them comes the logarithm of the determinant of the covariance of all rows. The scatter is not in it.
+    """
+    names = (*design.names, RATE, *(() if extra is None else extra.names))
+    parts = [Reduction.empty(names) for _ in edges[:-1]]
+    whitener = Whitener(mode, noise, len(names) + 1, design.run.median_step)
+    for block in design.blocks():
+        more = [] if extra is None else [extra.columns(block)]
+        rate = np.maximum(block.h, 0.0)[None]
+        columns = whitener.apply(np.vstack([block.columns[:-1], rate, *more, block.columns[-1:]]), block.h)
+        first, last = np.searchsorted(edges, [block.start, block.stop - 1], side="right") - 1
+        for index in range(int(first), int(last) + 1):
+            low, high = max(int(edges[index]), block.start), min(int(edges[index + 1]), block.stop)
+            rows = slice(low - block.start, high - block.start)
+            parts[index].absorb(columns[:, rows], count=int(np.count_nonzero(block.h[rows] > 0.0)))
+    return parts, whitener.logarithm
+
+
 def reduce_positions(
     design: Design,
     mode: str,
@@ -198,17 +223,9 @@ def reduce_positions(
     positions: Positions | None = None,
     extra: Extra | None = None,
 ) -> list[Reduction]:
-    """One triangle ``[model | rate | extra | y]`` per position, of rows with unit variance; the scatter is not in it."""
-    positions = positions or Positions.of(design.run)
-    edges, names = positions.edges, (*design.names, RATE, *(() if extra is None else extra.names))
-    parts = [Reduction.empty(names) for _ in range(positions.count)]
-    for block, columns in weighted_blocks(design, mode, noise, rate=True, extra=extra):
-        first, last = np.searchsorted(edges, [block.start, block.stop - 1], side="right") - 1
-        for index in range(int(first), int(last) + 1):
-            low, high = max(int(edges[index]), block.start), min(int(edges[index + 1]), block.stop)
-            rows = slice(low - block.start, high - block.start)
-            parts[index].absorb(columns[:, rows], count=int(np.count_nonzero(block.h[rows] > 0.0)))
-    return parts
+    """One triangle ``[model | rate | extra | y]`` per position."""
+    edges = (positions or Positions.of(design.run)).edges
+    return reduce_between(design, mode, noise, edges, extra)[0]
 
 
 def with_scatter(parts: Sequence[Reduction], noise: Noise) -> list[Reduction]:

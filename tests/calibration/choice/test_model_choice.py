@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.choice.cross_validation import fold_of, predict
+from piga.calibration.choice.model_choice import fold_of, predict
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import make_request

@@ -2,7 +2,8 @@
 
 All sets share the noise weights of the largest set that the record can determine. Their likelihoods then differ
 only by the chi-square of their residuals. The whitened rows are reduced once per segment. A set is a selection of
-columns of the triangular factors (own derivation, docs/theory).
+columns of the triangular factors. Each part of the record is predicted exactly from the others: the prediction error
+needs only the triangular factors (own derivation, docs/theory).
 """
 
 from __future__ import annotations
@@ -15,8 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation import innovation_weights
-from piga.calibration.choice.cross_validation import HeldOutPrediction, fold_of, predict, row_edges
 from piga.calibration.fit.one_run import Fit
 from piga.calibration.fit.servo import at_state, state_of
 from piga.calibration.joint.summary import prepare, run_name
@@ -27,18 +26,148 @@ from piga.calibration.model.identifiability import (
     refuse_if_confounded,
     refuse_useless,
 )
-from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.calibration.model.request import Request, harmonics_of, make_request, shared_of
 from piga.calibration.model.solution import Estimate, Layout, merged, name_parameters, solve_parts
 from piga.calibration.remarks.missing_terms import CUBIC, constant_squares
-from piga.calibration.weights import weighted_blocks
+from piga.calibration.weights import reduce_between
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.progress import Progress, Steps
 from piga.reading.checks import largest_size
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_terms, term_names
+from piga.results import Array, Result
 from piga.threads import one_thread
+
+
+@dataclass(frozen=True)
+class FoldSettings:
+    """Parts that cross-validation leaves out (own choices)."""
+
+    fewest_segments: int = 4
+    """Fewest segments for leaving out segments. A record with fewer segments is cut into blocks."""
+    blocks: int = 10
+    """Number of blocks for a record of fewer segments; each has about the same number of rows."""
+    most: int = 50
+    """Most parts that are left out one by one. With more parts, neighbours are left out together."""
+    dependent: float = 1e-9
+    """Largest independent share of a column's length for which the column counts as dependent on the others."""
+
+
+FOLDS = FoldSettings()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HeldOutPrediction(Result):
+    """Prediction of parts that were left out.
+
+    Attributes
+    ----------
+    chi_square:
+        Sum of squares of the whitened prediction errors. If there is only noise: the number of observations.
+    force_error:
+        Mean prediction error of each part as specific force, root mean square over the parts [m/s^2].
+    per_fold:
+        ``chi_square`` of each fold.
+    above_best, standard_error:
+        Excess of ``chi_square`` over the best set, and its standard error from the scatter of the folds.
+    """
+
+    chi_square: float
+    force_error: float
+    per_fold: Array
+    above_best: float = 0.0
+    standard_error: float = 0.0
+
+    def against(self, best: HeldOutPrediction) -> HeldOutPrediction:
+        """The prediction with its excess over the best one."""
+        excess = self.per_fold - best.per_fold
+        error = math.sqrt(excess.size) * float(np.std(excess, ddof=1)) if excess.size > 1 else 0.0
+        return replace(self, above_best=float(excess.sum()), standard_error=error)
+
+    @property
+    def as_good_as_best(self) -> bool:
+        """True within one standard error of the best prediction; rounding errors are allowed for."""
+        return self.above_best <= self.standard_error + 1e-9 * self.chi_square
+
+    def document(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "prediction_chi_square": self.chi_square,
+            "prediction_above_best": self.above_best,
+            "prediction_standard_error": self.standard_error,
+            "prediction_force_error": self.force_error,
+        }
+
+
+def row_edges(run: Run, per_segment: bool) -> tuple[NDArray[np.int64], str]:
+    """First row of every part and the end row; the kind of the parts (segments or blocks)."""
+    edges = run.segment_edges()
+    if per_segment or edges.size > FOLDS.fewest_segments:
+        return edges, "segment"
+    blocks = np.linspace(0, run.size, min(FOLDS.blocks, run.size) + 1).astype(np.int64)
+    return np.unique(np.concatenate((edges, blocks))), "block"
+
+
+def fold_of(parts: int) -> NDArray[np.int64]:
+    """Fold of each part: one per part, or one for several neighbours if there are many parts."""
+    return np.arange(parts) * min(parts, FOLDS.most) // parts
+
+
+def predict(
+    parts: list[Reduction],
+    columns: list[int],
+    probe: tuple[int, float],
+    fixed: tuple[int, float] | None,
+) -> HeldOutPrediction | None:
+    """Predict every part from the others.
+
+    Parameters
+    ----------
+    parts:
+        Summaries of the parts over the union of columns.
+    columns:
+        Indices of the columns of the set.
+    probe:
+        Column of a constant force, and the scale factor that converts its coefficient to a force.
+    fixed:
+        A column that is not estimated, and its coefficient.
+
+    Returns
+    -------
+    Prediction or None
+        None when there are fewer than two parts, or when the set cannot be determined without one of the parts.
+    """
+    if len(parts) < 2:
+        return None
+    factors = np.array([part.factor for part in parts])
+    right = factors[:, :, -1] - (fixed[1] * factors[:, :, fixed[0]] if fixed else 0.0)
+    rows = np.concatenate((factors[:, :, columns], right[:, :, None]), axis=2)
+    folds = fold_of(len(parts))
+    squares, forces = np.zeros(int(folds[-1]) + 1), []
+    for fold in range(squares.size):
+        estimate = _least_squares(rows[folds != fold].reshape(-1, rows.shape[2]))
+        if estimate is None:
+            return None
+        for part in np.flatnonzero(folds == fold):
+            missed = rows[part, :, -1] - rows[part, :, :-1] @ estimate
+            constant = factors[part, :, probe[0]]
+            squares[fold] += float(missed @ missed)
+            forces.append(float(constant @ missed) / float(constant @ constant) / probe[1])
+    return HeldOutPrediction(float(squares.sum()), float(np.sqrt(np.mean(np.square(forces)))), squares)
+
+
+def _least_squares(rows: Array) -> Array | None:
+    """Estimate from rows ``[x | y]``; None when the columns are dependent."""
+    size = np.linalg.norm(rows[:, :-1], axis=0)
+    if (size == 0.0).any():
+        return None
+    triangle: Array = np.linalg.qr(rows / np.append(size, 1.0))[1]
+    m = size.size
+    if np.abs(np.diag(triangle)[:m]).min() <= FOLDS.dependent:
+        return None
+    return solve_upper(triangle[:m, :m], triangle[:m, m]) / size
 
 
 @dataclass(frozen=True)
@@ -308,7 +437,8 @@ class UnionReduction:
         design = Design(fit.design.run, replace(request, terms=columns), fit.design.scale_factor)
         groups, per_segment = design.groups, design.per_segment
         edges, parted_by = row_edges(design.run, per_segment)
-        parts, logarithm = _reduce(design, fit, edges)
+        parts, logarithm = reduce_between(design, fit.mode, fit.noise, edges)
+        parts = [part.select(design.names) for part in parts]
         of_part = tuple(groups[int(design.run.segment_index[edge])] for edge in edges[:-1])
         return cls(fit, design, parts, of_part, per_segment, parted_by, logarithm)
 
@@ -424,27 +554,6 @@ def _refuse_servo_alone(terms: tuple[str, ...]) -> None:
         raise CalibrationError(
             "the terms of the servo need the phase of tan_beta", remedy="add 'tan_beta' to the terms"
         )
-
-
-def _reduce(design: Design, fit: Fit, edges: NDArray[np.int64]) -> tuple[list[Reduction], float]:
-    """Whitened rows of unit variance, reduced between row edges, and ``ln|V|``."""
-    parts = [Reduction.empty(design.names) for _ in edges[:-1]]
-    logarithm, variance = 0.0, 0.0
-    for block, columns in weighted_blocks(design, fit.mode, fit.noise):
-        first, last = np.searchsorted(edges, [block.start, block.stop - 1], side="right") - 1
-        for index in range(int(first), int(last) + 1):
-            rows = slice(
-                max(int(edges[index]), block.start) - block.start,
-                min(int(edges[index + 1]), block.stop) - block.start,
-            )
-            parts[index].absorb(columns[:, rows], count=int(np.count_nonzero(block.h[rows] > 0.0)))
-        if fit.mode == "increments":
-            carry, scale = np.empty(block.h.size), np.empty(block.h.size)
-            variance = innovation_weights(block.h, fit.noise.white, fit.noise.walk, variance, carry, scale)
-            logarithm -= 2.0 * float(np.log(scale[scale > 0.0]).sum())
-    if fit.mode == "samples":
-        logarithm = sum(part.count for part in parts) * math.log(fit.sample_variance)
-    return parts, logarithm
 
 
 def _least(values: list[float | None]) -> int | None:
