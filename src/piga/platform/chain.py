@@ -187,7 +187,7 @@ def run_model(run: PlatformRun, preparation: Preparation, model: Model, *, every
     lines = daily_lines(error, case_rates(s), s.place.latitude)
     theory = None
     if has_theory(s):
-        theory = theory_lines(s, made, preparation.knowledge, day_slices(error.times), error.times)
+        theory = theory_lines(s, model, preparation.knowledge, day_slices(error.times), error.times)
     return ModelRun(made, navigation, error, lines, theory)
 
 
@@ -418,7 +418,7 @@ def _line_rows(scenario: PlatformScenario, source: str) -> Iterator[LineRow]:
     shown = navigate(run.readouts, made, true_start(run.truth), damping_time=scenario.damping_time, every=every)
     error, rates = errors(shown, run.truth, run.readouts), case_rates(scenario)
     full = daily_lines(error, rates, scenario.place.latitude)
-    theory = theory_lines(scenario, made, known, day_slices(error.times), error.times)
+    theory = theory_lines(scenario, "none", known, day_slices(error.times), error.times)
     pairs = ((theory.amplitude, full.amplitude), (theory.equatorial, full.equatorial))
     for rate, (expected, seen) in zip(rates, pairs, strict=False):
         if max(expected["heading"]) > 0.0:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -308,18 +307,6 @@ class Readouts(Result):
         """Step [s]."""
         return float(self.times[1] - self.times[0])
 
-    @cached_property
-    def case_nodes(self) -> tuple[Array, Array]:
-        """Cosine and sine of both case encoders at the nodes, (n + 1, 2) each."""
-        return _phasor(self.encoder1), _phasor(self.encoder2)
-
-    @cached_property
-    def case_middles(self) -> tuple[Array, Array]:
-        """Cosine and sine of both case encoders in the middle of every step, (n, 2) each."""
-        return _phasor(0.5 * (self.encoder1[1:] + self.encoder1[:-1])), _phasor(
-            0.5 * (self.encoder2[1:] + self.encoder2[:-1])
-        )
-
     def first(self, duration: float) -> Readouts:
         """The readouts of the first ``duration`` seconds (the whole run when it is shorter)."""
         return self.between(0, max(2, min(len(self.increments), round(duration / self.step))))
@@ -337,13 +324,6 @@ class Readouts(Result):
             encoder2=self.encoder2[node],
             altitude=self.altitude[node] if len(self.altitude) > 1 else self.altitude,
         )
-
-
-def _phasor(angle: Array) -> Array:
-    out = np.empty((len(angle), 2))
-    np.cos(angle, out=out[:, 0])
-    np.sin(angle, out=out[:, 1])
-    return out
 
 
 @dataclass(frozen=True, eq=False, repr=False)
