@@ -18,7 +18,7 @@ from piga import doors
 from piga._kernels import arithmetic as kernels
 from piga.compensation.model import FLAGS, MEANING
 from piga.errors import ArgumentError
-from piga.formats.parquet import number_column
+from piga.formats.columns import number_column
 from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.run import Run

@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import EXTRAS, DataError, PigaError, Where
-from piga.formats.columns import RawTable, label_text, make_table, matrix_columns, no_column, split_name, vector
+from piga.formats.columns import (
+    TableStream,
+    label_text,
+    make_table,
+    matrix_columns,
+    no_column,
+    split_name,
+    vector,
+)
 from piga.formats.xlsx import read_xlsx
 from piga.records.limits import check_regular, check_unpacked, extra_missing, first_line, open_regular
 
@@ -32,7 +40,7 @@ UNIT_KEYS = ("unit", "units", "Unit", "Units", "unit_string", "NI_UnitDescriptio
 """Attributes of an HDF5 dataset or a TDMS channel that state its unit."""
 
 
-def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
+def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
     """Read the named datasets.
 
     Parameters
@@ -187,7 +195,7 @@ MAX_STRUCTS = 4
 """Most structs inside each other."""
 
 
-def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
+def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
     """Read the named variables of a MATLAB file.
 
     Parameters
@@ -257,7 +265,7 @@ WAVEFORM_TIME = "waveform time"
 """Name of the time of a waveform: its channels state the interval between samples, and no channel holds the time."""
 
 
-def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
+def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
     """Read the named channels: ``channel`` if only one group has it, else ``group/channel``.
 
     Raises
@@ -344,7 +352,7 @@ class Container(NamedTuple):
     """A kind of file: its name, its reader, and what to do with a damaged file."""
 
     name: str
-    read: Callable[[Path, tuple[str, ...], str | None], RawTable]
+    read: Callable[[Path, tuple[str, ...], str | None], TableStream]
     remedy: str
 
 
@@ -362,7 +370,7 @@ CONTAINERS = {
 
 def read_container(
     path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None
-) -> RawTable:
+) -> TableStream:
     """Read the named columns of a container.
 
     Parameters

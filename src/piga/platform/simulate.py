@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from piga import doors, earth
 from piga._kernels.platform.motion import Base, Gyros, TrueRows, simulate_platform, solve_triad
 from piga.errors import ArgumentError, DataError
-from piga.formats.parquet import number_column
+from piga.formats.columns import number_column
 from piga.frames import rotation_vector_to_matrix
 from piga.instrument import Instrument, propagate
 from piga.platform.geometry import (

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from piga.data import EXAMPLE, copy_example
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
-from piga.formats.parquet import is_time
-from piga.formats.tables import WHERE, TableStream, as_arrow, stated_units
+from piga.formats.columns import TableStream, is_time
+from piga.formats.tables import REMEDIES, WHERE, as_arrow, stated_units
 from piga.reading.assemble import read_record, read_stream
 from piga.reading.columns import SteadyFile, file_digest
 from piga.records.arrays import empty, spans
@@ -341,7 +341,8 @@ def run_from_table(
             tables | {"data": _data(columns, units, () if si else arrow.schema.names)}, RunFile
         )
         check_run_file(run_file)
-        stream = TableStream(arrow, run_file.data.number_columns(), run_file.data.label_column)
+        data = run_file.data
+        stream = TableStream(WHERE, arrow, data.number_columns(), data.label_column, REMEDIES)
         stream.units |= {name: unit for name, unit in units.items() if name in stream.units}
         return read_stream(WHERE, run_file, stream, stand_reference)
     except msgspec.ValidationError as error:

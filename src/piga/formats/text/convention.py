@@ -48,6 +48,11 @@ class TextFormat:
     header: int = 1
     stamps: dict[str, TimeStamp] = field(default_factory=dict)
 
+    @property
+    def blanks(self) -> bytes:
+        """What a blank line may hold. Tabs are empty cells where they separate."""
+        return b" \r" if self.separator == "\t" else b" \t\r"
+
 
 @dataclass(frozen=True)
 class HeadRows:
