@@ -116,7 +116,7 @@ def test_a_counter_beyond_what_a_float_counts(tmp_path: Path) -> None:
     data = columns()
     data["n"] = data["n"].astype(np.uint64) + np.uint64(2**63)
     write_h5(tmp_path / "run.h5", data)
-    with pytest.raises(piga.DataError, match="row 1, column 'n': 9.2233\\d+e.18 is not a whole count"):
+    with pytest.raises(piga.DataError, match=r"row 1, column 'n': 9\.2233\d+e\+18 is not a whole count"):
         piga.read_run(write_run(tmp_path, "run.h5"))
 
 

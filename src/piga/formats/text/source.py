@@ -12,6 +12,7 @@ import os
 import re
 import zlib
 from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -162,9 +163,10 @@ class TextSource:
         whole = len(first) <= MAX_HEAD
         end = max(text.rfind(b"\n"), text.rfind(b"\r")) + 1
         self.head = text if whole and not end else text[:end]
-        lines = [line.strip() for line in LINE_END.split(self.head)]
-        # header, units and first data row, and rows that the run file names
-        if not whole and sum(1 for line in lines if line and not line.startswith(b"#")) < 3 + first_rows:
+        lines = LINE_END.split(self.head)
+        filled = (line for line in lines if line.strip() and not line.lstrip().startswith(b"#"))
+        needed = 3 + first_rows  # header, units and first data row, and rows that the run file names
+        if not whole and len(list(islice(filled, needed))) < needed:
             raise DataError(
                 f"{path}: row {len(lines)}: a line too long, or too many comments: header, units and first data row "
                 f"must lie within the first {MAX_HEAD >> 20} MiB",
