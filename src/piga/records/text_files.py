@@ -19,7 +19,6 @@ from piga.records.limits import read_whole
 from piga.units import LARGEST
 
 T = TypeVar("T", bound=msgspec.Struct)
-J = TypeVar("J")
 
 MOST_TOML_BYTES = 1 << 20
 """Largest TOML file that is read [bytes]. Run files have a few kilobytes."""
@@ -290,51 +289,26 @@ def _structs_of(annotation: object) -> list[type[msgspec.Struct]]:
     return [struct for part in getattr(annotation, "__args__", ()) for struct in _structs_of(part)]
 
 
-class _Schema(msgspec.Struct, frozen=True):
-    schema: Any = None
-
-
 class JsonError(ValueError):
     """The bytes are not JSON of the wanted kind. The message says why, in one line."""
 
 
-def schema_of(raw: bytes) -> object:
-    """The value of the top-level key ``schema``; None if it is missing.
+def json_object(raw: bytes) -> dict[str, Any]:
+    """A JSON object (RFC 8259, UTF-8) in which no object has a key twice: programs differ in which value they take.
 
     Raises
     ------
     JsonError
-        If the bytes are not a JSON object.
+        If the bytes are not such an object.
     """
-    return _decoded(raw, _Schema).schema
-
-
-def decode_json(raw: bytes, kind: type[J]) -> J:
-    """Decode and check ``raw`` as ``kind``.
-
-    Raises
-    ------
-    JsonError
-        If the bytes are not JSON (RFC 8259, UTF-8), a value does not have the type that ``kind`` demands, or an object
-        has a duplicate key (programs differ in which value they take).
-    """
-    document = _decoded(raw, kind)
     try:
-        json.loads(raw.decode("utf-8"), object_pairs_hook=_refuse_twice, parse_int=float)
-    except RecursionError:
-        raise JsonError("nested too deeply") from None
-    except UnicodeDecodeError as error:
-        raise JsonError(f"byte {error.start} is not UTF-8") from None
-    return document
-
-
-def _decoded(raw: bytes, kind: type[J]) -> J:
-    try:
-        return msgspec.json.decode(raw, type=kind)
+        document = msgspec.json.decode(raw, type=dict[str, Any])
+        json.loads(raw, object_pairs_hook=_refuse_twice, parse_int=float)
     except RecursionError:
         raise JsonError("nested too deeply") from None
     except (msgspec.MsgspecError, ValueError) as error:
         raise JsonError(str(error)) from None
+    return document
 
 
 def _refuse_twice(pairs: list[tuple[str, Any]]) -> None:

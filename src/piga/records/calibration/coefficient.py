@@ -29,6 +29,11 @@ ALMOST_KNOWN = 1e9
 """From this number of degrees of freedom on, F(n, nu) equals F(n, infinity) to every printed digit."""
 
 
+Number = Annotated[float, Meta(ge=-1e100, le=1e100)]
+"""Any finite number. The limit is far above every quantity here; squares and unit conversions stay finite."""
+Level = Annotated[float, Meta(ge=0.0, le=1e100)]
+"""A non-negative number, such as a standard uncertainty, a noise level or a largest residual."""
+
 SourceStatus = Literal["stated", "bounded", "waived", "assumed", "unstated"]
 
 
@@ -225,13 +230,13 @@ class Coefficient(ByValue, Shown):
     """
 
     name: str
-    value: float
-    std: float
+    value: Number
+    std: Level
     unit: str
     segment: str | None = None
     run: str | None = None
-    degrees_of_freedom: float = math.inf
-    interval: tuple[float, float] | None = None
+    degrees_of_freedom: Level = math.inf
+    interval: tuple[Number, Number] | None = None
 
     @property
     def owner(self) -> str | None:
@@ -324,14 +329,6 @@ def rounded(c: Coefficient) -> str:
     if not (math.isfinite(c.std) and c.std > 0.0):
         return f"{c.value:.9g}"
     return f"{round(c.value, 1 - math.floor(math.log10(c.std))) + 0.0:.12g}"
-
-
-Number = Annotated[float, Meta(ge=-1e100, le=1e100)]
-"""Any finite number. The limit is far above every quantity here; squares and unit conversions stay finite."""
-
-
-Level = Annotated[float, Meta(ge=0.0, le=1e100)]
-"""A non-negative number, such as a standard uncertainty, a noise level or a largest residual."""
 
 
 @dataclass(frozen=True)
