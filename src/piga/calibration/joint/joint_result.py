@@ -23,9 +23,9 @@ from piga.calibration.joint.joint_fit import JointFit
 from piga.calibration.joint.summary import LiveRun, provenance, residual_figures
 from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import (
-    notes_in_words,
     refuse_useless,
     remarks_in_words,
+    scatter_in_words,
 )
 from piga.records.calibration import (
     BudgetEntry,
@@ -75,7 +75,7 @@ def joint_result(
     scatter = max((part.scatter for part in held), key=lambda one: one.worst, default=SegmentScatter())
     products = tuple(part.products for part in held)
     direct = fit.summaries[0].unit != GYRO
-    notes = notes_in_words(coefficients, covariance, scatter, direct=direct)
+    notes = scatter_in_words(scatter, direct=direct)
     angle: Literal["angle", "count"] = "count" if direct else "angle"
     plain = Diagnostics(residual_kind="rate" if kind == "rate" else angle, range=_ranges(fit))
     weights = np.array([record.rows for record in records], dtype=float)
@@ -100,7 +100,7 @@ def joint_result(
         condition=fit.examination.condition,
         notes=notes,
         remarks=(
-            *remarks_in_words(coefficients, "shared"),
+            *remarks_in_words(coefficients, covariance, "shared"),
             *_notes_on_runs(records),
         ),
         budget=BudgetTable(budget),

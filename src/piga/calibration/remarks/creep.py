@@ -19,6 +19,7 @@ from piga.calibration.intervals import sandwich
 from piga.calibration.model.design import Block
 from piga.calibration.model.reduction import Reduction, solve_upper, triangle
 from piga.calibration.model.solution import parameter_rows
+from piga.calibration.remarks.all_remarks import with_sentences
 from piga.calibration.remarks.missing_terms import after_change
 from piga.calibration.weights import RATE, Extra, Positions, reduce_positions
 from piga.records.calibration import Calibration, Coefficient, Creep
@@ -204,10 +205,7 @@ def with_creep(result: Calibration, run: Run, creep: Creep | None) -> Calibratio
     if creep is None or not creep.seen or result.diagnostics.advice:
         return result
     largest = max(map(abs, creep.shift.values()), default=0.0)
-    words = _in_words(run, creep, largest)
-    if largest > 1.0:
-        return replace(result, notes=(words, *result.notes))
-    return replace(result, remarks=(*result.remarks, words))
+    return with_sentences(result, [(largest, _in_words(run, creep, largest))])
 
 
 def _in_words(run: Run, creep: Creep, largest: float) -> str:
