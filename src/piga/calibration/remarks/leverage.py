@@ -242,9 +242,9 @@ def _shift_words(
                 sentences.append((abs(shift), abs(shift) * c.std / reported[c.name], words))
     sentences.sort(key=lambda item: -item[0])
     largest = max((shift for _, shift, _ in sentences), default=0.0)
-    words = _few([words for *_, words in sentences])
+    few = _few([words for *_, words in sentences])
     shifts = [shift for _, shift, _ in sentences[: LEVERAGE.sentences]] + [largest]
-    return tuple(zip(shifts, words, strict=False))
+    return tuple(zip(shifts, few, strict=False))
 
 
 def _few(sentences: list[str]) -> tuple[str, ...]:
