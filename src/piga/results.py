@@ -14,6 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -201,6 +202,11 @@ def in_words(value: Any) -> str:
 def finite(value: Any) -> Any:
     """A value for JSON: a number that is not finite becomes None."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def plain(value: Any) -> Any:
+    """A result as values of JSON, by the names of its fields."""
+    return msgspec.to_builtins(value, enc_hook=lambda item: item.tolist())
 
 
 class Correlated(Protocol):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from piga.records.limits import (
 from piga.records.run import segments_of_visits
 from piga.records.run_file import DataTable
 from piga.results import Array
+from piga.units import conversion_factor, to_si
 
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn")
 """Endings of separated text. ``.lvm`` is written by LabVIEW."""
@@ -196,6 +198,24 @@ def read_columns(folder: Path, data: DataTable) -> RawColumns:
             )
         raw.inputs[f"{path.name}.sha256"] = digest
     return raw
+
+
+def read_series(folder: Path, data: DataTable, names: Sequence[str]) -> tuple[Array, Array, dict[str, str]]:
+    """Values (n, k) of named columns and time (n,) [s] of the rows that have all of them, and the digests of the files.
+
+    Raises
+    ------
+    DataError
+        As :func:`read_columns`.
+    """
+    raw = read_columns(folder, data)
+    values = np.column_stack([raw.numbers[name] for name in names])
+    if data.time is None:
+        t = np.arange(len(values)) / to_si(data.sample_rate or 1.0, "Hz", what="[data] sample_rate")
+    else:
+        t = raw.numbers[data.time.column] * (conversion_factor(data.time.unit, "s") if data.time.unit else 1.0)
+    used = np.isfinite(values).all(axis=1) & np.isfinite(t)
+    return values[used], t[used], raw.inputs
 
 
 def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
