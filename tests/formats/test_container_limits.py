@@ -77,9 +77,7 @@ def test_a_channel_longer_than_its_file(tmp_path: Path) -> None:
     assert raw.count(index) == 1
     assert whole(read_container(path, ".tdms", ("t",), "pos")).rows.size == 40
     path.write_bytes(raw.replace(index, struct.pack("<IIQ", 0x20, 1, 1 << 40)))
-    with pytest.raises(
-        piga.DataError, match=r"'pos' declares 1099511627776 values, more than its \d+ bytes can hold"
-    ):
+    with pytest.raises(piga.DataError, match="unpacks to more than 2048 MiB"):
         read_container(path, ".tdms", ("t",), "pos")
 
 

@@ -127,26 +127,21 @@ def _find(source: Any, path: Path, name: str) -> tuple[Any, str | None]:
     import h5py
 
     plain = split_name(name)[0]
-    for separated in (plain, plain.replace(".", "/")):
-        item: Any = source
-        parts = [part for part in separated.split("/") if part]
-        for at, part in enumerate(parts):
-            if isinstance(item, h5py.Dataset):
-                if at == len(parts) - 1 and part in (item.dtype.names or ()):
-                    return item, part
-                break
-            if part not in item:
-                break
-            link = item.get(part, getlink=True)
-            if not isinstance(link, h5py.HardLink):
+    for separated in (plain.strip("/"), plain.replace(".", "/")):
+        parts = separated.split("/")
+        for at in range(len(parts)):
+            link = source.get("/".join(parts[: at + 1]), getlink=True)
+            if link is not None and not isinstance(link, h5py.HardLink):
                 raise DataError(
-                    f"{path}: '{part}' is a link to another place ({type(link).__name__}), which is not followed",
+                    f"{path}: '{parts[at]}' is a link to another place ({type(link).__name__}), which is not followed",
                     remedy="copy the dataset into the file (h5repack or h5copy)",
                 )
-            item = item[part]
-        else:
-            if isinstance(item, h5py.Dataset) and item.dtype.names is None:
-                return item, None
+        for place, field in ((separated, None), ("/".join(parts[:-1]), parts[-1])):
+            item = source.get(place) if place else None
+            if isinstance(item, h5py.Dataset) and (
+                item.dtype.names is None if field is None else field in (item.dtype.names or ())
+            ):
+                return item, field
     raise no_column(path, plain, _dataset_names(source))
 
 
@@ -322,7 +317,7 @@ def _channel_names(channels: list[Any]) -> list[str]:
 
 
 def _channel(path: Path, channels: list[Any], name: str) -> Any:
-    """The channel of this name. It is not compressed, so it cannot have more values than the file has bytes."""
+    """The channel of this name."""
     matching = [
         channel for channel in channels if name in (channel.name, f"{channel.group_name}/{channel.name}")
     ]
@@ -336,12 +331,7 @@ def _channel(path: Path, channels: list[Any], name: str) -> Any:
             where=Where(path, columns=(name,)),
             columns=groups,
         )
-    declared, size = len(matching[0]), path.stat().st_size
-    if declared > size:
-        raise DataError(
-            f"{path}: '{name}' declares {declared} values, more than its {size} bytes can hold",
-            remedy="the file is damaged: copy it again",
-        )
+    check_unpacked(path, 8 * len(matching[0]), path.stat().st_size)
     return matching[0]
 
 
