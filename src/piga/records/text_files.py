@@ -34,15 +34,8 @@ KINDS = {
 
 MAX_NAME = 256
 """Longest text that may be a file name [characters]."""
-MOST_KEY_PARTS = 16
-"""Most parts of a dotted key. Keys of the run file have three."""
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
-_PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
-_DEEP = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_KEY_PARTS},}}")
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
-MOST_FILE_NAME = 240
-"""Most bytes of a file name: 255 on most file systems, minus the ending of a file beside it."""
-_FILE_KEYS = ("file", "run", "calibration", "before")
 _UNKNOWN = re.compile(r"unknown field `([^`]*)`")
 _MISSING = re.compile(r"missing required field `([^`]*)`")
 _PATH = re.compile(r" - at `(?:key in )?\$\.?([^`]*)`$")
@@ -65,8 +58,8 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
     Raises
     ------
     RunFileError
-        If the file cannot be read, is not TOML (the message names the line), or holds keys nested deeper
-        than :data:`MOST_KEY_PARTS`, integers beyond 64 bits or control characters.
+        If the file cannot be read, is not TOML (the message names the line), or holds integers beyond 64 bits or control
+        characters.
     """
     try:
         text = (toml_bytes(path) if raw is None else raw).decode("utf-8-sig")
@@ -74,12 +67,6 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
         raise RunFileError(
             f"{path}: byte {error.start} is not UTF-8", remedy=_wrong_file(path) or "save the file as UTF-8"
         ) from None
-    deep = _DEEP.search(text)
-    if deep is not None:
-        raise RunFileError(
-            f"{path}: line {text.count(chr(10), 0, deep.start()) + 1}: a key of more than {MOST_KEY_PARTS} parts",
-            remedy="see the documentation for the keys",
-        )
     try:
         document = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -147,13 +134,6 @@ def _check_values(path: Path, value: object, where: str) -> None:
             f"{path}: [{where}]: {value[:40]!r} holds a control character",
             remedy="use letters, digits and signs",
         )
-    elif isinstance(value, str) and where.rpartition(".")[2] in _FILE_KEYS:
-        long = next((part for part in re.split(r"[/\\]", value) if len(part.encode()) > MOST_FILE_NAME), None)
-        if long is not None:
-            raise RunFileError(
-                f"{path}: [{where}]: a file name of {len(long)} characters",
-                remedy="give the file a shorter name",
-            )
     elif isinstance(value, float) and LARGEST < abs(value) < math.inf:
         raise RunFileError(
             f"{path}: [{where}]: {value:g} is too large to compute with", remedy="correct the value"
