@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,12 +112,8 @@ def columns_stream(
 
 def _only_text(path: Path, data: DataTable) -> None:
     """Refuse options of text files for other files."""
-    named = {
-        "skip_rows": data.skip_rows,
-        "header_row": data.header_row,
-        "units_row": data.units_row is not None,
-    }
-    for key, given in named.items():
+    units = data.units_row is not None
+    for key, given in (("skip_rows", data.skip_rows), ("header_row", data.header_row), ("units_row", units)):
         if given:
             raise DataError(f"{path}: [data] {key} is for text files", remedy="leave it out")
     if data.time is not None and data.time.stamp is not None:
@@ -183,11 +181,10 @@ def read_columns(folder: Path, data: DataTable) -> RawColumns:
         If the file cannot be read as the run file says, does not match its ``.sha256``, or changes while it is read.
     """
     path = folder / data.file
-    steady = SteadyFile(path, "[data] file is relative to the run file")
-    sidecar = _sidecar(path)
-    raw = collect(path, data, open_stream(folder, data))
-    raw.inputs[path.name] = file_digest(path)
-    steady.check()
+    with steady(path, "[data] file is relative to the run file"):
+        sidecar = _sidecar(path)
+        raw = collect(path, data, open_stream(folder, data))
+        raw.inputs[path.name] = file_digest(path)
     if sidecar is not None:
         stated, digest = sidecar
         if stated != raw.inputs[path.name]:
@@ -269,36 +266,37 @@ def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
         )
 
 
-class SteadyFile:
-    """A file that must not change while it is read. Its state is noted now and compared by :meth:`check`.
+@contextmanager
+def steady(path: Path, remedy: str) -> Iterator[None]:
+    """Refuse a file that changes or is replaced while the block runs.
 
     Raises
     ------
     DataError
-        If it does not exist or is not a regular file.
+        If it does, does not exist or is not a regular file. The message names the file.
     """
+    before = _state(path, remedy)
+    yield
+    if _state(path, remedy) != before:
+        raise DataError(
+            f"{path}: the file changed while it was read", remedy="stop what writes it, then try again"
+        )
 
-    def __init__(self, path: Path, remedy: str) -> None:
-        self.path, self._remedy = path, remedy
-        self._before = self._state()
 
-    def check(self) -> None:
-        """Refuse the file if it was changed or replaced since.
+def _state(path: Path, remedy: str) -> tuple[int, int, int, int]:
+    """State of a file that every change alters: size, times and identity."""
+    status = check_regular(path, remedy)
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 
-        Raises
-        ------
-        DataError
-            If it was. The message names the file.
-        """
-        if self._state() != self._before:
-            raise DataError(
-                f"{self.path}: the file changed while it was read", remedy="stop what writes it, then try again"
-            )
 
-    def _state(self) -> tuple[int, int, int, int]:
-        """State of a file that every change alters: size, times and identity."""
-        status = check_regular(self.path, self._remedy)
-        return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
+def stand_files(table: Any) -> list[str]:
+    """Names of all files in a ``[stand]`` table and its inner tables, as written."""
+    if isinstance(table, dict):
+        own = [value for key, value in table.items() if key == "file" and isinstance(value, str)]
+        return list(dict.fromkeys(own + [name for value in table.values() for name in stand_files(value)]))
+    if isinstance(table, list):
+        return list(dict.fromkeys(name for value in table for name in stand_files(value)))
+    return []
 
 
 def file_digest(path: Path) -> str:
