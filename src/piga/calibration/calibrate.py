@@ -52,7 +52,7 @@ from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import asked_order, layout_of, name_coefficients
 from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks, with_sentences
-from piga.calibration.remarks.creep import find_creep, with_creep
+from piga.calibration.remarks.creep import creep_of_run, creep_of_runs, with_creep
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
 from piga.calibration.remarks.missing_terms import Candidates
 from piga.calibration.revolutions import whole_turns
@@ -187,7 +187,7 @@ def _calibration(
     )
     steps("looking for missing terms")
     said = find_remarks(fit, candidates, coefficients)
-    creep = find_creep(fit, coefficients)
+    creep = creep_of_run(fit, coefficients)
     history = history_of(fit) if request.method == "recursive" else None
     examined = _examined(fit, residuals)
     notes = odd_square(fit, coefficients) + scatter_in_words(examined.scatter, direct=run.direct)
@@ -330,6 +330,10 @@ def _joint_calibration(
     )
     said = ((doubt.largest_shift(result.coefficients), doubt.words) for doubt in doubts if doubt.words)
     result = with_sentences(result, said)
+    crept = creep_of_runs(fit, result.coefficients)
+    if crept is not None:
+        one, creep = crept
+        result = with_creep(result, one.run, creep, one.name)
     given = dict(fit.summaries[0].known_servo)
     moved = {
         source.name: dict(fit.summaries[index].sources[number].known_servo)

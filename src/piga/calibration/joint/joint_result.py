@@ -21,7 +21,6 @@ from piga.calibration.fit.residuals import (
 )
 from piga.calibration.joint.joint_fit import JointFit
 from piga.calibration.joint.summary import LiveRun, provenance, residual_figures
-from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import (
     refuse_useless,
     remarks_in_words,
@@ -124,12 +123,7 @@ def _live_part(fit: JointFit, index: int, live: LiveRun, kind: str) -> _LivePart
     Residual rates are converted to angles if runs of both kinds are joined (``kind`` is that of all residuals).
     """
     summary = fit.summaries[index]
-    wish = replace(live.request, terms=fit.wish.terms_of(index))
-    state = fit.servo_of(index, len(live.run.labels))
-    design = Design(live.run, wish, summary.inner_scale_factor, state)
-    values = fit.column_values(index)
-    if len(values) != len(live.run.labels):
-        values = np.tile(values[0], (len(live.run.labels), 1))
+    design, values = fit.design_of(index, live)
     residuals = find_residuals(design, values, live.fit.noise, live.fit.mode)
     scatter = segment_scatter(design, residuals, live.fit.noise)
     products = partial(counted_products, design, live.fit.noise, live.fit.mode, residuals)
