@@ -54,29 +54,33 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
     DataError
         If the file cannot be read as requested: at once, or while its chunks are taken. Names file, row and column.
     """
-    path = folder / data.file
-    numeric = tuple(data.number_columns())
+    path, numeric, segment = folder / data.file, tuple(data.number_columns()), data.label_column
     kind = file_kind(path)
     if data.sheet is not None and kind != ".xlsx":
         raise DataError(f"{path}: [data] sheet is for .xlsx files", remedy="leave it out")
-    if kind in TEXT_SUFFIXES:
-        from piga.formats.text.convention import HeadRows
-        from piga.formats.text.reader import TextStream
+    if kind not in TEXT_SUFFIXES:
+        _only_text(path, data)
+        return columns_stream(path, numeric, segment, data.sheet)
+    from piga.formats.text.convention import HeadRows
 
-        stamp = (data.time.column, data.time.stamp) if data.time and data.time.stamp else None
-        return TextStream(
-            path, numeric, data.label_column, separator=data.delimiter, decimal=data.decimal, encoding=data.encoding,
-            rows=HeadRows(data.skip_rows, data.header_row, data.units_row), stamp=stamp, missing=data.missing,
-            mask_damaged=data.damaged_rows == "mask",
-        )  # fmt: skip
-    _only_text(path, data)
-    return columns_stream(path, numeric, data.sheet, data.label_column)
+    return columns_stream(
+        path,
+        numeric,
+        segment,
+        separator=data.delimiter,
+        decimal=data.decimal,
+        encoding=data.encoding,
+        rows=HeadRows(data.skip_rows, data.header_row, data.units_row),
+        stamp=(data.time.column, data.time.stamp) if data.time and data.time.stamp else None,
+        missing=data.missing,
+        mask_damaged=data.damaged_rows == "mask",
+    )
 
 
 def columns_stream(
-    path: Path, numeric: tuple[str, ...], sheet: str | None = None, segment: str | None = None
+    path: Path, numeric: tuple[str, ...], segment: str | None = None, sheet: str | None = None, **text: Any
 ) -> RecordStream:
-    """Open a data file that is not text.
+    """Open some columns of a data file.
 
     Parameters
     ----------
@@ -86,6 +90,8 @@ def columns_stream(
         Names of the number columns and of the segment column.
     sheet:
         Name of the sheet of a spreadsheet.
+    text:
+        Options of :class:`piga.formats.text.reader.TextStream`.
 
     Raises
     ------
@@ -93,6 +99,10 @@ def columns_stream(
         If the file cannot be read as requested: at once, or while its chunks are taken.
     """
     kind = file_kind(path)
+    if kind in TEXT_SUFFIXES:
+        from piga.formats.text.reader import TextStream
+
+        return TextStream(path, numeric, segment, **text)
     if kind in (".parquet", ".pq"):
         from piga.formats.parquet import ParquetStream
 
