@@ -158,20 +158,27 @@ def cubic_moments(x: float) -> tuple[float, float, float, float]:
     x2 = x * x
     if x2 < 1.0:
         m0 = m1 = m2 = m3 = 0.0
-        term = 1.0
-        for k in range(10):
-            m0 += term / (2 * k + 1)
-            m2 += term / (2 * k + 3)
-            m1 += term * x / ((2 * k + 1) * (2 * k + 3))
-            m3 += term * x / ((2 * k + 1) * (2 * k + 5))
-            term *= -x2 / ((2 * k + 1) * (2 * k + 2))
-        return m0, m1, m2, m3
+        for c0, c1, c2, c3 in _M:
+            m0, m1, m2, m3 = c0 + x2 * m0, c1 + x2 * m1, c2 + x2 * m2, c3 + x2 * m3
+        return m0, x * m1, m2, x * m3
     sine, cosine = math.sin(x), math.cos(x)
     m0 = sine / x
     m1 = (m0 - cosine) / x
     m2 = m0 - 2.0 * m1 / x
     m3 = (3.0 * m2 - cosine) / x
     return m0, m1, m2, m3
+
+
+_M = tuple(
+    (
+        (-1.0) ** k / math.factorial(2 * k) / (2 * k + 1),
+        (-1.0) ** k / math.factorial(2 * k) / ((2 * k + 1) * (2 * k + 3)),
+        (-1.0) ** k / math.factorial(2 * k) / (2 * k + 3),
+        (-1.0) ** k / math.factorial(2 * k) / ((2 * k + 1) * (2 * k + 5)),
+    )
+    for k in reversed(range(10))
+)
+"""Coefficients of the series in x^2 of the four moments, the highest power first."""
 
 
 @kernel
@@ -313,13 +320,13 @@ def innovation_weights(
 ) -> float:
     """Weights of the recursion for one block.
 
-    ``white`` = r, ``walk`` = q. ``previous`` is the variance of the last innovation before the block (0
-    when a stretch begins). Writes ``carry[i]``: factor on the innovation before row i; ``scale[i]``: one
+    ``white`` = r (negative for means of a walk), ``walk`` = q. ``previous`` is the variance of the last innovation before the
+    block (0 when a stretch begins). Writes ``carry[i]``: factor on the innovation before row i; ``scale[i]``: one
     over the standard deviation. Rows with ``h = 0`` get zeros; those with ``h < 0`` (samples left out) pass
     the innovation on. Returns the last variance.
     """
-    kappa = walk / white if white > 0.0 else 0.0
-    old, new = (1.0, previous / white) if previous > 0.0 and white > 0.0 else (0.0, 1.0)
+    kappa = walk / white if white != 0.0 else 0.0
+    old, new = (1.0, previous / white) if previous > 0.0 and white != 0.0 else (0.0, 1.0)
     for i in range(h.size):  # variance of every innovation, and that of the one before (0: none, -1: passed on)
         if h[i] <= 0.0:
             scale[i] = 0.0
@@ -329,9 +336,9 @@ def innovation_weights(
             continue
         carry[i] = previous
         old, new = new, (kappa * h[i] + 2.0) * new - old
-        previous = white * (new / old) if white > 0.0 else walk * h[i]
+        previous = white * (new / old) if white != 0.0 else walk * h[i]
         scale[i] = previous
-        if new > LARGE:
+        if abs(new) > LARGE:
             old, new = old * SMALL, new * SMALL
     for i in range(h.size):
         before = carry[i]
@@ -361,6 +368,24 @@ def whiten(columns: Array, carry: Array, scale: Array, state: Array, out: Array)
             out[p, i] = third * scale[i]
             out[q, i] = fourth * scale[i]
         state[j], state[k], state[p], state[q] = first, second, third, fourth
+
+
+@kernel
+def mean_rows(columns: Array, firsts: NDArray[np.int64], after: Array, out: Array) -> None:
+    """Change of the mean of each group of samples against the group before, for columns (m, n) of increments.
+
+    ``firsts`` (G + 1,) are the first rows of the groups and n. ``after`` (m,) holds the part of each column between mean and end
+    of the group before; it is updated. ``out`` is (m, G).
+    """
+    for j in range(columns.shape[0]):
+        for g in range(firsts.size - 1):
+            stop, whole, within = firsts[g + 1], 0.0, 0.0
+            for i in range(firsts[g], stop):
+                whole += columns[j, i]
+                within += (stop - i) * columns[j, i]
+            within /= stop - firsts[g]
+            out[j, g] = after[j] + within
+            after[j] = whole - within
 
 
 @kernel

@@ -65,6 +65,11 @@ class Noise:
         stated = np.array(self.stated) if self.stated else np.zeros(count)
         return stated + self.scatter
 
+    def of_rows(self, design: Design) -> Noise:
+        """The levels of the rows of a design, which may be means of samples."""
+        white, walk = design.noise_of_rows(self.white, self.walk)
+        return replace(self, white=white, walk=walk)
+
     def close_to(self, other: Noise, step: float, rows: int, tolerance: float = 0.05) -> bool:
         """True if both give nearly the same weights: an increment, and the mean rate over ``rows`` increments."""
         short, long = (
@@ -203,7 +208,8 @@ def reduce_between(
     """
     names = (*design.names, RATE, *(() if extra is None else extra.names))
     parts = [Reduction.empty(names) for _ in edges[:-1]]
-    whitener = Whitener(mode, noise, len(names) + 1, design.run.median_step)
+    design, edges = design.means, design.means.rows_of(edges)
+    whitener = Whitener(mode, noise.of_rows(design), len(names) + 1, design.run.median_step)
     for block in design.blocks():
         more = [] if extra is None else [extra.columns(block)]
         rate = np.maximum(block.h, 0.0)[None]
@@ -258,17 +264,17 @@ def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
     return d, h
 
 
-def find_noise(design: Design, d: Array, h: Array, fitted: int, mode: str) -> Noise:
+def find_noise(design: Design, d: Array, h: Array, fitted: int, mode: str, near: Noise | None = None) -> Noise:
     """White noise and random walk of residual increments ``d`` over intervals ``h``, from within the segments.
 
     The rate of each segment is free, so that neither a scatter of the rates nor most of the model matters. ``fitted`` is
-    the number of further parameters.
+    the number of further parameters. ``near`` are the levels of an earlier fit.
     """
     step, edges = design.run.median_step, design.run.segment_edges().astype(np.int64)
     if mode == "samples":
         variance = float(d @ d) / max(design.rows - fitted, 1)
         return Noise(0.0, max(variance, rounding(design.run) ** 2) * step)
-    return likeliest_levels(d, h, edges, step, fitted, rounding(design.run))
+    return likeliest_levels(d, h, edges, step, fitted, rounding(design.run), near)
 
 
 @dataclass(frozen=True)
@@ -291,11 +297,17 @@ LEVELS = LevelSettings()
 
 
 def likeliest_levels(
-    d: Array, h: Array, edges: NDArray[np.int64], step: float, fitted: int, floor: float
+    d: Array,
+    h: Array,
+    edges: NDArray[np.int64],
+    step: float,
+    fitted: int,
+    floor: float,
+    near: Noise | None = None,
 ) -> Noise:
     """Levels of the largest restricted likelihood; the rate of each stretch between ``edges`` is free.
 
-    ``floor`` [rad] is the smallest white noise.
+    ``floor`` [rad] is the smallest white noise. The search begins ``near`` levels with a walk; by default all ratios are tried.
     """
     from scipy.optimize import minimize_scalar
 
@@ -312,9 +324,12 @@ def likeliest_levels(
 
     low, high = math.log((math.pi / longest) ** 2 / longest) - 4.0, math.log(LEVELS.largest_ratio)
     grid = np.arange(low, high + LEVELS.spacing, LEVELS.spacing)
-    rough = joined(d, h, edges, max(1, d.size // LEVELS.first_rows))
-    few = int(np.count_nonzero(rough[1] > 0.0))
-    best = float(grid[int(np.argmin([deviance(math.exp(x), rough, few)[0] for x in grid]))])
+    if near is None or near.walk == 0.0 or near.white == 0.0:
+        rough = joined(d, h, edges, max(1, d.size // LEVELS.first_rows))
+        few = int(np.count_nonzero(rough[1] > 0.0))
+        best = float(grid[int(np.argmin([deviance(math.exp(x), rough, few)[0] for x in grid]))])
+    else:
+        best = float(grid[int(np.argmin(np.abs(grid - math.log(near.walk * step / near.white))))])
     rows = (d, h, edges)
     found = minimize_scalar(
         lambda x: deviance(math.exp(x), rows, count)[0],

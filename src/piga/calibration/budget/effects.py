@@ -14,7 +14,7 @@ from piga.calibration.budget.sources import Source, listed, sources, with_effect
 from piga.calibration.fit.one_run import Fit
 from piga.calibration.model.design import Block, Design
 from piga.calibration.model.solution import moved_values, name_coefficients
-from piga.calibration.weights import Positions, Whitener
+from piga.calibration.weights import Extra, Positions, reduce_positions, with_scatter
 from piga.records.calibration import StandSource
 from piga.records.terms import SERVO_TERMS
 from piga.results import Array
@@ -24,7 +24,7 @@ from piga.terms import PRODUCTS
 def sources_of_stand(fit: Fit) -> tuple[StandSource, ...]:
     """The sources of the stand, and the change of each coefficient by one unit of those that are not stated."""
     run = fit.design.run
-    units = [source for source in sources(with_units(run)) if "servo" not in source.fields]
+    units = [s for s in sources(with_units(fit.design.means.run)) if "servo" not in s.fields]
     named, _ = name_coefficients(fit.design, fit.solution, fit.solution.covariance)
     effects = {}
     if units:
@@ -36,28 +36,18 @@ def sources_of_stand(fit: Fit) -> tuple[StandSource, ...]:
 def _changes(fit: Fit, units: list[Source]) -> Array:
     """Change of the internal parameters (parameters, sources) by each source."""
     design, positions, m = fit.design, Positions.of(fit.design.run), len(fit.design.names)
-    edges = positions.edges
-    products = np.zeros((positions.count, m + 1, len(units)))
-    whitener = Whitener(fit.mode, fit.noise, m + 1 + len(units), design.run.median_step)
-    for block in design.blocks():
-        columns = np.vstack([block.columns[:-1], np.maximum(block.h, 0.0), _increments(fit, block, units)])
-        white = whitener.apply(columns, block.h)
-        first, last = np.searchsorted(edges, [block.start, block.stop - 1], side="right") - 1
-        for k in range(int(first), int(last) + 1):
-            low, high = np.clip(edges[k : k + 2] - block.start, 0, block.h.size)
-            products[k] += white[: m + 1, low:high] @ white[m + 1 :, low:high].T
-    variances, total = fit.noise.rate_variances(positions.count), 0.0
-    for k, (part, segment) in enumerate(zip(fit.positions, positions.segments.tolist(), strict=True)):
-        own = part.factor[:, m]
-        share = variances[k] / (1.0 + variances[k] * float(own @ own))
-        along = products[k, :m] - share * np.outer(own @ part.factor[:, :m], products[k, m])
-        total = total + fit.solution.jacobians[design.groups[segment]].T @ along
+    extra = Extra(tuple(source.name for source in units), lambda block: _increments(fit, block, units))
+    parts = with_scatter(reduce_positions(design, fit.mode, fit.noise, positions, extra), fit.noise)
+    total = sum(
+        fit.solution.jacobians[design.groups[segment]].T @ part.factor[:, :m].T @ part.factor[:, m:-1]
+        for part, segment in zip(parts, positions.segments.tolist(), strict=True)
+    )
     return np.asarray(fit.solution.inverse @ total)
 
 
 def _increments(fit: Fit, block: Block, units: list[Source]) -> Array:
     """Change of the observed less the modelled increments (sources, n) of a block."""
-    design, run = fit.design, fit.design.run
+    design, run = fit.design.means, fit.design.means.run
     samples = slice(block.start - (not design.point), block.stop)
     slopes, ages = _slopes(fit, block.segment, samples)
     h, turn = np.ones(block.h.size), np.zeros(block.h.size)
@@ -90,7 +80,7 @@ def _middle(design: Design, values: Array) -> Array:
 
 def _slopes(fit: Fit, segment: int, samples: slice) -> tuple[dict[str, Array], Array]:
     """Derivatives of the modelled rate by x, y, z, T and t at the middle of each interval, and t there."""
-    design, run = fit.design, fit.design.run
+    design, run = fit.design.means, fit.design.means.run
     values = dict(zip(design.names, fit.solution.values[segment].tolist(), strict=True))
     values = {"scale_factor": run.scale_factor} | design.known_servo | values
     force = _middle(design, run.f[samples].T)

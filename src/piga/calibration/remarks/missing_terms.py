@@ -3,8 +3,7 @@
 All candidates are reduced together with the model in one square-root reduction. The factor then gives the decrease of
 the sum of squares by a candidate and its estimate: ``(x.e)^2/(x.x)`` and ``(x.e)/(x.x)``. Here x and e are candidate
 and residual after the model is projected out (own derivation, docs/theory). A candidate must pass two tests: against
-the noise, and against the scatter between segments. Errors of single positions are then not mistaken for a term. If
-the record is smooth over a few samples, the trapezoidal rule integrates the columns of candidates.
+the noise, and against the scatter between segments. Errors of single positions are then not mistaken for a term.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from piga.calibration.fit.one_run import Fit
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.reduction import solve_upper
 from piga.calibration.model.solution import layout_of, name_coefficients, parameter_rows
-from piga.calibration.weights import Whitener, rate_share
+from piga.calibration.weights import RATE, Extra, reduce_between
 from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, harmonic, si_factor, unit_of
@@ -249,40 +248,44 @@ def terms_of(names: Names) -> Names:
     return ("tan_beta",) if names == ("p", "q") else names
 
 
-def _design_of(fit: Fit, extra: Sequence[str]) -> Design:
+def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
+    """Factors ``[parameters | extra | residual]`` of the parts of the record, and the number of rows."""
+    design, layout = fit.design, layout_of(fit.design)
+    edges, segments, m = design.run.segment_edges(), len(design.run.labels), len(design.names)
+    parts = 1
+    if segments < len(layout.columns) + len(extra[:2]) + CANDIDATES.spare:
+        parts = math.ceil(CANDIDATES.pieces / segments)
+    cuts = np.linspace(edges[:-1], edges[1:], parts, endpoint=False).T.astype(np.int64).ravel()
+    reduced, _ = reduce_between(
+        design, fit.mode, fit.noise, np.append(cuts, edges[-1]), _columns_of(fit, extra)
+    )
+    pieces = []
+    for number, part in enumerate(reduced):
+        segment = number // parts
+        variance = fit.noise.stated[segment] if fit.noise.stated else 0.0
+        rows = part.without((RATE,), variance).factor
+        rows[:, -1] -= rows[:, :m] @ fit.solution.values[segment]
+        rows[:, m:-1] = rows[:, m:-1] @ _turn(fit, segment, extra)
+        pieces.append(parameter_rows(design, fit.solution, segment, rows))
+    return pieces, sum(part.count for part in reduced)
+
+
+def _columns_of(fit: Fit, extra: Sequence[str]) -> Extra:
     """The columns ``extra`` for the record of a fit, those of the servo at its phase."""
     design = fit.design
     terms = tuple(dict.fromkeys("tan_beta" if name in ("p", "q") else name for name in extra))
-    state = None
+    request, state = replace(design.request, terms=terms), None
     if "p" in design.local_names:
         phases = tuple(float(fit.solution.phases[group]) for group in design.groups)
         state = ServoState(phases, stiffness=0.0, damping=0.0, inverse=0.0)
-    return Design(design.run, replace(design.request, terms=terms), design.scale_factor, state)
-
-
-def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
-    """Factors ``[parameters | extra | residual]`` of the parts of the record, and the number of rows.
-
-    Neighbouring increments are joined, because few rows are enough.
-    """
-    design, layout = fit.design, layout_of(fit.design)
-    segments = len(design.run.labels)
-    parameters = len(layout.columns) + len(extra[:2])
-    parts = 1 if segments >= parameters + CANDIDATES.spare else math.ceil(CANDIDATES.pieces / segments)
-    collected, total = _weighted(fit, extra)
-    pieces = []
-    for segment, weighted in enumerate(collected):
-        rows = weighted
-        if _stated(fit):
-            own, rest = weighted[:, 0], weighted[:, 1:]
-            rows = rest - float(rate_share(fit.noise.stated[segment], own @ own)) * np.outer(own, own @ rest)
-        split = np.array_split(rows, parts) if rows.size else []
-        pieces += [parameter_rows(design, fit.solution, segment, piece) for piece in split]
-    return pieces, total
+    names = Design(design.run, request, design.scale_factor, state).names
+    order = [names.index(name) for name in extra]
+    others = design.means.beside(request, state)
+    return Extra(tuple(extra), lambda _: next(others).columns[order])
 
 
 def _turn(fit: Fit, segment: int, extra: list[str]) -> Array:
-    """Columns of harmonics of the angle as read, turned to those of the angle with the phase of the fit."""
+    """Matrix that turns columns of harmonics of the angle as read to those of the angle with the phase of the fit."""
     matrix, phases = np.eye(len(extra)), fit.solution.phases
     phase = float(phases[fit.design.groups[segment]]) if phases.size else 0.0
     for name in extra:
@@ -292,39 +295,6 @@ def _turn(fit: Fit, segment: int, extra: list[str]) -> Array:
             cosine, sine = math.cos(wave[1] * phase), math.sin(wave[1] * phase)
             matrix[np.ix_((s, c), (s, c))] = [[cosine, -sine], [sine, cosine]]
     return matrix
-
-
-def _stated(fit: Fit) -> bool:
-    """True if the weights include a stated scatter of the segments."""
-    return bool(fit.noise.stated) and fit.mode == "increments"
-
-
-def _weighted(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
-    """Weighted rows ``[model | extra | residual]`` of each segment, and the number of rows.
-
-    With a stated scatter of the segments, the intervals are the first column.
-    """
-    design, others = fit.design, _design_of(fit, extra)
-    mode, stated, total = "samples" if fit.mode == "samples" else "increments", _stated(fit), 0
-    size = len(design.names) + len(extra) + 1 + stated
-    whitener = Whitener(mode, fit.noise, size, design.run.median_step)
-    order, every = [others.names.index(name) for name in extra], design.join
-    collected: list[list[Array]] = [[np.zeros((0, size))] for _ in design.run.labels]
-    for block, other in zip(design.blocks(), others.blocks(keep=False), strict=True):
-        model, segment = block.columns, block.segment
-        starts, h = block.joins(every)
-        columns = np.add.reduceat(np.vstack([model, other.columns[order]]), starts, axis=1)
-        m = len(model) - 1
-        residual = columns[m] - fit.solution.values[segment] @ columns[:m]
-        columns = np.vstack([columns[:m], _turn(fit, segment, extra).T @ columns[m + 1 :], residual])
-        if mode == "samples":
-            columns /= np.sqrt(np.maximum(h, 1.0))
-        if stated:
-            columns = np.vstack([h, columns])
-        kept = h > 0.0
-        collected[segment].append(whitener.apply(columns, h)[:, kept].T)
-        total += int(np.count_nonzero(kept))
-    return [np.concatenate(chunks) for chunks in collected], total
 
 
 def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> CandidateTest | None:

@@ -1,0 +1,98 @@
+"""Means of neighbouring samples: a long record is reduced from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import piga
+from piga.calibration.model import design as design_module
+from piga.calibration.model.design import Design, MeanDesign
+from piga.calibration.model.request import make_request
+from piga.calibration.model.solution import merged
+from piga.calibration.weights import RATE, Noise, reduce_positions
+from piga.units import G0
+from tests.calibration.made.synthetic import SCALE, TERMS, TRUTH, record
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """Records above 300 rows count as long."""
+    monkeypatch.setattr(design_module, "DESIGN", replace(design_module.DESIGN, means=300, shared=4))
+
+
+def fine(seed: int, **options: float) -> piga.Run:
+    return record(np.random.default_rng(seed), seconds=10.0, rate=40.0, levels=(0.5,), **options)
+
+
+def test_nothing_is_approximated(short):
+    """Without noise the coefficients of the exact propagator come back, and the means are used."""
+    run = fine(1, white=0.0)
+    design = Design(run, make_request(run, TERMS, "information"), run.scale_factor).means
+    assert isinstance(design, MeanDesign)
+    assert design.every > 4
+    result = piga.calibrate(run, TERMS)
+    assert result["scale_factor"].value == pytest.approx(0.8884, rel=1e-9)
+    for name in ("tan_beta", "k0", "k2", "m_Y"):
+        assert result[name].value == pytest.approx(TRUTH[name], abs=2e-9)
+
+
+@pytest.mark.parametrize("walk", [0.0, 2e-5])
+def test_estimate_and_uncertainty_are_those_of_all_samples(monkeypatch, walk):
+    runs = [fine(seed, walk=walk) for seed in range(6)]
+    whole = [piga.calibrate(run, TERMS) for run in runs]
+    monkeypatch.setattr(design_module, "DESIGN", replace(design_module.DESIGN, means=300, shared=4))
+    means = [piga.calibrate(run, TERMS) for run in runs]
+    for name in TERMS:
+        moved = [abs(a[name].value - b[name].value) / a[name].std for a, b in zip(whole, means, strict=True)]
+        ratio = [b[name].std / a[name].std for a, b in zip(whole, means, strict=True)]
+        assert max(moved) < 0.35
+        assert np.mean(ratio) == pytest.approx(1.0, abs=0.08)
+
+
+def test_samples_left_out_and_gaps(short):
+    """A wrong reading is left out before the means, and no mean reaches across a gap."""
+    run = fine(3)
+    output, t = np.array(run.output), np.array(run.t)
+    output[1000] += 0.2
+    t[700:] += 3.0
+    broken = replace(run, output=output, t=t, begins=run.begins | (np.arange(run.size) == 700))
+    result, sound = piga.calibrate(broken, TERMS), piga.calibrate(run, TERMS)
+    assert [outlier.row for outlier in result.outliers] == [1001]
+    assert result["scale_factor"].value == pytest.approx(
+        sound["scale_factor"].value, abs=sound["scale_factor"].std
+    )
+
+
+def test_a_fast_force_is_not_averaged(short):
+    """The change of the force within a mean would be lost information."""
+    t = np.arange(4001) / 100.0
+    f = G0 * np.column_stack([1.0 + 0.3 * np.sin(40.0 * t), 0.2 * np.cos(40.0 * t), 0.0 * t])
+    output = piga.propagate(piga.Instrument(scale_factor=SCALE, beta=1e-3), t, f, between="linear")
+    run = piga.Run.from_arrays(t, output, f, scale_factor=SCALE, units="SI")
+    design = Design(run, make_request(run, ["scale_factor", "k0"]), run.scale_factor)
+    assert design.means is design
+
+
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+def test_rows_have_unit_variance(short, kind):
+    """White noise and walk of the means are weighted as they are: the residuals of the triangles have the size one."""
+    run, rng = fine(4, white=0.0), np.random.default_rng(2)
+    step = 1.0 / 40.0
+    if kind == "angle":
+        noise = Noise((1e-6) ** 2, (1e-5) ** 2)
+        walk = np.cumsum(1e-5 * np.sqrt(step) * rng.standard_normal(run.size))
+        noisy = replace(run, output=run.output + walk + 1e-6 * rng.standard_normal(run.size))
+    else:
+        noise = Noise(0.0, (1e-5) ** 2 * step)
+        rates = 0.8884 * run.f[:, 0] / G0 + 1e-5 * rng.standard_normal(run.size)
+        noisy = replace(run, output=rates, kind="rate", f=run.f * np.array([1.0, 0.0, 0.0]))
+    terms = TERMS if kind == "angle" else ["scale_factor", "k0"]
+    design = Design(noisy, make_request(noisy, terms, "information"), run.scale_factor)
+    assert isinstance(design.means, MeanDesign)
+    total = merged(reduce_positions(design, "samples" if kind == "rate" else "increments", noise))
+    free = total.without((RATE,))
+    assert total.count < 400
+    assert free.factor[-1, -1] ** 2 / (total.count - len(terms) - 2) == pytest.approx(1.0, abs=0.25)
