@@ -12,6 +12,7 @@ import json
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -149,7 +150,8 @@ def render(name: str, folder: Path = FOLDER) -> str:
 
 
 def bars(figures: list[Figure]) -> list[str]:
-    """One figure a row, beside what was asked."""
+    """One figure a row, beside what was asked; command and version where they are not those of most rows."""
+    usual, usually = common(figures, "command"), common(figures, "version", "date")
     varied = not same(figures, "version", "date")
     asked = any({"at_most", "at_least"} & set(figure) for figure in figures)
     noted = any("note" in figure for figure in figures)
@@ -165,7 +167,9 @@ def bars(figures: list[Figure]) -> list[str]:
     rows = [line(head), line(["---"] * len(head))]
     for figure in figures:
         cells = [figure["name"], *[bar(figure)] * asked, measured(figure), *[figure.get("note", "")] * noted]
-        rows.append(line([*cells, *[f"`{figure['command']}`"] * commands, *[stamp([figure])] * varied]))
+        again = "" if (figure["command"],) == usual else f"`{figure['command']}`"
+        version = "" if (figure["version"], figure["date"]) == usually else stamp([figure])
+        rows.append(line([*cells, *[again] * commands, *[version] * varied]))
     return rows
 
 
@@ -194,6 +198,12 @@ def line(cells: list[str]) -> str:
 def same(figures: list[Figure], *keys: str) -> bool:
     """True where all figures say the same."""
     return len({tuple(figure[key] for key in keys) for figure in figures}) == 1
+
+
+def common(figures: list[Figure], *keys: str) -> tuple[Any, ...]:
+    """What most figures say; empty where no answer has the half of them."""
+    (answer, count), *_ = Counter(tuple(figure[key] for key in keys) for figure in figures).most_common(1)
+    return answer if 2 * count >= len(figures) else ()
 
 
 def ends(figure: Figure) -> tuple[float, float]:
@@ -249,13 +259,13 @@ def stamp(figures: list[Figure]) -> str:
 
 
 def source(table: dict[str, Any], figures: list[Figure]) -> str:
-    """How the figures of a table were measured."""
-    commands = {figure["command"] for figure in figures}
-    shared = table.get("command") or (commands.pop() if len(commands) == 1 else "")
-    parts = [f"`{shared}`"] if shared else []
-    parts += (
-        [f"version {figures[0]['version']}, {figures[0]['date']}"] if same(figures, "version", "date") else []
-    )
+    """How the figures of a table were measured; in a table of bars, those that do not say it themselves."""
+    shared = same if "columns" in table else common
+    said = [keys for keys in (("command",), ("version", "date")) if shared(figures, *keys)]
+    forms = {("command",): "`{}`", ("version", "date"): "version {}, {}"}
+    parts = [forms[keys].format(*common(figures, *keys)) for keys in said]
+    if not all(same(figures, *keys) for keys in said):
+        parts[0] = f"rows without an entry of their own: {parts[0]}"
     parts += list(dict.fromkeys(figure["conditions"] for figure in figures))
     text = ". ".join(part[:1].upper() + part[1:] for part in parts)
     return f"*{text}.*"

@@ -99,8 +99,10 @@ def motion(force: np.ndarray, start: float) -> np.ndarray:
     return angle
 
 
-def plan(case: Case, order: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Times, force (n, 3), angle and position of each sample."""
+def plan(
+    case: Case, order: np.random.Generator, start: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Times, force (n, 3), angle and position of each sample; a continuous record begins at the angle ``start``."""
     n = round(case.dwell / H)
     if case.positions == 1:
         half = 0.5 * H * np.arange(2 * n + 1)
@@ -110,7 +112,7 @@ def plan(case: Case, order: np.random.Generator) -> tuple[np.ndarray, np.ndarray
         return (
             half[::2],
             np.column_stack([force[::2], np.zeros(n + 1)]),
-            motion(force, 0.3),
+            motion(force, start),
             np.zeros(n + 1, int),
         )
     tilt = 2.0 * np.pi * (np.arange(case.positions) + 0.2) / case.positions
@@ -142,9 +144,14 @@ def rates(case: Case, t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def record(case: Case, seed: int, number: int = 0) -> piga.Run:
-    """One simulated record."""
+    """One simulated record.
+
+    A continuous record begins at a random angle. From one angle the errors of its counts would be nearly the same in every
+    record: coverage is then that of this one motion (85 % for K at 36 000 counts, 99 % for tan_beta).
+    """
     rng = np.random.default_rng([seed, number])
-    t, force, angle, position = plan(case, np.random.default_rng(number))
+    start = np.random.default_rng([seed, number, 1]).uniform(0.0, 2.0 * np.pi)
+    t, force, angle, position = plan(case, np.random.default_rng(number), start)
     h = np.diff(t, prepend=t[0])
     begins = np.diff(position, prepend=-1) != 0
     loud = np.where(position % 3 == 0, case.loud, 1.0)

@@ -28,6 +28,7 @@ nb_execution_mode = "cache"
 nb_execution_raise_on_error = True
 nb_execution_in_temp = True
 nb_execution_timeout = 170
+nb_output_stderr = "remove"
 nb_execution_excludepatterns = ["reference/generated/*"]
 os.environ["PYTHONPATH"] = str(HERE.parent / "src")  # for the kernels of the notebooks
 
@@ -47,6 +48,7 @@ napoleon_use_ivar = True
 html_theme = "furo"
 html_title = f"piga {release}"
 formulas = next(path for path in files("sphinx-mathjax-offline") or () if path.name == "tex-svg.js")
+templates_path = ["_templates"]
 html_static_path = [
     "_static",
     str(formulas.locate()),

@@ -28,7 +28,7 @@ NAMES = ("a.txt", "b.txt", "figures/*")
 def fill(
     folder: Path, text: str, names: tuple[str, ...] = ("a.txt", "b.txt", "figures/c.txt"), **more: object
 ) -> None:
-    with results(folder, "test", NAMES, (), **{"force": False} | more) as stage:  # type: ignore[arg-type]
+    with results(folder, "test", NAMES, (), **{"force": False} | more) as (stage, _):  # type: ignore[arg-type]
         for name in names:
             (stage / name).parent.mkdir(exist_ok=True)
             (stage / name).write_text(text)
@@ -84,6 +84,21 @@ def test_a_page_in_place_of_the_run_file_is_refused(
     assert not (tmp_path / "o.parquet").exists()
 
 
+def test_a_page_beside_a_foreign_one_is_named_where_it_lies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    run, pages = write(tmp_path), tmp_path / "pages"
+    pages.mkdir()
+    (pages / "p.html").write_text("another")
+    out = tmp_path / "out" / "o.parquet"
+    words = (run, "--calibration", tmp_path / "run.json", "--out", out, "--report", pages / "p.html")
+    code, _, said = compensate(monkeypatch, capsys, *words)
+    assert code == 0
+    assert f"wrote {pages / '2' / 'p.html'}" in said
+    assert (pages / "p.html").read_text() == "another"
+    assert (pages / "2" / "p.html").is_file()
+
+
 def test_files_that_a_run_file_names(tmp_path: Path) -> None:
     """Data, profile, sums and what a triad file leads to; names of nothing are no files."""
     for name in ("d.csv", "d.csv.sha256", "p.csv", "c.json", "unused.csv"):
@@ -119,7 +134,7 @@ def test_results_of_the_same_command_and_inputs_are_replaced_others_go_beside(tm
     fill(out, "four")
     assert (out / "b.txt").read_text() == "edited by hand"
     assert held(out / "2") == {"a.txt": "four", "b.txt": "four", "figures/c.txt": "four"}
-    with results(out, "test", NAMES, (tmp_path / "other.toml",)) as stage:
+    with results(out, "test", NAMES, (tmp_path / "other.toml",)) as (stage, _):
         (stage / "a.txt").write_text("other")
     assert held(out / "3") == {"a.txt": "other"}
     fill(out, "five", force=True)
@@ -165,7 +180,7 @@ def test_a_folder_in_place_of_a_result(tmp_path: Path, name: str) -> None:
 def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
     out = tmp_path / "deep" / "out"
     for there in (False, True):
-        with pytest.raises(ZeroDivisionError), results(out, "test", NAMES, (), force=False) as stage:
+        with pytest.raises(ZeroDivisionError), results(out, "test", NAMES, (), force=False) as (stage, _):
             (stage / "a.txt").write_text(str(1 / 0))
         assert out.exists() == there
         assert not list(tmp_path.rglob(".piga*")) + list(tmp_path.rglob("a.txt"))
@@ -222,7 +237,7 @@ from pathlib import Path
 from piga.output import results
 print("begun", flush=True)
 for k in range(100000):
-    with results(Path({out!r}), "test", {names!r}, (), force=True) as stage:
+    with results(Path({out!r}), "test", {names!r}, (), force=True) as (stage, _):
         (stage / "figures").mkdir()
         for name in ("a.txt", "b.txt", "figures/c.txt"):
             (stage / name).write_text(f"{tag}-{{k}}" * 2000)

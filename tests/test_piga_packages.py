@@ -63,6 +63,14 @@ def test_every_pin_has_hashes_and_none_is_of_the_gpl() -> None:
     assert not re.search(r"(?<!L)GPL-[23]", (ROOT / "NOTICE").read_text())
 
 
+def test_a_package_has_one_version_in_all_files() -> None:
+    files = [pins(path.name) for path in sorted(ROOT.glob("requirements*.txt"))]
+    assert len(files) == 4
+    every = {block.splitlines()[0] for file in files for block in file.values()}
+    names = [re.sub(r"==[^ ]*", "", line) for line in every]
+    assert sorted(names) == sorted(set(names)), "renew the pins as docs/release.md says"
+
+
 HIDE = """
 import sys
 class Hidden:

@@ -5,12 +5,10 @@ from __future__ import annotations
 import copy
 import math
 import multiprocessing
-import pickle
 from dataclasses import dataclass, field, replace
 from unittest import mock
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import piga
@@ -36,19 +34,6 @@ def test_equal_means_equal_values():
     assert held() == held()
     assert held() == held(values=np.array([1, math.nan, 0.0]))
     assert held() == held(ignored=1)
-
-
-@pytest.mark.parametrize(
-    "other",
-    [np.arange(3), np.float64(3.0), np.eye(2), pd.DataFrame({"a": [1, 2]}), pd.Series([1.0]), "x", None],
-)
-def test_a_result_is_not_an_array_or_a_table(run, cal, other):
-    """Neither side compares element by element: ``==`` is False, and a list of both can be searched."""
-    for result in (run, cal, cal["k0"], cal.budget, cal.residuals, held()):
-        assert (result == other) is False
-        assert (other == result) is False
-        assert (result != other) is True
-        assert result in [other, result]
 
 
 def test_what_equals_anything_still_does(cal):
@@ -97,14 +82,10 @@ def test_a_calibration_is_itself_after_reading_back(cal, tmp_path):
     assert again != replace(cal, covariance=2.0 * cal.covariance)
 
 
-def test_a_pickle_leaves_out_what_is_as_long_as_the_record(cal):
+def test_a_pickle_holds_the_residuals(cal):
     again = pickled(cal)
     assert again == cal
-    assert again.residuals is None
-    assert cal.residuals is not None
-    with_history = replace(cal, history={"sample": np.arange(10.0)})
-    assert pickled(with_history).history is None
-    assert len(pickle.dumps(cal)) < 60_000
+    assert again.residuals == cal.residuals is not None
 
 
 def test_a_copy_keeps_the_residuals(cal):

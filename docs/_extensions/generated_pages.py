@@ -199,14 +199,14 @@ def collect(annotation: Any, seen: list[type[msgspec.Struct]]) -> None:
 def struct_text(struct: type[msgspec.Struct]) -> str:
     """One structure as a section with its keys."""
     config = struct.__struct_config__
-    rows = ["| key | meaning | value | unit | default | example |", "|---|---|---|---|---|---|"]
+    rows = ["| key | meaning | value | default | example |", "|---|---|---|---|---|"]
     if config.tag is not None:
-        rows.append(f'| `{config.tag_field}` | Kind of the table. | `"{config.tag}"` | | needed | |')
+        rows.append(f'| `{config.tag_field}` | Kind of the table. | `"{config.tag}"` | needed | |')
     for field in msgspec.structs.fields(struct):
         words = words_of(struct.__name__, field.encode_name)
-        unit = "" if words.unit == "own" else words.unit
+        unit = "" if words.unit in ("", "own", "1") else f", {words.unit}"
         rows.append(
-            f"| `{field.encode_name}` | {cell(words.sentence)} | {type_text(field.type)} | {unit} | {field_default(field)} "
+            f"| `{field.encode_name}` | {cell(words.sentence)} | {type_text(field.type)}{unit} | {field_default(field)} "
             f"| `{cell(words.example)}` |"
         )
     summary = (struct.__doc__ or "").replace("``", "`")

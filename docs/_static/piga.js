@@ -3,5 +3,5 @@ document.addEventListener("DOMContentLoaded", () => {
   for (const caption of document.querySelectorAll("p.caption[role=heading]")) caption.setAttribute("aria-level", "2");
   document.querySelector(".sidebar-drawer")?.setAttribute("aria-label", "Pages");
   document.querySelector(".toc-drawer")?.setAttribute("aria-label", "On this page");
-  for (const block of document.querySelectorAll("pre, .table-wrapper, .cell_output")) block.tabIndex = 0; // can be scrolled by keys
+  for (const block of document.querySelectorAll("pre, .table-wrapper, .cell_output, div.math, article p:has(> img)")) block.tabIndex = 0; // can be scrolled by keys
 });

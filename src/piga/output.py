@@ -171,26 +171,14 @@ def _same_file(outputs: Iterable[Path], inputs: Iterable[Path]) -> tuple[Path, P
     return next(((path, source) for path in written for source in read if path.samefile(source)), None)
 
 
-def results_folder(
-    folder: Path,
-    command: str,
-    names: Sequence[str],
-    inputs: Sequence[Path],
-    *,
-    force: bool,
-    option: str = "--out",
+def _free_folder(
+    folder: Path, command: str, names: Sequence[str], inputs: Sequence[Path], *, force: bool, option: str
 ) -> Path:
-    """The folder in which results will appear: ``folder``, or the first of ``folder/2``, ``folder/3`` ... that is free.
+    """``folder``, or the first of ``folder/2``, ``folder/3`` ... that is free.
 
-    A folder is free if it holds none of the ``names`` (patterns), or only unchanged results of the same command and the same
-    inputs, or with ``force``. An input is never replaced.
-
-    Raises
-    ------
-    ArgumentError
-        If ``folder`` or a result is the name of something else, or ``force`` would replace an input.
+    A folder is free if it holds none of the ``names``, or only unchanged results of the same command and the same inputs, or
+    with ``force``. An input is never replaced.
     """
-    folder = Path(os.path.abspath(folder))  # noqa: PTH100 - symbolic links stay as they are named
     number, place = 1, folder
     while True:
         if place.exists() and not place.is_dir():
@@ -258,13 +246,15 @@ def results(
     *,
     force: bool = False,
     option: str = "--out",
-) -> Iterator[Path]:
-    """A hidden folder to fill with the results of one run. At the end they appear in ``folder``, or nothing does.
+) -> Iterator[tuple[Path, Path]]:
+    """A hidden folder to fill with the results of one run, and the folder in which they appear at the end, or nothing does.
+
+    That is ``folder``, or ``folder/2``, ``folder/3`` ... where results lie that were changed or come from other inputs.
 
     Parameters
     ----------
     folder:
-        Folder of the results, from :func:`results_folder`; created if it does not exist.
+        Folder of the results; created if it does not exist.
     command:
         Name of the command, in a form that fits into a file name.
     names:
@@ -272,23 +262,25 @@ def results(
     inputs:
         Files that the command reads.
     force:
-        True: existing results may be replaced. Else :func:`results_folder` has chosen a folder without them.
+        True: existing results are replaced, but never an input.
     option:
         The option that names ``folder``.
 
     Raises
     ------
+    ArgumentError
+        If ``folder`` or a result is the name of something else, or ``force`` would replace an input.
     PigaError
         If the folder cannot be written.
     """
-    folder = results_folder(folder, command, names, inputs, force=force, option=option)
+    folder = _free_folder(folder, command, names, inputs, force=force, option=option)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         remove_leftovers(folder.parent)
         with _hidden_folder(folder if folder.is_dir() else folder.parent) as hidden:
-            stage = hidden / folder.name
+            stage = hidden / "results"
             stage.mkdir()
-            yield stage
+            yield stage, folder
             mark = _finish(stage, command, _key(command, inputs))
             if folder.is_dir():
                 _move(stage, folder, command, names, mark, option)

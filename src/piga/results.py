@@ -14,6 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,8 +41,11 @@ def same(one: Any, other: Any) -> bool:
     """Whether two fields hold the same values. Arrays are compared element by element; nan equals nan."""
     if one is other:
         return True
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        numbers = one.dtype.kind in "fc" and other.dtype.kind in "fc"
+        return np.array_equal(one, other, equal_nan=numbers)
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
-        return _same_arrays(one, other)
+        return False
     if isinstance(one, float) and isinstance(other, float):
         return one == other or (math.isnan(one) and math.isnan(other))
     if is_dataclass(one) and type(one) is type(other):
@@ -53,26 +57,14 @@ def same(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-def _same_arrays(one: Any, other: Any) -> bool:
-    if not (isinstance(one, np.ndarray) and isinstance(other, np.ndarray)) or one.shape != other.shape:
-        return False
-    return bool(np.array_equal(one, other, equal_nan=one.dtype.kind in "fc" and other.dtype.kind in "fc"))
-
-
 class ByValue:
     """Base of dataclasses that hold arrays. Equal means equal values, field by field. There is no hash.
 
-    A field with ``compare=False`` does not count. Declare such a dataclass with ``eq=False``. A result is not equal to an
-    array or a table: NumPy and pandas leave the comparison to the result, and do not compare element by element.
+    A field with ``compare=False`` does not count. Declare such a dataclass with ``eq=False``.
     """
 
-    __array_ufunc__ = None
-    __pandas_priority__ = 10_000
-
     def __eq__(self, other: object) -> bool:
-        if type(other) is not type(self):
-            return False if hasattr(other, "__array__") else NotImplemented
-        return same(self, other)
+        return same(self, other) if type(other) is type(self) else NotImplemented
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -201,6 +193,11 @@ def in_words(value: Any) -> str:
 def finite(value: Any) -> Any:
     """A value for JSON: a number that is not finite becomes None."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def plain(value: Any) -> Any:
+    """A result as values of JSON, by the names of its fields."""
+    return msgspec.to_builtins(value, enc_hook=lambda item: item.tolist())
 
 
 class Correlated(Protocol):

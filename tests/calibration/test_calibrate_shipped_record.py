@@ -102,8 +102,9 @@ def test_without_the_terms_of_the_servo_the_interval_of_k_holds_both_meanings(fo
     assert set(under) == {"servo", "k3"}
     assert all(abs(value - scale.value) < scale.expanded for value in under.values())
     assert under["servo"] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
-    assert any("missing term: servo =" in note and "with servo and" in note for note in calibration.notes)
-    assert any("servo_damping = " in note and "cover this" in note for note in calibration.notes)
+    said = [*calibration.notes, *calibration.remarks]
+    assert any("missing term: servo =" in note and "with servo and" in note for note in said)
+    assert any("servo_damping = " in note and "cover this" in note for note in said)
     phi = calibration["phi"]
     assert abs(phi.value) < phi.expanded < 2.0 * abs(phi.value)
     assert calibration.diagnostics.segment_scatter_ratio_without_it > 2.0

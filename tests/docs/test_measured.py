@@ -97,6 +97,23 @@ def test_what_is_recorded_is_shown(tmp_path: Path) -> None:
     assert "| **not met**: 9 s (at most 5 s) |" in measured.filled(page, tmp_path)
 
 
+def test_what_most_rows_share_stands_below_the_table(tmp_path: Path) -> None:
+    shared = {"unit": "s", "version": "0.1.0", "date": "2026-01-01", "commit": "x", "conditions": "idle"}
+    figures = [
+        shared | {"name": name, "value": 1, "command": command}
+        for name, command in (("a", "do it"), ("b", "do it"), ("c", "do more"))
+    ]
+    (tmp_path / "bars.json").write_text(json.dumps({"figures": figures}), encoding="utf-8")
+    text = measured.render("bars", tmp_path)
+    assert "| b | 1 s |  |\n| c | 1 s | `do more` |\n" in text
+    assert "*Rows without an entry of their own: `do it`. Version 0.1.0, 2026-01-01. Idle.*" in text
+    figures[1]["command"] = "do less"
+    (tmp_path / "bars.json").write_text(json.dumps({"figures": figures}), encoding="utf-8")
+    text = measured.render("bars", tmp_path)
+    assert "| a | 1 s | `do it` |" in text
+    assert "*Version 0.1.0, 2026-01-01. Idle.*" in text
+
+
 def test_an_unknown_figure_is_refused(tmp_path: Path) -> None:
     written(tmp_path)
     before = (tmp_path / "small.json").read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import piga
-from piga.instrument import Instrument, closed_form, closed_form_turns, published_closed_form
+from piga.instrument import Instrument, closed_form, closed_form_turns
 from piga.units import G0
 from tests.instrument.references import EPS, constant_cases
 
@@ -157,37 +157,6 @@ def test_composition_of_steps(beta, alpha0, a_x, a_Y, a_Z, first, second):
     half, _ = closed_form(inst, first, a_x, a_Y, a_Z)
     parts, _ = closed_form(Instrument(0.09, beta, float(half)), second, a_x, a_Y, a_Z)
     assert abs(parts - whole) < 10 * _condition(inst, (a_x, a_Y, a_Z), first + second)
-
-
-# --- the published forms --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize(("number", "a_x"), [(1, 0.0), (2, 5 * PUBLISHED.tan_beta), (3, 0.01), (4, 1.0)])
-def test_published_forms_with_signed_ratio(number, a_x, sign):
-    t = np.linspace(0.0, 6.0, 13)
-    alpha, rate = closed_form(PUBLISHED, t, sign * a_x * G0, 5 * G0, 0.0)
-    wrapped, published_rate = published_closed_form(number, PUBLISHED, t, sign * a_x * G0, 5 * G0, 0.0)
-    assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * alpha), abs=1e-12)
-    assert published_rate == pytest.approx(rate, abs=1e-13)
-
-
-@pytest.mark.parametrize(("number", "a_x"), [(2, 5 * PUBLISHED.tan_beta), (3, 0.01), (4, 1.0)])
-def test_published_forms_as_printed_are_wrong_for_negative_input_only(number, a_x):
-    t = np.linspace(0.0, 6.0, 13)
-    for sign, low, high in ((1.0, 0.0, 1e-13), (-1.0, 0.02, 0.05)):
-        _, rate = closed_form(PUBLISHED, t, sign * a_x * G0, 5 * G0, 0.0)
-        _, printed = published_closed_form(
-            number, PUBLISHED, t, sign * a_x * G0, 5 * G0, 0.0, as_published=True
-        )
-        assert low <= np.abs(printed - rate).max() < high
-
-
-def test_published_forms_refuse_another_regime():
-    with pytest.raises(piga.ArgumentError, match="does not fit"):
-        published_closed_form(1, PUBLISHED, 1.0, G0, 0.0, 0.0)
-    with pytest.raises(piga.ArgumentError, match="no real value"):
-        published_closed_form(3, PUBLISHED, 1.0, G0, G0, 0.0)
 
 
 def test_mean_rate_and_period_of_the_published_case():

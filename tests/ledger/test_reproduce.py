@@ -105,7 +105,7 @@ def test_results_of_two_runs_are_never_kept_together(tmp_path: Path, monkeypatch
     """A second calibration is stopped while it puts its files in place, or puts them there while they are read."""
     run, out, there = small_run(tmp_path), tmp_path / "out", {}
     for terms in (["scale_factor"], ["scale_factor", "k0"]):
-        with results(out, "calibrate", ["*.json", "*.html"], [run], force=True) as folder:
+        with results(out, "calibrate", ["*.json", "*.html"], [run], force=True) as (folder, _):
             piga.calibrate(piga.read_run(run), terms, "rate").to_json(folder / "calibration.json")
             (folder / "report.html").write_text(f"page of {terms}")
         there[len(terms)] = {path.name: path.read_bytes() for path in out.iterdir()}

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from piga.platform import compare, compensator, theory_lines, true_knowledge
+from piga.platform import compare, theory_lines, true_knowledge
 from piga.platform.analysis import CHANNELS, daily_lines, fitted_lines, has_theory, theory_note
 from piga.platform.chain import line_budget
 from piga.platform.navigator import Errors
@@ -217,7 +217,7 @@ def test_the_daily_fit_takes_both_lines(model, latitude):
 def test_the_closed_form_gives_both_lines(model, latitude):
     s, e = unequal(latitude), simulated()[model, latitude]
     known, reference = true_knowledge(s), lines(e, latitude)
-    theory = theory_lines(s, compensator(model, known, None), known, [slice(0, len(e.times))], e.times)
+    theory = theory_lines(s, model, known, [slice(0, len(e.times))], e.times)
     close(both(theory), reference, part=0.002)
 
 
@@ -282,7 +282,7 @@ def test_a_wobble_may_stand_at_the_line_of_the_other_case():
         equatorial_rotation=Rotation(0.5 * W1),
     )
     known = true_knowledge(s)
-    theory = theory_lines(s, compensator("none", known, None), known, [slice(0, 2)], np.zeros(2))
+    theory = theory_lines(s, "none", known, [slice(0, 2)], np.zeros(2))
     polar = -4.0 * ARCMIN * np.exp(0.3j) * np.tan(eta)
     wobble = -0.5j * a * np.exp(1j * (2.2 + 0.7)) / np.cos(eta)
     schuler = 1.0 / (1.0 - GM / A**3 / W1**2)

@@ -9,7 +9,7 @@ from piga.errors import ArgumentError, IdentifiabilityError
 from piga.platform import identify, identify_growing, observability, simulate
 from piga.platform.geometry import apparent_gyro
 from piga.platform.identify import solve
-from piga.platform.observation import ForceFilter, ObservedRecord, UnknownGroup
+from piga.platform.observation import ForceFilter, ObservedRecord, Reduced
 from piga.platform.scenario import Gyro, PigaSensors, Rotation, Sensors
 from tests.platform.conftest import (
     ARCMIN,
@@ -205,7 +205,7 @@ def test_least_squares_agrees_with_the_normal_equations():
         rng.normal(size=40),
         rng.normal(size=30),
     )
-    parts = [UnknownGroup("a", r1, j1).reduced(), UnknownGroup("b", r2, j2).reduced()]
+    parts = [Reduced.of("a", r1, j1), Reduced.of("b", r2, j2)]
     solution = solve(parts, (0.5, 2.0), ("p", "q", "s"))
     normal = j1.T @ j1 / 0.25 + j2.T @ j2 / 4.0
     np.testing.assert_allclose(

@@ -22,7 +22,7 @@ from piga.platform.geometry import (
     local_axes,
     small_angle_attitude,
 )
-from piga.platform.navigator import modelled_angles, true_start
+from piga.platform.navigator import true_start
 from piga.platform.scenario import Gyro, MotionPlan, Oscillation
 from tests.platform.conftest import INTERPRETED, navigated, only_compiled, published
 
@@ -45,11 +45,8 @@ def _orbit(step, steps, tilt=0.7):
     position = np.array([7.0e6, 0.0, 0.0])
     speed = np.sqrt(earth.GM / 7.0e6) * 1.02
     velocity = speed * np.array([0.0, np.cos(tilt), np.sin(tilt)])
-    run = simulate(published(duration=16.0).without_errors())
-    made = compensator("none", true_knowledge(run.scenario), run.readouts)
-    navigator = Navigator(made, Start(position, velocity, np.eye(3), np.zeros(3)), step, damping_time=0.0)
-    quiet = np.tile([1.0, 0.0], (steps, 1))
-    return navigator.push(np.zeros((steps, 3)), quiet, quiet, np.zeros(1), np.ones(1), np.zeros(1))
+    navigator = Navigator(Start(position, velocity, np.eye(3), np.zeros(3)), step, damping_time=0.0)
+    return navigator.push(np.zeros((steps, 3)), np.zeros((1, 3)), np.zeros(1))
 
 
 def _energy(r, v):
@@ -80,16 +77,11 @@ def test_chunks_do_not_change_the_result():
     s = published(duration=600.0, step=2.0)
     run = simulate(s)
     made = compensator("B", true_knowledge(s), run.readouts)
-    z1, z2 = run.readouts.case_middles
-    tangent, secant = (v[1:] for v in made.tangent_secant())
-    whole = Navigator(made, true_start(run.truth), 2.0).push(
-        run.readouts.increments, z1, z2, tangent, secant, np.zeros(1)
-    )
-    navigator = Navigator(made, true_start(run.truth), 2.0)
+    whole = Navigator(true_start(run.truth), 2.0).push(run.readouts.increments, made.middles, np.zeros(1))
+    navigator = Navigator(true_start(run.truth), 2.0)
 
     def pushed(part):
-        arguments = (run.readouts.increments, z1, z2, tangent, secant)
-        return navigator.push(*(values[part] for values in arguments), np.zeros(1))[0]
+        return navigator.push(run.readouts.increments[part], made.middles[part], np.zeros(1))[0]
 
     rows = [pushed(part) for part in (slice(0, 2), slice(2, 131), slice(131, 300))]
     np.testing.assert_array_equal(np.concatenate(rows), whole[0])
@@ -102,11 +94,8 @@ def test_rows_can_be_thinned_but_must_divide():
     np.testing.assert_array_equal(thin.position, dense.position[6::7])
     np.testing.assert_allclose(thin.table, dense.table[6::7], rtol=0, atol=1e-15)
     run = simulate(s)
-    navigator = Navigator(compensator("none", true_knowledge(s), run.readouts), true_start(run.truth), 2.0)
     with pytest.raises(ArgumentError, match="not a multiple"):
-        navigator.push(
-            run.readouts.increments, *run.readouts.case_middles, np.zeros(1), np.ones(1), np.zeros(1), 7
-        )
+        Navigator(true_start(run.truth), 2.0).push(run.readouts.increments, np.zeros((1, 3)), np.zeros(1), 7)
 
 
 def test_the_vertical_channel_is_unstable_alone_and_damped_by_altitude():
@@ -151,7 +140,7 @@ def test_what_is_shown_follows_from_the_matrices():
     v = to_earth @ shown.velocity[k] - np.cross([0, 0, earth.EARTH_RATE], r)
     axes = local_axes(lat, lon)
     np.testing.assert_allclose(shown.table[k, 3:6], axes.T @ v, atol=1e-11)
-    e = modelled_angles(made, run.readouts)[k + 1]
+    e = made.nodes[k + 1]
     triad = run.truth.triad_start
     base = (
         axes.T @ to_earth @ triad.T @ small_angle_attitude(e).T @ gimbal_attitude(run.readouts.gimbals[k + 1])

@@ -160,10 +160,13 @@ def test_sway_gives_the_force_of_its_acceleration():
     np.testing.assert_allclose(motion.velocity[:, 0], 0.05 * np.pi * np.cos(np.pi / 10 * t[::2]), atol=1e-6)
 
 
+HEAD = "time_s,latitude_deg,longitude_deg,height_m,roll_deg,pitch_deg,heading_deg\n"
+
+
 def test_track_is_read_and_felt(tmp_path):
-    rows = ["time_s,latitude_deg,longitude_deg,height_m,roll_deg,pitch_deg,heading_deg"]
-    rows += [f"{t},{40.0 + 1e-4 * t},116.0,{0.01 * t},0,0,0" for t in range(0, 700, 50)]
-    (tmp_path / "track.csv").write_text("\n".join(rows))
+    rows = [HEAD.strip()]
+    rows += [f"{t},{40.0 + 1e-4 * t},116.0,{0.1 * t},0,0,0" for t in range(0, 700, 50)]
+    (tmp_path / "track.csv").write_text("\n".join([*rows, ""]))
     s = published(duration=600.0, step=2.0, motion=MotionPlan("track", file=tmp_path / "track.csv"))
     motion = base_motion(s)
     radius = (
@@ -171,29 +174,27 @@ def test_track_is_read_and_felt(tmp_path):
         * (1 - earth.ECCENTRICITY_SQUARED)
         / (1 - earth.ECCENTRICITY_SQUARED * np.sin(40.03 * DEG) ** 2) ** 1.5
     )
-    assert motion.velocity[150, 0] == pytest.approx(1e-4 * DEG * (radius + 3.0), rel=1e-6)
-    assert motion.velocity[150, 2] == pytest.approx(-0.01, abs=1e-6)
+    assert motion.velocity[150, 0] == pytest.approx(1e-4 * DEG * (radius + 30.0), rel=1e-6)
+    assert motion.velocity[150, 2] == pytest.approx(-0.1, abs=1e-6)
     assert motion.place[150, 0] == pytest.approx(40.03 * DEG, abs=1e-10)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("time_s,latitude_deg\n0,1\n1,1\n2,1\n3,1\n4,1", "column 'longitude_deg' is missing"),
-        ("x\n", "1 rows(?s:.*)4 rows or more"),
         (
-            "time_s,latitude_deg,longitude_deg,height_m,roll_deg,pitch_deg,heading_deg\n"
-            + "\n".join(["0,1,1,1,1,1,1"] * 4 + ["0,1,x,1,1,1,1"]),
-            "line 6, column 3: 'x'",
+            "time_s,latitude_deg\n0,1\n1,1\n2,1\n3,1\n4,1\n",
+            "no column 'longitude_deg'(?s:.*)roll_deg, pitch_deg",
         ),
-        (
-            "time_s,latitude_deg,longitude_deg,height_m,roll_deg,pitch_deg,heading_deg\n"
-            + "\n".join(["0,1,1,1,1,1,1"] * 5),
-            "line 3: the time does not increase",
-        ),
+        ("x\n", "a header but no data(?s:.*)time_s, latitude_deg"),
+        (HEAD + "0,1,1,1,1,1,1\n" * 3, "3 rows(?s:.*)4 rows or more"),
+        (HEAD + "0,1,1,1,1,1,1\n" * 4 + "0,1,x,1,1,1,1\n", "row 6, column 'longitude_deg'(?s:.*)'x'"),
+        (HEAD + "0,1,1,1,1,1,1\n" * 4 + "0,1,,1,1,1,1\n", "row 6, column 'longitude_deg': no number"),
+        (HEAD + "0,1,1,1,1,1,1\n" * 5, "row 3: the time does not increase"),
+        (HEAD + "".join(f"{t},1,1,1,1,1,1\n" for t in range(5)), "covers 0 s to 4 s(?s:.*)needs 0 to 600 s"),
     ],
 )
-def test_a_bad_track_is_refused_by_line_and_column(tmp_path, text, message):
+def test_a_bad_track_is_refused_by_row_and_column(tmp_path, text, message):
     (tmp_path / "track.csv").write_text(text)
     with pytest.raises(DataError, match=message):
         base_motion(published(duration=600.0, motion=MotionPlan("track", file=tmp_path / "track.csv")))

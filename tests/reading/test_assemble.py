@@ -447,7 +447,7 @@ def test_a_log_that_changes_or_is_no_file(tmp_path: Path, monkeypatch: pytest.Mo
     path = write_log(tmp_path, lines())
     states = iter([(1, 0, 0, 0), (2, 0, 0, 0)])
     with monkeypatch.context() as patch:
-        patch.setattr(columns.SteadyFile, "_state", lambda _file: next(states))
+        patch.setattr(columns, "_state", lambda *_file: next(states))
         with pytest.raises(piga.DataError, match="changed while it was read"):
             piga.read_run(write_run(tmp_path))
     path.unlink()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 import numpy as np
 import openpyxl
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
+
+from piga.formats.columns import RecordStream
 
 
 def columns(count: int = 40, rate: float = 20.0) -> dict[str, np.ndarray]:
@@ -74,3 +77,19 @@ WRITERS = {
     "run.tdms": write_tdms,
     "run.xlsx": write_xlsx,
 }
+
+
+class Whole(NamedTuple):
+    """A record stream read to its end: numbers by column, codes and names of the segments, and the file rows."""
+
+    numbers: dict[str, np.ndarray]
+    label: tuple[np.ndarray, tuple[str, ...]]
+    rows: np.ndarray
+
+
+def whole(stream: RecordStream) -> Whole:
+    chunks = list(stream.chunks())
+    numbers = {name: np.concatenate([chunk.numbers[name] for chunk in chunks]) for name in stream.numeric}
+    codes = [chunk.codes for chunk in chunks if chunk.codes is not None]
+    label = np.concatenate(codes) if codes else np.zeros(0), tuple(stream.label_names)
+    return Whole(numbers, label, np.concatenate([chunk.rows for chunk in chunks]))

@@ -167,7 +167,7 @@ def test_a_job_that_is_killed_while_it_writes_leaves_the_older_results_whole(
 
     before = shown()
     job = jobs.start(command, "Calibrate", "tumble-a.toml", "out")
-    while not list((tmp_path / "out").glob(".piga-stage-*/out/*")):  # a result is being written there
+    while not list((tmp_path / "out").glob(".piga-stage-*/results/*")):  # a result is being written there
         assert jobs.status(job).state == "running"
     os.kill(jobs._jobs[job.key][1].child.pid, signal.SIGKILL)
     assert ended(jobs, job).state == "failed"

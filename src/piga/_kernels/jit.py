@@ -163,11 +163,3 @@ def exact(function: F) -> F:
 def inline_exact(function: F) -> F:
     """Like :func:`exact`, and inlined: a scalar step of a loop, whose named tuples then need no memory."""
     return _compiled(function, False, forceinline=True)
-
-
-def reducing_kernel(function: F) -> F:
-    """Compile a loop that sums many numbers: sums may be reordered, so that they use vector registers.
-
-    Used only where the last bits of a sum do not matter for how results compare between chunkings.
-    """
-    return _compiled(function, {"contract", "reassoc", "nsz"})

@@ -43,16 +43,16 @@ from piga.calibration.joint.joint_result import joint_result
 from piga.calibration.joint.summary import RunSummary, provenance, residual_figures, validity_ranges
 from piga.calibration.model.design import given_servo
 from piga.calibration.model.identifiability import (
-    notes_in_words,
     one_way_in_words,
     refuse_useless,
     remarks_in_words,
+    scatter_in_words,
 )
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import asked_order, layout_of, name_coefficients
 from piga.calibration.remarks.advice import advise, with_advice
-from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
-from piga.calibration.remarks.creep import find_creep, with_creep
+from piga.calibration.remarks.all_remarks import find_remarks, with_remarks, with_sentences
+from piga.calibration.remarks.creep import creep_of_run, creep_of_runs, with_creep
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
 from piga.calibration.remarks.missing_terms import Candidates
 from piga.calibration.revolutions import whole_turns
@@ -187,16 +187,17 @@ def _calibration(
     )
     steps("looking for missing terms")
     said = find_remarks(fit, candidates, coefficients)
-    creep = find_creep(fit, coefficients)
+    creep = creep_of_run(fit, coefficients)
     history = history_of(fit) if request.method == "recursive" else None
     examined = _examined(fit, residuals)
-    notes = odd_square(fit, coefficients) + notes_in_words(
-        coefficients, covariance, examined.scatter, direct=run.direct
-    )
+    notes = odd_square(fit, coefficients) + scatter_in_words(examined.scatter, direct=run.direct)
     result = _assemble(run, fit, coefficients, covariance, budget.rows, examined, notes, history)
     result = replace(
         result,
-        remarks=(*one_way_in_words(run, request.terms), *remarks_in_words(coefficients, request.phases)),
+        remarks=(
+            *one_way_in_words(run, request.terms),
+            *remarks_in_words(coefficients, covariance, request.phases),
+        ),
         sources=(*sources_of_stand(fit), *(doubt.listed for doubt in doubts if doubt.listed)),
         scale_factor_tolerance=run.model.tolerance,
         gravity=gravity_in_words(run),
@@ -327,7 +328,12 @@ def _joint_calibration(
         scale_factor_tolerance=max((run.model.tolerance for run in live), default=0.01),
         gravity="; ".join(dict.fromkeys(filter(None, map(gravity_in_words, live)))),
     )
-    result = replace(result, notes=(*(doubt.words for doubt in doubts if doubt.words), *result.notes))
+    said = ((doubt.largest_shift(result.coefficients), doubt.words) for doubt in doubts if doubt.words)
+    result = with_sentences(result, said)
+    crept = creep_of_runs(fit, result.coefficients)
+    if crept is not None:
+        one, creep = crept
+        result = with_creep(result, one.run, creep, one.name)
     given = dict(fit.summaries[0].known_servo)
     moved = {
         source.name: dict(fit.summaries[index].sources[number].known_servo)

@@ -166,11 +166,11 @@ def _issued(file: CertificateFile, date: str | None) -> CertificateFile:
 def _bytes(path: Path) -> bytes:
     """The bytes of a calibration.json. They are read once, so the certificate shows the digest of the certified record."""
     from piga.output import check_results
-    from piga.records.calibration.document import DOCUMENT
+    from piga.records.calibration.document import MOST_BYTES
     from piga.records.limits import read_whole
 
     check_results(path.parent)
-    return read_whole(path, DOCUMENT.most_bytes, "a calibration.json", PigaError)
+    return read_whole(path, MOST_BYTES, "a calibration.json", PigaError)
 
 
 def _before(file: CertificateFile, data: Path) -> Calibration | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import re
 import sys
 import time
@@ -17,7 +16,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from piga.errors import ArgumentError, PigaError
-from piga.output import results, results_folder, write_whole
+from piga.output import results, write_whole
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -211,9 +210,7 @@ def deliver(
         delivery, written = Delivery(None, None), []
         yield delivery
     else:
-        free = results_folder(folder, command, names, inputs, force=force)
-        place = folder if str(free) == os.path.abspath(folder) else folder / free.name  # noqa: PTH100
-        with results(place, command, names, inputs, force=force) as stage:
+        with results(folder, command, names, inputs, force=force) as (stage, place):
             delivery = Delivery(place, stage)
             yield delivery
             written = _listed(stage, place, names)

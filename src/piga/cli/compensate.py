@@ -108,7 +108,7 @@ def compensate(
     names = [glob.escape(path.name) for path in (out, report) if path is not None and (path is out or beside)]
     command = f"compensate-{out.stem[:40]}"
     with deliver(out.parent, command, names, inputs, force=force, as_json=json) as to:
-        with _page_folder(report, None if beside else command, to.stage, inputs, force) as folder:
+        with _page_folder(report, None if beside else command, to.stage, inputs, force) as (folder, elsewhere):
             page = None if report is None else folder / report.name
             summary, calibrations = solve(run, sources, calibrations, to / out.name, page, options)
         document = {"file": str((to.folder or out.parent) / out.name)} | summary
@@ -118,8 +118,8 @@ def compensate(
         )
     if json:
         return
-    if report is not None and not beside:
-        note(f"wrote {report}")
+    if report is not None and elsewhere is not None:
+        note(f"wrote {elsewhere / report.name}")
     for name, count in summary["flags"].items():
         note(f"{name}: {counted(count, 'row')}")
     for name, count in summary["repairs"].items():
@@ -134,14 +134,14 @@ def compensate(
 @contextmanager
 def _page_folder(
     report: Path | None, command: str | None, stage: Path, inputs: list[Path], force: bool
-) -> Iterator[Path]:
-    """The hidden folder for the page: that of the result, or one of its own where the page is to be elsewhere."""
+) -> Iterator[tuple[Path, Path | None]]:
+    """The hidden folder for the page: that of the result, or one of its own and where it will be."""
     if report is None or command is None:
-        yield stage
+        yield stage, None
         return
     names = [glob.escape(report.name)]
-    with results(report.parent, command, names, inputs, force=force, option="--report") as folder:
-        yield folder
+    with results(report.parent, command, names, inputs, force=force, option="--report") as places:
+        yield places
 
 
 def _verdicts(calibrations: list[Calibration]) -> list[dict[str, Any]]:

@@ -30,7 +30,7 @@ from piga.compensation.result import (
 from piga.compensation.set_compensator import Mounted, SetCompensator
 from piga.errors import ArgumentError, DataError, RunFileError
 from piga.progress import Progress, report
-from piga.reading.checks import RateAngle
+from piga.reading.checks import integrated_rate
 from piga.records import read_toml
 from piga.records.calibration import Calibration
 from piga.records.calibration.document import read_with_digest
@@ -342,40 +342,22 @@ def _read(path: Path, item: Mounted, force: bool) -> Run:
 
 
 def _solved(records: Sequence[Run], stream: SetCompensator) -> Iterator[tuple[SetReading, CompensatedSet]]:
-    """Pieces of the records and their compensated rows."""
-    for part, psi in _pieces(records):
+    """Pieces of the records and their compensated rows; more records mean fewer rows at a time."""
+    size, step, rates = records[0].size, max(READINGS // len(records), 1), records[0].kind == "rate"
+    begins = _begins(records, slice(0, size))
+    angles = [integrated_rate(r.t, r.output, begins) if rates else r.output for r in records]
+    for start in range(0, size, step):
+        part = slice(start, min(start + step, size))
         rows = _reading(records, part)
-        angles, rate = (rows.output, None) if psi is None else (psi, rows.output)
         solved = stream.push(
             rows.t,
-            angles,
-            rate=rate,
+            np.array([angle[part] for angle in angles]),
+            rate=rows.output if rates else None,
             base_rate=rows.base_rate,
             temperature=rows.temperature,
             begins=rows.begins,
         )
         yield rows, solved
-
-
-def _pieces(records: Sequence[Run]) -> Iterator[tuple[slice, Array | None]]:
-    """Row ranges, and the angles (N, n) of records of rates; more records mean fewer rows at a time.
-
-    The angle of a rate is known one row late.
-    """
-    size, step = records[0].size, max(READINGS // len(records), 1)
-    followers = [RateAngle() for _ in records]
-    done = 0
-    for start in range(0, size, step):
-        part = slice(start, min(start + step, size))
-        if records[0].kind != "rate":
-            yield part, None
-            continue
-        begins = _begins(records, part)
-        psi = [f.push(r.t[part], r.output[part], begins) for f, r in zip(followers, records, strict=True)]
-        yield slice(done, done + psi[0].size), np.array(psi)
-        done += psi[0].size
-    if records[0].kind == "rate":
-        yield slice(done, size), np.array([f.finish() for f in followers])
 
 
 def _reading(records: Sequence[Run], part: slice) -> SetReading:

@@ -16,8 +16,7 @@ import numpy as np
 from piga.compensation.compensator import Compensator
 from piga.compensation.result import Compensated, schema_of
 from piga.errors import ArgumentError, DataError
-from piga.formats.columns import numbers_of
-from piga.formats.parquet import number_column
+from piga.formats.columns import number_column, numbers_of
 from piga.records.limits import first_line
 
 FORCE = ("fx", "fy", "fz")

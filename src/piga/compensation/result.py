@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -18,7 +18,7 @@ from piga import doors
 from piga._kernels import arithmetic as kernels
 from piga.compensation.model import FLAGS, MEANING
 from piga.errors import ArgumentError
-from piga.formats.parquet import number_column
+from piga.formats.columns import number_column
 from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.run import Run
@@ -224,7 +224,7 @@ class Compensated(Result, Plotted, Reported, Tabular):
         Standard uncertainty of the sum of ``dv`` [m/s]; nan for a part of a stream, and without uncertainty. That of a single
         ``dv`` is ``u_ax`` times the interval.
     made_from:
-        The record and the calibration, for :meth:`plot` and :meth:`report`. A pickle leaves them out.
+        The record and the calibration, for :meth:`plot` and :meth:`report`.
     """
 
     t: Array
@@ -237,12 +237,6 @@ class Compensated(Result, Plotted, Reported, Tabular):
     notes: tuple[str, ...] = field(default=())
     u_velocity: float = math.nan
     made_from: tuple[Run, Calibration] | None = field(default=None, compare=False)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"made_from": None}
-
-    def __copy__(self) -> Compensated:
-        return replace(self)
 
     def heading(self) -> str:
         """The first line in a notebook."""

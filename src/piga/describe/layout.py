@@ -9,15 +9,15 @@ from typing import Any
 
 from piga.describe.columns import fact, known_names, known_unit
 from piga.errors import DataError
-from piga.formats.columns import column_letter
 from piga.formats.text.convention import (
     COMMENT,
     INFINITE,
     LINE_END,
     MISSING,
     NO_UNIT,
+    HeadRows,
+    find_format,
     joined_names,
-    single_names,
     split_line,
     unit_text,
     units_in_names,
@@ -120,21 +120,12 @@ def _layout(head: str, path: Path, encoding: str) -> TextLayout:
     header, units_at = _heads(lines, table)
     upper = None if header is None else _upper(lines, header, table)
     body = [_cells(line, table.separator) for line in lines[table.start :] if line.strip()]
-    width = max(len(row) for row in body[:-1] or body)
-    cells = (
-        [column_letter(k) for k in range(width)]
-        if header is None
-        else _cells(_bare(lines[header]), table.separator)
-    )
-    if upper is not None:
-        cells = list(joined_names(tuple(_cells(_bare(lines[upper]), table.separator)), tuple(cells)))
-    if len(cells) == width + 1 and cells[-1] in ("", "Comment"):
-        cells = cells[:-1]
-    names, units = units_in_names(single_names(tuple(cells)))
-    if units_at is not None:
-        for name, cell in zip(names, _cells(lines[units_at], table.separator), strict=False):
-            if known_unit(unit_text(cell)):
-                units[name] = known_unit(unit_text(cell))
+    decimal = _decimal(body, table.separator)
+    skip = table.start if header is None else 0
+    names_at = False if header is None else header + 1 if upper is None else (upper + 1, header + 1)
+    rows = HeadRows(skip, names_at, False if units_at is None else units_at + 1)
+    form = find_format(head, path, encoding, table.separator, decimal.value, rows)
+    names, units = form.names, form.units
     sample = {
         name: [row[k] for row in body if len(row) > k and row[k] not in _EMPTY][:200]
         for k, name in enumerate(names)
@@ -147,9 +138,9 @@ def _layout(head: str, path: Path, encoding: str) -> TextLayout:
     head_guess = (
         Guess(False, f"the numbers begin in row {above + 1}, and no row above names them: A, B, C{skipped}")
         if header is None
-        else Guess(header + 1, f"the first row above the numbers with {len(cells)} names{skipped}")
+        else Guess(names_at, f"the first row above the numbers with {len(names)} names{skipped}")
         if upper is None
-        else Guess((upper + 1, header + 1), "the names stand over two rows")
+        else Guess(names_at, "the names stand over two rows")
     )
     units_guess = (
         Guess(False, "the numbers begin below the names")
@@ -159,9 +150,7 @@ def _layout(head: str, path: Path, encoding: str) -> TextLayout:
     shown = {"\t": "a tab", " ": "one or more blanks"}.get(table.separator, f"'{table.separator}'")
     separator = Guess(table.separator, f"{shown} splits {table.rows} rows into {table.width} cells each")
     facts = _facts(lines[:above])
-    decimal = _decimal(body, table.separator)
     marked = header is not None and _bare(lines[header]) != lines[header]
-    skip = table.start if header is None else 0
     read_as = Guess(encoding, "")
     return TextLayout(
         read_as, separator, decimal, head_guess, units_guess, names, units, sample, facts, marked, skip

@@ -271,7 +271,7 @@ def _numbers_of(path: Path, sheet: str | None, names: list[str]) -> tuple[dict[s
     if not names:
         return {}, {}
     try:
-        stream = columns_stream(path, tuple(names), sheet)
+        stream = columns_stream(path, tuple(names), sheet=sheet)
         return _collected(stream, tuple(names))[0], dict(stream.units)
     except PigaError:
         if len(names) == 1:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -98,25 +97,20 @@ def try_run_file(draft: RunFileDraft, path: Path) -> Run:
 
 def _without_damage(draft: RunFileDraft, path: Path, error: DataError) -> Run:
     """Read the log without a few damaged rows: words that mark missing values, or a footer. The draft says so."""
-    if "damaged_rows = 'mask'" not in error.remedy:
-        raise error
-    words = re.findall(r"missing = \['([^']*)'\]", error.remedy)
-    for key, value in (*(("data.missing", [word]) for word in words), ("data.damaged_rows", "mask")):
-        before = draft.document["data"].get(key.partition(".")[2])
-        draft.put(
-            key, value, f"{' '.join(error.message.split(': ', 1)[-1].split())[:200]}: left out and counted"
-        )
+    why = f"{' '.join(error.message.split(': ', 1)[-1].split())[:200]}: left out and counted"
+    for fix in error.fixes:
+        if fix.key not in ("missing", "damaged_rows"):
+            continue
+        before = dict(draft.document["data"])
+        draft.put(f"data.{fix.key}", fix.value, why)
         try:
             run = read_run(path, content=draft.text().encode())
         except DataError:
             run = None
         if run is not None and run.quality.rows - run.size <= max(MOST_DAMAGED * run.quality.rows, 2):
             return run
-        draft.comments.pop(key)
-        if before is None:
-            draft.document["data"].pop(key.partition(".")[2])
-        else:
-            draft.document["data"][key.partition(".")[2]] = before
+        draft.comments.pop(f"data.{fix.key}")
+        draft.document["data"] = before
     raise error
 
 

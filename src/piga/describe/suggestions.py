@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import difflib
 import re
-import tomllib
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,12 +18,7 @@ from piga.records.run import Run
 from piga.records.text_files import toml_bytes, toml_document, toml_key, toml_text, toml_value, written_key
 from piga.stand.run_reference import read_run
 
-_FAULT_LINE = re.compile(
-    r"\[(data|model|instrument)\] (\w+ = (?:'[^']*'|\[[^\]]*\]|\d+))(?:,? or (\w+ = '[^']*'))?"
-)
-_MISSING = re.compile(r"no column ((?:'[^']*'(?:, )?)+); the columns are: (.*)", re.DOTALL)
 _STUCK = re.compile(r"column '([^']*)' stays at its (largest|smallest) value (\S+):")
-_STAMP = re.compile(r"time = \{ column = '[^']*', stamp = '[^']*' \}")
 
 
 @dataclass(frozen=True)
@@ -44,7 +38,11 @@ SUGGESTION = SuggestionSettings()
 FORCE_UNITS = ("g", "m/s^2", "mg", "ug")
 ANGLE_UNITS = ("deg", "rad", "arcmin", "arcsec", "rev", "mrad")
 RATE_UNITS = ("deg/s", "rad/s", "deg/h", "rpm", "rev/s")
-_GUESSES = ("cp1252", "gb18030", "big5", "shift_jis", "utf-16-le", "utf-16-be")
+TRIED: dict[str, tuple[Any, ...]] = {
+    "encoding": ("cp1252", "gb18030", "big5", "shift_jis", "utf-16-le", "utf-16-be"),
+    "counter_bits": (16, 24, 32),
+}
+"""Values that are tried for a key whose value an error leaves open."""
 
 
 @dataclass(frozen=True)
@@ -168,35 +166,20 @@ def _changed(document: Document, change: Change) -> dict[str, Any]:
 
 
 def _of_error(error: PigaError, document: Document) -> list[Change]:
-    changes: list[Change] = []
+    """The keys that an error names, with their values or those that are tried; and names of columns that are nearly those."""
     first = error.message.split(": ", 1)[-1][:160]
-    for match in _FAULT_LINE.finditer(error.remedy):
-        for line in match.groups()[1:]:
-            if line and "..." not in line:
-                changes += [(match.group(1), key, value, first) for key, value in _parsed(line)]
-    for match in _STAMP.finditer(error.remedy):
-        changes += [("data", key, value, first) for key, value in _parsed(match.group())]
-    missing = _MISSING.search(error.message)
-    if missing:
-        changes += _of_names(re.findall(r"'([^']*)'", missing.group(1)), missing.group(2).split(", "), document)
-    if "encoding = '...'" in error.remedy:
-        changes += [("data", "encoding", name, first) for name in _GUESSES]
-    changes += [("data", fix.key, fix.value, "one of the sheets") for fix in error.fixes if fix.key == "sheet"]
-    if "the output jumps" in error.message or "it was reset there" in error.message:
-        changes += [
-            ("instrument", "counter_bits", bits, "if the counter wraps at that width") for bits in (16, 24, 32)
-        ]
+    reasons = {"sheet": "one of the sheets", "counter_bits": "if the counter wraps at that width"}
+    changes = [
+        (fix.table, fix.key, value, reasons.get(fix.key, first))
+        for fix in error.fixes
+        for value in (TRIED.get(fix.key, ()) if fix.value is None else (fix.value,))
+    ]
+    if error.columns and error.where is not None:
+        changes += _of_names(error.where.columns, error.columns, document)
     return changes
 
 
-def _parsed(line: str) -> list[tuple[str, Any]]:
-    try:
-        return list(tomllib.loads(line).items())
-    except tomllib.TOMLDecodeError:
-        return []
-
-
-def _of_names(missing: list[str], columns: list[str], document: Document) -> list[Change]:
+def _of_names(missing: Sequence[str], columns: Sequence[str], document: Document) -> list[Change]:
     """Keys of ``[data]`` with a similar name in place of each that is not there, all at once."""
     near = {name: similar for name in missing if (similar := similar_name(name, columns)) is not None}
     data = document.get("data", {})
@@ -254,7 +237,7 @@ def _of_run(run: Run, document: Document) -> list[Change]:
     return changes
 
 
-def similar_name(name: str, columns: list[str]) -> str | None:
+def similar_name(name: str, columns: Sequence[str]) -> str | None:
     """The most probable column: equal apart from character width and case, of the same kind, or nearly equal."""
     plain = {_plain(column): column for column in columns}
     if _plain(name) in plain:

@@ -1,12 +1,12 @@
-"""Columns of a data file in memory, in chunks or whole, and conversion of Arrow arrays to NumPy."""
+"""Columns of a data file, chunk by chunk, and conversion of Arrow arrays to NumPy."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,9 @@ CHUNK_ROWS = 1 << 16
 """Rows per chunk of a Parquet file or a container."""
 MOST_LISTED = 60
 """Most columns that a message lists."""
-
-Label = tuple[NDArray[np.int32], tuple[str, ...]]
-"""Codes (n,) of a segment column, -1 where it is empty, and the names in order of appearance."""
+REMEDIES = ("correct the column name in [data]", "store it as double or integer")
+"""Remedies for a column that is not there, and for one that holds no numbers."""
+_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 
 
 @dataclass(frozen=True)
@@ -42,80 +42,157 @@ class FileChunk:
     rows: NDArray[np.int64]
 
 
-class RecordStream(Protocol):
-    """A data file being read.
+class RecordStream:
+    """A data file being read: base of all readers.
 
-    ``units``: unit of each column for which the file states one. ``label_names``: segment labels so far, in order of
-    appearance. ``chunks()`` gives the rows once. ``events()``, called after the last chunk, gives faults and omissions.
-    """
-
-    units: dict[str, str]
-
-    @property
-    def label_names(self) -> list[str]:
-        """Segment labels so far."""
-        ...
-
-    def chunks(self) -> Iterator[FileChunk]:
-        """The rows in order."""
-        ...
-
-    def events(self) -> list[Event]:
-        """Faults and omissions; complete after the last chunk."""
-        ...
-
-
-@dataclass
-class RawTable:
-    """A file read whole: columns of equal length, in the unit of the file. It is a :class:`RecordStream`.
+    Parameters
+    ----------
+    path:
+        Name of the file in messages.
+    numeric, label:
+        Names of the number columns, and of the segment column.
 
     Attributes
     ----------
-    path:
-        The file.
-    numbers:
-        float64 or int64 values (n,) by column name. A missing value is nan.
-    label:
-        Codes (n,) of the segment column and its names, or None.
-    rows:
-        Number of rows.
     units:
-        Unit of each column for which the file states one.
-    noted:
-        Faults and omissions.
-    row_numbers:
-        1-based file row of each row; None: they are counted from 1.
+        Unit of each number column for which the file states one.
     """
 
-    path: Path
-    numbers: dict[str, NDArray[np.float64] | NDArray[np.int64]]
-    label: Label | None
-    rows: int
-    units: dict[str, str] = field(default_factory=dict)
-    noted: tuple[Event, ...] = ()
-    row_numbers: NDArray[np.int64] | None = None
+    def __init__(self, path: Path, numeric: Iterable[str], label: str | None) -> None:
+        self.path, self.numeric, self.label = path, tuple(dict.fromkeys(numeric)), label
+        self.wanted = list(dict.fromkeys([*self.numeric, *([] if label is None else [label])]))
+        self.units: dict[str, str] = {}
+        self._codes: dict[str, int] = {}
+        self._missing: dict[str, tuple[int, int]] = {}
+        self._first_days: dict[str, int] = {}
 
     @property
     def label_names(self) -> list[str]:
-        """Segment labels in order of appearance."""
-        return [] if self.label is None else list(self.label[1])
+        """Segment labels so far, in order of appearance."""
+        return list(self._codes)
+
+    def take_schema(self, schema: Any, remedies: tuple[str, str] = REMEDIES) -> None:
+        """Take the units of an Arrow schema: those that its fields state, and seconds for times.
+
+        Raises
+        ------
+        DataError
+            If it lacks a wanted column, or a number column has another type.
+        """
+        import pyarrow as pa
+
+        for name in self.wanted:
+            if name not in schema.names:
+                raise no_column(self.path, name, schema.names, remedy=remedies[0])
+            where = Where(self.path, columns=(name,))
+            if schema.names.count(name) > 1:
+                raise DataError(
+                    f"{self.path}: duplicate column name '{name}'", remedy="rename one of them", where=where
+                )
+            kind, metadata = schema.field(name).type, schema.field(name).metadata or {}
+            if name not in self.numeric:
+                continue
+            if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or is_time(kind)):
+                raise DataError(
+                    f"{self.path}: column '{name}' holds {kind}, not numbers", remedy=remedies[1], where=where
+                )
+            unit = "s" if is_time(kind) else metadata.get(b"unit", b"").decode("utf-8", errors="replace")
+            self.units |= {name: unit} if unit else {}
+
+    def chunks(self) -> Iterator[FileChunk]:
+        """The rows in order, once."""
+        raise NotImplementedError
+
+    def events(self) -> list[Event]:
+        """Faults and omissions; complete after the last chunk."""
+        missing = [(name, *self._missing[name]) for name in self.numeric if name in self._missing]
+        return [Event("missing-value", count, first, f"column '{name}'") for name, count, first in missing]
+
+    def chunk(self, batch: Any, rows: NDArray[np.int64]) -> FileChunk:
+        """A record batch of Arrow as a chunk. ``rows`` are the file rows (n,) of its rows. Missing values are counted."""
+        numbers = {}
+        for name in self.numeric:
+            column = batch.column(name)
+            if column.null_count:
+                count, first = self._missing.get(name, (0, int(rows[np.argmax(nulls_of(column))])))
+                self._missing[name] = count + column.null_count, first
+            numbers[name] = self._seconds(name, column) if is_time(column.type) else numbers_of(column)
+        codes = None if self.label is None else self._codes_of(batch.column(self.label))
+        return FileChunk(numbers, codes, rows)
+
+    def _codes_of(self, column: Any) -> NDArray[np.int32]:
+        """Codes of label cells; -1 where a cell is empty. A label has the same code in all chunks."""
+        import pyarrow as pa
+
+        coded = pa.types.is_dictionary(column.type)
+        encoded = column if coded else column.cast(pa.string()).dictionary_encode()
+        indices = encoded.indices.cast(pa.int32())
+        index, words = plain_values(indices, np.int32), encoded.dictionary.cast(pa.string())
+        index[nulls_of(indices)] = len(words)
+        table = np.full(len(words) + 1, -1, dtype=np.int32)
+        first = np.sort(np.unique(index, return_index=True)[1])
+        for place in index[first][index[first] < len(words)].tolist():
+            word = (words[place].as_py() or "").strip()
+            if word:
+                table[place] = self._codes.setdefault(word, len(self._codes))
+        return table[index]
+
+    def _seconds(self, name: str, column: Any) -> NDArray[np.float64]:
+        """Times of an Arrow array in seconds since the midnight before the first one. Null entries are nan."""
+        import pyarrow as pa
+
+        per_second = _PER_SECOND[column.type.unit]
+        ticks = plain_values(column, np.int32 if column.type.bit_width == 32 else np.int64).astype(np.int64)
+        empty = nulls_of(column)
+        if pa.types.is_timestamp(column.type) and not empty.all():
+            day = 86400 * per_second
+            ticks -= self._first_days.setdefault(name, int(ticks[~empty][0] // day)) * day
+        seconds: NDArray[np.float64] = ticks / per_second
+        seconds[empty] = np.nan
+        return seconds
+
+
+class TableStream(RecordStream):
+    """A table in memory. ``table`` is an Arrow table; ``rows`` are its file rows (n,), counted from 1 if None.
+
+    Raises
+    ------
+    DataError
+        If a column is missing or holds no numbers. ``remedies`` says for each of the two what to do.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        table: Any,
+        numeric: Iterable[str],
+        label: str | None,
+        remedies: tuple[str, str] = REMEDIES,
+        rows: NDArray[np.int64] | None = None,
+        noted: Iterable[Event] = (),
+    ) -> None:
+        super().__init__(path, numeric, label)
+        self.take_schema(table.schema, remedies)
+        self.table, self._noted = table, list(noted)
+        self._rows = np.arange(1, 1 + table.num_rows, dtype=np.int64) if rows is None else rows
 
     def chunks(self) -> Iterator[FileChunk]:
         """The rows in order."""
-        for start in range(0, self.rows, CHUNK_ROWS):
-            part = slice(start, min(start + CHUNK_ROWS, self.rows))
-            numbers = {name: column[part].astype(float, copy=False) for name, column in self.numbers.items()}
-            yield FileChunk(numbers, None if self.label is None else self.label[0][part], self.file_rows(part))
+        start = 0
+        for batch in self.table.select(self.wanted).to_batches(max_chunksize=CHUNK_ROWS):
+            yield self.chunk(batch, self._rows[start : start + batch.num_rows])
+            start += batch.num_rows
 
     def events(self) -> list[Event]:
         """Faults and omissions."""
-        return list(self.noted)
+        return self._noted + super().events()
 
-    def file_rows(self, part: slice) -> NDArray[np.int64]:
-        """1-based file rows of some data rows (blank lines are counted, as an editor does)."""
-        if self.row_numbers is not None:
-            return self.row_numbers[part]
-        return np.arange(1 + part.start, 1 + part.stop, dtype=np.int64)
+
+def is_time(kind: Any) -> bool:
+    """True for the Arrow types of time stamps, times of day and durations. They are read as seconds."""
+    import pyarrow as pa
+
+    return bool(pa.types.is_timestamp(kind) or pa.types.is_time(kind) or pa.types.is_duration(kind))
 
 
 def column_letter(index: int) -> str:
@@ -160,71 +237,29 @@ def nulls_of(column: Any) -> NDArray[np.bool_]:
     return bits[column.offset : column.offset + len(column)] == 0
 
 
-@dataclass
-class LabelCodes:
-    """Codes of label cells. A name has the same code in all chunks. New names are appended to ``names``."""
+def number_column(values: NDArray, empty_cells: bool = False) -> Any:
+    """Arrow array that shares the memory of numbers (n,). With ``empty_cells``, nan becomes null."""
+    import pyarrow as pa
 
-    names: list[str]
-    known: dict[str, int] = field(default_factory=dict)
-
-    def of(self, column: Any) -> NDArray[np.int32]:
-        """Codes of an Arrow array; -1 where it is null."""
-        import pyarrow as pa
-
-        coded = pa.types.is_dictionary(column.type)
-        encoded = column if coded else column.cast(pa.string()).dictionary_encode()
-        indices = encoded.indices.cast(pa.int32())
-        index, empty = plain_values(indices, np.int32), nulls_of(indices)
-        index[empty] = len(encoded.dictionary)
-        table = np.full(len(encoded.dictionary) + 1, -1, dtype=np.int32)
-        used, first = np.unique(index[~empty], return_index=True)
-        used = used[np.argsort(first)]
-        words = encoded.dictionary.cast(pa.string())
-        for place in used:
-            word = words[int(place)].as_py()
-            table[place] = -1 if word is None else self.code(word)
-        return table[index]
-
-    def code(self, word: str) -> int:
-        """Code of a label. A new label gets the next code."""
-        if word not in self.known:
-            self.known[word] = len(self.names)
-            self.names.append(word)
-        return self.known[word]
+    held = np.ascontiguousarray(values)
+    known = pa.py_buffer(np.packbits(~np.isnan(held), bitorder="little")) if empty_cells else None
+    return pa.Array.from_buffers(pa.from_numpy_dtype(held.dtype), held.size, [known, pa.py_buffer(held)])
 
 
-@dataclass
-class MissingCount:
-    """Missing values by column: their number and the file row of the first."""
+def text_column(values: Sequence[str]) -> Any:
+    """Arrow array of texts."""
+    import pyarrow as pa
 
-    counts: dict[str, tuple[int, int]] = field(default_factory=dict)
-
-    def see(self, name: str, column: Any, rows: NDArray[np.int64]) -> None:
-        """Count the null entries of an Arrow array, whose entries stand in these file rows."""
-        if column.null_count:
-            count, first = self.counts.get(name, (0, int(rows[np.argmax(nulls_of(column))])))
-            self.counts[name] = count + column.null_count, first
-
-    def events(self, order: tuple[str, ...]) -> list[Event]:
-        """One event for each column with missing values."""
-        counts = [(name, *self.counts[name]) for name in order if name in self.counts]
-        return [Event("missing-value", count, first, f"column '{name}'") for name, count, first in counts]
+    encoded = [value.encode() for value in values]
+    ends = np.cumsum([0, *(len(value) for value in encoded)], dtype=np.int32)
+    return pa.StringArray.from_buffers(len(encoded), pa.py_buffer(ends), pa.py_buffer(b"".join(encoded)))
 
 
-_COLUMN_OF = re.compile(r"^(.*)\(:,\s*(\d+)\)$")
+def label_column(codes: NDArray, labels: Sequence[str]) -> Any:
+    """Arrow array of texts, given by indices (n,) into ``labels``."""
+    import pyarrow as pa
 
-
-def split_name(name: str) -> tuple[str, int | None]:
-    """``f(:,2)`` is column 2 (counted from 1, as MATLAB does) of the matrix ``f``."""
-    match = _COLUMN_OF.match(name)
-    return (match.group(1), int(match.group(2))) if match else (name, None)
-
-
-def matrix_columns(name: str, shape: tuple[int, ...]) -> list[str]:
-    """Names of the columns of an array: its own, or ``f(:,1)`` and so on for a matrix with few columns."""
-    if len(shape) == 2 and 1 < shape[1] <= MOST_LISTED and shape[0] > 1:
-        return [f"{name}(:,{k + 1})" for k in range(shape[1])]
-    return [name]
+    return pa.DictionaryArray.from_arrays(number_column(codes), text_column(labels))
 
 
 def no_column(
@@ -246,6 +281,24 @@ def no_column(
     )
 
 
+# -- whole columns of a container -----------------------------------------------------------------------
+
+_COLUMN_OF = re.compile(r"^(.*)\(:,\s*(\d+)\)$")
+
+
+def split_name(name: str) -> tuple[str, int | None]:
+    """``f(:,2)`` is column 2 (counted from 1, as MATLAB does) of the matrix ``f``."""
+    match = _COLUMN_OF.match(name)
+    return (match.group(1), int(match.group(2))) if match else (name, None)
+
+
+def matrix_columns(name: str, shape: tuple[int, ...]) -> list[str]:
+    """Names of the columns of an array: its own, or ``f(:,1)`` and so on for a matrix with few columns."""
+    if len(shape) == 2 and 1 < shape[1] <= MOST_LISTED and shape[0] > 1:
+        return [f"{name}(:,{k + 1})" for k in range(shape[1])]
+    return [name]
+
+
 def vector(path: Path, name: str, values: NDArray, column: int | None) -> NDArray:
     """One column of an array: the array itself if it is a vector, or column ``column`` of a matrix.
 
@@ -254,54 +307,23 @@ def vector(path: Path, name: str, values: NDArray, column: int | None) -> NDArra
     DataError
         If the array has more than two dimensions, or is a matrix and no column is given.
     """
+    where = Where(path, columns=(name,))
     if values.ndim == 2 and column is not None:
-        if not 1 <= column <= values.shape[1]:
-            raise DataError(
-                f"{path}: column '{name}': the matrix has {values.shape[1]} columns",
-                remedy="columns count from 1",
-                where=Where(path, columns=(name,)),
-            )
-        return values[:, column - 1]
+        if 1 <= column <= values.shape[1]:
+            return values[:, column - 1]
+        raise DataError(
+            f"{path}: column '{name}': the matrix has {values.shape[1]} columns",
+            remedy="columns count from 1",
+            where=where,
+        )
     flat = values.reshape(-1) if values.ndim == 2 and 1 in values.shape else values
     if flat.ndim != 1 or column is not None:
         raise DataError(
             f"{path}: '{name}' has the shape {values.shape}, a column is needed",
             remedy=f"name a column of a matrix as '{split_name(name)[0]}(:,1)'",
-            where=Where(path, columns=(name,)),
+            where=where,
         )
     return flat
-
-
-def as_numbers(path: Path, name: str, values: NDArray) -> NDArray[np.float64] | NDArray[np.int64]:
-    """A number column as float64, or as int64 if it holds integers.
-
-    Raises
-    ------
-    DataError
-        If it holds something else: text, complex numbers, dates, objects.
-    """
-    if values.dtype.kind in "iu":
-        if values.size and (int(values.max()) > 2**63 - 1):
-            raise DataError(
-                f"{path}: column '{name}' holds {values.max()}, more than a signed 64-bit integer can hold",
-                remedy="export the counter as a signed integer",
-                where=Where(path, columns=(name,)),
-            )
-        return values.astype(np.int64, copy=False)
-    if values.dtype.kind == "f" and values.dtype.itemsize <= 8:
-        return values.astype(np.float64, copy=False)
-    raise DataError(
-        f"{path}: column '{name}' holds {values.dtype.name}, not numbers",
-        remedy="store it as double or integer",
-        where=Where(path, columns=(name,)),
-    )
-
-
-def as_label(values: Iterable[object]) -> Label:
-    """Codes and names of a label column. Whole numbers are written without a decimal point. Empty cells have code -1."""
-    coded = LabelCodes([])
-    codes = [-1 if (text := label_text(value)) == "" else coded.code(text) for value in values]
-    return np.array(codes, dtype=np.int32), tuple(coded.names)
 
 
 def label_text(value: object) -> str:
@@ -327,27 +349,46 @@ def make_table(
     label: str | None,
     column: Callable[[str], NDArray],
     units: Mapping[str, str],
-) -> RawTable:
+) -> TableStream:
     """A table of columns of equal length, each read by ``column``. ``label`` names the segment column.
 
     Raises
     ------
     DataError
-        If a number column holds something else, lengths differ, or there are no rows.
+        If a number column holds something else (text, complex numbers, objects), lengths differ, or there are no rows.
     """
-    numbers = {name: as_numbers(path, name, column(name)) for name in dict.fromkeys(numeric)}
-    labels = None if label is None else as_label(column(label).tolist())
-    lengths = {name: int(values.size) for name, values in numbers.items()}
-    if label is not None and labels is not None:
-        lengths[label] = int(labels[0].size)
-    first, rows = next(iter(lengths.items()))
-    for name, length in lengths.items():
-        if length != rows:
+    numeric = list(dict.fromkeys(numeric))
+    read = {name: column(name) for name in numeric}
+    for name, values in read.items():
+        if values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
             raise DataError(
-                f"{path}: column '{name}' has {length} rows, column '{first}' has {rows}",
+                f"{path}: column '{name}' holds {values.dtype.name}, not numbers",
+                remedy="store it as double or integer",
+                where=Where(path, columns=(name,)),
+            )
+    arrays = {
+        name: number_column(values.astype(values.dtype.newbyteorder("="))) for name, values in read.items()
+    }
+    if label is not None and label not in arrays:
+        arrays[label] = text_column([label_text(value) for value in column(label).tolist()])
+    first, rows = next((name, len(values)) for name, values in arrays.items())
+    for name, values in arrays.items():
+        if len(values) != rows:
+            raise DataError(
+                f"{path}: column '{name}' has {len(values)} rows, column '{first}' has {rows}",
                 remedy="export columns that were sampled together",
                 where=Where(path, columns=(name, first)),
             )
     if rows == 0:
         raise DataError(f"{path}: no data row", remedy="check that the logger wrote data")
-    return RawTable(path, numbers, labels, rows, {name: unit for name, unit in units.items() if unit})
+    return TableStream(path, table_of(arrays, units), numeric, label)
+
+
+def table_of(arrays: Mapping[str, Any], units: Mapping[str, str]) -> Any:
+    """Arrow arrays as a table with the unit of each column."""
+    import pyarrow as pa
+
+    fields = [
+        pa.field(name, array.type, metadata={"unit": units.get(name, "")}) for name, array in arrays.items()
+    ]
+    return pa.Table.from_arrays(list(arrays.values()), schema=pa.schema(fields))

@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import EXTRAS, DataError, PigaError, Where
-from piga.formats.columns import RawTable, label_text, make_table, matrix_columns, no_column, split_name, vector
+from piga.formats.columns import (
+    TableStream,
+    label_text,
+    make_table,
+    matrix_columns,
+    no_column,
+    split_name,
+    vector,
+)
 from piga.formats.xlsx import read_xlsx
 from piga.records.limits import check_regular, check_unpacked, extra_missing, first_line, open_regular
 
@@ -32,7 +40,7 @@ UNIT_KEYS = ("unit", "units", "Unit", "Units", "unit_string", "NI_UnitDescriptio
 """Attributes of an HDF5 dataset or a TDMS channel that state its unit."""
 
 
-def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
+def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
     """Read the named datasets.
 
     Parameters
@@ -119,26 +127,21 @@ def _find(source: Any, path: Path, name: str) -> tuple[Any, str | None]:
     import h5py
 
     plain = split_name(name)[0]
-    for separated in (plain, plain.replace(".", "/")):
-        item: Any = source
-        parts = [part for part in separated.split("/") if part]
-        for at, part in enumerate(parts):
-            if isinstance(item, h5py.Dataset):
-                if at == len(parts) - 1 and part in (item.dtype.names or ()):
-                    return item, part
-                break
-            if part not in item:
-                break
-            link = item.get(part, getlink=True)
-            if not isinstance(link, h5py.HardLink):
+    for separated in (plain.strip("/"), plain.replace(".", "/")):
+        parts = separated.split("/")
+        for at in range(len(parts)):
+            link = source.get("/".join(parts[: at + 1]), getlink=True)
+            if link is not None and not isinstance(link, h5py.HardLink):
                 raise DataError(
-                    f"{path}: '{part}' is a link to another place ({type(link).__name__}), which is not followed",
+                    f"{path}: '{parts[at]}' is a link to another place ({type(link).__name__}), which is not followed",
                     remedy="copy the dataset into the file (h5repack or h5copy)",
                 )
-            item = item[part]
-        else:
-            if isinstance(item, h5py.Dataset) and item.dtype.names is None:
-                return item, None
+        for place, field in ((separated, None), ("/".join(parts[:-1]), parts[-1])):
+            item = source.get(place) if place else None
+            if isinstance(item, h5py.Dataset) and (
+                item.dtype.names is None if field is None else field in (item.dtype.names or ())
+            ):
+                return item, field
     raise no_column(path, plain, _dataset_names(source))
 
 
@@ -187,7 +190,7 @@ MAX_STRUCTS = 4
 """Most structs inside each other."""
 
 
-def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
+def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
     """Read the named variables of a MATLAB file.
 
     Parameters
@@ -257,7 +260,7 @@ WAVEFORM_TIME = "waveform time"
 """Name of the time of a waveform: its channels state the interval between samples, and no channel holds the time."""
 
 
-def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
+def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
     """Read the named channels: ``channel`` if only one group has it, else ``group/channel``.
 
     Raises
@@ -314,7 +317,7 @@ def _channel_names(channels: list[Any]) -> list[str]:
 
 
 def _channel(path: Path, channels: list[Any], name: str) -> Any:
-    """The channel of this name. It is not compressed, so it cannot have more values than the file has bytes."""
+    """The channel of this name."""
     matching = [
         channel for channel in channels if name in (channel.name, f"{channel.group_name}/{channel.name}")
     ]
@@ -328,12 +331,7 @@ def _channel(path: Path, channels: list[Any], name: str) -> Any:
             where=Where(path, columns=(name,)),
             columns=groups,
         )
-    declared, size = len(matching[0]), path.stat().st_size
-    if declared > size:
-        raise DataError(
-            f"{path}: '{name}' declares {declared} values, more than its {size} bytes can hold",
-            remedy="the file is damaged: copy it again",
-        )
+    check_unpacked(path, 8 * len(matching[0]), path.stat().st_size)
     return matching[0]
 
 
@@ -344,7 +342,7 @@ class Container(NamedTuple):
     """A kind of file: its name, its reader, and what to do with a damaged file."""
 
     name: str
-    read: Callable[[Path, tuple[str, ...], str | None], RawTable]
+    read: Callable[[Path, tuple[str, ...], str | None], TableStream]
     remedy: str
 
 
@@ -362,7 +360,7 @@ CONTAINERS = {
 
 def read_container(
     path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None
-) -> RawTable:
+) -> TableStream:
     """Read the named columns of a container.
 
     Parameters

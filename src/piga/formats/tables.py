@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, needed
-from piga.formats.columns import CHUNK_ROWS, FileChunk
-from piga.formats.parquet import ArrowStream, arrow_table
+from piga.formats.parquet import arrow_table
 from piga.records.calibration import Calibration
 from piga.records.terms import si_factor
 from piga.results import Column, Tabular
@@ -134,25 +133,6 @@ def correlation(covariance: np.ndarray) -> np.ndarray:
 
 
 # -- in ------------------------------------------------------------------------------------------------
-
-
-class TableStream(ArrowStream):
-    """A table in memory. ``table`` is an Arrow table (:func:`as_arrow`).
-
-    Raises
-    ------
-    DataError
-        If a column is missing or holds no numbers.
-    """
-
-    def __init__(self, table: Any, numeric: list[str], label: str | None) -> None:
-        super().__init__(WHERE, table.schema, numeric, label, REMEDIES)
-        self._table = table
-
-    def chunks(self) -> Iterator[FileChunk]:
-        """The rows in order."""
-        batches = self._table.select(self._wanted).to_batches(max_chunksize=CHUNK_ROWS)
-        yield from self._converted(iter(batches))
 
 
 def stated_units(table: object, arrow: Any) -> dict[str, str]:

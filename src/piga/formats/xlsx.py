@@ -13,7 +13,15 @@ from typing import Any
 import numpy as np
 
 from piga.errors import DataError, Fix, Where
-from piga.formats.columns import RawTable, as_label, column_letter, no_column
+from piga.formats.columns import (
+    TableStream,
+    column_letter,
+    label_text,
+    no_column,
+    number_column,
+    table_of,
+    text_column,
+)
 from piga.formats.text.convention import (
     INFINITE,
     MISSING,
@@ -26,7 +34,7 @@ from piga.formats.text.convention import (
     unit_text,
     units_in_names,
 )
-from piga.formats.text.faults import Faults
+from piga.formats.text.faults import Fault, Faults
 from piga.records.calibration import Event
 from piga.records.limits import check_unpacked, open_regular
 
@@ -36,7 +44,7 @@ _FORMULA = re.compile(rb"<f[ />]")
 _HIDDEN = re.compile(rb"<row\b[^>]*\bhidden=\"(?:1|true)\"")
 
 
-def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: str | None = None) -> RawTable:
+def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: str | None = None) -> TableStream:
     """Read the named columns of a sheet. The names stand in the first row that holds all of them. Dates become seconds.
 
     Parameters
@@ -118,7 +126,7 @@ class _Sheet:
         self.numbers: list[int] = []
         self.first_day: datetime | None = None
 
-    def read(self, rows: Iterator[tuple[Any, ...]]) -> RawTable:
+    def read(self, rows: Iterator[tuple[Any, ...]]) -> TableStream:
         filled = ((at, row) for at, row in enumerate(rows, 1) if any(cell is not None for cell in row))
         head = list(islice(filled, MOST_HEAD))
         if not head:
@@ -191,7 +199,8 @@ class _Sheet:
             return float("nan")
         kind = "text" if isinstance(cell, str) else type(cell).__name__
         where = f"row {number}, column '{name}' ({column_letter(place)})"
-        self.faults.add(number, "not-a-number", f"{where}: '{text[:40]}' is {kind}, not a number", column=name)
+        words = f"{where}: '{text[:40]}' is {kind}, not a number"
+        self.faults.add(number, Fault("not-a-number", words, column=name))
         return float("nan")
 
     def _seconds(self, cell: datetime | time | timedelta) -> float:
@@ -204,7 +213,7 @@ class _Sheet:
             self.first_day = cell.replace(hour=0, minute=0, second=0, microsecond=0)
         return (cell - self.first_day).total_seconds()
 
-    def _table(self, units: dict[str, str]) -> RawTable:
+    def _table(self, units: dict[str, str]) -> TableStream:
         if self.faults.total:
             raise DataError(
                 f"{self.path}: {self.faults.words}",
@@ -213,19 +222,14 @@ class _Sheet:
             )
         if not self.numbers:
             raise DataError(f"{self.path}: a header but no data", remedy="check that the logger wrote data")
-        for name, cells in self.values.items():
-            empty = np.isnan(cells)
-            if empty.any():
-                first = self.numbers[int(np.argmax(empty))]
-                self.events.append(
-                    Event("missing-value", int(np.count_nonzero(empty)), first, f"column '{name}'")
-                )
-        return RawTable(
+        arrays = {name: number_column(np.array(cells), empty_cells=True) for name, cells in self.values.items()}
+        if self.label is not None and self.label not in arrays:
+            arrays[self.label] = text_column([label_text(cell) for cell in self.labels])
+        return TableStream(
             self.path,
-            {name: np.array(cells) for name, cells in self.values.items()},
-            None if self.label is None else as_label(self.labels),
-            len(self.numbers),
-            {name: unit for name, unit in units.items() if name in self.numeric},
-            tuple(self.events),
-            np.array(self.numbers),
+            table_of(arrays, units),
+            self.numeric,
+            self.label,
+            rows=np.array(self.numbers),
+            noted=self.events,
         )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from types import ModuleType
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +20,9 @@ from piga.calibration.model.reduction import Reduction
 from piga.errors import ArgumentError, DataError, IdentifiabilityError
 from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
 from piga.results import Array, Plotted, Reported, Result
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
 
 Convention = Literal["upper", "lower"]
 MULTIPLES = tuple(float(k) for k in range(2, 11))
@@ -107,7 +110,7 @@ class SetCalibration(Result, Plotted, Reported):
         return next(term for term in self.terms if term.key == key)
 
     def force(self, outputs: ArrayLike) -> Array:
-        """Specific force (n, 3) [m/s^2] of outputs (n, accelerometers); of a redundant set the least-squares one."""
+        """Specific force (n, 3) [m/s^2] of outputs (n, accelerometers); of a redundant set the one of least squares in g."""
         return _force(np.asarray(outputs, dtype=float), self.matrix, self.bias)
 
     def _subject(self) -> ModuleType:
@@ -210,52 +213,59 @@ def calibrate_set(
         raise ArgumentError(
             "outputs: (n, 3 or more) finite numbers are needed, one row for each time", remedy="correct them"
         )
-    model = _Model(y.shape[1], convention, gravity)
+    names = names or tuple(f"{k + 1}" for k in range(y.shape[1]))
     activity, half = _activity(t, y, window)
-    best: tuple[float, float, tuple[Spell, ...], Array, Array] | None = None
+    size = np.ptp(y, axis=0) / gravity
+    model, y = _Model(y.shape[1], convention, gravity), y / size
+    best: tuple[float, float, tuple[Spell, ...], Array, OptimizeResult] | None = None
     most = 0
     for multiple in MULTIPLES:
         spells = _spells(t, activity, half, multiple)
         most = max(most, len(spells))
-        if len(spells) * (y.shape[1] - 2) <= model.size:
-            continue
-        at = np.searchsorted(t, [[s.begin, s.end] for s in spells])
-        means = np.array([y[a : b + 1].mean(axis=0) for a, b in at])
-        parameters, square = model.fit(means)
-        rms = math.sqrt(square / (len(spells) * (y.shape[1] - 2) - model.size))
-        if best is None or rms < best[0]:
-            best = rms, multiple, spells, means, parameters
+        freedom = len(spells) * (y.shape[1] - 2) - model.size
+        if freedom > 0:
+            at = np.searchsorted(t, [[s.begin, s.end] for s in spells])
+            means = np.array([y[a : b + 1].mean(axis=0) for a, b in at])
+            fit = model.fit(means)
+            rms = math.sqrt(2.0 * fit.cost / freedom)
+            best = (rms, multiple, spells, means, fit) if best is None or rms < best[0] else best
     if best is None:
         raise DataError(
             f"{most} static spells are found, and {model.size} terms need {model.size // (y.shape[1] - 2) + 1} or more",
             remedy="hold the set still for some seconds in more attitudes, or choose a shorter window",
         )
-    rms, multiple, spells, means, parameters = best
-    keys = model.keys(names or tuple(f"{k + 1}" for k in range(y.shape[1])))
-    rows = model.residuals(parameters, means)
-    jacobian = model.jacobian(parameters, means)
-    _check_spread(_force(means, *model.sensitivities(parameters)) / gravity)
-    correlation, remarks = _told(jacobian.reshape(-1, model.size), keys)
-    u, degrees = _intervals(np.concatenate((-jacobian, rows[:, :, None]), axis=-1), spells, keys)
-    inherited = np.abs(model.by_gravity(parameters)) * gravity_std / gravity
-    std = np.hypot(u, inherited)
-    both = np.stack((u, inherited), axis=-1), np.stack((degrees, np.full(u.size, np.inf)), axis=-1)
-    freedom = welch_satterthwaite(*both)
-    terms = tuple(map(SetTerm, keys, parameters.tolist(), std.tolist(), freedom.tolist(), model.units(unit)))
-    matrix, bias = model.sensitivities(parameters)
-    shown = tuple(replace(one, residual=float(r)) for one, r in zip(spells, rows[:, 0], strict=True))
+    rms, multiple, spells, means, fit = best
+    _check_spread(_force(means, *model.sensitivities(fit.x)) / gravity)
+    keys, units, scale = model.keys(names), np.array(model.units(unit)), model.scale(size)
+    correlation, remarks = _told(fit.jac, keys)
+    rows = fit.fun.reshape(len(spells), -1)
+    parts = np.concatenate((-fit.jac.reshape(*rows.shape, -1), rows[:, :, None]), axis=-1)
+    u, degrees = sandwich(
+        list(parts),
+        [
+            Repetition(Reduction(keys, part), 0, 1.0, f"{one.begin:.6g} s", one.begin, one.end)
+            for part, one in zip(parts, spells, strict=True)
+        ],
+        keys,
+    )
+    values = fit.x * scale
+    inherited = np.where(units == units[model.count], np.abs(values), 0.0) * gravity_std / gravity
+    both = np.stack((u * scale, inherited), axis=-1)
+    std = np.hypot(*both.T)
+    freedoms = welch_satterthwaite(both, np.stack((degrees, np.full(u.size, np.inf)), axis=-1))
+    matrix, bias = model.sensitivities(values)
     return SetCalibration(
         serial=serial,
-        names=names or tuple(f"{k + 1}" for k in range(y.shape[1])),
+        names=names,
         unit=unit,
         convention=convention,
         gravity=gravity,
         gravity_std=gravity_std,
-        terms=terms,
+        terms=tuple(map(SetTerm, keys, values.tolist(), std.tolist(), freedoms.tolist(), units.tolist())),
         covariance=correlation * np.outer(std, std),
         matrix=matrix,
         bias=bias,
-        spells=shown,
+        spells=tuple(replace(one, residual=float(r)) for one, r in zip(spells, rows[:, 0], strict=True)),
         threshold=multiple,
         residual_rms=rms,
         remarks=remarks,
@@ -263,7 +273,8 @@ def calibrate_set(
 
 
 def _force(outputs: Array, matrix: Array, bias: Array) -> Array:
-    return np.asarray((outputs - bias) @ np.linalg.pinv(matrix).T)
+    size = np.linalg.norm(matrix, axis=1)
+    return np.asarray(((outputs - bias) / size) @ np.linalg.pinv(matrix / size[:, None]).T)
 
 
 @dataclass
@@ -300,22 +311,8 @@ class _Model:
         left = (means - bias - force @ matrix.T) / np.linalg.norm(matrix, axis=1)
         return np.column_stack((off, left))
 
-    def jacobian(self, parameters: Array, means: Array) -> Array:
-        """Derivatives of the residuals (spells, rows, parameters), by central differences."""
-        columns = []
-        for step in np.diag(1e-6 * self.scales(parameters)):
-            ahead, back = (self.residuals(parameters + sign * step, means) for sign in (1.0, -1.0))
-            columns.append((ahead - back) / (2.0 * step.max()))
-        return np.stack(columns, axis=-1)
-
-    def scales(self, parameters: Array) -> Array:
-        """Natural size of each parameter: an output of g for biases, the scale factor for sensitivities, 1 for angles."""
-        matrix, _ = self.sensitivities(parameters)
-        norms = np.linalg.norm(matrix, axis=1)
-        return np.concatenate((norms * self.gravity, norms[:3], np.ones(3), np.repeat(norms[3:], 3)))
-
-    def fit(self, means: Array) -> tuple[Array, float]:
-        """Parameters of the least sum of squares, and that sum. It starts at the ellipsoid's box, with all axes orthogonal."""
+    def fit(self, means: Array) -> OptimizeResult:
+        """The least sum of squares. It starts at the ellipsoid's box, with all axes orthogonal."""
         from scipy.optimize import least_squares
 
         low, high = means.min(axis=0), means.max(axis=0)
@@ -328,16 +325,14 @@ class _Model:
             columns = np.column_stack((base, np.ones(len(base))))
             further = np.linalg.lstsq(columns, means[:, 3:], rcond=None)[0]
             start[3:n], start[n + 6 :] = further[3], further[:3].T.ravel()
-        found = least_squares(
+        return least_squares(
             lambda p: self.residuals(p, means).ravel(),
-            start,
-            jac=lambda p: self.jacobian(p, means).reshape(-1, self.size),
-            x_scale=self.scales(start),
-            xtol=1e-14,
-            ftol=1e-14,
-            gtol=1e-14,
-        )
-        return found.x, float(2.0 * found.cost)
+            start, jac="3-point", x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14,
+        )  # fmt: skip
+
+    def scale(self, size: Array) -> Array:
+        """Unit of each parameter, where that of each output is ``size``."""
+        return np.concatenate((size, size[:3], np.ones(3), np.repeat(size[3:], 3)))
 
     def keys(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """Keys of the parameters."""
@@ -350,22 +345,6 @@ class _Model:
         """Units of the parameters."""
         scale = f"{unit}/(m/s^2)"
         return (*[unit] * self.count, *[scale] * 3, *["rad"] * 3, *[scale] * (3 * (self.count - 3)))
-
-    def by_gravity(self, parameters: Array) -> Array:
-        """Change of the parameters by a relative change of gravity: all sensitivities, no bias and no angle."""
-        moved = parameters.copy()
-        moved[: self.count] = 0.0
-        moved[self.count + 3 : self.count + 6] = 0.0
-        return moved
-
-
-def _intervals(parts: Array, spells: tuple[Spell, ...], keys: tuple[str, ...]) -> tuple[Array, Array]:
-    """Standard uncertainties and degrees of freedom by the scatter of the spells."""
-    repetitions = [
-        Repetition(Reduction(keys, part), 0, 1.0, f"{one.begin:.6g} s", one.begin, one.end)
-        for part, one in zip(parts, spells, strict=True)
-    ]
-    return sandwich(list(parts), repetitions, keys)
 
 
 def _check_spread(directions: Array) -> None:

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
-import numpy as np
 
 from piga.errors import RunFileError
 from piga.gravity_norm.estimate import Convention, SetCalibration, calibrate_set
-from piga.reading.columns import read_columns
+from piga.reading.columns import read_series
 from piga.records.run_file import (
     MOST_HEAD_ROWS,
     Columns,
@@ -27,8 +26,6 @@ from piga.records.run_file import (
     in_unit,
 )
 from piga.records.text_files import read_toml, toml_bytes, toml_document
-from piga.results import Array
-from piga.units import conversion_factor, to_si
 
 MARK = "gravity-norm"
 """Value of ``[data] reference`` that makes a run file one of a set."""
@@ -62,10 +59,11 @@ class SetData(TomlTable, frozen=True):
     skip_rows: Annotated[int, msgspec.Meta(ge=0, le=MOST_HEAD_ROWS)] = 0
     header_row: HeadRow | bool | HeadPair | None = None
 
-    def table(self, column: str, reference: tuple[str, str, str]) -> DataTable:
-        """The table of a run file that reads one column as output and three as reference."""
+    def table(self) -> DataTable:
+        """The table of a run file that reads all columns."""
+        columns = Columns(self.outputs.columns, "1")  # type: ignore[arg-type]
         return DataTable(
-            self.file, OutputColumn(column, "counts"), Columns(reference, "1"), self.time, self.sample_rate,
+            self.file, OutputColumn(self.outputs.columns[0], "counts"), columns, self.time, self.sample_rate,
             delimiter=self.delimiter, decimal=self.decimal, skip_rows=self.skip_rows, header_row=self.header_row,
         )  # fmt: skip
 
@@ -107,22 +105,10 @@ def calibrate_set_file(path: str | Path) -> SetCalibration:
     data, outputs = file.data, file.data.outputs
     if (data.time is None) == (data.sample_rate is None):
         raise RunFileError(f"{path}: [data] needs either time or sample_rate", remedy="give one of the two")
-    digests = {path.name: hashlib.sha256(content).hexdigest()}
-    columns: dict[str, Array] = {}
-    for at in range(0, len(outputs.columns), 3):
-        x, y, z = (outputs.columns[min(at + k, len(outputs.columns) - 1)] for k in range(3))
-        raw = read_columns(path.parent, data.table(x, (x, y, z)))
-        columns |= raw.numbers
-        digests |= raw.inputs
-    values = np.column_stack([columns[name] for name in outputs.columns])
-    if data.time is None:
-        t = np.arange(len(values)) / to_si(data.sample_rate or 1.0, "Hz", what="[data] sample_rate")
-    else:
-        t = columns[data.time.column] * (conversion_factor(data.time.unit, "s") if data.time.unit else 1.0)
-    used = np.isfinite(values).all(axis=1) & np.isfinite(t)
+    values, t, digests = read_series(path.parent, data.table(), outputs.columns)
     given, model = file.instrument.in_si("[instrument] "), file.model.in_si("[model] ")
     result = calibrate_set(
-        t[used], values[used], given["gravity"], gravity_std=given["gravity_uncertainty"], window=model["window"],
+        t, values, given["gravity"], gravity_std=given["gravity_uncertainty"], window=model["window"],
         convention=file.model.convention, unit=outputs.unit, names=outputs.columns, serial=file.instrument.serial,
     )  # fmt: skip
-    return replace(result, input_sha256=digests)
+    return replace(result, input_sha256={path.name: hashlib.sha256(content).hexdigest()} | digests)

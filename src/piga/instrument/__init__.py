@@ -1,6 +1,6 @@
 """The PIGA: parameters, exact motion, closed forms, regimes, the servo-loop twin, its readout."""
 
-from piga.instrument.constant_input import closed_form, closed_form_turns, published_closed_form
+from piga.instrument.constant_input import closed_form, closed_form_turns
 from piga.instrument.parameters import ErrorModel, Instrument
 from piga.instrument.regimes import (
     Regime,
@@ -42,7 +42,6 @@ __all__ = [
     "propagate_increments",
     "propagate_rate",
     "propagate_segments",
-    "published_closed_form",
     "regime",
     "revolution_period",
     "sensitivities",

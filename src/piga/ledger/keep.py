@@ -13,11 +13,11 @@ from piga.ledger.store import Draft, DraftFile, Record
 from piga.ledger.store.documents import digest_of
 from piga.ledger.store.store import Store
 from piga.output import check_results
+from piga.reading.columns import stand_files
 from piga.records import Calibration
-from piga.records.calibration.document import DOCUMENT, calibration_from_bytes, calibration_to_bytes
+from piga.records.calibration.document import MOST_BYTES, calibration_from_bytes, calibration_to_bytes
 from piga.records.limits import read_whole
 from piga.records.run_file import read_run_file
-from piga.stand.run_reference import stand_files
 
 if TYPE_CHECKING:
     from piga.ledger.store.documents import Position
@@ -190,7 +190,7 @@ def prepare_results(
     """
     path = results / "calibration.json"
     check_results(results)
-    raw = read_whole(path, DOCUMENT.most_bytes, "a calibration.json", CalibrationError)
+    raw = read_whole(path, MOST_BYTES, "a calibration.json", CalibrationError)
     calibration = calibration_from_bytes(raw, path)
     inputs = input_files(run, calibration.provenance.input_sha256)
     files = [*inputs, DraftFile("calibration", "results/calibration.json", raw)]
@@ -198,7 +198,7 @@ def prepare_results(
         page = read_whole(results / "report.html", _MAX_PAGE, "a report.html", CalibrationError)
         files.append(DraftFile("report", "results/report.html", page))
     check_results(results)
-    if read_whole(path, DOCUMENT.most_bytes, "a calibration.json", CalibrationError) != raw:
+    if read_whole(path, MOST_BYTES, "a calibration.json", CalibrationError) != raw:
         raise CalibrationError(
             f"{path}: changed while the results were read",
             remedy="wait until the other program has written it, then try again",

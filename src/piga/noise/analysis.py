@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -20,7 +20,6 @@ from piga.noise.levels import ALLAN, FEWEST, NoiseLevel, NoiseSpectrum, noise_le
 from piga.records.run import examine_time
 from piga.records.run_file import DataTable
 from piga.results import Array, Plotted, Reported, Result
-from piga.units import conversion_factor, to_si
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -206,6 +205,7 @@ def read_static_log(
         If the file cannot be read.
     """
     from piga.describe import describe_log, draft_run_file
+    from piga.reading.columns import read_series
     from piga.stand import read_run
 
     path = Path(path)
@@ -237,7 +237,7 @@ def read_static_log(
             f"{path}: no column holds the time", remedy="give the rate of the samples: --sample-rate"
         )
     table = msgspec.convert(layout | {"output": {"column": column, "kind": "counts"}}, DataTable)
-    values, t, digests = _columns(path, table)
+    values, t, digests = read_series(path.parent, table, (column,))
     shown = unit or guess.unit or "1"
     return analyse_noise(
         values,
@@ -254,19 +254,3 @@ _LAYOUT = (
     "missing",
 )  # fmt: skip
 """Keys of a drafted run file that say how the log is read."""
-
-
-def _columns(path: Path, table: DataTable) -> tuple[Array, Array, dict[str, str]]:
-    """Output and time [s] of the rows that have both, and the digests of the file."""
-    from piga.reading.columns import read_columns
-
-    raw = read_columns(path.parent, table)
-    values = raw.numbers[table.output.column]
-    if table.time is None:
-        t: Any = np.arange(values.size) / to_si(table.sample_rate or 1.0, "Hz", what="sample_rate")
-    else:
-        t = raw.numbers[table.time.column] * (
-            conversion_factor(table.time.unit, "s") if table.time.unit else 1.0
-        )
-    used = np.isfinite(values) & np.isfinite(t)
-    return values[used], t[used], raw.inputs

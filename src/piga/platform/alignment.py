@@ -17,8 +17,8 @@ from piga.platform.geometry import geodetic_to_earth, local_axes, specific_force
 from piga.platform.identify import by_source, solve_with_noise
 from piga.platform.navigator import Knowledge, Start, site_start
 from piga.platform.observation import (
+    Reduced,
     Tip,
-    UnknownGroup,
     Unknowns,
     coarse_unknowns,
     force_rows,
@@ -128,7 +128,7 @@ def align(
     )
     for k in range(iterations):
         report(progress, k, iterations, f"step {k + 1} of {iterations}")
-        parts = [group.reduced() for group in _groups(x, readouts, force)]
+        parts = _groups(x, readouts, force)
         solution = solve_with_noise(parts, UNKNOWNS)
         x = _moved(x, solution.step)
     to_level = local_axes(place.latitude, place.longitude).T
@@ -145,13 +145,13 @@ def align(
     )
 
 
-def _groups(x: Unknowns, readouts: Readouts, force: Array) -> list[UnknownGroup]:
+def _groups(x: Unknowns, readouts: Readouts, force: Array) -> list[Reduced]:
     slow = len(names(len(x.polar.cosines))) - 8
     angle, by_angle = gimbal_rows(x, readouts)
     felt, by_force = force_rows(x, readouts, force)
     return [
-        UnknownGroup("gimbals", angle.ravel(), _with_third(by_angle[:, :, slow:], x)),
-        UnknownGroup("force", felt.ravel(), np.pad(by_force[:, :, slow:].reshape(-1, 8), ((0, 0), (0, 1)))),
+        Reduced.of("gimbals", angle.ravel(), _with_third(by_angle[:, :, slow:], x)),
+        Reduced.of("force", felt.ravel(), np.pad(by_force[:, :, slow:].reshape(-1, 8), ((0, 0), (0, 1)))),
     ]
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from piga import earth
 from piga.platform.geometry import gravity, misalignment
-from piga.platform.navigator import CaseCompensator, Errors, Knowledge
-from piga.platform.scenario import Gyro, PlatformScenario
+from piga.platform.navigator import Errors, Knowledge
+from piga.platform.scenario import Gyro, Model, PlatformScenario
 from piga.results import Array, Result
 from piga.units import DAY
 
@@ -198,7 +198,7 @@ def daily_lines(errors: Errors, rates: float | tuple[float, ...], latitude: floa
 
 
 def theory_lines(
-    scenario: PlatformScenario, compensator: CaseCompensator, known: Knowledge, days: list[slice], times: Array
+    scenario: PlatformScenario, model: Model, known: Knowledge, days: list[slice], times: Array
 ) -> Lines:
     """Closed-form line amplitudes of a base that stays at its place, day by day (redundancy angle at mid-day) [He2014].
 
@@ -212,7 +212,7 @@ def theory_lines(
     """
     rates = case_rates(scenario)
     middles = [0.5 * float(times[d.start] + times[d.stop - 1]) for d in days]
-    left = np.array([_left_about_pole(scenario, compensator, known, middle, rates) for middle in middles])
+    left = np.array([_left_about_pole(scenario, model, known, middle, rates) for middle in middles])
     lines = [_channels_of_turn(scenario, left[:, k], rate) for k, rate in enumerate(rates)]
     nothing = np.full(len(days), np.nan)
     return Lines(np.arange(1, len(days) + 1), lines[0], nothing, lines[1] if len(lines) > 1 else {})
@@ -236,11 +236,7 @@ def _channels_of_turn(scenario: PlatformScenario, turn: Array, rate: float) -> d
 
 
 def _left_about_pole(
-    scenario: PlatformScenario,
-    compensator: CaseCompensator,
-    known: Knowledge,
-    time: float,
-    rates: tuple[float, ...],
+    scenario: PlatformScenario, model: Model, known: Knowledge, time: float, rates: tuple[float, ...]
 ) -> list[float]:
     """Amplitudes [rad] at the case ``rates`` [rad/s] of the z angle that the model leaves at ``time``."""
     drift = scenario.equatorial.drift[0] - scenario.polar.drift[1]
@@ -250,11 +246,11 @@ def _left_about_pole(
         _about_pole(scenario.polar, Gyro(), angle, eta),
         _about_pole(Gyro(), scenario.equatorial, angle, eta),
     ]
-    if compensator.model != "none":
+    if model != "none":
         polar, equatorial = known.polar, known.equatorial
-        if compensator.model != "C":
+        if model != "C":
             polar, equatorial = (Gyro(g.misalignment, g.phase) for g in (polar, equatorial))
-        held = known.eta0 if compensator.model == "A" else eta
+        held = known.eta0 if model == "A" else eta
         left[0] = left[0] - _about_pole(polar, Gyro(), angle, held)
         left[1] = left[1] - _about_pole(Gyro(), equatorial, angle, held)
     orders = [np.fft.fft(part) / 128.0 for part in left]

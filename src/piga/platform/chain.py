@@ -83,18 +83,16 @@ NAVIGATION_COLUMNS = 19
 def navigation_table(run: ModelRun) -> pa.Table:
     """Output of the navigator, and its errors."""
     t, e = run.navigation.table, run.errors
-    names = ("latitude", "longitude", "height", "v_north", "v_east", "v_down", "roll", "pitch", "heading")
-    units = ("rad", "rad", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad")
-    columns = {"t": (run.navigation.times, "s")}
-    columns |= {name: (t[:, k], unit) for k, (name, unit) in enumerate(zip(names, units, strict=True))}
-    columns |= {"error_north": (e.north, "m"), "error_east": (e.east, "m"), "error_up": (e.up, "m")}
-    columns |= {
-        f"error_v_{name}": (e.velocity[:, k], "m/s") for k, name in enumerate(("north", "east", "down"))
-    }
-    columns |= {
-        f"error_{name}": (e.attitude[:, k], "rad") for k, name in enumerate(("roll", "pitch", "heading"))
-    }
-    return number_table(columns)
+    return number_table(
+        ("t", "s", run.navigation.times),
+        ("latitude longitude", "rad", t[:, :2]),
+        ("height", "m", t[:, 2]),
+        ("v_north v_east v_down", "m/s", t[:, 3:6]),
+        ("roll pitch heading", "rad", t[:, 6:]),
+        ("error_north error_east error_up", "m", np.stack([e.north, e.east, e.up], axis=1)),
+        ("error_v_north error_v_east error_v_down", "m/s", e.velocity),
+        ("error_roll error_pitch error_heading", "rad", e.attitude),
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -187,7 +185,7 @@ def run_model(run: PlatformRun, preparation: Preparation, model: Model, *, every
     lines = daily_lines(error, case_rates(s), s.place.latitude)
     theory = None
     if has_theory(s):
-        theory = theory_lines(s, made, preparation.knowledge, day_slices(error.times), error.times)
+        theory = theory_lines(s, model, preparation.knowledge, day_slices(error.times), error.times)
     return ModelRun(made, navigation, error, lines, theory)
 
 
@@ -418,7 +416,7 @@ def _line_rows(scenario: PlatformScenario, source: str) -> Iterator[LineRow]:
     shown = navigate(run.readouts, made, true_start(run.truth), damping_time=scenario.damping_time, every=every)
     error, rates = errors(shown, run.truth, run.readouts), case_rates(scenario)
     full = daily_lines(error, rates, scenario.place.latitude)
-    theory = theory_lines(scenario, made, known, day_slices(error.times), error.times)
+    theory = theory_lines(scenario, "none", known, day_slices(error.times), error.times)
     pairs = ((theory.amplitude, full.amplitude), (theory.equatorial, full.equatorial))
     for rate, (expected, seen) in zip(rates, pairs, strict=False):
         if max(expected["heading"]) > 0.0:

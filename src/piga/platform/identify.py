@@ -308,7 +308,7 @@ def gauss_newton(
     x = coarse_unknowns(record.readouts, force, record.orders)
     for k in range(max(iterations, 1)):
         report(progress, k, iterations, f"step {k + 1} of at most {iterations}")
-        parts = [group.reduced() for group in record.groups(x)]
+        parts = record.groups(x)
         solution = solve_with_noise(parts, record.names)
         x = record.moved(x, solution.step)
         if np.all(np.abs(solution.step) < _SETTLED * np.sqrt(np.diag(solution.covariance))):

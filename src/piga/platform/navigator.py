@@ -25,7 +25,6 @@ from scipy.linalg import expm, matrix_balance
 from piga import earth
 from piga._kernels.platform.motion import follow
 from piga._kernels.platform.navigation import (
-    Correction,
     States,
     Stepping,
     Triad,
@@ -36,11 +35,11 @@ from piga.errors import ArgumentError
 from piga.frames import rotation_vector_to_matrix, skew
 from piga.platform.geometry import (
     KERNEL_EARTH,
-    encoder_harmonics,
     geodetic_to_earth,
     gravitation,
     gravitation_gradient,
     local_axes,
+    small_angles,
     specific_force_at_rest,
     wrapped,
 )
@@ -71,28 +70,16 @@ def true_knowledge(scenario: PlatformScenario) -> Knowledge:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CaseCompensator(Result):
-    """One model prepared for the navigator: kernel constants, redundancy angle per node (n + 1,) or (1,)."""
+    """One model over a run: small angles [rad] of the platform against the triad, redundancy angle ``eta`` [rad].
+
+    ``nodes`` (n + 1, 3) at the times of the readouts, ``middles`` (n, 3) in the middle of each step, or (1, 3) if all
+    are zero; ``eta`` (n + 1,) or (1,).
+    """
 
     model: Model
-    tips: Array
-    harmonics: tuple[Array, Array, Array, Array]
+    nodes: Array
+    middles: Array
     eta: Array
-
-    def tangent_secant(self) -> tuple[Array, Array]:
-        """tan(eta) and sec(eta) at the nodes."""
-        tangent = np.tan(self.eta)
-        return tangent, np.sqrt(1.0 + tangent * tangent)
-
-
-def modelled_angles(made: CaseCompensator, readouts: Readouts) -> Array:
-    """Small angles e (n + 1, 3) [rad] of the platform against the triad at the nodes, as the model has them."""
-    (c1, s1), (c2, s2) = (case.T for case in readouts.case_nodes)
-    m1, m2 = _misalignments(made.tips, made.harmonics, readouts)
-    tangent, secant = made.tangent_secant()
-    ex = m1 * (c1 * made.tips[0] - s1 * made.tips[1])
-    ey = m1 * (s1 * made.tips[0] + c1 * made.tips[1])
-    ez = m2 * (s2 * made.tips[2] + c2 * made.tips[3]) * secant - ex * tangent
-    return np.stack([ex, ey, ez], axis=1)
 
 
 def compensator(
@@ -112,62 +99,39 @@ def compensator(
     redundancy:
         Source of the redundancy angle for B and C: ``pick-off`` or ``drift-model`` (``eta0 + rate t``).
     """
-    nothing = np.zeros(0)
     if model == "none":
-        return CaseCompensator(model, np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0]), (nothing,) * 4, np.zeros(1))
+        return CaseCompensator(model, np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1))
     p, e = known.polar, known.equatorial
-    tips = np.array(
-        [np.cos(p.phase), np.sin(p.phase), np.cos(e.phase), np.sin(e.phase), p.misalignment, e.misalignment]
-    )
-    orders = max((h.order for h in (*p.harmonics, *e.harmonics)), default=0) if model == "C" else 0
-    harmonics = (*encoder_harmonics(p, orders), *encoder_harmonics(e, orders))
+    if model != "C":
+        p, e = (Gyro(gyro.misalignment, gyro.phase) for gyro in (p, e))
+    c1, c2 = readouts.encoder1 + p.phase, readouts.encoder2 + e.phase
     if model == "A":
         eta = np.array([known.eta0])
     elif redundancy == "drift-model":
         eta = known.eta0 + known.eta_rate * readouts.times
     else:
-        eta = follow_redundancy(readouts, tips, harmonics, known)
-    return CaseCompensator(model, tips, harmonics, eta)
+        eta = follow_redundancy(readouts, small_angles(p, e, c1, c2, 0.0)[1], known)
+    nodes, _ = small_angles(p, e, c1, c2, eta)
+    middles, _ = small_angles(p, e, _between(c1), _between(c2), _between(eta))
+    return CaseCompensator(model, nodes, middles, eta)
 
 
-def follow_redundancy(
-    readouts: Readouts, tips: Array, harmonics: tuple[Array, Array, Array, Array], known: Knowledge
-) -> Array:
-    """Redundancy angle (n + 1,) [rad] from the pick-off minus ``m2 cos c2 - m1 sin c1``, smoothed without lag.
+def follow_redundancy(readouts: Readouts, expected: Array, known: Knowledge) -> Array:
+    """Redundancy angle (n + 1,) [rad] from the pick-off minus ``expected = m2 cos c2 - m1 sin c1``, smoothed without lag.
 
     The filter is a critically damped second-order tracker. Its time constant is four case turns (eight minutes
     if the cases rest), so errors of the model at the case-rotation period are averaged out.
     """
-    (c1, s1), (c2, s2) = (case.T for case in readouts.case_nodes)
-    m1, m2 = _misalignments(tips, harmonics, readouts)
-    expected = m2 * (c2 * tips[2] - s2 * tips[3]) - m1 * (s1 * tips[0] + c1 * tips[1])
-    turned = abs(readouts.encoder1[min(len(c1) - 1, 64)] - readouts.encoder1[0]) / (
-        min(len(c1) - 1, 64) * readouts.step
-    )
+    last = min(len(expected) - 1, 64)
+    turned = abs(readouts.encoder1[last] - readouts.encoder1[0]) / (last * readouts.step)
     constant = 4.0 * 2.0 * np.pi / turned if turned > 0.0 else 480.0
     decay = np.exp(-readouts.step / constant)
-    eta = np.empty(len(c1))
+    eta = np.empty(len(expected))
     follow(
         readouts.pickoff, expected, known.eta0, known.eta_rate, readouts.step,
         1.0 - decay * decay, (1.0 - decay) ** 2 / readouts.step, eta,
     )  # fmt: skip
     return eta
-
-
-def _misalignments(
-    tips: Array, harmonics: tuple[Array, Array, Array, Array], readouts: Readouts
-) -> tuple[Array, Array]:
-    """Misalignments [rad] of both gyros at the nodes (n + 1,), as a model has them."""
-    (c1, s1), (c2, s2) = (case.T for case in readouts.case_nodes)
-    return tips[4] + _series(*harmonics[:2], c1, s1), tips[5] + _series(*harmonics[2:], c2, s2)
-
-
-def _series(cosines: Array, sines: Array, c: Array, s: Array) -> Array:
-    total, ck, sk = np.zeros_like(c), np.ones_like(c), np.zeros_like(c)
-    for a, b in zip(cosines, sines, strict=True):
-        ck, sk = ck * c - sk * s, sk * c + ck * s
-        total += a * ck + b * sk
-    return total
 
 
 _SCHULER2 = earth.GM / earth.SEMI_MAJOR_AXIS**3
@@ -194,34 +158,22 @@ class Navigator:
     unless a drift is compensated (then to its second order, below 1e-10 rad).
     """
 
-    def __init__(
-        self, compensator: CaseCompensator, start: Start, step: float, damping_time: float = 100.0
-    ) -> None:
+    def __init__(self, start: Start, step: float, damping_time: float = 100.0) -> None:
         if step <= 0.0:
             raise ArgumentError(
                 f"step = {step!r} s must be positive", remedy="give the step of the increments, e.g. 1.0"
             )
-        self.compensator, self.step = compensator, step
-        self.drift, self.triad = np.array(start.drift), np.array(start.triad)
+        self.step, self.drift, self.triad = step, np.array(start.drift), np.array(start.triad)
         self.damping = damping_gains(damping_time)
         self.state = np.zeros((9, 3))
         self.state[0], self.state[1] = start.position, start.velocity
         self.steps = 0
 
-    def push(
-        self,
-        increments: Array,
-        case1: Array,
-        case2: Array,
-        tangent: Array,
-        secant: Array,
-        altitude: Array,
-        every: int = 1,
-    ) -> tuple[Array, Array]:
+    def push(self, increments: Array, angles: Array, altitude: Array, every: int = 1) -> tuple[Array, Array]:
         """Advance over ``increments`` (n, 3) [m/s].
 
-        ``case1, case2`` (n, 2): cosine and sine of the case encoders at mid-step; ``tangent, secant`` of
-        the redundancy angle (n,) or (1,); ``altitude`` (n,) or (1,) [m] at the ends of the steps.
+        ``angles`` (n, 3) or (1, 3): small angles [rad] of the platform against the triad at mid-step, as
+        ``CaseCompensator.middles``; ``altitude`` (n,) or (1,) [m] at the ends of the steps.
         Returns position [m] and velocity [m/s] after every ``every``-th step; n must be a multiple of it.
         """
         n = len(increments)
@@ -239,12 +191,8 @@ class Navigator:
         for at in range(0, n, max(block, 1)):
             part = slice(at, min(at + block, n))
             rows = slice(at // every, part.stop // every)
-            known = Correction(
-                case1[part], case2[part], _cut(tangent, part), _cut(secant, part),
-                self.compensator.tips, *self.compensator.harmonics,
-            )  # fmt: skip
             navigate_chunk(
-                increments[part], known, Triad(self._triad_now(), self.drift), _cut(altitude, part),
+                increments[part], _cut(angles, part), Triad(self._triad_now(), self.drift), _cut(altitude, part),
                 stepping, self.state, positions[rows], velocities[rows],
             )  # fmt: skip
             self.steps += part.stop - part.start
@@ -320,28 +268,17 @@ def navigate(readouts: Readouts, compensator: CaseCompensator, start: Start, *, 
     """
     n = len(readouts.increments) // every * every
     node, middle = slice(every, n + 1, every), slice(0, n)
-    navigator = Navigator(compensator, start, readouts.step, damping_time)
-    tangent, secant = compensator.tangent_secant()
-    mid_tangent, mid_secant = _cut(_between(tangent), middle), _cut(_between(secant), middle)
-    altitude = readouts.altitude[1:][middle] if len(readouts.altitude) > 1 else readouts.altitude
-    z1, z2 = readouts.case_middles
-    case1, case2 = readouts.case_nodes
-    increments = readouts.increments
-    if readouts.turn_sensitivity > 0.0:
-        increments = (
-            increments + np.diff(modelled_angles(compensator, readouts), axis=0) * readouts.turn_sensitivity
-        )
-    position, velocity = navigator.push(
-        increments[middle], z1[middle], z2[middle], mid_tangent, mid_secant, altitude, every
+    increments, angles = readouts.increments, compensator.nodes
+    if readouts.turn_sensitivity > 0.0 and len(angles) > 1:
+        increments = increments + np.diff(angles, axis=0) * readouts.turn_sensitivity
+    altitude = readouts.altitude[1:] if len(readouts.altitude) > 1 else readouts.altitude
+    position, velocity = Navigator(start, readouts.step, damping_time).push(
+        increments[middle], _cut(compensator.middles, middle), _cut(altitude, middle), every
     )
     times = readouts.times[node]
     table = np.empty((len(times), 9))
-    known = Correction(
-        case1[node], case2[node], _cut(tangent, node), _cut(secant, node),
-        compensator.tips, *compensator.harmonics,
-    )  # fmt: skip
     local_level(
-        States(position, velocity, readouts.gimbals[node], times), known, Triad(start.triad, start.drift),
+        States(position, velocity, readouts.gimbals[node], times), _cut(angles, node), Triad(start.triad, start.drift),
         earth.EARTH_RATE, earth.SEMI_MAJOR_AXIS, earth.ECCENTRICITY_SQUARED, table,
     )  # fmt: skip
     return Navigation(compensator.model, times, table, position, velocity)

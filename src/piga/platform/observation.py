@@ -15,7 +15,7 @@ spline with one knot per turn. Its fast part is removed by a window of a fifth o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -26,10 +26,16 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from piga import earth
-from piga._kernels.platform.motion import Misalignment
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
-from piga.platform.geometry import encoder_harmonics, exact_attitude, gimbal_attitude, turns_to_gimbals, wrapped
+from piga.platform.geometry import (
+    encoder_harmonics,
+    exact_attitude,
+    gimbal_attitude,
+    over_case_angle,
+    turns_to_gimbals,
+    wrapped,
+)
 from piga.platform.scenario import Gyro, Harmonic
 from piga.platform.simulate import Readouts
 from piga.results import Array, Result
@@ -72,15 +78,6 @@ class Tip:
             phase = np.arctan2(-b, a) - k * self.phase
             harmonics.append(Harmonic(k, float(np.hypot(a, b)), float(np.remainder(phase, 2.0 * np.pi))))
         return Gyro(float(np.hypot(self.u, self.v)), self.phase, tuple(harmonics))
-
-    def over_case_angle(self) -> Misalignment:
-        """The misalignment over the case angle ``c = theta + phase``, in the form for the kernels."""
-        k = np.arange(1, len(self.cosines) + 1) * self.phase
-        return Misalignment(
-            float(np.hypot(self.u, self.v)),
-            self.cosines * np.cos(k) - self.sines * np.sin(k),
-            self.cosines * np.sin(k) + self.sines * np.cos(k),
-        )
 
     def series(self, encoder: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """``m(c) exp(i c)`` (n,) and its derivatives by the unknowns (n, 2 + 2K)."""
@@ -156,7 +153,7 @@ def misalignment_regressors(x: Unknowns, times: Array, encoder1: Array, encoder2
 
 def exact_platform(x: Unknowns, times: Array, encoder1: Array, encoder2: Array) -> tuple[Array, Array]:
     """Exact ``C_G^P`` (n, 3, 3) and pick-off (n,) for the unknowns."""
-    polar, equatorial = x.polar.over_case_angle(), x.equatorial.over_case_angle()
+    polar, equatorial = over_case_angle(x.polar.gyro()), over_case_angle(x.equatorial.gyro())
     c1, c2 = encoder1 + x.polar.phase, encoder2 + x.equatorial.phase
     return exact_attitude(polar, c1, equatorial, c2, x.eta0 + x.eta_rate * times)
 
@@ -405,31 +402,21 @@ def _knots(pieces: int) -> Array:
 
 
 @dataclass(frozen=True)
-class UnknownGroup:
-    """Rows of one kind with one noise level: ``residual`` (n,), ``regressors`` (n, p).
-
-    ``rows`` is the number of independent rows. It is less than n if a trend was removed from them; 0 means n.
-    """
-
-    name: str
-    residual: Array
-    regressors: Array
-    rows: float = 0.0
-
-    def reduced(self) -> Reduced:
-        """Triangular factor (p + 1, p + 1) of ``[regressors | residual]``. An estimate needs nothing else."""
-        table = np.column_stack([self.regressors, self.residual])
-        factor: Array = np.linalg.qr(table, mode="r")  # type: ignore[assignment]
-        return Reduced(self.name, factor, self.rows or float(len(self.residual)))
-
-
-@dataclass(frozen=True)
 class Reduced:
-    """A group reduced to its triangular ``factor`` (p + 1, p + 1) and the number of independent rows."""
+    """Rows of one kind with one noise level: their triangular ``factor`` (p + 1, p + 1), number of independent rows.
+
+    An estimate needs nothing else.
+    """
 
     name: str
     factor: Array
     rows: float
+
+    @classmethod
+    def of(cls, name: str, residual: Array, regressors: Array, rows: float | None = None) -> Reduced:
+        """From a residual (n,) and regressors (n, p); ``rows`` is less than n if a trend was removed from them."""
+        factor: Array = np.linalg.qr(np.column_stack([regressors, residual]), mode="r")  # type: ignore[assignment]
+        return cls(name, factor, float(len(residual)) if rows is None else rows)
 
     def squares(self, step: Array) -> float:
         """Sum of squares of the residuals after ``step`` (p,)."""
@@ -520,27 +507,23 @@ class ObservedRecord:
         rate, start = np.polyfit(r.times, r.pickoff - ring, 1)
         return replace(x, eta0=x.eta0 + float(start), eta_rate=x.eta_rate + float(rate))
 
-    def groups(self, x: Unknowns) -> list[UnknownGroup]:
+    def groups(self, x: Unknowns) -> list[Reduced]:
         """Rows of every source about ``x``. The rows of the force exclude what a slow force can explain."""
-        groups = []
+        r, groups = self.readouts, []
+        if "gimbals" in self.sources:
+            residual, regressors = gimbal_rows(x, r)
+            groups.append(Reduced.of("gimbals", residual.ravel(), self._cut(regressors)))
+        if "pick-off" in self.sources:
+            _, ring = exact_platform(x, r.times, r.encoder1, r.encoder2)
+            _, pick = misalignment_regressors(x, r.times, r.encoder1, r.encoder2)
+            groups.append(Reduced.of("pick-off", r.pickoff - ring, self._cut(pick)))
         if self.stretches:
             parts = [(s, *s.rows(x)) for s in self.stretches]
             residual = np.concatenate([s.without_slow(r).ravel() for s, r, _ in parts])
             columns = np.concatenate([self._cut(s.without_slow(c)) for s, _, c in parts])
             rows = 3.0 * sum(len(s.times) - s.slow.shape[1] for s in self.stretches)
-            groups.append(UnknownGroup("force", residual, columns, rows))
-        return [*self._angles(x), *groups]
-
-    def _angles(self, x: Unknowns) -> Iterator[UnknownGroup]:
-        """Rows of the gimbal angles and of the pick-off."""
-        r = self.readouts
-        if "gimbals" in self.sources:
-            residual, regressors = gimbal_rows(x, r)
-            yield UnknownGroup("gimbals", residual.ravel(), self._cut(regressors))
-        if "pick-off" in self.sources:
-            _, ring = exact_platform(x, r.times, r.encoder1, r.encoder2)
-            _, pick = misalignment_regressors(x, r.times, r.encoder1, r.encoder2)
-            yield UnknownGroup("pick-off", r.pickoff - ring, self._cut(pick))
+            groups.append(Reduced.of("force", residual, columns, rows))
+        return groups
 
     def _cut(self, columns: Array) -> Array:
         """Columns (n, p) of the observable unknowns; zero if the source does not contain them."""

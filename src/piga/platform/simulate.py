@@ -5,9 +5,7 @@ The base is at rest, turns, sways or follows a track. The platform may carry thr
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +15,7 @@ from numpy.typing import NDArray
 from piga import doors, earth
 from piga._kernels.platform.motion import Base, Gyros, TrueRows, simulate_platform, solve_triad
 from piga.errors import ArgumentError, DataError
-from piga.formats.parquet import number_column
+from piga.formats.columns import number_column
 from piga.frames import rotation_vector_to_matrix
 from piga.instrument import Instrument, propagate
 from piga.platform.geometry import (
@@ -30,7 +28,6 @@ from piga.platform.geometry import (
     specific_force_at_rest,
 )
 from piga.platform.scenario import MotionPlan, Oscillation, PigaSensors, Place, PlatformScenario, Sensors
-from piga.records.limits import read_whole
 from piga.results import Array, Plotted, Result
 
 if TYPE_CHECKING:
@@ -38,17 +35,10 @@ if TYPE_CHECKING:
 
     from piga.reports.render.figure import Figure
 
-MAX_TRACK = 256 << 20
-"""Largest file of a track [bytes]: some three million rows."""
-_TRACK_COLUMNS = {
-    "time": ("time_s", "t_s"),
-    "latitude": ("latitude_deg", "lat_deg"),
-    "longitude": ("longitude_deg", "lon_deg"),
-    "height": ("height_m", "h_m"),
-    "roll": ("roll_deg",),
-    "pitch": ("pitch_deg",),
-    "heading": ("heading_deg",),
-}
+TRACK_COLUMNS = (
+    "time_s", "latitude_deg", "longitude_deg", "height_m", "roll_deg", "pitch_deg", "heading_deg",
+)  # fmt: skip
+"""Columns of the file of a track."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -141,67 +131,49 @@ def _track(plan: MotionPlan, scenario: PlatformScenario) -> BaseMotion:
     from scipy.interpolate import CubicSpline
 
     assert plan.file is not None  # noqa: S101 - the reader of the scenario saw to it
-    table = _read_track(plan.file)
+    time, place, angles = _read_track(plan.file)
     half = np.arange(2 * scenario.steps + 1) * (0.5 * scenario.step)
-    if table["time"][0] > 0.0 or table["time"][-1] < half[-1]:
+    if time[0] > 0.0 or time[-1] < half[-1]:
         raise DataError(
-            f"{plan.file}: the track covers {table['time'][0]:g} s to {table['time'][-1]:g} s, the "
-            f"run needs 0 to {half[-1]:g} s",
-            remedy="shorten [run] duration or lengthen the track",
+            f"{plan.file}: the track covers {time[0]:g} s to {time[-1]:g} s, the run needs 0 to {half[-1]:g} s",
+            remedy="shorten [run] duration or lengthen the track; its last row needs a line end",
         )
-    earth_fixed = geodetic_to_earth(table["latitude"], np.unwrap(table["longitude"]), table["height"])
-    path = CubicSpline(table["time"], earth_fixed)
+    path = CubicSpline(time, geodetic_to_earth(*place.T))
     place, force, velocity = _felt(path(half), path(half, 1), path(half, 2))
-    angles = np.stack([np.unwrap(table[k]) for k in ("roll", "pitch", "heading")], axis=1)
-    return BaseMotion(
-        force, np.ascontiguousarray(CubicSpline(table["time"], angles)(half[::2])), place, velocity
-    )
+    return BaseMotion(force, np.ascontiguousarray(CubicSpline(time, angles)(half[::2])), place, velocity)
 
 
-def _read_track(path: Path) -> dict[str, Array]:
+def _read_track(path: Path) -> tuple[Array, Array, Array]:
+    """Time (n,) [s], latitude, longitude [rad] and height [m] (n, 3), roll, pitch and heading (n, 3) [rad]."""
+    from piga.formats.text.reader import TextStream
+
     try:
-        text = read_whole(path, MAX_TRACK, "the file of the track").decode("utf-8-sig")
-        rows = [row for row in csv.reader(text.splitlines()) if row]
-    except (DataError, UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"[motion] file {path}: cannot be read ({error})", remedy="check the path") from None
-    if len(rows) < 5:
-        raise DataError(f"[motion] file {path}: {len(rows)} rows", remedy="give a header and 4 rows or more")
-    header = [name.strip() for name in rows[0]]
-    table = {}
-    for key, names in _TRACK_COLUMNS.items():
-        column = next((header.index(name) for name in names if name in header), None)
-        if column is None:
-            raise DataError(
-                f"[motion] file {path}: column '{names[0]}' is missing", remedy=f"columns: {_columns()}"
-            )
-        table[key] = np.array([_number(path, line, row, column) for line, row in enumerate(rows[1:], start=2)])
-        if key not in {"time", "height"}:
-            table[key] = np.radians(table[key])
-    still = np.flatnonzero(np.diff(table["time"]) <= 0.0)
+        chunks = list(TextStream(path, TRACK_COLUMNS, None).chunks())
+    except DataError as error:
+        columns = ", ".join(TRACK_COLUMNS)
+        raise DataError(
+            f"[motion] file {error.message}", remedy=f"give these columns, a number in each row: {columns}"
+        ) from None
+    rows = np.concatenate([chunk.rows for chunk in chunks])
+    table = np.concatenate(
+        [np.column_stack([chunk.numbers[name] for name in TRACK_COLUMNS]) for chunk in chunks]
+    )
+    if len(table) < 4:
+        raise DataError(f"[motion] file {path}: {len(table)} rows", remedy="give a header and 4 rows or more")
+    for row, column in np.argwhere(~np.isfinite(table)):
+        raise DataError(
+            f"[motion] file {path}: row {rows[row]}, column '{TRACK_COLUMNS[column]}': no number",
+            remedy="correct the row",
+        )
+    still = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
     if still.size:
         raise DataError(
-            f"[motion] file {path}: line {still[0] + 3}: the time does not increase",
+            f"[motion] file {path}: row {rows[still[0] + 1]}: the time does not increase",
             remedy="sort the rows by time, and leave out repeated times",
         )
-    return table
-
-
-def _columns() -> str:
-    return ", ".join(names[0] for names in _TRACK_COLUMNS.values())
-
-
-def _number(path: Path, line: int, row: list[str], column: int) -> float:
-    try:
-        value = float(row[column])
-    except (ValueError, IndexError):
-        value = float("nan")
-    if not np.isfinite(value):
-        text = row[column] if column < len(row) else "nothing"
-        raise DataError(
-            f"[motion] file {path}: line {line}, column {column + 1}: '{text}' is not a number",
-            remedy="correct the line",
-        )
-    return value
+    place, angles = table[:, 1:4], np.radians(table[:, 4:])
+    place[:, :2] = np.unwrap(np.radians(place[:, :2]), axis=0)
+    return table[:, 0], place, np.unwrap(angles, axis=0)
 
 
 TRIPOD = float(np.arccos(1.0 / np.sqrt(3.0)))
@@ -308,18 +280,6 @@ class Readouts(Result):
         """Step [s]."""
         return float(self.times[1] - self.times[0])
 
-    @cached_property
-    def case_nodes(self) -> tuple[Array, Array]:
-        """Cosine and sine of both case encoders at the nodes, (n + 1, 2) each."""
-        return _phasor(self.encoder1), _phasor(self.encoder2)
-
-    @cached_property
-    def case_middles(self) -> tuple[Array, Array]:
-        """Cosine and sine of both case encoders in the middle of every step, (n, 2) each."""
-        return _phasor(0.5 * (self.encoder1[1:] + self.encoder1[:-1])), _phasor(
-            0.5 * (self.encoder2[1:] + self.encoder2[:-1])
-        )
-
     def first(self, duration: float) -> Readouts:
         """The readouts of the first ``duration`` seconds (the whole run when it is shorter)."""
         return self.between(0, max(2, min(len(self.increments), round(duration / self.step))))
@@ -337,13 +297,6 @@ class Readouts(Result):
             encoder2=self.encoder2[node],
             altitude=self.altitude[node] if len(self.altitude) > 1 else self.altitude,
         )
-
-
-def _phasor(angle: Array) -> Array:
-    out = np.empty((len(angle), 2))
-    np.cos(angle, out=out[:, 0])
-    np.sin(angle, out=out[:, 1])
-    return out
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -479,49 +432,40 @@ READOUT_COLUMNS, TRUTH_COLUMNS = 11, 14
 """Columns of the tables of a run, so that their size can be told before it."""
 
 
-def number_table(columns: dict[str, tuple[Array, str]]) -> pa.Table:
-    """Columns of numbers with their units in the metadata."""
+def number_table(*columns: tuple[str, str, Array]) -> pa.Table:
+    """A table of numbers: names of the columns, their unit (kept in the metadata), values (n,), (n, k) or a single row."""
     import pyarrow as pa
 
-    fields = [pa.field(name, pa.float64(), metadata={"unit": unit}) for name, (_, unit) in columns.items()]
-    return pa.Table.from_arrays(
-        [number_column(values) for values, _ in columns.values()], schema=pa.schema(fields)
-    )
+    rows, fields, arrays = len(columns[0][2]), [], []
+    for names, unit, values in columns:
+        table = np.broadcast_to(values.reshape(len(values), -1), (rows, len(names.split())))
+        fields += [pa.field(name, pa.float64(), metadata={"unit": unit}) for name in names.split()]
+        arrays += [number_column(column) for column in table.T]
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
 
 
 def readouts_table(r: Readouts) -> pa.Table:
     """Readouts as a table. The increment of a row is that since the previous row; the first row has none."""
-    since = np.concatenate([np.full((1, 3), np.nan), r.increments])
-    height = r.altitude if len(r.altitude) > 1 else np.full(len(r.times), r.altitude[0])
-    columns = {"t": (r.times, "s")}
-    columns |= {f"dv{axis}": (since[:, k], "m/s") for k, axis in enumerate("xyz")}
-    columns |= {
-        f"gimbal_{name}": (r.gimbals[:, k], "rad") for k, name in enumerate(("outer", "middle", "inner"))
-    }
-    columns |= {
-        "pickoff": (r.pickoff, "rad"),
-        "case_polar": (r.encoder1, "rad"),
-        "case_equatorial": (r.encoder2, "rad"),
-        "height": (height, "m"),
-    }
-    return number_table(columns)
+    return number_table(
+        ("t", "s", r.times),
+        ("dvx dvy dvz", "m/s", np.concatenate([np.full((1, 3), np.nan), r.increments])),
+        ("gimbal_outer gimbal_middle gimbal_inner", "rad", r.gimbals),
+        ("pickoff", "rad", r.pickoff),
+        ("case_polar", "rad", r.encoder1),
+        ("case_equatorial", "rad", r.encoder2),
+        ("height", "m", r.altitude),
+    )
 
 
 def truth_table(run: PlatformRun) -> pa.Table:
     """True specific force in platform axes, redundancy angle, place, velocity and attitude."""
-    n, motion = len(run.readouts.times), run.truth.motion
-
-    def full(values: Array) -> Array:
-        return values if len(values) == n else np.repeat(values, n, axis=0)
-
-    place, velocity, attitude = full(motion.place), full(motion.velocity), full(motion.attitude)
-    columns = {"t": (run.readouts.times, "s"), "eta": (run.truth.eta, "rad")}
-    columns |= {f"f{axis}": (run.truth.force[:, k], "m/s^2") for k, axis in enumerate("xyz")}
-    columns |= {
-        "latitude": (place[:, 0], "rad"),
-        "longitude": (place[:, 1], "rad"),
-        "height": (place[:, 2], "m"),
-    }
-    columns |= {f"v_{name}": (velocity[:, k], "m/s") for k, name in enumerate(("north", "east", "down"))}
-    columns |= {name: (attitude[:, k], "rad") for k, name in enumerate(("roll", "pitch", "heading"))}
-    return number_table(columns)
+    motion = run.truth.motion
+    return number_table(
+        ("t", "s", run.readouts.times),
+        ("eta", "rad", run.truth.eta),
+        ("fx fy fz", "m/s^2", run.truth.force),
+        ("latitude longitude", "rad", motion.place[:, :2]),
+        ("height", "m", motion.place[:, 2]),
+        ("v_north v_east v_down", "m/s", motion.velocity),
+        ("roll pitch heading", "rad", motion.attitude),
+    )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from piga.reading.checks import (
     stopped_output,
     stuck_extremes,
 )
-from piga.reading.columns import RawColumns, collect, read_columns
+from piga.reading.columns import RawColumns, collect, file_digest, read_columns, stand_files, steady
 from piga.records.arrays import empty, scaled, stored, taken
 from piga.records.calibration import Event, Quality, counted
 from piga.records.run import Run, TimeBase, drop_repeats, examine_time
@@ -69,8 +70,13 @@ def read_record(
     if need_reference:
         _check_reference(path, run_file)
     raw = read_columns(path.parent, run_file.data)
-    run = assemble(path, run_file, raw, stand_reference)
-    run.input_sha256.update({path.name: hashlib.sha256(content).hexdigest()} | raw.inputs)
+    inputs = {path.name: hashlib.sha256(content).hexdigest()} | raw.inputs
+    with ExitStack() as stack:
+        for name in stand_files(run_file.stand):
+            stack.enter_context(steady(path.parent / name, "[stand] file is relative to the run file"))
+            inputs[name] = file_digest(path.parent / name)
+        run = assemble(path, run_file, raw, stand_reference)
+    run.input_sha256.update(inputs)
     return run
 
 
@@ -170,16 +176,14 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
         raw.events += stuck_extremes(name, values, raw.rows, raw.segment, declared)
     if limits:
         raw.events += beyond_limits(raw.numbers, limits, usable, raw.rows)
-        _check_masked(raw, usable)
     if data.leave_out:
         raw.events += left_out_rows(data.leave_out, usable, raw.rows, raw.path)
-        _check_masked(raw, usable)
     t = _time(raw, data)
     if data.settle is not None:
         early, events = settling(t, raw.segment, to_si(data.settle, "s"), raw.rows)
         usable &= ~early
         raw.events += events
-        _check_masked(raw, usable)
+    _check_masked(raw, usable)
     raw.events += drop_repeats(t, raw.segment, usable, list(raw.numbers.values()), raw.rows)
     if usable.all():
         return t
@@ -390,23 +394,17 @@ def _lost_in_gaps(
     The rates on both sides are those of the stretches before and after, of which each must have turned once.
     """
     bounds = np.append(np.flatnonzero(base.begins), t.size)
-    gone = []
-    for k in range(1, bounds.size - 1):
-        before, at, after = bounds[k - 1], bounds[k], bounds[k + 1]
-        if raw.segment[at] != raw.segment[at - 1] or lost[at] or t[at] <= t[at - 1]:
-            continue
-        turned = psi[at - 1] - psi[before], psi[after - 1] - psi[at]
-        spans = t[at - 1] - t[before], t[after - 1] - t[at]
-        if min(map(abs, turned)) < 2.0 * np.pi or min(spans) <= 0.0:
-            continue
-        rates = turned[0] / spans[0], turned[1] / spans[1]
-        expected = 0.5 * (rates[0] + rates[1]) * (t[at] - t[at - 1])
-        allowed = LOST_ANGLE + (abs(rates[0] - rates[1]) + LOST_SHARE * abs(rates[0])) * (t[at] - t[at - 1])
-        if abs(psi[at] - psi[at - 1] - expected) > allowed:
-            gone.append(at)
-    where = np.array(gone, dtype=np.int64)
-    lost[where] = True
-    return counted("counts-lost", where, raw.rows, "the counter lost counts in the gap; the phase is new")
+    before, at, after = bounds[:-2], bounds[1:-1], bounds[2:]
+    gap = t[at] - t[at - 1]
+    times = np.array([t[at - 1] - t[before], t[after - 1] - t[at]])
+    turns = np.array([psi[at - 1] - psi[before], psi[after - 1] - psi[at]])
+    known = (raw.segment[at] == raw.segment[at - 1]) & ~lost[at] & (gap > 0.0) & (times.min(axis=0) > 0.0)
+    known &= np.abs(turns).min(axis=0) >= 2.0 * np.pi
+    first, second = np.divide(turns, times, out=np.zeros_like(turns), where=known)
+    allowed = LOST_ANGLE + (np.abs(first - second) + LOST_SHARE * np.abs(first)) * gap
+    gone = at[known & (np.abs(psi[at] - psi[at - 1] - 0.5 * (first + second) * gap) > allowed)]
+    lost[gone] = True
+    return counted("counts-lost", gone, raw.rows, "the counter lost counts in the gap; the phase is new")
 
 
 def _doubtful(

@@ -1,7 +1,7 @@
 """Checks of a log beyond single cells, and the output in SI.
 
 Limits, stuck values, lost samples, a stopped output, wrong units. A counter, a folded angle or a rate becomes the output, or an
-error with the reason (:class:`Reading`). A rate is integrated to the angle that the coupling turns with (:class:`RateAngle`).
+error with the reason (:class:`Reading`). A rate is integrated to the angle that the coupling turns with.
 The column of a stand tells where it stands still (:func:`positions`).
 """
 
@@ -98,8 +98,7 @@ def stuck_extremes(
     A slow reading rests at its turning points and at its end until it has moved by one step. Such a plateau is expected
     and not reported. A run at or beyond the ``declared`` limits is not reported either: it counts as saturated.
     """
-    finite = np.isfinite(values)
-    good = values if finite.all() else values[finite]
+    good = values[np.isfinite(values)]
     if good.size < 4 * STUCK or np.count_nonzero(good[1:] != good[:-1]) < 0.5 * good.size:
         return []
     events = []
@@ -107,35 +106,34 @@ def stuck_extremes(
         if not declared[0] < extreme < declared[1]:
             continue
         start, length = longest_run(values == extreme)
-        if length >= STUCK and cut_off(values, segment, start, length, extreme) > RESTING:
+        if length >= STUCK and _hidden_steps(values, segment, start, length) > RESTING:
             detail = f"column '{name}' stays at its {word} value {extreme:g}: saturated? give its limits in [data] range"
             events.append(Event("stuck-value", length, int(rows[start]), detail))
     return events
 
 
-def cut_off(values: Array, segment: NDArray[np.int32], start: int, length: int, extreme: float) -> float:
-    """Estimate how far the reading went beyond a run of its extreme value, in its smallest steps.
+def _hidden_steps(values: Array, segment: NDArray[np.int32], start: int, length: int) -> float:
+    """How far the reading went beyond a run of its extreme value, in its smallest steps.
 
-    A parabola is laid through the two ends of the run and the neighbourhood. If it has fallen by ``s`` at the
-    distance ``d`` from a run of half width ``w``, its top is ``s / ((1 + d/w)^2 - 1)`` above the run. A run that
-    comes from rounding hides at most one step. The neighbourhood ends with the ``segment``, because the speed of the
-    reading in the next position does not apply to an output that is locked in this one.
+    A parabola that has fallen by ``s`` at the distance ``d`` from a run of half width ``w`` has its top
+    ``s / ((1 + d/w)^2 - 1)`` above the run. Rounding alone hides one step at most. Another segment has another speed.
     """
     last = start + length - 1
-    left, right = slice(max(start - length, 0), start), slice(last + 1, last + 1 + length)
-    sides = (
-        values[left][::-1][np.logical_and.accumulate(segment[left][::-1] == segment[start])],
-        values[right][np.logical_and.accumulate(segment[right] == segment[last])],
+    before, after = values[max(start - length, 0) : start][::-1], values[last + 1 : last + 1 + length]
+    same = (
+        segment[max(start - length, 0) : start][::-1] == segment[start],
+        segment[last + 1 : last + 1 + length] == segment[last],
     )
-    moves = np.abs(np.diff(np.concatenate((sides[0][::-1], [extreme], sides[1]))))
+    sides = [
+        side[np.logical_and.accumulate(inside)] for side, inside in zip((before, after), same, strict=True)
+    ]
+    moves = np.abs(np.concatenate([np.diff(side, prepend=values[start]) for side in sides]))
     step = float(np.min(moves, where=moves > 0.0, initial=np.inf))
-    if not np.isfinite(step):
-        return 0.0
     tops = [0.0]
     for side in sides:
         far = np.arange(side.size // 2, side.size)
-        fallen = np.abs(side[far] - extreme)
-        tops.append(float(np.nanmax(fallen / ((1.0 + 2.0 * (far + 1) / length) ** 2 - 1.0), initial=0.0)))
+        fallen = np.abs(side[far] - values[start]) / ((1.0 + 2.0 * (far + 1) / length) ** 2 - 1.0)
+        tops.append(float(np.nanmax(fallen, initial=0.0)))
     return max(tops) / step
 
 
@@ -399,68 +397,25 @@ class Reading:
 
 
 def integrated_rate(t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:
-    """Angle [rad] from a rate: trapezoid with end correction; see :class:`RateAngle`."""
-    angle, follower, done = empty(t.size), RateAngle(), 0
+    """Angle [rad] from a rate: trapezoid with end correction, slopes by central differences. It does not grow across gaps."""
+    angle = empty(t.size)
     for part in spans(t.size):
-        new = follower.push(t[part], rate[part], begins[part])
-        angle[done : done + new.size] = new
-        done += new.size
-    angle[done:] = follower.finish()
-    return angle
+        first = max(part.start - 2, 0)
+        near = slice(first, part.stop + 1)
+        angle[part] = _turns(t[near], rate[near], begins[near])[part.start - first : part.stop - first]
+    return np.cumsum(angle, out=angle)
 
 
-class RateAngle:
-    """Angle from a rate, chunk by chunk: trapezoid with end correction, slopes by central differences.
-
-    The last sample is held back until the next one arrives. The result does not depend on the chunks, to the bit.
-    """
-
-    def __init__(self) -> None:
-        self._t, self._rate, self._begins = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.bool_)
-        self._angle, self._slope = 0.0, 0.0
-        self._given = False
-
-    def push(self, t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:
-        """Angles [rad] of the held-back sample and of all new samples but the last."""
-        self._t, self._rate = np.concatenate((self._t, t)), np.concatenate((self._rate, rate))
-        self._begins = np.concatenate((self._begins, begins))
-        return self._go(self._t.size - 1)
-
-    def finish(self) -> Array:
-        """Angle of the held-back sample."""
-        return self._go(self._t.size)
-
-    def _go(self, stop: int) -> Array:
-        """Angles of new samples up to ``stop``; the sample before ``stop`` is kept for the next slopes."""
-        first = 1 if self._given else 0
-        if stop <= first:
-            return np.zeros(0)
-        slope = self._slopes()[:stop]
-        if self._given:
-            slope[0] = self._slope
-        step = np.where(self._begins[1:stop], 0.0, np.diff(self._t[:stop]))
-        rate = self._rate[:stop]
-        turns = 0.5 * step * (rate[1:] + rate[:-1]) + step**2 / 12.0 * (slope[:-1] - slope[1:])
-        angle = np.cumsum(np.concatenate(([self._angle], turns)))
-        self._angle, self._slope, self._given = float(angle[-1]), float(slope[-1]), True
-        self._t, self._rate, self._begins = (
-            self._t[stop - 1 :],
-            self._rate[stop - 1 :],
-            self._begins[stop - 1 :],
-        )
-        return angle[first:]
-
-    def _slopes(self) -> Array:
-        """Slope at every sample, one-sided at both ends of a stretch."""
-        step = np.diff(self._t)
-        joined = ~self._begins[1:] & (step > 0.0)
-        each = np.where(joined, np.diff(self._rate) / np.where(joined, step, 1.0), 0.0)
-        each, step = np.pad(each, 1), np.pad(np.where(joined, step, 0.0), 1)
-        left, right, before, behind = each[:-1], each[1:], step[:-1], step[1:]
-        inner = (before > 0.0) & (behind > 0.0)
-        return np.where(
-            inner, (left * behind + right * before) / np.where(inner, before + behind, 1.0), left + right
-        )
+def _turns(t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:
+    """Turn of each sample (n,) since the one before. Slopes are one-sided at both ends of a stretch."""
+    step = np.where(begins, 0.0, changes(t))
+    rise = np.where(step > 0.0, changes(rate) / np.where(step > 0.0, step, 1.0), 0.0)
+    next_step, next_rise = np.append(step[1:], 0.0), np.append(rise[1:], 0.0)
+    inner = (step > 0.0) & (next_step > 0.0)
+    weight = np.where(inner, step + next_step, 1.0)
+    slope = np.where(inner, (rise * next_step + next_rise * step) / weight, rise + next_rise)
+    before = np.roll(rate, 1)
+    return 0.5 * step * (rate + before) + step**2 / 12.0 * (np.roll(slope, 1) - slope)
 
 
 BLOCKS = 4000
@@ -577,9 +532,8 @@ def settling(
     seconds:
         Time after the beginning of a visit that is left out [s].
     """
-    begins = np.flatnonzero(np.diff(segment, prepend=segment[0] - 1) != 0)
-    visit = np.cumsum(np.diff(segment, prepend=segment[0] - 1) != 0) - 1
-    early = (t - t[begins][visit] < seconds) & (segment >= 0)
+    begins = np.diff(segment, prepend=segment[0] - 1) != 0
+    early = (t - t[begins][np.cumsum(begins) - 1] < seconds) & (segment >= 0)
     if not early.any():
         return early, []
     detail = f"the first {seconds:g} s of each position are not used"

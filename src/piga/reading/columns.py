@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +33,7 @@ from piga.records.limits import (
 from piga.records.run import segments_of_visits
 from piga.records.run_file import DataTable
 from piga.results import Array
+from piga.units import conversion_factor, to_si
 
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn")
 """Endings of separated text. ``.lvm`` is written by LabVIEW."""
@@ -50,29 +54,33 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
     DataError
         If the file cannot be read as requested: at once, or while its chunks are taken. Names file, row and column.
     """
-    path = folder / data.file
-    numeric = tuple(data.number_columns())
+    path, numeric, segment = folder / data.file, tuple(data.number_columns()), data.label_column
     kind = file_kind(path)
     if data.sheet is not None and kind != ".xlsx":
         raise DataError(f"{path}: [data] sheet is for .xlsx files", remedy="leave it out")
-    if kind in TEXT_SUFFIXES:
-        from piga.formats.text.convention import HeadRows
-        from piga.formats.text.reader import TextStream
+    if kind not in TEXT_SUFFIXES:
+        _only_text(path, data)
+        return columns_stream(path, numeric, segment, data.sheet)
+    from piga.formats.text.convention import HeadRows
 
-        stamp = (data.time.column, data.time.stamp) if data.time and data.time.stamp else None
-        return TextStream(
-            path, numeric, data.label_column, separator=data.delimiter, decimal=data.decimal, encoding=data.encoding,
-            rows=HeadRows(data.skip_rows, data.header_row, data.units_row), stamp=stamp, missing=data.missing,
-            mask_damaged=data.damaged_rows == "mask",
-        )  # fmt: skip
-    _only_text(path, data)
-    return columns_stream(path, numeric, data.sheet, data.label_column)
+    return columns_stream(
+        path,
+        numeric,
+        segment,
+        separator=data.delimiter,
+        decimal=data.decimal,
+        encoding=data.encoding,
+        rows=HeadRows(data.skip_rows, data.header_row, data.units_row),
+        stamp=(data.time.column, data.time.stamp) if data.time and data.time.stamp else None,
+        missing=data.missing,
+        mask_damaged=data.damaged_rows == "mask",
+    )
 
 
 def columns_stream(
-    path: Path, numeric: tuple[str, ...], sheet: str | None = None, segment: str | None = None
+    path: Path, numeric: tuple[str, ...], segment: str | None = None, sheet: str | None = None, **text: Any
 ) -> RecordStream:
-    """Open a data file that is not text.
+    """Open some columns of a data file.
 
     Parameters
     ----------
@@ -82,6 +90,8 @@ def columns_stream(
         Names of the number columns and of the segment column.
     sheet:
         Name of the sheet of a spreadsheet.
+    text:
+        Options of :class:`piga.formats.text.reader.TextStream`.
 
     Raises
     ------
@@ -89,6 +99,10 @@ def columns_stream(
         If the file cannot be read as requested: at once, or while its chunks are taken.
     """
     kind = file_kind(path)
+    if kind in TEXT_SUFFIXES:
+        from piga.formats.text.reader import TextStream
+
+        return TextStream(path, numeric, segment, **text)
     if kind in (".parquet", ".pq"):
         from piga.formats.parquet import ParquetStream
 
@@ -108,12 +122,8 @@ def columns_stream(
 
 def _only_text(path: Path, data: DataTable) -> None:
     """Refuse options of text files for other files."""
-    named = {
-        "skip_rows": data.skip_rows,
-        "header_row": data.header_row,
-        "units_row": data.units_row is not None,
-    }
-    for key, given in named.items():
+    units = data.units_row is not None
+    for key, given in (("skip_rows", data.skip_rows), ("header_row", data.header_row), ("units_row", units)):
         if given:
             raise DataError(f"{path}: [data] {key} is for text files", remedy="leave it out")
     if data.time is not None and data.time.stamp is not None:
@@ -181,11 +191,10 @@ def read_columns(folder: Path, data: DataTable) -> RawColumns:
         If the file cannot be read as the run file says, does not match its ``.sha256``, or changes while it is read.
     """
     path = folder / data.file
-    steady = SteadyFile(path, "[data] file is relative to the run file")
-    sidecar = _sidecar(path)
-    raw = collect(path, data, open_stream(folder, data))
-    raw.inputs[path.name] = file_digest(path)
-    steady.check()
+    with steady(path, "[data] file is relative to the run file"):
+        sidecar = _sidecar(path)
+        raw = collect(path, data, open_stream(folder, data))
+        raw.inputs[path.name] = file_digest(path)
     if sidecar is not None:
         stated, digest = sidecar
         if stated != raw.inputs[path.name]:
@@ -196,6 +205,24 @@ def read_columns(folder: Path, data: DataTable) -> RawColumns:
             )
         raw.inputs[f"{path.name}.sha256"] = digest
     return raw
+
+
+def read_series(folder: Path, data: DataTable, names: Sequence[str]) -> tuple[Array, Array, dict[str, str]]:
+    """Values (n, k) of named columns and time (n,) [s] of the rows that have all of them, and the digests of the files.
+
+    Raises
+    ------
+    DataError
+        As :func:`read_columns`.
+    """
+    raw = read_columns(folder, data)
+    values = np.column_stack([raw.numbers[name] for name in names])
+    if data.time is None:
+        t = np.arange(len(values)) / to_si(data.sample_rate or 1.0, "Hz", what="[data] sample_rate")
+    else:
+        t = raw.numbers[data.time.column] * (conversion_factor(data.time.unit, "s") if data.time.unit else 1.0)
+    used = np.isfinite(values).all(axis=1) & np.isfinite(t)
+    return values[used], t[used], raw.inputs
 
 
 def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
@@ -249,36 +276,37 @@ def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
         )
 
 
-class SteadyFile:
-    """A file that must not change while it is read. Its state is noted now and compared by :meth:`check`.
+@contextmanager
+def steady(path: Path, remedy: str) -> Iterator[None]:
+    """Refuse a file that changes or is replaced while the block runs.
 
     Raises
     ------
     DataError
-        If it does not exist or is not a regular file.
+        If it does, does not exist or is not a regular file. The message names the file.
     """
+    before = _state(path, remedy)
+    yield
+    if _state(path, remedy) != before:
+        raise DataError(
+            f"{path}: the file changed while it was read", remedy="stop what writes it, then try again"
+        )
 
-    def __init__(self, path: Path, remedy: str) -> None:
-        self.path, self._remedy = path, remedy
-        self._before = self._state()
 
-    def check(self) -> None:
-        """Refuse the file if it was changed or replaced since.
+def _state(path: Path, remedy: str) -> tuple[int, int, int, int]:
+    """State of a file that every change alters: size, times and identity."""
+    status = check_regular(path, remedy)
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 
-        Raises
-        ------
-        DataError
-            If it was. The message names the file.
-        """
-        if self._state() != self._before:
-            raise DataError(
-                f"{self.path}: the file changed while it was read", remedy="stop what writes it, then try again"
-            )
 
-    def _state(self) -> tuple[int, int, int, int]:
-        """State of a file that every change alters: size, times and identity."""
-        status = check_regular(self.path, self._remedy)
-        return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
+def stand_files(table: Any) -> list[str]:
+    """Names of all files in a ``[stand]`` table and its inner tables, as written."""
+    if isinstance(table, dict):
+        own = [value for key, value in table.items() if key == "file" and isinstance(value, str)]
+        return list(dict.fromkeys(own + [name for value in table.values() for name in stand_files(value)]))
+    if isinstance(table, list):
+        return list(dict.fromkeys(name for value in table for name in stand_files(value)))
+    return []
 
 
 def file_digest(path: Path) -> str:

@@ -49,17 +49,10 @@ def open_regular(
         If it does not exist or must not be read.
     """
     try:
-        _check_status(path, os.stat(path), most, wanted, error)  # noqa: PTH116 - as fstat below
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0))
+        _check_status(path, path.stat(), most, wanted, error)
     except ValueError:
         raise error(f"{str(path)!r}: is not a file name", remedy=f"name {wanted}") from None
-    stream = os.fdopen(handle, "rb")
-    try:
-        _check_status(path, os.fstat(handle), most, wanted, error)
-    except PigaError:
-        stream.close()
-        raise
-    return stream
+    return path.open("rb")
 
 
 def _check_status(
@@ -81,7 +74,7 @@ def check_regular(path: Path, remedy: str, error: type[PigaError] = DataError) -
         If it is not there, or is a folder, a pipe or a device. One sentence.
     """
     try:
-        status = os.stat(path)  # noqa: PTH116 - all of its state
+        status = path.stat()
     except (OSError, ValueError) as reason:
         words = getattr(reason, "strerror", None) or "it is not a file name"
         raise error(f"{path}: cannot be read ({words})", remedy=remedy, where=Where(path)) from None

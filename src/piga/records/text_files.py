@@ -19,7 +19,6 @@ from piga.records.limits import read_whole
 from piga.units import LARGEST
 
 T = TypeVar("T", bound=msgspec.Struct)
-J = TypeVar("J")
 
 MOST_TOML_BYTES = 1 << 20
 """Largest TOML file that is read [bytes]. Run files have a few kilobytes."""
@@ -35,15 +34,8 @@ KINDS = {
 
 MAX_NAME = 256
 """Longest text that may be a file name [characters]."""
-MOST_KEY_PARTS = 16
-"""Most parts of a dotted key. Keys of the run file have three."""
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
-_PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
-_DEEP = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_KEY_PARTS},}}")
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
-MOST_FILE_NAME = 240
-"""Most bytes of a file name: 255 on most file systems, minus the ending of a file beside it."""
-_FILE_KEYS = ("file", "run", "calibration", "before")
 _UNKNOWN = re.compile(r"unknown field `([^`]*)`")
 _MISSING = re.compile(r"missing required field `([^`]*)`")
 _PATH = re.compile(r" - at `(?:key in )?\$\.?([^`]*)`$")
@@ -66,8 +58,8 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
     Raises
     ------
     RunFileError
-        If the file cannot be read, is not TOML (the message names the line), or holds keys nested deeper
-        than :data:`MOST_KEY_PARTS`, integers beyond 64 bits or control characters.
+        If the file cannot be read, is not TOML (the message names the line), or holds integers beyond 64 bits or control
+        characters.
     """
     try:
         text = (toml_bytes(path) if raw is None else raw).decode("utf-8-sig")
@@ -75,12 +67,6 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
         raise RunFileError(
             f"{path}: byte {error.start} is not UTF-8", remedy=_wrong_file(path) or "save the file as UTF-8"
         ) from None
-    deep = _DEEP.search(text)
-    if deep is not None:
-        raise RunFileError(
-            f"{path}: line {text.count(chr(10), 0, deep.start()) + 1}: a key of more than {MOST_KEY_PARTS} parts",
-            remedy="see the documentation for the keys",
-        )
     try:
         document = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -148,13 +134,6 @@ def _check_values(path: Path, value: object, where: str) -> None:
             f"{path}: [{where}]: {value[:40]!r} holds a control character",
             remedy="use letters, digits and signs",
         )
-    elif isinstance(value, str) and where.rpartition(".")[2] in _FILE_KEYS:
-        long = next((part for part in re.split(r"[/\\]", value) if len(part.encode()) > MOST_FILE_NAME), None)
-        if long is not None:
-            raise RunFileError(
-                f"{path}: [{where}]: a file name of {len(long)} characters",
-                remedy="give the file a shorter name",
-            )
     elif isinstance(value, float) and LARGEST < abs(value) < math.inf:
         raise RunFileError(
             f"{path}: [{where}]: {value:g} is too large to compute with", remedy="correct the value"
@@ -290,51 +269,26 @@ def _structs_of(annotation: object) -> list[type[msgspec.Struct]]:
     return [struct for part in getattr(annotation, "__args__", ()) for struct in _structs_of(part)]
 
 
-class _Schema(msgspec.Struct, frozen=True):
-    schema: Any = None
-
-
 class JsonError(ValueError):
     """The bytes are not JSON of the wanted kind. The message says why, in one line."""
 
 
-def schema_of(raw: bytes) -> object:
-    """The value of the top-level key ``schema``; None if it is missing.
+def json_object(raw: bytes) -> dict[str, Any]:
+    """A JSON object (RFC 8259, UTF-8) in which no object has a key twice: programs differ in which value they take.
 
     Raises
     ------
     JsonError
-        If the bytes are not a JSON object.
+        If the bytes are not such an object.
     """
-    return _decoded(raw, _Schema).schema
-
-
-def decode_json(raw: bytes, kind: type[J]) -> J:
-    """Decode and check ``raw`` as ``kind``.
-
-    Raises
-    ------
-    JsonError
-        If the bytes are not JSON (RFC 8259, UTF-8), a value does not have the type that ``kind`` demands, or an object
-        has a duplicate key (programs differ in which value they take).
-    """
-    document = _decoded(raw, kind)
     try:
-        json.loads(raw.decode("utf-8"), object_pairs_hook=_refuse_twice, parse_int=float)
-    except RecursionError:
-        raise JsonError("nested too deeply") from None
-    except UnicodeDecodeError as error:
-        raise JsonError(f"byte {error.start} is not UTF-8") from None
-    return document
-
-
-def _decoded(raw: bytes, kind: type[J]) -> J:
-    try:
-        return msgspec.json.decode(raw, type=kind)
+        document = msgspec.json.decode(raw, type=dict[str, Any])
+        json.loads(raw, object_pairs_hook=_refuse_twice, parse_int=float)
     except RecursionError:
         raise JsonError("nested too deeply") from None
     except (msgspec.MsgspecError, ValueError) as error:
         raise JsonError(str(error)) from None
+    return document
 
 
 def _refuse_twice(pairs: list[tuple[str, Any]]) -> None:

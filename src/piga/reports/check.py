@@ -24,9 +24,9 @@ from piga.reports.render.page import (
     Section,
     Table,
     TableOf,
-    Text,
     Tile,
     named_values,
+    origin,
 )
 from piga.results import Array
 from piga.units import G0
@@ -88,7 +88,6 @@ def page(run: Run) -> Page:
         .table("All findings")
     )
     findings = table if quality.events else Notice("good", "Nothing was found.")
-    digests = named_values("file", "SHA-256", run.input_sha256, "Files", code=True)
     return Page(
         f"Record of {run.serial}",
         Path(run.source).name,
@@ -96,7 +95,7 @@ def page(run: Run) -> Page:
         (
             Section("Findings", "findings", (findings,)),
             Section("The record", "picture", (FigureBlock(record_figure(run)),)),
-            Section("Origin", "origin", (Text("Files that were read, by digest."), digests)),
+            origin(run.input_sha256),
         ),
         kicker="piga check",
     )

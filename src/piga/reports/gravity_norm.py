@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,8 +14,6 @@ from piga.gravity_norm.estimate import SetCalibration
 from piga.reports.render.figure import Figure, Plot
 from piga.reports.render.numbers import pretty_unit, printed, rounded, short
 from piga.reports.render.page import (
-    ALONE,
-    Block,
     FigureBlock,
     Notice,
     Page,
@@ -23,8 +22,9 @@ from piga.reports.render.page import (
     TableOf,
     Text,
     Tile,
-    named_values,
+    origin,
 )
+from piga.results import plain
 from piga.units import MICRO_G
 
 
@@ -58,7 +58,7 @@ def terms_table(cal: SetCalibration) -> Table:
         .number("U, 95 %", lambda term: short(term.expanded))
         .number("degrees of freedom", lambda term: short(term.degrees_of_freedom))
         .text("unit", lambda term: pretty_unit(term.unit))
-        .table("Terms")
+        .table()
     )
 
 
@@ -93,55 +93,24 @@ def page(cal: SetCalibration) -> Page:
         (
             Section("Terms", "terms", (Text(_words(cal), lead=True), terms_table(cal), *notices)),
             Section("Residuals", "of-spells", (FigureBlock(residual_figure(cal)), spells)),
-            Section(
-                "Origin", "origin", (named_values("file", "SHA-256", cal.input_sha256, "Files", code=True),)
-            ),
+            origin(cal.input_sha256),
         ),
         kicker="piga calibrate",
-        footer=f"Made by piga {__version__}. {ALONE}",
     )
 
 
 def brief(cal: SetCalibration) -> Page:
     """Terms and remarks for terminal and notebook."""
-    title = (
-        f"Set {cal.serial}: {len(cal.spells)} static spells, residual {short(cal.residual_rms / MICRO_G)} ug"
+    whole = page(cal)
+    return replace(
+        whole, sections=(*whole.sections[:1], Section("", "of-spells", whole.sections[1].blocks[:1]))
     )
-    notices = [Notice("warning", remark) for remark in cal.remarks]
-    blocks: list[Block] = [terms_table(cal), Text(_words(cal)), *notices, FigureBlock(residual_figure(cal))]
-    return Page(title, sections=(Section("", "terms", tuple(blocks)),))
 
 
 def set_document(cal: SetCalibration) -> dict[str, Any]:
     """The result as plain data for JSON."""
-    return {
-        "schema": "piga.set-calibration/1",
-        "software": f"piga {__version__}",
-        "serial": cal.serial,
-        "unit": cal.unit,
-        "names": list(cal.names),
-        "convention": cal.convention,
-        "gravity": cal.gravity,
-        "gravity_std": cal.gravity_std,
-        "terms": {
-            term.key: {
-                "value": term.value,
-                "std": term.std,
-                "expanded": term.expanded,
-                "degrees_of_freedom": term.degrees_of_freedom,
-                "unit": term.unit,
-            }
-            for term in cal.terms
-        },
-        "covariance": cal.covariance.tolist(),
-        "sensitivities": cal.matrix.tolist(),
-        "bias": cal.bias.tolist(),
-        "threshold": cal.threshold,
-        "residual_rms": cal.residual_rms,
-        "spells": [
-            {"begin": one.begin, "end": one.end, "samples": one.samples, "residual": one.residual}
-            for one in cal.spells
-        ],
-        "remarks": list(cal.remarks),
-        "input_sha256": cal.input_sha256,
-    }
+    values = plain(cal)
+    terms = {term.key: plain(term) | {"expanded": term.expanded} for term in cal.terms}
+    matrix = {"sensitivities": values.pop("matrix")}
+    head = {"schema": "piga.set-calibration/1", "software": f"piga {__version__}"}
+    return head | values | matrix | {"terms": terms}

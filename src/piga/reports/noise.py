@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from piga._version import __version__
 from piga.noise.analysis import NoiseAnalysis, level_unit
 from piga.noise.deviations import ONE_SIGMA, AllanDeviation
 from piga.noise.levels import NoiseLevel, level_variances
@@ -16,8 +16,6 @@ from piga.records.terms import shown_output
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, short
 from piga.reports.render.page import (
-    ALONE,
-    Block,
     FigureBlock,
     Notice,
     Page,
@@ -26,7 +24,7 @@ from piga.reports.render.page import (
     TableOf,
     Text,
     Tile,
-    named_values,
+    origin,
 )
 from piga.units import ARCSEC, MICRO_G
 
@@ -153,36 +151,27 @@ def _at(each: AllanDeviation, tau: np.ndarray, one: float, k: int) -> str:
     return short(each.deviation[k] / one, 5) if k < each.tau.size and each.tau[k] == tau[k] else ""
 
 
-def _length(noise: NoiseAnalysis) -> str:
-    """Duration and number of stretches, in words."""
-    plural = "" if noise.stretches == 1 else "es"
-    return f"{noise.duration:.6g} s in {noise.stretches} stretch{plural}"
-
-
 def page(noise: NoiseAnalysis) -> Page:
     """Levels, figures and all numbers."""
-    found: list[Block] = [Notice("warning", remark) for remark in remarks(noise)]
     lead = Text(
         "Levels are those of the largest likelihood of the spectrum. An interval ends where the likelihood falls to that of "
         "95 %. A level is not seen where its interval begins at zero.",
         lead=True,
     )
+    notices = [Notice("warning", remark) for remark in remarks(noise)]
+    shown = FigureBlock(deviations_figure(noise)), deviations_table(noise)
+    stretches = "one stretch" if noise.stretches == 1 else f"{noise.stretches} stretches"
     return Page(
         f"Noise of {noise.source}",
-        f"{count(noise.samples)} samples at {1.0 / noise.step:.6g} Hz, {_length(noise)}.",
+        f"{count(noise.samples)} samples at {1.0 / noise.step:.6g} Hz, {noise.duration:.6g} s in {stretches}.",
         _tiles(noise),
         (
-            Section("Levels", "levels", (lead, levels_table(noise), *found)),
-            Section(
-                "Deviations", "all-deviations", (FigureBlock(deviations_figure(noise)), deviations_table(noise))
-            ),
+            Section("Levels", "levels", (lead, levels_table(noise), *notices)),
+            Section("Deviations", "all-deviations", shown),
             Section("Spectrum", "the-spectrum", (FigureBlock(spectrum_figure(noise)),)),
-            Section(
-                "Origin", "origin", (named_values("file", "SHA-256", noise.input_sha256, "Files", code=True),)
-            ),
+            origin(noise.input_sha256),
         ),
         kicker="piga noise",
-        footer=f"Made by piga {__version__}. {ALONE}",
     )
 
 
@@ -190,49 +179,31 @@ def _tiles(noise: NoiseAnalysis) -> tuple[Tile, ...]:
     one, unit = shown_output(noise.unit)
     allan = noise.deviations[0]
     best = int(np.argmin(allan.deviation))
-    tiles = [
-        Tile(
-            "Smallest Allan deviation",
-            short(allan.deviation[best] / one),
-            pretty_unit(unit),
-            f"at {short(allan.tau[best])} s",
-        )
-    ]
-    tiles += [
+    value, at = short(allan.deviation[best] / one), f"at {short(allan.tau[best])} s"
+    levels = (
         Tile(NAMES[level.name], short(level.value / one), pretty_unit(level_unit(level.name, unit)))
         for level in noise.levels
         if level.seen
-    ]
-    return tuple(tiles)
+    )
+    return Tile("Smallest Allan deviation", value, pretty_unit(unit), at), *levels
 
 
 def brief(noise: NoiseAnalysis) -> Page:
     """Levels and remarks for terminal and notebook, and the figure of the deviations."""
-    one, unit = shown_output(noise.unit)
-    allan = noise.deviations[0]
-    best = int(np.argmin(allan.deviation))
-    least = f"Smallest Allan deviation: {short(allan.deviation[best] / one)} {pretty_unit(unit)} at {short(allan.tau[best])} s."
-    notices = [Notice("warning", remark) for remark in remarks(noise)]
-    return Page(
-        f"Noise of {noise.source}: {noise.samples} samples, {_length(noise)}",
-        sections=(
-            Section("", "levels", (levels_table(noise), Text(least), *notices)),
-            Section("", "all-deviations", (FigureBlock(deviations_figure(noise)),)),
-        ),
-    )
+    whole = page(noise)
+    levels, deviations = whole.sections[:2]
+    blocks = (*levels.blocks[1:], *deviations.blocks[:1])
+    return replace(whole, tiles=whole.tiles[:1], sections=(replace(levels, title="", blocks=blocks),))
 
 
 def noise_document(noise: NoiseAnalysis) -> dict[str, Any]:
     """The result as plain data for JSON, in the unit of the rate."""
-    spectrum = noise.spectrum
+    names = ("source", "unit", "scale_factor", "samples", "stretches", "input_sha256")
+    of_deviation = ("deviation", "lower", "upper", "degrees_of_freedom")
     return {
-        "source": noise.source,
-        "unit": noise.unit,
-        "scale_factor": noise.scale_factor,
+        **{name: getattr(noise, name) for name in names},
         "step_s": noise.step,
         "duration_s": noise.duration,
-        "samples": noise.samples,
-        "stretches": noise.stretches,
         "levels": {
             level.name: {
                 "value": level.value,
@@ -243,21 +214,14 @@ def noise_document(noise: NoiseAnalysis) -> dict[str, Any]:
             for level in noise.levels
         },
         "deviations": {
-            each.kind: {
-                "tau_s": each.tau.tolist(),
-                "deviation": each.deviation.tolist(),
-                "lower": each.lower.tolist(),
-                "upper": each.upper.tolist(),
-                "probability": ONE_SIGMA,
-                "degrees_of_freedom": each.degrees_of_freedom.tolist(),
-            }
+            each.kind: {name: getattr(each, name).tolist() for name in of_deviation}
+            | {"tau_s": each.tau.tolist(), "probability": ONE_SIGMA}
             for each in noise.deviations
         },
         "spectrum": {
-            "frequency_hz": spectrum.frequency.tolist(),
-            "density": spectrum.density.tolist(),
-            "model": spectrum.model.tolist(),
+            "frequency_hz": noise.spectrum.frequency.tolist(),
+            "density": noise.spectrum.density.tolist(),
+            "model": noise.spectrum.model.tolist(),
         },
         "remarks": list(remarks(noise)),
-        "input_sha256": noise.input_sha256,
     }

@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from piga._version import __version__
 from piga.records.terms import meaning_of, shown_unit
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, short, signed
 from piga.reports.render.page import (
-    ALONE,
     Block,
     Cell,
     FigureBlock,
@@ -158,7 +156,6 @@ def page(drifts: Trend, at: dt.datetime | None = None) -> Page:
         tiles=_tiles(drifts, span),
         sections=tuple(sections),
         kicker="piga · trend",
-        footer=f"Made by piga {__version__}. {ALONE}",
     )
 
 

@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import ArgumentError, DataError
-from piga.records.limits import open_regular
+from piga.errors import ArgumentError, DataError, Where
+from piga.reading.columns import columns_stream
 from piga.records.run_file import Columns, ColumnTable
 from piga.results import Array, Result
 from piga.stand.imperfections import NONE, Imperfections
@@ -293,7 +293,7 @@ class LoggedProfile(Result):
 def read_profile(
     path: Path, time: ColumnTable, force: Columns, base_rate: Columns | None = None
 ) -> LoggedProfile:
-    """Read a profile from CSV or Parquet.
+    """Read a profile from a file of any format that logs have.
 
     Raises
     ------
@@ -311,33 +311,25 @@ def read_profile(
 
 
 def _read_columns(path: Path, wanted: list[str]) -> dict[str, Array]:
-    """The named columns, unconverted."""
-    import pyarrow as pa
-    from pyarrow import csv, parquet
-
-    numbers = csv.ConvertOptions(column_types=dict.fromkeys(wanted, pa.float64()))
+    """The named columns, in the units of the file."""
     try:
-        # no stream of Python's and no scanner: their threads outlive the call, and abort a process that ends meanwhile
-        with open_regular(path), pa.OSFile(str(path)) as stream:
-            if path.suffix == ".parquet":
-                options = {"pre_buffer": False, "page_checksum_verification": True}
-                table = parquet.ParquetFile(stream, **options).read(use_threads=False)
-            else:
-                table = csv.read_csv(stream, convert_options=numbers)
-        lacking = [name for name in wanted if name not in table.column_names]
-        if lacking:
-            raise DataError(
-                f"{path}: has no column '{lacking[0]}'", remedy=f"it has: {', '.join(table.column_names)}"
-            )
-        columns = {name: table.column(name).cast(pa.float64(), safe=False).to_numpy() for name in wanted}
-    except (OSError, pa.ArrowException) as error:
+        stream = columns_stream(path, tuple(wanted))
+        chunks = list(stream.chunks())
+    except DataError as error:
         raise DataError(
-            f"{path}: cannot be read: {error}", remedy="give a CSV or Parquet file with columns of numbers"
+            error.message, remedy="[stand] file: give a file with columns of numbers", where=error.where
         ) from None
+    cut = [event for event in stream.events() if event.kind == "truncated-last-line"]
+    if cut:
+        raise DataError(f"{path}: {cut[0].detail}", remedy="end the line, or delete it if it was cut off")
+    columns = {name: np.concatenate([chunk.numbers[name] for chunk in chunks]) for name in wanted}
     for name, values in columns.items():
         gaps = np.flatnonzero(~np.isfinite(values))
         if gaps.size:
+            row = int(np.concatenate([chunk.rows for chunk in chunks])[gaps[0]])
             raise DataError(
-                f"{path}: column '{name}', row {gaps[0] + 1} is empty", remedy="repair the profile first"
+                f"{path}: row {row}, column '{name}' is empty",
+                remedy="repair the profile first",
+                where=Where(path, row, (name,)),
             )
     return columns

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from piga.data import EXAMPLE, copy_example
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
-from piga.formats.parquet import is_time
-from piga.formats.tables import WHERE, TableStream, as_arrow, stated_units
+from piga.formats.columns import TableStream, is_time
+from piga.formats.tables import REMEDIES, WHERE, as_arrow, stated_units
 from piga.reading.assemble import read_record, read_stream
-from piga.reading.columns import SteadyFile, file_digest
+from piga.reading.columns import file_digest, stand_files
 from piga.records.arrays import empty, spans
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run import Run
@@ -81,38 +81,10 @@ def read_run(path: str | Path, *, need_reference: bool = True, content: bytes | 
     DataError
         If the data file does not hold what the run file says. The message names file, row, column and remedy.
     """
-    read: dict[str, str] = {}
-
-    def reference(
-        table: dict[str, Any], folder: Path, t: Array, segment: NDArray[np.int32], labels: tuple[str, ...]
-    ) -> tuple[Array, Array]:
-        files = {
-            name: SteadyFile(folder / name, "[stand] file is relative to the run file")
-            for name in stand_files(table)
-        }
-        result = stand_reference(table, folder, t, segment, labels)
-        read.update({name: file_digest(file.path) for name, file in files.items()})
-        for file in files.values():
-            file.check()
-        return result
-
     try:
-        run = read_record(path, reference, need_reference=need_reference, content=content)
-        for name in stand_files(run.stand):
-            run.input_sha256[name] = read.get(name) or file_digest(Path(path).parent / name)
-        return run
+        return read_record(path, stand_reference, need_reference=need_reference, content=content)
     except (ArgumentError, UnitError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
-
-
-def stand_files(table: Any) -> list[str]:
-    """Names of all files in a ``[stand]`` table and its inner tables, as written."""
-    if isinstance(table, dict):
-        own = [value for key, value in table.items() if key == "file" and isinstance(value, str)]
-        return list(dict.fromkeys(own + [name for value in table.values() for name in stand_files(value)]))
-    if isinstance(table, list):
-        return list(dict.fromkeys(name for value in table for name in stand_files(value)))
-    return []
 
 
 def _check_unchanged(run: Run) -> None:
@@ -341,7 +313,8 @@ def run_from_table(
             tables | {"data": _data(columns, units, () if si else arrow.schema.names)}, RunFile
         )
         check_run_file(run_file)
-        stream = TableStream(arrow, run_file.data.number_columns(), run_file.data.label_column)
+        data = run_file.data
+        stream = TableStream(WHERE, arrow, data.number_columns(), data.label_column, REMEDIES)
         stream.units |= {name: unit for name, unit in units.items() if name in stream.units}
         return read_stream(WHERE, run_file, stream, stand_reference)
     except msgspec.ValidationError as error:

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from piga._version import __version__
-from piga.formats.parquet import label_column, number_column
+from piga.formats.columns import label_column, number_column
 from piga.instrument.twin.linear import (
     predicted_k2,
     predicted_rate_error,

@@ -16,13 +16,13 @@ from piga.instrument import (
     locking_time,
     mean_rate,
     propagate,
-    published_closed_form,
     revolution_period,
 )
-from piga.instrument.constant_input import Case as FormNumber
 from piga.reports.render.figure import XYZ, Figure, Plot, axis
 from piga.results import Result
 from piga.studies.case import INSTRUMENT, RATIO, Chapter, Value, chapter_of, example_force
+from piga.studies.published_forms import Case as FormNumber
+from piga.studies.published_forms import published_closed_form
 from piga.units import G0
 
 Array = NDArray[np.float64]

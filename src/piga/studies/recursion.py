@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.instrument import closed_form, propagate, published_closed_form
+from piga.instrument import closed_form, propagate
 from piga.records import Calibration
 from piga.reports.render.figure import Figure, Plot, Role
 from piga.studies.case import (
@@ -33,6 +33,7 @@ from piga.studies.case import (
 )
 from piga.studies.constant import EXAMPLES
 from piga.studies.platform import CASE_RATE, CHANNELS, GRAVITY_OF_TABLE, compared, formula, last_lines
+from piga.studies.published_forms import published_closed_form
 from piga.units import ARCMIN
 
 Array = NDArray[np.float64]

@@ -15,9 +15,7 @@ from piga.instrument import (
     closed_form,
     dead_zone,
     mean_rate,
-    published_closed_form,
 )
-from piga.instrument.constant_input import Case as FormNumber
 from piga.reports.render.figure import XYZ, Figure, Plot
 from piga.studies.case import (
     INSTRUMENT,
@@ -32,6 +30,8 @@ from piga.studies.case import (
     raw_error,
     record,
 )
+from piga.studies.published_forms import Case as FormNumber
+from piga.studies.published_forms import published_closed_form
 from piga.units import ARCSEC, G0
 
 Array = NDArray[np.float64]

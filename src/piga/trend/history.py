@@ -1,10 +1,8 @@
 """The coefficients of one instrument over the years: stability, drift, control limits, forecasts.
 
 Each record gives a value with a standard uncertainty. Sources of Type B that act alike in all records (the same
-standard of gravity or angle) are *common*. Averaging over records does not reduce them, and they cancel in
-differences between records. The other sources belong to one record. Records of one day are merged first. Scatter
-within a day is turn-on to turn-on. Additional scatter between days is day to day. The remaining line is drift. Own
-derivation; see docs/theory/trend.md.
+standard of gravity or angle) are *common*: averaging does not reduce them, and they cancel in differences between
+records. Scatter within a day is turn-on to turn-on; more scatter between days is day to day. See docs/theory/trend.md.
 """
 
 from __future__ import annotations
@@ -279,7 +277,7 @@ class _Records:
     def trend(self, key: str) -> CoefficientTrend:
         """Trend of one coefficient."""
         held = [one[key] for one in self.by_key]
-        values, stds = np.array([c.value for c in held]), np.array([c.std for c in held])
+        values, stds = np.array([(c.value, c.std) for c in held]).T
         shared = common_contributions(key, self.calibrations, self.common)
         own = np.sqrt(np.maximum(stds**2 - np.sum(shared**2, axis=0), (1e-3 * stds) ** 2))
         last = shared[:, -1].copy()
@@ -342,7 +340,7 @@ class _Records:
             weights = 1.0 / (own[today] ** 2 + model.days.within)
             mean = weights @ values[today] / weights.sum()
             common = shared[:, today] @ weights / weights.sum()
-            expected = model.day_at(float(self.years[today].mean()), float(1.0 / weights.sum()), common)
+            expected = model.at(float(self.years[today].mean()), float(1.0 / weights.sum()), common)
             day_scores[day] = expected.score(float(mean))
         return forecasts, scores, day_scores
 

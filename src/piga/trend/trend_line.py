@@ -1,19 +1,9 @@
-"""Days of a history, the straight line through them with an excess variance, a step in it, control chart and forecast.
+"""Days of a history, the line through them with an excess variance, a step in it, control chart and forecast.
 
-Model: ``y_i = b_0 + b_1 (t_i - t_0) + d_i + e_i``. ``var(e_i) = v_i`` is stated. ``var(d_i) = tau^2`` is estimated
-from the scatter (Paule and Mandel's condition: the weighted residual sum equals its expectation). Intervals
-use the weighted residual sum and Student's t with ``n - 2`` degrees of freedom (Hartung and Knapp). With equal
-``v_i`` they are those of ordinary least squares, with one exception: the sum is never taken below its 20 %
-quantile, for values that scatter far less than ``v_i``.
-
-Forecasts are averaged over what the scatter about the line may be. The scatter has one of three causes: each day
-scatters for itself, the value walks, or its drift walks (ageing). A history of a few years rarely tells which, and
-they forecast differently. So the forecast is an average: each cause is believed alike beforehand, with any size of the
-scatter and any share of it, and the restricted likelihood of the days gives the weights.
-
-Covariance of the days: ``V + s ((1 - share) I + share W)``. ``V`` is stated, ``s`` the variance of the scatter. ``W``
-is ``min(t_i, t_j)`` for a walk and ``m^2 (3 M - m)/6`` with ``m = min, M = max`` for a drift that walks, scaled so
-that ``W`` scatters about a line like ``I``. Each model predicts by generalised least squares.
+Model of the days: ``y_i = b_0 + b_1 t_i + d_i + e_i``; ``var(e_i) = v_i`` is stated, ``var(d_i)`` is estimated from the
+scatter (Paule and Mandel). Intervals of the line use the weighted residual sum and Student's t (Hartung and Knapp).
+Forecasts are averaged over the causes that the scatter may have: each day for itself, a walk, a drift that walks.
+Derivations and coverage: docs/theory/trend.md.
 """
 
 from __future__ import annotations
@@ -21,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,54 +117,46 @@ def excess_variance(residual_sum: Callable[[float], float], freedom: int, scale:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Line(Result):
-    """A straight line through the day means, about their weighted mean time ``origin``.
+    """Weighted least squares of the day means: a straight line about the time ``origin``, perhaps with a step.
 
     Attributes
     ----------
-    level, slope:
-        Value at ``origin``, and change per unit of time. The two are not correlated.
-    level_variance, slope_variance:
-        Their variances from the scatter about the line.
+    coefficients, covariance:
+        Value at ``origin``, change per unit of time and, if there is one, the step; covariance by the scatter.
     shared:
-        (2, sources): effect of errors common to the values on level and slope.
+        (coefficients, sources): effect of errors common to the values on the coefficients.
     excess, stated:
         Variance ``tau^2`` beyond the stated one, zero if the stated one explains the scatter; mean stated variance.
     scale:
-        Weighted residual sum over ``n - 2`` with the excess included: 1, or less if the values scatter less
-        than stated, but not less than its 20 % quantile.
+        Weighted residual sum over its degrees of freedom with the excess included: 1, or less if the values
+        scatter less than stated, but not less than its 20 % quantile.
     chi2:
-        Weighted residual sum with the stated variances alone; ``n - 2`` degrees of freedom.
+        Weighted residual sum with the stated variances alone.
     """
 
     origin: float
-    level: float
-    slope: float
-    level_variance: float
-    slope_variance: float
+    coefficients: Array
+    covariance: Array
     shared: Array
     excess: float
+    stated: float
     scale: float
     chi2: float
     degrees_of_freedom: int
-    stated: float
 
     @property
     def excess_std(self) -> float:
-        """Standard uncertainty of the excess, ``sqrt(2/(n - 2)) (tau^2 + v)`` with the mean stated ``v``."""
+        """Standard uncertainty of the excess, ``sqrt(2/nu) (tau^2 + v)`` with the mean stated ``v``."""
         return math.sqrt(2.0 / self.degrees_of_freedom) * (self.excess + self.stated)
 
-    def at(self, time: float) -> tuple[float, float]:
-        """Value of the line and its variance from the scatter."""
-        since = time - self.origin
-        return self.level + self.slope * since, self.level_variance + self.slope_variance * since**2
-
-    def shared_at(self, time: float) -> Array:
-        """(sources,) effect of common errors on the value at ``time``."""
-        return self.shared[0] + (time - self.origin) * self.shared[1]
+    def at(self, time: float) -> tuple[float, float, Array]:
+        """Value of a line without step, its variance from the scatter, and the effect (sources,) of common errors."""
+        part = np.array([1.0, time - self.origin])
+        return float(part @ self.coefficients), float(part @ self.covariance @ part), part @ self.shared
 
 
-def line_through(days: Days) -> Line:
-    """The line through three days or more.
+def line_through(days: Days, step: int | None = None) -> Line:
+    """The line through three days or more; ``step``: with a step before this day.
 
     Raises
     ------
@@ -192,33 +175,34 @@ def line_through(days: Days) -> Line:
         raise ArgumentError(
             "all values are of one time: no drift can be seen", remedy="give values of different times"
         )
-    freedom = t.size - 2
+    origin = float(t.mean())
+    columns = [np.ones(t.size), t - origin] + ([] if step is None else [np.arange(t.size) >= step])
+    design, since = np.stack(columns, axis=1), y - y[0]
+    freedom = t.size - design.shape[1]
 
-    def fitted(excess: float) -> tuple[Array, float, Array, float, float, float]:
-        weight = 1.0 / (v + excess)
-        origin = t[0] + float(weight @ (t - t[0]) / weight.sum())
-        level = y[0] + float(weight @ (y - y[0]) / weight.sum())
-        lever = weight * (t - origin)
-        slope = float(lever @ (y - level) / (lever @ (t - origin)))
-        return weight, origin, lever, level, slope, float(weight @ (y - level - slope * (t - origin)) ** 2)
+    def weights(excess: float) -> tuple[Array, float]:
+        """Weights (coefficients, days) of the estimates, and the weighted residual sum."""
+        root = 1.0 / np.sqrt(v + excess)
+        q, r = np.linalg.qr(root[:, None] * design)
+        estimate = np.linalg.solve(r, q.T * root)
+        return estimate, float(np.sum((root * (since - design @ (estimate @ since))) ** 2))
 
-    chi2 = fitted(0.0)[-1]
-    excess = excess_variance(lambda variance: fitted(variance)[-1], freedom, float(v.mean()))
-    weight, origin, lever, level, slope, residual_sum = fitted(excess)
+    chi2 = weights(0.0)[1]
+    excess = excess_variance(lambda variance: weights(variance)[1], freedom, float(v.mean()))
+    estimate, residual_sum = weights(excess)
     scale = max(residual_sum, float(chdtri(freedom, 1.0 - TREND.low_sum))) / freedom
-    moment = float(lever @ (t - origin))
+    coefficients = estimate @ since
+    coefficients[0] += y[0]
     return Line(
         origin=origin,
-        level=level,
-        slope=slope,
-        level_variance=scale / float(weight.sum()),
-        slope_variance=scale / moment,
-        shared=np.stack([weight @ days.shared / weight.sum(), lever @ days.shared / moment]),
+        coefficients=coefficients,
+        covariance=scale * (estimate * (v + excess)) @ estimate.T,
+        shared=estimate @ days.shared,
         excess=excess,
+        stated=float(v.mean()),
         scale=scale,
         chi2=chi2,
         degrees_of_freedom=freedom,
-        stated=float(v.mean()),
     )
 
 
@@ -240,29 +224,16 @@ def clearest_step(days: Days) -> Step | None:
     """
     from scipy.special import stdtr
 
-    t, y, v = days.time, days.means, days.variances
-    places = range(TREND.beside_step, t.size - TREND.beside_step + 1)
-    freedom = t.size - 3
-    if freedom < 2 or not places:
+    places = range(TREND.beside_step, days.time.size - TREND.beside_step + 1)
+    if days.time.size < 5:
         return None
-    best = None
+    steps = []
     for place in places:
-        design = np.stack([np.ones(t.size), (t - t[0]) / np.ptp(t), np.arange(t.size) >= place], axis=1)
-
-        def solved(excess: float, design: Array = design) -> tuple[float, Array, Array]:
-            root = 1.0 / np.sqrt(v + excess)
-            solution, _, _, _ = np.linalg.lstsq(root[:, None] * design, root * (y - y[0]), rcond=None)
-            left = root * (y - y[0] - design @ solution)
-            return float(left @ left), solution, root[:, None] * design
-
-        excess = excess_variance(lambda variance: solved(variance)[0], freedom, float(v.mean()))
-        residual_sum, solution, weighted = solved(excess)
-        variance = np.linalg.pinv(weighted.T @ weighted)[2, 2] * max(residual_sum / freedom, TREND.low_sum)
-        std = math.sqrt(variance)
-        probability = min(1.0, 2.0 * len(places) * float(stdtr(freedom, -abs(solution[2]) / std)))
-        if best is None or probability < best.probability:
-            best = Step(place, float(solution[2]), std, probability)
-    return best
+        line = line_through(days, place)
+        size, std = float(line.coefficients[2]), math.sqrt(line.covariance[2, 2])
+        chance = 2.0 * len(places) * float(stdtr(line.degrees_of_freedom, -abs(size) / std))
+        steps.append(Step(place, size, std, min(1.0, chance)))
+    return min(steps, key=lambda step: step.probability)
 
 
 @dataclass(frozen=True)
@@ -303,21 +274,18 @@ class TrendModel(Result):
         if line is None:
             return None
         known = float(np.sum(line.shared[1] ** 2))
-        return _combined(1.0, line.slope, ((line.slope_variance, line.degrees_of_freedom), (known, math.inf)))
+        parts = ((float(line.covariance[1, 1]), line.degrees_of_freedom), (known, math.inf))
+        return _combined(1.0, float(line.coefficients[1]), parts)
 
     def record_at(self, time: float, own: float, shared: Array) -> Forecast:
         """Forecast of a record by the line; ``own`` is its own standard uncertainty, ``shared`` the common errors."""
         day, days = own**2, self.days
         if days.freedom:
             day = min(day, float(np.median(days.variances)))
-        return self._forecast(time, day, days.within + own**2 - day, shared)
+        return self.at(time, day, shared, days.within + own**2 - day)
 
-    def day_at(self, time: float, variance: float, shared: Array) -> Forecast:
-        """Forecast of the mean of a day's records by the line; ``variance`` is its own variance."""
-        return self._forecast(time, variance, 0.0, shared)
-
-    def _forecast(self, time: float, day: float, inside: float, shared: Array) -> Forecast:
-        """Forecast with variances beside that of the line: ``day`` between days, and ``inside`` within the day.
+    def at(self, time: float, day: float, shared: Array, inside: float = 0.0) -> Forecast:
+        """Forecast by the line of a value with variances ``day`` between days and ``inside`` within the day.
 
         The scatter of the days gives only the sum of instability and stated variance. A value with a smaller own variance
         needs the instability alone, which is uncertain. Up to half the standard uncertainty of the instability's
@@ -326,12 +294,12 @@ class TrendModel(Result):
         line = self.line
         if line is None:
             raise TOO_FEW
-        value, variance = line.at(time)
+        value, variance, common = line.at(time)
         doubt = 0.5 * line.excess_std * max(0.0, 1.0 - day / line.stated)
         parts = (
             (variance + line.scale * (line.excess + day) + doubt, line.degrees_of_freedom),
             (inside, self.days.freedom or math.inf),
-            (float(np.sum((line.shared_at(time) - shared) ** 2)), math.inf),
+            (float(np.sum((common - shared) ** 2)), math.inf),
         )
         return _combined(time, value, parts)
 
@@ -360,15 +328,14 @@ def moving_average(scores: Array, weight: float = TREND.smoothing) -> tuple[Arra
     For independent standard normal scores the variance after ``n`` of them is
     ``w/(2 - w) (1 - (1 - w)^(2 n))``.
     """
-    averages, limits = np.full(scores.size, np.nan), np.full(scores.size, np.nan)
-    average, seen, most = 0.0, 0, TREND.control_limit
-    for i, score in enumerate(scores):
-        if math.isnan(score):
-            continue
-        seen += 1
-        average = weight * float(np.clip(score, -most, most)) + (1.0 - weight) * average
-        averages[i] = average
-        limits[i] = most * math.sqrt(weight / (2.0 - weight) * (1.0 - (1.0 - weight) ** (2 * seen)))
+    averages, limits = np.full((2, scores.size), np.nan)
+    seen, most = np.flatnonzero(~np.isnan(scores)), TREND.control_limit
+    steps = weight * np.clip(scores[seen], -most, most)
+    averages[seen] = list(
+        accumulate(steps, lambda average, step: (1.0 - weight) * average + step, initial=0.0)
+    )[1:]
+    remembered = (1.0 - weight) ** (2 * np.arange(1, seen.size + 1))
+    limits[seen] = most * np.sqrt(weight / (2.0 - weight) * (1.0 - remembered))
     return averages, limits
 
 

@@ -273,7 +273,7 @@ def test_doing_nothing_holds_both_meanings_of_a_cube():
     under = first.scale_factor_under
     assert under["servo"] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
     assert under["k3"] == pytest.approx(by_k3, rel=1e-6)
-    note = next(note for note in calibration.notes if "servo" in note)
+    note = next(note for note in calibration.remarks if "missing term: servo" in note)
     assert "a choice of meaning" in note
     assert "covers both" in note
     assert not any(entry.terms == ("k3",) for entry in calibration.diagnostics.missing_terms)

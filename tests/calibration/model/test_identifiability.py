@@ -10,10 +10,10 @@ import pytest
 import piga
 from piga.calibration.model.identifiability import (
     _aligned,
-    notes_in_words,
     one_way_in_words,
     refuse_useless,
     remarks_in_words,
+    scatter_in_words,
 )
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Layout
@@ -28,40 +28,40 @@ def coefficient(
     return Coefficient(name, value, std, unit, segment)
 
 
-def notes(coefficients: list[Coefficient], correlation: float = 0.0, **options: object) -> str:
+def remarks(coefficients: list[Coefficient], correlation: float = 0.0, phases: str = "shared") -> str:
     std = np.array([c.std for c in coefficients])
     covariance = np.outer(std, std) * (correlation + (1.0 - correlation) * np.eye(std.size))
-    return "\n".join(
-        notes_in_words(tuple(coefficients), covariance, **({"scatter": SegmentScatter()} | options))
-    )
+    return "\n".join(remarks_in_words(tuple(coefficients), covariance, phases))
 
 
-def test_doubts_are_said_when_there_are_and_only_then() -> None:
+def test_remarks_are_said_when_there_are_and_only_then() -> None:
     sure = [
         coefficient("scale_factor", 0.9, 1e-6),
         coefficient("tan_beta", 1e-3, 1e-6),
         coefficient("k0", 1.0, 0.1),
     ]
-    assert notes(sure) == ""
-    assert notes(sure, 0.97).count("\n") == 0, "one sentence for the group, not one for each pair"
-    assert "scale_factor, tan_beta and k0 are hard to tell apart" in notes(sure, 0.97)
-    assert "scale_factor and k0 are hard to tell apart" in notes([sure[0], sure[2]], -0.97)
-    assert "largest correlation 0.970 in size" in notes([sure[0], sure[2]], -0.97)
+    assert remarks(sure) == ""
+    assert remarks(sure, 0.97).count("\n") == 0, "one sentence for the group, not one for each pair"
+    assert "scale_factor, tan_beta and k0 are hard to tell apart" in remarks(sure, 0.97)
+    assert "scale_factor and k0 are hard to tell apart" in remarks([sure[0], sure[2]], -0.97)
+    assert "largest correlation 0.970 in size" in remarks([sure[0], sure[2]], -0.97)
     small = [*sure[:2], coefficient("k0", 0.19, 0.1), coefficient("k2", 0.1, 0.1)]
-    assert notes(small) == ""
-    assert remarks_in_words(tuple(small), "shared") == (
-        "k0, k2 are smaller than twice their standard uncertainty: the record does not need them",
+    assert remarks(small) == (
+        "k0, k2 are smaller than twice their standard uncertainty: the record does not need them"
     )
-    assert "tan_beta is not well above" in notes([coefficient("tan_beta", 3.9e-6, 1e-6)])
-    assert "scatter 2.1 times" in notes(sure, scatter=SegmentScatter(2.1, 1e-6))
-    assert "scatter" not in notes(sure, scatter=SegmentScatter(1.9, 1e-6))
-    drift = SegmentScatter(1.0, 1e-6, 3.1)
-    assert "scatter 3.1 times more than the noise of the angle" in notes(sure, scatter=drift)
-    assert "scatter" not in notes(sure, scatter=SegmentScatter(1.0, 1e-6, 1.9))
+    assert "tan_beta is not well above" in remarks([coefficient("tan_beta", 3.9e-6, 1e-6)])
     loose = [*sure, coefficient("phi", 0.1, 0.6, "rad", "7"), coefficient("phi", 0.1, 0.01, "rad", "8")]
-    assert "phi is not determined in segment 7:" in notes(loose)
-    assert remarks_in_words(tuple(loose), "per-segment") == ()
-    assert "has its own phase" in remarks_in_words((*sure, loose[-1]), "per-segment")[0]
+    assert "phi is not determined in segment 7:" in remarks(loose)
+    assert "has its own phase" not in remarks(loose, phases="per-segment")
+    assert "has its own phase" in remarks([*sure, loose[-1]], phases="per-segment")
+
+
+def test_scatter_of_the_positions_is_a_doubt() -> None:
+    assert "scatter 2.1 times" in scatter_in_words(SegmentScatter(2.1, 1e-6))[0]
+    assert not scatter_in_words(SegmentScatter(1.9, 1e-6))
+    drift = SegmentScatter(1.0, 1e-6, 3.1)
+    assert "scatter 3.1 times more than the noise of the angle" in scatter_in_words(drift)[0]
+    assert not scatter_in_words(SegmentScatter(1.0, 1e-6, 1.9))
 
 
 @pytest.mark.parametrize(

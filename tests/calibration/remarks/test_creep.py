@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import piga
-from piga.records.run_file import UncertaintyTable
+from piga.records.run_file import EstimationTable, UncertaintyTable
 from piga.reports.calibration.figures import creep_figure
 from tests.calibration.made.independent import Bench, head
 
@@ -44,7 +45,7 @@ def crept() -> piga.Calibration:
     return quiet(record(50e-6))
 
 
-def quiet(run: piga.Run) -> piga.Calibration:
+def quiet(run: piga.Run | list[piga.Run]) -> piga.Calibration:
     with pytest.warns(piga.CalibrationWarning):
         return piga.calibrate(run, TERMS)
 
@@ -101,6 +102,35 @@ def test_creep_below_the_uncertainty_is_a_remark():
     assert max(map(abs, creep.shift.values())) < 1.0
     assert not doubts(result)
     assert any("creep" in remark for remark in result.remarks)
+
+
+@pytest.fixture(scope="module")
+def turned() -> piga.Run:
+    """Another run of the instrument, without creep."""
+    bench = replace(BENCH, forces=head(16)[ORDER[::-1]], k0_T=0.0, seconds=30.0)
+    return weighed(replace(bench.record(9), source="other.toml", input_sha256={"b": "b"}))
+
+
+def weighed(run: piga.Run) -> piga.Run:
+    """The run with stated levels of noise: its weights do not depend on the creep."""
+    levels = {"angle_rms": f"{BENCH.white} rad", "angle_random_walk": f"{BENCH.walk} rad/sqrt(s)"}
+    return replace(run, estimation=msgspec.convert(levels, EstimationTable))
+
+
+def test_creep_of_one_run_among_several_is_named(turned):
+    crept, clean = (
+        weighed(replace(record(size), source="crept.toml", input_sha256={"a": "a"})) for size in (100e-6, 0.0)
+    )
+    together, without = quiet([turned, crept]), quiet([turned, clean])
+    (words,) = doubts(together)
+    assert words.startswith("run 'crept': a creep after each move")
+    creep = together.diagnostics.creep
+    assert creep.size == pytest.approx(100e-6, abs=4.0 * creep.standard_uncertainty)
+    moved = {c.key: (without[c.key].value - c.value) / c.std for c in together.coefficients}
+    assert max(map(abs, moved.values())) > 1.0
+    assert creep.shift == pytest.approx(moved, abs=0.3)
+    assert not doubts(without)
+    assert without.diagnostics.creep.probability > 0.01
 
 
 def test_sound_records_show_none():

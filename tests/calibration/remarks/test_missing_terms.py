@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import piga
+from piga.records.run_file import UncertaintyTable
 from piga.units import G0
 from tests.calibration.made.independent import Bench, head
 from tests.calibration.made.scenarios import SCENARIOS, Scenario, tumble
@@ -29,8 +30,20 @@ def test_every_signature_is_recognised(name):
     miss = abs(first.estimate[at] - SIZES[name]) / first.standard_uncertainty[at]
     assert miss < 5.0
     assert first.standard_uncertainty[at] < 0.1 * abs(SIZES[name])
-    assert any("signature of a missing term" in note and name in note for note in calibration.notes)
+    said = calibration.notes if first.largest_shift > 1.0 else calibration.remarks
+    assert any("signature of a missing term" in note and name in note for note in said)
     assert name not in [c.name for c in calibration.coefficients]
+
+
+@pytest.mark.only_compiled
+def test_a_term_that_moves_nothing_by_more_than_u_is_no_doubt():
+    run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k2", 2e-4)
+    wide = replace(run, uncertainty=UncertaintyTable(reference_scale="0.1 %", reference_bias="1 mg"))
+    for one, doubts in ((run, 1), (wide, 0)):
+        verdict = (result := piga.calibrate(one, TERMS)).verdict
+        found = [doubt for doubt in verdict.doubts if "signature of a missing term" in doubt.what]
+        assert len(found) == doubts
+        assert doubts or "signature of a missing term" in " ".join(result.remarks)
 
 
 @pytest.mark.only_compiled

@@ -10,10 +10,10 @@ from scipy.special import fresnel
 
 from piga import earth
 from piga._kernels.platform.motion import drift_triad
-from piga._kernels.platform.navigation import Correction, Stepping, Triad, navigate_chunk
+from piga._kernels.platform.navigation import Stepping, Triad, navigate_chunk
 from piga.earth import EARTH_RATE
 from piga.frames import axis_turn
-from piga.platform import Perturbation, compensator, linear_errors, theory_lines, true_knowledge
+from piga.platform import Perturbation, linear_errors, theory_lines, true_knowledge
 from piga.platform.geometry import (
     KERNEL_EARTH,
     apparent_gyro,
@@ -119,13 +119,11 @@ def _step() -> Iterator[Pair]:
     g, g1, g2 = (gravitation(r - v * h * k) for k in range(3))
     r_next = r + h * v + h / 24 * (9 * D[0] + 4 * D[1] - D[2]) + h**2 / 24 * (19 * g - 10 * g1 + 3 * g2)
     v_next = v + D[0] + h / 24 * (9 * gravitation(r_next) + 19 * g - 5 * g1 + g2)
-    still, none, one = np.array([[1.0, 0.0]]), np.zeros(1), np.ones(1)
-    state, nothing = np.zeros((9, 3)), np.zeros(0)
+    state = np.zeros((9, 3))
     state[:7] = r, v, g, g1, g2, D[1], D[2]
     positions, velocities = np.empty((1, 3)), np.empty((1, 3))
-    known = Correction(still, still, none, one, np.zeros(6), nothing, nothing, nothing, nothing)
     triad, stepping = Triad(np.eye(3), np.zeros(3)), Stepping(h, 1, np.zeros(2), KERNEL_EARTH)
-    navigate_chunk(D[:1], known, triad, none, stepping, state, positions, velocities)
+    navigate_chunk(D[:1], np.zeros((1, 3)), triad, np.zeros(1), stepping, state, positions, velocities)
     yield r_next, positions[0], 2e-9
     yield v_next, velocities[0], 1e-12
 
@@ -135,7 +133,7 @@ def line_amplitudes(model: str, eta: float, eta0: float) -> tuple[dict[str, floa
     scenario = published(redundancy=eta0)
     known = true_knowledge(scenario)
     times = np.full(2, (eta - eta0) / known.eta_rate)
-    result = theory_lines(scenario, compensator(model, known, None), known, [slice(0, 2)], times)
+    result = theory_lines(scenario, model, known, [slice(0, 2)], times)
     return {name: float(values[0]) for name, values in result.amplitude.items()}, scenario
 
 

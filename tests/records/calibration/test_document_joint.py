@@ -152,6 +152,6 @@ def test_a_file_too_large_to_be_one(
     joint: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     joint.to_json(tmp_path / "c.json")
-    monkeypatch.setattr(document, "DOCUMENT", replace(document.DOCUMENT, most_bytes=1000))
+    monkeypatch.setattr(document, "MOST_BYTES", 1000)
     with pytest.raises(CalibrationError, match=r"c\.json: larger than 1000 bytes"):
         Calibration.from_json(tmp_path / "c.json")

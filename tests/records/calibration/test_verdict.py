@@ -103,6 +103,12 @@ def test_coloured_residuals_are_said_everywhere_and_nothing_is_green(coloured):
     assert document["verdict"]["grade"] == "doubt"
 
 
+def test_a_cause_stands_before_residuals_that_are_not_white(coloured):
+    found = replace(coloured, notes=("a creep after each move: leave out the first 22 s",))
+    assert found.verdict.reason == "a creep after each move: leave out the first 22 s"
+    assert found.verdict.doubts[1:] == coloured.verdict.doubts
+
+
 def test_the_verdict_is_the_same_after_reading_back(coloured, tmp_path):
     coloured.to_json(tmp_path / "c.json")
     assert piga.Calibration.from_json(tmp_path / "c.json").verdict == coloured.verdict

@@ -13,24 +13,6 @@ from typing import NamedTuple
 from piga._kernels.jit import Array, inline, kernel
 
 
-class Correction(NamedTuple):
-    """Misalignments known to the navigator, row by row.
-
-    ``z1, z2`` (n, 2) cosine and sine of the case encoders; ``tan_eta, sec_eta`` (n,) or (1,); ``tips`` (6,) = cosine
-    and sine of phase 1 and 2, m1, m2 [rad], with harmonics over the encoder angle in ``a1, b1, a2, b2`` (K,) [rad].
-    """
-
-    z1: Array
-    z2: Array
-    tan_eta: Array
-    sec_eta: Array
-    tips: Array
-    a1: Array
-    b1: Array
-    a2: Array
-    b2: Array
-
-
 class Triad(NamedTuple):
     """``c_gi`` (3, 3) triad to inertial axes at the start of the rows; ``drift`` (3,) of the triad [rad/s]."""
 
@@ -88,25 +70,6 @@ def height_and_normal(
 
 
 @inline
-def compensation_angles(known: Correction, i: int) -> tuple[float, float, float]:
-    """Small angles e_x, e_y, e_z [rad] of the platform against the triad [He2014], with harmonics (model C)."""
-    c1, s1, c2, s2 = known.z1[i, 0], known.z1[i, 1], known.z2[i, 0], known.z2[i, 1]
-    k = i if known.tan_eta.shape[0] > 1 else 0
-    tan_eta, sec_eta, tips = known.tan_eta[k], known.sec_eta[k], known.tips
-    a1, b1, a2, b2 = known.a1, known.b1, known.a2, known.b2
-    m1, m2 = tips[4], tips[5]
-    p, r, f, g = 1.0, 0.0, 1.0, 0.0
-    for n in range(a1.shape[0]):
-        p, r = p * c1 - r * s1, r * c1 + p * s1
-        f, g = f * c2 - g * s2, g * c2 + f * s2
-        m1 += a1[n] * p + b1[n] * r
-        m2 += a2[n] * f + b2[n] * g
-    ex = m1 * (tips[0] * c1 - tips[1] * s1)
-    ey = m1 * (tips[1] * c1 + tips[0] * s1)
-    return ex, ey, m2 * (tips[3] * c2 + tips[2] * s2) * sec_eta - ex * tan_eta
-
-
-@inline
 def moved(h: float, v: float, d: float, d1: float, d2: float, g: float, g1: float, g2: float) -> float:
     """Change of one coordinate over a step, from increments ``d`` and gravitations ``g``, now and before."""
     h24 = h / 24.0
@@ -116,7 +79,7 @@ def moved(h: float, v: float, d: float, d1: float, d2: float, g: float, g1: floa
 @kernel
 def navigate_chunk(  # noqa: PLR0915 - one loop whose scalars stay in registers
     dv: Array,
-    known: Correction,
+    angles: Array,
     triad: Triad,
     altitude: Array,
     stepping: Stepping,
@@ -126,9 +89,10 @@ def navigate_chunk(  # noqa: PLR0915 - one loop whose scalars stay in registers
 ) -> int:
     """Advance the navigator over a chunk of velocity increments; returns the number of rows written.
 
-    ``dv`` (n, 3) increments in platform axes [m/s]; ``known`` at the middle of each step; ``altitude`` (n,) or (1,)
-    reference height [m]; ``state`` (9, 3) in and out: r, v, three gravitations, two increments, (height error, -, -),
-    normal. The states that are kept go to ``positions`` and ``velocities``.
+    ``dv`` (n, 3) increments in platform axes [m/s]; ``angles`` (n, 3) or (1, 3) small angles of the platform against the
+    triad at the middle of each step [rad]; ``altitude`` (n,) or (1,) reference height [m]; ``state`` (9, 3) in and out:
+    r, v, three gravitations, two increments, (height error, -, -), normal. The states kept go to ``positions``
+    and ``velocities``.
     """
     h, every, damping, earth = stepping.h, stepping.every, stepping.damping, stepping.earth
     c_gi, drift = triad.c_gi, triad.drift
@@ -148,12 +112,16 @@ def navigate_chunk(  # noqa: PLR0915 - one loop whose scalars stay in registers
     c10, c11, c12 = c_gi[1, 0], c_gi[1, 1], c_gi[1, 2]
     c20, c21, c22 = c_gi[2, 0], c_gi[2, 1], c_gi[2, 2]
     altitude_stride = 1 if altitude.shape[0] > 1 else 0
+    angle_stride = 1 if angles.shape[0] > 1 else 0
     h24 = h / 24.0
     written, left = 0, every
     for i in range(n):
-        ex, ey, ez = compensation_angles(known, i)
-        middle = (i + 0.5) * h
-        ex, ey, ez = ex + drift[0] * middle, ey + drift[1] * middle, ez + drift[2] * middle
+        at, middle = i * angle_stride, (i + 0.5) * h
+        ex, ey, ez = (
+            angles[at, 0] + drift[0] * middle,
+            angles[at, 1] + drift[1] * middle,
+            angles[at, 2] + drift[2] * middle,
+        )
         fx, fy, fz = dv[i, 0], dv[i, 1], dv[i, 2]
         bx, by, bz = fx + ey * fz - ez * fy, fy + ez * fx - ex * fz, fz + ex * fy - ey * fx
         dx = c00 * bx + c01 * by + c02 * bz
@@ -278,12 +246,13 @@ def base_angles(
 
 @kernel
 def local_level(
-    states: States, known: Correction, triad: Triad, earth_rate: float, semi_major: float, e2: float, out: Array
+    states: States, angles: Array, triad: Triad, earth_rate: float, semi_major: float, e2: float, out: Array
 ) -> None:
     """Convert navigator states to the displayed quantities, ``out`` (n, 9).
 
-    Latitude, longitude [rad], height [m], velocity north, east, down [m/s], roll, pitch, heading [rad]. ``known`` is of
-    the instants of the states; ``triad`` of time zero, its drift along triad axes turned out as one rotation vector.
+    Latitude, longitude [rad], height [m], velocity north, east, down [m/s], roll, pitch, heading [rad]. ``angles``
+    (n, 3) or (1, 3) of the platform against the triad are those of the states' instants; ``triad`` of time zero,
+    its drift along triad axes turned out as one rotation vector.
     """
     r, v, times, drift = states.r, states.v, states.times, triad.drift
     rate = math.sqrt(drift[0] ** 2 + drift[1] ** 2 + drift[2] ** 2)
@@ -300,6 +269,7 @@ def local_level(
         out[i, 3] = cl * v[i, 2] - sl * radial
         out[i, 4] = co * w - so * u
         out[i, 5] = -cl * radial - sl * v[i, 2]
-        e = compensation_angles(known, i)
+        k = i if angles.shape[0] > 1 else 0
+        e = (angles[k, 0], angles[k, 1], angles[k, 2])
         place = (ce * co - se * so, se * co + ce * so, cl, sl)
         out[i, 6], out[i, 7], out[i, 8] = base_angles(place, triad, rate, times[i], e, states.gimbals[i])

@@ -17,7 +17,7 @@ from piga.calibration.budget.uncertainty import SharedSource
 from piga.calibration.fit.servo import at_state, state_of
 from piga.calibration.intervals import Interval, Repetition, find_interval
 from piga.calibration.joint.summary import LiveRun, RunSummary, moved_sources, prepare, run_name, summarise
-from piga.calibration.model.design import Names, ServoState, phaseless_columns
+from piga.calibration.model.design import Design, Names, ServoState, phaseless_columns
 from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import check_per_run, harmonics_of, make_request, shared_of
@@ -223,6 +223,18 @@ class JointFit(MergedRuns):
         first, count = self.first_group(index), len(self.summaries[index].parts)
         own = self.servo.phases[first : first + count]
         return replace(self.servo, phases=own if count == segments else own * segments)
+
+    def design_of(self, index: int, live: LiveRun) -> tuple[Design, Array]:
+        """Columns of a run with raw data, and their coefficients in each of its segments."""
+        segments = len(live.run.labels)
+        wish, scale_factor = (
+            replace(live.request, terms=self.wish.terms_of(index)),
+            self.summaries[index].inner_scale_factor,
+        )
+        values = self.column_values(index)
+        if len(values) != segments:
+            values = np.tile(values[0], (segments, 1))
+        return Design(live.run, wish, scale_factor, self.servo_of(index, segments)), values
 
     def column_values(self, index: int) -> Array:
         """Coefficients of the columns of a run in each of its phase groups."""

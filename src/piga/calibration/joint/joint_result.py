@@ -21,11 +21,10 @@ from piga.calibration.fit.residuals import (
 )
 from piga.calibration.joint.joint_fit import JointFit
 from piga.calibration.joint.summary import LiveRun, provenance, residual_figures
-from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import (
-    notes_in_words,
     refuse_useless,
     remarks_in_words,
+    scatter_in_words,
 )
 from piga.records.calibration import (
     BudgetEntry,
@@ -75,7 +74,7 @@ def joint_result(
     scatter = max((part.scatter for part in held), key=lambda one: one.worst, default=SegmentScatter())
     products = tuple(part.products for part in held)
     direct = fit.summaries[0].unit != GYRO
-    notes = notes_in_words(coefficients, covariance, scatter, direct=direct)
+    notes = scatter_in_words(scatter, direct=direct)
     angle: Literal["angle", "count"] = "count" if direct else "angle"
     plain = Diagnostics(residual_kind="rate" if kind == "rate" else angle, range=_ranges(fit))
     weights = np.array([record.rows for record in records], dtype=float)
@@ -100,7 +99,7 @@ def joint_result(
         condition=fit.examination.condition,
         notes=notes,
         remarks=(
-            *remarks_in_words(coefficients, "shared"),
+            *remarks_in_words(coefficients, covariance, "shared"),
             *_notes_on_runs(records),
         ),
         budget=BudgetTable(budget),
@@ -124,12 +123,7 @@ def _live_part(fit: JointFit, index: int, live: LiveRun, kind: str) -> _LivePart
     Residual rates are converted to angles if runs of both kinds are joined (``kind`` is that of all residuals).
     """
     summary = fit.summaries[index]
-    wish = replace(live.request, terms=fit.wish.terms_of(index))
-    state = fit.servo_of(index, len(live.run.labels))
-    design = Design(live.run, wish, summary.inner_scale_factor, state)
-    values = fit.column_values(index)
-    if len(values) != len(live.run.labels):
-        values = np.tile(values[0], (len(live.run.labels), 1))
+    design, values = fit.design_of(index, live)
     residuals = find_residuals(design, values, live.fit.noise, live.fit.mode)
     scatter = segment_scatter(design, residuals, live.fit.noise)
     products = partial(counted_products, design, live.fit.noise, live.fit.mode, residuals)

@@ -35,7 +35,7 @@ from piga.records.limits import read_whole
 from piga.records.run import Run
 from piga.records.run_file import Draw
 from piga.records.terms import GYRO, SERVO_TERMS, check_name, harmonic, turns
-from piga.records.text_files import JsonError, decode_json, schema_of
+from piga.records.text_files import JsonError, json_object
 from piga.results import Array, Result
 from piga.terms import TERMS, THERMAL_TERMS
 from piga.threads import one_thread
@@ -191,13 +191,13 @@ class RunSummary(Result):
         check_results(path.parent)
         raw = read_whole(path, MOST_SUMMARY_BYTES, "a run summary", CalibrationError)
         try:
-            kind = schema_of(raw)
+            document = json_object(raw)
+            kind = document.get("schema")
             if kind != SCHEMA:
                 raise CalibrationError(
                     f"{path}: no run summary of schema '{SCHEMA}' (it says: {kind})",
                     remedy="name a run file (.toml), or a summary that --summary wrote",
                 )
-            document = decode_json(raw, dict[str, Any])
             _restore(document)
             summary = msgspec.convert(document, RunSummary, dec_hook=_array)
         except (JsonError, msgspec.ValidationError) as error:

@@ -255,27 +255,9 @@ def _full_scale(coefficient: Coefficient, largest: float, duration: float, sprea
     return largest ** {"g/g^2": 1, "g/g^3": 2}.get(unit_of(name), 0)
 
 
-def notes_in_words(
-    coefficients: tuple[Coefficient, ...],
-    covariance: Array,
-    scatter: SegmentScatter,
-    *,
-    direct: bool = False,
-) -> tuple[str, ...]:
-    """Doubts about the estimate, one sentence each. ``direct``: the instrument has no gimbal."""
-    notes = alike_in_words(coefficients, covariance)
-    for coefficient in coefficients:
-        if coefficient.name == "tan_beta" and coefficient.value < 4.0 * coefficient.std:
-            notes.append(
-                "tan_beta is not well above its uncertainty: phi is hardly determined; the limits of "
-                "tan_beta respect that a size cannot be negative: the lower one is 0 if an instrument "
-                "without coupling would give this estimate as often"
-            )
-    loose = _loose(coefficients)
-    if loose:
-        notes.append(
-            f"phi is not determined in segment {', '.join(map(str, loose))}: no transverse force there, or the gimbal hardly turns"
-        )
+def scatter_in_words(scatter: SegmentScatter, *, direct: bool = False) -> tuple[str, ...]:
+    """Doubt about mean rates that scatter more than the noise explains. ``direct``: the instrument has no gimbal."""
+    notes = []
     force, own = scatter.segment_scatter_g or 0.0, "instrument" if direct else "servo"
     ratio, without_it = scatter.segment_scatter_ratio or 0.0, scatter.segment_scatter_ratio_without_it or 0.0
     if ratio > SEPARATION.scatter:
@@ -346,21 +328,32 @@ def one_way_in_words(run: Run, terms: tuple[str, ...]) -> tuple[str, ...]:
     return (words,)
 
 
-def remarks_in_words(coefficients: tuple[Coefficient, ...], phases: str) -> tuple[str, ...]:
-    """Remarks that are not doubts, one sentence each."""
+def remarks_in_words(coefficients: tuple[Coefficient, ...], covariance: Array, phases: str) -> tuple[str, ...]:
+    """Remarks that are not doubts, one sentence each: the uncertainties contain what they say."""
+    sentences = alike_in_words(coefficients, covariance)
+    if any(c.name == "tan_beta" and c.value < 4.0 * c.std for c in coefficients):
+        sentences.append(
+            "tan_beta is not well above its uncertainty: phi is hardly determined; the limits of "
+            "tan_beta respect that a size cannot be negative: the lower one is 0 if an instrument "
+            "without coupling would give this estimate as often"
+        )
+    loose = _loose(coefficients)
+    if loose:
+        sentences.append(
+            f"phi is not determined in segment {', '.join(map(str, loose))}: no transverse force there, or the gimbal hardly turns"
+        )
     small = [
         c.key
         for c in coefficients
         if c.name not in ("phi", "scale_factor", "tan_beta") and abs(c.value) < 2.0 * c.std
     ]
-    sentences = []
     if small:
         verb, whose = ("is", "its") if len(small) == 1 else ("are", "their")
         sentences.append(
             f"{', '.join(small)} {verb} smaller than twice {whose} standard uncertainty: the record does not need "
             f"{'it' if len(small) == 1 else 'them'}"
         )
-    if phases == "per-segment" and not _loose(coefficients):
+    if phases == "per-segment" and not loose:
         sentences.append(
             "every segment has its own phase: nothing is assumed about the counter between segments"
         )

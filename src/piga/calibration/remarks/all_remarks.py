@@ -1,5 +1,7 @@
 """Remarks on a finished calibration: leverage, missing terms, data read wrongly.
 
+A remark that can move a coefficient by more than u is a doubt (``notes``); the others are ``remarks``.
+
 One cause gets one remark. Data that were read wrongly look as if terms were missing, and a missing term affects single
 segments. Advice on the data therefore suppresses suggestions of terms, and both suppress remarks on segments that
 move a coefficient. Remarks change no result. All remarks use a fit without slow noise, because slow noise joins the segments
@@ -9,6 +11,7 @@ and absorbs the signature of a missing term. A suggestion states this.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from piga.calibration.fit.one_run import Fit
@@ -22,11 +25,11 @@ from piga.records.calibration import Calibration, Coefficient, MissingTerm, Segm
 
 @dataclass(frozen=True)
 class Remarks:
-    """Leverage by segment, its remarks on single segments and on moved coefficients, terms suggested."""
+    """Leverage by segment, its remarks on single segments and on moved coefficients (with the shift in u), terms suggested."""
 
     leverage: dict[str, SegmentLeverage]
     alone: tuple[str, ...]
-    moved: tuple[str, ...]
+    moved: tuple[tuple[float, str], ...]
     missing: tuple[MissingTerm, ...]
 
 
@@ -43,20 +46,8 @@ def find_remarks(fit: Fit, candidates: Candidates, coefficients: tuple[Coefficie
     slow = fit.noise.scatter > 0.0
     plain = candidates.fit
     known = _known_without_slow(fit, plain, coefficients) if slow else coefficients
-    leverage, alone, moved = find_leverage(plain, known, slow)
-    _in_reported_uncertainties(leverage, known, coefficients)
+    leverage, alone, moved = find_leverage(plain, known, slow, {c.name: c.std for c in coefficients})
     return Remarks(leverage, alone, moved, suggest_terms(candidates, coefficients))
-
-
-def _in_reported_uncertainties(
-    leverage: dict[str, SegmentLeverage], known: tuple[Coefficient, ...], coefficients: tuple[Coefficient, ...]
-) -> None:
-    """The shifts of the table in units of the reported standard uncertainties."""
-    for row in leverage.values():
-        for one, reported in zip(known, coefficients, strict=True):
-            shift = row.shift.get(one.name)
-            if one.segment is None and shift is not None and one.std != reported.std:
-                row.shift[one.name] = shift * (one.std / reported.std)
 
 
 def with_remarks(result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[LeftOut, ...]) -> Calibration:
@@ -73,16 +64,24 @@ def with_remarks(result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[
     said = {CUBIC_SOURCE} if any(entry.scale_factor_under for entry in missing) else set()
     said |= {DAMPING_SOURCE} if any(entry.terms == ("servo_damping",) for entry in missing) else set()
     suggested = (
-        *(sentence + also for sentence in words),
-        *(doubt.words for doubt in doubts if doubt.words and doubt.source not in said),
+        *((entry.largest_shift, sentence + also) for entry, sentence in zip(missing, words, strict=True)),
+        *(
+            (doubt.largest_shift(result.coefficients), doubt.words)
+            for doubt in doubts
+            if doubt.words and doubt.source not in said
+        ),
     )
-    cause = (*advice, *suggested) or remarks.moved
-    return replace(
-        result,
-        notes=(*cause, *result.notes),
-        remarks=(*remarks.alone, *result.remarks),
-        diagnostics=diagnostics,
-    )
+    cause = (*((math.inf, words) for words in advice), *suggested) or remarks.moved
+    result = replace(result, remarks=(*remarks.alone, *result.remarks), diagnostics=diagnostics)
+    return with_sentences(result, cause)
+
+
+def with_sentences(result: Calibration, sentences: Iterable[tuple[float, str]]) -> Calibration:
+    """The result with sentences: a doubt if the shift before it is above one standard uncertainty, else a remark."""
+    said = list(sentences)
+    doubts = [words for shift, words in said if shift > 1.0]
+    remarks = [words for shift, words in said if not shift > 1.0]
+    return replace(result, notes=(*doubts, *result.notes), remarks=(*remarks, *result.remarks))
 
 
 def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:

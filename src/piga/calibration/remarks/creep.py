@@ -9,6 +9,7 @@ or proportional to the change of a_x by the move. A few time constants are tried
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,11 +17,14 @@ import numpy as np
 from piga._kernels.estimation import merge_rows
 from piga.calibration.fit.one_run import Fit
 from piga.calibration.intervals import sandwich
-from piga.calibration.model.design import Block
+from piga.calibration.joint.joint_fit import JointFit
+from piga.calibration.joint.summary import LiveRun
+from piga.calibration.model.design import Block, Design
 from piga.calibration.model.reduction import Reduction, solve_upper, triangle
 from piga.calibration.model.solution import parameter_rows
+from piga.calibration.remarks.all_remarks import with_sentences
 from piga.calibration.remarks.missing_terms import after_change
-from piga.calibration.weights import RATE, Extra, Positions, reduce_positions
+from piga.calibration.weights import RATE, Extra, Noise, Positions, reduce_positions, residual_increments
 from piga.records.calibration import Calibration, Coefficient, Creep
 from piga.records.calibration.coefficient import changes
 from piga.records.calibration.diagnostics import CREEP_ALARMS
@@ -50,8 +54,22 @@ class CreepSettings:
 CREEP = CreepSettings()
 
 
-def find_creep(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Creep | None:
-    """The likeliest creep of a record, seen or not; None if it has too few positions, or no position long enough.
+@dataclass(frozen=True)
+class FittedRun:
+    """A record under a fit: its columns, its weights, and the column coefficients ``values`` (segments, m).
+
+    ``effect`` is the change of the coefficients (file units) by adding a creep of this size, whose column is in the triangles.
+    """
+
+    design: Design
+    mode: str
+    noise: Noise
+    values: Array
+    effect: Callable[[float, list[Reduction]], Array]
+
+
+def creep_of_run(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Creep | None:
+    """The likeliest creep of a record, seen or not; None if it was not tested.
 
     Parameters
     ----------
@@ -60,6 +78,59 @@ def find_creep(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Creep | None:
     coefficients:
         The result, with combined standard uncertainties.
     """
+
+    def effect(size: float, rows: list[Reduction]) -> Array:
+        before, after = (
+            np.array([after_change(fit, change)[c.key] for c in coefficients])
+            for change in (np.zeros(1), size * _taken_up(fit, rows))
+        )
+        return changes(coefficients, before, after)
+
+    return find_creep(FittedRun(fit.design, fit.mode, fit.noise, fit.solution.values, effect), coefficients)
+
+
+def creep_of_runs(fit: JointFit, coefficients: tuple[Coefficient, ...]) -> tuple[LiveRun, Creep] | None:
+    """The likeliest creep of the runs with raw data, and its run; None if none was tested."""
+    before = np.array([c.value for c in fit.coefficients])
+    creeps: list[tuple[LiveRun, Creep]] = []
+    for index, live in enumerate(fit.live):
+        if live is None:
+            continue
+        design, values = fit.design_of(index, live)
+
+        def effect(size: float, rows: list[Reduction], index: int = index, design: Design = design) -> Array:
+            positions, noise = Positions.of(design.run), fit.summaries[index].noise
+            score = np.zeros(fit.estimate.parameters)
+            for part, segment, variance in zip(
+                rows, positions.segments.tolist(), noise.rate_variances(positions.count), strict=True
+            ):
+                factor = part.without((RATE,), float(variance)).factor
+                group = fit.first_group(index) + design.groups[segment]
+                turned = factor[:, :-2] @ fit.layout.jacobian(
+                    fit.estimate.amplitudes, fit.estimate.phases, group
+                )
+                score += turned.T @ factor[:, -2]
+            change = size * (fit.estimate.inverse @ score)
+            at = fit.estimate.amplitudes.size
+            moved = replace(
+                fit.estimate,
+                amplitudes=fit.estimate.amplitudes + change[:at],
+                phases=fit.estimate.phases + change[at:],
+            )
+            named, _ = fit.named(moved, fit.estimate.covariance)
+            return changes(coefficients, before, np.array([c.value for c in named]))
+
+        creep = find_creep(FittedRun(design, live.fit.mode, live.fit.noise, values, effect), coefficients)
+        if creep is not None:
+            creeps.append((live, creep))
+    if not creeps:
+        return None
+    live, best = max(creeps, key=lambda item: (item[1].seen, item[1].largest_shift, -item[1].probability))
+    return live, replace(best, probability=min(1.0, len(creeps) * best.probability))
+
+
+def find_creep(fit: FittedRun, coefficients: tuple[Coefficient, ...]) -> Creep | None:
+    """The likeliest creep, seen or not; None if a record has too few positions, or no position long enough."""
     run, positions = fit.design.run, Positions.of(fit.design.run)
     begin, end = positions.times(run)
     length = float(np.median(end - begin))
@@ -76,12 +147,8 @@ def find_creep(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Creep | None:
         best = max(clear, key=lambda test: test.fall)
         near = _tests(fit, positions, [best.time * part for part in CREEP.near])
         best = max((test for test in near if test.by_move == best.by_move), key=lambda test: test.fall)
-    before, after = (
-        np.array([after_change(fit, change)[c.key] for c in coefficients])
-        for change in (np.zeros(1), -best.size * _taken_up(fit, positions, best.rows))
-    )
     scale = fit.design.scale_factor * (1.0 if best.by_move else G0)
-    shifts = zip(coefficients, changes(coefficients, before, after), strict=True)
+    shifts = zip(coefficients, fit.effect(-best.size, best.rows), strict=True)
     return Creep(
         best.size / scale,
         best.std / scale,
@@ -93,7 +160,7 @@ def find_creep(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Creep | None:
     )
 
 
-def _decays(fit: Fit, block: Block, times: list[float]) -> Array:
+def _decays(fit: FittedRun, block: Block, times: list[float]) -> Array:
     """Rows ``[times | rows]`` of a block: the integral of ``exp(-age/time)`` over each interval; for a rate log its value."""
     design, run = fit.design.means, fit.design.means.run
     samples = slice(block.start - (not design.point), block.stop)
@@ -135,7 +202,7 @@ class _Test:
     fall: float
 
 
-def _tests(fit: Fit, positions: Positions, times: list[float]) -> list[_Test]:
+def _tests(fit: FittedRun, positions: Positions, times: list[float]) -> list[_Test]:
     """The tests of all time constants [s], of the same size at each position and by the move; without those that are nowhere."""
     from scipy.special import stdtr
 
@@ -149,7 +216,7 @@ def _tests(fit: Fit, positions: Positions, times: list[float]) -> list[_Test]:
             shapes = []
             for own, segment, move in zip(rows, positions.segments.tolist(), moves, strict=True):
                 own.factor[:, m + 1] *= move
-                missed = own.factor[:, -1] - own.factor[:, :m] @ fit.solution.values[segment]
+                missed = own.factor[:, -1] - own.factor[:, :m] @ fit.values[segment]
                 shapes.append(triangle(np.column_stack([own.factor[:, m : m + 2], missed]))[1:, 1:])
             square = sum(float(shape[0, 0] ** 2) for shape in shapes)
             if square > 0.0:
@@ -160,8 +227,9 @@ def _tests(fit: Fit, positions: Positions, times: list[float]) -> list[_Test]:
     return tests
 
 
-def _taken_up(fit: Fit, positions: Positions, rows: list[Reduction]) -> Array:
+def _taken_up(fit: Fit, rows: list[Reduction]) -> Array:
     """Change of the parameters by a creep of size one that the model lacks, with the weights of the fit."""
+    positions = Positions.of(fit.design.run)
     variances = fit.noise.rate_variances(positions.count).tolist()
     stacked = np.vstack(
         [
@@ -174,18 +242,19 @@ def _taken_up(fit: Fit, positions: Positions, rows: list[Reduction]) -> Array:
     return solve_upper(R[:-1, :-1], R[:-1, -1]) / size
 
 
-def _stacked(fit: Fit, positions: Positions, length: float) -> tuple[tuple[float, ...], ...]:
+def _stacked(fit: FittedRun, positions: Positions, length: float) -> tuple[tuple[float, ...], ...]:
     """Time since the start of the position [s], mean residual rate over K [g] over the positions, and its 95 % half width."""
     from scipy.special import stdtrit
 
     run = fit.design.run
     visit = np.repeat(np.arange(positions.count), np.diff(positions.edges))
     place = np.floor((run.t - run.t[positions.edges[:-1]][visit]) / length * CREEP.bins).astype(np.int64)
-    inside, h = (place >= 0) & (place < CREEP.bins), np.maximum(fit.h, 0.0)
+    missed, interval = residual_increments(fit.design, fit.values)
+    inside = (place >= 0) & (place < CREEP.bins)
     shape = (positions.count, CREEP.bins)
     d, h = (
         np.bincount((visit * CREEP.bins + place)[inside], values[inside], math.prod(shape)).reshape(shape)
-        for values in (fit.d, h)
+        for values in (missed, np.maximum(interval, 0.0))
     )
     mean = d.sum(axis=1) / np.maximum(h.sum(axis=1), 1e-300)
     full = h > 0.5 * h.max(axis=0)
@@ -199,26 +268,26 @@ def _stacked(fit: Fit, positions: Positions, length: float) -> tuple[tuple[float
     return tuple(tuple(values[kept].tolist()) for values in (time, middle, band))
 
 
-def with_creep(result: Calibration, run: Run, creep: Creep | None) -> Calibration:
-    """The result with a creep in its diagnostics: a doubt if it moves a coefficient by more than u, else a remark."""
+def with_creep(result: Calibration, run: Run, creep: Creep | None, name: str = "") -> Calibration:
+    """The result with a creep in its diagnostics: a doubt if it moves a coefficient by more than u, else a remark.
+
+    ``name`` is that of the run among several.
+    """
     result = replace(result, diagnostics=replace(result.diagnostics, creep=creep))
     if creep is None or not creep.seen or result.diagnostics.advice:
         return result
-    largest = max(map(abs, creep.shift.values()), default=0.0)
-    words = _in_words(run, creep, largest)
-    if largest > 1.0:
-        return replace(result, notes=(words, *result.notes))
-    return replace(result, remarks=(*result.remarks, words))
+    words = (f"run '{name}': " if name else "") + _in_words(run, creep)
+    return with_sentences(result, [(creep.largest_shift, words)])
 
 
-def _in_words(run: Run, creep: Creep, largest: float) -> str:
+def _in_words(run: Run, creep: Creep) -> str:
     """The creep, what it does to the coefficients, and the remedy."""
     size, std = 1e6 * creep.size, 1e6 * creep.standard_uncertainty
     per = " for a change of a_x by 1 g" if creep.by_move else ""
     moved = sorted(creep.shift.items(), key=lambda item: -abs(item[1]))[:3]
     shifts = ", ".join(f"{key} by {abs(shift):.2g} u" for key, shift in moved)
     begin, end = Positions.of(run).times(run)
-    wait = math.ceil(creep.time_constant * math.log(max(largest / CREEP.rest, math.e)))
+    wait = math.ceil(creep.time_constant * math.log(max(creep.largest_shift / CREEP.rest, math.e)))
     more = "more " if any(event.kind == "settling" for event in run.quality.events) else ""
     key = f' ([data] settle = "{wait} s")' if run.source and not more else ""
     remedy = (

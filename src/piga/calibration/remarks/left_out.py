@@ -90,6 +90,11 @@ class LeftOut:
         """Its contribution to the covariance of the coefficients."""
         return np.outer(self.change, self.change) / 3.0
 
+    def largest_shift(self, coefficients: tuple[Coefficient, ...]) -> float:
+        """Largest change of a coefficient in its standard uncertainties."""
+        sizes = zip(np.abs(self.change).tolist(), coefficients, strict=True)
+        return max((size / c.std for size, c in sizes if c.std > 0.0), default=0.0)
+
     def row(self, coefficients: tuple[Coefficient, ...]) -> BudgetEntry:
         """Its row of the budget: a uniform distribution between the half-widths."""
         return budget_row(self.source, "B", "rectangular", None, "", coefficients, self.change / math.sqrt(3.0))

@@ -61,7 +61,8 @@ def find_leverage(
     fit: Fit,
     coefficients: tuple[Coefficient, ...],
     slow: bool,
-) -> tuple[dict[str, SegmentLeverage], tuple[str, ...], tuple[str, ...]]:
+    reported: dict[str, float],
+) -> tuple[dict[str, SegmentLeverage], tuple[str, ...], tuple[tuple[float, str], ...]]:
     """Leverage of every segment for ``diagnostics``, and sentences about it.
 
     Parameters
@@ -73,13 +74,15 @@ def find_leverage(
     slow:
         True if there is slow noise. All segments then move coefficients by more than the angle noise explains. A
         segment is named only if its rate is an outlier among the others.
+    reported:
+        Reported standard uncertainty of each coefficient. The shifts of the table and of the sentences are in its units.
 
     Returns
     -------
     tuple
         Leverage by label, sentences on segments that alone determine a coefficient, and sentences on segments that move
-        one. The leverages are together the number of parameters; a share is ``1 - (u/u_without)^2``. Empty for one
-        segment, and beyond ``most_segments``.
+        one, each with the shift. The leverages are together the number of parameters; a share is
+        ``1 - (u/u_without)^2``. Empty for one segment, and beyond ``most_segments``.
     """
     labels = fit.design.run.labels
     if not 1 < len(labels) <= LEVERAGE.most_segments:
@@ -94,7 +97,13 @@ def find_leverage(
         table[label] = SegmentLeverage(traced + (1.0 if linear else 0.0), *_influence(common, whole, left))
     alone, named = _sole_words(table, common), odd_segments(fit) if slow else labels
     unit = "standard uncertainties" + (f" by the noise of the {fit.design.run.quantity}" if slow else "")
-    return table, alone, _shift_words({k: table[k] for k in named}, common, whole, unit)
+    moved = _shift_words({k: table[k] for k in named}, common, whole, unit, reported)
+    for row in table.values():
+        for c in common:
+            shift = row.shift.get(c.name)
+            if shift is not None and c.std != reported[c.name]:
+                row.shift[c.name] = shift * (c.std / reported[c.name])
+    return table, alone, moved
 
 
 def odd_segments(fit: Fit) -> tuple[str, ...]:
@@ -211,10 +220,14 @@ def _sole_words(table: dict[str, SegmentLeverage], common: list[Coefficient]) ->
 
 
 def _shift_words(
-    table: dict[str, SegmentLeverage], common: list[Coefficient], whole: JackknifeFit, unit: str
-) -> tuple[str, ...]:
-    """Segments that move a coefficient by more than noise would."""
-    sentences: list[tuple[float, str]] = []
+    table: dict[str, SegmentLeverage],
+    common: list[Coefficient],
+    whole: JackknifeFit,
+    unit: str,
+    reported: dict[str, float],
+) -> tuple[tuple[float, str], ...]:
+    """Segments that move a coefficient by more than noise would, each with the shift in reported uncertainties."""
+    sentences: list[tuple[float, float, str]] = []
     for label, row in table.items():
         for c in common:
             share, shift = row.share[c.name], row.shift[c.name]
@@ -226,8 +239,12 @@ def _shift_words(
                     f"without segment '{label}' {c.name} changes by {shift:+.1f} {unit} (noise would "
                     f"explain {usual:.1g}): look at that segment"
                 )
-                sentences.append((abs(shift), words))
-    return _few([words for _, words in sorted(sentences, key=lambda item: -item[0])])
+                sentences.append((abs(shift), abs(shift) * c.std / reported[c.name], words))
+    sentences.sort(key=lambda item: -item[0])
+    largest = max((shift for _, shift, _ in sentences), default=0.0)
+    few = _few([words for *_, words in sentences])
+    shifts = [shift for _, shift, _ in sentences[: LEVERAGE.sentences]] + [largest]
+    return tuple(zip(shifts, few, strict=False))
 
 
 def _few(sentences: list[str]) -> tuple[str, ...]:

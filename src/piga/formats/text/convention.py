@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from itertools import zip_longest
+from itertools import islice, zip_longest
 from pathlib import Path
 
 from piga.errors import DataError, Fix, UnitError, Where
@@ -47,6 +47,11 @@ class TextFormat:
     units: dict[str, str]
     header: int = 1
     stamps: dict[str, TimeStamp] = field(default_factory=dict)
+
+    @property
+    def blanks(self) -> bytes:
+        """What a blank line may hold. Tabs are empty cells where they separate."""
+        return b" \r" if self.separator == "\t" else b" \t\r"
 
 
 @dataclass(frozen=True)
@@ -98,7 +103,7 @@ def find_format(
     header_at = _header_at(lines, rows, path)
     if rows.header is False:
         return _without_names(lines, path, encoding, separator, decimal, header_at)
-    sample = [line for line in lines[header_at + 1 :] if line.strip()][:50]
+    sample = list(islice((line for line in lines[header_at + 1 :] if line.strip()), 50))
     separator = separator or _find_separator(lines[header_at], sample)
     line = lines[header_at] if rows.header is None else COMMENT.sub("", lines[header_at])
     names = head_cells(line, separator)
@@ -116,7 +121,8 @@ def find_format(
     check_names(names, path, header_at + 1)
     names, units = units_in_names(single_names(names))
     skip = header_at + 1
-    body = [(i, line) for i, line in enumerate(lines[skip:], start=skip) if line.strip()]
+    filled = ((i, line) for i, line in enumerate(lines[skip:], start=skip) if line.strip())
+    body = list(islice(filled, 50 + rows.last))
     units_at = _units_at(body, separator, rows, path)
     if units_at is not None:
         row_units = [unit_text(cell) for cell in split_line(lines[units_at], separator)]
@@ -154,7 +160,7 @@ def _without_names(
     lines: list[str], path: Path, encoding: str, separator: str | None, decimal: str | None, first: int
 ) -> TextFormat:
     """Format of a file whose first row holds data. The columns are named A, B, C, as in a spreadsheet."""
-    body = [line for line in lines[first:] if line.strip()][:50]
+    body = list(islice((line for line in lines[first:] if line.strip()), 50))
     separator = separator or _find_separator(body[0], body[1:])
     cells = [split_line(line, separator) for line in body]
     names = tuple(column_letter(k) for k in range(len(cells[0])))

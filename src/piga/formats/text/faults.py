@@ -1,6 +1,6 @@
-"""Find every damaged row and cell of a text file, in one pass.
+"""Read lines of a text file one by one, and name every damaged row and cell.
 
-This is slow and thorough. It is used only if the fast reader fails, or the file has bytes that no log holds.
+This is slow and thorough. It is used for a part of a file that PyArrow does not read.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from piga.errors import DataError, Fix, Where
 from piga.formats.columns import column_letter
@@ -19,9 +20,17 @@ MAX_LISTED = 100
 """Most faults that one message lists all. A file that has more is refused there; only a masked one is examined to its end."""
 FIRST_LISTED = 20
 """Faults listed of a file that has more: most often one cause, such as the decimal mark."""
-Hint = tuple[str, tuple[Fix, ...]]
-"""More of the remedy in words, and as keys of the run file."""
 _NUMBER = re.compile(r"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|inf|infinity|nan)", re.IGNORECASE | re.ASCII)
+
+
+class Fault(NamedTuple):
+    """A fault of a row or cell: its kind, words, and more of the remedy in words and as keys of the run file."""
+
+    kind: str
+    words: str
+    hint: str = ""
+    fixes: tuple[Fix, ...] = ()
+    column: str = ""
 
 
 @dataclass
@@ -49,18 +58,18 @@ class Faults:
     columns: dict[str, None] = field(default_factory=dict)
     last_row: int = 0
 
-    def add(self, row: int, kind: str, words: str, hint: Hint = ("", ()), column: str = "") -> None:
-        """Add a fault."""
+    def add(self, row: int, fault: Fault) -> None:
+        """Add a fault of a row."""
         if row != self.last_row:
-            self.kinds.setdefault(kind, [0, row])[0] += 1
+            self.kinds.setdefault(fault.kind, [0, row])[0] += 1
             self.last_row = row
         self.total += 1
         self.first_row = self.first_row or row
-        self.columns |= {column: None} if column else {}
+        self.columns |= {fault.column: None} if fault.column else {}
         if len(self.listed) <= MAX_LISTED:
-            self.listed.append(words)
+            self.listed.append(fault.words)
         if not self.hint:
-            self.hint, self.fixes = hint
+            self.hint, self.fixes = fault.hint, fault.fixes
 
     @property
     def words(self) -> str:
@@ -88,83 +97,93 @@ class Faults:
         return sum(count for count, _ in self.kinds.values())
 
 
-def find_faults(
+def read_lines(
     faults: Faults,
     raw: bytes,
     first: int,
     form: TextFormat,
     numeric: tuple[str, ...],
+    label: str | None,
     missing: tuple[str, ...],
     most: int | None,
-) -> list[int]:
-    """Check every needed cell of some lines, the first of which is row ``first``. Stops after more than ``most`` faults.
+) -> tuple[dict[str, list[Any]], list[int]]:
+    """Read the needed cells of some lines, the first of which is row ``first``. Stops after more than ``most`` faults.
 
-    Adds to ``faults`` and returns the lines (0-based) with faults.
+    Adds to ``faults``. Returns the cells of the good lines by column, and the rows of these lines. A cell is a number, None
+    for a missing value, text for a time stamp or a label.
     """
     tokens = {*MISSING, *INFINITE, *missing}
-    places = [(name, form.names.index(name)) for name in dict.fromkeys(numeric)]
-    damaged = []
-    for index, line in enumerate(raw.split(b"\n")):
-        before = faults.total
-        if line.strip():
-            _look_at_line(faults, first + index, line, form, places, tokens)
-        if faults.total > before:
-            damaged.append(index)
-            if most is not None and faults.total > most:
-                break
-    return damaged
+    places = {name: form.names.index(name) for name in numeric if name != label}
+    values: dict[str, list[Any]] = {name: [] for name in [*places, *([] if label is None else [label])]}
+    rows = []
+    for row, line in enumerate(raw.split(b"\n"), start=first):
+        if most is not None and faults.total > most:
+            break
+        if not line.strip(form.blanks):
+            continue
+        cells = _cells(row, line, form)
+        if isinstance(cells, Fault):
+            faults.add(row, cells)
+            continue
+        read: dict[str, Any] = {name: _value(row, cells[at], form, name, tokens) for name, at in places.items()}
+        bad = [value for value in read.values() if isinstance(value, Fault)]
+        for fault in bad:
+            faults.add(row, fault)
+        if bad:
+            continue
+        if label is not None:
+            read[label] = _unquoted(cells[form.names.index(label)])
+        rows.append(row)
+        for name, value in read.items():
+            values[name].append(value)
+    return values, rows
 
 
-def _look_at_line(
-    faults: Faults, row: int, line: bytes, form: TextFormat, places: list[tuple[str, int]], tokens: set[str]
-) -> None:
+def _cells(row: int, line: bytes, form: TextFormat) -> list[str] | Fault:
+    """The cells of a line, or the fault of its form."""
     if b"\0" in line:
-        words = (
-            f"row {row}: {line.count(0)} NUL bytes from byte {line.find(0)} of the row (the logger lost power?)"
-        )
-        faults.add(row, "nul-bytes", words)
-        return
+        words = f"{line.count(0)} NUL bytes from byte {line.find(0)} of the row (the logger lost power?)"
+        return Fault("nul-bytes", f"row {row}: {words}")
     try:
         text = line.decode("utf-8").rstrip("\r")
     except UnicodeDecodeError as error:
         words = f"row {row}: byte {error.start} of the row is not UTF-8 text"
-        faults.add(row, "bad-encoding", words, ("; or add [data] encoding = '...'", (Fix("data", "encoding"),)))
-        return
+        return Fault("bad-encoding", words, "; or add [data] encoding = '...'", (Fix("data", "encoding"),))
     if "\r" in text:
-        faults.add(row, "carriage-return", f"row {row}: a carriage return inside the line")
-        return
-    _look_at(faults, row, text, form, places, tokens)
-
-
-def _look_at(
-    faults: Faults, row: int, line: str, form: TextFormat, places: list[tuple[str, int]], tokens: set[str]
-) -> None:
-    cells = split_cells(line, form.separator)
+        return Fault("carriage-return", f"row {row}: a carriage return inside the line")
+    cells = split_cells(text, form.separator)
     if cells is None:
-        faults.add(row, "open-quote", f"row {row}: a quotation mark is not closed")
-        return
-    if len(cells) != len(form.names):
-        many = form.separator == "," and len(cells) > len(form.names)
-        faults.add(
-            row,
-            "long-row" if len(cells) > len(form.names) else "short-row",
-            f"row {row} has {len(cells)} cell{'s' if len(cells) != 1 else ''}, the header has {len(form.names)}",
-            ("; commas as decimal marks need another separator" if many else "", ()),
-        )
-        return
-    for name, column in places:
-        cell = cells[column].strip().strip('"').strip()
-        stamp = form.stamps.get(name)
-        if cell in tokens or (
-            is_number(cell, form.decimal) if stamp is None else stamp.seconds(cell) is not None
-        ):
-            continue
-        where = f"row {row}, column '{name}' ({column_letter(column)}): '{cell[:40]}' is"
-        if stamp is None:
-            faults.add(row, "not-a-number", f"{where} not a number", _cell_hint(cell, form, name), name)
-        else:
-            words = f"{where} not a time stamp of the form {stamp.form}"
-            faults.add(row, "not-a-time", words, _stamp_hint(cell, name), name)
+        return Fault("open-quote", f"row {row}: a quotation mark is not closed")
+    if len(cells) == len(form.names):
+        return cells
+    words = f"row {row} has {len(cells)} cell{'s' if len(cells) != 1 else ''}, the header has {len(form.names)}"
+    if len(cells) < len(form.names):
+        return Fault("short-row", words)
+    return Fault(
+        "long-row", words, "; commas as decimal marks need another separator" if form.separator == "," else ""
+    )
+
+
+def _value(row: int, cell: str, form: TextFormat, name: str, tokens: set[str]) -> float | str | Fault | None:
+    """A number, the text of a time stamp, None for a missing value, or the fault of the cell."""
+    cell = cell.strip().strip('"').strip()
+    if cell in tokens:
+        return None
+    stamp = form.stamps.get(name)
+    if stamp is None and is_number(cell, form.decimal):
+        return float(cell.replace(form.decimal, "."))
+    if stamp is not None and stamp.seconds(cell) is not None:
+        return cell
+    where = f"row {row}, column '{name}' ({column_letter(form.names.index(name))}): '{cell[:40]}' is"
+    if stamp is None:
+        return Fault("not-a-number", f"{where} not a number", *_cell_hint(cell, form, name), name)
+    words = f"{where} not a time stamp of the form {stamp.form}"
+    return Fault("not-a-time", words, *_stamp_hint(cell, name), name)
+
+
+def _unquoted(cell: str) -> str:
+    cell = cell.strip()
+    return cell[1:-1].replace('""', '"') if len(cell) > 1 and cell[0] == cell[-1] == '"' else cell
 
 
 def split_cells(line: str, separator: str) -> list[str] | None:
@@ -173,13 +192,13 @@ def split_cells(line: str, separator: str) -> list[str] | None:
         return line.split(separator)
     cells, at = [], 0
     while at <= len(line):
+        end = at
         if line[at : at + 1] == '"':
             closing = re.compile(r'(?:[^"]|"")*"').match(line, at + 1)
             if closing is None:
                 return None
-            end = line.find(separator, closing.end())
-        else:
-            end = line.find(separator, at)
+            end = closing.end()
+        end = line.find(separator, end)
         end = len(line) if end < 0 else end
         cells.append(line[at:end])
         at = end + 1
@@ -195,14 +214,14 @@ def is_number(cell: str, decimal: str) -> bool:
     return _NUMBER.fullmatch(cell) is not None
 
 
-def _stamp_hint(cell: str, name: str) -> Hint:
+def _stamp_hint(cell: str, name: str) -> tuple[str, tuple[Fix, ...]]:
     """How to read a cell that is a time stamp."""
     forms = forms_of([cell])[:1]
     words = "".join(f"; or read it with time = {{ column = '{name}', stamp = '{form}' }}" for form in forms)
     return words, tuple(Fix("data", "time", {"column": name, "stamp": form}) for form in forms)
 
 
-def _cell_hint(cell: str, form: TextFormat, name: str) -> Hint:
+def _cell_hint(cell: str, form: TextFormat, name: str) -> tuple[str, tuple[Fix, ...]]:
     words, fixes = _stamp_hint(cell, name)
     if words:
         return f"{words} in [data]", fixes

@@ -12,6 +12,7 @@ import os
 import re
 import zlib
 from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -116,8 +117,6 @@ MAX_LINE = 16 << 20
 """Longest line [bytes]."""
 MAX_HEAD = 1 << 20
 """Bytes within which header, units and first data row must lie."""
-FIRST_ROWS = 3
-"""Number of lines for header, units and first data row."""
 LINE_END = re.compile(rb"\r\n|\n|\r")
 _PLAIN = ("utf-8", "utf-8-sig", "ascii")
 """Encodings that need no conversion."""
@@ -129,10 +128,9 @@ class TextSource:
     Attributes
     ----------
     encoding:
-        Encoding of the file; see :func:`piga.formats.text.source.find_encoding`.
+        Encoding of the file; see :func:`find_encoding`.
     head:
-        The first complete lines as UTF-8, of :data:`~piga.formats.text.convention.SNIFF_BYTES` bytes, or of
-        :data:`MAX_HEAD` if the first three lines need more.
+        The complete lines within the first :data:`MAX_HEAD` bytes, as UTF-8.
     cut:
         True, after the last piece, if the last line had no line end and was left out.
 
@@ -149,7 +147,7 @@ class TextSource:
         piece: int | None = None,
         *,
         wanted: Iterable[str] = (),
-        first_rows: int = FIRST_ROWS,
+        first_rows: int = 0,
     ) -> None:
         self.path, self.cut, self._piece = path, False, piece or PIECE_BYTES
         first = next(self._blocks(MAX_HEAD + 1), b"")
@@ -158,32 +156,31 @@ class TextSource:
                 f"{path}: the file is empty", remedy="check that the logger wrote data", where=Where(path)
             )
         self.encoding = find_encoding(first[:SNIFF_BYTES], path, encoding, wanted)
-        self._only_cr = False
-        for most in (SNIFF_BYTES, MAX_HEAD):
-            text = b"".join(self._as_utf8(iter([first[:most]])))
-            if most == SNIFF_BYTES:
-                self._refuse_utf16(text[:256])
-            self._only_cr = b"\n" not in text
-            text = text.replace(b"\r", b"\n") if self._only_cr else text
-            end = max(text.rfind(b"\n"), text.rfind(b"\r")) + 1
-            self.head = text[:end] if end or len(first) > most else text
-            if len(first) <= most or _rows(self.head) >= first_rows:
-                return
-        row = sum(1 for _ in LINE_END.finditer(self.head)) + 1
-        raise DataError(
-            f"{path}: row {row}: a line too long, or too many comments: header, units and first data row must lie "
-            f"within the first {MAX_HEAD >> 20} MiB",
-            remedy="check that this is the log; export it again",
-            where=Where(path, row),
-        )
+        text = b"".join(self._as_utf8(iter([first[:MAX_HEAD]])))
+        self._refuse_utf16(text[:256])
+        self._only_cr = b"\n" not in text
+        text = text.replace(b"\r", b"\n") if self._only_cr else text
+        whole = len(first) <= MAX_HEAD
+        end = max(text.rfind(b"\n"), text.rfind(b"\r")) + 1
+        self.head = text if whole and not end else text[:end]
+        lines = LINE_END.split(self.head)
+        filled = (line for line in lines if line.strip() and not line.lstrip().startswith(b"#"))
+        needed = 3 + first_rows  # header, units and first data row, and rows that the run file names
+        if not whole and len(list(islice(filled, needed))) < needed:
+            raise DataError(
+                f"{path}: row {len(lines)}: a line too long, or too many comments: header, units and first data row "
+                f"must lie within the first {MAX_HEAD >> 20} MiB",
+                remedy="check that this is the log; export it again",
+                where=Where(path, len(lines)),
+            )
 
     def header_bytes(self, skip: int) -> int:
         """Size of the first ``skip`` lines [bytes]."""
         ends = [match.end() for _, match in zip(range(skip), LINE_END.finditer(self.head), strict=False)]
         return 0 if skip == 0 else ends[-1] if len(ends) == skip else len(self.head)
 
-    def pieces(self, skip: int) -> Iterator[tuple[bytes, int]]:
-        """Complete lines in order, without the first ``skip``, and their number."""
+    def pieces(self, skip: int) -> Iterator[bytes]:
+        """Complete lines in order, without the first ``skip``."""
         header, rest = self.header_bytes(skip), b""
         for block in self._as_utf8(self._blocks(self._piece)):
             data = rest + (block.replace(b"\r", b"\n") if self._only_cr else block)
@@ -198,11 +195,11 @@ class TextSource:
                     where=Where(self.path),
                 )
             if end > dropped:
-                yield data[dropped:end], data.count(b"\n", dropped, end)
+                yield data[dropped:end]
         end = rest.rfind(b"\r") + 1
         self.cut = end < len(rest)
         if end:
-            yield rest[:end], 0
+            yield rest[:end]
 
     def _blocks(self, size: int) -> Iterator[bytes]:
         """The unpacked bytes of the file, ``size`` at a time. An error becomes one clear message."""
@@ -268,9 +265,3 @@ class TextSource:
                 where=Where(self.path, 1),
                 fixes=[Fix("data", "encoding", "utf-16-le"), Fix("data", "encoding", "utf-16-be")],
             )
-
-
-def _rows(head: bytes) -> int:
-    """Number of lines that are neither empty nor comments."""
-    lines = (line.strip() for line in LINE_END.split(head))
-    return sum(1 for line in lines if line and not line.startswith(b"#"))

@@ -130,7 +130,7 @@ class StampClock:
     _last: float = field(default=float("nan"), init=False)
     _added: float = field(default=0.0, init=False)
 
-    def convert(self, column: Any, missing: set[str]) -> Any | None:
+    def convert(self, column: Any, missing: set[str | None]) -> Any | None:
         """The stamps of an Arrow column as an Arrow array of seconds. None if a cell is neither a stamp nor ``missing``."""
         import pyarrow as pa
         import pyarrow.compute as pc

@@ -23,7 +23,7 @@ import msgspec
 from piga.errors import ArgumentError, StoreError
 from piga.output import write_whole
 from piga.records.limits import check_label, open_regular
-from piga.records.text_files import JsonError, decode_json
+from piga.records.text_files import JsonError, json_object
 from piga.results import Result
 
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
@@ -198,14 +198,21 @@ def decode(raw: bytes, kind: type[T], schema: str, what: str, *, strict: bool = 
         If it is not such a document, or has a newer schema. ``what`` names it in the message.
     """
     try:
-        written = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
+        document = json_object(raw) if strict else msgspec.json.decode(raw, type=dict[str, Any])
+        written = document.get("schema")
         if written != schema:
             raise StoreError(
                 f"{what}: schema '{written}', '{schema}' is needed",
                 remedy="a newer schema needs a newer piga; anything else is damage: run piga records verify",
             )
-        return decode_json(raw, kind) if strict else msgspec.json.decode(raw, type=kind)
-    except (msgspec.DecodeError, JsonError, UnicodeDecodeError, RecursionError) as error:
+        return msgspec.convert(document, kind)
+    except (
+        msgspec.DecodeError,
+        msgspec.ValidationError,
+        JsonError,
+        UnicodeDecodeError,
+        RecursionError,
+    ) as error:
         raise StoreError(
             f"{what}: is damaged ({error})", remedy="run piga records verify; restore a backup"
         ) from None

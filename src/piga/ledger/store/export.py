@@ -26,7 +26,7 @@ from piga.ledger.store.documents import PART, RECORD, Entry, RecordDocument, dec
 from piga.ledger.store.rows import read_blob, read_entries, read_identity, stored_sizes
 from piga.ledger.store.store import Store
 from piga.records.limits import open_regular
-from piga.records.text_files import JsonError, decode_json, schema_of
+from piga.records.text_files import JsonError, json_object
 
 SCHEMA = "piga.export/1"
 SEAL = b"piga.export sha256:"
@@ -281,14 +281,15 @@ class Export:
             raise self._damaged("SHA256SUMS does not fit its members")
         raw = self._text("manifest.json")
         try:
-            schema = schema_of(raw)
+            document = json_object(raw)
+            schema = document.get("schema")
             if schema != SCHEMA:
                 raise StoreError(
                     f"{self.name}: export of schema '{str(schema)[:80]}'",
                     remedy="a newer one needs a newer piga",
                 )
-            manifest = decode_json(raw, _Manifest)
-        except JsonError as error:
+            manifest = msgspec.convert(document, _Manifest)
+        except (JsonError, msgspec.ValidationError) as error:
             raise self._damaged(f"manifest.json: {str(error)[:200]}") from None
         links = [name for name in self.members if name.startswith("links/")]
         last = f"links/{len(links):08d}.json" if links else "store.json"

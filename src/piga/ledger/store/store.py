@@ -49,7 +49,7 @@ from piga.ledger.store.rows import (
     read_identity,
 )
 from piga.records.calibration import Calibration
-from piga.records.calibration.document import DOCUMENT, calibration_from_bytes
+from piga.records.calibration.document import MOST_BYTES, calibration_from_bytes
 
 ROWS = 500
 """Records fetched in one query."""
@@ -288,9 +288,9 @@ class Store:
         for file in document.files:
             if file.role != "calibration":
                 continue
-            if file.size > DOCUMENT.most_bytes:
+            if file.size > MOST_BYTES:
                 raise StoreError(
-                    f"{file.name}: larger than {DOCUMENT.most_bytes} bytes",
+                    f"{file.name}: larger than {MOST_BYTES} bytes",
                     remedy="a calibration is never so large; check the file",
                 )
             raw = b"".join(read_blob(connection, file.sha256))

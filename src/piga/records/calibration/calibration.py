@@ -6,8 +6,7 @@ JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from copy import deepcopy
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -152,8 +151,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     It is a mapping of coefficients in their order: ``cal["tan_beta"].value``; per-segment phases are ``cal["phi[3]"]``.
     ``in``, iteration, ``len``, ``keys``, ``values`` and ``items`` work as those of a dict. Coefficients are in the units
     of calibration.json; ``cal["k0"].si`` is SI, and so is everything else.
-    Two calibrations are equal if they state the same. ``residuals`` and ``history`` do not count, and a pickle leaves them
-    out: they are as long as the record.
+    Two calibrations are equal if they state the same. ``residuals`` and ``history`` do not count.
     ``notes`` are doubts, one sentence each. ``remarks`` are information, not doubts.
     ``surplus_observations`` is the number of observations (increments of the angle, rates, positions) minus the number
     of coefficients. It is not the degrees of freedom of an uncertainty: each coefficient has its own effective ones.
@@ -327,15 +325,6 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     def _ipython_key_completions_(self) -> list[str]:
         return list(self)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"residuals": None, "history": None}
-
-    def __copy__(self) -> Calibration:
-        return replace(self)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Calibration:
-        return replace(self, **{f.name: deepcopy(getattr(self, f.name), memo) for f in fields(self)})
 
     def instrument(self, alpha0: float | str = 0.0) -> Instrument:
         """The calibrated instrument (SI): its scale factor, and ``beta`` from ``tan_beta``.

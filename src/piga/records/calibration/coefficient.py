@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
-from piga.records.terms import meaning_of
+from piga.records.terms import meaning_of, si_factor, si_unit_of, unit_of
 from piga.results import MOST_LINES, ByValue, Column, Result, Shown, Tabular, first_lines, shortened
 
 PROBABILITY = 0.95
@@ -28,6 +28,11 @@ OF_THE_MODEL = ("servo ", "k3 ", "meaning of ", "earth_rate", "height")
 ALMOST_KNOWN = 1e9
 """From this number of degrees of freedom on, F(n, nu) equals F(n, infinity) to every printed digit."""
 
+
+Number = Annotated[float, Meta(ge=-1e100, le=1e100)]
+"""Any finite number. The limit is far above every quantity here; squares and unit conversions stay finite."""
+Level = Annotated[float, Meta(ge=0.0, le=1e100)]
+"""A non-negative number, such as a standard uncertainty, a noise level or a largest residual."""
 
 SourceStatus = Literal["stated", "bounded", "waived", "assumed", "unstated"]
 
@@ -160,28 +165,12 @@ class SIValue(float):
         Standard uncertainty, half-width and ends of the 95 % interval, and the SI unit.
     """
 
-    __slots__ = ("_coefficient",)
+    __slots__ = ("_coefficient", "_factor")
     _coefficient: Coefficient
-
-    def __new__(cls, coefficient: Coefficient) -> SIValue:
-        """The value of the coefficient in SI."""
-        from piga.records.terms import si_factor
-
-        number = super().__new__(cls, coefficient.value * si_factor(coefficient.name))
-        number._coefficient = coefficient
-        return number
-
-    def __getnewargs__(self) -> tuple[Coefficient]:  # type: ignore[override]
-        return (self._coefficient,)
+    _factor: float
 
     def __repr__(self) -> str:
         return f"{float(self)!r} +- {self.std:.2g} {self.unit}"
-
-    @property
-    def _factor(self) -> float:
-        from piga.records.terms import si_factor
-
-        return si_factor(self._coefficient.name)
 
     @property
     def value(self) -> float:
@@ -207,8 +196,6 @@ class SIValue(float):
     @property
     def unit(self) -> str:
         """The SI unit."""
-        from piga.records.terms import si_unit_of
-
         return si_unit_of(self._coefficient.name, self._coefficient.unit.removesuffix("/g"))
 
 
@@ -225,13 +212,13 @@ class Coefficient(ByValue, Shown):
     """
 
     name: str
-    value: float
-    std: float
+    value: Number
+    std: Level
     unit: str
     segment: str | None = None
     run: str | None = None
-    degrees_of_freedom: float = math.inf
-    interval: tuple[float, float] | None = None
+    degrees_of_freedom: Level = math.inf
+    interval: tuple[Number, Number] | None = None
 
     @property
     def owner(self) -> str | None:
@@ -250,12 +237,15 @@ class Coefficient(ByValue, Shown):
 
         ``cal["scale_factor"].si`` compares with ``Run.scale_factor`` [(rad/s)/(m/s^2)].
         """
-        return SIValue(self)
+        factor = si_factor(self.name)
+        number = SIValue(self.value * factor)
+        number._coefficient, number._factor = self, factor
+        return number
 
     @property
     def value_si(self) -> float:
         """The value of ``si`` as a plain number."""
-        return float(self.si)
+        return self.value * si_factor(self.name)
 
     @property
     def coverage(self) -> Coverage:
@@ -324,14 +314,6 @@ def rounded(c: Coefficient) -> str:
     if not (math.isfinite(c.std) and c.std > 0.0):
         return f"{c.value:.9g}"
     return f"{round(c.value, 1 - math.floor(math.log10(c.std))) + 0.0:.12g}"
-
-
-Number = Annotated[float, Meta(ge=-1e100, le=1e100)]
-"""Any finite number. The limit is far above every quantity here; squares and unit conversions stay finite."""
-
-
-Level = Annotated[float, Meta(ge=0.0, le=1e100)]
-"""A non-negative number, such as a standard uncertainty, a noise level or a largest residual."""
 
 
 @dataclass(frozen=True)
@@ -426,8 +408,6 @@ class BudgetTable(ByValue, Shown, Tabular):
 
     def table_columns(self) -> dict[str, Column]:
         """Source, type and distribution, the coefficient, and the contribution in the unit of the coefficient."""
-        from piga.records.terms import unit_of
-
         rows = [(entry, key, value) for entry in self for key, value in entry.contributions.items()]
         texts = {
             "source": [entry.source for entry, _, _ in rows],

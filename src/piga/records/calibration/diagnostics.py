@@ -246,6 +246,11 @@ class Creep(Result):
         """True if it is hardly chance."""
         return self.probability < CREEP_ALARMS
 
+    @property
+    def largest_shift(self) -> float:
+        """Largest change of a coefficient in its standard uncertainties."""
+        return max(map(abs, self.shift.values()), default=0.0)
+
 
 CREEP_ALARMS = 0.01
 """Probability that a record without creep shows one, over all sizes and times that are tried."""

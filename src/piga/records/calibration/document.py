@@ -8,9 +8,8 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, cast
+from typing import Annotated, Any, Literal, cast
 
 import msgspec
 import numpy as np
@@ -25,7 +24,6 @@ from piga.records.calibration import (
     Coefficient,
     Diagnostics,
     Level,
-    Number,
     Outlier,
     Provenance,
     Quality,
@@ -36,32 +34,21 @@ from piga.records.calibration import (
 from piga.records.limits import check_label, read_whole
 from piga.records.run_file import Method, Phases, PhaseSource
 from piga.records.terms import GYRO, check_name, integral_unit, si_factor, turns, unit_of
-from piga.records.text_files import JsonError, decode_json, schema_of
+from piga.records.text_files import JsonError, json_object
 from piga.results import Array
 from piga.units import conversion_factor, parse_unit
-
-T = TypeVar("T")
 
 SCHEMA = "piga.calibration/1"
 
 
-@dataclass(frozen=True)
-class DocumentSettings:
-    """What a calibration record may hold (own choices)."""
-
-    most_bytes: int = 256 << 20
-    """Largest file [bytes]."""
-    rounding: float = 1e-9
-    """Largest rounding error of a correlation. The smallest eigenvalue may be this, times the matrix size,
-    below zero."""
-    same: float = 1e-6
-    """Largest relative difference allowed between a standard uncertainty and the square root of its
-    variance."""
-    outliers: int = 10_000
-    """Most outliers that are listed one by one. The events of the quality section count all of them."""
-
-
-DOCUMENT = DocumentSettings()
+MOST_BYTES = 256 << 20
+"""Largest file [bytes]."""
+ROUNDING = 1e-9
+"""Largest rounding error of a correlation (own choice). The smallest eigenvalue may be this, times the matrix size, below zero."""
+SAME = 1e-6
+"""Largest relative difference between a standard uncertainty and the square root of its variance (own choice)."""
+MOST_OUTLIERS = 10_000
+"""Most outliers that are listed one by one. The events of the quality section count all of them."""
 
 
 class _Level(msgspec.Struct, frozen=True):
@@ -82,17 +69,6 @@ class _Model(msgspec.Struct, frozen=True):
     phase_source: PhaseSource = "output"
     temperature_reference: _Level = _Level(293.15, "K")
     time_reference: Amount = Amount(0.0, "s")
-
-
-class _Coefficient(msgspec.Struct, frozen=True):
-    name: str
-    value: Number
-    std: Level
-    unit: str
-    segment: str | None = None
-    run: str | None = None
-    degrees_of_freedom: Level | None = None
-    interval: tuple[Number, Number] | None = None
 
 
 class _Covariance(msgspec.Struct, frozen=True):
@@ -119,32 +95,24 @@ class _Identifiability(msgspec.Struct, frozen=True):
     remarks: tuple[str, ...] = ()
 
 
-class _Provenance(msgspec.Struct, frozen=True):
-    input_sha256: str | dict[str, str]
-    software: str
-    created: str
-    options: dict[str, Any] = {}
-
-
 class _Document(msgspec.Struct, frozen=True, kw_only=True):
     """A whole document. Keys that are not named here, such as those of earlier or later versions, are ignored."""
 
     schema: str
     instrument: _Instrument
     model: _Model
-    coefficients: tuple[_Coefficient, ...]
+    coefficients: tuple[Coefficient, ...]
     uncertainty_budget: tuple[BudgetEntry, ...] = ()
     covariance: _Covariance
     noise: _Noise
     residual: _Residual
     quality: Quality
     identifiability: _Identifiability
-    provenance: _Provenance
-    surplus_observations: Level | None = None
-    degrees_of_freedom: Level = math.inf
+    provenance: Provenance
+    surplus_observations: Level = math.inf
     diagnostics: Diagnostics = Diagnostics()
     segments: tuple[SegmentSummary, ...] = ()
-    runs: tuple[dict[str, Any], ...] = ()
+    runs: tuple[RunRecord, ...] = ()
     outliers: tuple[Outlier, ...] = ()
     sources_of_the_stand: tuple[StandSource, ...] = ()
     gravity: str = ""
@@ -199,7 +167,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     if c.runs:
         document["runs"] = [_renamed(msgspec.to_builtins(run), "phases", "phase") for run in c.runs]
     if c.outliers:
-        document["outliers"] = c.outliers[: DOCUMENT.outliers]
+        document["outliers"] = c.outliers[:MOST_OUTLIERS]
     plain = cast("dict[str, Any]", msgspec.to_builtins(document, enc_hook=float))
     if c.direct:  # nothing turns
         for table, keys in (
@@ -250,7 +218,7 @@ def read_with_digest(path: Path) -> tuple[Calibration, str]:
         As :func:`read_calibration`.
     """
     check_results(path.parent)
-    raw = read_whole(path, DOCUMENT.most_bytes, "a calibration.json", CalibrationError)
+    raw = read_whole(path, MOST_BYTES, "a calibration.json", CalibrationError)
     return calibration_from_bytes(raw, path), hashlib.sha256(raw).hexdigest()
 
 
@@ -262,15 +230,11 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     CalibrationError
         As :func:`read_calibration`.
     """
-    document = _decoded(raw, path, _Document)
-    runs = _runs(document, path)
-    coefficients = tuple(_coefficient(c) for c in document.coefficients)
-    matrix = _check(path, document, coefficients, runs)
+    document = _decoded(raw, path)
+    matrix = _check(path, document)
     model, noise, residual, found = document.model, document.noise, document.residual, document.identifiability
-    hashes = document.provenance.input_sha256
     unit = _output_unit(document, path)
     count = integral_unit(unit)
-    surplus = document.surplus_observations  # the first version called it degrees of freedom
     return Calibration(
         serial=document.instrument.serial,
         scale_factor_nominal=_nominal(document, unit, path),
@@ -278,9 +242,9 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         phases=model.phase,
         phase_source=model.phase_source,
         method=model.method,
-        coefficients=coefficients,
+        coefficients=document.coefficients,
         covariance=matrix,
-        surplus_observations=document.degrees_of_freedom if surplus is None else surplus,
+        surplus_observations=document.surplus_observations,
         angle_rms=_in_si(noise.angle_rms, count, path),
         angle_random_walk=_in_si(noise.angle_random_walk, f"{count}/sqrt(s)", path),
         segment_scatter=0.0 if noise.segment_scatter is None else noise.segment_scatter.value,
@@ -295,15 +259,10 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         budget=BudgetTable(document.uncertainty_budget),
         diagnostics=document.diagnostics,
         segments=document.segments,
-        provenance=Provenance(
-            {"input": hashes} if isinstance(hashes, str) else hashes,  # the first version named one input
-            document.provenance.software,
-            document.provenance.created,
-            document.provenance.options,
-        ),
+        provenance=document.provenance,
         temperature_reference=_in_si(model.temperature_reference, "K", path),
         time_reference=_in_si(model.time_reference, "s", path),
-        runs=runs,
+        runs=document.runs,
         outliers=document.outliers,
         sources=document.sources_of_the_stand,
         scale_factor_tolerance=document.instrument.scale_factor_tolerance,
@@ -328,34 +287,40 @@ def _output_unit(document: _Document, path: Path) -> str:
         raise _not_valid(path, error.message) from None
 
 
-def _coefficient(entry: _Coefficient) -> Coefficient:
-    nu = math.inf if entry.degrees_of_freedom is None else entry.degrees_of_freedom
-    return Coefficient(
-        entry.name, entry.value, entry.std, entry.unit, entry.segment, entry.run, nu, entry.interval
-    )
-
-
-def _runs(document: _Document, path: Path) -> tuple[RunRecord, ...]:
-    """The runs of a joint record. The file calls their ``phases`` ``phase``."""
-    try:
-        entries = [_renamed(run, "phase", "phases") for run in document.runs]
-        return msgspec.convert(entries, tuple[RunRecord, ...])
-    except msgspec.ValidationError as error:
-        raise _not_valid(path, str(error).replace("$", "$.runs", 1).replace("phases", "phase")) from None
-
-
 def _renamed(entry: dict[str, Any], old: str, new: str) -> dict[str, Any]:
     return {new if key == old else key: value for key, value in entry.items()}
 
 
-def _decoded(raw: bytes, path: Path, kind: type[T]) -> T:
-    """A record of the known schema. A whole one may hold no key twice."""
+def _with_names_of_today(document: dict[str, Any]) -> None:
+    """Bring what a file says otherwise than :class:`Calibration` to its form."""
+    if document.get("surplus_observations") is None and "degrees_of_freedom" in document:  # the first version
+        document["surplus_observations"] = document["degrees_of_freedom"]
+    origin = document.get("provenance")
+    if isinstance(origin, dict) and isinstance(origin.get("input_sha256"), str):  # the first version: one input
+        origin["input_sha256"] = {"input": origin["input_sha256"]}
+    for run in _tables(document, "runs"):
+        if "phase" in run:
+            run["phases"] = run.pop("phase")
+    for coefficient in _tables(document, "coefficients"):
+        if coefficient.get("degrees_of_freedom") is None:  # infinite
+            coefficient.pop("degrees_of_freedom", None)
+
+
+def _tables(document: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    entries = document.get(key)
+    return [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
+
+
+def _decoded(raw: bytes, path: Path) -> _Document:
+    """A record of the known schema. It may hold no key twice."""
     try:
-        schema = schema_of(raw)
+        document = json_object(raw)
+        schema = document.get("schema")
         if schema == SCHEMA:
-            return decode_json(raw, kind) if kind is _Document else msgspec.json.decode(raw, type=kind)
-    except (JsonError, msgspec.MsgspecError, ValueError) as error:
-        raise _not_valid(path, str(error)) from None
+            _with_names_of_today(document)
+            return msgspec.convert(document, _Document)
+    except (JsonError, msgspec.ValidationError) as error:
+        raise _not_valid(path, str(error).replace("phases", "phase")) from None
     if isinstance(schema, str) and schema.startswith("piga.calibration/"):
         raise CalibrationError(
             f"{path}: schema '{schema}' is not known to this version",
@@ -384,9 +349,7 @@ def _in_si(quantity: Amount | _Level, like: str, path: Path) -> float:
         ) from None
 
 
-def _check(
-    path: Path, document: _Document, coefficients: tuple[Coefficient, ...], records: tuple[RunRecord, ...]
-) -> Array:
+def _check(path: Path, document: _Document) -> Array:
     """Check that the parts agree with each other, and return the covariance.
 
     Raises
@@ -399,11 +362,11 @@ def _check(
             check_label(document.instrument.serial, "the serial")
         unit = _output_unit(document, path)
         wrong = (
-            *(fault for c in coefficients for fault in _faults(c, unit)),
-            *_contradictions(document, coefficients, {run.name for run in records}),
+            *(fault for c in document.coefficients for fault in _faults(c, unit)),
+            *_contradictions(document),
         )
         if not wrong:
-            return _covariance(document, coefficients)
+            return _covariance(document)
     except PigaError as error:
         raise CalibrationError(f"{path}: {error.message}", remedy=error.remedy) from None
     raise CalibrationError(f"{path}: {wrong[0]}", remedy="get the file from its author, or calibrate again")
@@ -429,13 +392,12 @@ def _faults(c: Coefficient, output: str) -> Iterator[str]:
         yield f"'{c.key}': the coefficient belongs to the instrument, not to a run"
 
 
-def _contradictions(
-    document: _Document, coefficients: tuple[Coefficient, ...], runs: set[str]
-) -> Iterator[str]:
+def _contradictions(document: _Document) -> Iterator[str]:
     """Contradictions between the parts of a record."""
     if not document.instrument.scale_factor_nominal.value > 0.0:
         yield "scale_factor_nominal is not positive"
-    model, quality = document.model, document.quality
+    model, quality, coefficients = document.model, document.quality, document.coefficients
+    runs = {run.name for run in document.runs}
     keys = [c.key for c in coefficients]
     names = {c.name for c in coefficients}
     twice = next((key for key, count in Counter(keys).items() if count > 1), None)
@@ -461,15 +423,15 @@ def _contradictions(
         yield f"provenance.created: '{document.provenance.created[:40]}' is not a time"
 
 
-def _covariance(document: _Document, coefficients: tuple[Coefficient, ...]) -> Array:
+def _covariance(document: _Document) -> Array:
     """The covariance matrix, after its checks.
 
-    It must be square, symmetric and positive semi-definite (to ``DOCUMENT.rounding`` of the correlations), and in the
+    It must be square, symmetric and positive semi-definite (to ``ROUNDING`` of the correlations), and in the
     order of the coefficients. Its diagonal must be the squares of their standard uncertainties. The published
     recursion of piga 0.1 left its covariance asymmetric by rounding: there the asymmetry is compared with the largest
     element.
     """
-    again = "calibrate again"
+    again, coefficients = "calibrate again", document.coefficients
     if document.covariance.names != tuple(c.key for c in coefficients):
         raise CalibrationError("covariance names differ from the coefficients", remedy=again)
     size = len(coefficients)
@@ -479,7 +441,7 @@ def _covariance(document: _Document, coefficients: tuple[Coefficient, ...]) -> A
     for c, variance in zip(coefficients, np.diag(matrix), strict=True):
         if variance < 0.0:
             raise CalibrationError(f"the variance of '{c.key}' is negative", remedy=again)
-        if abs(math.sqrt(variance) - c.std) > DOCUMENT.same * max(c.std, math.sqrt(variance)):
+        if abs(math.sqrt(variance) - c.std) > SAME * max(c.std, math.sqrt(variance)):
             raise CalibrationError(
                 f"the standard uncertainty of '{c.key}' is {c.std:.6g}, but the covariance gives "
                 f"{math.sqrt(variance):.6g}",
@@ -489,10 +451,10 @@ def _covariance(document: _Document, coefficients: tuple[Coefficient, ...]) -> A
     scale[scale == 0.0] = 1.0
     correlation = matrix / scale / scale[:, None]
     held = matrix if document.model.method == "published" else correlation
-    if np.abs(held - held.T).max() > DOCUMENT.rounding * np.abs(held).max():
+    if np.abs(held - held.T).max() > ROUNDING * np.abs(held).max():
         raise CalibrationError("the covariance is not symmetric", remedy=again)
     try:
-        np.linalg.cholesky(0.5 * (correlation + correlation.T) + size * DOCUMENT.rounding * np.eye(size))
+        np.linalg.cholesky(0.5 * (correlation + correlation.T) + size * ROUNDING * np.eye(size))
     except np.linalg.LinAlgError:
         raise CalibrationError("the covariance is not positive semi-definite", remedy=again) from None
     return matrix

@@ -135,16 +135,16 @@ def verdict(calibration: Calibration) -> Verdict:
         return Verdict(
             tuple(Doubt(note) for note in calibration.notes), not_tested=("a record: there is none",)
         )
+    first = [*_nominal(calibration), *_explained(calibration)]
+    remedies = " ".join(item.remedy for item in first if isinstance(item, Doubt))
     statements = [
-        *_nominal(calibration),
-        *_explained(calibration),
-        *_whiteness(calibration),
+        *first,
         *_creep(calibration),
+        *(Doubt(note) for note in calibration.notes if note not in remedies),
+        *_whiteness(calibration),  # after what may be its cause
         *_separation(calibration),
         *_rows(calibration),
     ]
-    remedies = " ".join(item.remedy for item in statements if isinstance(item, Doubt))
-    statements += [Doubt(note) for note in calibration.notes if note not in remedies]
     statements += _unstated(calibration)
     doubts = [item for item in statements if isinstance(item, Doubt)]
     doubts.sort(key=lambda doubt: not doubt.grave)

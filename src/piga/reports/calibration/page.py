@@ -151,7 +151,7 @@ def figure(cal: Calibration, name: str) -> Figure:
     if drawn is None:
         other = "calibrate a record that has what the figure shows"
         if name not in NO_FIGURE and cal.residuals is None and not cal.given:
-            other = "calibrate the record in this process: calibration.json and pickles hold no residuals"
+            other = "calibrate the record in this process: calibration.json holds no residuals"
         raise CalibrationError(
             f"plot.{name}: this calibration has no data for the figure", remedy=NO_FIGURE.get(name, other)
         )

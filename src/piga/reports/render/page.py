@@ -21,6 +21,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 
+from piga._version import __version__
 from piga.errors import MissingPackageError, needed
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import aligned, ascii_text
@@ -48,6 +49,12 @@ class Tile:
     unit: str = ""
     detail: str = ""
     tone: Tone = ""
+
+    @property
+    def words(self) -> str:
+        """Value, unit and detail in one line."""
+        value = f"{self.value} {self.unit}".rstrip()
+        return f"{value}, {self.detail}" if self.detail else value
 
 
 @dataclass(frozen=True)
@@ -258,7 +265,7 @@ class Page:
     tiles: tuple[Tile, ...] = ()
     sections: tuple[Section, ...] = ()
     kicker: str = "piga"
-    footer: str = ""
+    footer: str = f"Made by piga {__version__}. {ALONE}"
     judgement: Judgement | None = None
     segments: tuple[str, ...] = ()
 
@@ -274,6 +281,11 @@ class Page:
         """All figures in reading order."""
         blocks = (block for section in self.sections for block in section.blocks)
         return tuple(block.figure for block in blocks if isinstance(block, FigureBlock))
+
+
+def origin(digests: Mapping[str, str]) -> Section:
+    """The files that a result is from."""
+    return Section("Origin", "origin", (named_values("file", "SHA-256", digests, "Files", code=True),))
 
 
 def page_html(page: Page) -> str:
@@ -306,6 +318,7 @@ def page_text(page: Page, *, width: int = 100, plain: bool = True) -> str:
         lines += [f"  tested: {what}" for what in page.judgement.tested]
         lines += [*(f"  not tested: {what}" for what in page.judgement.not_tested), ""]
     lines += [page.title, *(f"  {line}" for line in page.subtitle.splitlines())]
+    lines += [f"  {tile.label}: {tile.words}" for tile in page.tiles]
     for number, section in enumerate(page.sections):
         lines += [""] if number or section.title or page.subtitle else []
         lines += [section.title] if section.title else []
