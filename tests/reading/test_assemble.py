@@ -258,6 +258,17 @@ def test_a_segment_visited_twice_is_two_segments(tmp_path: Path) -> None:
     assert run.labels == ("0", "1", "0#2")
 
 
+@pytest.mark.parametrize("damaged", [False, True])
+def test_labels_lose_their_blanks_and_an_empty_one_is_no_segment(tmp_path: Path, damaged: bool) -> None:
+    """In the rows that are read all at once, and in those that are read one by one."""
+    rows = [f"{row},{('up ', ' up', '  ', 'down')[i // 10]}" for i, row in enumerate(lines())]
+    rows[5] = rows[5].replace(",1.0,", ",x,") if damaged else rows[5]
+    run = read(tmp_path, rows, header="t,n,fx,fy,fz,p", data='segment = "p"\ndamaged_rows = "mask"')
+    assert run.labels == ("up", "down")
+    assert events(run)["no-segment"] == 10
+    assert run.size == 30 - damaged
+
+
 def test_parquet_is_read_like_csv(tmp_path: Path) -> None:
     plain = read(tmp_path, lines())
     columns = {"t": plain.t, "n": np.round(plain.output / plain.resolution).astype(np.int64)}

@@ -12,12 +12,12 @@ from piga.errors import DataError
 from piga.formats.text.convention import (
     COMMENT,
     INFINITE,
-    LINE_END,
     MISSING,
     NO_UNIT,
     HeadRows,
     find_format,
     joined_names,
+    lines_of,
     split_line,
     unit_text,
     units_in_names,
@@ -109,7 +109,7 @@ class _TextTable:
 
 
 def _layout(head: str, path: Path, encoding: str) -> TextLayout:
-    lines = LINE_END.split(head)[:MOST_HEAD_LINES]
+    lines = lines_of(head)[:MOST_HEAD_LINES]
     tables = [table for separator in SEPARATORS if (table := _table(lines, separator)) is not None]
     if not tables:
         raise DataError(

@@ -123,8 +123,8 @@ def _unique(changes: list[Change]) -> list[Change]:
 
 
 def _problem(error: PigaError) -> str:
-    """The message of an error without what depends on the change itself."""
-    return re.sub(r" \(read as [^)]*\)", "", error.message.split("; the columns are")[0])
+    """The message of an error without the columns, whose letters depend on the encoding."""
+    return error.message.partition("; the columns are")[0]
 
 
 _SETTLED = {

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import DataError, Where
+from piga.errors import DataError, Fix, Where
 from piga.records.calibration import Event
 
 CHUNK_ROWS = 1 << 16
@@ -264,20 +264,24 @@ def label_column(codes: NDArray, labels: Sequence[str]) -> Any:
 
 def no_column(
     path: Path,
-    name: str,
+    name: str | Sequence[str],
     present: Iterable[str],
     row: int | None = None,
-    remedy: str = "correct the column name in [data]",
+    remedy: str = REMEDIES[0],
+    fixes: Iterable[Fix] = (),
 ) -> DataError:
-    """The error for a column that is not in the file. It lists the columns of the file, whose names stand in ``row``."""
-    names = tuple(present)
+    """The error for columns that are not in the file. It lists the columns of the file, whose names stand in ``row``."""
+    names, missing = tuple(present), (name,) if isinstance(name, str) else tuple(name)
     more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
     shown = ", ".join(names[:MOST_LISTED]) + more
+    listed = ", ".join(f"'{one}'" for one in missing)
+    place = "" if row is None else f"row {row}: "
     return DataError(
-        f"{path}: {'' if row is None else f'row {row}: '}no column '{name}'; the columns are: {shown or 'none'}",
+        f"{path}: {place}no column {listed}; the columns are: {shown or 'none'}",
         remedy=remedy,
-        where=Where(path, row, (name,)),
+        where=Where(path, row, missing),
         columns=names,
+        fixes=list(fixes),
     )
 
 

@@ -26,7 +26,6 @@ from piga.formats.text.convention import (
     INFINITE,
     MISSING,
     NO_UNIT,
-    check_names,
     duplicate_name,
     is_units_row,
     joined_names,
@@ -138,7 +137,6 @@ class _Sheet:
                 f"{self.path}: row {at}: the first row holds numbers, not column names",
                 remedy="add a row with the column names above the numbers",
             )
-        check_names(tuple(name for name in names if name), self.path, at)
         names, units = units_in_names(single_names(names))
         where = self._places(names, at)
         body = [entry for entry in head if entry[0] > at]

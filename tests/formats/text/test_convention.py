@@ -98,7 +98,9 @@ def test_encodings_without_names() -> None:
 def test_a_misread_name_says_how_it_was_read(tmp_path: Path) -> None:
     text = "\n".join([HEADER.replace("n", "Größe"), *body(), ""])
     (tmp_path / "run.csv").write_bytes(text.encode("cp1252"))
-    with pytest.raises(piga.DataError, match=r"row 1 \(read as gb18030\): no column 'n'"):
+    with pytest.raises(
+        piga.DataError, match=r"row 1: no column 'n'(?s:.*)read as gb18030: add \[data\] encoding"
+    ):
         piga.read_run(write_run(tmp_path))
 
 

@@ -7,6 +7,7 @@ message names the run-file key that decides.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import islice, zip_longest
@@ -18,9 +19,7 @@ from piga.formats.text.time_stamp import TimeStamp, forms_of
 from piga.units import parse_unit
 
 SNIFF_BYTES = 1 << 16
-MAX_COLUMNS = 4096
 SEPARATORS = ";\t,|"
-LINE_END = re.compile(r"\r\n|\n|\r")
 COMMENT = re.compile(r"^ *[#%]+ *")
 """Mark of a comment before the column names."""
 _NUMBER_POINT = re.compile(r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$")
@@ -99,31 +98,19 @@ def find_format(
     DataError
         If there is no header or no data, a column name is repeated, or two readings are possible.
     """
-    lines = LINE_END.split(text)
+    lines = lines_of(text)
     header_at = _header_at(lines, rows, path)
-    if rows.header is False:
-        return _without_names(lines, path, encoding, separator, decimal, header_at)
-    sample = list(islice((line for line in lines[header_at + 1 :] if line.strip()), 50))
+    named = rows.header is not False
+    skip = header_at + named
+    sample = list(islice((line for line in lines[skip:] if line.strip()), 50))
     separator = separator or _find_separator(lines[header_at], sample)
-    line = lines[header_at] if rows.header is None else COMMENT.sub("", lines[header_at])
-    names = head_cells(line, separator)
-    if isinstance(rows.header, tuple):
-        names = joined_names(head_cells(COMMENT.sub("", lines[rows.header[0] - 1]), separator), names)
-    if all(_NUMBER_POINT.match(name) for name in names):
-        raise DataError(
-            f"{path}: row {header_at + 1}: the first row holds numbers, not column names",
-            remedy="if the file has no column names, add [data] header_row = false: the columns are then A, B, C; "
-            "if the names stand in another row, add [data] header_row = N",
-            where=Where(path, header_at + 1),
-            fixes=[Fix("data", "header_row", False), Fix("data", "header_row")],
-        )
-    names = _as_wide_as_data(names, sample, separator)
-    check_names(names, path, header_at + 1)
-    names, units = units_in_names(single_names(names))
-    skip = header_at + 1
+    if named:
+        names, units = _named_columns(lines, header_at, sample, separator, rows, path)
+    else:  # A, B, C, as in a spreadsheet
+        names, units = tuple(map(column_letter, range(len(split_line(lines[header_at], separator))))), {}
     filled = ((i, line) for i, line in enumerate(lines[skip:], start=skip) if line.strip())
     body = list(islice(filled, 50 + rows.last))
-    units_at = _units_at(body, separator, rows, path)
+    units_at = _units_at(body, separator, rows, path) if named else None
     if units_at is not None:
         row_units = [unit_text(cell) for cell in split_line(lines[units_at], separator)]
         units.update({n: u for n, u in zip(names, row_units, strict=False) if u not in NO_UNIT})
@@ -135,6 +122,29 @@ def find_format(
     cells = [split_line(line, separator) for _, line in body[:50]]
     mark = _decimal_mark(cells, separator, decimal, path, body[0][0] + 1)
     return TextFormat(encoding, separator, mark, names, skip, units, header_at + 1)
+
+
+def lines_of(text: str) -> list[str]:
+    """The lines of a text, whatever their ends."""
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def _named_columns(
+    lines: list[str], at: int, sample: list[str], separator: str, rows: HeadRows, path: Path
+) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Names of the columns from the header, and the units that stand beside them."""
+    names = head_cells(lines[at] if rows.header is None else COMMENT.sub("", lines[at]), separator)
+    if isinstance(rows.header, tuple):
+        names = joined_names(head_cells(COMMENT.sub("", lines[rows.header[0] - 1]), separator), names)
+    if all(_NUMBER_POINT.match(name) for name in names):
+        raise DataError(
+            f"{path}: row {at + 1}: the first row holds numbers, not column names",
+            remedy="if the file has no column names, add [data] header_row = false: the columns are then A, B, C; "
+            "if the names stand in another row, add [data] header_row = N",
+            where=Where(path, at + 1),
+            fixes=[Fix("data", "header_row", False), Fix("data", "header_row")],
+        )
+    return units_in_names(single_names(_as_wide_as_data(names, sample, separator)))
 
 
 def head_cells(line: str, separator: str) -> tuple[str, ...]:
@@ -154,19 +164,6 @@ def joined_names(upper: tuple[str, ...], lower: tuple[str, ...]) -> tuple[str, .
 def split_line(line: str, separator: str) -> list[str]:
     """Cells of a line of the head. With a blank as separator any number of blanks is one."""
     return line.split() if separator == " " else line.split(separator)
-
-
-def _without_names(
-    lines: list[str], path: Path, encoding: str, separator: str | None, decimal: str | None, first: int
-) -> TextFormat:
-    """Format of a file whose first row holds data. The columns are named A, B, C, as in a spreadsheet."""
-    body = list(islice((line for line in lines[first:] if line.strip()), 50))
-    separator = separator or _find_separator(body[0], body[1:])
-    cells = [split_line(line, separator) for line in body]
-    names = tuple(column_letter(k) for k in range(len(cells[0])))
-    check_names(names, path, first + 1)
-    mark = _decimal_mark(cells, separator, decimal, path, first + 1)
-    return TextFormat(encoding, separator, mark, names, first, {}, first + 1)
 
 
 def _header_at(lines: list[str], rows: HeadRows, path: Path) -> int:
@@ -238,23 +235,13 @@ def _find_separator(header: str, sample: list[str]) -> str:
     return present[0] if present else ","
 
 
-def check_names(names: tuple[str, ...], path: Path, row: int) -> None:
-    """Refuse too many columns."""
-    if len(names) > MAX_COLUMNS:
-        raise DataError(
-            f"{path}: row {row}: {len(names)} columns, at most {MAX_COLUMNS} are read",
-            remedy="export fewer columns",
-            where=Where(path, row),
-        )
-
-
 def single_names(names: tuple[str, ...]) -> tuple[str, ...]:
     """The names, those that stand more than once with their number: ``fx#1`` and ``fx#2``."""
-    seen: dict[str, int] = {}
+    total, seen = Counter(names), Counter[str]()
     numbered = []
     for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        numbered.append(f"{name}#{seen[name]}" if name and names.count(name) > 1 else name)
+        seen[name] += 1
+        numbered.append(f"{name}#{seen[name]}" if name and total[name] > 1 else name)
     return tuple(numbered)
 
 

@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError, Fix, Where
-from piga.formats.columns import FileChunk, RecordStream
+from piga.formats.columns import FileChunk, RecordStream, no_column
 from piga.formats.text.convention import (
     INFINITE,
-    LINE_END,
     MISSING,
     SEPARATORS,
     HeadRows,
     TextFormat,
     duplicate_name,
     find_format,
+    lines_of,
     split_line,
     units_in_names,
 )
@@ -232,30 +232,20 @@ def _check_columns(form: TextFormat, wanted: list[str], head: str, path: Path) -
     twice = duplicate_name(path, form.header, missing, form.names)
     if twice is not None:
         raise twice
-    listed = ", ".join(f"'{name}'" for name in missing)
-    guessed = "" if form.encoding.startswith("utf") else f" (read as {form.encoding})"
     row = _row_of(wanted, head, form.header)
-    remedy, fixes = "correct the column name in [data], or [data] delimiter if the columns are not split", []
     if row is not None:
-        remedy, fixes = (
-            f"row {row} has these names: add [data] header_row = {row}",
-            [Fix("data", "header_row", row)],
-        )
-    elif guessed:
-        remedy += "; or add [data] encoding = '...', if the names are misread"
-        fixes = [Fix("data", "encoding")]
-    raise DataError(
-        f"{path}: row {form.header}{guessed}: no column {listed}; the columns are: {', '.join(form.names)}",
-        remedy=remedy,
-        where=Where(path, form.header, tuple(missing)),
-        columns=form.names,
-        fixes=fixes,
-    )
+        remedy = f"row {row} has these names: add [data] header_row = {row}"
+        raise no_column(path, missing, form.names, form.header, remedy, [Fix("data", "header_row", row)])
+    remedy = "correct the column name in [data], or [data] delimiter if the columns are not split"
+    if form.encoding.startswith("utf"):
+        raise no_column(path, missing, form.names, form.header, remedy)
+    remedy += f"; the file was read as {form.encoding}: add [data] encoding = '...', if the names are misread"
+    raise no_column(path, missing, form.names, form.header, remedy, [Fix("data", "encoding")])
 
 
 def _row_of(wanted: list[str], head: str, after: int) -> int | None:
     """The first row after ``after`` whose cells hold all wanted names, whatever its separator."""
-    for number, line in enumerate(LINE_END.split(head)[:MOST_SEARCHED], start=1):
+    for number, line in enumerate(lines_of(head)[:MOST_SEARCHED], start=1):
         for separator in f"{SEPARATORS} " if number > after else "":
             names = tuple(cell.strip().strip('"').strip() for cell in split_line(line, separator))
             if set(wanted) <= {*names, *units_in_names(names)[0]}:

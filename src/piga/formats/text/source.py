@@ -163,15 +163,15 @@ class TextSource:
         whole = len(first) <= MAX_HEAD
         end = max(text.rfind(b"\n"), text.rfind(b"\r")) + 1
         self.head = text if whole and not end else text[:end]
-        lines = LINE_END.split(self.head)
+        lines = self.head.splitlines()
         filled = (line for line in lines if line.strip() and not line.lstrip().startswith(b"#"))
         needed = 3 + first_rows  # header, units and first data row, and rows that the run file names
         if not whole and len(list(islice(filled, needed))) < needed:
             raise DataError(
-                f"{path}: row {len(lines)}: a line too long, or too many comments: header, units and first data row "
+                f"{path}: row {len(lines) + 1}: a line too long, or too many comments: header, units and first data row "
                 f"must lie within the first {MAX_HEAD >> 20} MiB",
                 remedy="check that this is the log; export it again",
-                where=Where(path, len(lines)),
+                where=Where(path, len(lines) + 1),
             )
 
     def header_bytes(self, skip: int) -> int:
