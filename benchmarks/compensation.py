@@ -34,8 +34,8 @@ from piga.compensation.compensator import (
     init_state,
     run_kernel,
 )
-from piga.compensation.files import compensate_to_file
 from piga.compensation.model import Model, make_model
+from piga.compensation.result import write_rows
 from piga.records import Calibration, Coefficient, Provenance, Quality
 from piga.records.calibration import Diagnostics
 from piga.records.terms import unit_of
@@ -255,7 +255,7 @@ def file_to_file() -> None:
             times.append(time.process_time())
             record = piga.read_run(path / "run.toml")
             times.append(time.process_time())
-            compensate_to_file(record, cal, path / "out.parquet", "parquet")
+            write_rows(piga.compensate(record, cal), path / "out.parquet")
             times.append(time.process_time())
             spent.append(np.diff(times))
     copied, reading, writing = np.median(spent[1:], axis=0) / FILE_ROWS * 1e9

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from piga.certificate.dcc import document as dcc
-from piga.compensation.result import TableWriter
+from piga.compensation import result as compensated
+from piga.compensation.result import Compensated, write_rows
 from piga.errors import DataError, StoreError
 from piga.ledger.store.documents import write_new
 from piga.units import parse_unit, to_si
@@ -123,14 +124,11 @@ def test_a_full_disk_is_what_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyP
         def close(self) -> None:
             raise ValueError("Operation on closed file")
 
-    def write() -> None:
-        with TableWriter(tmp_path / "a.parquet") as writer:
-            writer.write({"t": np.arange(3.0)})
-            writer._writer = Full()
-            writer.write({"t": np.arange(1e6)})
-
+    real = compensated._opened
+    monkeypatch.setattr(compensated, "_opened", lambda *given: (Full(), real(*given)[1]))
+    t = np.arange(3.0)
     with pytest.raises(OSError, match="full"):
-        write()
+        write_rows(Compensated(t, t, t, t, np.zeros(3, np.int32)), tmp_path / "a.parquet")
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.ENAMETOOLONG])

@@ -13,6 +13,7 @@ import pyarrow.parquet
 import piga
 from piga.cli.main import main
 from piga.compensation import files
+from piga.compensation.result import write_rows
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 TIME, ANGLE = 'time = { column = "t", unit = "s" }', 'kind = "angle", unit = "rad"'
@@ -59,19 +60,25 @@ def write(folder, name="run.parquet", rows=500, serial="A", counts=False, phi=0.
 def small_chunks(monkeypatch, rows: int) -> None:
     """Records lie on disk, and so many rows are read and compensated at a time; sets of three are solved in as many."""
     monkeypatch.setattr("piga.compensation.files.READINGS", 3 * rows)
+    monkeypatch.setattr("piga.compensation.result.GROUP_ROWS", rows)
     monkeypatch.setattr("piga.records.arrays.LARGE_BYTES", 0)
-    monkeypatch.setattr("piga.compensation.files.HELD_ROWS", 0)
     monkeypatch.setattr("piga.records.arrays.BLOCK_ROWS", rows)
     monkeypatch.setattr("piga.formats.parquet.CHUNK_ROWS", rows)
     monkeypatch.setattr("piga.formats.columns.CHUNK_ROWS", rows)
     monkeypatch.setattr("piga.formats.text.source.PIECE_BYTES", 100 * rows)
 
 
-def to_file(path, calibration, out, **options):
-    """Read and compensate a run into Parquet: the summary, and the findings by kind."""
+def to_file(path, calibration, out, *, period=None, **options):
+    """Read and compensate a run into Parquet: the summary."""
     record = piga.read_run(path)
-    summary = files.compensate_to_file(record, calibration, out, "parquet", **options)
-    return summary, files.found_while_reading(record)
+    result = piga.compensate(record, calibration, **options)
+    return files.summary_of(result, [record], write_rows(result, out, period=period), ())
+
+
+def set_to_file(paths, mounted, out) -> None:
+    """Read and compensate the runs of a set into Parquet."""
+    records = [files.read_member(path, item, False) for path, item in zip(paths, mounted, strict=True)]
+    write_rows(files.compensate_set(records, mounted), out, "parquet")
 
 
 def assert_file_holds(path, whole: piga.compensation.Compensated) -> None:

@@ -15,7 +15,6 @@ import pytest
 import piga
 from piga._kernels.compensation.vibration import near_nyquist
 from piga.compensation import Compensator, Mounted, SetCompensator
-from piga.compensation.files import compensate_to_file
 from piga.records import Run
 from piga.reports.compensation import page
 from piga.reports.render.page import Notice
@@ -173,14 +172,12 @@ def test_rate_samples_hide_nothing_but_are_flagged():
 def test_files_and_page_say_it(tmp_path):
     _, run = shaken(7, 2.0)
     out = tmp_path / "out.parquet"
-    summary = compensate_to_file(run, with_k2(), out, "parquet")
-    assert summary.notes
-    assert summary.flags["vibration"] > 1000
-    assert json.loads(pq.read_metadata(out).metadata[b"piga.notes"])[-1] == summary.notes[0]
-    flags = next(
-        section for section in page(piga.compensate(run, with_k2())).sections if section.title == "Flags"
-    )
-    assert Notice("warning", summary.notes[0]) in flags.blocks
+    result = piga.compensate(run, with_k2())
+    result.to_parquet(out)
+    assert result.flagged("vibration").sum() > 1000
+    assert json.loads(pq.read_metadata(out).metadata[b"piga.notes"])[-1] == result.notes[-1]
+    flags = next(section for section in page(result).sections if section.title == "Flags")
+    assert Notice("warning", result.notes[-1]) in flags.blocks
 
 
 def test_without_k2_the_effect_is_given_per_unit():

@@ -8,9 +8,8 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation import files
 from piga.compensation.files import orthogonal_triad
-from tests.compensation.run_files import CAL, command, small_chunks, write
+from tests.compensation.run_files import CAL, command, set_to_file, small_chunks, write
 from tests.compensation.triads import orthogonal
 from tests.compensation.twin_data import calibration_of
 
@@ -41,7 +40,7 @@ def test_set_of_files_in_chunks_is_the_set_read_whole(tmp_path, monkeypatch, kin
         runs.append(path)
     mounted = orthogonal_triad([calibration_of(CAL, {"phi": 1e-4}, serial="A") for _ in runs])
     for name in ("whole", "parts"):
-        files.compensate_set_files(runs, mounted, tmp_path / name, "parquet")
+        set_to_file(runs, mounted, tmp_path / name)
         small_chunks(monkeypatch, 70)
     whole, pieces = (pa.parquet.read_table(tmp_path / name) for name in ("whole", "parts"))
     assert pieces.num_rows == 400
@@ -62,7 +61,7 @@ def test_set_of_files_of_rates_is_the_set_in_memory(tmp_path):
         pa.parquet.write_table(table, tmp_path / f"{name}.parquet")
         runs.append(path)
     mounted = orthogonal_triad([calibration_of(CAL, {"phi": 1e-4}, serial="A") for _ in runs])
-    files.compensate_set_files(runs, mounted, tmp_path / "o.parquet", "parquet")
+    set_to_file(runs, mounted, tmp_path / "o.parquet")
     written = pa.parquet.read_table(tmp_path / "o.parquet")
     together = piga.compensate_set([piga.read_run(path) for path in runs], mounted)
     for name, values in together.columns().items():
@@ -78,7 +77,7 @@ def test_set_whose_times_differ_is_refused_by_name(tmp_path):
     with pytest.raises(
         piga.DataError, match=r"z\.toml: row 152, t = 1\.51\d* s: the times are not those of .*x\.toml"
     ):
-        files.compensate_set_files(runs, mounted, tmp_path / "o.parquet", "parquet")
+        set_to_file(runs, mounted, tmp_path / "o.parquet")
 
 
 def test_set_at_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys):

@@ -10,7 +10,6 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation import files
 from piga.compensation.files import orthogonal_triad
 from piga.units import G0
 from tests.compensation.run_files import (
@@ -20,6 +19,7 @@ from tests.compensation.run_files import (
     TIME,
     assert_file_holds,
     run_text,
+    set_to_file,
     small_chunks,
     to_file,
 )
@@ -70,7 +70,7 @@ def same(
     """Compare both ways; returns the repairs that were counted on the way."""
     whole = piga.compensate(piga.read_run(path), cal)
     small_chunks(monkeypatch, chunk)
-    _, result = to_file(path, cal, folder / "o.parquet")
+    result = to_file(path, cal, folder / "o.parquet")["repairs"]
     assert_file_holds(folder / "o.parquet", whole)
     return result
 
@@ -177,19 +177,19 @@ def test_sets_that_do_not_fit_together(tmp_path: Path, monkeypatch: pytest.Monke
     runs = [written(tmp_path, name=name) for name in "xy"]
     rate = written(tmp_path, name="z", kind="rate", output='kind = "rate", unit = "rad/s"')
     with pytest.raises(piga.DataError, match=r"z\.toml: the output is of kind 'rate', .*x\.toml is 'angle'"):
-        files.compensate_set_files([*runs, rate], mounted, tmp_path / "o.parquet", "parquet")
+        set_to_file([*runs, rate], mounted, tmp_path / "o.parquet")
     short = written(tmp_path, name="z")
     table = pa.parquet.read_table(tmp_path / "z.parquet")
     pa.parquet.write_table(table.slice(0, 333), tmp_path / "z.parquet")
     with pytest.raises(piga.DataError, match=r"z\.toml: has 333 rows that can be used, .*x\.toml has 400"):
-        files.compensate_set_files([*runs, short], mounted, tmp_path / "o.parquet", "parquet")
+        set_to_file([*runs, short], mounted, tmp_path / "o.parquet")
     pa.parquet.write_table(table.slice(0, 0), tmp_path / "z.parquet")
     for name in "xyz":
         pa.parquet.write_table(
             table.set_column(3, "fy", pa.array(np.full(ROWS, np.nan))), tmp_path / f"{name}.parquet"
         )
     with pytest.raises(piga.DataError, match=r"x\.parquet: no row has all needed values"):
-        files.compensate_set_files([*runs, short], mounted, tmp_path / "o.parquet", "parquet")
+        set_to_file([*runs, short], mounted, tmp_path / "o.parquet")
 
 
 NUMBERED_CAL = calibration_of(
@@ -231,8 +231,8 @@ def test_ranges_and_sequence_numbers_hold_in_a_streamed_file(tmp_path, monkeypat
     path = write_numbered(tmp_path, name, more)
     whole = piga.compensate(piga.read_run(path), NUMBERED_CAL)
     small_chunks(monkeypatch, chunk)
-    summary, result = to_file(path, NUMBERED_CAL, tmp_path / "o.parquet")
-    assert summary.rows == whole.size == NUMBERED_ROWS - 4
+    summary = to_file(path, NUMBERED_CAL, tmp_path / "o.parquet")
+    assert summary["rows"] == whole.size == NUMBERED_ROWS - 4
     assert_file_holds(tmp_path / "o.parquet", whole)
-    assert result == {"saturated": 4, "gap": 4, "sequence-gap": 5}
+    assert summary["repairs"] == {"saturated": 4, "gap": 4, "sequence-gap": 5}
     assert np.count_nonzero(whole.flagged("no_increment")) > 1

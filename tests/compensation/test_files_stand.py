@@ -6,6 +6,7 @@ import itertools
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -14,9 +15,17 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation import files
-from piga.compensation.files import FileSummary, orthogonal_triad
-from tests.compensation.run_files import ANGLE, CAL, TIME, assert_file_holds, run_text, small_chunks, to_file
+from piga.compensation.files import orthogonal_triad
+from tests.compensation.run_files import (
+    ANGLE,
+    CAL,
+    TIME,
+    assert_file_holds,
+    run_text,
+    set_to_file,
+    small_chunks,
+    to_file,
+)
 from tests.compensation.twin_data import calibration_of
 
 ROWS, STEP = 600, 0.01
@@ -73,7 +82,7 @@ def calibration() -> piga.Calibration:
     return calibration_of({**CAL, "m_Y": 1e-3}, {"phi": 1e-4, "k0": 1e-6}, serial="A", angle_rms=1e-6)
 
 
-def same(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) -> FileSummary:
+def same(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) -> dict[str, Any]:
     """Read and compensated whole in memory, and on disk in pieces: the same to the bit."""
     record = piga.read_run(path)
     whole = piga.compensate(record, calibration())
@@ -81,7 +90,7 @@ def same(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) 
     again = piga.read_run(path)
     for name in ("t", "output", "f", "base_rate", "segment_index", "begins"):
         assert getattr(again, name).tobytes() == getattr(record, name).tobytes(), name
-    summary, _ = to_file(path, calibration(), folder / "o.parquet")
+    summary = to_file(path, calibration(), folder / "o.parquet")
     assert_file_holds(folder / "o.parquet", whole)
     return summary
 
@@ -99,7 +108,7 @@ def same(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) 
 def test_every_stand(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stand: str, kind: str, chunk: int
 ) -> None:
-    assert same(written(tmp_path, STANDS[stand], kind=kind), tmp_path, monkeypatch, chunk).rows == ROWS
+    assert same(written(tmp_path, STANDS[stand], kind=kind), tmp_path, monkeypatch, chunk)["rows"] == ROWS
 
 
 VARIANTS = {
@@ -139,9 +148,10 @@ def test_a_set_turns_with_its_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     runs = [written(tmp_path, STANDS["rate table"], name=name) for name in "xyz"]
     mounted = orthogonal_triad([calibration()] * 3)
     for name in ("whole", "parts"):
-        files.compensate_set_files(runs, mounted, tmp_path / name, "parquet")
+        set_to_file(runs, mounted, tmp_path / name)
         small_chunks(monkeypatch, 37)
-    assert (tmp_path / "parts").read_bytes() == (tmp_path / "whole").read_bytes()
+    whole, parts = (pa.parquet.read_table(tmp_path / name) for name in ("whole", "parts"))
+    assert parts == whole
 
 
 @pytest.mark.only_compiled

@@ -8,8 +8,7 @@ above 1e-290.
 **Between samples.** The mean of a smooth input over an interval is the mean of both ends less ``h^2/12`` of its second
 derivative in the middle. At a step, a kink or a bad sample, second differences change their sign or size from sample to
 sample. If the sign changes, the second derivative is set to zero. It is limited to twice the smaller of two
-neighbours. So the result does not ring. A running velocity is linear within each interval, because only the mean force is
-known there.
+neighbours. So the result does not ring.
 
 **Sine with cosine, and the arctangent of a half-angle pair** have no branches and no table, so they run on whole vectors. The
 argument of sine and cosine is reduced by a three-part pi/2 [Cody1980], which is exact for quotients below 2^20. The library's
@@ -22,10 +21,8 @@ relative error is 6e-18, half an ulp in float64.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga._kernels.jit import Array, exact, inline, kernel
 
@@ -130,56 +127,6 @@ def curvature(x: Array, h: Array, i: int) -> float:
 def bow_of(h: float, curved: float) -> float:
     """Mean over an interval ``h`` less the mean of both ends, for a second derivative ``curved``."""
     return -h * h * (1.0 / 12.0) * curved
-
-
-VALID, START, INDEX, TIME = 0, 1, 2, 3
-VELOCITY = 4  # then as many sums of what was given out
-
-
-class Increments(NamedTuple):
-    """Velocity increments ``dv`` (n, c) that end at times ``t`` (n,), with the ``flags`` (n,) of their rows."""
-
-    t: Array
-    dv: Array
-    flags: NDArray[np.int32]
-
-
-@exact
-def resample(given: Increments, period: float, state: Array, marks: NDArray[np.int32], out: Increments) -> int:
-    """Resample increments to ``out`` at ``start + k period``; returns the number of its rows. State in and out.
-
-    A new increment is the running velocity at its time less the sum of the increments already returned. Its flags
-    are those of all rows that overlap it; ``marks`` contains those of the unfinished row.
-    """
-    t, dv, flags = given
-    times, rows, row_flags = out
-    width, count = dv.shape[1], 0
-    sums = VELOCITY + width
-    for j in range(t.size):
-        if state[VALID] == 0.0:
-            state[VALID], state[START], state[TIME] = 1.0, t[j], t[j]
-            for c in range(width):
-                state[VELOCITY + c] = dv[j, c]
-            continue
-        target = state[START] + (state[INDEX] + 1.0) * period
-        while target <= t[j] * (1.0 + 1e-15):
-            marks[0] |= flags[j]
-            share = (target - state[TIME]) / (t[j] - state[TIME])
-            times[count], row_flags[count], marks[0] = target, marks[0], 0
-            for c in range(width):
-                end = state[VELOCITY + c] + dv[j, c]
-                velocity = state[VELOCITY + c] + dv[j, c] * share if target < t[j] else end
-                rows[count, c] = velocity - state[sums + c]
-                state[sums + c] += rows[count, c]
-            count += 1
-            state[INDEX] += 1.0
-            target = state[START] + (state[INDEX] + 1.0) * period
-        if target - period < t[j]:
-            marks[0] |= flags[j]
-        for c in range(width):
-            state[VELOCITY + c] += dv[j, c]
-        state[TIME] = t[j]
-    return count
 
 
 LIMIT = 1.6e6

@@ -232,11 +232,11 @@ def _single(
 
     ``sources`` are the calibration file and its SHA-256 as read. ``out`` and ``page``: files to write.
     """
-    from piga.compensation import Resampler, identify_phase
+    from piga.compensation import identify_phase
     from piga.compensation.compensator import compensate
-    from piga.compensation.files import HELD_ROWS, compensate_to_file, found_while_reading
+    from piga.compensation.files import summary_of
     from piga.compensation.model import check_method
-    from piga.compensation.result import format_of, inputs_listed
+    from piga.compensation.result import format_of, write_rows
     from piga.stand import read_run
 
     calibration, kind = _one(calibrations), format_of(out)
@@ -247,39 +247,28 @@ def _single(
         phase = identify_phase(record, calibration, options.rest)
         note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
         options = replace(options, phase=phase)
-    arguments = options.arguments() | {"method": options.method, "phase": options.phase}
-    outline, watch, whole = None, None, None
-    if page is not None:
-        from piga.reports.compensation.outline import CompensationOutline
-
-        outline = CompensationOutline(record.kind, calibration)
-        watch = outline.piece
-        if record.size <= HELD_ROWS:
-            whole = record, compensate(record, calibration, **arguments)
-            outline.record(*whole)
-            watch = None
     with progress("compensating", record.size) as advance:
-        summary = compensate_to_file(
-            record, calibration, out, kind, progress=advance, watch=watch, inputs=inputs,
-            resampler=None if options.period is None else Resampler(options.period), **arguments,
-        )  # fmt: skip
-    document = {
-        "rows": summary.rows,
-        "velocity_m_s": summary.velocity,
-        "u_velocity_m_s": summary.u_velocity if options.uncertainty else None,
-        "flags": summary.flags,
-        "repairs": found_while_reading(record),
-        "notes": summary.notes,
-        "inputs": inputs_listed(inputs),
-    }
-    if page is not None and outline is not None:
+        result = compensate(
+            record,
+            calibration,
+            method=options.method,
+            phase=options.phase,
+            progress=advance,
+            **options.arguments(),
+        )
+        rows = write_rows(result, out, kind, period=options.period, inputs=inputs, progress=advance)
+    document = summary_of(result, [record], rows, inputs)
+    if page is not None:
+        from piga.reports.compensation.outline import of_record
+
         phase_used = "of the calibration"
         if options.phase is not None:
             phase_used = f"{options.phase.value:.6g} rad, standard uncertainty {options.phase.std:.2g} rad"
         words = {"method": check_method(options.method, calibration)}
         words |= {} if calibration.direct else {"phase used": phase_used}
         data = inputs[1][0] if len(inputs) > 2 else inputs[0][0]
-        _write_page(outline, (data,), inputs, options.in_words(**words), page, document, whole)
+        outline = of_record(record, calibration, result)
+        _write_page(outline, (data,), inputs, options.in_words(**words), page, document, (record, result))
     return document, calibrations
 
 
@@ -288,8 +277,8 @@ def _together(
     options: CompensationOptions,
 ) -> tuple[dict[str, Any], list[Calibration]]:  # fmt: skip
     """Summary and the calibrations used: those given, or those that the triad file names."""
-    from piga.compensation.files import compensate_set_files, orthogonal_triad, read_triad
-    from piga.compensation.result import format_of
+    from piga.compensation.files import compensate_set, orthogonal_triad, read_member, read_triad, summary_of
+    from piga.compensation.result import format_of, write_rows
 
     if options.method == "published":
         raise ArgumentError(
@@ -307,24 +296,26 @@ def _together(
             remedy="three runs and three calibrations in the order x, y, z, or a triad file with axes",
         )
     calibrations = [item.calibration for item in mounted]
-    outline = None
+    with progress("reading"):
+        records = [
+            read_member(path, item, options.other_serial) for path, item in zip(paths, mounted, strict=True)
+        ]
+    inputs = [*inputs, *(file for record in records for file in record.input_sha256.items())]
+    with progress("compensating", records[0].size) as advance:
+        result = compensate_set(
+            records, mounted, details=page is not None, progress=advance, **options.arguments()
+        )
+        rows = write_rows(result, out, kind, period=options.period, inputs=inputs, progress=advance)
+    summary = summary_of(result, records, rows, inputs)
     if page is not None:
-        from piga.records import read_run_file
-        from piga.reports.compensation.outline import CompensationOutline
+        from piga.reports.compensation.outline import of_set
 
-        rates = read_run_file(paths[0]).data.output.kind == "rate"
-        outline = CompensationOutline("rate" if rates else "angle", mounted)
-    with progress("compensating") as advance:
-        summary = compensate_set_files(
-            paths, mounted, out, kind, period=options.period, progress=advance,
-            watch=None if outline is None else outline.set_piece, inputs=inputs, **options.arguments(),
-        )  # fmt: skip
-    if page is not None and outline is not None:
+        outline = of_set(records, mounted, result)
         names = tuple(
             f"{path.stem} ({one.serial})" if one.serial else path.stem
             for path, one in zip(paths, calibrations, strict=True)
         )
-        files = list(dict.fromkeys((one["file"], one["sha256"]) for one in summary["inputs"]))
+        files = list(dict.fromkeys(inputs))
         _write_page(outline, names, files, options.in_words(method="exact"), page, summary)
     return summary, calibrations
 

@@ -28,7 +28,7 @@ from piga.compensation.model import (
 from piga.compensation.result import Compensated, LockedStarts, note_on_vibration, notes_on
 from piga.errors import ArgumentError, CalibrationError
 from piga.progress import Progress, report
-from piga.records.arrays import spans
+from piga.records.arrays import empty, spans
 from piga.records.calibration import Calibration
 from piga.records.limits import LARGEST_SAMPLE
 from piga.records.run import Run, begins_stretch
@@ -89,8 +89,8 @@ def run_kernel(model: Model, state: Any, chunk: Chunk, kind: str, rows: Rows) ->
 
 def empty_rows(n: int, uncertainty: bool, flags: bool) -> Rows:
     """Arrays for ``n`` rows; those that are not wanted are empty."""
-    marks = np.empty(n if flags else 0, dtype=np.int32)
-    return Rows(np.empty(n), np.empty(n), np.empty(n if uncertainty else 0), marks, np.zeros(SUMS))
+    marks = empty(n if flags else 0, np.int32)
+    return Rows(empty(n), empty(n), empty(n if uncertainty else 0), marks, np.zeros(SUMS))
 
 
 ROW_KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle")

@@ -6,19 +6,18 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga import doors
-from piga._kernels import arithmetic as kernels
 from piga.compensation.model import FLAGS, MEANING
 from piga.errors import ArgumentError
 from piga.formats.columns import number_column
+from piga.progress import Progress, report
 from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.run import Run
@@ -35,9 +34,8 @@ WRITTEN_UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
 FORMATS = {".parquet": "parquet", ".pq": "parquet", ".csv": "csv"}
 """Kind of file by suffix."""
 
-GROUP_ROWS = 1 << 16
-"""Rows per row group of a Parquet file, whatever the size of the chunks."""
-
+GROUP_ROWS = 1 << 18
+"""Rows that are written at a time: a row group of a Parquet file."""
 
 Inputs = Sequence[tuple[str, str]]
 """Input files of a result: name, and SHA-256 of what was read."""
@@ -100,100 +98,79 @@ def schema_of(
     return pa.schema(fields, metadata=metadata)
 
 
-class TableWriter:
-    """Write rows to a Parquet or CSV file; a context manager.
+def _heading(name: str, notes: tuple[str, ...]) -> str:
+    """Name of a CSV column: ``name [unit]``; that of an uncertainty which is Type A only says so."""
+    if name == "flags":
+        return name
+    short = TYPE_A_ONLY.partition(";")[0]
+    alone = f" ({short})" if name.startswith("u_") and any(TYPE_A_ONLY in note for note in notes) else ""
+    return f"{name}{alone} [{unit_of_column(name)}]"
 
-    CSV columns are named ``name [unit]``. A missing value is an empty cell in CSV and nan in Parquet. ``notes`` come
-    from :func:`piga.compensation.result.notes_on`. Parquet stores them as metadata; in CSV the uncertainties are named
-    ``u_ax (Type A only) [m/s^2]``. ``inputs`` are stored in the metadata of Parquet only.
+
+def _opened(
+    path: Path, text: bool, columns: Mapping[str, NDArray], notes: tuple[str, ...], inputs: Inputs
+) -> Any:
+    """A writer of tables with these columns, and its schema."""
+    from pyarrow import csv, parquet, schema
+
+    made = schema_of(columns, text, notes, inputs)
+    if not text:
+        options = {"use_dictionary": False, "write_statistics": False, "write_page_checksum": True}
+        return parquet.ParquetWriter(str(path), made, compression="none", **options), made
+    made = schema([entry.with_name(_heading(entry.name, notes)) for entry in made])
+    quoting = csv.WriteOptions(quoting_style="none", quoting_header="none")
+    return csv.CSVWriter(str(path), made, write_options=quoting), made
+
+
+def write_rows(
+    result: Compensated | CompensatedSet,
+    path: Path,
+    kind: str | None = None,
+    *,
+    period: float | None = None,
+    inputs: Inputs = (),
+    progress: Progress | None = None,
+) -> int:
+    """Write compensated rows to a file; returns the number of rows written.
+
+    A missing value is an empty cell in CSV and nan in Parquet. Parquet has units, flag names, notes and inputs as metadata.
+
+    Parameters
+    ----------
+    result, path:
+        The rows, and the file.
+    kind:
+        ``"parquet"`` or ``"csv"``; None: by the suffix of ``path``.
+    period:
+        Interval to which the rows are resampled [s]; None: as recorded.
+    inputs:
+        Input files of the result.
+    progress:
+        Called as ``progress(done, total, what)`` with the rows done; it returns False to stop (:mod:`piga.progress`).
     """
+    import pyarrow as pa
 
-    def __init__(
-        self, path: Path, kind: str | None = None, notes: tuple[str, ...] = (), inputs: Inputs = ()
-    ) -> None:
-        self._path, self._notes, self._inputs = path, notes, tuple(inputs)
-        self._kind = kind or format_of(path)
-        self._writer: Any = None
-        self._schema: Any = None
-        self._held: Any = None
-        self.rows = 0
-
-    def write(self, columns: Mapping[str, NDArray]) -> None:
-        """Append rows; every call must have the same columns."""
-        import pyarrow as pa
-
-        if self._writer is None:
-            self._open(columns)
-        arrays = [number_column(column, empty_cells=self._kind == "csv") for column in columns.values()]
-        table = pa.Table.from_arrays(arrays, schema=self._schema)
-        self.rows += table.num_rows
-        self._held = table if self._held is None else pa.concat_tables((self._held, table))
-        whole = self._held.num_rows // GROUP_ROWS * GROUP_ROWS
-        if whole:
-            self._writer.write_table(self._held.slice(0, whole), GROUP_ROWS)
-            self._held = self._held.slice(whole)
-
-    def _open(self, columns: Mapping[str, NDArray]) -> None:
-        import pyarrow as pa
-        from pyarrow import csv, parquet
-
-        schema = schema_of(columns, self._kind == "csv", self._notes, self._inputs)
-        if self._kind == "csv":
-            names = [self._heading(name) for name in columns]
-            self._schema = pa.schema([field.with_name(name) for field, name in zip(schema, names, strict=True)])
-            options = csv.WriteOptions(quoting_style="none", quoting_header="none")
-            self._writer = csv.CSVWriter(str(self._path), self._schema, write_options=options)
-        else:
-            self._schema = schema
-            self._writer = parquet.ParquetWriter(
-                str(self._path),
-                schema,
-                compression="none",
-                use_dictionary=False,
-                write_statistics=False,
-                write_page_checksum=True,
-            )
-
-    def _heading(self, name: str) -> str:
-        """Name of a CSV column."""
-        if name == "flags":
-            return name
-        short = TYPE_A_ONLY.partition(";")[0]
-        said = f" ({short})" if name.startswith("u_") and any(TYPE_A_ONLY in n for n in self._notes) else ""
-        return f"{name}{said} [{unit_of_column(name)}]"
-
-    def close(self, remarks: tuple[str, ...] = ()) -> None:
-        """Finish the file. ``remarks``: notes that are known after the last row."""
-        if self._writer is not None:
-            if self._held.num_rows or self.rows == 0:
-                self._writer.write_table(self._held, GROUP_ROWS)
-            if remarks and self._kind == "parquet":
-                self._writer.add_key_value_metadata({"piga.notes": json.dumps(self._notes + remarks)})
-            self._writer.close()
-            self._writer = self._held = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if error is None:
-            self.close()
-        elif self._writer is not None:
-            with suppress(Exception):  # the error that ended the writing is the one to report
-                self._writer.close()
-            self._writer = self._held = None
-
-
-def write_table(path: Path, columns: Mapping[str, NDArray], kind: str, notes: tuple[str, ...] = ()) -> None:
-    """Write whole columns at once."""
-    with TableWriter(path, kind, notes) as writer:
-        rows = len(next(iter(columns.values())))
-        for start in range(0, max(rows, 1), GROUP_ROWS):
-            writer.write(
-                {name: np.asarray(column)[start : start + GROUP_ROWS] for name, column in columns.items()}
-            )
+    text = (kind or format_of(path)) == "csv"
+    resampler = None if period is None else Resampler(period)
+    writer: Any = None
+    rows = 0
+    try:
+        for start in range(0, max(result.size, 1), GROUP_ROWS):
+            part = result.rows(slice(start, min(start + GROUP_ROWS, result.size)))
+            columns = part.columns() if resampler is None else resampler.push_rows(part)
+            if writer is None:
+                writer, schema = _opened(path, text, columns, result.notes, inputs)
+            arrays = [number_column(column, empty_cells=text) for column in columns.values()]
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+            rows += columns["t"].size
+            report(progress, start + part.size, result.size, "writing")
+    except BaseException:
+        with suppress(Exception):  # the error that ended the writing is the one to report
+            if writer is not None:
+                writer.close()
+        raise
+    writer.close()
+    return rows
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -267,6 +244,11 @@ class Compensated(Result, Plotted, Reported, Tabular):
         """Number of rows."""
         return int(self.t.size)
 
+    def rows(self, part: slice) -> Compensated:
+        """Some rows."""
+        columns = {name: getattr(self, name)[part] for name in ("t", "ax", "dv", "u_ax", "flags")}
+        return replace(self, **columns, u_velocity=math.nan, made_from=None)
+
     def flagged(self, name: str) -> NDArray[np.bool_]:
         """Rows with the flag ``name`` (see :data:`piga.compensation.FLAGS`)."""
         return (self.flags & FLAGS[name]) != 0
@@ -277,10 +259,7 @@ class Compensated(Result, Plotted, Reported, Tabular):
 
     def columns(self) -> dict[str, NDArray]:
         """The columns of the written file, in order."""
-        columns = {"t": self.t, "ax": self.ax, "dv": self.dv}
-        if self.u_ax.size:
-            columns["u_ax"] = self.u_ax
-        return columns | ({"flags": self.flags} if self.flags.size == self.size else {})
+        return columns_of(self.t, self.ax, self.dv, self.flags, self.u_ax)
 
     def table_columns(self) -> dict[str, Column]:
         """The columns of the written file with their units."""
@@ -292,11 +271,11 @@ class Compensated(Result, Plotted, Reported, Tabular):
 
     def to_parquet(self, path: str | Path) -> None:
         """Write a Parquet file; its metadata contain units, flag names and notes."""
-        write_table(Path(path), self.columns(), "parquet", self.notes)
+        write_rows(self, Path(path), "parquet")
 
     def to_csv(self, path: str | Path) -> None:
         """Write a CSV file with units in the header. If ``u_ax`` is Type A only, its heading says so."""
-        write_table(Path(path), self.columns(), "csv", self.notes)
+        write_rows(self, Path(path), "csv")
 
 
 def notes_on(*calibrations: Calibration) -> tuple[str, ...]:
@@ -403,21 +382,41 @@ class CompensatedSet(Result, Plotted, Tabular):
         """Number of rows."""
         return int(self.t.size)
 
+    def rows(self, part: slice) -> CompensatedSet:
+        """Some rows."""
+        columns = {name: getattr(self, name)[part] for name in ("t", "f", "dv", "u_f", "residual", "flags")}
+        each = {name: getattr(self, name)[:, part] for name in ("misfit", "each")}
+        return replace(self, **columns, **each, u_velocity=np.zeros(0))
+
     def flagged(self, name: str) -> NDArray[np.bool_]:
         """Rows with the flag ``name``."""
         return (self.flags & FLAGS[name]) != 0
 
     def columns(self) -> dict[str, NDArray]:
         """The columns of the written file, in order."""
-        columns: dict[str, NDArray] = {"t": self.t}
-        for prefix, values in (("f", self.f), ("dv", self.dv), ("u_f", self.u_f)):
-            if values.shape[0]:
-                columns |= {prefix + axis: np.ascontiguousarray(values[:, i]) for i, axis in enumerate("xyz")}
-        return columns | {"residual": self.residual, "flags": self.flags}
+        columns = columns_of(self.t, self.f, self.dv, self.flags, self.u_f)
+        flags = columns.pop("flags", self.flags)
+        return columns | {"residual": self.residual, "flags": flags}
 
     def table_columns(self) -> dict[str, Column]:
         """The columns of the written file with their units."""
         return with_units(self.columns())
+
+
+def columns_of(
+    t: Array, force: Array, dv: Array, flags: NDArray[np.int32], u: Array | None = None
+) -> dict[str, NDArray]:
+    """The columns of compensated rows in order: force, increment and uncertainty (n,), or (n, 3) of a set; empty: none."""
+    columns: dict[str, NDArray] = {"t": t}
+    names = ("ax", "dv", "u_ax") if force.ndim == 1 else ("f", "dv", "u_f")
+    for name, values in zip(names, (force, dv, u), strict=True):
+        if values is not None and (values.shape[0] or t.size == 0):
+            each = [values] if values.ndim == 1 else [np.ascontiguousarray(column) for column in values.T]
+            columns |= {
+                name + axis: column
+                for axis, column in zip("xyz" if len(each) == 3 else [""], each, strict=True)
+            }
+    return columns | ({"flags": flags} if flags.size == t.size else {})
 
 
 def with_units(columns: dict[str, NDArray]) -> dict[str, Column]:
@@ -443,16 +442,16 @@ class Resampler:
         if not (period > 0.0 and math.isfinite(period)):
             raise ArgumentError(f"period: {period!r} s is not positive", remedy="e.g. 0.01")
         self._period = period
-        self._state: Array | None = None
-        self._marks = np.zeros(1, dtype=np.int32)
+        self._rows, self._flags = 0, 0
+        self._time: Array = np.zeros(0)
+        self._velocity: Array = np.zeros(0)
+        self._given: Array = np.zeros(0)
+        self._start = 0.0
 
     @property
     def waiting(self) -> Array:
         """Velocity received but not yet given out [m/s], per component."""
-        if self._state is None:
-            return np.zeros(0)
-        velocity, given = np.split(self._state[kernels.VELOCITY :], 2)
-        return np.asarray(velocity - given)
+        return np.asarray(self._velocity - self._given)
 
     def push(self, t: ArrayLike, dv: ArrayLike) -> tuple[Array, Array]:
         """Add increments ``dv`` (n,) or (n, 3) [m/s] since the previous sample, at the times ``t`` (n,) [s].
@@ -469,51 +468,55 @@ class Resampler:
         ArgumentError
             If the times do not increase.
         """
-        times, rows, _ = self._push(t, dv, None)
+        times, rows, _ = self._push(np.atleast_1d(np.asarray(t, dtype=float)), dv, np.zeros(0, np.int32))
         return times, rows
 
-    def push_rows(self, part: Compensated) -> Compensated:
-        """Compensated rows at the new rate.
+    def push_rows(self, part: Compensated | CompensatedSet) -> dict[str, NDArray]:
+        """Columns of compensated rows at the new rate.
 
-        ``ax`` is the mean force over the new interval. It is nan where no increment was formed. A row has the flags of
-        all rows that it overlaps. There is no ``u_ax``, because the noise of neighbouring rows is correlated.
+        The force (``ax``, or ``fx``, ``fy``, ``fz``) is the mean over the new interval. It is nan where no increment was formed.
+        A row has the flags of all rows that it overlaps. There is no uncertainty, because the noise of neighbouring rows is
+        correlated.
         """
-        flags = part.flags if part.flags.size == part.size else None
-        times, dv, flags = self._push(part.t, part.dv, flags)
-        ax = np.where(flags & FLAGS["no_increment"], np.nan, dv / self._period)
-        return Compensated(times, ax, dv, np.zeros(0), flags, part.serial, part.method)
-
-    def push_set(self, part: CompensatedSet) -> dict[str, NDArray]:
-        """Columns ``t, fx, fy, fz, dvx, dvy, dvz, flags`` of a set at the new rate, as in :meth:`push_rows`."""
         times, dv, flags = self._push(part.t, part.dv, part.flags)
-        mean = np.where((flags & FLAGS["no_increment"])[:, None], np.nan, dv / self._period)
-        columns: dict[str, NDArray] = {"t": times}
-        for prefix, values in (("f", mean), ("dv", dv)):
-            columns |= {prefix + axis: np.ascontiguousarray(values[:, i]) for i, axis in enumerate("xyz")}
-        return columns | {"flags": flags}
+        none = (flags & FLAGS["no_increment"]) != 0
+        mean = np.where(none if dv.ndim == 1 else none[:, None], np.nan, dv / self._period)
+        return columns_of(times, mean, dv, flags)
 
     def _push(
-        self, t: ArrayLike, dv: ArrayLike, flags: NDArray[np.int32] | None
+        self, t: Array, dv: ArrayLike, flags: NDArray[np.int32]
     ) -> tuple[Array, Array, NDArray[np.int32]]:
-        times = np.atleast_1d(np.asarray(t, dtype=float))
-        values = np.ascontiguousarray(np.asarray(dv, dtype=float).reshape(times.size, -1))
-        if self._state is None:
-            self._state = np.zeros(kernels.VELOCITY + 2 * values.shape[1])
-        known = self._state[kernels.VALID] != 0.0
-        steps = np.diff(times, prepend=self._state[kernels.TIME] if known else -np.inf)
+        added = np.asarray(dv, dtype=float).reshape(t.size, -1)
+        marks = flags if flags.size == t.size else np.zeros(t.size, np.int32)
+        steps = np.diff(t, prepend=self._time if self._time.size else -np.inf)
         if not (steps > 0.0).all():
             row = int(np.argmin(steps > 0.0))
             raise ArgumentError(
-                f"t[{row}]: {times[row]:.9g} s is not after the time before",
+                f"t[{row}]: {t[row]:.9g} s is not after the time before",
                 remedy="resample the parts between jumps of the clock separately",
             )
-        start = self._state[kernels.START] if known else (times[0] if times.size else 0.0)
-        end = times[-1] if times.size else start
-        room = max(int((end - start) / self._period - self._state[kernels.INDEX]) + 2, 0)
-        marks = np.zeros(times.size, dtype=np.int32) if flags is None else flags
-        out = kernels.Increments(
-            np.empty(room), np.empty((room, values.shape[1])), np.empty(room, dtype=np.int32)
-        )
-        given = kernels.Increments(times, values, marks)
-        count = kernels.resample(given, self._period, self._state, self._marks, out)
-        return out.t[:count], out.dv[:count].reshape(count, *np.shape(dv)[1:]), out.flags[:count]
+        if self._time.size == 0 and t.size:
+            self._time, self._start = t[:1], float(t[0])
+            self._velocity, self._given = added[0], np.zeros(added.shape[1])
+            t, added, marks = t[1:], added[1:], marks[1:]
+        clock = np.append(self._time, t)
+        velocity = np.cumsum(np.vstack((self._velocity.reshape(1, -1), added)), axis=0)
+        limits = t * (1.0 + 1e-15)
+        ahead = math.ceil((clock[-1] - self._start) / self._period) + 1 if clock.size else 0
+        times = self._start + np.arange(self._rows + 1.0, ahead + 1.0) * self._period
+        times = times[times <= limits[-1]] if t.size else times[:0]
+        within = np.searchsorted(limits, times)  # the interval in which each new time lies
+        share = (times - clock[within]) / np.diff(clock)[within]
+        inside = (times < t[within])[:, None]
+        reached = np.where(inside, velocity[within] + added[within] * share[:, None], velocity[within + 1])
+        rows = np.diff(np.vstack((self._given, reached)), axis=0) if times.size else reached
+        first = np.append(
+            0, within + ~inside[:, 0]
+        )  # of the rows that overlap each new one, and the unfinished one
+        edges = np.column_stack((first, np.append(within, t.size - 1) + 1)).ravel()
+        seen = np.bitwise_or.reduceat(np.append(marks, (0, 0)), edges)[::2]
+        seen = np.where(first < edges[1::2], seen, 0)
+        seen[0] |= self._flags
+        self._rows, self._time, self._velocity = self._rows + times.size, clock[-1:], velocity[-1]
+        self._given, self._flags = (reached[-1] if times.size else self._given), int(seen[-1])
+        return times, rows.reshape(times.size, *np.shape(dv)[1:]), seen[:-1].astype(np.int32)

@@ -19,6 +19,7 @@ from piga.compensation.compensator import find_begins
 from piga.compensation.model import Limits, Phase, age_flag, make_model, velocity_variance
 from piga.compensation.result import CompensatedSet, LockedStarts, note_on_vibration, notes_on
 from piga.errors import ArgumentError
+from piga.records.arrays import empty
 from piga.records.calibration import Calibration
 from piga.results import Array, Result
 
@@ -183,6 +184,15 @@ class SetCompensator:
         variances = [[velocity_variance(c, [(model, one)]) for one in sums] for c, model, sums in each]
         return np.sqrt(np.sum(variances, axis=0))
 
+    def empty_rows(self, t: Array) -> CompensatedSet:
+        """Rows at the times ``t`` (n,) [s] with undefined values."""
+        n, u, marks = t.size, t.size if self._uncertainty else 0, t.size if self._flags else 0
+        details = (self._count, n if self._details else 0)
+        return CompensatedSet(
+            t, empty((n, 3)), empty((n, 3)), empty((u, 3)), empty(n), empty(marks, np.int32),
+            empty(details), empty(details, np.int32),
+        )  # fmt: skip
+
     def push(
         self,
         t: ArrayLike,
@@ -192,6 +202,7 @@ class SetCompensator:
         base_rate: ArrayLike | None = None,
         temperature: ArrayLike | None = None,
         begins: NDArray[np.bool_] | None = None,
+        into: CompensatedSet | None = None,
     ) -> CompensatedSet:
         """Compensate the next samples; N instruments, n samples.
 
@@ -207,6 +218,8 @@ class SetCompensator:
             [K], (N, n).
         begins:
             True where a stretch begins; None: where time goes back or leaves a gap, as for one instrument.
+        into:
+            Rows that exist, to write the result to (:meth:`empty_rows`).
         """
         time = np.atleast_1d(np.asarray(t, dtype=float))
         n, count = time.size, self._count
@@ -224,19 +237,9 @@ class SetCompensator:
                 "temperature: missing, and a calibration has temperature terms",
                 remedy="give the temperature [K] of each instrument, shape (N, n)",
             )
-        before, sums = SetPast(*(array.copy() for array in self._past)), self._sums.copy()
         marks = find_begins(self._past.past[:1], time) if begins is None else np.asarray(begins, dtype=np.bool_)
-        u = np.empty((n if self._uncertainty else 0, 3))
-        result = CompensatedSet(
-            time,
-            np.empty((n, 3)),
-            np.empty((n, 3)),
-            u,
-            np.empty(n),
-            np.zeros(n if self._flags else 0, np.int32),
-            np.empty((count, n if self._details else 0)),
-            np.zeros((count, n if self._details else 0), np.int32),
-        )
+        result = self.empty_rows(time) if into is None else into
+        before, sums = SetPast(*(array.copy() for array in self._past)), self._sums.copy()
         set_kernel(
             SetSamples(time, marks, psi, rates, omega, warm), self._instruments, self._more, self._axes, self._flag,
             self._threshold, self._past, self._members,

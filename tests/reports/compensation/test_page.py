@@ -15,11 +15,10 @@ import pytest
 
 import piga
 from piga.compensation import FLAGS, Compensated
-from piga.compensation.compensator import NO_RATES, NONE, Chunk
 from piga.records.calibration import Residuals
 from piga.reports.compensation import outline as compensation_outline
 from piga.reports.compensation.figures import correction_spectrum, flag_figure, force_figure, in_windows
-from piga.reports.compensation.outline import CompensationOutline
+from piga.reports.compensation.outline import of_record
 from piga.units import G0
 from tests.compensation.run_files import KERNEL, command, small_chunks, write
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
@@ -50,7 +49,7 @@ def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, str
     """Counts, velocity and files of the page are those of the summary; a streamed file says what is not shown."""
     run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
     if streamed:
-        monkeypatch.setattr("piga.compensation.files.HELD_ROWS", 0)
+        monkeypatch.setattr(sys.modules["piga.reports.compensation.page"], "COMPARED_ROWS", 2999)
         small_chunks(monkeypatch, 211)
     code, text, _ = compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--json")
     assert code == 0
@@ -61,8 +60,8 @@ def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, str
     assert abs(outline.velocity[0] - summary["velocity_m_s"]) < 1e-9
     assert {name: marks.count for name, marks in outline.marks.items() if marks.count} == summary["flags"]
     assert [name for name, _ in facts.files] == ["run.toml", "run.parquet", "run.json"]
-    assert (whole is None) == streamed
-    assert ("is shown for records of at most 262 144 rows" in html) == streamed
+    assert whole is not None
+    assert ("is shown for records of at most 2999 rows" in html) == streamed
     assert "SHA-256" in html
     assert "no_increment" in html
     assert "as recorded" in html
@@ -99,14 +98,13 @@ def test_inputs_are_stated_as_they_were_read(tmp_path, monkeypatch, capsys):
 def test_streamed_and_whole_show_the_same(tmp_path, monkeypatch, capsys, watched):
     run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
     compensated(tmp_path, monkeypatch, capsys, run, "--report", page)
-    monkeypatch.setattr("piga.compensation.files.HELD_ROWS", 0)
     small_chunks(monkeypatch, 211)
     compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--rate", "10 Hz", "--force")
     whole, streamed = watched[0][0], watched[1][0]
     for name in ("indicated a_x", "a_x", "correction a_x", "u a_x"):
         for one, other in zip(streamed.curve(name), whole.curve(name), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12, err_msg=name)
-    parts, record = (outline.instruments[0].leading().before for outline in (streamed, whole))
+    parts, record = (outline.instruments[0].leading.before for outline in (streamed, whole))
     np.testing.assert_allclose(parts, record, atol=1e-10)
 
 
@@ -116,8 +114,7 @@ def test_the_correction_is_the_cross_coupling(kind):
     t = np.arange(0.0, 120.0, 0.02)
     record = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3, kind=kind)
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3})
-    outline = CompensationOutline(kind, cal)
-    outline.record(record, piga.compensate(record, cal))
+    outline = of_record(record, cal, piga.compensate(record, cal))
     order, amplitude = correction_spectrum(outline.instruments[0])
     first = int(np.argmin(np.abs(order - 1.0)))
     assert abs(amplitude[first] / (TAN_BETA * G0) - 1.0) < 0.02
@@ -125,9 +122,9 @@ def test_the_correction_is_the_cross_coupling(kind):
     known = np.isfinite(correction)
     np.testing.assert_allclose((indicated - correction)[known], G0, rtol=1e-6)
     taken_out = K_G / G0 * 0.02 * np.nansum(correction[1:])
-    leading = outline.instruments[0].leading()
+    leading = outline.instruments[0].leading
     assert abs(leading.before[-1] - taken_out) < 1e-3 * TAN_BETA * K_G * 0.02 * t.size
-    assert abs(outline.sums.rms("correction a_x") / (TAN_BETA * G0 / np.sqrt(2.0)) - 1.0) < 0.05
+    assert abs(outline.rms("correction a_x") / (TAN_BETA * G0 / np.sqrt(2.0)) - 1.0) < 0.05
     figure = force_figure(outline)
     assert all(axis.quantity and axis.unit for panel in figure.panels for axis in (panel.x, panel.y))
 
@@ -140,8 +137,7 @@ def test_changes_of_attitude_do_not_drown_the_orders():
     f = G0 * np.stack((np.cos(angle), np.sin(angle), np.zeros(t.size)), axis=1)
     record = run_of(t, f, phi=0.3)
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, "k0": 1e-3})
-    outline = CompensationOutline("angle", cal)
-    outline.record(record, piga.compensate(record, cal))
+    outline = of_record(record, cal, piga.compensate(record, cal))
     order, amplitude = correction_spectrum(outline.instruments[0])
     across = np.sqrt(np.mean(np.sin(0.3 + 0.3 * np.array([0, 2, 8, 1])) ** 2))
     first = int(np.argmin(np.abs(order - 1.0)))
@@ -160,30 +156,33 @@ def test_windows_begin_with_segments_and_after_sixteen_turns():
     assert windows.segment[0] == windows.segment[1599]
 
 
-@pytest.mark.only_compiled
-def test_memory_is_bounded_and_extremes_are_kept():
-    """Two million rows: the outline stays small, holds lone extremes and flags; the leading part is cut."""
-    result, size, total = CompensationOutline("rate", calibration_of({"scale_factor": K_G})), 100_000, 21
-    for index in range(total):
-        t = (np.arange(size) + index * size) * 0.01
-        ax = np.sin(t)
-        flags = np.full(size, FLAGS["temperature"], np.int32)
-        if index in (0, 13):
-            ax[4711], flags[4711] = 50.0 + index, FLAGS["coarse"]
-        begins = np.zeros(size, dtype=bool)
-        chunk = Chunk(t, K_G / G0 * ax, ax, ax, begins, NO_RATES, NONE, NONE)
-        result.piece("all", chunk, Compensated(t, ax, 0.01 * ax, NONE, flags))
-    t, ax = result.curve("a_x")
-    assert t.size <= 2 * compensation_outline.CURVE_POINTS
-    assert (np.diff(t) > 0).all()
-    for index in (0, 13):
-        assert ax[np.abs(t - (index * size + 4711) * 0.01) < 1e-3] == [50.0 + index]
-    assert result.instruments[0].leading().t.size == compensation_outline.LEADING_ROWS
+def test_extremes_and_flags_are_kept():
+    """Of 200 000 rows: the outline is small, holds lone extremes and flags; the leading part is cut."""
+    size, cal = 200_000, calibration_of({"scale_factor": K_G})
+    t = np.arange(size) * 0.01
+    ax, flags = np.sin(t), np.full(size, FLAGS["temperature"], np.int32)
+    for row in (47, 134_711):
+        ax[row], flags[row] = 50.0 + row, FLAGS["coarse"]
+    record = run_of(t, np.stack((ax, ax, ax), axis=1), kind="rate")
+    result = of_record(record, cal, Compensated(t, ax, 0.01 * ax, np.zeros(0), flags))
+    times, drawn = result.curve("a_x")
+    assert times.size <= compensation_outline.CURVE_POINTS
+    assert (np.diff(times) > 0).all()
+    for row in (47, 134_711):
+        assert drawn[np.abs(times - row * 0.01) < 1e-3] == [50.0 + row]
     coarse, warm = result.marks["coarse"], result.marks["temperature"]
-    assert (coarse.count, warm.count) == (2, total * size - 2)
-    assert (coarse.first, coarse.last) == (47.11, (13 * size + 4711) * 0.01)
+    assert (coarse.count, warm.count) == (2, size - 2)
+    assert (coarse.first, coarse.last) == (t[47], t[134_711])
     assert 0 < warm.t.size <= compensation_outline.MARKS
     assert {len(series.arrays()[0]) for series in flag_figure(result).panels[0].series} == {2, warm.t.size}
+
+
+def test_the_spectrum_is_of_the_first_rows(monkeypatch):
+    monkeypatch.setattr(compensation_outline, "LEADING_ROWS", 300)
+    t = 0.01 * np.arange(1000)
+    record, cal = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3), calibration_of({"scale_factor": K_G})
+    leading = of_record(record, cal, piga.compensate(record, cal)).instruments[0].leading
+    assert leading.t.size == leading.before.size == 300
 
 
 @pytest.mark.parametrize("option", ["--report", "--out"])

@@ -11,10 +11,9 @@ import pyarrow.parquet
 import pytest
 
 from piga.compensation import FLAGS, SetCompensator, compensate_set
-from piga.compensation.files import SetReading
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.reports.compensation.figures import correction_spectrum, force_figure, misfit_figure, orders_figure
-from piga.reports.compensation.outline import CompensationOutline
+from piga.reports.compensation.outline import of_set
 from piga.reports.compensation.page import CompensationFacts, compensation_page
 from piga.reports.render.page import page_html
 from piga.units import G0
@@ -26,19 +25,14 @@ NAMES = ("a", "b", "c", "d")
 STEP = 0.02
 
 
-def outline_of_set(axes, rows: int, fault: int = -1, pieces: int = 1, **more):
-    """A set under constant force, the reading of instrument 2 too high in one row; its outline in so many pieces."""
+def outline_of_set(axes, rows: int, fault: int = -1, **more):
+    """A set under constant force, the reading of instrument 2 too high in one row; its outline."""
     t = np.arange(rows) * STEP
     f = np.tile(np.array([1.0, -0.7, 0.4]) * G0, (rows, 1))
     runs, mounted = made(t, f, axes, std={"phi": 1e-5, "scale_factor": 1e-7}, **more)
-    psi = np.array([r.output for r in runs])
     if fault >= 0:
-        psi[2, fault] += 1e-4
-    stream, result = SetCompensator(mounted, details=True), CompensationOutline("angle", mounted)
-    for part in np.array_split(np.arange(rows), pieces):
-        rows_read = SetReading(t[part], psi[:, part], np.zeros(part.size, bool), None, None)
-        result.set_piece("all", rows_read, stream.push(t[part], psi[:, part]))
-    return result, mounted
+        runs[2].output[fault] += 1e-4
+    return of_set(runs, mounted, compensate_set(runs, mounted, details=True)), mounted
 
 
 def test_misfits_make_the_residual_and_flags_the_flags():
@@ -70,9 +64,8 @@ def test_the_page_of_a_set_says_type_a_only():
 
 
 @pytest.mark.only_compiled
-@pytest.mark.parametrize("pieces", [1, 7])
-def test_outline_holds_misfits_corrections_and_flags(pieces):
-    result, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200, pieces=pieces)
+def test_outline_holds_misfits_corrections_and_flags():
+    result, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200)
     for name in ("residual", *(f"misfit {i}" for i in range(4))):
         t, values = result.curve(name)
         assert round(t[np.nanargmax(np.abs(values))] / STEP) in (1200, 1201)
@@ -84,7 +77,7 @@ def test_outline_holds_misfits_corrections_and_flags(pieces):
         away = np.isfinite(force) & (np.abs(t / STEP - 1200.5) > 2)
         np.testing.assert_allclose(force[away], value * G0, atol=1e-9 * G0)
         np.testing.assert_allclose((raw - correction)[away], force[away], atol=1e-12 * G0)
-        assert 1e-4 * G0 < result.sums.rms(f"correction f_{axis}") < 3.0 * TAN_BETA * G0
+        assert 1e-4 * G0 < result.rms(f"correction f_{axis}") < 3.0 * TAN_BETA * G0
     assert np.abs(result.velocity / (STEP * 2999 * G0) - (1.0, -0.7, 0.4)).max() < 1e-4
 
 
@@ -152,11 +145,10 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, kind):
     for streamed in (False, True):
         if streamed:
             small_chunks(monkeypatch, 70)
-            monkeypatch.setattr("piga.compensation.files.HELD_ROWS", 0)
         code, text, said = command(monkeypatch, capsys, *words)
         assert code == 0, said
         assert json.loads(text)["rows"] == 400
-    (whole, facts, _), (pieces, _, _) = seen
+    (whole, facts, *_), (pieces, *_) = seen
     assert facts.names == tuple(f"{name} (A)" for name in NAMES)
     assert {name for name, _ in facts.files} >= {"set.toml", "a.toml", "a.json", "d.parquet"}
     for name in ("f_x", "correction f_y", "indicated f_z", "u f_x", "residual", "misfit 3"):

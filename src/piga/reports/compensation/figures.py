@@ -12,7 +12,7 @@ from piga.calibration.orders import ORDERS, order_grid, order_spectrum, segment_
 from piga.compensation import FLAGS, Compensated, CompensatedSet
 from piga.records.calibration import Residuals
 from piga.records.run import Run
-from piga.reports.compensation.outline import CompensationOutline, Indication
+from piga.reports.compensation.outline import CompensationOutline, Indication, of_record
 from piga.reports.render.envelope import POINTS, envelope_rows, leading_part
 from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
 from piga.units import G0, MICRO_G
@@ -135,7 +135,7 @@ def force_figure(outline: CompensationOutline) -> Figure:
     plot.panel(TIME, "correction [µg]")
     for name, role in zip(components, roles, strict=True):
         plot.line(*_curve(outline, f"correction {name}", MICRO_G), f"correction of {name}", role)
-    if outline.sums.has(f"u {components[0]}"):
+    if outline.has(f"u {components[0]}"):
         curves = [_curve(outline, f"u {name}", MICRO_G) for name in components]
         highest = max(float(np.nanmax(u)) for _, u in curves)
         plot.panel(TIME, Axis("standard uncertainty", "µg", limits=(0.0, 1.15 * highest or 1.0)))
@@ -179,9 +179,7 @@ def result_figure(result: Compensated | CompensatedSet) -> Figure:
     """Force, correction and uncertainty; without its record the compensated force alone."""
     if isinstance(result, Compensated) and result.made_from is not None:
         run, calibration = result.made_from
-        outline = CompensationOutline(run.kind, calibration)
-        outline.record(run, result)
-        return force_figure(outline)
+        return force_figure(of_record(run, calibration, result))
     single = isinstance(result, Compensated)
     force, u = (
         (result.ax[:, None], result.u_ax[:, None])
@@ -209,7 +207,7 @@ def correction_spectrum(instrument: Indication) -> tuple[Array, Array]:
     that turn less than half as far as the farthest, or show less than two cycles of an order, are left out.
     Changes of attitude leak as the inverse of the order only. Own derivation.
     """
-    leading, order = in_windows(instrument.leading()), order_grid()
+    leading, order = in_windows(instrument.leading), order_grid()
     power, time = np.zeros(order.size), np.zeros(order.size)
     parts = [part for part in segment_slices(leading.segment) if part.stop - part.start > 8]
     turns = [float(np.ptp(leading.psi[part])) / (2.0 * np.pi) for part in parts]

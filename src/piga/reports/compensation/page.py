@@ -26,7 +26,7 @@ from piga.reports.compensation.figures import (
     orders_figure,
     result_figure,
 )
-from piga.reports.compensation.outline import LEADING_ROWS, CompensationOutline
+from piga.reports.compensation.outline import LEADING_ROWS, CompensationOutline, of_record
 from piga.reports.render.figure import XYZ, Figure
 from piga.reports.render.numbers import count, pretty_unit, printed, rounded, short
 from piga.reports.render.page import (
@@ -44,6 +44,9 @@ from piga.reports.render.page import (
     named_values,
 )
 from piga.units import MICRO_G
+
+COMPARED_ROWS = 1 << 18
+"""Most rows of a record that is compared with its reference."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +93,7 @@ def page(result: Compensated) -> Page:
             remedy="compensate again: piga.compensate(run, cal)",
         )
     run, calibration = result.made_from
-    outline = CompensationOutline(run.kind, calibration)
-    outline.record(run, result)
+    outline = of_record(run, calibration, result)
     data = Path(run.source).name or "arrays in memory", next(iter(run.input_sha256.values()), "")
     facts = CompensationFacts(
         (data[0],), (data,), {"method": result.method}, notes=result.notes, u_velocity=(result.u_velocity,)
@@ -163,7 +165,7 @@ def _micro_g(value: float) -> str:
 
 def _together(outline: CompensationOutline, kind: str) -> str:
     """Root mean square of a kind of curve, all components together."""
-    return _micro_g(math.hypot(*(outline.sums.rms(f"{kind} {name}") for name in outline.components)))
+    return _micro_g(math.hypot(*(outline.rms(f"{kind} {name}") for name in outline.components)))
 
 
 def _tiles(outline: CompensationOutline, facts: CompensationFacts) -> tuple[Tile, ...]:
@@ -175,12 +177,10 @@ def _tiles(outline: CompensationOutline, facts: CompensationFacts) -> tuple[Tile
         Tile(f"Velocity{axes}", velocity, "m/s", f"{u}sum of dv; time between stretches is not counted"),
         Tile("Correction, rms", _together(outline, "correction"), "µg", "indicated less compensated"),
     ]
-    if outline.sums.has(f"u {outline.components[0]}"):
+    if outline.has(f"u {outline.components[0]}"):
         tiles.append(Tile("u, rms", _together(outline, "u"), "µg", "standard uncertainty of one row"))
-    if outline.sums.has("residual"):
-        tiles.append(
-            Tile("Residual, rms", _micro_g(outline.sums.rms("residual")), "µg", "of the redundant set")
-        )
+    if outline.has("residual"):
+        tiles.append(Tile("Residual, rms", _micro_g(outline.rms("residual")), "µg", "of the redundant set"))
     share = short(100.0 * outline.flagged / max(outline.size, 1))
     tone: Tone = "good" if outline.flagged == 0 else "doubtful"
     detail = f"{share} % of the rows, no_increment not counted"
@@ -213,10 +213,8 @@ def _orders(outline: CompensationOutline, facts: CompensationFacts) -> Section:
 
 def _reference(outline: CompensationOutline, whole: tuple[Run, Compensated] | None) -> Section:
     title, anchor = "Against the reference", "reference"
-    if whole is None:
-        text = (
-            "The error against the reference along the input axis is shown for records of at most 262 144 rows."
-        )
+    if whole is None or outline.size > COMPARED_ROWS:
+        text = f"The error against the reference along the input axis is shown for records of at most {count(COMPARED_ROWS)} rows."
         return Section(title, anchor, (Notice("info", text),))
     instrument = outline.instruments[0]
     noise = (instrument.calibration.angle_rms, instrument.calibration.angle_random_walk)
@@ -265,10 +263,8 @@ def _instruments(outline: CompensationOutline, facts: CompensationFacts) -> Sect
             lambda axis: f"X0 along {XYZ[axis]}",
             lambda i, axis: printed(short(float(outline.mounted[i].axes[0][axis]), 6)),
         )
-        .number(
-            "correction, rms", lambda i: _micro_g(outline.instruments[i].correction.rms("correction")), "µg"
-        )
-        .number("misfit, rms", lambda i: _micro_g(outline.sums.rms(f"misfit {i}")), "µg")
+        .number("correction, rms", lambda i: _micro_g(outline.instruments[i].correction), "µg")
+        .number("misfit, rms", lambda i: _micro_g(outline.rms(f"misfit {i}")), "µg")
         .table("Input axes in the common frame; what was taken out and what is left.")
     )
     return Section("Instruments", "instruments", (table,))

@@ -1,4 +1,4 @@
-"""The envelope of a long curve: few points that keep its extremes and its gaps. In memory, and as a stream.
+"""The envelope of a long curve: few points that keep its extremes and its gaps.
 
 Of a very long record, figures show the envelope and the first part of every segment.
 """
@@ -65,37 +65,6 @@ def thin(x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
     """``x`` and ``y`` reduced to at most :data:`POINTS` points by :func:`envelope_rows`."""
     rows = envelope_rows(y)
     return np.asarray(x, dtype=float)[rows], np.asarray(y, dtype=float)[rows]
-
-
-class Envelope:
-    """The envelope of curves that come part by part, over one time. Memory does not grow with them.
-
-    Rows are kept whole until there are ``2 kept``; then the envelope of each curve stays, and later parts are thinned to the
-    same share before they are added.
-    """
-
-    def __init__(self, kept: int = POINTS) -> None:
-        self._kept, self._share = kept, 1
-        self._t: dict[str, list[Array]] = {}
-        self._y: dict[str, list[Array]] = {}
-
-    def add(self, t: Array, **curves: Array) -> None:
-        """Append a part: times (n,) and the values of each curve (n,)."""
-        for name, y in curves.items():
-            times, values = self._t.setdefault(name, []), self._y.setdefault(name, [])
-            rows = envelope_rows(y, max(8, y.size // self._share))
-            times.append(np.asarray(t, dtype=float)[rows])
-            values.append(np.asarray(y, dtype=float)[rows])
-        if max(sum(part.size for part in parts) for parts in self._t.values()) > 2 * self._kept:
-            self._share *= 2
-            for name in self._t:
-                t_all, y_all = np.concatenate(self._t[name]), np.concatenate(self._y[name])
-                rows = envelope_rows(y_all, self._kept)
-                self._t[name], self._y[name] = [t_all[rows]], [y_all[rows]]
-
-    def curve(self, name: str) -> tuple[Array, Array]:
-        """Times and values of a curve's envelope."""
-        return np.concatenate(self._t[name]), np.concatenate(self._y[name])
 
 
 def outline(residuals: Residuals) -> Residuals:
