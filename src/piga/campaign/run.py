@@ -30,6 +30,7 @@ from piga.campaign.shards import LOCK, Campaign, ShardReport, compile_kernels, r
 from piga.errors import ArgumentError, PigaError, missing_package
 from piga.progress import Progress
 from piga.progress import report as report_progress
+from piga.records.limits import first_line
 
 POLL = 0.5
 """Time between two reports of the progress [s]."""
@@ -202,7 +203,7 @@ def _connected(distributed: Any, executor: str) -> Any:
         client = distributed.Client(address, security=security, timeout=CONNECT, set_as_default=False)
     except (OSError, TimeoutError, ValueError, TypeError) as error:
         raise PigaError(
-            f"--executor {executor}: no scheduler answers ({first_line(error)})",
+            f"--executor {executor}: no scheduler answers ({first_line(error)[:200]})",
             remedy="start it, and check that its address and certificates are the ones given here",
         ) from None
     try:
@@ -222,11 +223,6 @@ def is_local(host: str) -> bool:
     except OSError:
         return False
     return bool(seen) and all(ipaddress.ip_address(str(one).partition("%")[0]).is_loopback for one in seen)
-
-
-def first_line(error: BaseException) -> str:
-    """The first line of an error's message, or its class."""
-    return str(error).splitlines()[0][:200] if str(error) else type(error).__name__
 
 
 # --- the loop ----------------------------------------------------------------------------------------

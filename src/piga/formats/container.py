@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import EXTRAS, DataError, PigaError, Where
+from piga.errors import EXTRAS, DataError, PigaError, Where, install_command
 from piga.formats.columns import (
     TableStream,
     label_text,
@@ -25,7 +25,7 @@ from piga.formats.columns import (
     vector,
 )
 from piga.formats.xlsx import read_xlsx
-from piga.records.limits import check_regular, check_unpacked, extra_missing, first_line, open_regular
+from piga.records.limits import check_regular, check_unpacked, first_line, open_regular
 
 # -- HDF5 ----------------------------------------------------------------------------------------------
 
@@ -390,7 +390,11 @@ def read_container(
     except PigaError:
         raise
     except ImportError as error:
-        raise extra_missing(path, container.name, EXTRAS[str(error.name).split(".")[0]]) from None
+        extra = EXTRAS[str(error.name).split(".")[0]]
+        raise DataError(
+            f"{path}: reading {container.name} needs the extra '{extra}', which is not installed",
+            remedy=f"install it with: {install_command(extra)}",
+        ) from None
     except MemoryError:
         raise DataError(
             f"{path}: there is not enough memory to read it",

@@ -7,7 +7,7 @@ import stat
 from io import BufferedReader
 from pathlib import Path
 
-from piga.errors import DataError, PigaError, Where, install_command
+from piga.errors import DataError, PigaError, Where
 
 MAX_UNPACKED = 2 << 30
 """Largest unpacked size of the wanted part of a container [bytes]."""
@@ -119,7 +119,7 @@ def check_label(text: str, what: str) -> None:
         )
 
 
-def first_line(error: Exception) -> str:
+def first_line(error: BaseException) -> str:
     """First line of a library's error message; the class of the error if the message is empty."""
     text = str(error)
     return text.splitlines()[0] if text else type(error).__name__
@@ -142,11 +142,3 @@ def check_unpacked(path: Path, unpacked: int, packed: int) -> None:
             f"{path}: unpacks to more than {MAX_RATIO} times its size",
             remedy="if the file is trusted, export it as Parquet",
         )
-
-
-def extra_missing(path: Path, what: str, extra: str) -> PigaError:
-    """The error if the library that a reader needs is not installed."""
-    return DataError(
-        f"{path}: reading {what} needs the extra '{extra}', which is not installed",
-        remedy=f"install it with: {install_command(extra)}",
-    )
