@@ -98,7 +98,8 @@ def stuck_extremes(
     A slow reading rests at its turning points and at its end until it has moved by one step. Such a plateau is expected
     and not reported. A run at or beyond the ``declared`` limits is not reported either: it counts as saturated.
     """
-    good = values[np.isfinite(values)]
+    finite = np.isfinite(values)
+    good = values if finite.all() else values[finite]  # a long column is not copied for nothing
     if good.size < 4 * STUCK or np.count_nonzero(good[1:] != good[:-1]) < 0.5 * good.size:
         return []
     events = []

@@ -292,7 +292,6 @@ def run_from_table(
     DataError
         If the columns do not hold what the description says.
     """
-    _check_names(columns)
     arrow = as_arrow(table)
     own = stated_units(table, arrow)
     at = arrow.schema.get_field_index(columns["time"] or "")
@@ -323,58 +322,50 @@ def run_from_table(
         raise ArgumentError(f"{WHERE}: {error.message}", remedy=error.remedy) from None
 
 
-def _check_names(columns: dict[str, Any]) -> None:
-    """Refuse column names that are not text, and a reference or base rate that is not three columns."""
-    for role in ("time", "output", "temperature", "segment"):
-        name = columns[role]
-        if name is not None and not isinstance(name, str):
-            raise ArgumentError(f"{role}: {name!r} is not the name of a column", remedy="names are text")
-    for role in ("reference", "base_rate"):
-        names = columns[role]
-        if names is None:
-            continue
-        if isinstance(names, str) or len(names) != 3 or not all(isinstance(name, str) for name in names):
-            raise ArgumentError(
-                f"{role}: {names!r} is not three names of columns", remedy="those along X0, Y0 and Z0, in order"
-            )
-
-
 def _data(columns: dict[str, Any], units: dict[str, str], stated: Sequence[str]) -> dict[str, Any]:
     """The ``[data]`` table of a run file. The units of the columns ``stated`` must be in ``units``; others are SI."""
 
-    def unit_of(column: str, like: str) -> str:
-        if column in stated and column not in units and like != "s":
+    def unit_of(role: str, names: Sequence[str], like: str) -> str:
+        unknown = [name for name in names if name in stated and name not in units and like != "s"]
+        if unknown:
             raise ArgumentError(
-                f"units: that of column '{column}' is not stated",
-                remedy=f"add units={{'{column}': '{like}'}}, or units='SI' if all columns are in SI",
+                f"units: that of column '{unknown[0]}' is not stated",
+                remedy=f"add units={{'{unknown[0]}': '{like}'}}, or units='SI' if all columns are in SI",
             )
-        return units.get(column, like)
+        several = {units.get(name, like) for name in names}
+        if len(several) > 1:
+            raise ArgumentError(
+                f"{role}: its columns have several units: {', '.join(sorted(several))}", remedy="use one unit"
+            )
+        return several.pop()
 
-    kind = columns["kind"]
-    output: dict[str, Any] = {"column": columns["output"], "kind": kind}
+    _check_names(columns)
+    kind, name, own = columns["kind"], columns["output"], columns["unit"]
+    output = {"column": name, "kind": kind, "wraps_at": columns["wraps_at"]}
     if kind != "counts":
-        name, own = columns["output"], columns["unit"]
-        output["unit"] = unit_of(name, SI.get(kind, "rad")) if own == GYRO else units.get(name, own)
-    if columns["wraps_at"] is not None:
-        output["wraps_at"] = columns["wraps_at"]
+        output["unit"] = unit_of(kind, [name], SI.get(kind, "rad")) if own == GYRO else units.get(name, own)
     data: dict[str, Any] = {"file": str(WHERE), "output": output}
-    for name in ("time", "temperature"):
-        column = columns[name]
-        if column is not None:
-            data[name] = {"column": column, "unit": unit_of(column, SI[name])}
-    for name in ("reference", "base_rate"):
-        group = columns[name]
-        if group is not None:
-            named = {unit_of(column, SI[name]) for column in group}
-            if len(named) > 1:
-                raise ArgumentError(
-                    f"{name}: its columns have several units: {', '.join(sorted(named))}", remedy="use one unit"
-                )
-            data[name] = {"columns": list(group), "unit": named.pop()}
-    for name in ("sample_rate", "segment"):
-        if columns[name] is not None:
-            data[name] = columns[name]
-    return data
+    for role in ("time", "temperature"):
+        if columns[role] is not None:
+            data[role] = {"column": columns[role], "unit": unit_of(role, [columns[role]], SI[role])}
+    for role in ("reference", "base_rate"):
+        if columns[role] is not None:
+            data[role] = {"columns": list(columns[role]), "unit": unit_of(role, columns[role], SI[role])}
+    return data | {role: columns[role] for role in ("sample_rate", "segment") if columns[role] is not None}
+
+
+def _check_names(columns: dict[str, Any]) -> None:
+    """Refuse column names that are not text, and a reference or base rate that is not three columns."""
+    for role in ("time", "output", "temperature", "segment", "reference", "base_rate"):
+        names, three = columns[role], role in ("reference", "base_rate")
+        if names is None:
+            continue
+        listed = [names] if isinstance(names, str) or not three else list(names)
+        if len(listed) != (3 if three else 1) or not all(isinstance(name, str) for name in listed):
+            raise ArgumentError(
+                f"{role}: {names!r} is not {'three names of columns' if three else 'the name of a column'}",
+                remedy="those along X0, Y0 and Z0, in order" if three else "names are text",
+            )
 
 
 def example_run() -> Run:
