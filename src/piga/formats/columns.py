@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import DataError, Fix, Where
+from piga.errors import DataError, Where
 from piga.records.calibration import Event
 
 CHUNK_ROWS = 1 << 16
@@ -268,7 +268,6 @@ def no_column(
     present: Iterable[str],
     row: int | None = None,
     remedy: str = REMEDIES[0],
-    fixes: Iterable[Fix] = (),
 ) -> DataError:
     """The error for columns that are not in the file. It lists the columns of the file, whose names stand in ``row``."""
     names, missing = tuple(present), (name,) if isinstance(name, str) else tuple(name)
@@ -281,7 +280,6 @@ def no_column(
         remedy=remedy,
         where=Where(path, row, missing),
         columns=names,
-        fixes=list(fixes),
     )
 
 

@@ -17,7 +17,6 @@ from piga.formats.columns import (
     TableStream,
     column_letter,
     label_text,
-    no_column,
     number_column,
     table_of,
     text_column,
@@ -26,7 +25,7 @@ from piga.formats.text.convention import (
     INFINITE,
     MISSING,
     NO_UNIT,
-    duplicate_name,
+    check_present,
     is_units_row,
     joined_names,
     single_names,
@@ -138,7 +137,9 @@ class _Sheet:
                 remedy="add a row with the column names above the numbers",
             )
         names, units = units_in_names(single_names(names))
-        where = self._places(names, at)
+        wanted = [*self.numeric, *([] if self.label is None else [self.label])]
+        check_present(self.path, at, wanted, names)
+        where = {name: names.index(name) for name in wanted}
         body = [entry for entry in head if entry[0] > at]
         if body and is_units_row([*_texts(body[0][1])], [*_texts(body[1][1])] if len(body) > 1 else None):
             written = zip(names, _texts(body.pop(0)[1]), strict=False)
@@ -175,16 +176,6 @@ class _Sheet:
         if place - 1 in wide and (len(set(names)) < len(names) or "" in names):  # cells over several columns
             return double[place - 1]
         return single[place]
-
-    def _places(self, names: tuple[str, ...], at: int) -> dict[str, int]:
-        wanted = [*self.numeric, *([self.label] if self.label else [])]
-        twice = duplicate_name(self.path, at, wanted, names)
-        if twice is not None:
-            raise twice
-        for name in wanted:
-            if name not in names:
-                raise no_column(self.path, name, [one for one in names if one], row=at)
-        return {name: names.index(name) for name in wanted}
 
     def _number(self, row: tuple[Any, ...], place: int, name: str, number: int) -> float:
         cell = row[place] if place < len(row) else None

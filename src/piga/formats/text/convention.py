@@ -14,7 +14,7 @@ from itertools import islice, zip_longest
 from pathlib import Path
 
 from piga.errors import DataError, Fix, UnitError, Where
-from piga.formats.columns import column_letter
+from piga.formats.columns import column_letter, no_column
 from piga.formats.text.time_stamp import TimeStamp, forms_of
 from piga.units import parse_unit
 
@@ -245,18 +245,19 @@ def single_names(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(numbered)
 
 
-def duplicate_name(path: Path, row: int, wanted: Iterable[str], names: tuple[str, ...]) -> DataError | None:
-    """The error for a wanted name that several columns have; None if there is none."""
-    for name in wanted:
+def check_present(path: Path, row: int, wanted: Iterable[str], names: tuple[str, ...]) -> None:
+    """Refuse a header in which a wanted name is absent or stands more than once."""
+    missing = [name for name in dict.fromkeys(wanted) if name not in names]
+    for name in missing:
         same = [one for one in names if re.fullmatch(rf"{re.escape(name)}#\d+", one)]
-        if name not in names and len(same) > 1:
-            return DataError(
+        if len(same) > 1:
+            raise DataError(
                 f"{path}: row {row}: duplicate column name '{name}'",
                 remedy=f"name one of them in [data]: {', '.join(repr(one) for one in same[:6])}",
                 where=Where(path, row, (name,)),
-                columns=names,
             )
-    return None
+    if missing:
+        raise no_column(path, missing, [name for name in names if name], row)
 
 
 _NAME_WITH_UNIT = re.compile(r"^(.*\S)\s*[\[(（]\s*([^\])）]+?)\s*[\])）]$")

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError, Fix, Where
-from piga.formats.columns import FileChunk, RecordStream, no_column
+from piga.formats.columns import FileChunk, RecordStream
 from piga.formats.text.convention import (
     INFINITE,
     MISSING,
     SEPARATORS,
     HeadRows,
     TextFormat,
-    duplicate_name,
+    check_present,
     find_format,
     lines_of,
     split_line,
@@ -226,21 +226,24 @@ def _parts(raw: bytes) -> Iterator[bytes]:
 
 def _check_columns(form: TextFormat, wanted: list[str], head: str, path: Path) -> None:
     """Refuse a file that lacks a wanted column. A later row that holds all of them is named."""
-    missing = list(dict.fromkeys(name for name in wanted if name not in form.names))
-    if not missing:
-        return
-    twice = duplicate_name(path, form.header, missing, form.names)
-    if twice is not None:
-        raise twice
-    row = _row_of(wanted, head, form.header)
-    if row is not None:
-        remedy = f"row {row} has these names: add [data] header_row = {row}"
-        raise no_column(path, missing, form.names, form.header, remedy, [Fix("data", "header_row", row)])
-    remedy = "correct the column name in [data], or [data] delimiter if the columns are not split"
-    if form.encoding.startswith("utf"):
-        raise no_column(path, missing, form.names, form.header, remedy)
-    remedy += f"; the file was read as {form.encoding}: add [data] encoding = '...', if the names are misread"
-    raise no_column(path, missing, form.names, form.header, remedy, [Fix("data", "encoding")])
+    try:
+        check_present(path, form.header, wanted, form.names)
+    except DataError as error:
+        if not error.columns:
+            raise
+        row, fixes = _row_of(wanted, head, form.header), []
+        remedy = "correct the column name in [data], or [data] delimiter if the columns are not split"
+        if row is not None:
+            remedy = f"row {row} has these names: add [data] header_row = {row}"
+            fixes = [Fix("data", "header_row", row)]
+        elif not form.encoding.startswith("utf"):
+            remedy += (
+                f"; the file was read as {form.encoding}: add [data] encoding = '...' if the names are misread"
+            )
+            fixes = [Fix("data", "encoding")]
+        raise DataError(
+            error.message, remedy=remedy, where=error.where, columns=error.columns, fixes=fixes
+        ) from None
 
 
 def _row_of(wanted: list[str], head: str, after: int) -> int | None:
