@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, UnitError
 from piga.formats.text.time_stamp import forms_of
+from piga.reading.checks import positions
 from piga.results import Array
 from piga.units import G0, parse_unit
 
@@ -464,13 +465,14 @@ def _by_values(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> list[Co
     result = []
     for guess in guesses:
         x = numbers.get(guess.name)
-        result.append(guess if x is None or x.size < 3 else _by_value(guess, Values.of(x), kinds))
+        result.append(guess if x is None or x.size < 3 else _by_value(guess, x, kinds))
         kinds.add(result[-1].kind)
     return result
 
 
-def _by_value(guess: ColumnGuess, values: Values, kinds: set[str]) -> ColumnGuess:
-    """One column by its values. ``kinds``: the kinds that are taken."""
+def _by_value(guess: ColumnGuess, x: Array, kinds: set[str]) -> ColumnGuess:
+    """One column by its values ``x`` (n,) and its unit. ``kinds``: the kinds that are taken."""
+    values = Values.of(x)
     busy = values.holds > values.count // 2
     if guess.kind == "segment" and values.rising and values.even and busy:
         why = "its name, and it rises in every row"
@@ -478,11 +480,18 @@ def _by_value(guess: ColumnGuess, values: Values, kinds: set[str]) -> ColumnGues
     if guess.kind == "sequence" and values.stepped:
         why = "its name, and it holds its value over many rows"
         return replace(guess, kind="segment", reason=why, alternatives=("sample number",))
+    if guess.kind == "other" and guess.reason == "its name" and guess.unit:
+        stands: dict[str, Kind] = {"rad/s": "stand-speed", "rad": "stand-angle"}
+        kind = next((kind for like, kind in stands.items() if measures(guess.unit, like)), guess.kind)
+        if kind not in (*kinds, "other") and positions(x):
+            return replace(guess, kind=kind, reason=f"its unit {guess.unit}, and it stands still at times")
+        if kind == "stand-angle" and busy and not kinds & {"counts", "pulses", "angle", "rate"}:
+            return replace(guess, kind="angle", reason=f"its unit {guess.unit}, and it turns in most rows")
     if guess.kind == "other" and not guess.unit:
         if "time" not in kinds and values.rising and values.even:
             why = "its name says nothing, but it rises by even steps"
             return replace(guess, kind="time", reason=why, alternatives=("not used",))
-        if not kinds & {"counts", "angle", "rate"} and values.whole and not values.stepped and busy:
+        if not kinds & {"counts", "pulses", "angle", "rate"} and values.whole and not values.stepped and busy:
             why = "its name says nothing, but it holds whole numbers that change in most rows"
             return replace(guess, kind="counts", reason=why, alternatives=("not used",))
         if "segment" not in kinds and values.whole and values.stepped and _UNNAMED.fullmatch(guess.name):

@@ -234,8 +234,9 @@ def _upper(lines: list[str], header: int, table: _TextTable) -> int | None:
     cells = tuple(_cells(_bare(lines[header]), table.separator))
     above = tuple(_cells(_bare(lines[header - 1]), table.separator))
     joined = joined_names(above, cells)
-    more = known_names(units_in_names(joined)[0]) > known_names(units_in_names(cells)[0])
-    return header - 1 if 1 < len(above) <= len(cells) and more else None
+    alone, together = (known_names(units_in_names(names)[0]) for names in (cells, joined))
+    each = len(above) == len(cells) and all(cell and not _is_value(cell) for cell in above)
+    return header - 1 if 1 < len(above) <= len(cells) and together >= alone + (not each) else None
 
 
 def _decimal(body: list[list[str]], separator: str) -> Guess:

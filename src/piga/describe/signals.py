@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piga.describe.columns import TOLD, WORDS, ColumnGuess, Values
 from piga.describe.draft import HEIGHT, RunFileDraft, number_in, quantity_text
@@ -28,12 +29,16 @@ ROUND_COUNTS = 0.02
 """Counts per revolution are rounded to a usual number within this relative distance."""
 USUAL_COUNTS = tuple(
     sorted(
-        {m * 10**k for m in (1, 1.8, 2, 2.5, 3.6, 4, 5, 7.2, 8) for k in range(2, 7)}
+        {m * 10**k for m in (1, 1.44, 1.8, 2, 2.5, 3.6, 4, 5, 7.2, 8) for k in range(2, 7)}
         | {2**k for k in range(8, 25)}
     )
 )
 COUNTED = ("counts", "pulses")
 """Kinds of an output that needs the counts per revolution."""
+MOVING = 0.02
+"""Largest share of the rows in which a stand moves while a column numbers a position."""
+SAME_PLACE = 0.003
+"""Largest distance from the middle of a position, relative to the largest value of the stand."""
 LEAST_RELATED = 0.9
 """Least correlation of the output rate with the specific force along an axis that is taken for the input axis."""
 
@@ -77,6 +82,7 @@ def _of_each_sample(log: LogDescription, x: Array) -> bool:
     forces = [log.numbers[one.name] for one in log.of("force") if one.name in log.numbers]
     angles = [one for one in log.of("stand-angle") if one.name in log.numbers]
     forces += [np.cos(log.numbers[one.name] * parse_unit(one.unit).factor) for one in angles]
+    forces += [log.numbers[one.name] ** 2 for one in log.of("stand-speed") if one.name in log.numbers]
     themselves = max((abs(_correlation(x, level)) for level in forces), default=0.0)
     steps = max((abs(_correlation(np.diff(x), level[1:])) for level in forces), default=0.0)
     return themselves > 0.99 and steps < 0.5
@@ -208,6 +214,11 @@ def put_instrument(draft: RunFileDraft, log: LogDescription, output: ColumnGuess
         draft.put("instrument.counts_per_revolution", number_in(counts.value), counts.reason)
     if output is None:
         return
+    speed = log.of("stand-speed")[:1]
+    if draft.document.get("stand", {}).get("kind") == "centrifuge" and speed:
+        read = _rate_and_level(draft, log, output, log.numbers[speed[0].name] ** 2)
+        if read is not None and _correlation(*read) < -LEAST_RELATED:
+            _falls(draft, "the output falls where the arm is fast")
     slope = _slope(draft, log, output)
     if slope is None:
         return
@@ -250,11 +261,8 @@ def _counts_of(draft: RunFileDraft, slope: float) -> None:
             f"from the log: {value:.5g} with the nominal scale factor; the nearest usual number",
         )
     else:
-        draft.put(
-            "instrument.counts_per_revolution",
-            round(value, 3),
-            "from the log, with the nominal scale factor; not a usual number: check it",
-        )
+        why = f"with the nominal scale factor the log gives about {value:.5g} counts per revolution; not a usual number"
+        draft.comments.setdefault("instrument.", []).append(why)
 
 
 def _slope(draft: RunFileDraft, log: LogDescription, output: ColumnGuess) -> float | None:
@@ -332,28 +340,41 @@ def triad(columns: list[ColumnGuess]) -> list[ColumnGuess]:
 
 def _holds(draft: RunFileDraft, log: LogDescription, column: ColumnGuess) -> list[tuple[str, float]] | None:
     """Label and mean value of the stand in each segment, in order. None if it does not hold still."""
-    x = log.numbers[column.name]
-    if log.labels is not None and log.labels.size == x.size:
-        change = np.flatnonzero(np.diff(log.labels) != 0) + 1
-        names = [log.label_names[code] if code >= 0 else "" for code in log.labels[np.r_[0, change]]]
-    elif spans := positions(x):
-        still = sum(stop - start for start, stop in spans)
-        share = f"{len(spans)} times, in {100 * still // x.size} % of the rows"
-        why = f"no column numbers the positions; {column.name} stands still {share}. The rows between are not used"
-        draft.put("data.segment", {"holds_of": column.name}, why)
-        return [(str(k + 1), float(np.nanmean(x[start:stop]))) for k, (start, stop) in enumerate(spans)]
-    elif Values.of(x).stepped:
-        change = np.flatnonzero(np.diff(x) != 0) + 1
-        names = [f"{value:.12g}" for value in x[np.r_[0, change]]]
-        draft.put(
-            "data.segment",
-            column.name,
-            f"no column numbers the positions; {column.name} holds its value in each",
-        )
-    else:
-        return None
+    x, labels = log.numbers[column.name], log.labels
+    change, names = np.empty(0, np.int64), []
+    if labels is not None and labels.size == x.size:
+        change = np.flatnonzero(np.diff(labels) != 0) + 1
+        names = [log.label_names[code] if code >= 0 else "" for code in labels[np.r_[0, change]]]
+    if not names or _moves_within(x, change):
+        if spans := positions(x):
+            share = sum(stop - start for start, stop in spans) / x.size
+            none = "the numbers of the positions cover moves" if names else "no column numbers the positions"
+            draft.put(
+                "data.segment",
+                {"holds_of": column.name},
+                f"{none}; {column.name} stands still {len(spans)} times, in {100.0 * share:.0f} % of the rows. "
+                "The rows between are not used",
+            )
+            return [(str(k + 1), float(np.nanmean(x[start:stop]))) for k, (start, stop) in enumerate(spans)]
+        if not names:
+            if not Values.of(x).stepped:
+                return None
+            change = np.flatnonzero(np.diff(x) != 0) + 1
+            names = [f"{value:.12g}" for value in x[np.r_[0, change]]]
+            why = f"no column numbers the positions; {column.name} holds its value in each"
+            draft.put("data.segment", column.name, why)
     parts = np.split(x, change)
     return [(name, float(np.nanmean(part))) for name, part in zip(names, parts, strict=True) if name]
+
+
+def _moves_within(x: Array, change: NDArray[np.int64]) -> bool:
+    """True if the stand moves in more than a few rows of the parts of a column that begin at ``change``."""
+    parts = [part for part in np.split(x, change) if np.isfinite(part).any()]
+    limit = SAME_PLACE * max((float(np.nanmax(np.abs(part))) for part in parts), default=0.0)
+    return (
+        sum(int(np.count_nonzero(np.abs(part - np.nanmedian(part)) > limit)) for part in parts)
+        > MOVING * x.size
+    )
 
 
 def _head(

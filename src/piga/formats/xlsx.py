@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Iterator
+from contextlib import suppress
 from datetime import datetime, time, timedelta
 from itertools import chain, islice, pairwise
 from pathlib import Path
@@ -173,7 +174,8 @@ class _Sheet:
             wide.pop()
         place = wide[-1] if wide else 0
         names = single[place][1]
-        if place - 1 in wide and (len(set(names)) < len(names) or "" in names):  # cells over several columns
+        each = words[place - 1] == len(single[place - 1][1]) == len(names)
+        if place - 1 in wide and (len(set(names)) < len(names) or "" in names or each):  # names over two rows
             return double[place - 1]
         return single[place]
 
@@ -186,6 +188,8 @@ class _Sheet:
         text = "" if cell is None else str(cell).strip()
         if cell is None or (isinstance(cell, str) and (text in MISSING or text in INFINITE)):
             return float("nan")
+        with suppress(ValueError):  # a date and a time as text
+            return self._seconds(datetime.fromisoformat(text if ":" in text else ""))
         kind = "text" if isinstance(cell, str) else type(cell).__name__
         where = f"row {number}, column '{name}' ({column_letter(place)})"
         words = f"{where}: '{text[:40]}' is {kind}, not a number"
