@@ -40,71 +40,34 @@ def _dim(**powers: float) -> tuple[float, ...]:
     return tuple(float(powers.get(base, 0.0)) for base in _BASE)
 
 
-_LENGTH, _TIME, _ANGLE, _MASS, _KELVIN = _dim(m=1), _dim(s=1), _dim(rad=1), _dim(kg=1), _dim(K=1)
-_ACCEL, _FORCE, _TORQUE = _dim(m=1, s=-2), _dim(m=1, s=-2, kg=1), _dim(m=2, s=-2, kg=1)
-
-_ATOMS: dict[str, tuple[float, tuple[float, ...]]] = {
-    "1": (1.0, _DIMENSIONLESS),
-    "%": (1e-2, _DIMENSIONLESS),
-    "ppm": (1e-6, _DIMENSIONLESS),
-    "ppb": (1e-9, _DIMENSIONLESS),
-    "m": (1.0, _LENGTH),
-    "km": (1e3, _LENGTH),
-    "cm": (1e-2, _LENGTH),
-    "mm": (1e-3, _LENGTH),
-    "um": (1e-6, _LENGTH),
-    "nm": (1e-9, _LENGTH),
-    "s": (1.0, _TIME),
-    "sec": (1.0, _TIME),
-    "ms": (1e-3, _TIME),
-    "us": (1e-6, _TIME),
-    "ns": (1e-9, _TIME),
-    "min": (60.0, _TIME),
-    "h": (3600.0, _TIME),
-    "hr": (3600.0, _TIME),
-    "d": (86400.0, _TIME),
-    "day": (86400.0, _TIME),
-    "year": (31557600.0, _TIME),
-    "Hz": (1.0, _dim(s=-1)),
-    "kHz": (1e3, _dim(s=-1)),
-    "MHz": (1e6, _dim(s=-1)),
-    "rad": (1.0, _ANGLE),
-    "mrad": (1e-3, _ANGLE),
-    "urad": (1e-6, _ANGLE),
-    "nrad": (1e-9, _ANGLE),
-    "deg": (math.pi / 180.0, _ANGLE),
-    "arcmin": (math.pi / 10800.0, _ANGLE),
-    "arcsec": (ARCSEC, _ANGLE),
-    "mas": (ARCSEC * 1e-3, _ANGLE),
-    "rev": (2.0 * math.pi, _ANGLE),
-    "rpm": (2.0 * math.pi / 60.0, _dim(rad=1, s=-1)),
-    "g": (G0, _ACCEL),
-    "mg": (G0 * 1e-3, _ACCEL),
-    "ug": (G0 * 1e-6, _ACCEL),
-    "ng": (G0 * 1e-9, _ACCEL),
-    "mGal": (1e-5, _ACCEL),
-    "uGal": (1e-8, _ACCEL),
-    "kg": (1.0, _MASS),
-    "gram": (1e-3, _MASS),
-    "N": (1.0, _FORCE),
-    "mN": (1e-3, _FORCE),
-    "Nm": (1.0, _TORQUE),
-    "mNm": (1e-3, _TORQUE),
-    "uNm": (1e-6, _TORQUE),
-    "Pa": (1.0, _dim(kg=1, m=-1, s=-2)),
-    "hPa": (1e2, _dim(kg=1, m=-1, s=-2)),
-    "kPa": (1e3, _dim(kg=1, m=-1, s=-2)),
-    "K": (1.0, _KELVIN),
-    "degC": (1.0, _KELVIN),
-    "V": (1.0, _dim(V=1)),
-    "mV": (1e-3, _dim(V=1)),
-    "uV": (1e-6, _dim(V=1)),
-    "A": (1.0, _dim(A=1)),
-    "mA": (1e-3, _dim(A=1)),
-    "uA": (1e-6, _dim(A=1)),
-    "count": (1.0, _dim(count=1)),
-    "counts": (1.0, _dim(count=1)),
-}
+_ANGLE = {
+    "rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "nrad": 1e-9, "deg": math.pi / 180.0, "arcmin": math.pi / 10800.0,
+    "arcsec": ARCSEC, "mas": ARCSEC * 1e-3, "rev": 2.0 * math.pi,
+}  # fmt: skip
+_FORCE_PER_MASS = {"g": G0, "mg": G0 * 1e-3, "ug": G0 * 1e-6, "ng": G0 * 1e-9, "mGal": 1e-5, "uGal": 1e-8}
+_TIME = {
+    "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "hr": 3600.0, "d": DAY, "day": DAY,
+    "year": 365.25 * DAY,
+}  # fmt: skip
+_KINDS = (
+    (_DIMENSIONLESS, {"1": 1.0, "%": 1e-2, "ppm": 1e-6, "ppb": 1e-9}),
+    (_dim(m=1), {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}),
+    (_dim(s=1), _TIME),
+    (_dim(s=-1), {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6}),
+    (_dim(rad=1), _ANGLE),
+    (_dim(rad=1, s=-1), {"rpm": 2.0 * math.pi / 60.0}),
+    (_dim(m=1, s=-2), _FORCE_PER_MASS),
+    (_dim(kg=1), {"kg": 1.0, "gram": 1e-3}),
+    (_dim(m=1, s=-2, kg=1), {"N": 1.0, "mN": 1e-3}),
+    (_dim(m=2, s=-2, kg=1), {"Nm": 1.0, "mNm": 1e-3, "uNm": 1e-6}),
+    (_dim(kg=1, m=-1, s=-2), {"Pa": 1.0, "hPa": 1e2, "kPa": 1e3}),
+    (_dim(K=1), {"K": 1.0, "degC": 1.0}),
+    (_dim(V=1), {"V": 1.0, "mV": 1e-3, "uV": 1e-6}),
+    (_dim(A=1), {"A": 1.0, "mA": 1e-3, "uA": 1e-6}),
+    (_dim(count=1), {"count": 1.0, "counts": 1.0}),
+)
+"""Units by their kind: powers of the base units, and SI value of each unit."""
+_ATOMS = {name: (factor, dimension) for dimension, units in _KINDS for name, factor in units.items()}
 _ALIASES = {
     "°": "deg", "′": "arcmin", "″": "arcsec", "µg": "ug", "μg": "ug", "µrad": "urad", "μrad": "urad",
     "µs": "us", "μs": "us", "micro-g": "ug", "°C": "degC", "℃": "degC", "kelvin": "K",
@@ -280,18 +243,7 @@ def numbers_are_si(old: bool) -> Iterator[None]:
 
 
 def si_or_text(value: str | float, like: str, *, what: str = "quantity") -> float:
-    """SI value of an argument in Python, as :func:`to_si`; but a plain number is SI.
-
-    Parameters
-    ----------
-    value, like, what:
-        As in :func:`to_si`.
-
-    Raises
-    ------
-    UnitError
-        As :func:`to_si`.
-    """
+    """SI value of an argument in Python, as :func:`to_si` (which see for its parameters and errors); a plain number is SI."""
     with numbers_are_si(True):
         return to_si(value, like, what=what)
 
