@@ -243,7 +243,18 @@ def numbers_are_si(old: bool) -> Iterator[None]:
 
 
 def si_or_text(value: str | float, like: str, *, what: str = "quantity") -> float:
-    """SI value of an argument in Python, as :func:`to_si` (which see for its parameters and errors); a plain number is SI."""
+    """SI value of an argument in Python, as :func:`to_si`; but a plain number is SI.
+
+    Parameters
+    ----------
+    value, like, what:
+        As in :func:`to_si`.
+
+    Raises
+    ------
+    UnitError
+        As :func:`to_si`.
+    """
     with numbers_are_si(True):
         return to_si(value, like, what=what)
 
