@@ -102,7 +102,7 @@ def motion(force: np.ndarray, start: float) -> np.ndarray:
 def plan(
     case: Case, order: np.random.Generator, start: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Times, force (n, 3), angle and position of each sample; a continuous record begins at the angle ``start``."""
+    """Times, force (n, 3), angle and position of each sample; the gimbal begins at the angle ``start``."""
     n = round(case.dwell / H)
     if case.positions == 1:
         half = 0.5 * H * np.arange(2 * n + 1)
@@ -117,7 +117,7 @@ def plan(
         )
     tilt = 2.0 * np.pi * (np.arange(case.positions) + 0.2) / case.positions
     tilt = order.permutation(tilt) if case.shuffled else tilt
-    times, forces, angles, start = [], [], [], 0.3
+    times, forces, angles = [], [], []
     for index, x in enumerate(tilt):
         force = G0 * np.array([np.cos(x), -np.sin(x)])
         angles.append(motion(np.tile(force, (2 * n + 1, 1)), start))
@@ -146,8 +146,8 @@ def rates(case: Case, t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def record(case: Case, seed: int, number: int = 0) -> piga.Run:
     """One simulated record.
 
-    A continuous record begins at a random angle. From one angle the errors of its counts would be nearly the same in every
-    record: coverage is then that of this one motion (85 % for K at 36 000 counts, 99 % for tan_beta).
+    It begins at a random angle. From one angle the errors of coarse counts would be nearly the same in every record: coverage
+    would be that of this one motion (a continuous record of 36 000 counts: 85 % for K, 99 % for tan_beta).
     """
     rng = np.random.default_rng([seed, number])
     start = np.random.default_rng([seed, number, 1]).uniform(0.0, 2.0 * np.pi)
