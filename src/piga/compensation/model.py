@@ -324,6 +324,6 @@ MEANING = {
     "age": "the calibration is older than allowed",
     "coarse": "the output turned by more than 1 rad since the row before",
     "fault": "the instruments of the set contradict each other",
-    "vibration": "vibration near the Nyquist frequency: an interval hides part of it",
+    "vibration": "vibration near the Nyquist frequency: an interval hides part of it; above 7 times it u_ax contains too little",
 }
 """Meaning of each flag."""

@@ -38,7 +38,7 @@ def figures(run: Run) -> dict[str, Callable[[], Figure]]:
 
 
 def record_figure(run: Run) -> Figure:
-    """Interval between samples, output and reference against time, broken where a stretch begins."""
+    """Interval between samples, output and reference with the positions, against time, broken where a stretch begins."""
     unit, scale = ("rev", 1.0 / (2.0 * np.pi)) if run.kind == "angle" else ("deg/s", 180.0 / np.pi)
     if run.direct:
         unit, scale = run.output_unit, 1.0
@@ -51,14 +51,30 @@ def record_figure(run: Run) -> Figure:
         gap = np.abs(run.t[breaks] - run.t[breaks - 1])
         plot.points(run.t[breaks] - run.t[0], gap, "across a break", "warning")
     plot.panel(time, f"output [{unit}]", "Output as unwrapped")
+    _draw_positions(plot, run, run.output * scale)
     plot.line(*_curve(run, run.output * scale), "output", "after")
     plot.panel(time, "specific force [g]", "Reference")
+    _draw_positions(plot, run, run.f / G0)
     for i, role in enumerate(XYZ):
         plot.line(*_curve(run, run.f[:, i] / G0), f"a_{role.upper()}", role)
     return plot.caption(
         "A good record has one interval throughout, an output without steps, and a reference that is the "
-        "test that was meant. Marks above the line are breaks; no increment is formed across them."
+        "test that was meant. Marks above the line are breaks; no increment is formed across them. Grey areas are the "
+        "positions; rows between them are not used. The name of a position stands at its middle."
     )
+
+
+def _draw_positions(plot: Plot, run: Run, values: Array) -> None:
+    """An area for each position over the height of the values, and its name at its middle; not for a record of one."""
+    edges = run.segment_edges()
+    if not 3 <= edges.size <= POINTS:
+        return
+    low, high = float(values.min()), float(values.max())
+    begin, end = run.t[edges[:-1]] - run.t[0], run.t[edges[1:] - 1] - run.t[0]
+    x = np.stack([begin, begin, end, end], axis=1).ravel()
+    plot.band(x, np.full(x.size, low), np.tile([low, high, high, low], begin.size), "positions")
+    names = tuple(run.labels[int(run.segment_index[row])] for row in edges[:-1])
+    plot.points(0.5 * (begin + end), np.full(begin.size, high), "name of the position", "muted", text=names)
 
 
 def _curve(run: Run, values: Array) -> tuple[Array, Array]:
