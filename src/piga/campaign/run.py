@@ -9,7 +9,6 @@ without a part.
 
 from __future__ import annotations
 
-import fcntl
 import ipaddress
 import logging
 import os
@@ -105,7 +104,10 @@ def _lock(folder: Path) -> IO[str]:
     try:
         with ExitStack() as stack:
             stream = stack.enter_context((folder / LOCK).open("a"))
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.name != "nt":
+                import fcntl
+
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             stack.pop_all()
         return stream
     except BlockingIOError:
