@@ -20,7 +20,7 @@ from piga.campaign.campaign_file import CampaignFile
 from piga.certificate.certificate_file import CertificateFile
 from piga.cli.main import app as command_line
 from piga.compensation.files import TriadFile
-from piga.describe.draft import words_of
+from piga.describe.draft import si_unit, words_of
 from piga.gravity_norm import SetFile
 from piga.planning.plan_file import PlanTable
 from piga.platform.scenario import ScenarioFile
@@ -221,6 +221,8 @@ def field_default(field: msgspec.structs.FieldInfo) -> str:
         return "its defaults" if isinstance(field.default, msgspec.Struct) else ""
     if field.default in (None, (), {}):
         return ""
+    if isinstance(field.default, float) and (unit := si_unit(field.type)):
+        return f"`{field.default:.6g} {unit}`".replace(" 1`", "`")
     return f"`{cell(json.dumps(field.default, ensure_ascii=False))}`"
 
 
@@ -230,7 +232,7 @@ def type_text(annotation: Any) -> str:
         return "quantity"
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return type_text(parts[0])
+        return "quantity" if si_unit(annotation) else type_text(parts[0])
     if origin is Literal:
         return " \\| ".join(f'`"{part}"`' for part in parts)
     if origin in (Union, UnionType):
@@ -240,6 +242,8 @@ def type_text(annotation: Any) -> str:
         return f"list of {inner[0]}" if Ellipsis in parts else f"[{', '.join(inner)}]"
     if origin in (list, dict):
         return f"{'list of' if origin is list else 'table of'} {type_text(parts[-1])}"
+    if isinstance(annotation, type) and issubclass(annotation, tuple):
+        return "list"
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
         return f"[{annotation.__name__}](#{annotation.__name__.lower()})"
     names = {str: "text", float: "number", int: "whole number", bool: "`true` \\| `false`", Any: "any value"}

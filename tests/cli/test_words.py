@@ -20,6 +20,7 @@ from piga.cli.main import app
 from piga.cli.words import explain
 from piga.data import example_files
 from piga.describe.draft import FILES, key_table, places_of
+from piga.platform.scenario import in_si
 from piga.records.run_file import METHOD_WORDS, METHODS
 from piga.records.terms import TERM_WORDS, UNITS, term_words
 from piga.units import to_si
@@ -63,7 +64,7 @@ def test_examples_have_the_type_of_their_key() -> None:
             value = tomllib.loads(f"x = {words.example}")["x"]
             if not inner or value not in ({}, [{}]):
                 try:
-                    msgspec.convert(value, field.type)
+                    msgspec.convert(in_si(value, field.type, (struct.__name__, field.name)), field.type)
                 except msgspec.ValidationError as error:
                     raise AssertionError((struct.__name__, field.encode_name, str(error))) from error
             for part in inner:

@@ -21,7 +21,7 @@ from piga.platform import (
 )
 from piga.platform.navigator import true_start
 from piga.platform.observation import Tip
-from piga.platform.scenario import Gyro, Harmonic, MotionPlan, Oscillation, Place, Rotation, Sensors
+from piga.platform.scenario import Gyro, Harmonic, LinearSway, MotionPlan, Place, Rotation, Sensors
 
 DEG = np.pi / 180.0
 ARCMIN = DEG / 60.0
@@ -60,13 +60,15 @@ def wobbling(**changes) -> PlatformScenario:
 
 
 HARMONICS = (Harmonic(1, 0.2 * ARCMIN, 0.3), Harmonic(2, 0.25 * ARCMIN, 1.0), Harmonic(3, 0.05 * ARCMIN, 2.0))
-AT_SEA = MotionPlan(
-    "sway",
-    sway=tuple(
-        Oscillation(a, p)
-        for a, p in ((0.03, 9.0), (0.02, 7.0), (0.02, 11.0), (0.3, 9.0), (0.3, 12.0), (0.3, 8.0))
-    ),
-)
+
+
+def swaying(*waves) -> MotionPlan:
+    """A base that sways in roll, pitch, heading, north, east and down with these amplitudes and periods."""
+    names = [f"{name}_sway" for name in ("roll", "pitch", "heading", "north", "east", "down")]
+    return MotionPlan("sway", **{name: LinearSway(*wave) for name, wave in zip(names, waves, strict=True)})
+
+
+AT_SEA = swaying((0.03, 9.0), (0.02, 7.0), (0.02, 11.0), (0.3, 9.0), (0.3, 12.0), (0.3, 8.0))
 NOISE = Sensors(gimbal_noise=ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-4)
 
 

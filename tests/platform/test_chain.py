@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -15,7 +16,7 @@ from piga.platform.scenario import PigaSensors
 from piga.platform.simulate import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments
 from tests.platform.conftest import DEG, EXAMPLES, alignment
 
-PIGA = PigaSensors(0.8884 / 9.80665, 3.6e-4, mounting="skewed", cone=TRIPOD)
+PIGA = PigaSensors(0.8884 / 9.80665, np.arctan(3.6e-4), mounting="skewed", cone=TRIPOD)
 
 
 def _sweep(n=400, step=1.0):
@@ -30,10 +31,10 @@ def _sweep(n=400, step=1.0):
 @pytest.mark.parametrize("tan_beta", [3.6e-4, 5e-3])
 def test_the_solved_force_is_the_true_one(mounting, tan_beta):
     t, force = _sweep()
-    sensors = replace(PIGA, tan_beta=tan_beta, **mounting)
+    sensors = msgspec.structs.replace(PIGA, beta=np.arctan(tan_beta), **mounting)
     alpha = gimbal_angles(sensors, t, force, np.zeros((len(t) - 1, 3)))
     solved = read_increments(sensors, t, alpha)
-    raw = read_increments(replace(sensors, output="raw"), t, alpha)
+    raw = read_increments(msgspec.structs.replace(sensors, output="raw"), t, alpha)
     mean = 0.5 * (force[1:] + force[:-1])
     assert np.abs(solved - mean).max() < 3e-6 * (tan_beta / 3.6e-4)
     assert np.abs(raw - mean).max() > 1.5 * tan_beta
@@ -43,7 +44,7 @@ def test_the_solved_force_is_the_true_one(mounting, tan_beta):
 def test_two_newton_steps_reach_the_end():
     """The averaged effective axes are the Jacobian to first order in tan(beta)."""
     t, force = _sweep(n=40)
-    alpha = gimbal_angles(replace(PIGA, tan_beta=5e-3), t, force, np.zeros((40, 3)))
+    alpha = gimbal_angles(msgspec.structs.replace(PIGA, beta=np.arctan(5e-3)), t, force, np.zeros((40, 3)))
     collected = []
     for sweeps in (2, 6):
         increments = np.empty((40, 3))
@@ -55,16 +56,20 @@ def test_two_newton_steps_reach_the_end():
 
 @pytest.mark.compiled
 def test_mounting_axes_are_right_handed_triads():
-    for sensors in (replace(PIGA, mounting="orthogonal"), PIGA, replace(PIGA, cone=0.4)):
+    for sensors in (
+        msgspec.structs.replace(PIGA, mounting="orthogonal"),
+        PIGA,
+        msgspec.structs.replace(PIGA, cone=0.4),
+    ):
         axes = mounting_axes(sensors)
         for frame in axes:
             np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-15)
             assert np.linalg.det(frame) == pytest.approx(1.0)
     tripod = mounting_axes(PIGA)[:, 0, :]
     np.testing.assert_allclose(tripod @ tripod.T, np.eye(3), atol=1e-15)
-    assert np.degrees(np.arccos(mounting_axes(replace(PIGA, cone=0.4))[0, 0, 2])) == pytest.approx(
-        np.degrees(0.4)
-    )
+    assert np.degrees(
+        np.arccos(mounting_axes(msgspec.structs.replace(PIGA, cone=0.4))[0, 0, 2])
+    ) == pytest.approx(np.degrees(0.4))
 
 
 @pytest.mark.compiled
@@ -74,8 +79,8 @@ def test_axes_within_the_latitude_of_the_pole_never_lock():
         [np.cos(40 * DEG) * np.cos(angle), np.cos(40 * DEG) * np.sin(angle), np.sin(40 * DEG) + 0 * angle],
         axis=1,
     )
-    assert locked(replace(PIGA, tan_beta=5e-3), gravity).any(axis=0).all()
-    assert not locked(replace(PIGA, cone=35 * DEG, tan_beta=5e-3), gravity).any()
+    assert locked(msgspec.structs.replace(PIGA, beta=np.arctan(5e-3)), gravity).any(axis=0).all()
+    assert not locked(msgspec.structs.replace(PIGA, cone=35 * DEG, beta=np.arctan(5e-3)), gravity).any()
     share = locked(PIGA, gravity).mean()
     expected = (
         2
@@ -99,7 +104,7 @@ def test_the_platforms_own_turn_is_read_and_known():
 @pytest.mark.compiled
 def test_counting_loses_no_velocity():
     t, force = _sweep()
-    counted = replace(PIGA, counts_per_revolution=72000.0)
+    counted = msgspec.structs.replace(PIGA, counts_per_revolution=72000.0)
     alpha = gimbal_angles(PIGA, t, force, np.zeros((len(t) - 1, 3)))
     off = read_increments(
         counted, t, gimbal_angles(counted, t, force, np.zeros((len(t) - 1, 3)))
@@ -120,13 +125,13 @@ def test_the_drift_that_the_navigator_is_told() -> None:
     w1x, w1y, w2z, eta = 3e-8, -2e-8, 5e-8, 0.3
     s = replace(
         s,
-        polar=replace(s.polar, drift=(w1x, w1y)),
-        equatorial=replace(s.equatorial, drift=(7e-8, w2z)),
+        polar=msgspec.structs.replace(s.polar, drift=(w1x, w1y)),
+        equatorial=msgspec.structs.replace(s.equatorial, drift=(7e-8, w2z)),
         redundancy=eta,
     )
     aligned = alignment(drift=(1e-8, 2e-8, 3e-8))
     told = {
-        kind: _drift(replace(s, compensation=replace(s.compensation, drift=kind)), aligned)
+        kind: _drift(replace(s, compensation=msgspec.structs.replace(s.compensation, drift=kind)), aligned)
         for kind in ("none", "aligned", "true")
     }
     assert told["none"].tolist() == [0.0, 0.0, 0.0]

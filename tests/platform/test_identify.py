@@ -84,8 +84,8 @@ def test_the_length_of_the_step_does_not_bias_what_the_force_tells(step):
 @only_compiled
 def test_gyro_accelerometers_read_the_turn_of_the_platform_too():
     """Left out, it would show as 1.5 % of the misalignment: 3.6 arcsec."""
-    piga = PigaSensors(0.8884 / 9.80665, 3.6e-4, mounting="skewed")
-    s = calibration(sensors=Sensors(piga=piga), step=0.5)
+    piga = PigaSensors(0.8884 / 9.80665, np.arctan(3.6e-4), mounting="skewed")
+    s = calibration(sensors=Sensors("piga", piga=piga), step=0.5)
     identified = identify(simulate(s).readouts, s.place, sources=("force", "pick-off"))
     np.testing.assert_allclose(identified.values[:16], truth(s)[:16], rtol=0, atol=0.005 * ARCSEC)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -106,22 +107,22 @@ def _perturbed(s, name, k, by):
     if name in {"polar", "equatorial"}:
         gyro = getattr(s, name)
         if k == 0:
-            return replace(s, **{name: replace(gyro, misalignment=gyro.misalignment + by)})
+            return replace(s, **{name: msgspec.structs.replace(gyro, misalignment=gyro.misalignment + by)})
         if k == 1:
-            return replace(s, **{name: replace(gyro, phase=gyro.phase + by)})
+            return replace(s, **{name: msgspec.structs.replace(gyro, phase=gyro.phase + by)})
         if k >= 10:
             drift = tuple(w + by * (i == k - 10) for i, w in enumerate(gyro.drift))
-            return replace(s, **{name: replace(gyro, drift=drift)})
+            return replace(s, **{name: msgspec.structs.replace(gyro, drift=drift)})
         harmonics = sorted(gyro.harmonics, key=lambda h: h.order)
         which, what = divmod(k - 2, 2)
         field = ("amplitude", "phase")[what]
-        harmonics[which] = replace(harmonics[which], **{field: getattr(harmonics[which], field) + by})
-        return replace(s, **{name: replace(gyro, harmonics=tuple(harmonics))})
+        harmonics[which] = harmonics[which]._replace(**{field: getattr(harmonics[which], field) + by})
+        return replace(s, **{name: msgspec.structs.replace(gyro, harmonics=tuple(harmonics))})
     if name == "triad":
         return replace(s, triad=tuple(v + by * (i == k) for i, v in enumerate(s.triad)))
     if name == "base":
         field = ("roll", "pitch", "heading")[k]
-        return replace(s, motion=replace(s.motion, **{field: getattr(s.motion, field) + by}))
+        return replace(s, motion=msgspec.structs.replace(s.motion, **{field: getattr(s.motion, field) + by}))
     return replace(s, redundancy=s.redundancy + by)
 
 
@@ -171,7 +172,7 @@ def test_every_uncertainty_is_the_cramer_rao_bound(sources):
 def test_the_uncertainty_is_the_cramer_rao_bound():
     """Information of the four misalignment components from first principles, at a redundancy angle of zero."""
     s = calibration(
-        sensors=replace(NOISE, velocity_random_walk=0.0),
+        sensors=msgspec.structs.replace(NOISE, velocity_random_walk=0.0),
         step=4.0,
         duration=7200.0,
         polar=Gyro(4 * ARCMIN, 0.3),

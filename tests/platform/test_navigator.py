@@ -23,8 +23,8 @@ from piga.platform.geometry import (
     small_angle_attitude,
 )
 from piga.platform.navigator import true_start
-from piga.platform.scenario import Gyro, MotionPlan, Oscillation
-from tests.platform.conftest import INTERPRETED, navigated, only_compiled, published
+from piga.platform.scenario import Gyro, MotionPlan
+from tests.platform.conftest import INTERPRETED, navigated, only_compiled, published, swaying
 
 pytestmark = [pytest.mark.compiled, pytest.mark.smoke]
 
@@ -152,11 +152,8 @@ def test_what_is_shown_follows_from_the_matrices():
 
 
 def test_a_swaying_base_is_followed():
-    sway = tuple(
-        Oscillation(a, p)
-        for a, p in ((0.05, 9.0), (0.03, 7.0), (0.02, 13.0), (0.5, 20.0), (0.4, 16.0), (0.3, 12.0))
-    )
-    s = published(duration=600.0, step=0.5, motion=MotionPlan("sway", sway=sway)).without_errors()
+    motion = swaying((0.05, 9.0), (0.03, 7.0), (0.02, 13.0), (0.5, 20.0), (0.4, 16.0), (0.3, 12.0))
+    s = published(duration=600.0, step=0.5, motion=motion).without_errors()
     run = simulate(s)
     readouts = replace(run.readouts, altitude=np.zeros(1))
     made = compensator("none", true_knowledge(s), readouts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -114,8 +115,8 @@ def test_the_second_order_remainder_is_a_step_and_lines_at_twice_the_rate():
     def left(scale):
         scaled = replace(
             s,
-            polar=replace(s.polar, misalignment=4.0 * ARCMIN * scale),
-            equatorial=replace(s.equatorial, misalignment=4.0 * ARCMIN * scale),
+            polar=msgspec.structs.replace(s.polar, misalignment=4.0 * ARCMIN * scale),
+            equatorial=msgspec.structs.replace(s.equatorial, misalignment=4.0 * ARCMIN * scale),
         )
         run, shown = navigated(scaled, "B")
         e = errors(shown, run.truth, run.readouts)

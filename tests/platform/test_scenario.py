@@ -38,9 +38,9 @@ def test_quantities_are_in_si():
 def test_defaults_are_those_of_a_quiet_static_platform(tmp_path):
     s = _load(tmp_path, LEAST)
     assert s.motion.kind == "static"
-    assert s.compensation.attitude == "aligned"
+    assert s.compensation.attitude is None
     assert s.compensation.models == ("none", "A", "B", "C")
-    assert s.sensors.piga is None
+    assert s.sensors.pigas is None
 
 
 @pytest.mark.parametrize(("text", "turns"), [("none", 0), ("each-turn", 1), ("4 turns", 4)])
@@ -61,11 +61,26 @@ def test_cases_at_rest(tmp_path):
         (LEAST.replace("40 deg", "40 m"), r"\[site\] latitude"),
         (LEAST.replace("40 deg", "89 deg"), "gimbals lock"),
         (LEAST.replace("1 h", "3 s"), "at least 8"),
-        (LEAST.replace("1 h", "-1 h"), "must be positive"),
+        (LEAST.replace("1 h", "-1 h"), r"\[run.duration\]: expected a number > 0"),
         (LEAST.replace("1 h", "1000.5 s"), "whole number"),
         (LEAST + '[case_rotation]\nperiod = "5 s"\n', "fewer than 8 samples"),
         (LEAST + '[case_rotation]\nreversal = "often"\n', "'each-turn'"),
-        (LEAST + '[polar]\nharmonics = [[0, "1 arcmin", "0 deg"]]\n', r"\[polar\] harmonics\[0\]"),
+        (
+            LEAST + '[polar]\nharmonics = [[0, "1 arcmin", "0 deg"]]\n',
+            r"\[polar.harmonics\[0\]\[0\]\]: expected a whole number >= 1",
+        ),
+        (
+            LEAST + '[polar]\nharmonics = [[1, "1 arcmin", "0 m"]]\n',
+            r"\[polar\] harmonics\[0\]\[2\]: (?s:.*)'0 m'",
+        ),
+        (
+            LEAST + '[motion]\nroll_sway = ["1 deg", "0 s"]\n',
+            r"\[motion.roll_sway\[1\]\]: expected a number > 0",
+        ),
+        (LEAST + '[motion]\nnorth_sway = ["1 deg", "9 s"]\n', r"\[motion\] north_sway\[0\]: (?s:.*)'1 deg'"),
+        (LEAST + '[sensors.piga]\nbeta = "1 m"\n', r"\[sensors.piga\] beta: (?s:.*)'1 m'"),
+        (LEAST + "[sensors]\ngimbal_noise = true\n", r"\[sensors.gimbal_noise\]: expected a number"),
+        (LEAST + '[equatorial]\ndrift = ["1 deg/h"]\n', r"\[equatorial.drift\]: expected"),
         (LEAST + '[motion]\nkind = "track"\n', "needs a file"),
         (LEAST + '[motion]\nkind = "sway"\n[compensation]\nattitude = "aligned"\n', "static base"),
         (LEAST + "[compensation]\nmodels = []\n", "models is empty"),

@@ -24,7 +24,7 @@ from piga.platform.geometry import (
     nulled_attitude,
     specific_force_at_rest,
 )
-from piga.platform.scenario import Gyro, MotionPlan, Oscillation, Rotation, Sensors
+from piga.platform.scenario import Gyro, LinearSway, MotionPlan, Rotation, Sensors
 from piga.platform.simulate import base_motion
 from tests.platform.conftest import ARCSEC, DEG, published
 
@@ -140,15 +140,7 @@ def test_reversal_turns_back_after_so_many_turns():
 
 
 def test_sway_gives_the_force_of_its_acceleration():
-    plan = MotionPlan(
-        "sway",
-        sway=(
-            *[Oscillation(0.0, 10.0)] * 3,
-            Oscillation(0.5, 20.0),
-            Oscillation(0.0, 9.0),
-            Oscillation(0.3, 8.0),
-        ),
-    )
+    plan = MotionPlan("sway", north_sway=LinearSway(0.5, 20.0), down_sway=LinearSway(0.3, 8.0))
     s = published(duration=60.0, step=0.5, motion=plan)
     motion = base_motion(s)
     h = 0.5 * s.step

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
+import msgspec
 import numpy as np
 import pytest
 
@@ -13,14 +12,14 @@ from piga.platform.simulate import TRIPOD
 from piga.studies.capstone import capstone
 from tests.platform.conftest import DEG, only_compiled, published
 
-PIGA = PigaSensors(0.8884 / 9.80665, 3.6e-4, mounting="skewed", cone=TRIPOD)
+PIGA = PigaSensors(0.8884 / 9.80665, np.arctan(3.6e-4), mounting="skewed", cone=TRIPOD)
 
 
 def _capstone_scenario(**changes):
     values = {
         "polar": Gyro(1e-3, 0.3),
         "equatorial": Gyro(1e-3, 1.3),
-        "sensors": Sensors(piga=replace(PIGA, cone=35 * DEG)),
+        "sensors": Sensors("piga", piga=msgspec.structs.replace(PIGA, cone=35 * DEG)),
         "compensation": Compensation(misalignment="true", attitude="true"),
     }  # fmt: skip
     return published(**(values | changes))
@@ -43,7 +42,7 @@ def test_the_story_of_the_capstone():
 @only_compiled
 def test_a_passage_leaves_what_stationary_phase_says():
     """The starting angle is one for which the phase at the passage is near its worst."""
-    sensors = Sensors(piga=replace(PIGA, cone=35 * DEG, alpha0=(2.0, 0.1, 0.5)))
+    sensors = Sensors("piga", piga=msgspec.structs.replace(PIGA, cone=35 * DEG, alpha0=(2.0, 0.1, 0.5)))
     outcome = capstone(_capstone_scenario(duration=7200.0, polar=Gyro(), equatorial=Gyro(), sensors=sensors))
     p = outcome.passage
     assert np.abs(p.triad - p.true).max() < 1e-3 * np.abs(p.raw - p.true).max()

@@ -209,7 +209,7 @@ def compare(
 
             write_json(to / "comparison.json", document)
             _page(to, comparison_page(comparison, rows, lines))
-            if s.sensors.piga is not None:
+            if s.sensors.pigas is not None:
                 from piga.studies.capstone import capstone, capstone_page
 
                 with progress("capstone") as show:

@@ -141,7 +141,15 @@ def _default(entry: Any) -> str:
         return "its defaults"
     if entry.default is msgspec.NODEFAULT or entry.default in (None, (), {}, ""):
         return "none"
+    if isinstance(entry.default, float) and (unit := si_unit(entry.type)):
+        return f"{entry.default:.6g} {unit}".removesuffix(" 1")
     return json.dumps(entry.default, ensure_ascii=False)
+
+
+def si_unit(annotation: Any) -> str:
+    """The unit in which a type keeps a quantity; empty if it has none."""
+    notes = [note for part in (annotation, *get_args(annotation)) for note in getattr(part, "__metadata__", ())]
+    return next((note.extra["unit"] for note in notes if getattr(note, "extra", None)), "")
 
 
 _PLURALS = {
@@ -150,6 +158,7 @@ _PLURALS = {
     "whole number": "whole numbers",
     "text": "texts",
     "table": "tables",
+    "list": "lists",
 }
 
 
@@ -164,7 +173,7 @@ def type_words(annotation: Any) -> str:
     """A type in words."""
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return type_words(parts[0])
+        return "quantity" if si_unit(annotation) else type_words(parts[0])
     if origin is Literal:
         return " | ".join(f'"{part}"' for part in parts)
     if origin in (Union, UnionType):
@@ -178,6 +187,8 @@ def type_words(annotation: Any) -> str:
         return f"table of {_plural(type_words(parts[-1]))}"
     if structs_in(annotation):
         return "table"
+    if isinstance(annotation, type) and issubclass(annotation, tuple):
+        return "list"
     return {str: "text", float: "number", int: "whole number", bool: "true | false", Any: "any value"}.get(
         annotation, getattr(annotation, "__name__", str(annotation))
     )

@@ -154,11 +154,12 @@ def prepare(run: PlatformRun, progress: Progress | None = None) -> Preparation:
     known = true_knowledge(s) if identification is None else identification.knowledge
     aligned = None
     start = true_start(run.truth)
-    if "aligned" in (c.attitude, c.drift):
+    attitude = c.attitude or ("aligned" if run.truth.motion.at_rest else "true")
+    if "aligned" in (attitude, c.drift):
         aligned = align(
             run.readouts.first(s.calibration_time), s.place, known, orders=c.orders, progress=progress
         )
-        if c.attitude == "aligned":
+        if attitude == "aligned":
             start = aligned.start(with_drift=False)
     drift = _drift(s, aligned)
     return Preparation(

@@ -9,8 +9,7 @@ Triad and rings are given by the exact nulled geometry and by the small-angle ma
 
 from __future__ import annotations
 
-from dataclasses import replace
-
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -235,7 +234,7 @@ def apparent_gyro(gyro: Gyro, rotation: Rotation) -> Gyro:
     if rotation.rate == 0.0 or rotation.turns > 0 or not any(gyro.case_drift):
         return gyro
     seen = complex(gyro.misalignment, 0.0) - 1j * complex(*gyro.case_drift) / rotation.rate
-    return replace(gyro, misalignment=abs(seen), phase=gyro.phase + float(np.angle(seen)))
+    return msgspec.structs.replace(gyro, misalignment=abs(seen), phase=gyro.phase + float(np.angle(seen)))
 
 
 def averaged_drift(rotation: Rotation, case_drift: tuple[float, float], duration: float) -> float:

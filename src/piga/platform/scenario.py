@@ -1,57 +1,75 @@
-"""The platform scenario: the tree of SI values, and the tables of the TOML file from which it is built."""
+"""The platform scenario: tables of the TOML file in SI, and the scenario that they make.
+
+The quantities of a document are brought to SI (:func:`in_si`) before it is converted into the tables.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
+import msgspec
 from msgspec import Meta
-from msgspec import field as table_field
 
 from piga.errors import ArgumentError, RunFileError, UnitError
-from piga.records.run_file import Quantity, Radians, Seconds, TomlTable, in_unit
-from piga.records.text_files import convert_toml, read_toml
-from piga.units import to_si
+from piga.records.run_file import TomlTable, in_unit
+from piga.records.text_files import convert_toml, toml_document
+from piga.units import ARCSEC, G0, to_si
 
 Model = Literal["none", "A", "B", "C"]
 MODELS: tuple[Model, ...] = ("none", "A", "B", "C")
-Metres = Annotated[Quantity, in_unit("m")]
-Drifts = Annotated[tuple[Quantity, Quantity], in_unit("rad/s")]
-Wave = tuple[Quantity, Quantity]
-"""Amplitude and period of a sway."""
-STILL: Wave = (0.0, "10 s")
+Angle = Annotated[float, in_unit("rad")]
+TurnRate = Annotated[float, in_unit("rad/s")]
+Length = Annotated[float, in_unit("m")]
+Acceleration = Annotated[float, in_unit("m/s^2")]
+Time = Annotated[float, Meta(gt=0, extra={"unit": "s"})]
 
 
-@dataclass(frozen=True)
-class Place:
-    """Start of the run: geodetic latitude and longitude [rad], height [m]."""
+class Place(TomlTable, frozen=True):
+    """``[site]``: start of the run: geodetic latitude and longitude [rad], height [m]."""
 
-    latitude: float
-    longitude: float = 0.0
-    height: float = 0.0
-
-
-@dataclass(frozen=True)
-class Oscillation:
-    """``amplitude sin(2 pi t / period)``: amplitude [rad] or [m], period [s]."""
-
-    amplitude: float
-    period: float
+    latitude: Angle
+    longitude: Angle = 0.0
+    height: Length = 0.0
 
 
-@dataclass(frozen=True)
-class MotionPlan:
-    """Motion of the base: ``kind`` static | turn | sway | track; start attitude [rad]; turn rate [rad/s]."""
+class AngularSway(NamedTuple):
+    """``amplitude sin(2 pi t / period)`` of an angle: amplitude [rad], period [s]."""
 
-    kind: str = "static"
-    roll: float = 0.0
-    pitch: float = 0.0
-    heading: float = 0.0
-    turn_rate: float = 0.0
-    sway: tuple[Oscillation, ...] = ()
-    file: Path | None = None
+    amplitude: Angle = 0.0
+    period: Time = 10.0
+
+
+class LinearSway(NamedTuple):
+    """``amplitude sin(2 pi t / period)`` of a distance: amplitude [m], period [s]."""
+
+    amplitude: Length = 0.0
+    period: Time = 10.0
+
+
+class MotionPlan(TomlTable, frozen=True):
+    """``[motion]`` of the base: start attitude [rad], turn rate [rad/s]; sways are ``["amplitude", "period"]``."""
+
+    kind: Literal["static", "turn", "sway", "track"] = "static"
+    roll: Angle = 0.0
+    pitch: Angle = 0.0
+    heading: Angle = 0.0
+    turn_rate: TurnRate = 0.0
+    roll_sway: AngularSway = AngularSway()
+    pitch_sway: AngularSway = AngularSway()
+    heading_sway: AngularSway = AngularSway()
+    north_sway: LinearSway = LinearSway()
+    east_sway: LinearSway = LinearSway()
+    down_sway: LinearSway = LinearSway()
+    file: str | None = None
+
+    def build(self, folder: Path) -> MotionPlan:
+        """The motion with its file, which is relative to ``folder``."""
+        if self.kind == "track" and not self.file:
+            raise ArgumentError("[motion] kind = 'track' needs a file", remedy="add file = 'track.csv'")
+        return msgspec.structs.replace(self, file=str(folder / self.file)) if self.file else self
 
 
 @dataclass(frozen=True)
@@ -62,75 +80,98 @@ class Rotation:
     turns: int = 0
 
 
-@dataclass(frozen=True)
-class Harmonic:
+class Harmonic(NamedTuple):
     """One harmonic of the misalignment over a case turn: ``amplitude cos(order c + phase)`` [rad]."""
 
-    order: int
-    amplitude: float
-    phase: float
+    order: Annotated[int, Meta(ge=1)]
+    amplitude: Angle
+    phase: Angle
 
 
-@dataclass(frozen=True)
-class Gyro:
-    """One gyro: misalignment m(c) [rad], phase [rad], and drift [rad/s] that stays or turns with the case."""
+class Gyro(TomlTable, frozen=True):
+    """``[polar]``, ``[equatorial]``: misalignment m(c) [rad], its phase [rad], and drift [rad/s].
 
-    misalignment: float = 0.0
-    phase: float = 0.0
-    harmonics: tuple[Harmonic, ...] = ()
-    drift: tuple[float, float] = (0.0, 0.0)
-    case_drift: tuple[float, float] = (0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class PigaSensors:
-    """Three gyro accelerometers: K [(rad/s)/(m/s^2)], tan(beta), start angles [rad], mounting.
-
-    ``mounting`` orthogonal | skewed; ``cone`` [rad] is the angle of skewed input axes to the platform's
-    polar axis. ``output`` raw (``alpha'/K``) | triad (effective axes solved per sample).
-    ``tan_beta_error`` and ``phase_error`` are the errors of the calibration that the triad solution uses.
+    ``drift`` stays, ``case_drift`` turns with the case.
     """
 
-    scale_factor: float
-    tan_beta: float
-    alpha0: tuple[float, float, float] = (0.3, 1.7, 4.1)
-    mounting: str = "orthogonal"
-    cone: float = 0.6
-    output: str = "triad"
-    counts_per_revolution: float = 0.0
-    tan_beta_error: float = 0.0
-    phase_error: float = 0.0
+    misalignment: Angle = 0.0
+    phase: Angle = 0.0
+    harmonics: tuple[Harmonic, ...] = ()
+    drift: tuple[TurnRate, TurnRate] = (0.0, 0.0)
+    case_drift: tuple[TurnRate, TurnRate] = (0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Sensors:
-    """Readout errors: white noise (1 sigma) and quantisation steps in SI; zero means ideal."""
+class PigaSensors(TomlTable, frozen=True):
+    """``[sensors.piga]``: three gyro accelerometers: K [(rad/s)/(m/s^2)], beta and start angles [rad], mounting.
 
-    gimbal_noise: float = 0.0
-    gimbal_quantisation: float = 0.0
-    pickoff_noise: float = 0.0
-    pickoff_quantisation: float = 0.0
-    velocity_random_walk: float = 0.0
-    accelerometer_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    increment_quantisation: float = 0.0
-    altitude_noise: float = 0.0
-    piga: PigaSensors | None = None
+    ``cone`` [rad] is the angle of skewed input axes to the platform's polar axis. ``output`` raw (``alpha'/K``) | triad
+    (effective axes solved per sample). ``tan_beta_error`` and ``phase_error`` are the errors of the calibration that
+    the triad solution uses.
+    """
+
+    scale_factor: Annotated[float, Meta(gt=0, extra={"unit": "rad/s/(m/s^2)"})] = 0.8884 / G0
+    beta: Angle = 74.0 * ARCSEC
+    alpha0: tuple[Angle, Angle, Angle] = (0.3, 1.7, 4.1)
+    mounting: Literal["orthogonal", "skewed"] = "orthogonal"
+    cone: Annotated[float, Meta(gt=0, extra={"unit": "rad"})] = math.radians(35.0)
+    output: Literal["raw", "triad"] = "triad"
+    counts_per_revolution: Annotated[float, Meta(ge=0)] = 0.0
+    tan_beta_error: Annotated[float, in_unit("1")] = 0.0
+    phase_error: Angle = 0.0
+
+    @property
+    def tan_beta(self) -> float:
+        """tan(beta)."""
+        return math.tan(self.beta)
 
 
-@dataclass(frozen=True)
-class Compensation:
-    """What the navigator removes, and with which numbers.
+class Sensors(TomlTable, frozen=True):
+    """``[sensors]``: white noise (1 sigma) and quantisation steps of the readouts in SI; zero means ideal.
+
+    ``piga`` counts if ``accelerometers`` says so.
+    """
+
+    accelerometers: Literal["ideal", "piga"] = "ideal"
+    gimbal_noise: Angle = 0.0
+    gimbal_quantisation: Angle = 0.0
+    pickoff_noise: Angle = 0.0
+    pickoff_quantisation: Angle = 0.0
+    velocity_random_walk: Annotated[float, in_unit("m/s/sqrt(s)")] = 0.0
+    accelerometer_bias: tuple[Acceleration, Acceleration, Acceleration] = (0.0, 0.0, 0.0)
+    increment_quantisation: Annotated[float, in_unit("m/s")] = 0.0
+    altitude_noise: Length = 0.0
+    piga: PigaSensors = PigaSensors()
+
+    @property
+    def pigas(self) -> PigaSensors | None:
+        """The gyro accelerometers, None with ideal ones."""
+        return self.piga if self.accelerometers == "piga" else None
+
+
+class Compensation(TomlTable, frozen=True):
+    """``[compensation]``: the models compared, and with which numbers.
 
     ``misalignment`` identified | true; ``redundancy`` pick-off | drift-model; ``orders`` harmonics of
-    model C; ``drift`` none | aligned | true: the gyro drift taken out; ``attitude`` aligned | true.
+    model C; ``drift`` none | aligned | true: the gyro drift taken out; ``attitude`` aligned | true, None: by the motion.
     """
 
     models: tuple[Model, ...] = MODELS
-    misalignment: str = "identified"
-    redundancy: str = "pick-off"
-    orders: int = 3
-    drift: str = "none"
-    attitude: str = "aligned"
+    misalignment: Literal["identified", "true"] = "identified"
+    redundancy: Literal["pick-off", "drift-model"] = "pick-off"
+    orders: Annotated[int, Meta(ge=1, le=8)] = msgspec.field(default=3, name="harmonics")
+    drift: Literal["none", "aligned", "true"] = "none"
+    attitude: Literal["aligned", "true"] | None = None
+
+    def build(self, *, static: bool) -> Compensation:
+        """The compensation for a base that is ``static`` or not; each model once."""
+        if not self.models:
+            raise ArgumentError("[compensation] models is empty", remedy="name one of none, A, B, C")
+        if not static and "aligned" in (self.attitude, self.drift):
+            raise ArgumentError(
+                "[compensation] attitude or drift = 'aligned' needs a static base",
+                remedy="write 'true', or [motion] kind = 'static'",
+            )
+        return msgspec.structs.replace(self, models=tuple(dict.fromkeys(self.models)))
 
 
 @dataclass(frozen=True)
@@ -145,15 +186,15 @@ class PlatformScenario:
     duration: float
     step: float = 1.0
     seed: int = 1
-    motion: MotionPlan = MotionPlan()
+    motion: MotionPlan = field(default_factory=MotionPlan)
     polar_rotation: Rotation = Rotation(0.0)
     equatorial_rotation: Rotation = Rotation(0.0)
-    polar: Gyro = Gyro()
-    equatorial: Gyro = Gyro()
+    polar: Gyro = field(default_factory=Gyro)
+    equatorial: Gyro = field(default_factory=Gyro)
     redundancy: float = 0.0
     triad: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    sensors: Sensors = Sensors()
-    compensation: Compensation = Compensation()
+    sensors: Sensors = field(default_factory=Sensors)
+    compensation: Compensation = field(default_factory=Compensation)
     calibration_time: float = 7200.0
     damping_time: float = 100.0
     source: str = ""
@@ -197,59 +238,19 @@ class PlatformScenario:
         return replace(self, polar=Gyro(), equatorial=Gyro(), sensors=Sensors())
 
 
-class SiteFile(TomlTable, frozen=True):
-    """``[site]``: where the base stands or starts."""
-
-    latitude: Radians
-    longitude: Radians = 0.0
-    height: Metres = 0.0
-
-
 class PlatformRunTable(TomlTable, frozen=True):
     """``[run]``: length, interval between readouts, seed of all noise."""
 
-    duration: Seconds
-    step: Seconds = "1 s"
+    duration: Time
+    step: Time = 1.0
     seed: Annotated[int, Meta(ge=0)] = 1
-
-
-class MotionFile(TomlTable, frozen=True):
-    """``[motion]``; sways are ``["amplitude", "period"]``."""
-
-    kind: Literal["static", "turn", "sway", "track"] = "static"
-    roll: Radians = 0.0
-    pitch: Radians = 0.0
-    heading: Radians = 0.0
-    turn_rate: Annotated[Quantity, in_unit("rad/s")] = 0.0
-    roll_sway: Wave = STILL
-    pitch_sway: Wave = STILL
-    heading_sway: Wave = STILL
-    north_sway: Wave = STILL
-    east_sway: Wave = STILL
-    down_sway: Wave = STILL
-    file: str | None = None
-
-    def build(self, folder: Path) -> MotionPlan:
-        """The motion of the base. The file of a track is relative to ``folder``."""
-        if self.kind == "track" and not self.file:
-            raise ArgumentError("[motion] kind = 'track' needs a file", remedy="add file = 'track.csv'")
-        sway = []
-        for name, unit in (("roll", "rad"), ("pitch", "rad"), ("heading", "rad"),
-                           ("north", "m"), ("east", "m"), ("down", "m")):  # fmt: skip
-            key = f"[motion] {name}_sway"
-            amplitude, period = getattr(self, f"{name}_sway")
-            sway.append(
-                Oscillation(to_si(amplitude, unit, what=key), _positive(to_si(period, "s", what=key), key))
-            )
-        file = folder / self.file if self.file else None
-        return MotionPlan(kind=self.kind, sway=tuple(sway), file=file, **self.in_si("[motion] "))
 
 
 class CaseRotationFile(TomlTable, frozen=True):
     """``[case_rotation]``; ``period = "none"`` leaves the cases at rest."""
 
-    period: Quantity = "8 min"
-    equatorial_period: Quantity | None = None
+    period: Literal["none"] | Time = 480.0
+    equatorial_period: Literal["none"] | Time | None = None
     reversal: str = "none"
 
     def build(self) -> tuple[Rotation, Rotation]:
@@ -264,184 +265,94 @@ class CaseRotationFile(TomlTable, frozen=True):
                 f"[case_rotation] reversal = '{self.reversal}' is not known",
                 remedy="write 'none', 'each-turn' or e.g. '3 turns'",
             )
-        polar, equatorial = (
-            0.0 if period == "none" else 2.0 * math.pi / _positive(to_si(period, "s", what=key), key)
-            for period, key in (
-                (self.period, "[case_rotation] period"),
-                (self.equatorial_period or self.period, "[case_rotation] equatorial_period"),
-            )
-        )
-        return Rotation(polar, turns), Rotation(equatorial, turns)
-
-
-class GyroFile(TomlTable, frozen=True):
-    """``[polar]`` and ``[equatorial]``."""
-
-    misalignment: Radians = 0.0
-    phase: Radians = 0.0
-    harmonics: tuple[tuple[int, Quantity, Quantity], ...] = ()
-    drift: Drifts = (0.0, 0.0)
-    case_drift: Drifts = (0.0, 0.0)
-
-    def build(self, section: str) -> Gyro:
-        """The gyro of ``[section]``."""
-        waves = []
-        for index, (order, amplitude, phase) in enumerate(self.harmonics):
-            key = f"[{section}] harmonics[{index}]"
-            if order < 1:
-                raise ArgumentError(f"{key}: order {order} is below 1", remedy='e.g. [1, "2 arcsec", "30 deg"]')
-            waves.append(Harmonic(order, to_si(amplitude, "rad", what=key), to_si(phase, "rad", what=key)))
-        return Gyro(harmonics=tuple(waves), **self.in_si(f"[{section}] "))
+        rates = [0.0 if period == "none" else 2.0 * math.pi / period for period in (
+            self.period, self.equatorial_period or self.period
+        )]  # fmt: skip
+        return Rotation(rates[0], turns), Rotation(rates[1], turns)
 
 
 class RedundancyFile(TomlTable, frozen=True):
     """``[redundancy]``: by how much the equatorial momentum is off orthogonal at the start."""
 
-    initial: Radians = 0.0
+    initial: Angle = 0.0
 
 
 class PlatformTriadTable(TomlTable, frozen=True):
     """``[triad]``: rotation vector from inertial axes to the gyro triad at the start."""
 
-    attitude: Annotated[tuple[Quantity, Quantity, Quantity], in_unit("rad")] = (0.0, 0.0, 0.0)
-
-
-class PigaFile(TomlTable, frozen=True):
-    """``[sensors.piga]``: three gyro accelerometers on the platform."""
-
-    scale_factor: Annotated[Quantity, in_unit("rad/s/g")] = "0.8884 rad/s/g"
-    beta: Radians = "74 arcsec"
-    mounting: Literal["orthogonal", "skewed"] = "orthogonal"
-    cone: Radians = "35 deg"
-    output: Literal["raw", "triad"] = "triad"
-    counts_per_revolution: Annotated[float, Meta(ge=0)] = 0.0
-    tan_beta_error: Annotated[Quantity, in_unit("1")] = 0.0
-    phase_error: Radians = 0.0
-
-    def build(self) -> PigaSensors:
-        """The instruments."""
-        si = self.in_si("[sensors.piga] ")
-        for key in ("scale_factor", "cone"):
-            _positive(si[key], f"[sensors.piga] {key}")
-        return PigaSensors(
-            tan_beta=math.tan(si.pop("beta")),
-            mounting=self.mounting,
-            output=self.output,
-            counts_per_revolution=self.counts_per_revolution,
-            **si,
-        )
-
-
-class SensorsFile(TomlTable, frozen=True):
-    """``[sensors]``: white noise and quantisation of every readout; all zero when left out."""
-
-    accelerometers: Literal["ideal", "piga"] = "ideal"
-    gimbal_noise: Radians = 0.0
-    gimbal_quantisation: Radians = 0.0
-    pickoff_noise: Radians = 0.0
-    pickoff_quantisation: Radians = 0.0
-    velocity_random_walk: Annotated[Quantity, in_unit("m/s/sqrt(s)")] = 0.0
-    accelerometer_bias: Annotated[tuple[Quantity, Quantity, Quantity], in_unit("m/s^2")] = (0.0, 0.0, 0.0)
-    increment_quantisation: Annotated[Quantity, in_unit("m/s")] = 0.0
-    altitude_noise: Metres = 0.0
-    piga: PigaFile = table_field(default_factory=PigaFile)
-
-    def build(self) -> Sensors:
-        """The sensors."""
-        piga = self.piga.build() if self.accelerometers == "piga" else None
-        return Sensors(piga=piga, **self.in_si("[sensors] "))
-
-
-class CompensationFile(TomlTable, frozen=True):
-    """``[compensation]``: the models compared, and where what they know comes from."""
-
-    models: tuple[Model, ...] = MODELS
-    misalignment: Literal["identified", "true"] = "identified"
-    redundancy: Literal["pick-off", "drift-model"] = "pick-off"
-    harmonics: Annotated[int, Meta(ge=1, le=8)] = 3
-    drift: Literal["none", "aligned", "true"] = "none"
-    attitude: Literal["aligned", "true"] | None = None
-
-    def build(self, *, static: bool) -> Compensation:
-        """The compensation for a base that is ``static`` or not."""
-        if not self.models:
-            raise ArgumentError("[compensation] models is empty", remedy="name one of none, A, B, C")
-        attitude = self.attitude or ("aligned" if static else "true")
-        if not static and "aligned" in (attitude, self.drift):
-            raise ArgumentError(
-                "[compensation] attitude or drift = 'aligned' needs a static base",
-                remedy="write 'true', or [motion] kind = 'static'",
-            )
-        models = tuple(dict.fromkeys(self.models))
-        return Compensation(models, self.misalignment, self.redundancy, self.harmonics, self.drift, attitude)
+    attitude: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
 
 
 class IdentificationFile(TomlTable, frozen=True):
     """``[identification]``: the first stretch of the run, on which identification and alignment work."""
 
-    duration: Seconds = "2 h"
+    duration: Time = 7200.0
 
 
 class NavigationFile(TomlTable, frozen=True):
     """``[navigation]``: time constant of the altitude damping of the vertical channel."""
 
-    damping_time: Seconds = "100 s"
+    damping_time: Time = 100.0
 
 
 class ScenarioFile(TomlTable, frozen=True):
     """The whole file."""
 
-    site: SiteFile
+    site: Place
     run: PlatformRunTable
-    motion: MotionFile = table_field(default_factory=MotionFile)
-    case_rotation: CaseRotationFile = table_field(default_factory=CaseRotationFile)
-    polar: GyroFile = table_field(default_factory=GyroFile)
-    equatorial: GyroFile = table_field(default_factory=GyroFile)
-    redundancy: RedundancyFile = table_field(default_factory=RedundancyFile)
-    triad: PlatformTriadTable = table_field(default_factory=PlatformTriadTable)
-    sensors: SensorsFile = table_field(default_factory=SensorsFile)
-    compensation: CompensationFile = table_field(default_factory=CompensationFile)
-    identification: IdentificationFile = table_field(default_factory=IdentificationFile)
-    navigation: NavigationFile = table_field(default_factory=NavigationFile)
+    motion: MotionPlan = MotionPlan()
+    case_rotation: CaseRotationFile = CaseRotationFile()
+    polar: Gyro = Gyro()
+    equatorial: Gyro = Gyro()
+    redundancy: RedundancyFile = RedundancyFile()
+    triad: PlatformTriadTable = PlatformTriadTable()
+    sensors: Sensors = Sensors()
+    compensation: Compensation = Compensation()
+    identification: IdentificationFile = IdentificationFile()
+    navigation: NavigationFile = NavigationFile()
 
     def build(self, path: Path) -> PlatformScenario:
         """The scenario of this file, which lies at ``path``."""
-        run = self.run.in_si("[run] ")
-        times = {
-            "[run] duration": run["duration"],
-            "[run] step": run["step"],
-            "[identification] duration": self.identification.in_si("[identification] ")["duration"],
-            "[navigation] damping_time": self.navigation.in_si("[navigation] ")["damping_time"],
-        }
-        duration, step, calibration, damping = (_positive(value, key) for key, value in times.items())
         polar, equatorial = self.case_rotation.build()
         scenario = PlatformScenario(
-            place=Place(**self.site.in_si("[site] ")),
-            duration=duration,
-            step=step,
+            place=self.site,
+            duration=self.run.duration,
+            step=self.run.step,
             seed=self.run.seed,
             motion=self.motion.build(path.parent),
             polar_rotation=polar,
             equatorial_rotation=equatorial,
-            polar=self.polar.build("polar"),
-            equatorial=self.equatorial.build("equatorial"),
-            redundancy=self.redundancy.in_si("[redundancy] ")["initial"],
-            triad=self.triad.in_si("[triad] ")["attitude"],
-            sensors=self.sensors.build(),
+            polar=self.polar,
+            equatorial=self.equatorial,
+            redundancy=self.redundancy.initial,
+            triad=self.triad.attitude,
+            sensors=self.sensors,
             compensation=self.compensation.build(static=self.motion.kind == "static"),
-            calibration_time=calibration,
-            damping_time=damping,
+            calibration_time=self.identification.duration,
+            damping_time=self.navigation.damping_time,
             source=str(path),
         )
         scenario.check()
         return scenario
 
 
-def _positive(value: float, key: str) -> float:
-    """Refuse a value that is not above zero."""
-    if value <= 0.0:
-        raise ArgumentError(f"{key} must be positive", remedy="give a value above 0")
-    return value
+def in_si(value: Any, kind: Any, path: tuple[str, ...] = ()) -> Any:
+    """A value of a document with its quantities as numbers in SI, by the units in its type ``kind``; ``path``: its keys."""
+    unit = next((note.extra["unit"] for note in getattr(kind, "__metadata__", ()) if note.extra), "")
+    if unit:
+        number = isinstance(value, str | int | float) and not isinstance(value, bool)
+        return to_si(value, unit, what=f"[{'.'.join(path[:-1])}] {path[-1]}") if number else value
+    fields = get_type_hints(kind, include_extras=True) if isinstance(kind, type) else {}
+    parts = [part for part in get_args(kind) if part is not ...]
+    if isinstance(value, dict):
+        return {key: in_si(inner, fields.get(key), (*path, key)) for key, inner in value.items()}
+    if isinstance(value, list):
+        kinds = [*fields.values(), *parts] or [None]
+        kinds += kinds[-1:] * len(value)
+        return [in_si(v, kinds[i], (*path[:-1], f"{path[-1]}[{i}]")) for i, v in enumerate(value)]
+    words = [word for part in parts if get_origin(part) is Literal for word in get_args(part)]
+    quantity = next((part for part in parts if hasattr(part, "__metadata__")), None)
+    return value if quantity is None or value in words else in_si(value, quantity, path)
 
 
 def load_scenario(path: str | Path, *, content: str | None = None) -> PlatformScenario:
@@ -456,7 +367,7 @@ def load_scenario(path: str | Path, *, content: str | None = None) -> PlatformSc
         If the file cannot be read, is not TOML, or a key is unknown, missing, out of range or of another unit.
     """
     path = Path(path)
-    return _built(path, read_toml(path, ScenarioFile, None if content is None else content.encode()))
+    return scenario_of_document(path, toml_document(path, None if content is None else content.encode()))
 
 
 def scenario_of_document(path: Path, document: dict[str, Any]) -> PlatformScenario:
@@ -467,11 +378,7 @@ def scenario_of_document(path: Path, document: dict[str, Any]) -> PlatformScenar
     RunFileError
         As :func:`load_scenario`.
     """
-    return _built(path, convert_toml(path, document, ScenarioFile))
-
-
-def _built(path: Path, file: ScenarioFile) -> PlatformScenario:
     try:
-        return file.build(path)
+        return convert_toml(path, in_si(document, ScenarioFile), ScenarioFile).build(path)
     except (ArgumentError, UnitError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None

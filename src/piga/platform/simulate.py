@@ -27,7 +27,7 @@ from piga.platform.geometry import (
     over_case_angle,
     specific_force_at_rest,
 )
-from piga.platform.scenario import MotionPlan, Oscillation, PigaSensors, Place, PlatformScenario, Sensors
+from piga.platform.scenario import MotionPlan, PigaSensors, PlatformScenario, Sensors
 from piga.results import Array, Plotted, Result
 
 if TYPE_CHECKING:
@@ -79,9 +79,7 @@ def base_motion(scenario: PlatformScenario) -> BaseMotion:
     plan, times = scenario.motion, scenario.step * np.arange(scenario.steps + 1, dtype=np.float64)
     if plan.kind == "track":
         return _track(plan, scenario)
-    place, force, velocity = (
-        _around(scenario.place, plan.sway[3:], scenario) if plan.kind == "sway" else _rest(scenario)
-    )
+    place, force, velocity = _around(scenario) if plan.kind == "sway" else _rest(scenario)
     return BaseMotion(force, _attitude(plan, times), place, velocity)
 
 
@@ -100,14 +98,15 @@ def _attitude(plan: MotionPlan, times: Array) -> Array:
         )
         return np.stack([np.full_like(times, plan.roll), np.full_like(times, plan.pitch), heading], axis=1)
     if plan.kind == "sway":
-        return start + np.stack(
-            [o.amplitude * np.sin(2.0 * np.pi / o.period * times) for o in plan.sway[:3]], axis=1
-        )
+        sway = (plan.roll_sway, plan.pitch_sway, plan.heading_sway)
+        return start + np.stack([o.amplitude * np.sin(2.0 * np.pi / o.period * times) for o in sway], axis=1)
     return start
 
 
-def _around(at: Place, sway: tuple[Oscillation, ...], scenario: PlatformScenario) -> tuple[Array, Array, Array]:
+def _around(scenario: PlatformScenario) -> tuple[Array, Array, Array]:
     """Place, force and velocity of a point that swings about a fixed one along north, east, down."""
+    at, plan = scenario.place, scenario.motion
+    sway = (plan.north_sway, plan.east_sway, plan.down_sway)
     half = np.arange(2 * scenario.steps + 1) * (0.5 * scenario.step)
     rate = np.array([2.0 * np.pi / o.period for o in sway])
     amplitude = np.array([o.amplitude for o in sway])
@@ -131,7 +130,7 @@ def _track(plan: MotionPlan, scenario: PlatformScenario) -> BaseMotion:
     from scipy.interpolate import CubicSpline
 
     assert plan.file is not None  # noqa: S101 - the reader of the scenario saw to it
-    time, place, angles = _read_track(plan.file)
+    time, place, angles = _read_track(Path(plan.file))
     half = np.arange(2 * scenario.steps + 1) * (0.5 * scenario.step)
     if time[0] > 0.0 or time[-1] < half[-1]:
         raise DataError(
@@ -206,7 +205,7 @@ def gimbal_angles(sensors: PigaSensors, times: Array, force: Array, spin: Array)
     inner = np.concatenate([spin[:1], 0.5 * (spin[1:] + spin[:-1]), spin[-1:]]) / step
     angles = []
     for axes, alpha0 in zip(mounting_axes(sensors), sensors.alpha0, strict=True):
-        instrument = Instrument(sensors.scale_factor, float(np.arctan(sensors.tan_beta)), alpha0)
+        instrument = Instrument(sensors.scale_factor, sensors.beta, alpha0)
         angles.append(propagate(instrument, times, force @ axes.T, inner @ axes.T, between="linear"))
     increments = np.stack(angles)
     if sensors.counts_per_revolution > 0.0:
@@ -338,7 +337,7 @@ class PlatformRun(Result, Plotted):
             ("duration", f"{s.duration / 3600.0:.6g} h, step {s.step:g} s"),
             ("motion", s.motion.kind),
             ("turn of the cases", cases),
-            ("accelerometers", "ideal" if s.sensors.piga is None else "piga"),
+            ("accelerometers", "ideal" if s.sensors.pigas is None else "piga"),
             ("seed", str(s.seed)),
         ]
 
@@ -357,7 +356,7 @@ def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) ->
     n, h = scenario.steps, scenario.step
     increments, force = np.empty((n, 3)), np.empty((n + 1, 3))
     gimbals, ring, eta = np.empty((n + 1, 3)), np.empty(n + 1), np.empty(n + 1)
-    spin = np.empty((n if scenario.sensors.piga else 0, 3))
+    spin = np.empty((n if scenario.sensors.pigas else 0, 3))
     start = rotation_vector_to_matrix(np.array(scenario.triad)).T
     triad = start.copy()
     gyros = _gyros(scenario)
@@ -365,7 +364,7 @@ def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) ->
     rows = TrueRows(increments, force, gimbals, ring, eta, spin)
     simulate_platform(gyros, base, 0.0, h, triad, scenario.redundancy, rows)
     times = h * np.arange(n + 1, dtype=np.float64)
-    if (sensors := scenario.sensors.piga) is not None:
+    if (sensors := scenario.sensors.pigas) is not None:
         increments = read_increments(sensors, times, gimbal_angles(sensors, times, force, spin))
     readouts = _read(scenario, times, increments, gimbals, ring, motion.place[:, 2])
     return PlatformRun(scenario, readouts, Truth(motion, force, eta, start, triad))
@@ -401,7 +400,7 @@ def _read(
         encoder1=encoder_angle(s.polar_rotation, times),
         encoder2=encoder_angle(s.equatorial_rotation, times),
         altitude=_altitude(sensors, height, len(times), streams[3]),
-        turn_sensitivity=1.0 / sensors.piga.scale_factor if sensors.piga else 0.0,
+        turn_sensitivity=1.0 / sensors.piga.scale_factor if sensors.pigas else 0.0,
     )
 
 

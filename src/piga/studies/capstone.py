@@ -16,6 +16,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -102,8 +103,10 @@ class Capstone(Result):
 
 def readings(sensors: PigaSensors) -> tuple[TriadReading, ...]:
     """The readings compared: from the ideal instrument to the locked one, and back."""
-    tripod = replace(sensors, mounting="skewed", cone=TRIPOD, tan_beta_error=0.0, phase_error=0.0)
-    skewed = replace(sensors, mounting="skewed", tan_beta_error=0.0, phase_error=0.0)
+    tripod = msgspec.structs.replace(
+        sensors, mounting="skewed", cone=TRIPOD, tan_beta_error=0.0, phase_error=0.0
+    )
+    skewed = msgspec.structs.replace(sensors, mounting="skewed", tan_beta_error=0.0, phase_error=0.0)
     tan_beta_error, phase_error = 2e-3 * sensors.tan_beta, 2e-3
     if sensors.tan_beta_error or sensors.phase_error:
         tan_beta_error, phase_error = sensors.tan_beta_error, sensors.phase_error
@@ -111,20 +114,28 @@ def readings(sensors: PigaSensors) -> tuple[TriadReading, ...]:
     return (
         TriadReading("ideal", None, "ideal accelerometers: the platform and the navigator alone"),
         TriadReading(
-            "raw tripod", replace(tripod, output="raw"), "three axes at right angles, output taken as alpha'/K"
+            "raw tripod",
+            msgspec.structs.replace(tripod, output="raw"),
+            "three axes at right angles, output taken as alpha'/K",
         ),
         TriadReading(
             "raw skewed",
-            replace(skewed, output="raw"),
+            msgspec.structs.replace(skewed, output="raw"),
             f"axes within {cone:.0f} deg of the pole: never locked, still pulled",
         ),
         TriadReading(
-            "triad", replace(tripod, output="triad"), "right angles, effective axes solved per sample"
+            "triad",
+            msgspec.structs.replace(tripod, output="triad"),
+            "right angles, effective axes solved per sample",
         ),
-        TriadReading("triad skewed", replace(skewed, output="triad"), "skewed and solved per sample"),
+        TriadReading(
+            "triad skewed", msgspec.structs.replace(skewed, output="triad"), "skewed and solved per sample"
+        ),
         TriadReading(
             "triad, calibrated",
-            replace(tripod, output="triad", tan_beta_error=tan_beta_error, phase_error=phase_error),
+            msgspec.structs.replace(
+                tripod, output="triad", tan_beta_error=tan_beta_error, phase_error=phase_error
+            ),
             "solved with tan(beta) and phase off by a calibration's error",
         ),
     )
@@ -143,7 +154,7 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
     CancelledError
         If ``progress`` returns False.
     """
-    sensors = scenario.sensors.piga
+    sensors = scenario.sensors.pigas
     if sensors is None:
         raise ArgumentError(
             f"{scenario.source or 'the scenario'}: there are no gyro accelerometers",
@@ -152,13 +163,13 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
     ways = readings(sensors)
     steps = Steps(progress, 2 + len(ways))
     steps("simulating")
-    ideal = simulate(replace(scenario, sensors=replace(scenario.sensors, piga=None)))
+    ideal = simulate(replace(scenario, sensors=msgspec.structs.replace(scenario.sensors, piga=None)))
     steps("identifying and aligning")
     preparation = prepare(ideal)
     outcomes = {}
     for reading in ways:
         steps(f"navigating, {reading.name}")
-        read = replace(scenario, sensors=replace(scenario.sensors, piga=reading.sensors))
+        read = replace(scenario, sensors=msgspec.structs.replace(scenario.sensors, piga=reading.sensors))
         run = ideal if reading.sensors is None else simulate(read, motion=ideal.truth.motion)
         outcomes[reading.name] = _outcome(run, reading, preparation)
     tripod = next(way.sensors for way in ways if way.name == "raw tripod")
@@ -218,7 +229,7 @@ def _passage(run: PlatformRun, sensors: PigaSensors) -> Passage | None:
     alpha = gimbal_angles(sensors, run.readouts.times[whole], run.truth.force[whole], still)[:, part]
     axis = mounting_axes(sensors)[instrument, 0]
     read = {
-        output: read_increments(replace(sensors, output=output), times, alpha) @ axis / step
+        output: read_increments(msgspec.structs.replace(sensors, output=output), times, alpha) @ axis / step
         for output in ("raw", "triad")
     }
     along = force @ axis
@@ -240,7 +251,7 @@ def _passage(run: PlatformRun, sensors: PigaSensors) -> Passage | None:
 def force_day_figure(capstone: Capstone) -> Figure:
     """Specific force along each input axis over a sidereal day, with the locked zone marked."""
     times, along = capstone.day
-    sensors = capstone.scenario.sensors.piga
+    sensors = capstone.scenario.sensors.pigas
     width = 9.8 * (sensors.tan_beta if sensors else 0.0)
     title = "Gravity sweeps through every input axis"
     plot = Plot("fig-day", title, "time [h]", "force along the input axis [m/s^2]")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -210,7 +211,7 @@ def scenario(*, wobble: bool) -> PlatformScenario:
         polar_rotation=Rotation(CASE_RATE),
         equatorial_rotation=Rotation(CASE_RATE),
         polar=_gyro(20.0, (60.0, 130.0), wobble=wobble),
-        equatorial=replace(_gyro(75.0, (100.0, 10.0), wobble=wobble), drift=(_DRIFT, 0.0)),
+        equatorial=msgspec.structs.replace(_gyro(75.0, (100.0, 10.0), wobble=wobble), drift=(_DRIFT, 0.0)),
         compensation=Compensation(models=models),
     )
 
