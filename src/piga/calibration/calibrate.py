@@ -1,77 +1,22 @@
-"""Calibrate: coefficients with uncertainty from a run, with residuals, verdict and provenance."""
+"""Calibrate: coefficients with uncertainty from a run, or from several together, with residuals, verdict and provenance."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 
-import numpy as np
-
-from piga.calibration.budget.effects import sources_of_stand
-from piga.calibration.budget.monte_carlo import monte_carlo_intervals
-from piga.calibration.budget.sources import gravity_in_words, sources
-from piga.calibration.budget.uncertainty import (
-    Budget,
-    budget_rows,
-    combined,
-    make_budget,
-    share_of_type_a,
-    stated_scatter,
-    with_given_servo,
-)
-from piga.calibration.choice.model_choice import compare_models
-from piga.calibration.fit.one_run import Fit, fit_run, interval_of_run, without_scatter
-from piga.calibration.fit.residuals import (
-    counted_products,
-    diagnose,
-    find_residuals,
-    segment_scatter,
-    segment_table,
-)
-from piga.calibration.history import history_of
-from piga.calibration.intervals import Interval
-from piga.calibration.joint.joint_fit import (
-    check_items,
-    fit_jointly,
-    joint_contributions,
-    joint_sources,
-    joint_sources_of_stand,
-)
-from piga.calibration.joint.joint_result import joint_result
-from piga.calibration.joint.summary import RunSummary, provenance, residual_figures, validity_ranges
-from piga.calibration.model.design import given_servo
-from piga.calibration.model.identifiability import (
-    one_way_in_words,
-    refuse_useless,
-    remarks_in_words,
-    scatter_in_words,
-)
+from piga.calibration.budget.uncertainty import combined, share_of_type_a, with_given_servo
+from piga.calibration.joint.joint_fit import check_items, fit_jointly
+from piga.calibration.joint.summary import RunSummary
 from piga.calibration.model.request import Request, make_request
-from piga.calibration.model.solution import asked_order, layout_of, name_coefficients
-from piga.calibration.remarks.advice import advise, with_advice
-from piga.calibration.remarks.all_remarks import find_remarks, with_remarks, with_sentences
-from piga.calibration.remarks.creep import creep_of_run, creep_of_runs, with_creep
-from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
-from piga.calibration.remarks.missing_terms import Candidates
+from piga.calibration.result import OneRun, SeveralRuns
 from piga.calibration.revolutions import whole_turns
-from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
+from piga.errors import ArgumentError, CalibrationError, CalibrationWarning
 from piga.progress import Progress, Steps
-from piga.reading.checks import largest_size
-from piga.records.calibration import (
-    BudgetEntry,
-    BudgetTable,
-    Calibration,
-    Coefficient,
-    Diagnostics,
-    Residuals,
-    SegmentScatter,
-    SegmentSummary,
-)
+from piga.records.calibration import Calibration
 from piga.records.run import Run
 from piga.records.terms import term_names
-from piga.results import Array
 from piga.threads import one_thread
 
 STEPS = 5
@@ -130,227 +75,53 @@ def calibrate(
     """
     if phase is not None and phases is not None:
         raise ArgumentError("phase and phases: one is the former name of the other", remedy="give phases alone")
-    phases = phases or phase
-    steps = Steps(progress, STEPS)
+    steps, runs = Steps(progress, STEPS), check_items(run)
     wanted, own = (None if names is None else list(term_names(names)) for names in (terms, per_run))
     with one_thread():
-        result = _calibration(run, wanted, method, phases, phase_source, own, steps)
+        steps("fitting the model")
+        if len(runs) > 1 or isinstance(runs[0], RunSummary):
+            if method not in (None, "information") or phase_source not in (None, "output"):
+                raise CalibrationError(
+                    "several runs can be calibrated together only with method 'information' and phase_source 'output'",
+                    remedy="leave method and phase_source out, or calibrate the runs one by one",
+                )
+            several = fit_jointly(runs, wanted, phases or phase, own, steps)
+            result = _calibration(SeveralRuns(several), steps)
+        else:
+            request = make_request(runs[0], wanted, method, phases or phase, phase_source, own)
+            result = _of_one_run(runs[0], request, steps)
     steps.finish()
     for doubt in result.verdict.doubts:
         warnings.warn(doubt.words, CalibrationWarning, stacklevel=2)
     return result
 
 
-def _calibration(
-    run: Run | RunSummary | Sequence[Run | RunSummary],
-    terms: list[str] | tuple[str, ...] | None,
-    method: str | None,
-    phases: str | None,
-    phase_source: str | None,
-    per_run: list[str] | tuple[str, ...] | None,
-    steps: Steps,
-) -> Calibration:
-    """The result of :func:`calibrate`."""
-    steps("fitting the model")
-    if not isinstance(run, Run):
-        runs = check_items(run)
-        if len(runs) > 1 or not isinstance(runs[0], Run):
-            return _joint_calibration(runs, terms, method, phases, phase_source, per_run, steps)
-        run = runs[0]
-    request = make_request(run, terms, method, phases, phase_source, per_run)
-    if request.method == "revolutions":
-        return _of_whole_turns(run, request, steps)
-    stated = stated_scatter(run)
-    try:
-        fit = fit_run(run, request, stated)
-        steps("finding the intervals")
-        interval = interval_of_run(fit)
-        coefficients, covariance = name_coefficients(fit.design, fit.solution, interval.covariance)
-        spread = 0.0 if run.temperature is None else _range(run.temperature)
-        refuse_useless(coefficients, largest_size(run.f), _range(run.t), spread)
-    except (IdentifiabilityError, DataError) as error:
-        raise with_advice(error, advise(run, request)) from None
-    residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
-    candidates = Candidates(without_scatter(fit))
-    steps("adding up the budget")
-    budget = make_budget(fit, coefficients, covariance, steps)
-    doubts = left_out_terms(candidates, coefficients)
-    for doubt in doubts:
-        budget = budget.with_row(doubt.row(coefficients))
-    type_a, whole = budget.covariances(covariance)
-    degrees = _degrees(fit, interval) * share_of_type_a(type_a, covariance)
-    covariance = whole
-    coefficients = combined(coefficients, covariance, budget.rows, degrees)
-    steps("checking the intervals")
-    coefficients, monte_carlo = monte_carlo_intervals(
-        fit, interval.covariance, degrees, coefficients, budget, run.estimation.uncertainty
-    )
-    steps("looking for missing terms")
-    said = find_remarks(fit, candidates, coefficients)
-    creep = creep_of_run(fit, coefficients)
-    history = history_of(fit) if request.method == "recursive" else None
-    examined = _examined(fit, residuals)
-    notes = odd_square(fit, coefficients) + scatter_in_words(examined.scatter, direct=run.direct)
-    result = _assemble(run, fit, coefficients, covariance, budget.rows, examined, notes, history)
-    result = replace(
-        result,
-        remarks=(
-            *one_way_in_words(run, request.terms),
-            *remarks_in_words(coefficients, covariance, request.phases),
-        ),
-        sources=(*sources_of_stand(fit), *(doubt.listed for doubt in doubts if doubt.listed)),
-        scale_factor_tolerance=run.model.tolerance,
-        gravity=gravity_in_words(run),
-    )
-    result = with_creep(with_remarks(result, fit, said, doubts), run, creep)
-    result = with_given_servo(result, given_servo(run), _moved_servo(run))
-    compared = compare_models(run).document() if run.model.compare else None
-    diagnostics = replace(result.diagnostics, monte_carlo=monte_carlo, model_comparison=compared)
-    return replace(result, diagnostics=diagnostics)
-
-
-def _moved_servo(run: Run) -> dict[str, dict[str, float]]:
-    """Given coefficients of the servo, moved by each source of Type B that affects them."""
-    return {s.name: given_servo(s.moved) for s in sources(run) if "servo" in s.fields} if run.servo else {}
-
-
-def _degrees(fit: Fit, interval: Interval) -> Array:
-    """Degrees of freedom of Type A in the order of the coefficients."""
-    phases = fit.solution.phases.size
-    return interval.degrees[
-        asked_order(layout_of(fit.design, max(phases, 1)), fit.design.request.terms, phases)
-    ]
-
-
-def _range(values: Array) -> float:
-    """Largest value minus smallest value."""
-    return float(values.max() - values.min())
-
-
-@dataclass(frozen=True)
-class _Examined:
-    """The residuals of a fit, their tests, the scatter of the mean rates, and one row per segment."""
-
-    residuals: Residuals
-    diagnostics: Diagnostics
-    scatter: SegmentScatter
-    segments: tuple[SegmentSummary, ...]
-
-
-def _examined(fit: Fit, residuals: Residuals) -> _Examined:
-    """The residuals of a fit and what they say."""
-    design, run = fit.design, fit.design.run
-    plain = Diagnostics(residual_kind=run.quantity, range=validity_ranges(run))
-    tests = diagnose(residuals, plain, (partial(counted_products, design, fit.noise, fit.mode, residuals),))
-    scatter = segment_scatter(design, residuals, fit.noise)
-    return _Examined(residuals, tests.with_scatter(scatter), scatter, segment_table(design, residuals))
-
-
-def _assemble(
-    run: Run,
-    fit: Fit,
-    coefficients: tuple[Coefficient, ...],
-    covariance: Array,
-    budget: tuple[BudgetEntry, ...],
-    examined: _Examined,
-    notes: tuple[str, ...],
-    history: dict[str, Array] | None,
-) -> Calibration:
-    request = fit.design.request
-    rows = fit.design.rows
-    return Calibration(
-        serial=run.serial,
-        scale_factor_nominal=run.scale_factor,
-        terms=request.terms,
-        phases=request.phases,
-        phase_source=request.phase_source,
-        method=request.method,
-        coefficients=coefficients,
-        covariance=covariance,
-        surplus_observations=float(rows - len(coefficients)),
-        angle_rms=fit.noise.angle_rms,
-        angle_random_walk=fit.noise.angle_random_walk,
-        **residual_figures(examined.residuals),
-        quality=fit.design.run.quality,
-        outliers=fit.outliers,
-        segment_scatter=fit.noise.segment_scatter,
-        condition=fit.examination.condition,
-        notes=notes,
-        budget=BudgetTable(budget),
-        diagnostics=examined.diagnostics,
-        segments=examined.segments,
-        provenance=provenance(
-            dict(run.input_sha256), {"source": run.source, "noise_given": request.angle_rms is not None}
-        ),
-        temperature_reference=request.temperature_reference,
-        time_reference=fit.design.time_reference,
-        residuals=examined.residuals,
-        history=history,
-        unit=fit.design.run.unit,
-    )
-
-
-def _joint_calibration(
-    items: list[Run | RunSummary],
-    terms: list[str] | tuple[str, ...] | None,
-    method: str | None,
-    phases: str | None,
-    phase_source: str | None,
-    per_run: list[str] | tuple[str, ...] | None,
-    steps: Steps,
-) -> Calibration:
-    """Calibrate several runs or summaries of runs together."""
-    if method not in (None, "information") or phase_source not in (None, "output"):
-        raise CalibrationError(
-            "several runs can be calibrated together only with method 'information' and phase_source 'output'",
-            remedy="leave method and phase_source out, or calibrate the runs one by one",
-        )
-    fit = fit_jointly(items, terms, phases, per_run, steps)
-    steps("adding up the budget")
-    changes_by_source = list(joint_contributions(fit, steps))
-    changes = tuple(change for _, change in changes_by_source)
-    type_a, whole = Budget((), changes, tuple(s.in_fit for s, _ in changes_by_source)).covariances(
-        fit.covariance
-    )
-    steps("looking for missing terms")
-    degrees = fit.degrees * share_of_type_a(type_a, fit.covariance)
-    doubts = left_out_of_runs(fit)
-    rows = (
-        *budget_rows(fit.coefficients, type_a, changes_by_source),
-        *(doubt.row(fit.coefficients) for doubt in doubts),
-    )
-    whole = whole + sum((doubt.covariance for doubt in doubts), start=np.zeros_like(whole))
-    result = joint_result(fit, whole, rows, degrees)
-    live = [item for item in items if isinstance(item, Run)]
-    result = replace(
-        result,
-        sources=(*joint_sources_of_stand(fit), *(doubt.listed for doubt in doubts if doubt.listed)),
-        scale_factor_tolerance=max((run.model.tolerance for run in live), default=0.01),
-        gravity="; ".join(dict.fromkeys(filter(None, map(gravity_in_words, live)))),
-    )
-    said = ((doubt.largest_shift(result.coefficients), doubt.words) for doubt in doubts if doubt.words)
-    result = with_sentences(result, said)
-    crept = creep_of_runs(fit, result.coefficients)
-    if crept is not None:
-        one, creep = crept
-        result = with_creep(result, one.run, creep, one.name)
-    given = dict(fit.summaries[0].known_servo)
-    moved = {
-        source.name: dict(fit.summaries[index].sources[number].known_servo)
-        for source in joint_sources(fit.summaries)
-        for index, number in list(source.moved.items())[:1]
-    }
-    return with_given_servo(result, given, moved if given else {})
-
-
-def _of_whole_turns(run: Run, request: Request, steps: Steps) -> Calibration:
-    """Calibration from the ends of whole turns of the output."""
+def _of_one_run(run: Run, request: Request, steps: Steps) -> Calibration:
+    """Calibration of one run; of whole turns, if the method asks for them: from their ends."""
+    if request.method != "revolutions":
+        return _calibration(OneRun.of(run, request, steps), steps)
     turns = whole_turns(run, request)
-    result = _calibration(turns.run, turns.terms, "information", "per-segment", "output", (), steps)
-    notes = result.notes
-    if "tan_beta" in request.terms:
-        notes = (
-            "whole turns average the coupling out: tan_beta is not in the result; use method 'information'",
-            *notes,
-        )
+    own = make_request(turns.run, turns.terms, "information", "per-segment", "output", ())
+    result = _calibration(OneRun.of(turns.run, own, steps), steps)
+    words = "whole turns average the coupling out: tan_beta is not in the result; use method 'information'"
+    notes = (words, *result.notes) if "tan_beta" in request.terms else result.notes
     return replace(result, method="revolutions", phases=request.phases, notes=notes, outliers=turns.outliers)
+
+
+def _calibration(fitted: OneRun | SeveralRuns, steps: Steps) -> Calibration:
+    """From the fit and its intervals to the result: budget, doubts about the model, Monte Carlo, remarks."""
+    steps("adding up the budget")
+    budget, doubts = fitted.budget(steps), fitted.doubts()
+    for doubt in doubts:
+        budget = budget.with_row(doubt.row(fitted.coefficients))
+    type_a, covariance = budget.covariances(fitted.covariance)
+    degrees = fitted.degrees * share_of_type_a(type_a, fitted.covariance)
+    coefficients = combined(fitted.coefficients, covariance, budget.rows, degrees)
+    steps("checking the intervals")
+    monte_carlo = None
+    if isinstance(fitted, OneRun):
+        coefficients, monte_carlo = fitted.propagated(coefficients, degrees, budget)
+    steps("looking for missing terms")
+    result = fitted.result(coefficients, covariance, budget.rows, doubts)
+    result = replace(result, diagnostics=replace(result.diagnostics, monte_carlo=monte_carlo))
+    return with_given_servo(result, *fitted.servo())

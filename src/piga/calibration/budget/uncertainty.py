@@ -167,10 +167,19 @@ def make_budget(
     )
     stated = bool(fit.noise.stated)
     in_fit = tuple(stated and source.draw == "segment" for source, _ in changes_by_source)
+    return budget_of(coefficients, covariance, changes_by_source, in_fit)
+
+
+def budget_of(
+    coefficients: tuple[Coefficient, ...],
+    covariance: Array,
+    changes_by_source: Sequence[tuple[Source | SharedSource, Array]],
+    in_fit: tuple[bool, ...],
+) -> Budget:
+    """The budget from the changes of the coefficients by each source; ``covariance`` is that of the fit."""
     changes = tuple(change for _, change in changes_by_source)
     type_a = Budget((), changes, in_fit).covariances(covariance)[0]
-    rows = budget_rows(coefficients, type_a, changes_by_source)
-    return Budget(rows, changes, in_fit)
+    return Budget(budget_rows(coefficients, type_a, changes_by_source), changes, in_fit)
 
 
 def values_near(base: Array, design: Design, summaries: list[Reduction]) -> Array:
