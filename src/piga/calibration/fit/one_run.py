@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -25,8 +27,9 @@ from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import Examination, examine, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request
-from piga.calibration.model.solution import Solution, layout_of, solve
+from piga.calibration.model.solution import Solution, layout_of, name_coefficients, solve
 from piga.calibration.weights import (
+    RATE,
     Noise,
     Positions,
     find_noise,
@@ -36,6 +39,7 @@ from piga.calibration.weights import (
     reduce_segments,
     residual_increments,
     starting_noise,
+    weighted_blocks,
     weighting_mode,
     with_scatter,
 )
@@ -225,3 +229,48 @@ def interval_of_run(fit: Fit) -> Interval:
         repetitions(fit.design, fit.noise, fit.positions),
         stated=bool(fit.noise.stated),
     )
+
+
+POINTS = 400
+"""Points of the history; a tenth of it when every segment has its own phase."""
+
+
+def history_of(fit: Fit) -> dict[str, Array]:
+    """Estimate and standard uncertainty after the first samples, up to the whole record (file units)."""
+    rows, samples = [], []
+    keys: tuple[str, ...] = ()
+    for mark, summaries in _growing(fit):
+        if examine(fit.design, summaries).null_terms:
+            continue
+        solution = solve(fit.design, summaries)
+        named, covariance = name_coefficients(fit.design, solution, solution.covariance)
+        plain = [i for i, c in enumerate(named) if c.name != "phi" or not fit.design.has_phases]
+        keys = tuple(named[i].name for i in plain)
+        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        rows.append([*(named[i].value for i in plain), *std[plain]])
+        samples.append(mark)
+    table = np.array(rows)
+    result = {"sample": np.array(samples, dtype=float)}
+    for i, key in enumerate(keys):
+        result[key] = table[:, i]
+        result[f"u({key})"] = table[:, len(keys) + i]
+    return result
+
+
+def _growing(fit: Fit) -> Iterator[tuple[int, list[Reduction]]]:
+    """Number of samples, and one summary for each segment begun; the last item is that of the whole record."""
+    design, total = fit.design, fit.design.run.size
+    points = POINTS if not design.has_phases else POINTS // 10
+    marks = np.unique(np.linspace(min(total, 2 * len(design.names)), total, points).astype(np.int64))
+    variances = fit.noise.rate_variances(len(design.run.labels)).tolist()
+    parts: list[Reduction] = []
+    segment = -1
+    for block, columns in weighted_blocks(design, fit.mode, fit.noise, rate=True):
+        if block.segment != segment:
+            segment = block.segment
+            parts.append(Reduction.empty((*design.names, RATE)))
+        inside = marks[(marks > block.start) & (marks <= block.stop)].tolist()
+        for start, stop in pairwise([block.start, *inside, block.stop]):
+            parts[-1].absorb(np.ascontiguousarray(columns[:, start - block.start : stop - block.start]))
+            if stop in inside:
+                yield stop, [part.without((RATE,), own) for part, own in zip(parts, variances, strict=False)]

@@ -44,7 +44,7 @@ class OutlierSettings:
     least_refused: int = 100
     """Fewest samples of a record that is refused. In a shorter one nothing is left out instead: there the robust fit
     follows half of the samples too easily."""
-    robust_rows: int = 100_000
+    robust_rows: int = 30_000
     """Increments used by the robust fit."""
     absolute_fits: int = 20
     """Steps towards the least absolute residuals, before Tukey's weights."""

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga.calibration.budget.effects import sources_of_stand
-from piga.calibration.budget.sources import sources, with_units
+from piga.calibration.budget.sources import sources, sources_of_stand, with_units
 from piga.calibration.budget.uncertainty import values_near
 from piga.calibration.fit.one_run import Fit, fit_run
 from piga.calibration.model.request import make_request
