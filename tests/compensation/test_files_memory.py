@@ -1,8 +1,7 @@
-"""Memory of ``piga compensate``: below 350 MB in every process, for pages, large sets and packed files, too."""
+"""Memory of ``piga compensate``, for pages and large sets, too."""
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -16,8 +15,8 @@ from piga.units import G0
 from tests.compensation.run_files import CAL, REFERENCE, run_text
 from tests.compensation.test_files_stand import WORK
 from tests.compensation.twin_data import calibration_of
+from tests.memory import LIMIT, largest_memory
 
-LIMIT = 350_000_000
 MORE = 'base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }\ntemperature = { column = "warm", unit = "degC" }'
 
 pytestmark = [
@@ -58,13 +57,11 @@ def written_set(folder: Path, count: int, rows: int) -> Path:
 
 
 def memory(run: Path, *more: str) -> int:
-    """Largest memory of the command and of the processes that it starts [bytes]."""
+    """Largest memory of the command [bytes]."""
     words = [str(run), "--out", str(run.parent / "out.parquet"), *more]
     if not is_triad_file(run):
         words += ["--calibration", str(run.parent / "cal.json")]
-    done = subprocess.run([sys.executable, "-c", WORK, *words], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return int(done.stdout.split()[-1])
+    return largest_memory([sys.executable, "-c", WORK, *words])
 
 
 @pytest.mark.parametrize("rows", [1 << 18, 2_000_000])

@@ -27,6 +27,7 @@ from tests.compensation.run_files import (
     to_file,
 )
 from tests.compensation.twin_data import calibration_of
+from tests.memory import LIMIT, largest_memory
 
 ROWS, STEP = 600, 0.01
 HEAD = 'kind = "dividing-head"\nlatitude = "40 deg"\ndwell = "0.9 s"\nroll = "0.3 rad"\n'
@@ -151,7 +152,9 @@ def test_a_set_turns_with_its_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         set_to_file(runs, mounted, tmp_path / name)
         small_chunks(monkeypatch, 37)
     whole, parts = (pa.parquet.read_table(tmp_path / name) for name in ("whole", "parts"))
-    assert parts == whole
+    assert all(
+        parts[name].to_numpy().tobytes() == whole[name].to_numpy().tobytes() for name in whole.column_names
+    )
 
 
 @pytest.mark.only_compiled
@@ -181,9 +184,6 @@ try:
     main()
 except SystemExit as stop:
     assert not stop.code, stop.code
-import resource
-from tests.memory import kilobytes
-print(max(kilobytes("VmHWM"), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss) * 1024)
 """
 
 
@@ -208,7 +208,6 @@ def test_pandas_stays_out(tmp_path: Path) -> None:
     [*itertools.product(("centrifuge", "profile"), ("parquet", "csv")), ("composite", "h5")],
 )
 def test_memory_is_bounded(tmp_path: Path, stand: str, kind: str) -> None:
-    """Of the process, and of those that unpack for it; mapped pages of a profile come and go."""
     rows = 4_000_000
     t = 0.001 * np.arange(rows)
     columns = {"t": t, "psi": 0.9 * t, "part": np.repeat(["b", "a", "c", "a"], rows // 4)}
@@ -220,5 +219,4 @@ def test_memory_is_bounded(tmp_path: Path, stand: str, kind: str) -> None:
         pa.csv.write_csv(pa.table(columns), tmp_path / "profile.csv")
     calibration().to_json(tmp_path / "cal.json")
     words = [str(path), "--calibration", str(tmp_path / "cal.json"), "--out", str(tmp_path / "o.parquet")]
-    done = subprocess.run([sys.executable, "-c", WORK, *words], capture_output=True, text=True, check=True)
-    assert int(done.stdout.split()[-1]) < 350e6
+    assert largest_memory([sys.executable, "-c", WORK, *words]) < LIMIT

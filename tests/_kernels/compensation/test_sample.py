@@ -1,4 +1,4 @@
-"""Angle logs that turn little between samples, and codes of coefficients."""
+"""Intervals of an angle log, and codes of coefficients."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def smooth(t: np.ndarray) -> np.ndarray:
 @pytest.mark.compiled
 @pytest.mark.parametrize("rate", [50.0, 100.0, 400.0])
 def test_smooth_force_comes_back_to_1e12_g(rate):
-    """From the fourth interval on, plus the rounding of the angle; the exact inverse left 4e-9 g at 100 Hz; 3e-11 g at 50 Hz."""
+    """From the fourth interval on, plus the rounding of the angle; 3e-11 g at 50 Hz."""
     t = np.arange(0.0, SECONDS, 1.0 / rate)
     run = run_of(t, smooth(t), phi=0.4)
     rounding = 2 * np.finfo(float).eps * np.abs(run.output).max() * rate / run.scale_factor
@@ -51,15 +51,13 @@ def test_uneven_intervals_cost_the_higher_differences_only():
 
 
 @pytest.mark.only_compiled
-def test_near_and_far_intervals_mixed_are_the_same_to_the_bit_whatever_the_chunks():
-    """Some intervals turn beyond the formula, some are uneven, some begin stretches."""
+def test_intervals_are_the_same_to_the_bit_whatever_the_chunks():
+    """Some intervals turn far, some are uneven, some begin stretches."""
     rng = np.random.default_rng(4)
     size = 3000
     t = np.cumsum(rng.choice([0.01, 0.01, 0.01, 0.012, 0.05], size))
     f = smooth(t) + 0.1 * G0 * rng.standard_normal((size, 3))
     psi = run_of(t, f, phi=0.4).output
-    turned = np.abs(np.diff(psi))
-    assert turned.min() < 0.03 < turned.max()
     begins = rng.random(size) < 0.02
     std = {"phi": 1e-4, "tan_beta": 1e-7, "k0": 1e-6, "scale_factor": 1e-7, "k2": 1e-7}
     cal = calibration_of(

@@ -55,26 +55,6 @@ def _inverse_small() -> Iterator[Pair]:
     yield e * np.cos(delta) - 2 * np.sin(delta) * (c(w) - c(d)) + coupling, 0.0, 1e-16
 
 
-@equation("interval-mean")
-def _interval_mean() -> Iterator[Pair]:
-    """The coupling of a constant force along the exact motion; its mean is what the angle turns beside u_x."""
-    h = 0.05
-    u, y, z = rates(F0)
-    ends = [float(piga.closed_form(instrument(PHI), t, *F0)[0]) for t in (0.0, h)]
-
-    def derivatives(alpha: float) -> tuple[float, float, float]:
-        g, slope = y * np.sin(alpha) - z * np.cos(alpha), y * np.cos(alpha) + z * np.sin(alpha)
-        rate = u + g
-        first = slope * rate
-        second = -g * rate**2 + slope * first
-        third = -slope * rate**3 - 3 * g * rate * first + slope * second
-        return g, first, third
-
-    (g0, first0, third0), (g1, first1, third1) = (derivatives(alpha) for alpha in ends)
-    literal = (g0 + g1) / 2 + h / 12 * (first0 - first1) - h**3 / 720 * (third0 - third1)
-    yield literal, (ends[1] - ends[0]) / h - u, 1e-13
-
-
 @equation("inverse-axis")
 def _inverse_axis() -> Iterator[Pair]:
     """To the second order of the coupling; the library is exact."""

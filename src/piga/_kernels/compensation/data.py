@@ -77,7 +77,7 @@ class Past(Protocol):
     """What the next sample needs of the samples before it.
 
     ``seen``: 1 once there is a sample. ``t`` [s], ``psi`` [rad], ``a_Y``, ``a_Z`` [m/s^2], ``temperature`` above T_0 [K] and
-    base rate ``Omega`` [rad/s] of the last sample; ``s``, ``c``: sine and cosine of its angle; ``y``, ``z``: its transverse input
+    base rate ``Omega`` [rad/s] of the last sample; ``y``, ``z``: its transverse input
     ``tan_beta u`` [rad/s]. ``..._before``: one sample earlier. ``h1, h2, h3``: the last intervals, latest first [s]; ``u1, u2,
     u3``: mean ``u_x`` of these intervals if it were constant [rad/s]. ``bend_x``, ``bend_y``, ``bend_z``: second derivatives
     of Omega_x, y and z by the last three samples. ``u_x``: mean of ``u_x`` (or its value) [rad/s]; ``a_x``: the last result;
@@ -94,7 +94,6 @@ class Past(Protocol):
     seen: float
     t: float
     psi: float
-    psi_before: float
     a_Y: float
     a_Z: float
     temperature: float
@@ -102,8 +101,6 @@ class Past(Protocol):
     Omega_Y: float
     Omega_Z: float
     Omega_x_before: float
-    s: float
-    c: float
     y: float
     z: float
     y_before: float

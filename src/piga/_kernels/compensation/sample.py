@@ -1,23 +1,14 @@
 r"""Compensation of one instrument with a transverse reference, sample by sample. A record is a loop over its samples.
 
-**Angles.** Over an interval the mean of ``u_x`` is the output rate less the mean of the coupling
-``g = tan_beta (u_Y sin(alpha) - u_Z cos(alpha))``. The angle is known at both ends. The values and derivatives of g at the
-ends give the integral of g (Euler-Maclaurin [own derivation, docs/theory/compensation]):
-
-.. math:: \bar g = \tfrac12 (g_0 + g_1) + \tfrac{h}{12} (g_0' - g_1') - \tfrac{h^3}{720} (g_0''' - g_1''') .
-
-The transverse input is linear between samples. ``u_x`` is linear, too. Backward differences of its means give its change
-(three intervals; fewer at the beginning of a stretch). The derivatives contain ``u_x`` itself, and the equation is
-linear in it.
-
-**Intervals that turn far** take the exact inverse of the motion. With ``delta`` half the angle turned and ``alpha_m`` the
-middle of the two angles read, equation (4) of the motion says, without approximation,
+**Angles.** With ``delta`` half the angle turned over an interval and ``alpha_m`` the middle of the two angles read, equation (4)
+of the motion says, without approximation,
 
 .. math:: A \cos\delta = 2 q\cot q\,\sin\delta - (Y \sin\alpha_m - Z \cos\alpha_m), \qquad
           q^2 = (A^2 - Y^2 - Z^2)/4 .
 
 ``Y, Z`` are known from the reference. The equation is solved for the small ``e = A - 2 delta``, so that no digit of the angle
-is lost. Input that is linear between samples is converted to constant increments by the fourth-order Magnus terms.
+is lost. Input that is linear between samples is converted to constant increments by the fourth-order Magnus terms. They need
+the change of ``u_x``: backward differences of its means give it (three intervals; fewer at the beginning of a stretch).
 
 **Between samples** base rate and reference are smooth. The mean of a smooth input over an interval is the mean of both ends
 less ``h^2/12`` of its second derivative in the middle. The second derivative is that of the cubic through the last four
@@ -58,10 +49,6 @@ from piga._kernels.compensation.vibration import rectified
 from piga._kernels.jit import Array, exact, inline_exact
 from piga._kernels.motion.step import advance, magnus_increments, unwrapped
 
-NEAR_TURN = 0.03
-"""Largest turn in an interval [rad] for the formula."""
-NEAR_COUPLING = 1e-3
-"""Largest angle in an interval [rad] by the transverse input for the formula."""
 FAR_TURN = 0.25
 """Largest half turn in an interval [rad] for the series of the exact inverse."""
 FAR_PRODUCT = 1e-9
@@ -128,12 +115,6 @@ def transverse(p: Instrument, now: Sample) -> tuple[float, float]:
         coupling * now.a_Y + p.offset_y - p.tan_beta * now.Omega_Y,
         coupling * now.a_Z + p.offset_z - p.tan_beta * now.Omega_Z,
     )
-
-
-@inline_exact
-def is_near(turn: float, h: float, y: float, z: float) -> bool:
-    """True if the formula is valid for an interval."""
-    return abs(turn) <= NEAR_TURN and abs(h) * (abs(y) + abs(z)) <= NEAR_COUPLING
 
 
 @inline_exact
@@ -212,32 +193,25 @@ def constant_input(delta: float, Y: float, Z: float, s: float, c: float) -> tupl
     return 2.0 * delta + e, gain
 
 
-@exact
-def indicate_far(
-    past: Past, h: float, psi: float, y: float, z: float, phi: float, s: float, c: float
+@inline_exact
+def mean_along(
+    past: Past, gap: Spacing, turn: float, y: float, z: float, s: float, c: float
 ) -> tuple[float, float, float]:
-    """Mean ``u_x`` of an interval that turns far, its change, and the mean for constant input [rad/s].
+    """Mean ``u_x`` of an interval, its change, and the mean for constant input [rad/s]; ``s``, ``c`` in the middle.
 
     The Magnus terms of input that is linear in the interval are small compared with its mean. The equation is
     solved for the mean and corrected for these terms to first order (their square is below rounding).
     """
-    delta, y0, z0 = 0.5 * (psi - past.psi), past.y, past.z
+    h, delta, y0, z0 = gap.h, 0.5 * turn, past.y, past.z
     mean_y, mean_z = 0.5 * (y0 + y), 0.5 * (z0 + z)
     A, gain = constant_input(delta, h * mean_y, h * mean_z, s, c)
-    a, rise = A / h, 0.0
-    if past.h1 != 0.0:
-        before_s, before_c = sine_cosine(phi + 0.5 * (past.psi_before + past.psi))
-        half = 0.5 * past.h1
-        before, _ = constant_input(
-            0.5 * (past.psi - past.psi_before), half * (past.y_before + y0), half * (past.z_before + z0),
-            before_s, before_c,
-        )  # fmt: skip
-        rise = (a - before / past.h1) * 2.0 * h / (h + past.h1)
-    cross = h * h / 12.0
+    a = A * gap.per
+    rise = change_of_mean(a, gap, past)
+    cross = h * h * (1.0 / 12.0)
     Y = cross * (a * (z - z0) - rise * mean_z)
     Z = -cross * (a * (y - y0) - rise * mean_y)
-    bent = Y * s - Z * c - delta / 3.0 * h * (mean_y * Y + mean_z * Z)
-    return (A - (gain * bent + cross * (y0 * z - z0 * y))) / h, rise, a
+    bent = Y * s - Z * c - delta * (1.0 / 3.0) * h * (mean_y * Y + mean_z * Z)
+    return (A - (gain * bent + cross * (y0 * z - z0 * y))) * gap.per, rise, a
 
 
 @inline_exact
@@ -275,7 +249,7 @@ def doubt_of_interval(
     ``u_x`` is assumed. In the second interval the change itself is used.
 
     ``seen``: indicated force without the base rate, its change, and its change over the interval before [m/s^2].
-    ``across``: sum of ``tan_beta (u_Y cos + u_Z sin)`` at both ends [rad/s].
+    ``across``: twice ``tan_beta (u_Y cos + u_Z sin)`` in the middle [rad/s].
     """
     force, slope, slope_before = seen
     here, coupling = left * per_K, abs(across)
@@ -292,7 +266,6 @@ def doubt_of_interval(
 def begin_stretch(p: Instrument, past: Past, now: Sample) -> None:
     """A sample of the angle with no interval before it: only its inputs are kept."""
     y, z = transverse(p, now)
-    past.s, past.c = sine_cosine(p.phi - past.start + now.psi)
     keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
     keep_interval(past, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -300,43 +273,29 @@ def begin_stretch(p: Instrument, past: Past, now: Sample) -> None:
 @inline_exact
 def indicate_interval(p: Instrument, past: Past, now: Sample, h: float) -> Indication:
     """Indicated mean force over the interval that ends at a sample of the angle; the past is updated but for the force."""
-    phi = p.phi - past.start
     y, z = transverse(p, now)
-    s, c = sine_cosine(phi + now.psi)
-    turn, middle = now.psi - past.psi, phi + 0.5 * (past.psi + now.psi)
+    turn, middle = now.psi - past.psi, p.phi - past.start + 0.5 * (past.psi + now.psi)
+    s, c = sine_cosine(middle)
     gap, per_K = spacing(h, past), 1.0 / p.K
     rate = turn * gap.per
-    g0, g1 = past.y * past.s - past.z * past.c, y * s - z * c
-    q0, q1 = past.y * past.c + past.z * past.s, y * c + z * s
-    mean = rate - 0.5 * (g0 + g1)
-    ends = (y - past.y) * (past.s - s) - (z - past.z) * (past.c - c) + h * ((mean + g0) * q0 - (mean + g1) * q1)
-    u = mean - ends * (1 / 12 + turn * turn * (1 / 720) - (1 / 144) * (h * (q0 - q1)))
-    sm, cm = 0.5 * (past.s + s), 0.5 * (past.c + c)
     if p.published != 0.0:
-        sm, cm = sine_cosine(middle)
-        pull = 0.5 * ((past.y + y) * sm - (past.z + z) * cm)
-        u_x, rise, first = rate - pull, 0.0, u
-    elif is_near(turn, h, y, z):
-        rise = change_of_mean(u, gap, past)
-        share = (q0 + q1) * (1 / 24 + (1 / 240) * (turn * turn))
-        u_x = u + h * rise * (share + (1 / 480) * h * rise * (g0 + g1))
-        first = u_x
+        u_x, rise, u = rate - 0.5 * ((past.y + y) * s - (past.z + z) * c), 0.0, rate
     else:
-        sm, cm = sine_cosine(middle)
-        u_x, rise, first = indicate_far(past, h, now.psi, y, z, phi, sm, cm)
+        u_x, rise, u = mean_along(past, gap, turn, y, z, s, c)
     slope = rise * per_K
     bow_y, left_y, bend_y = bow(gap, y, past.y, past.y_before, past.bend_y)
     bow_z, left_z, bend_z = bow(gap, z, past.z, past.z_before, past.bend_z)
     bow_x, left_x, bend_x = bow(gap, now.Omega_x, past.Omega_x, past.Omega_x_before, past.bend_x)
-    left = left_x + left_y * abs(sm) + left_z * abs(cm)
-    doubt = doubt_of_interval(per_K, past, (u_x * per_K, slope, past.slope), h, q0 + q1, left)
+    left = left_x + left_y * abs(s) + left_z * abs(c)
+    across = (past.y + y) * c + (past.z + z) * s
+    doubt = doubt_of_interval(per_K, past, (u_x * per_K, slope, past.slope), h, across, left)
     if p.published != 0.0:
         bow_y = bow_z = 0.0  # the published formula takes the transverse reference as straight between samples
     base = 0.5 * (past.Omega_x + now.Omega_x) + bow_x
-    force = (u_x + base - bow_share(0.5 * turn) * (bow_y * sm - bow_z * cm)) * per_K
-    bend = h * (first - past.u_x) if past.h1 != 0.0 else 0.0
+    force = (u_x + base - bow_share(0.5 * turn) * (bow_y * s - bow_z * c)) * per_K
+    bend = h * (u_x - past.u_x) if past.h1 != 0.0 else 0.0
     inputs = Inputs(
-        h, gap.per, turn, 0.5 * turn, middle, sm, cm, rate * per_K,
+        h, gap.per, turn, 0.5 * turn, middle, s, c, rate * per_K,
         base, 0.5 * (past.Omega_Y + now.Omega_Y), 0.5 * (past.Omega_Z + now.Omega_Z), y, z,
         0.5 * (past.t + now.t), 0.5 * (past.a_Y + now.a_Y), 0.5 * (past.a_Z + now.a_Z),
         now.a_Y - past.a_Y, now.a_Z - past.a_Z, 0.5 * (past.temperature + now.T), now.T - past.temperature,
@@ -344,8 +303,7 @@ def indicate_interval(p: Instrument, past: Past, now: Sample, h: float) -> Indic
     )  # fmt: skip
     kept = doubt if past.h1 != 0.0 else 0.0
     keep_bends(past, now, y, z, (bend_x, bend_y, bend_z))
-    keep_interval(past, h, u, first, slope, kept)
-    past.s, past.c = s, c
+    keep_interval(past, h, u, u_x, slope, kept)
     return Indication(force, inputs, bend, now.psi)
 
 
@@ -369,7 +327,7 @@ def keep_bends(past: Past, now: Sample, y: float, z: float, bends: tuple[float, 
 def keep_sample(past: Past, now: Sample, psi: float, phi: float, a_x: float) -> None:
     """Keep the sample itself and the force."""
     past.seen, past.t, past.phi, past.a_x = 1.0, now.t, phi, a_x
-    past.psi_before, past.psi = past.psi, psi
+    past.psi = psi
     past.a_Y, past.a_Z, past.temperature = now.a_Y, now.a_Z, now.T
     past.Omega_Y, past.Omega_Z = now.Omega_Y, now.Omega_Z
 
@@ -418,13 +376,6 @@ def indicate_sample(p: Instrument, past: Past, now: Sample, h: float, recorded: 
     return Indication((u_x + now.Omega_x) / p.K, inputs, 0.0, psi)
 
 
-@exact
-def turn_phase(p: Instrument, past: Past) -> None:
-    """Take over another phase of the output zero: a new segment of the same stretch."""
-    past.rest += p.phi - past.phi
-    past.s, past.c = sine_cosine(p.phi - past.start + past.psi)
-
-
 @inline_exact
 def compensate_sample(
     p: Instrument,
@@ -464,7 +415,7 @@ def compensate_sample(
     if past.seen == 0.0:
         past.start = now.psi if p.published != 0.0 and kind == ANGLE else 0.0
     elif past.phi != p.phi:
-        turn_phase(p, past)
+        past.rest += p.phi - past.phi  # a new segment of the same stretch has its own zero
     before = past.a_x
     if kind != ANGLE:
         seen = indicate_sample(p, past, now, h, kind == BOTH)
