@@ -309,61 +309,57 @@ class Reading:
                 lost[0] = False
         return psi, stored(lost), [Event("counter-roll-over", wraps, None, "unwrapped")] if wraps else []
 
-    def _where(self, at: int) -> Where:
-        return Where(self.path, int(self.rows[at]), (self.name,))
+    def _refused(self, at: int | None, words: str, remedy: str, key: str | None = None) -> DataError:
+        """The error of a sample, or of the column; ``key`` of [instrument] may resolve it."""
+        row = None if at is None else int(self.rows[at])
+        place = "" if row is None else f"row {row}, "
+        return DataError(
+            f"{self.path}: {place}column '{self.name}': {words}",
+            remedy=remedy,
+            where=Where(self.path, row, (self.name,)),
+            fixes=[] if key is None else [Fix("instrument", key)],
+        )
 
     def _check_counts(self) -> None:
         bad = self.values != np.rint(self.values)
         bad |= np.abs(self.values) >= 2.0**53
         if bad.any():
             at = int(np.argmax(bad))
-            raise DataError(
-                f"{self.path}: row {self.rows[at]}, column '{self.name}': {self.values[at]:.15g} is not a whole count",
-                remedy="set kind to 'angle' or 'rate' with its unit, or name the column of the counts",
-                where=self._where(at),
-            )
+            remedy = "set kind to 'angle' or 'rate' with its unit, or name the column of the counts"
+            raise self._refused(at, f"{self.values[at]:.15g} is not a whole count", remedy)
 
     def _check_range(self, span: float) -> None:
         """Refuse readings that lie further apart than the range."""
         at = int(np.argmax(self.values))
         if self.values[at] - self.values.min() > span:
-            raise DataError(
-                f"{self.path}: row {self.rows[at]}, column '{self.name}': {self.values[at]:.17g} lies outside the "
-                f"range of {span:.17g}",
-                remedy="correct [instrument] counter_bits (or wraps_at)",
-                where=self._where(at),
-                fixes=[Fix("instrument", "counter_bits")],
-            )
+            words = f"{self.values[at]:.17g} lies outside the range of {span:.17g}"
+            raise self._refused(at, words, "correct [instrument] counter_bits (or wraps_at)", "counter_bits")
 
     def _check_speed(self, span: float, step: Array) -> None:
         """Refuse an output that may move by half the range between samples: a roll-over could not be recognised."""
-        factor = self.scale.factor
-        largest = self.largest
+        factor, unit, largest = self.scale.factor, self.scale.unit, self.largest
         if np.isnan(largest):
             largest = 1.2 * factor * float(np.abs(step[~self.begins]).max(initial=0.0))
         if largest >= 0.5 * span * factor:
             rate = largest / self.nominal / (0.5 * span * factor)
-            raise DataError(
-                f"{self.path}: column '{self.name}': between samples the output may move by {largest:.3g} "
-                f"{self.scale.unit}, more than half of the counter's range ({span * factor:.3g} {self.scale.unit}): a "
-                "roll-over cannot be recognised",
-                remedy=f"sample at {1.2 * rate:.3g} Hz or more, or use a wider counter",
-                where=Where(self.path, columns=(self.name,)),
+            words = (
+                f"between samples the output may move by {largest:.3g} {unit}, more than half of the counter's range "
+                f"({span * factor:.3g} {unit}): a roll-over cannot be recognised"
             )
+            raise self._refused(None, words, f"sample at {1.2 * rate:.3g} Hz or more, or use a wider counter")
 
     def _check_jump(self, psi: Array) -> None:
         """Refuse an output with a jump that only a folded counter or a reset can make."""
-        size = np.abs(changes(psi))
+        size, unit = np.abs(changes(psi)), self.scale.unit
         size[self.begins] = 0.0
         at = int(np.argmax(size))
         if size[at] > 10.0 * self.largest + 2.0:
-            raise DataError(
-                f"{self.path}: row {self.rows[at]}, column '{self.name}': the output jumps by "
-                f"{size[at]:.4g} {self.scale.unit} in one sample, the reference allows {self.largest:.3g} {self.scale.unit}",
-                remedy="if the counter wraps, give [instrument] counter_bits (for an angle: wraps_at); "
+            raise self._refused(
+                at,
+                f"the output jumps by {size[at]:.4g} {unit} in one sample, the reference allows {self.largest:.3g} {unit}",
+                "if the counter wraps, give [instrument] counter_bits (for an angle: wraps_at); "
                 "if it was reset, start a new segment there; otherwise check scale_factor and the units",
-                where=self._where(at),
-                fixes=[Fix("instrument", "counter_bits")],
+                "counter_bits",
             )
 
     def _check_resets(self, step: Array) -> None:
@@ -375,18 +371,15 @@ class Reading:
         resets = [at for at in np.flatnonzero(sudden).tolist() if self._stands_out(step, at)]
         if not resets:
             return
-        listed = "; ".join(
-            f"row {self.rows[k]}, column '{self.name}': the counter goes to {self.values[k]:.17g}, by "
-            f"{step[k]:+.0f} counts"
-            for k in resets[:100]
+        also = (
+            "" if len(resets) == 1 else f", and in rows {', '.join(str(self.rows[k]) for k in resets[1:100])}"
         )
-        also = " and use phases = 'per-segment'" if self.scale.unit == "rad" else ""
-        raise DataError(
-            f"{self.path}: {listed}: it was reset there",
-            remedy=f"start a new segment there (a segment column){also}; "
-            "if it wrapped instead, give [instrument] counter_bits",
-            where=self._where(resets[0]),
-            fixes=[Fix("instrument", "counter_bits")],
+        phases = " and use phases = 'per-segment'" if self.scale.unit == "rad" else ""
+        raise self._refused(
+            resets[0],
+            f"the counter goes to {self.values[resets[0]]:.17g}, by {step[resets[0]]:+.0f} counts{also}: it was reset there",
+            f"start a new segment there (a segment column){phases}; if it wrapped instead, give [instrument] counter_bits",
+            "counter_bits",
         )
 
     def _stands_out(self, step: Array, k: int) -> bool:
