@@ -146,6 +146,8 @@ def numbers() -> list[Case]:
         error("hex", cell(5, 1, "0x9f1"), r"row 7, column 'n' \(B\): '0x9f1'", place=True),
         error("word", cell(5, 1, "abc"), r"row 7, column 'n' \(B\): 'abc'", place=True),
         error("excel-reference", cell(5, 1, "#REF!"), r"row 7, column 'n' \(B\): '#REF!'", place=True),
+        error("control-character", cell(5, 1, "\x1f2545"), r"row 7, column 'n' \(B\)", place=True),
+        mask("stray-quote-masked", cell(5, 1, '2545"'), 39, {"not-a-number": 1}, data="damaged_rows = 'mask'"),
         error("two-points", cell(5, 3, "0.1.0"), r"row 7, column 'fy' \(D\)", place=True),
         error("fraction-of-a-count", cell(5, 1, "2545.5"), r"row 7, column 'n'", place=True),
         error("more-than-64-bits", cell(5, 1, "9" * 21), r"row 7, column 'n'", place=True),

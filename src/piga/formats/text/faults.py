@@ -166,7 +166,7 @@ def _cells(row: int, line: bytes, form: TextFormat) -> list[str] | Fault:
 
 def _value(row: int, cell: str, form: TextFormat, name: str, tokens: set[str]) -> float | str | Fault | None:
     """A number, the text of a time stamp, None for a missing value, or the fault of the cell."""
-    cell = cell.strip().strip('"').strip()
+    cell = _unquoted(cell).strip(" \t")
     if cell in tokens:
         return None
     stamp = form.stamps.get(name)
@@ -182,7 +182,8 @@ def _value(row: int, cell: str, form: TextFormat, name: str, tokens: set[str]) -
 
 
 def _unquoted(cell: str) -> str:
-    cell = cell.strip()
+    """A cell without blanks around it and without its quotation marks. Other control characters are damage."""
+    cell = cell.strip(" \t")
     return cell[1:-1].replace('""', '"') if len(cell) > 1 and cell[0] == cell[-1] == '"' else cell
 
 
