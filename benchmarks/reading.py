@@ -1,7 +1,8 @@
 """Reading of records: speed against PyArrow's own reader on the same clean CSV file, and largest private memory.
 
 Speed: ``python benchmarks/reading.py [--record]``. Memory of reading and of calibrating:
-``python benchmarks/reading.py csv|parquet ROWS``. Pages of mapped files are not counted, because the system takes them back.
+``python benchmarks/reading.py csv|parquet ROWS [--record]``. Pages of mapped files are not counted, because the system
+takes them back.
 """
 
 from __future__ import annotations
@@ -134,11 +135,17 @@ def memory() -> None:
     with tempfile.TemporaryDirectory(dir="/var/tmp") as name:
         write_long(Path(name), kind, rows)
         pa.default_memory_pool().release_unused()
-        begun = private()
         size = (Path(name) / f"run.{kind}").stat().st_size / 1e6
-        print(f"{kind} of {size:.0f} MB, {rows} rows, a column is {8e-6 * rows:.0f} MB; {begun:.0f} MB before")
-        for step, peak in measure(Path(name) / "run.toml").items():
-            print(f"{step}: {peak:.0f} MB")
+        print(
+            f"{kind} of {size:.0f} MB, {rows} rows, a column is {8e-6 * rows:.0f} MB; {private():.0f} MB before"
+        )
+        peaks = measure(Path(name) / "run.toml")
+    again = f"python benchmarks/reading.py {kind} {rows}"
+    values = {
+        f"private memory, {kind} of {rows / 1e6:g} million rows: {step}": {"value": peak, "command": again}
+        for step, peak in peaks.items()
+    }
+    put_down("reading", values)
 
 
 if __name__ == "__main__":
