@@ -79,7 +79,7 @@ def test_text_and_page_show_the_unit_and_nothing_of_a_gimbal(
     page = (tmp_path / "page.html").read_text().split("plotly.js v")[0]
     shown = page + result.summary() + repr(result) + repr(piga.read_run(path))
     assert f"{CASES[name][-1]}/g" in shown
-    assert f"{result.residual_unit} (before -> after)" in shown
+    assert f"{result.residual_unit}, before -> after" in shown
     for word in (
         "gimbal",
         "rad/s",

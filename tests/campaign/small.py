@@ -123,8 +123,8 @@ def collected(folder: Path) -> dict[str, bytes]:
     """The files that ``collect`` writes, computed in this process."""
     from piga.campaign import collect, document, open_campaign
     from piga.campaign.collect import write_table
-    from piga.campaign.page import campaign_page, collected_text
-    from piga.reports.render.page import page_html
+    from piga.campaign.page import campaign_page
+    from piga.reports.render.page import page_html, page_text
 
     result = collect(open_campaign(folder))
     table = folder / "table.csv"
@@ -133,7 +133,7 @@ def collected(folder: Path) -> dict[str, bytes]:
         "json": json.dumps(document(result), sort_keys=True).encode(),
         "csv": table.read_bytes(),
         "page": page_html(campaign_page(result)).encode(),
-        "text": collected_text(result).encode(),
+        "text": page_text(campaign_page(result)).encode(),
     }
 
 

@@ -6,8 +6,8 @@ import pytest
 
 from piga.campaign import collect, open_campaign
 from piga.campaign.collect import _misses
-from piga.campaign.page import campaign_page, collected_text
-from piga.reports.render.page import FigureBlock, Notice, Table, page_html
+from piga.campaign.page import campaign_page
+from piga.reports.render.page import FigureBlock, Notice, Table, page_html, page_text
 from tests.campaign.small import SMALL, computed, written
 
 GRID = SMALL + '\n[grid]\n"electronics.angle_noise" = ["2 arcsec", "8 arcsec"]\n'
@@ -40,7 +40,7 @@ def test_page_of_a_grid(grid):
     assert "random walk" in [column.heading for column in seen.columns]
     assert "piga campaign repeat small.toml --case" in html
     assert "electronics.angle_noise = 8 arcsec" in html
-    assert "coverage" in collected_text(grid)
+    assert "Coverage" in page_text(page)
 
 
 @pytest.mark.only_compiled
@@ -62,4 +62,4 @@ def test_what_misses_its_target_is_named(grid, share, tests, kind, words):
     notices = [b for b in campaign_page(changed).sections[0].blocks if isinstance(b, Notice)]
     assert [notice.kind for notice in notices] == [kind]
     assert words in notices[0].text
-    assert words in collected_text(changed)
+    assert words in page_text(campaign_page(changed), width=1000)

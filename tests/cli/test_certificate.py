@@ -12,6 +12,7 @@ import pytest
 from piga.certificate.certificate_file import read_certificate_file
 from piga.records.calibration.document import to_document
 from tests.certificate.certificate_data import EXAMPLE, budgeted, complete, key_pair
+from tests.cli.runner import outcome
 from tests.cli.test_cli_commands import piga
 from tests.reports.example import calibration
 
@@ -65,6 +66,23 @@ def test_issue_verify_read(lab, tmp_path):
     assert json.loads((tmp_path / "back.json").read_text()) == json.loads(
         json.dumps(to_document(budgeted(calibration(serial="tumble-a", with_residuals=False))))
     )
+
+
+def test_entries_of_the_example_are_a_draft(lab, tmp_path, capsys):
+    """Laboratory or customer of the example: the mark on the page and a line; none where both are one's own."""
+    own = tmp_path / "own.toml"
+    text = EXAMPLE.read_text(encoding="utf-8").replace('"Example Navigation Ltd"', '"A customer"')
+    own.write_text(text, encoding="utf-8")
+    words = ("certificate", lab / "calibration.json", "--data", own, "--issued", "2027-06-01", "--out")
+    code, _, err = outcome(capsys, *words, tmp_path / "draft")
+    assert (code, "DRAFT" in err) == (0, True), err
+    own.write_text(text.replace('"Example Inertial Metrology Laboratory"', '"A laboratory"'), encoding="utf-8")
+    code, _, err = outcome(capsys, *words, tmp_path / "whole")
+    assert (code, "DRAFT" in err) == (0, False), err
+    marked = [
+        (tmp_path / name / "certificate.html").read_text().count('class="draft"') for name in ("draft", "whole")
+    ]
+    assert marked == [1, 0]
 
 
 def test_refused_with_the_whole_list(lab, tmp_path):

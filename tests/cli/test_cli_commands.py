@@ -81,7 +81,7 @@ def test_check_prints_findings_and_json(tmp_path: Path, capsys: pytest.CaptureFi
     write_log(tmp_path, rows)
     path = write_run(tmp_path)
     assert exit_code("check", path) == 0
-    assert "1 x gap" in capsys.readouterr().out
+    assert "gap 1" in " ".join(capsys.readouterr().out.split())
     assert exit_code("check", path, "--json") == 0
     document = json.loads(capsys.readouterr().out)
     assert document["quality"]["events"][0]["kind"] == "gap"

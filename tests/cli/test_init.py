@@ -33,7 +33,7 @@ def test_it_writes_a_run_file_that_check_accepts(log: Path) -> None:
     assert "Zählerstand" in out
     code, out, _ = run("check", log.with_suffix(".toml"))
     assert code == 0
-    assert "instrument G-0417, 960 of 960 rows used" in " ".join(out.split())
+    assert "Record of G-0417 german.toml Rows used: 960, of 960" in " ".join(out.split())
 
 
 def test_settings_replace_guesses(log: Path) -> None:

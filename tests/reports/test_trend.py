@@ -90,7 +90,7 @@ def test_few_days(days):
     result = instrument(days=days) if days > 1 else find_trend(history([0, 0.0003], [1.0, 1.1], 0.1))
     assert page_html(trend_page(result, at=AT))
     text = page_text(trend_brief(result, at=AT))
-    assert "no alarm" in text
+    assert "No record is out of control." in text
     assert text.isascii()
     json.dumps(trend_document(result, at=AT), allow_nan=False)
 
@@ -99,7 +99,7 @@ def test_text_and_document():
     made = instrument()
     text = page_text(trend_brief(made, at=AT))
     assert text.isascii()
-    assert "alarm: k0: record r7-0" in text
+    assert "problem: k0: record r7-0" in text
     document = trend_document(made, at=AT)
     k0 = next(c for c in document["coefficients"] if c["name"] == "k0")
     assert [r["record"] for r in k0["records"] if r["out_of_control"]] == ["r7-0"]

@@ -77,7 +77,7 @@ def test_a_segment_is_selected_everywhere(browser: Browser, report: tuple[str, A
     second = angle[2:] - 2.0 * angle[1:-1] + angle[:-2]
     assert allan["y"][0] == pytest.approx(np.sqrt(np.mean(second**2) / 2.0) / step, rel=1e-4)
     selected(frame, "residual-order", 1)
-    for key in ("ripple-polar", "whiteness"):  # these are of all segments together
+    for key in ("ripple", "whiteness"):  # these are of all segments together
         selected(frame, key, 0)
 
     # In a figure: the point of another segment

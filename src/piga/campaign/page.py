@@ -6,14 +6,13 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from piga.campaign.campaign_file import NUMBER
 from piga.campaign.collect import COLLECT, EDGES, CampaignCoefficient, Collected, GroupResult, Miss
 from piga.records.terms import shown_unit
-from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import pretty_unit, printed, short, signed
 from piga.reports.render.page import (
     ALONE,
@@ -24,12 +23,10 @@ from piga.reports.render.page import (
     Page,
     Section,
     Table,
-    TableColumn,
     TableOf,
     Text,
     Tile,
     Tone,
-    write_page,
 )
 
 
@@ -44,11 +41,6 @@ class CampaignPageSettings:
 
 
 SHOWN = CampaignPageSettings()
-
-
-def write_campaign_report(collected: Collected, path: Path) -> Path:
-    """Write the page as one HTML file that opens offline."""
-    return write_page(campaign_page(collected), path)
 
 
 def campaign_page(collected: Collected) -> Page:
@@ -207,17 +199,17 @@ def _plain_table(result: GroupResult) -> Table:
 def _seen_table(results: list[GroupResult]) -> Table:
     """Share of the records of each group whose calibration reports a kind of noise or suggests a term."""
     names = sorted(dict.fromkeys(name for result in results for name in result.seen))
-    columns = (
-        TableColumn("Group", align="text"),
-        TableColumn("Records"),
-        *(TableColumn(name, "%") for name in names),
+    return (
+        TableOf(results)
+        .text("Group", lambda result: result.group.label)
+        .number("Records", lambda result: str(result.records))
+        .across(names, str, lambda result, name: _or_dash(result.seen.get(name), _percent), lambda _: "%")
+        .table(notes=("Share of the records with this noise in the result, or this term suggested.",))
     )
-    rows = tuple(
-        (r.group.label, str(r.records), *(_or_dash(r.seen.get(n), lambda x: f"{100 * x:.1f}") for n in names))
-        for r in results
-    )
-    note = "Share of the records with this noise in the result, or this term suggested."
-    return Table(columns, rows, notes=(note,))
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f}"
 
 
 def _worst_table(collected: Collected) -> Table:
@@ -275,20 +267,17 @@ def coverage_figure(judged: list[GroupResult]) -> Figure:
     error = np.array([200 * (c.coverage_std_error or 0.0) for _, c in points])
     off = np.array([_tone(c) != "" for _, c in points])
     text = np.array([f"{r.group.label}: {c.name}" for r, c in points])
-    series = [Series([0.5, len(points) + 0.5], [95.0, 95.0], "95 %", role="reference", dashed=True)]
+    plot = Plot(
+        "coverage", "Coverage of the 95 % intervals.", "coefficients in the order of the tables", "coverage [%]"
+    )
+    plot.level([0.5, len(points) + 0.5], 95.0, "95 %")
     kinds: tuple[tuple[str, Role], ...] = (("coefficients", "data"), ("off the target", "warning"))
     for chosen, (name, role) in zip((~off, off), kinds, strict=True):
         if chosen.any():
             names = tuple(text[chosen].tolist())
-            bars = error[chosen]
-            series.append(
-                Series(x[chosen], share[chosen], name, mark="points", role=role, error=bars, text=names)
-            )
-    return Figure(
-        "coverage",
-        "Coverage of the 95 % intervals.",
-        (Panel(Axis("coefficients in the order of the tables", ""), Axis("coverage", "%"), tuple(series)),),
-        caption="One point for each coefficient of each group, with two standard errors. Good: the bars touch the line.",
+            plot.points(x[chosen], share[chosen], name, role, error=error[chosen], text=names)
+    return plot.caption(
+        "One point for each coefficient of each group, with two standard errors. Good: the bars touch the line."
     )
 
 
@@ -298,16 +287,12 @@ def error_figure(collected: Collected) -> Figure:
     middle, width = 0.5 * (EDGES[1:] + EDGES[:-1]), EDGES[1] - EDGES[0]
     density = counts / max(counts.sum(), 1) / width
     grid = np.linspace(EDGES[0], EDGES[-1], 201)
-    series = (
-        Series(middle, density, "errors of all coefficients", mark="bars", role="data"),
-        Series(grid, np.exp(-0.5 * grid**2) / math.sqrt(2 * math.pi), "normal distribution", role="model"),
-    )
-    return Figure(
-        "errors",
-        "Errors over standard uncertainties.",
-        (Panel(Axis("error / u", "1"), Axis("density", "1"), series),),
-        caption="All coefficients of all groups. Errors beyond 5 u are in the outer bars. Good: the bars follow the curve. "
-        "With few degrees of freedom the tails are heavier, as those of Student's t.",
+    plot = Plot("errors", "Errors over standard uncertainties.", "error / u", "density")
+    plot.line(middle, density, "errors of all coefficients", mark="bars")
+    plot.line(grid, np.exp(-0.5 * grid**2) / math.sqrt(2 * math.pi), "normal distribution", "model")
+    return plot.caption(
+        "All coefficients of all groups. Errors beyond 5 u are in the outer bars. Good: the bars follow the curve. "
+        "With few degrees of freedom the tails are heavier, as those of Student's t."
     )
 
 
@@ -347,51 +332,14 @@ def _grid_figure(results: list[GroupResult], key: str, name: str) -> Figure:
         lines.setdefault(label, []).append((x, scale * middle, scale * (spread or 0.0)))
     places = sorted({x for line in lines.values() for x, _, _ in line})
     log = places[0] > 0.0 and places[-1] / places[0] > 20.0
-    series = []
+    quantity = f"error of {name}" if judged else name
+    plot = Plot(f"grid-{re.sub('[^A-Za-z0-9]+', '-', name).strip('-')}", f"{quantity} over {key}.")
+    unit_of_key = _quantity(results[0].group.set[key])[1]
+    plot.panel(Axis(key, unit_of_key, log=log), Axis(quantity, pretty_unit(unit)))
     for role, (label, line) in zip(_LINES, lines.items(), strict=False):
         x_values, y, error = np.array(sorted(line)).T
-        series.append(Series(x_values, y, label, mark="line+points", role=role, error=error))
-    quantity = f"error of {name}" if judged else name
-    return Figure(
-        f"grid-{re.sub('[^A-Za-z0-9]+', '-', name).strip('-')}",
-        f"{quantity} over {key}.",
-        (
-            Panel(
-                Axis(key, _quantity(results[0].group.set[key])[1], log=log),
-                Axis(quantity, pretty_unit(unit)),
-                tuple(series),
-            ),
-        ),
-        caption="Mean of the records of each point, with the standard deviation of one record as bar."
-        + (" Only the first lines are drawn; the tables have all." if len(lines) > len(_LINES) else ""),
+        plot.marked(x_values, y, label, role, error=error)
+    return plot.caption(
+        "Mean of the records of each point, with the standard deviation of one record as bar."
+        + (" Only the first lines are drawn; the tables have all." if len(lines) > len(_LINES) else "")
     )
-
-
-# --- text --------------------------------------------------------------------------------------------
-
-
-def collected_text(collected: Collected) -> str:
-    """Summary for the terminal."""
-    lines = [
-        f"{collected.title}: {collected.computed} of {collected.records} records, {collected.failed} failed"
-    ]
-    for result in collected.groups[: SHOWN.groups]:
-        lines += ["", result.group.label, *(_text_line(c) for c in result.coefficients)]
-    if len(collected.groups) > SHOWN.groups:
-        lines.append(f"and {len(collected.groups) - SHOWN.groups} more groups")
-    lines += ["", *(block.text for block in judgement(collected) if isinstance(block, Notice))]
-    lines += [
-        f"failed: {f.records} x {f.error_class}: {f.message.partition(chr(10))[0]}" for f in collected.failures
-    ]
-    lines += [f"worst: {w.coefficient} {w.z:+.1f} u: {w.command}" for w in collected.worst[:3]]
-    return "\n".join(lines)
-
-
-def _text_line(c: CampaignCoefficient) -> str:
-    if c.coverage is None:
-        spread = "" if c.std is None else f"   std {c.std:.2g}"
-        return f"  {c.name:<34}{c.tests:>8} records   mean {c.mean:.9g} {c.unit}{spread}"
-    ratio = "" if c.variance_over_bound is None else f"   variance/bound {c.variance_over_bound:.2f}"
-    bias = "" if c.bias_over_sigma is None else f"   bias {c.bias_over_sigma:+.3f} sigma"
-    nees = "" if c.nees is None else f"   NEES {c.nees:.2f} ({c.nees_expected:.2f})"
-    return f"  {c.name:<16}{c.tests:>8} tests   coverage {_with_error(c)} %{bias}{ratio}{nees}"

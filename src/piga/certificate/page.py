@@ -6,12 +6,14 @@ missing, :func:`certificate_html` issues nothing and lists all of them.
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from piga.certificate.certificate_file import CertificateFile, missing_items
 from piga.certificate.statements import TRACEABILITY, Conformity, decision_rule, statements, verdicts
+from piga.data import example_files
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.terms import meaning_of, shown_unit
@@ -81,6 +83,7 @@ def certificate_html(
     require_complete(data, calibration, before)
     return template("certificate.html.jinja").render(
         data=data,
+        draft=is_draft(data),
         css=resource("templates", "certificate.css"),
         number_css=_css_string(data.certificate.number),
         identity=_identity(data),
@@ -89,6 +92,13 @@ def certificate_html(
         statements=[one for one in statements(data, calibration) if one.ref_type != TRACEABILITY],
         record=_record(calibration, record_sha256),
     )
+
+
+def is_draft(data: CertificateFile) -> bool:
+    """Whether laboratory or customer are those of the shipped example: then it is no certificate."""
+    example = tomllib.loads(example_files()["certificate.toml"].decode())
+    names = (example[table]["name"] for table in ("laboratory", "customer"))
+    return any(one == own for one, own in zip(names, (data.laboratory.name, data.customer.name), strict=True))
 
 
 def _cautions(calibration: Calibration) -> tuple[str, list[str]]:

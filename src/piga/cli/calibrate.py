@@ -7,7 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import ForceOption, JsonOption, deliver, files_named_in, names_in, progress, write_json
+from piga.cli.common import (
+    ForceOption,
+    JsonOption,
+    MethodOption,
+    PhasesOption,
+    PhaseSourceOption,
+    TermsOption,
+    deliver,
+    files_named_in,
+    names_in,
+    progress,
+    write_json,
+)
 from piga.data import EXAMPLE, copy_example
 from piga.output import CALIBRATION_RESULTS
 
@@ -34,19 +46,10 @@ def calibrate(
             help="Folder for the results [default: RUN-calibration or joint-calibration].",
         ),
     ] = None,
-    terms: Annotated[
-        str | None,
-        typer.Option(metavar="A,B,...", help="Terms to estimate. They replace those of the run file."),
-    ] = None,
-    method: Annotated[
-        str | None, typer.Option(help="Estimator: information | rate | recursive | published | revolutions.")
-    ] = None,
-    phases: Annotated[
-        str | None, typer.Option("--phases", "--phase", help="Phases of the output zero: shared | per-segment.")
-    ] = None,
-    phase_source: Annotated[
-        str | None, typer.Option(help="Angle that turns the coupling: output | input.")
-    ] = None,
+    terms: TermsOption = None,
+    method: MethodOption = None,
+    phases: PhasesOption = None,
+    phase_source: PhaseSourceOption = None,
     per_run: Annotated[
         str | None, typer.Option(metavar="A,B,...", help="Terms with a value of their own in each run.")
     ] = None,

@@ -15,9 +15,9 @@ from piga.cli.common import (
     deliver,
     files_named_in,
     note,
-    print_json,
     progress,
     say,
+    tell,
     write_json,
 )
 
@@ -46,12 +46,8 @@ def plan(campaign: File, out: Out, as_json: JsonOption = False) -> None:
     from piga.campaign.shards import plan_campaign
 
     planned = plan_campaign(campaign, out)
-    document = _plan_document(planned)
-    if as_json:
-        print_json(document)
-        return
-    say("\n".join(_plan_lines(planned)))
-    say(f"wrote {out}/manifest.json; go on with: {_command('run', campaign, out)}")
+    wrote = f"wrote {out}/manifest.json; go on with: {_command('run', campaign, out)}"
+    tell(as_json, _plan_document(planned), (*_plan_lines(planned), wrote))
 
 
 @app.command()
@@ -84,10 +80,7 @@ def run(
     except KeyboardInterrupt:
         note(f"piga: stopped; the shards under way are dropped\n  remedy: go on with: {again}")
         raise SystemExit(INCOMPLETE) from None
-    if as_json:
-        print_json(_run_document(planned, report))
-    else:
-        say("\n".join(_run_lines(report)))
+    tell(as_json, _run_document(planned, report), _run_lines(report))
     if report.set_aside:
         for shard, text in sorted(report.set_aside.items()):
             note(f"piga: shard {shard} is not computed: {text}")
@@ -102,20 +95,11 @@ def status(folder: Folder, as_json: JsonOption = False) -> None:
     """Show the progress of a campaign and its core hours."""
     from piga.campaign.shards import open_campaign
 
-    campaign = open_campaign(folder)
-    document = _status(campaign)
-    if as_json:
-        print_json(document)
-        return
-    say(
-        f"{document['shards_done']} of {document['shards']} shards, "
-        f"{document['records_done']} of {document['records']} records, {document['failed']} failed"
-    )
-    if document["core_hours_per_1000"] is not None:
-        say(
-            f"cost: {document['core_hours']:.3g} core hours so far, "
-            f"{document['core_hours_per_1000']:.3g} per thousand records"
-        )
+    document = _status(open_campaign(folder))
+    done = "{shards_done} of {shards} shards, {records_done} of {records} records, {failed} failed"
+    cost = "cost: {core_hours:.3g} core hours so far, {core_hours_per_1000:.3g} per thousand records"
+    lines = (done, cost) if document["core_hours_per_1000"] is not None else (done,)
+    tell(as_json, document, (line.format(**document) for line in lines))
 
 
 @app.command()
@@ -127,8 +111,9 @@ def collect(folder: Folder, as_json: JsonOption = False) -> None:
     from piga.campaign.collect import collect as collect_campaign
     from piga.campaign.collect import document as json_document
     from piga.campaign.collect import write_table
-    from piga.campaign.page import collected_text, write_campaign_report
+    from piga.campaign.page import campaign_page
     from piga.campaign.shards import open_campaign
+    from piga.reports.render.page import page_text, write_page
 
     campaign = open_campaign(folder)
     names = ("collect.json", "coefficients.csv", "report.html")
@@ -139,8 +124,9 @@ def collect(folder: Folder, as_json: JsonOption = False) -> None:
         document = json_document(collected)
         write_json(to / names[0], document)
         write_table(collected, to / names[1])
-        write_campaign_report(collected, to / names[2])
-        to.tell(lambda: document, lambda: collected_text(collected))
+        page = campaign_page(collected)
+        write_page(page, to / names[2])
+        to.tell(lambda: document, lambda: page_text(page))
     if collected.missing:
         note(f"piga: {len(collected.missing)} of {collected.shards} shards are not computed yet")
         raise SystemExit(INCOMPLETE)

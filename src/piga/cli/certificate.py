@@ -92,12 +92,13 @@ def issue(
 ) -> None:
     """Write certificate.html (A4); with --dcc also certificate.xml.
 
-    Refuses if anything is missing. Also writes working-copy.html for the laboratory, with the cautions of the calibration.
+    Refuses if anything is missing, and a number that another certificate in DIR has; keep a list of numbers for other folders.
+    Also writes working-copy.html for the laboratory, with the cautions of the calibration.
     """
     import hashlib
 
     from piga.certificate.certificate_file import read_certificate_file
-    from piga.certificate.page import certificate_html, write_certificate
+    from piga.certificate.page import certificate_html, is_draft, write_certificate
     from piga.records.calibration.document import calibration_from_bytes
 
     if (key is None) != (certificate is None):
@@ -127,6 +128,8 @@ def issue(
         files = [f"{to.folder}/{name}" for name in names]
         document = {"number": file.certificate.number, "files": files, "cautions": cautions}
         to.tell(lambda: document, str)
+    if is_draft(file):
+        note("piga: DRAFT: laboratory or customer are those of the example; change them in --data")
     for words in [] if as_json else cautions:
         note(f"piga: caution: {words}")
 

@@ -13,9 +13,9 @@ from piga.cli.common import (
     RunFileArgument,
     deliver,
     files_named_in,
-    print_json,
     progress,
     say,
+    tell,
     write_by_rename,
 )
 from piga.errors import ArgumentError, PigaError
@@ -77,22 +77,19 @@ def check(
             prospects = term_prospects(record)
     with deliver(out, "check", ("check.html",), files_named_in(run), force=force, as_json=as_json) as to:
         if out is not None:
-            write_page(page(record), to / "check.html")
+            write_page(page(record, prospects), to / "check.html")
         lines = suggested_lines(run) if fix_suggestions and not as_json else []
         to.tell(
             lambda: check_document(record, prospects),
-            lambda: "\n".join([page_text(brief(record, str(run), prospects)), *lines]),
+            lambda: "\n".join([page_text(brief(record, prospects)), *lines]),
         )
 
 
 def _explain(key: str, as_json: bool) -> None:
-    from piga.cli.words import explain, key_documents, say_keys
+    from piga.cli.words import explain, key_documents, key_lines
 
     hits = explain(key)
-    if as_json:
-        print_json(key_documents(hits))
-    else:
-        say_keys(hits)
+    tell(as_json, key_documents(hits), key_lines(hits))
 
 
 def convert(

@@ -124,6 +124,15 @@ def note(text: str) -> None:
         sys.stderr.flush()
 
 
+def tell(as_json: bool, document: Any, lines: Iterable[str]) -> None:
+    """The ending of a command without files: one JSON document, or lines for people."""
+    if as_json:
+        print_json(document)
+        return
+    for line in lines:
+        say(line)
+
+
 def files_named_in(path: Path) -> list[Path]:
     """A TOML file and all files that it names, directly or indirectly. A command may read them and must not overwrite them."""
     from piga.records.text_files import files_named_in
@@ -299,6 +308,23 @@ DOING = "while "
 
 RunFileArgument = Annotated[Path, typer.Argument(metavar="RUN.toml", help="Run file of the recorded test.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+TermsOption = Annotated[
+    str | None, typer.Option("--terms", metavar="A,B,...", help="Terms to estimate, instead of the run file's.")
+]
+MethodOption = Annotated[
+    str | None,
+    typer.Option("--method", metavar="NAME", help="Estimator: information | rate | recursive | revolutions."),
+]
+PhasesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--phases", "--phase", metavar="NAME", help="Phases of the output zero: shared | per-segment."
+    ),
+]
+PhaseSourceOption = Annotated[
+    str | None,
+    typer.Option("--phase-source", metavar="NAME", help="Angle that turns the coupling: output | input."),
+]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace existing results.")]
 
 

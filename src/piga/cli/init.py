@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,9 +17,9 @@ from piga.cli.common import (
     counted,
     no_folder,
     note,
-    print_json,
     progress,
     say,
+    tell,
     write_by_rename,
     write_text,
 )
@@ -82,25 +84,23 @@ def init(
             tried = _tried(draft, target)
     text = draft.text()
     write_by_rename(target, lambda path: write_text(path, text))
-    if as_json:
-        print_json(_document(described, draft, target))
-        return
-    if not asking:
-        _print_columns(described)
-    say(f"wrote {target}")
-    for line in (line for lines in draft.comments.values() for line in lines if line.startswith("CHECK")):
-        say(line)
-    if tried is None:
-        _say_open(described, draft, target, settings or [], columns or [])
-    else:
-        _say_outcome(target, tried)
+    columns_shown = () if asking else _column_lines(described)
+    checks = (line for notes in draft.comments.values() for line in notes if line.startswith("CHECK"))
+    end = (
+        _open_lines(described, draft, target, settings or [], columns or [])
+        if tried is None
+        else _outcome_lines(target, tried)
+    )
+    lines = chain(columns_shown, [f"wrote {target}"], checks, end)
+    tell(as_json, _document(described, draft, target), lines)
 
 
 def _ask(described: LogDescription, given: dict[str, Any], target: Path) -> RunFileDraft:
     """Show the guesses, ask for what is missing and for corrections, until the user is content."""
     from piga.describe import draft_run_file, setting
 
-    _print_columns(described)
+    for line in _column_lines(described):
+        say(line)
     left: set[str] = set()
     while True:
         draft = draft_run_file(described, given, folder=target.parent)
@@ -144,13 +144,13 @@ def _answer(words: str) -> str:
     return line.strip()
 
 
-def _print_columns(described: LogDescription) -> None:
+def _column_lines(described: LogDescription) -> Iterator[str]:
     layout = described.layout
     if layout is not None:
-        say(f"{described.path}: {layout.encoding.value} text; names in row {layout.header_row.value}")
+        yield f"{described.path}: {layout.encoding.value} text; names in row {layout.header_row.value}"
     width = max((len(column.name) for column in described.columns), default=0)
     for column in described.columns:
-        say(f"  {column.name:<{width}}  {column.words}")
+        yield f"  {column.name:<{width}}  {column.words}"
 
 
 def _tried(draft: RunFileDraft, target: Path) -> Run | PigaError:
@@ -163,27 +163,27 @@ def _tried(draft: RunFileDraft, target: Path) -> Run | PigaError:
         return error
 
 
-def _say_open(
+def _open_lines(
     described: LogDescription, draft: RunFileDraft, target: Path, settings: list[str], columns: list[str]
-) -> None:
+) -> Iterator[str]:
     """What the log does not say, and the two ways to answer."""
-    say(f"{counted(len(draft.open), 'question')} open, since the log does not say it:")
+    yield f"{counted(len(draft.open), 'question')} open, since the log does not say it:"
     for one in (*draft.open, *draft.optional):
-        say(f"  {one.key}: {one.words}")
+        yield f"  {one.key}: {one.words}"
     unused = [one.name for one in described.columns if one.kind == "other" and one.name in described.numbers]
     if unused and any(one.key in ("data.output", "data.reference") for one in draft.open):
-        say(
+        yield (
             f"  Not understood: {', '.join(unused)}. Say what one holds: --column {shlex.quote(unused[0] + '=angle')}"
         )
     for line in draft.comments.get("data.", []):
-        say(f"  {line}")
-    say(f"Answer in {target} (lines marked OPEN), or run the command again:")
+        yield f"  {line}"
+    yield f"Answer in {target} (lines marked OPEN), or run the command again:"
     given = [f"--set {shlex.quote(text)}" for text in settings]
     given += [f"--column {shlex.quote(text)}" for text in columns]
     answers = " ".join(
         [*given, *(f"--set {one.key}='{one.example}'" for one in (*draft.open, *draft.optional))]
     )
-    say(f"  piga init {_typed(described.path)} --out {_typed(target)} --force {answers}")
+    yield f"  piga init {_typed(described.path)} --out {_typed(target)} --force {answers}"
 
 
 def _typed(path: Path) -> str:
@@ -192,22 +192,22 @@ def _typed(path: Path) -> str:
     return shlex.quote(f"./{text}" if text.startswith("-") else text)
 
 
-def _say_outcome(target: Path, tried: Run | PigaError) -> None:
+def _outcome_lines(target: Path, tried: Run | PigaError) -> Iterator[str]:
     from piga.cli.check import suggested_lines
 
     if isinstance(tried, PigaError):
-        say(f"The log cannot be read with it yet: {tried.message}")
-        say(f"  remedy: {tried.remedy}")
-        say("\n".join(suggested_lines(target)))
+        yield f"The log cannot be read with it yet: {tried.message}"
+        yield f"  remedy: {tried.remedy}"
+        yield from suggested_lines(target)
         return
     counts: dict[str, int] = {}
     for event in tried.quality.events:
         counts[event.kind] = counts.get(event.kind, 0) + event.count
     events = "".join(f"; {count} x {kind}" for kind, count in counts.items())
-    say(
+    yield (
         f"It reads {tried.size} of {tried.quality.rows} rows in {counted(len(tried.labels), 'segment')}{events}"
     )
-    say(f"Next: piga check {_typed(target)}; piga calibrate {_typed(target)}")
+    yield f"Next: piga check {_typed(target)}; piga calibrate {_typed(target)}"
 
 
 def _document(described: LogDescription, draft: RunFileDraft, target: Path) -> dict[str, Any]:

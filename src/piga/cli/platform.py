@@ -17,17 +17,13 @@ from piga.cli.common import (
     note,
     progress,
     write_json,
-    write_text,
 )
-from piga.units import ARCSEC
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from piga.platform.chain import ModelComparisonRun
-    from piga.platform.scenario import Model, PlatformScenario
+    from piga.platform.scenario import PlatformScenario
     from piga.platform.simulate import PlatformRun
-    from piga.results import Array
+    from piga.reports.render.page import Page
 
 app = App(
     "platform",
@@ -66,7 +62,6 @@ def simulate(
         run = _simulated(read)
         for table, name in zip((readouts_table(run.readouts), truth_table(run)), files, strict=False):
             _parquet(_thinned(table, every), to / name)
-        _page(to, simulation_page(run))
         rows, eta = len(run.readouts.times), run.truth.eta
         document = {
             "rows": rows,
@@ -74,7 +69,7 @@ def simulate(
             "redundancy_deg": [_degrees(eta[0]), _degrees(eta[-1])],
             "files": list(files),
         }
-        to.tell(lambda: document, lambda: f"{rows} rows")
+        _finish(to, simulation_page(run), document)
 
 
 @app.command()
@@ -107,9 +102,7 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
                 )
         document = aligned.document()
         write_json(to / "alignment.json", document)
-        _page(to, alignment_page(run, aligned))
-        worst = float(aligned.std[:3].max()) / ARCSEC
-        to.tell(lambda: document, lambda: f"triad attitude to {worst:.2g} arcsec")
+        _finish(to, alignment_page(run, aligned), document)
 
 
 @app.command()
@@ -122,7 +115,6 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
     from piga.platform.identify import identification_document, identify_growing, observability
     from piga.platform.scenario import load_scenario
     from piga.reports.platform.page import identification_page
-    from piga.reports.render.numbers import rounded
 
     with _results(out, "identify", scenario, force, json, "identification.json") as to:
         run = _simulated(load_scenario(scenario))
@@ -136,10 +128,7 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
             sources = observability(stretch, identification)
         document = identification_document(identification, sources)
         write_json(to / "identification.json", document)
-        _page(to, identification_page(run, growing, sources))
-        numbers = [(p, rounded(p.value, p.std)) for p in identification.parameters]
-        lines = [f"{p.name:<36}{n.value:>16} ± {n.uncertainty} {p.unit}" for p, n in numbers]
-        to.tell(lambda: document, lambda: "\n".join(lines))
+        _finish(to, identification_page(run, growing, sources), document, "parameters")
 
 
 @app.command()
@@ -163,14 +152,12 @@ def navigate(
         files = {name: f"navigation-{name}.parquet" for name in tables}
         for name, table in tables.items():
             _parquet(table, to / files[name])
-        _page(to, navigation_page(comparison))
         worst = {m: float(r.errors.horizontal.max()) for m, r in comparison.models.items()}
         document = {
             "models": {m: {"position_error_m": v, "file": files[m]} for m, v in worst.items()},
             "notes": list(comparison.preparation.notes),
         }
-        lines = [f"{m:<6}largest horizontal position error {v:.4g} m" for m, v in worst.items()]
-        to.tell(lambda: document, lambda: "\n".join(lines))
+        _finish(to, navigation_page(comparison), document)
 
 
 @app.command()
@@ -191,6 +178,8 @@ def compare(
 
     from piga.platform.chain import error_budget, line_budget, line_budget_document, standard_sources
     from piga.platform.scenario import load_scenario
+    from piga.reports.platform.page import comparison_page
+    from piga.reports.render.page import write_page
 
     with _results(out, "compare", scenario, force, json, "comparison.json", "capstone.html") as to:
         comparison = _compared(load_scenario(scenario))
@@ -205,16 +194,13 @@ def compare(
         if lines:
             document["line_budget"] = line_budget_document(lines)
         if out is not None:
-            from piga.reports.platform.page import comparison_page
-
             write_json(to / "comparison.json", document)
-            _page(to, comparison_page(comparison, rows, lines))
             if s.sensors.pigas is not None:
                 from piga.studies.capstone import capstone, capstone_page
 
                 with progress("capstone") as show:
-                    _page(to, capstone_page(capstone(s, progress=show)), "capstone.html")
-        to.tell(lambda: document, lambda: "\n".join(_comparison_lines(comparison)))
+                    write_page(capstone_page(capstone(s, progress=show)), to / "capstone.html")
+        _finish(to, comparison_page(comparison, rows, lines), document, "lines", "equatorial-lines", "notes")
 
 
 def _simulated(scenario: PlatformScenario) -> PlatformRun:
@@ -231,23 +217,6 @@ def _compared(scenario: PlatformScenario) -> ModelComparisonRun:
         return compare_models(scenario, progress=advance)
 
 
-def _comparison_lines(comparison: ModelComparisonRun) -> list[str]:
-    runs = comparison.models
-    lines = [_day_table({m: r.lines.amplitude for m, r in runs.items()}, "east velocity line [m/s]")]
-    equatorial = {m: r.lines.equatorial for m, r in runs.items() if r.lines.equatorial}
-    if equatorial:
-        lines.append(_day_table(equatorial, "east velocity line of the equatorial gyro's case [m/s]"))
-    return lines + [f"note: {text}" for text in comparison.preparation.notes]
-
-
-def _day_table(amplitudes: Mapping[Model, Mapping[str, Array]], heading: str) -> str:
-    columns = {m: named["east_velocity"] for m, named in amplitudes.items()}
-    rows = ["day   " + "".join(f"{m:>12}" for m in columns) + f"   {heading}"]
-    for k, values in enumerate(zip(*columns.values(), strict=True), start=1):
-        rows.append(f"{k:<6}" + "".join(f"{v:12.3e}" for v in values))
-    return "\n".join(rows)
-
-
 def _results(
     out: Path | None, command: str, scenario: Path, force: bool, as_json: bool, *names: str
 ) -> AbstractContextManager[Delivery]:
@@ -256,10 +225,13 @@ def _results(
     return deliver(out, f"platform-{command}", tuple(every), inputs, force=force, as_json=as_json)
 
 
-def _page(to: Delivery, page: Any, name: str = "report.html") -> None:
-    from piga.reports.render.page import page_html
+def _finish(to: Delivery, page: Page, document: dict[str, Any], *anchors: str) -> None:
+    """Write the page, and tell the result: as JSON, or the page's tiles and these sections as text."""
+    from piga.reports.render.page import page_text, write_page
 
-    write_text(to / name, page_html(page))
+    if to.folder is not None:
+        write_page(page, to / "report.html")
+    to.tell(lambda: document, lambda: page_text(page.only(*anchors)))
 
 
 def _parquet(table: Any, path: Path) -> None:

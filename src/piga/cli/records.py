@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,15 +12,19 @@ import typer
 from piga.cli.common import (
     App,
     JsonOption,
+    MethodOption,
+    PhasesOption,
+    PhaseSourceOption,
     RunFileArgument,
+    TermsOption,
     counted,
     counting,
     names_in,
     note,
-    print_json,
     print_json_list,
     progress,
     say,
+    tell,
 )
 from piga.errors import PigaError
 
@@ -37,82 +43,49 @@ def store_name(where: str) -> str:
     return postgresql_database(where).name if is_url(where) else where
 
 
-def say_head(records: int, head: str) -> None:
-    """Print the number of records and the head that proves them."""
-    say(f"{counted(records, 'record')}, head {head}")
+def head_line(records: int, head: str) -> str:
+    """Number of records, and the head that proves them."""
+    return f"{counted(records, 'record')}, head {head}"
 
 
 def record_document(record: Record) -> dict[str, Any]:
     """A record as JSON values: its place in this store, then its document."""
-    from msgspec import to_builtins
+    from piga.results import plain
 
     place = {"number": record.number, "head": record.head, "added": record.link.added}
-    taken_over = None if record.link.taken_over is None else to_builtins(record.link.taken_over)
-    return place | {"taken_over": taken_over, "record": to_builtins(record.document), "id": record.id}
+    of = {"taken_over": plain(record.link.taken_over), "record": plain(record.document), "id": record.id}
+    return place | of
 
 
-def print_added(store: Store, record: Record, *, as_json: bool) -> None:
-    """Print the stored record."""
-    if as_json:
-        print_json({"store": store.name, **record_document(record)})
-        return
-    say(f"kept record {record.id}, number {record.number}, instrument {record.document.serial}")
-    say(f"head {record.head}")
-
-
-def print_records(store: Store, where: str, serial: str | None, *, as_json: bool) -> None:
-    """Print all records, or those of one instrument: a line or a document for each."""
-    head = store.head()
-    if as_json:
-        print_json_list(
-            {"store": store_name(where), "head": head.sha256},
-            "records",
-            (record_document(record) for record in store.each(serial)),
-        )
-        return
-    old = store.superseded(serial)
-    for r in store.each(serial):
-        amended = "  superseded" if r.id in old else ""
-        say(
-            f"{r.number:5d}  {r.id}  {r.measured:%Y-%m-%d}  {r.document.serial}  {r.document.operator}{amended}"
-        )
-    say_head(head.number, head.sha256)
-
-
-def say_record(record: Record) -> None:
-    """Print operator, time, reason, software and files of a record."""
+def record_lines(record: Record) -> Iterator[str]:
+    """Operator, time, reason, software and files of a record."""
     document = record.document
-    say(f"record {record.id}, number {record.number}, head {record.head}")
-    facts = [
-        ("instrument", document.serial),
-        ("measured", document.measured or "not said"),
-        ("created", document.created),
-    ]
-    facts += [("operator", document.operator), ("reason", document.reason)]
-    facts += [("supersedes", document.supersedes)] if document.supersedes else []
-    facts += [
-        ("software", f"piga {document.software.get('piga', '?')}, {document.software.get('python', '?')}")
-    ]
-    for name, value in facts:
-        say(f"  {name:<11}{value}")
+    yield f"record {record.id}, number {record.number}, head {record.head}"
+    facts = {name: getattr(document, name) for name in ("serial", "measured", "created", "operator", "reason")}
+    facts = {"instrument": facts.pop("serial")} | facts
+    facts["measured"] = facts["measured"] or "not said"
+    facts |= {"supersedes": document.supersedes} if document.supersedes else {}
+    software = document.software
+    facts["software"] = f"piga {software.get('piga', '?')}, {software.get('python', '?')}"
     if record.link.taken_over is not None:
         who = record.link.taken_over
-        say(
-            f"  imported   by {who.operator}: {who.reason}; it was number {document.number} of store {document.store}"
-        )
+        was = f"it was number {document.number} of store {document.store}"
+        facts["imported"] = f"by {who.operator}: {who.reason}; {was}"
+    for name, value in facts.items():
+        yield f"  {name:<11}{value}"
     for file in document.files:
-        say(f"  {file.role:<12}{file.sha256[:16]}  {file.size:>10}  {file.name}")
+        yield f"  {file.role:<12}{file.sha256[:16]}  {file.size:>10}  {file.name}"
 
 
 def difference_document(difference: Difference) -> dict[str, Any]:
     """The difference of two records as JSON values."""
-    from msgspec import to_builtins
+    from piga.results import plain
 
     return {
         "first": difference.first.id,
         "second": difference.second.id,
-        "coefficients": [to_builtins(change) | {"ratio": change.ratio} for change in difference.coefficients],
-        "facts": {name: list(pair) for name, pair in difference.facts.items()},
+        "coefficients": [plain(change) | {"ratio": change.ratio} for change in difference.coefficients],
+        "facts": plain(difference.facts),
         "notes": _type_a_only(difference),
     }
 
@@ -124,78 +97,61 @@ def _type_a_only(difference: Difference) -> list[str]:
     return [f"{name}: {TYPE_A_ONLY}" for name in difference.type_a_only]
 
 
-def say_difference(difference: Difference) -> None:
-    """Print the difference of each coefficient with its uncertainty, then the other differences."""
+def difference_lines(difference: Difference) -> Iterator[str]:
+    """The difference of each coefficient with its uncertainty, then the other differences."""
     from piga.records.terms import shown_unit
     from piga.reports.render.numbers import rounded, signed
 
-    say(
-        f"{difference.first.id} -> {difference.second.id}: second less first, uncertainties taken as independent"
-    )
+    first, second = difference.first.id, difference.second.id
+    yield f"{first} -> {second}: second less first, uncertainties taken as independent"
     for c in difference.coefficients:
         if c.difference is None or c.ratio is None:
-            say(f"  {c.key:<14} only in {difference.first.id if c.second is None else difference.second.id}")
+            yield f"  {c.key:<14} only in {first if c.second is None else second}"
         else:
             scale, unit = shown_unit(c.key, c.unit)
             number = rounded(c.difference * scale, (c.std or 0.0) * scale)
             shown = f"{number.value} +- {number.uncertainty}"
-            say(f"  {c.key:<14} {shown:>24} {unit:<8} {signed(c.ratio, 2)} u")
-    for line in _type_a_only(difference):
-        say(f"  {line}")
-    for name, (old, new) in difference.facts.items():
-        say(f"  {name}: {old} -> {new}")
+            yield f"  {c.key:<14} {shown:>24} {unit:<8} {signed(c.ratio, 2)} u"
+    yield from (f"  {line}" for line in _type_a_only(difference))
+    yield from (f"  {name}: {old} -> {new}" for name, (old, new) in difference.facts.items())
 
 
-def print_verification(verification: Verification, *, as_json: bool) -> None:
-    """Print the result of a verification."""
-    if as_json:
-        document = {
-            "store": verification.name,
-            "sound": verification.sound,
-            "records": verification.records,
-            "files": verification.files,
-        }
-        print_json(
-            document
-            | {"head": verification.head, "known": verification.known, "problems": verification.problems}
-        )
-        return
-    if verification.sound:
-        say(
-            f"{verification.name}: sound: {verification.records} records and {verification.files} files are what they were"
-        )
-    for known, number in verification.known.items():
+def verification_lines(verification: Verification) -> Iterator[str]:
+    """The result of a verification; what is wrong goes to stderr."""
+    v = verification
+    if v.sound:
+        yield f"{v.name}: sound: {v.records} records and {v.files} files are what they were"
+    for known, number in v.known.items():
         if number is not None:
-            say(f"known head {known[:16]}... is that after record {number}")
-    for problem in verification.problems:
+            yield f"known head {known[:16]}... is that after record {number}"
+    for problem in v.problems:
         note(f"piga: {problem}")
-    if verification.head:
-        say_head(verification.records, verification.head)
+    if v.head:
+        yield head_line(v.records, v.head)
 
 
-def print_written(path: Path, records: int, head: str, *, as_json: bool) -> None:
-    """Print the file that was written and verified."""
-    if as_json:
-        print_json({"file": str(path), "records": records, "head": head})
-        return
-    say(f"wrote {path}, read back and found sound")
-    say_head(records, head)
+def tell_written(path: Path, records: int, head: str, *, as_json: bool) -> None:
+    """The file that was written and verified."""
+    lines = (f"wrote {path}, read back and found sound", head_line(records, head))
+    tell(as_json, {"file": str(path), "records": records, "head": head}, lines)
 
 
 def reproduced_document(reproduced: Reproduced) -> dict[str, Any]:
     """A recomputed record as JSON values."""
+    from piga.results import plain
+
     return {
         "id": reproduced.record.id,
         "verdict": reproduced.verdict,
         "same_platform": reproduced.same_platform,
-        "changed": {name: list(pair) for name, pair in reproduced.changed.items()},
+        "changed": plain(reproduced.changed),
         "worst": reproduced.comparison.worst,
         "differences": list(reproduced.comparison.differences),
     }
 
 
-def say_reproduced(reproduced: Reproduced) -> None:
-    """Print whether a recomputed record is the same, and the changes since."""
+def reproduced_line(reproduced: Reproduced) -> str:
+    """Whether a recomputed record is the same, and the changes since; differences go to stderr."""
     where = (
         "same software and platform" if reproduced.same_platform else f"then and now: {_changes(reproduced)}"
     )
@@ -204,20 +160,16 @@ def say_reproduced(reproduced: Reproduced) -> None:
         "within tolerance": f"within tolerance ({reproduced.comparison.worst:.1g} of what is allowed)",
         "different": "NOT the same",
     }
-    say(f"{reproduced.record.id}: {words[reproduced.verdict]}; {where}")
     if not reproduced.reproduced:
         for line in reproduced.comparison.differences or ("the numbers differ in their last digits",):
             note(f"piga: {reproduced.record.id}: {line}")
+    return f"{reproduced.record.id}: {words[reproduced.verdict]}; {where}"
 
 
 def _changes(reproduced: Reproduced) -> str:
-    changed = {
-        name: pair
-        for name, pair in reproduced.changed.items()
-        if pair[0] is not None and name != "source_sha256"
-    }
-    words = [f"{name} {then} -> {now}" for name, (then, now) in changed.items()]
-    words += ["other numeric source"] if reproduced.changed.get("source_sha256", (None, None))[0] else []
+    changed = {name: pair for name, pair in reproduced.changed.items() if pair[0] is not None}
+    words = [f"{name} {then} -> {now}" for name, (then, now) in changed.items() if name != "source_sha256"]
+    words += ["other numeric source"] if "source_sha256" in changed else []
     return "; ".join(words) or "the software of then was not recorded in full"
 
 
@@ -266,10 +218,10 @@ def add(
             "--supersedes", metavar="RECORD", help="Name or number of the record that this one corrects."
         ),
     ] = None,
-    terms: Annotated[str | None, typer.Option(metavar="A,B,...", help="As for piga calibrate.")] = None,
-    method: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
-    phases: Annotated[str | None, typer.Option("--phases", "--phase", help="As for piga calibrate.")] = None,
-    phase_source: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
+    terms: TermsOption = None,
+    method: MethodOption = None,
+    phases: PhasesOption = None,
+    phase_source: PhaseSourceOption = None,
     report: Annotated[bool, typer.Option(help="Write and keep report.html.")] = True,
     as_json: JsonOption = False,
 ) -> None:
@@ -294,7 +246,12 @@ def add(
                 measured=measured, supersedes=supersedes, report=report,
             )  # fmt: skip
     with opened(store, create=True) as kept:
-        print_added(kept, prepared.keep(kept), as_json=as_json)
+        record = prepared.keep(kept)
+        lines = (
+            f"kept record {record.id}, number {record.number}, instrument {record.document.serial}",
+            f"head {record.head}",
+        )
+        tell(as_json, {"store": kept.name, **record_document(record)}, lines)
 
 
 def _superseded(where: str, record: str, run: Path) -> str:
@@ -337,7 +294,17 @@ def list_records(
 ) -> None:
     """List the records."""
     with opened(store) as kept:
-        print_records(kept, store, serial, as_json=as_json)
+        head = kept.head()
+        if as_json:
+            documents = map(record_document, kept.each(serial))
+            print_json_list({"store": store_name(store), "head": head.sha256}, "records", documents)
+            return
+        old = kept.superseded(serial)
+        for r in kept.each(serial):
+            amended = "  superseded" if r.id in old else ""
+            who = f"{r.document.serial}  {r.document.operator}{amended}"
+            say(f"{r.number:5d}  {r.id}  {r.measured:%Y-%m-%d}  {who}")
+        say(head_line(head.number, head.sha256))
 
 
 @app.command()
@@ -360,24 +327,12 @@ def show(
         calibration = kept.calibration(shown.id) if shown.file("calibration") else None
         if extract is not None:
             kept.extract(shown.id, _made(extract))
-    if as_json:
-        result = None if calibration is None else to_document(calibration)
-        print_json(
-            {
-                "store": store_name(store),
-                "head": head.sha256,
-                **record_document(shown),
-                "calibration": result,
-            }
-        )
-        return
-    say_record(shown)
-    if calibration is not None:
-        say("")
-        say(calibration.summary())
-    if extract is not None:
-        say(f"wrote {len(shown.document.files)} files to {extract}")
-    say_head(head.number, head.sha256)
+    result = None if calibration is None else to_document(calibration)
+    place = {"store": store_name(store), "head": head.sha256}
+    lines = [*record_lines(shown), *(["", calibration.summary()] if calibration else [])]
+    lines += [] if extract is None else [f"wrote {len(shown.document.files)} files to {extract}"]
+    lines.append(head_line(head.number, head.sha256))
+    tell(as_json, place | record_document(shown) | {"calibration": result}, lines)
 
 
 def _made(folder: Path) -> Path:
@@ -403,11 +358,8 @@ def diff(
 
     with opened(store) as kept:
         changes, head = difference(kept, first, second), kept.head()
-    if as_json:
-        print_json({"store": store_name(store), "head": head.sha256, **difference_document(changes)})
-        return
-    say_difference(changes)
-    say_head(head.number, head.sha256)
+    document = {"store": store_name(store), "head": head.sha256} | difference_document(changes)
+    tell(as_json, document, (*difference_lines(changes), head_line(head.number, head.sha256)))
 
 
 @app.command()
@@ -437,7 +389,9 @@ def verify(
         raise PigaError("nothing to verify", remedy="name an export, or give --store")
     with progress("verifying") as show:
         verification = check(where, head or (), counting(show))
-    print_verification(verification, as_json=as_json)
+    names = ("sound", "records", "files", "head", "known", "problems")
+    document = {"store": verification.name} | {name: getattr(verification, name) for name in names}
+    tell(as_json, document, verification_lines(verification))
     if not verification.sound:
         raise typer.Exit(2)
 
@@ -459,7 +413,7 @@ def export(
 
     with opened(store) as kept, progress("exporting") as show:
         exported = export_records(kept, out, record, advance=counting(show))
-    print_written(out, exported.records, exported.head, as_json=as_json)
+    tell_written(out, exported.records, exported.head, as_json=as_json)
 
 
 @app.command("import")
@@ -479,11 +433,9 @@ def import_export(
     with opened(store, create=True) as kept, progress("importing"):
         added = import_records(kept, archive, operator, reason)
         head = kept.head()
-    if as_json:
-        print_json({"store": store_name(store), "added": added, "records": head.number, "head": head.sha256})
-        return
-    say(f"imported {len(added)} records from {archive}")
-    say_head(head.number, head.sha256)
+    document = {"store": store_name(store), "added": added, "records": head.number, "head": head.sha256}
+    lines = (f"imported {len(added)} records from {archive}", head_line(head.number, head.sha256))
+    tell(as_json, document, lines)
 
 
 @app.command()
@@ -508,13 +460,11 @@ def reproduce(
                 show(number, len(names), name)
                 results_by_record.append(recompute(kept, name))
         head = kept.head()
-    if as_json:
-        results = [reproduced_document(one) for one in results_by_record]
-        print_json({"store": store_name(store), "head": head.sha256, "records": results})
-    else:
-        for one in results_by_record:
-            say_reproduced(one)
-        say_head(head.number, head.sha256)
+    documents = [reproduced_document(one) for one in results_by_record]
+    document = {"store": store_name(store), "head": head.sha256, "records": documents}
+    tell(
+        as_json, document, chain(map(reproduced_line, results_by_record), [head_line(head.number, head.sha256)])
+    )
     if not all(one.reproduced for one in results_by_record):
         raise typer.Exit(2)
 
@@ -533,7 +483,7 @@ def backup(
 
     with opened(store) as kept, progress("copying") as show:
         copied = copy(kept, out, advance=counting(show))
-    print_written(out, copied.records, copied.head, as_json=as_json)
+    tell_written(out, copied.records, copied.head, as_json=as_json)
 
 
 @app.command()
@@ -551,4 +501,4 @@ def restore(
 
     with progress("restoring"):
         restored = make(source, store)
-    print_written(Path(store_name(store)), restored.records, restored.head, as_json=as_json)
+    tell_written(Path(store_name(store)), restored.records, restored.head, as_json=as_json)

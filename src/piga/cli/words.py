@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from piga.cli.common import ForceOption, JsonOption, deliver, print_json, say
+from piga.cli.common import ForceOption, JsonOption, deliver, say, tell
 from piga.data import example_files
 from piga.errors import ArgumentError
 
@@ -43,8 +44,8 @@ def explain(key: str) -> list[KeyPlace]:
     return hits
 
 
-def say_keys(hits: list[KeyPlace]) -> None:
-    """Print what keys mean. Places with the same meaning are named together."""
+def key_lines(hits: list[KeyPlace]) -> Iterator[str]:
+    """What keys mean. Places with the same meaning are named together."""
     from piga.describe.draft import FILES
 
     groups: dict[tuple[str, str, str, str], list[KeyPlace]] = {}
@@ -54,15 +55,13 @@ def say_keys(hits: list[KeyPlace]) -> None:
         )
     for (sentence, example, kind, default), group in groups.items():
         names = dict.fromkeys(f"{place.path} ({FILES[place.file][0]})" for place in group)
-        say("; ".join(list(names)[:4]) + (f"; and {len(names) - 4} more" if len(names) > 4 else ""))
-        say(f"  {sentence}")
+        yield "; ".join(list(names)[:4]) + (f"; and {len(names) - 4} more" if len(names) > 4 else "")
+        yield f"  {sentence}"
         unit = group[0].words.unit
-        say(
-            f"  value    {kind}"
-            + (f", e.g. in {unit}" if unit not in ("", "1", "own", "as the value", "row", "rows") else "")
-        )
-        say(f"  default  {default}")
-        say(f"  example  {group[0].path.rpartition('.')[2]} = {example}")
+        plain = unit in ("", "1", "own", "as the value", "row", "rows")
+        yield f"  value    {kind}" + ("" if plain else f", e.g. in {unit}")
+        yield f"  default  {default}"
+        yield f"  example  {group[0].path.rpartition('.')[2]} = {example}"
 
 
 def key_documents(hits: list[KeyPlace]) -> list[dict[str, str]]:
@@ -99,32 +98,27 @@ def terms(
     except KeyError:
         raise ArgumentError(f"'{name}' is not a term", remedy=known_terms(str(name))) from None
     units = {one: "g" if one in ("sn", "cn") else unit_of(one) for one in chosen}
-    if as_json:
-        keys = ("formula", "meaning", "shown_by", "known")
-        rows = [
-            {"name": one, "unit": units[one]} | {key: getattr(w, key) for key in keys}
-            for one, w in chosen.items()
-        ]
-        print_json(rows)
-        return
-    for one, w in chosen.items():
-        say(f"{one}  [{units[one]}]  {w.meaning}")
-        say(f"  adds     {w.formula}")
-        say(f"  shown by {w.shown_by}")
-        if w.known:
-            say(f"  e.g.     {w.known}")
+    keys = ("formula", "meaning", "shown_by", "known")
+    rows = [
+        {"name": one, "unit": units[one]} | {key: getattr(w, key) for key in keys} for one, w in chosen.items()
+    ]
+    tell(as_json, rows, (line for row in rows for line in _term_lines(**row)))
+
+
+def _term_lines(name: str, unit: str, formula: str, meaning: str, shown_by: str, known: str) -> Iterator[str]:
+    yield f"{name}  [{unit}]  {meaning}"
+    yield f"  adds     {formula}"
+    yield f"  shown by {shown_by}"
+    if known:
+        yield f"  e.g.     {known}"
 
 
 def methods(as_json: JsonOption = False) -> None:
     """List the methods of a calibration, and when to take which."""
     from piga.records.run_file import METHOD_WORDS
 
-    if as_json:
-        print_json([{"name": name, "meaning": what, "use": use} for name, (what, use) in METHOD_WORDS.items()])
-        return
-    for name, (what, use) in METHOD_WORDS.items():
-        say(f"{name}: {what}")
-        say(f"  use it   {use}")
+    rows = [{"name": name, "meaning": what, "use": use} for name, (what, use) in METHOD_WORDS.items()]
+    tell(as_json, rows, ("{name}: {meaning}\n  use it   {use}".format(**row) for row in rows))
 
 
 def examples(

@@ -14,7 +14,7 @@ from piga.calibration import TermProspect
 from piga.calibration.model.request import lost_phase
 from piga.records.arrays import changes, norms
 from piga.records.run import Run
-from piga.reports.render.envelope import POINTS, envelope_rows
+from piga.reports.render.envelope import POINTS
 from piga.reports.render.figure import XYZ, Figure, Plot
 from piga.reports.render.numbers import count
 from piga.reports.render.page import (
@@ -25,7 +25,6 @@ from piga.reports.render.page import (
     Table,
     TableOf,
     Tile,
-    named_values,
     origin,
 )
 from piga.results import Array
@@ -46,7 +45,7 @@ def record_figure(run: Run) -> Figure:
     plot = Plot("record", "The record as it would be calibrated.", height=2.1)
     plot.panel(time, "log interval [s]", "Time base").line(*_curve(run, changes(run.t)), "inside a stretch")
     breaks = np.flatnonzero(run.begins)[1:]
-    breaks = breaks[run.t[breaks] != run.t[breaks - 1]][:POINTS]
+    breaks = breaks[run.t[breaks] != run.t[breaks - 1]]
     if breaks.size:
         gap = np.abs(run.t[breaks] - run.t[breaks - 1])
         plot.points(run.t[breaks] - run.t[0], gap, "across a break", "warning")
@@ -67,7 +66,7 @@ def record_figure(run: Run) -> Figure:
 def _draw_positions(plot: Plot, run: Run, values: Array) -> None:
     """An area for each position over the height of the values, and its name at its middle; not for a record of one."""
     edges = run.segment_edges()
-    if not 3 <= edges.size <= POINTS:
+    if not 3 <= edges.size <= POINTS // 4:
         return
     low, high = float(values.min()), float(values.max())
     begin, end = run.t[edges[:-1]] - run.t[0], run.t[edges[1:] - 1] - run.t[0]
@@ -78,22 +77,23 @@ def _draw_positions(plot: Plot, run: Run, values: Array) -> None:
 
 
 def _curve(run: Run, values: Array) -> tuple[Array, Array]:
-    """A quantity against time, broken where a stretch begins; of a long record its envelope."""
-    curve = np.where(run.begins, np.nan, values)
-    rows = envelope_rows(curve)
-    return run.t[rows] - run.t[0], curve[rows]
+    """A quantity against time, broken where a stretch begins."""
+    return run.t - run.t[0], np.where(run.begins, np.nan, values)
 
 
-def page(run: Run) -> Page:
-    """The page of ``piga check --out``."""
-    quality = run.quality
+def page(run: Run, prospects: Sequence[TermProspect] = ()) -> Page:
+    """What is in a record; ``prospects`` say what it determines."""
+    quality, size = run.quality, norms(run.f) / G0
     share = 100.0 * quality.used / max(quality.rows, 1)
     used = f"of {count(quality.rows)} ({share:.6g} %)"
+    kept = "kept through the whole record" if phase_kept(run) else "lost between segments"
     tiles = (
         Tile("Rows used", count(quality.used), "", used, "good" if share > 99 else "doubtful"),
-        Tile("Findings", f"{len(quality.events)}", "", "kinds", "good" if not quality.events else "doubtful"),
-        Tile("Segments", f"{len(run.labels)}", "", calibration_words(run), ""),
-        Tile("Recorded", f"{run.duration:.6g}", "s", f"{int(run.begins.sum())} stretches", ""),
+        Tile("Findings", f"{len(quality.events)}", "kinds", "", "good" if not quality.events else "doubtful"),
+        Tile("Recorded", f"{run.duration:.6g}", "s", f"{int(run.begins.sum())} stretches, {rate(run):.6g} Hz"),
+        Tile("Segments", f"{len(run.labels)}", "", "" if run.direct else f"phase {kept}"),
+        Tile("Reference", f"{size.min():.6g} to {size.max():.6g}", "g", "specific force |f|"),
+        Tile("Calibration", run.estimation.method, "", calibration_words(run)),
     )
     table = (
         TableOf(quality.events)
@@ -101,60 +101,41 @@ def page(run: Run) -> Page:
         .number("count", lambda event: count(event.count))
         .number("first row", lambda event: "" if event.first_row is None else count(event.first_row))
         .text("what is done", lambda event: event.detail)
-        .table("All findings")
+        .table()
     )
     findings = table if quality.events else Notice("good", "Nothing was found.")
+    terms = (Section("Terms", "terms", (prospects_table(prospects),)),) if prospects else ()
+    drawn = FigureBlock(partial(record_figure, run))
     return Page(
         f"Record of {run.serial}",
         Path(run.source).name,
         tiles,
         (
             Section("Findings", "findings", (findings,)),
-            Section("The record", "picture", (FigureBlock(record_figure(run)),)),
+            *terms,
+            Section("The record", "picture", (drawn,)),
             origin(run.input_sha256),
         ),
         kicker="piga check",
     )
 
 
-def brief(run: Run, name: str = "", prospects: Sequence[TermProspect] = ()) -> Page:
-    """What is in a record, for the terminal. ``name`` is the run file; ``prospects`` say what the record determines."""
-    document, phase = check_document(run), "lost between segments"
-    if document["phase_kept"]:
-        phase = "kept through the whole record"
-    low, high = document["force_g"]
-    rows = [
-        (
-            "segments",
-            f"{len(run.labels)}, {document['duration_s']:.6g} s recorded, {document['rate_hz']:.6g} Hz",
-        ),
-        ("reference", f"|f| {low:.6g} to {high:.6g} g"),
-        *(() if run.direct else (("phase", phase),)),
-        ("calibrate", document["calibration"]),
-    ]
-    for event in run.quality.events:
-        row = "" if event.first_row is None else f", first at row {event.first_row}"
-        detail = f": {event.detail}" if event.detail else ""
-        rows.append(("found", f"{event.count} x {event.kind}{row}{detail}"))
-    if not run.quality.events:
-        rows.append(("findings", "none"))
-    sections = [Section("", "record", (named_values("", "", rows),))]
-    if prospects:
-        sections.append(Section("", "terms", (prospects_table(prospects),)))
-    title = f"{name or 'record'}: instrument {run.serial}, {run.size} of {run.quality.rows} rows used"
-    return Page(title, sections=tuple(sections))
+def brief(run: Run, prospects: Sequence[TermProspect] = ()) -> Page:
+    """What is in a record, for terminal and notebook."""
+    return page(run, prospects).only("findings", "terms", "picture")
 
 
 def prospects_table(prospects: Sequence[TermProspect]) -> Table:
     """Which terms the record determines."""
-    return (
+    table = (
         TableOf(prospects)
-        .text("asked", lambda prospect: "asked" if prospect.asked else "")
         .text("term", lambda prospect: prospect.term)
+        .text("asked", lambda prospect: "asked" if prospect.asked else "")
         .text("what the record says", lambda prospect: prospect.words())
-        .text("remedy", lambda prospect: prospect.remedy if prospect.asked else "")
-        .table()
     )
+    if any(prospect.asked and prospect.remedy for prospect in prospects):
+        table.text("remedy", lambda prospect: prospect.remedy if prospect.asked else "")
+    return table.table()
 
 
 def check_document(record: Run, prospects: Sequence[TermProspect] = ()) -> dict[str, Any]:
@@ -165,21 +146,31 @@ def check_document(record: Run, prospects: Sequence[TermProspect] = ()) -> dict[
         "quality": msgspec.to_builtins(record.quality),
         "segments": list(record.labels),
         "duration_s": record.duration,
-        "rate_hz": 1.0 / step if (step := record.median_step) > 0.0 else 0.0,
+        "rate_hz": rate(record),
         "force_g": [float(size.min()) / G0, float(size.max()) / G0],
-        "phase_kept": len(set(record.phase_group)) == 1,
-        "calibration": calibration_words(record),
+        "phase_kept": phase_kept(record),
+        "calibration": f"{record.estimation.method}, {calibration_words(record)}",
         "calibration_possible": calibration_possible(record),
         "input_sha256": record.input_sha256,
         **({"terms": [prospect.document() for prospect in prospects]} if prospects else {}),
     }
 
 
+def rate(run: Run) -> float:
+    """Usual rate of the samples [Hz]; 0 if there is none."""
+    return 1.0 / step if (step := run.median_step) > 0.0 else 0.0
+
+
+def phase_kept(run: Run) -> bool:
+    """Whether the phase of the output is one through the whole record."""
+    return len(set(run.phase_group)) == 1
+
+
 def calibration_words(run: Run) -> str:
     """Description of a calibration with this run file."""
     possible = "" if calibration_possible(run) else " (not possible: the phase was lost)"
     phases = "" if run.direct else f", phases {run.model.phases}"
-    return f"{run.estimation.method}, {len(run.model.terms)} terms{phases}{possible}"
+    return f"{len(run.model.terms)} terms{phases}{possible}"
 
 
 def calibration_possible(run: Run) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -76,7 +75,7 @@ def page(cal: SetCalibration) -> Page:
         .number("end", lambda one: f"{one.end:.6g}", "s")
         .number("samples", lambda one: str(one.samples))
         .number("|f| − g", lambda one: short(one.residual / MICRO_G), "µg")
-        .table("Static spells")
+        .table()
     )
     return Page(
         f"Set {cal.serial}",
@@ -91,8 +90,9 @@ def page(cal: SetCalibration) -> Page:
             Tile("Residual", short(cal.residual_rms / MICRO_G), "µg", "root mean square by degrees of freedom"),
         ),
         (
-            Section("Terms", "terms", (Text(_words(cal), lead=True), terms_table(cal), *notices)),
-            Section("Residuals", "of-spells", (FigureBlock(residual_figure(cal)), spells)),
+            Section("Terms", "terms", (Text(_words(cal)), terms_table(cal), *notices)),
+            Section("Residuals", "of-spells", (FigureBlock(partial(residual_figure, cal)),)),
+            Section("Static spells", "spells", (spells,)),
             origin(cal.input_sha256),
         ),
         kicker="piga calibrate",
@@ -101,10 +101,7 @@ def page(cal: SetCalibration) -> Page:
 
 def brief(cal: SetCalibration) -> Page:
     """Terms and remarks for terminal and notebook."""
-    whole = page(cal)
-    return replace(
-        whole, sections=(*whole.sections[:1], Section("", "of-spells", whole.sections[1].blocks[:1]))
-    )
+    return page(cal).only("terms", "of-spells")
 
 
 def set_document(cal: SetCalibration) -> dict[str, Any]:

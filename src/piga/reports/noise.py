@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -159,16 +158,16 @@ def page(noise: NoiseAnalysis) -> Page:
         lead=True,
     )
     notices = [Notice("warning", remark) for remark in remarks(noise)]
-    shown = FigureBlock(deviations_figure(noise)), deviations_table(noise)
+    drawn = FigureBlock(partial(deviations_figure, noise))
     stretches = "one stretch" if noise.stretches == 1 else f"{noise.stretches} stretches"
     return Page(
         f"Noise of {noise.source}",
         f"{count(noise.samples)} samples at {1.0 / noise.step:.6g} Hz, {noise.duration:.6g} s in {stretches}.",
         _tiles(noise),
         (
-            Section("Levels", "levels", (lead, levels_table(noise), *notices)),
-            Section("Deviations", "all-deviations", shown),
-            Section("Spectrum", "the-spectrum", (FigureBlock(spectrum_figure(noise)),)),
+            Section("Levels", "levels", (lead, levels_table(noise), *notices, drawn)),
+            Section("Deviations", "all-deviations", (deviations_table(noise),)),
+            Section("Spectrum", "the-spectrum", (FigureBlock(partial(spectrum_figure, noise)),)),
             origin(noise.input_sha256),
         ),
         kicker="piga noise",
@@ -190,10 +189,7 @@ def _tiles(noise: NoiseAnalysis) -> tuple[Tile, ...]:
 
 def brief(noise: NoiseAnalysis) -> Page:
     """Levels and remarks for terminal and notebook, and the figure of the deviations."""
-    whole = page(noise)
-    levels, deviations = whole.sections[:2]
-    blocks = (*levels.blocks[1:], *deviations.blocks[:1])
-    return replace(whole, tiles=whole.tiles[:1], sections=(replace(levels, title="", blocks=blocks),))
+    return page(noise).only("levels")
 
 
 def noise_document(noise: NoiseAnalysis) -> dict[str, Any]:

@@ -14,7 +14,6 @@ from piga.planning.candidates import Candidate, Prediction
 from piga.planning.mounting import Mounting
 from piga.planning.plan import Plan
 from piga.records.terms import meaning_of, shown_unit, unit_of
-from piga.reports.render.envelope import envelope_rows
 from piga.reports.render.figure import Axis, Figure, Plot, Role, named_axis
 from piga.reports.render.numbers import pretty_unit, printed, short, signed, significant
 from piga.reports.render.page import (
@@ -35,7 +34,6 @@ from piga.units import G0
 
 Array = NDArray[np.float64]
 
-POINTS = 1500
 SHOWN = 1e4
 """Largest margin that is drawn. Larger margins are drawn at this value."""
 
@@ -156,9 +154,7 @@ def mounting_figure(mounting: Mounting) -> Figure:
         (f"skew {math.degrees(mounting.skew):.3g} deg", mounting.margin_history, "after"),
     )
     for name, history, role in names:
-        values = np.clip(history, 1e-2, SHOWN)
-        rows = envelope_rows(np.log(values), POINTS)
-        plot.line(mounting.t[rows], values[rows], name, role)
+        plot.line(mounting.t, np.clip(history, 1e-2, SHOWN), name, role)
     plot.level(mounting.t, mounting.limit, "wanted margin", "warning")
     return plot.caption(
         "The instrument measures where the margin is above 1. Values beyond 0.01 and 10 000 are drawn there."
@@ -176,15 +172,15 @@ _CRITERIA = {
 def page(plan: Plan, mounting: Mounting | None = None) -> Page:
     """The page of a planned test; ``mounting`` adds how to mount the instrument."""
     lead = Text(f"Least is {_CRITERIA[plan.request.settings.criterion]}.", lead=True)
-    places, spread = FigureBlock(dwell_figure(plan)), FigureBlock(uncertainty_figure(plan))
+    places, spread = FigureBlock(partial(dwell_figure, plan)), FigureBlock(partial(uncertainty_figure, plan))
     sections = [
         Section("The test", "the-test", (lead, places, visit_table(plan))),
         Section("What it will give", "what-it-gives", (uncertainty_table(plan), spread)),
-        Section("Time", "time", (*_cheapest_blocks(plan), FigureBlock(duration_figure(plan)))),
-        Section("Lock zone", "lock-zone", (FigureBlock(lock_figure(plan)), *_excluded_blocks(plan))),
+        Section("Time", "time", (*_cheapest_blocks(plan), FigureBlock(partial(duration_figure, plan)))),
+        Section("Lock zone", "lock-zone", (FigureBlock(partial(lock_figure, plan)), *_excluded_blocks(plan))),
     ]
     if mounting is not None:
-        blocks = (_mounting_notice(mounting), FigureBlock(mounting_figure(mounting)))
+        blocks = (_mounting_notice(mounting), FigureBlock(partial(mounting_figure, mounting)))
         sections.append(Section("Mounting", "mounting", blocks))
     return Page(
         title=f"Planned test of {plan.request.table.instrument.serial}",
@@ -322,28 +318,4 @@ def mounting_text(mounting: Mounting) -> str:
 
 def brief(plan: Plan, mounting: Mounting | None = None) -> Page:
     """The plan for terminal and notebook."""
-    facts = [
-        (
-            "efficiency",
-            f"{100.0 * plan.efficiency:.1f} % of the bound; {len(plan.excluded)} candidates left out",
-        ),
-        *((f"left out {item.candidate.label}", item.reason) for item in plan.excluded),
-    ]
-    if plan.cheapest is not None:
-        cheapest = plan.cheapest
-        shortest = (
-            "" if cheapest.plan is None else f"{cheapest.plan.duration:.6g} s (bound {cheapest.bound:.6g} s)"
-        )
-        facts.append(("wanted uncertainties", shortest or cheapest.refusal))
-    if mounting is not None:
-        facts.append(("mounting", mounting_text(mounting)))
-    best = plan.best
-    return Page(
-        f"Planned test of {plan.request.table.instrument.serial}: {len(best.visits)} visits, {best.recorded:.6g} s recorded "
-        f"in {best.duration:.6g} s",
-        sections=(
-            Section("", "visits", (visit_table(plan),)),
-            Section("", "uncertainty", (uncertainty_table(plan),)),
-            Section("", "facts", (named_values("", "", facts), FigureBlock(dwell_figure(plan)))),
-        ),
-    )
+    return page(plan, mounting)

@@ -16,7 +16,6 @@ from piga.instrument.twin.linear import analyse_loop, loop_poles, open_loop, ste
 from piga.instrument.twin.parameters import TwinParameters
 from piga.instrument.twin.run import TwinMotion
 from piga.records.terms import integral_unit, shown_unit
-from piga.reports.render.envelope import thin
 from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, printed, short, significant
 from piga.reports.render.page import (
@@ -29,7 +28,6 @@ from piga.reports.render.page import (
     TableOf,
     Text,
     Tile,
-    named_values,
 )
 from piga.stand.simulate import SimulatedTest
 from piga.stand.write_run import TrueValue, coefficients, imperfection_values, predictions
@@ -127,7 +125,7 @@ def _time(test: SimulatedTest) -> tuple[Array, str]:
 
 def _components(plot: Plot, t: Array, values: Array) -> Plot:
     for k, role in enumerate(XYZ):
-        plot.line(*thin(t, values[:, k]), f"{role.upper()}0", role)
+        plot.line(t, values[:, k], f"{role.upper()}0", role)
     return plot
 
 
@@ -168,9 +166,9 @@ def output_figure(test: SimulatedTest) -> Figure:
     recorded = np.where(p.recorded, error / MICRO_G, np.nan)
     plot = Plot("output", "The output", height=4.6)
     plot.panel(time, f"{words} [{unit}]", words.capitalize())
-    plot.line(*thin(t, test.alpha / scale), words)
+    plot.line(t, test.alpha / scale, words)
     plot.panel(time, "rate/K less a_x [µg]", "Error of the uncoupled model")
-    plot.line(*thin(t, recorded), "indicated less true", "model")
+    plot.line(t, recorded, "indicated less true", "model")
     return plot.caption(
         f"{'The count' if test.specimen.direct else 'Revolutions of the outer gimbal'}, and what calibration has to explain: the "
         "rate over K less the true specific force along the input axis (recorded segments; base rate and all errors "
@@ -183,9 +181,9 @@ def servo_figure(test: SimulatedTest, motion: TwinMotion) -> Figure:
     t, time = _time(test)
     tilt = (motion.beta - test.specimen.design.pick_off_null) / ARCSEC
     plot = Plot("servo", "The servo", height=4.6)
-    plot.panel(time, "tilt from null [arcsec]", "Tilt").line(*thin(t, tilt), "tilt")
+    plot.panel(time, "tilt from null [arcsec]", "Tilt").line(t, tilt, "tilt")
     plot.panel(time, "motor torque [mNm]", "Torque motor")
-    plot.line(*thin(t, 1e3 * motion.torque), "torque", "model")
+    plot.line(t, 1e3 * motion.torque, "torque", "model")
     changes = motion.lock_changes()
     lost = f" Lock is lost {sum(c == 'lost' for _, c in changes)} times." if changes else ""
     return plot.caption(
@@ -287,6 +285,8 @@ def _tiles(test: SimulatedTest) -> tuple[Tile, ...]:
     tiles += [] if direct else [Tile("Net turn of the gimbal", short(float(turns)), "rev")]
     if test.motion is not None:
         analysis = analyse_loop(test.specimen.design)
+        lost = sum(word == "lost" for _, word in test.motion.lock_changes())
+        tiles.append(Tile("Lock", f"lost {lost} times" if lost else "kept", tone="bad" if lost else ""))
         tiles.append(Tile("Nutation", short(analysis.nutation / (2.0 * math.pi)), "Hz"))
         tiles.append(
             Tile(
@@ -304,7 +304,7 @@ def _tiles(test: SimulatedTest) -> tuple[Tile, ...]:
 
 
 def _blocks(drawn: Drawn, *names: str) -> tuple[Block, ...]:
-    return tuple(FigureBlock(drawn[name]()) for name in names if name in drawn)
+    return tuple(FigureBlock(drawn[name]) for name in names if name in drawn)
 
 
 def _stand_section(test: SimulatedTest, drawn: Drawn) -> Section:
@@ -379,13 +379,4 @@ def _values_table(values: tuple[TrueValue, ...], caption: str) -> Table:
 
 def brief(test: SimulatedTest) -> Page:
     """What was simulated, and the truth, for terminal and notebook."""
-    blocks: list[Block] = [_values_table(coefficients(test), "")]
-    if test.motion is not None:
-        changes = test.motion.lock_changes()
-        lock = f"lost {sum(word == 'lost' for _, word in changes)} times" if changes else "kept"
-        blocks.append(named_values("", "", [("lock", lock)]))
-    rows = f"{count(test.log.t.size)} rows, {len(test.log.labels)} segments"
-    return Page(
-        f"{test.stand.kind}, {_model(test)}: {rows}",
-        sections=(Section("", "truth", (*blocks, FigureBlock(stand_figure(test)))),),
-    )
+    return page(test).only("the-stand", "the-truth")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -160,18 +160,10 @@ def page(drifts: Trend, at: dt.datetime | None = None) -> Page:
 
 
 def brief(drifts: Trend, at: dt.datetime | None = None) -> Page:
-    """Stability, drift, alarms and remarks for terminal and notebook, and the figure of the first coefficient."""
-    notices = [Notice("problem", f"alarm: {alarm}") for alarm in drifts.alarms] or [Notice("good", "no alarm")]
-    notices += [Notice("info", remark) for remark in drifts.remarks]
-    drawn = [FigureBlock(trend_figure(drifts, trend)) for trend in drifts.coefficients[:1]]
-    first, last = drifts.times[0], drifts.times[-1]
-    return Page(
-        f"Trend of {drifts.serial}: {len(drifts.records)} records, {first:%Y-%m-%d} to {last:%Y-%m-%d}",
-        sections=(
-            Section("", "stability", (summary_table(drifts, at),)),
-            Section("", "alarms", (*notices, *drawn)),
-        ),
-    )
+    """Alarms, remarks, stability and drift for terminal and notebook, and the figure of the first coefficient."""
+    short = page(drifts, at).only("judgement", "stability")
+    drawn = tuple(FigureBlock(partial(trend_figure, drifts, trend)) for trend in drifts.coefficients[:1])
+    return replace(short, sections=(*short.sections, Section("", "first", drawn)))
 
 
 _LEAD = (
@@ -258,7 +250,7 @@ def _spread(value: float) -> str:
 
 
 def _section(drifts: Trend, trend: CoefficientTrend, ahead: float | None) -> Section:
-    figure = FigureBlock(trend_figure(drifts, trend, ahead))
+    figure = FigureBlock(partial(trend_figure, drifts, trend, ahead))
     lead = Text(f"{meaning_of(trend.key)[:1].upper()}{meaning_of(trend.key)[1:]}.", lead=True)
     anchor = f"coefficient-{trend.key.replace('_', '-')}"
     return Section(trend.key, anchor, (lead, figure, record_table(drifts, trend)))

@@ -49,8 +49,8 @@ def test_one_level_cannot_tell_powers_apart():
     assert by_term["k0"].determined
     assert not by_term["m_Z"].determined  # a_Z never changes
     assert by_term["m_Z"].words() == by_term["m_Z"].reason
-    rows = {row[1].text: row for row in prospects_table(tuple(by_term.values())).cells}
-    assert rows["k0"][0].text == "asked"
+    rows = {row[0].text: row for row in prospects_table(tuple(by_term.values())).cells}
+    assert rows["k0"][1].text == "asked"
     assert "determined, u = " in rows["k0"][2].text
 
 

@@ -4,7 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from piga.reports.render.envelope import envelope_rows, thin
+from piga.reports.render.envelope import envelope_rows
+from piga.reports.render.figure import Plot
 
 CURVES = arrays(
     float, st.integers(1, 400), elements=st.one_of(st.floats(-1e6, 1e6), st.sampled_from([np.nan, np.inf]))
@@ -28,8 +29,13 @@ def test_extremes_and_ends_stay_and_the_limit_holds(y, limit):
 def test_one_spike_in_a_million_rows_is_kept():
     y = np.zeros(1_000_000)
     y[654_321], y[123_456] = 7.0, -5.0
-    x, shown = thin(np.arange(y.size), y)
+    plot = Plot("spike", "A spike.", "row", "value").line(
+        np.arange(y.size), y, "rows", rows=np.arange(y.size) + 1
+    )
+    series = plot.caption("").panels[0].series[0]
+    x, shown = series.arrays()
     assert x.size <= 2000
+    assert np.asarray(series.rows).tolist() == (x + 1).tolist()
     assert x[shown == 7.0] == 654_321
     assert x[shown == -5.0] == 123_456
 

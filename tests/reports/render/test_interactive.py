@@ -77,7 +77,7 @@ def test_gaps_are_null_and_json_is_strict():
 def test_a_million_rows_stay_light_and_keep_the_spike():
     y = np.zeros(1_000_000)
     y[777_777] = 3.0
-    figure = Figure("big", "Big.", (Panel(Axis("t", "s"), Axis("y", "rad"), (Series(np.arange(y.size), y),)),))
+    figure = Plot("big", "Big.", "t [s]", "y [rad]").line(np.arange(y.size), y).caption("")
     trace = figure_spec(figure)["data"][0]
     assert len(trace["x"]) <= 2000
     assert trace["x"][trace["y"].index(3.0)] == 777_777

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,7 @@ from piga.records.calibration.verdict import COUNTED
 from piga.records.terms import GYRO, shown_output, shown_unit
 from piga.reports.calibration.budget import budget_shares, source_in_words
 from piga.reports.calibration.tables import residual_quantity, scale_factor, shown_segments
-from piga.reports.render.envelope import POINTS, envelope_rows, leading_part, outline, rows_of
+from piga.reports.render.envelope import POINTS, leading_part, outline, rows_of
 from piga.reports.render.figure import Axis, Figure, Plot, Role, Series, named_axis
 from piga.reports.render.numbers import pretty_unit
 from piga.units import ARCSEC, G0, MICRO_G
@@ -85,22 +84,21 @@ def residual_figure(
     residuals = outline(residuals)
     t = elapsed_time(residuals)
     unit, scale = ("h", 3600.0) if t[-1] > 3 * 3600.0 else ("s", 1.0)
-    times, drawn = t / scale, residuals.t.size
     single = bool(np.diff(residuals.segment).all()) and np.unique(residuals.segment).size == t.size
-    parts = [] if single else _parts(times, residuals)
+    ends = _ends(t, residuals)[: 0 if single else None]
+    kept, gaps = np.insert(np.arange(t.size), ends, ends - 1), ends + np.arange(ends.size)
+    rows, segments = np.asarray(residuals.row)[kept], np.asarray(residuals.segment)[kept]
     plot = Plot(key, f"{quantity[0].capitalize()} against time.", height=2.1)
     both: tuple[tuple[Role, Array], ...] = (("before", residuals.before), ("after", residuals.after))
     for role, values in both:
-        y = np.asarray(values) / per
-        x, y, kept = (times, y, np.arange(y.size)) if single else _with_gaps(times, y, parts)
-        drawn = min(drawn, int(np.isfinite(y).sum()))
-        rows, segments = np.asarray(residuals.row)[kept], np.asarray(residuals.segment)[kept]
+        y = np.asarray(values)[kept] / per
+        y[gaps] = np.nan
         plot.panel(f"elapsed time [{unit}]", Axis(*quantity), role.capitalize())
-        plot.line(x, y, role, mark="points" if single else "line", rows=rows, segments=segments)
+        plot.line(t[kept] / scale, y, role, mark="points" if single else "line", rows=rows, segments=segments)
     before = "Before: measured output less K a_x with the nominal K."
     if per == ARCSEC:
         before = "Before: measured angle less the nominal model without cross-coupling."
-    notes = () if drawn == residuals.t.size else (_outline_note(drawn, residuals),)
+    notes = () if kept.size <= POINTS else (_outline_note(residuals),)
     return plot.caption(
         f"{before} After: less the fitted model. The scales differ. Good: a band of noise around zero, without waves, steps or "
         "trends.",
@@ -134,32 +132,19 @@ def elapsed_time(residuals: Residuals) -> Array:
     return t - t[0]
 
 
-def _parts(x: Array, residuals: Residuals) -> list[slice]:
-    """Parts of a curve: it starts anew at the next segment, or after a hole of more than ten usual steps."""
-    steps = np.diff(x)
-    starts = (np.diff(residuals.segment) != 0) | (steps > 10.0 * np.median(steps)) if steps.size else steps
-    edges = [0, *(np.flatnonzero(starts) + 1).tolist(), x.size]
-    return [slice(start, stop) for start, stop in pairwise(edges)]
+def _ends(t: Array, residuals: Residuals) -> NDArray[np.int64]:
+    """Rows where a curve starts anew: at the next segment, or after a hole of more than ten usual steps."""
+    steps = np.diff(t)
+    starts = (np.diff(residuals.segment) != 0) | (steps > 10.0 * np.median(steps) if steps.size else False)
+    return 1 + np.flatnonzero(starts)
 
 
-def _with_gaps(x: Array, y: Array, parts: list[slice]) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Reduced curve with gaps between ``parts``, and the row of each of its points."""
-    limit = max(12, POINTS // len(parts) - 1)
-    pieces_x, pieces_y, kept = [], [], []
-    for part in parts:
-        rows = part.start + envelope_rows(y[part], limit)
-        pieces_x += [x[rows], x[rows[-1:]]]
-        pieces_y += [y[rows], np.array([np.nan])]
-        kept += [rows, rows[-1:]]
-    return np.concatenate(pieces_x), np.concatenate(pieces_y), np.concatenate(kept)
-
-
-def _outline_note(drawn: int, residuals: Residuals) -> str:
-    """How many rows a curve shows."""
+def _outline_note(residuals: Residuals) -> str:
+    """What a curve shows of a long record."""
     rows = max(int(np.ptp(residuals.row)) + 1, residuals.t.size)
     return (
-        f"Drawn: {drawn} points of {rows} rows, the lowest and the highest of each stretch of time. Zooming in shows the "
-        "same points; residuals.parquet holds all rows."
+        f"Drawn of {rows} rows: the lowest and the highest of each stretch of time. Zooming in shows the same points; "
+        "residuals.parquet holds all rows."
     )
 
 
@@ -208,24 +193,20 @@ def order_lines(spectrum: OrderSpectrum, cal: Calibration | None) -> list[str]:
 
 
 def ripple_figure(turned: Ripple) -> Figure:
-    """Ripple against output angle: polar, and unrolled on its own scale."""
-    before, after = turned.before / MICRO_G, turned.after / MICRO_G
-    scatter, degrees = turned.scatter / MICRO_G, np.degrees(turned.psi)
-    step = _nice(float(np.nanmax(np.abs(np.concatenate((before, after))))))
-    error = scatter if np.isfinite(scatter).all() and scatter.size else None
-    limits = (-3.2 * step, 3.2 * step)
-    across, up = (Axis(f"radius × {part} ψ", "µg", limits=limits) for part in ("cos", "sin"))
-    plot = Plot("ripple-polar", "Cross-coupling ripple in one turn of the output.", columns=2, height=3.4)
-    plot.panel(across, up, "Polar", equal=True).add(*_polar_grid(step))
-    plot.add(_closed(turned.psi, before, 2.0 * step, "before"), _closed(turned.psi, after, 2.0 * step, "after"))
+    """Ripple against output angle, before and after, each on its own scale."""
+    plot = Plot("ripple", "Ripple in one turn of the output.", columns=2, height=2.7)
     angle = Axis("output angle ψ", "deg", limits=(0.0, 360.0))
-    plot.panel(angle, "residual specific force [µg]", "After, enlarged").level([0.0, 360.0], 0.0)
-    plot.marked(degrees, after, "after", error=error)
-    scattered = "" if error is None else " Error bars: standard uncertainty from the scatter between segments."
+    scatter = turned.scatter / MICRO_G if np.isfinite(turned.scatter).all() and turned.scatter.size else None
+    both: tuple[tuple[Role, Array], ...] = (("before", turned.before), ("after", turned.after))
+    for role, values in both:
+        plot.panel(angle, "residual specific force [µg]", role.capitalize()).level([0.0, 360.0], 0.0)
+        plot.marked(np.degrees(turned.psi), values / MICRO_G, role, error=scatter if role == "after" else None)
+    scattered = (
+        "" if scatter is None else " Error bars: standard uncertainty from the scatter between segments."
+    )
     return plot.caption(
-        f"Residual specific force around the turn, drawn outwards from the ring of {2 * step:g} µg, which means zero; grid "
-        f"rings lie {step:g} µg apart. Cross-coupling shifts the curve sideways. Good: after calibration the curve lies on "
-        "the ring, and on the enlarged scale only scatter is left.",
+        "Residual specific force around the turn; the scales differ. Cross-coupling is one wave in the turn. Good: after "
+        "calibration only scatter around zero is left.",
         f"Mean over {_segments_that_turn(turned.segments)}, each turned so that its own ripple before calibration points "
         f"to ψ = 0.{scattered}",
     )
@@ -233,34 +214,6 @@ def ripple_figure(turned: Ripple) -> Figure:
 
 def _segments_that_turn(number: int) -> str:
     return "the one segment that turns far enough" if number == 1 else f"{number} segments that turn far enough"
-
-
-def _nice(size: float) -> float:
-    """The next of 1, 2, 5 times a power of ten above ``size``."""
-    if not size > 0.0:
-        return 1.0
-    power = 10.0 ** math.floor(math.log10(size))
-    return next(power * factor for factor in (1.0, 2.0, 5.0, 10.0) if power * factor >= size * 0.999)
-
-
-def _polar_grid(step: float) -> tuple[Series, ...]:
-    """Two rings and twelve spokes, and the ring of zero."""
-    turn = np.linspace(0.0, 2.0 * math.pi, 181)
-    x, y = step * np.cos(turn), step * np.sin(turn)
-    angle = np.repeat(np.arange(12) * math.pi / 6.0, 3)
-    radius = np.tile([step, 3.0 * step, math.nan], 12)
-    return (
-        Series(x, y, role="muted"),
-        Series(3.0 * x, 3.0 * y, role="muted"),
-        Series(radius * np.cos(angle), radius * np.sin(angle), role="muted"),
-        Series(2.0 * x, 2.0 * y, "zero ripple", role="reference", dashed=True),
-    )
-
-
-def _closed(psi: Array, values: Array, radius: float, role: Role) -> Series:
-    psi, values = np.append(psi, psi[:1]), np.append(values, values[:1])
-    text = tuple(f"ψ {np.degrees(p):.0f}°, ripple {v:.3g} µg" for p, v in zip(psi, values, strict=True))
-    return Series((radius + values) * np.cos(psi), (radius + values) * np.sin(psi), role, role=role, text=text)
 
 
 # -- noise ---------------------------------------------------------------------------------------------

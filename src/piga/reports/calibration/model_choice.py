@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from piga.records.calibration import Calibration
 from piga.records.terms import shown_unit
 from piga.reports.render.figure import Axis, Figure, Plot
 from piga.reports.render.numbers import count, pretty_unit, printed, rounded, short, signed
-from piga.reports.render.page import Block, Cell, FigureBlock, Section, Table, TableOf, Text, named_values
+from piga.reports.render.page import Block, Cell, FigureBlock, Section, Table, TableOf, Text
 from piga.units import MICRO_G
 
 NUMBERED = tuple[int, dict[str, Any]]
@@ -24,25 +23,14 @@ def comparison_sections(cal: Calibration) -> tuple[Section, ...]:
     lead = (
         "Which terms the record asks for. Sets are compared with the same noise weights; every part of the record is "
         "also predicted from the others. A term that the record needs lowers BIC and prediction error by much; one "
-        "that it does not need raises both a little. " + comparison_words(document)
+        "that it does not need raises both a little."
     )
-    blocks: list[Block] = [Text(lead, lead=True), comparison_table(document)]
+    words = Text(comparison_words(document))
+    blocks: list[Block] = [Text(lead, lead=True), words, comparison_table(document)]
     figure, shifts = comparison_figure(document), shift_table(document)
     blocks += [] if figure is None else [FigureBlock(figure)]
     blocks += [] if shifts is None else [shifts]
     return (Section("Model choice", "model-choice", tuple(blocks)),)
-
-
-def comparison_brief(document: dict[str, Any]) -> Section:
-    """The comparison for a terminal: figures by number of the set, then the terms of each set."""
-    table = comparison_table(document)
-    terms = [
-        (f"set {number.text}", terms.text + (f" ({remark.text})" if remark.text else ""))
-        for number, terms, *_, remark in table.cells
-    ]
-    numbers = replace(table.only([0, *range(2, 8)]), caption="", notes=())
-    blocks = (numbers, named_values("", "", terms), Text(comparison_words(document)))
-    return Section("Term sets compared, the best first", "model-choice", blocks)
 
 
 def comparison_words(document: dict[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from piga.reports.calibration.figures import (
     residual_figure,
     segment_figure,
 )
-from piga.reports.calibration.model_choice import comparison_brief, comparison_sections
+from piga.reports.calibration.model_choice import comparison_sections
 from piga.reports.calibration.tables import (
     LEVERAGE_LEAD,
     OWN_TABLES,
@@ -56,11 +56,9 @@ from piga.reports.render.page import (
     Notice,
     Page,
     Section,
-    Table,
     Text,
     Tile,
     Tone,
-    named_values,
 )
 from piga.units import G0
 
@@ -159,54 +157,26 @@ def figure(cal: Calibration, name: str) -> Figure:
 
 
 def brief(cal: Calibration) -> Page:
-    """The calibration for terminal and notebook: verdict, coefficients, noise and budget."""
-    blocks: list[Block] = [replace(coefficient_table(cal, every=True), notes=())]
-    name = cal.serial or "an instrument"
-    if cal.given:
-        section = Section("", "coefficients", tuple(blocks))
-        return Page(f"Coefficients of {name}, given", sections=(section,), judgement=judgement(cal))
-    sections = [Section("", "coefficients", tuple(blocks)), Section("", "noise", (_noise_table(cal),))]
+    """The calibration for terminal and notebook: verdict, coefficients, noise, findings and budget."""
+    sections = [Section("", "coefficients", (replace(coefficient_table(cal, every=True), notes=()),))]
+    if not cal.given:
+        sections += [Section("", "noise", (facts_table(_noise(cal)),)), *_brief_sections(cal)]
+    return Page(_title(cal), _subtitle(cal), _tiles(cal), tuple(sections), judgement=judgement(cal))
+
+
+def _brief_sections(cal: Calibration) -> Iterator[Section]:
+    if cal.runs:
+        yield Section("Runs", "runs", (runs_table(cal),))
+    if cal.quality.events:
+        yield Section("Data", "quality", (quality_table(cal),))
     if any(row.type == "B" for row in cal.budget):
-        sections.append(Section("Uncertainty budget", "budget", budget_tables(cal)))
-    if cal.diagnostics.model_comparison:
-        sections.append(comparison_brief(cal.diagnostics.model_comparison))
+        yield Section("Uncertainty budget", "budget", budget_tables(cal))
+    yield from comparison_sections(cal)
     if cal.remarks:
-        remarks = tuple(Notice("warning", remark) for remark in cal.remarks)
-        sections.append(Section("", "remarks", remarks))
+        yield Section("", "remarks", tuple(Notice("warning", remark) for remark in cal.remarks))
     if cal.residuals is not None and cal.residuals.t.size and not cal.runs:
-        drawn = residual_figure(cal.residuals, residual_quantity(cal))
-        sections.append(Section("", "residuals", (FigureBlock(drawn),)))
-    used = f"{count(cal.quality.used)} of {count(cal.quality.rows)} rows used"
-    return Page(
-        f"Calibration of {name} from {files_in_words(cal)}",
-        f"{segments_in_words(cal)}, {period_in_words(total_duration(cal))}, {used}\n"
-        f"method {cal.method}{'' if cal.direct else f', phases {cal.phases}'}, terms {' '.join(cal.terms)}",
-        sections=tuple(sections),
-        judgement=judgement(cal),
-    )
-
-
-def _noise_table(cal: Calibration) -> Table:
-    """Residuals, noise and findings in the data, as names and values."""
-    per, unit = shown_output(cal.residual_unit)
-
-    def angle(before: float, after: float) -> str:
-        return f"{short(before / per)} -> {short(after / per)} {unit} (before -> after)"
-
-    def noise(white: float, walk: float) -> str:
-        return "{} {} white, {} {} walk".format(*shown_noise(cal, white, walk))
-
-    scatter = _scatter(cal)
-    rows = [
-        ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
-        ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
-        (f"noise of the {'output' if cal.direct else 'angle'}", noise(cal.angle_rms, cal.angle_random_walk)),
-        *((("scatter of segments", scatter),) if scatter else ()),
-        ("condition number", printed(short(cal.condition))),
-        *((f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events),
-        *((f"noise of run {run.name}", noise(run.angle_rms, run.angle_random_walk)) for run in cal.runs),
-    ]
-    return named_values("", "", rows)
+        drawn = FigureBlock(partial(residual_figure, cal.residuals, residual_quantity(cal)))
+        yield Section("", "residuals", (drawn,))
 
 
 def page(cal: Calibration) -> Page:
@@ -216,7 +186,7 @@ def page(cal: Calibration) -> Page:
     shown |= {} if shares is None else {"budget": shares}
     lines = shown["orders"].notes[:-1] if "orders" in shown else ()
     return Page(
-        title=f"Calibration of {cal.serial or 'an instrument'}",
+        title=_title(cal),
         subtitle=_subtitle(cal),
         tiles=_tiles(cal),
         sections=_sections(cal, shown),
@@ -260,11 +230,17 @@ def _with_lines(verdict: Verdict, lines: tuple[str, ...]) -> Verdict:
     return replace(verdict, tested=verdict.tested + explained, doubts=verdict.doubts + doubts)
 
 
+def _title(cal: Calibration) -> str:
+    return f"Calibration of {cal.serial or 'an instrument'}"
+
+
 def _subtitle(cal: Calibration) -> str:
     if cal.given:
         return "The coefficients were given, not estimated from a record."
     extent = f"{segments_in_words(cal)}, {period_in_words(total_duration(cal))}"
-    return f"{files_in_words(cal)}: {extent}, {count(cal.quality.used)} samples used."
+    phases = "" if cal.direct else f", phases {cal.phases}"
+    model = f"Method {cal.method}{phases}, terms {', '.join(cal.terms)}."
+    return f"{files_in_words(cal)}: {extent}, {count(cal.quality.used)} samples used. {model}"
 
 
 def _improvement(before: float, after: float) -> str:
@@ -473,20 +449,27 @@ def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
     blocks: list[Block] = [Text(lead, lead=True)]
     blocks += [Notice("info", f"{sentence(remark)}.") for remark in cal.remarks]
     blocks += [FigureBlock(shown[name]) for name in ("whiteness", "allan") if name in shown]
-    count = integral_unit(cal.unit)
-    white, unit, walk, slow = shown_noise(cal, cal.angle_rms, cal.angle_random_walk)
-    raw = ("", "") if cal.direct else (_raw(cal.angle_rms, count), _raw(cal.angle_random_walk, f"{count}/√s"))
     rows = [
         ("Condition number", printed(short(cal.condition))),
-        (f"White noise of the {'output' if cal.direct else 'angle'}", f"{white} {unit} rms{raw[0]}"),
-        ("Random walk of the output" if cal.direct else "Angle random walk", f"{walk} {slow}{raw[1]}"),
-        ("Scatter of the rate from segment to segment", _scatter(cal) or "none seen"),
+        *_noise(cal),
         *scalars({key: value for key, value in cal.diagnostics.document().items() if key not in OWN_TABLES}),
     ]
     blocks.append(facts_table(rows))
     for tables, text in ((leverage_tables(cal), LEVERAGE_LEAD), (propagation_tables(cal), PROPAGATION_LEAD)):
         blocks += [Text(text, lead=True), *tables] if tables else []
     return Section("Identifiability and noise", "identifiability", tuple(blocks))
+
+
+def _noise(cal: Calibration) -> list[tuple[str, str]]:
+    """Levels of the noise, as names and values."""
+    count = integral_unit(cal.unit)
+    white, unit, walk, slow = shown_noise(cal, cal.angle_rms, cal.angle_random_walk)
+    raw = ("", "") if cal.direct else (_raw(cal.angle_rms, count), _raw(cal.angle_random_walk, f"{count}/√s"))
+    return [
+        (f"White noise of the {'output' if cal.direct else 'angle'}", f"{white} {unit} rms{raw[0]}"),
+        ("Random walk of the output" if cal.direct else "Angle random walk", f"{walk} {slow}{raw[1]}"),
+        ("Scatter of the rate from segment to segment", _scatter(cal) or "none seen"),
+    ]
 
 
 def _raw(value: float, unit: str) -> str:

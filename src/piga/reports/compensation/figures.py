@@ -13,13 +13,12 @@ from piga.compensation import FLAGS, Compensated, CompensatedSet
 from piga.records.calibration import Residuals
 from piga.records.run import Run
 from piga.reports.compensation.outline import CompensationOutline, Indication, of_record
-from piga.reports.render.envelope import POINTS, envelope_rows, leading_part
+from piga.reports.render.envelope import POINTS, leading_part
 from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
 from piga.units import G0, MICRO_G
 
 Array = NDArray[np.float64]
 
-ERROR_POINTS = 1500
 WINDOW = 16
 """Turns of the output that a spectrum looks at together."""
 TIME = "time since the first row [s]"
@@ -92,9 +91,7 @@ def error_figure(errors: Residuals) -> Figure:
     )
     roles: tuple[tuple[Role, str], ...] = (("before", "as indicated"), ("after", "compensated"))
     for role, name in roles:
-        values = getattr(errors, role)
-        rows = envelope_rows(values, ERROR_POINTS)
-        plot.line(errors.t[rows] - errors.t[0], 1e3 * values[rows], name, role)
+        plot.line(errors.t - errors.t[0], 1e3 * getattr(errors, role), name, role)
     if errors.unit != "rad":
         return plot.caption("The running error of the velocity against the reference.")
     return plot.caption(
@@ -157,8 +154,7 @@ def force_figure(outline: CompensationOutline) -> Figure:
 
 def _curve(outline: CompensationOutline, name: str, unit: float) -> tuple[Array, Array]:
     t, y = outline.curve(name)
-    rows = envelope_rows(np.nan_to_num(y) if np.isnan(y).all() else y)
-    return t[rows], y[rows] / unit
+    return t, y / unit
 
 
 def misfit_figure(outline: CompensationOutline, names: Sequence[str]) -> Figure:

@@ -124,7 +124,7 @@ def simulation_page(run: PlatformRun) -> Page:
         Tile("base", s.motion.kind, "", "motion of the vehicle"),
     )
     sections = (
-        Section("What is read", "read", (FigureBlock(readouts_figure(run)),)),
+        Section("What is read", "read", (FigureBlock(partial(readouts_figure, run)),)),
         Section("What was put in", "truth", (_truth_table(s), _case_rotation_text(s))),
     )
     return page("Platform simulation", s, tiles, sections)
@@ -145,7 +145,7 @@ def identification_page(
     blocks += [Notice("info", note) for note in identification.notes]
     sections = (
         Section("Misalignments, phases and harmonics", "parameters", tuple(blocks)),
-        Section("As the record grows", "growing", (FigureBlock(convergence_figure(growing)),)),
+        Section("As the record grows", "growing", (FigureBlock(partial(convergence_figure, growing)),)),
         Section("What each source can tell", "observability", (_observability_table(sources),)),
     )
     return page("Platform identification", s, tuple(tiles), sections)
@@ -171,7 +171,7 @@ def alignment_page(run: PlatformRun, aligned: Alignment) -> Page:
     )
     sections = (
         Section("Attitude and drift", "attitude", (_alignment_table(run, aligned),)),
-        Section("How gravity tells it", "cone", (FigureBlock(cone_figure(run, aligned)),)),
+        Section("How gravity tells it", "cone", (FigureBlock(partial(cone_figure, run, aligned)),)),
     )
     return page("Platform alignment", run.scenario, tiles, sections)
 
@@ -279,10 +279,10 @@ def navigation_page(comparison: ModelComparisonRun) -> Page:
         Section(
             "Models over the run",
             "models",
-            tuple(FigureBlock(model_figure(r)) for r in comparison.models.values()),
+            tuple(FigureBlock(partial(model_figure, r)) for r in comparison.models.values()),
         ),
-        Section("Position", "position", (FigureBlock(position_figure(comparison)),)),
-        _preparation_section(comparison.run.scenario, comparison.preparation),
+        Section("Position", "position", (FigureBlock(partial(position_figure, comparison)),)),
+        *_preparation_section(comparison.run.scenario, comparison.preparation),
     )
     return page("Platform navigation", comparison.run.scenario, tiles, sections)
 
@@ -299,14 +299,20 @@ def comparison_page(
         Section(
             "Forty minutes and the whole run",
             "histories",
-            (FigureBlock(published_figure(comparison)), FigureBlock(histories_figure(comparison))),
+            (
+                FigureBlock(partial(published_figure, comparison)),
+                FigureBlock(partial(histories_figure, comparison)),
+            ),
         ),
         Section(
             "Spectrum and position",
             "spectrum",
-            (FigureBlock(spectrum_figure(comparison)), FigureBlock(position_figure(comparison))),
+            (
+                FigureBlock(partial(spectrum_figure, comparison)),
+                FigureBlock(partial(position_figure, comparison)),
+            ),
         ),
-        _preparation_section(s, comparison.preparation),
+        *_preparation_section(s, comparison.preparation),
     ]
     if budget:
         tables = (_budget_table(budget), *((_line_budget_table(lines),) if lines else ()))
@@ -340,17 +346,19 @@ def _line_blocks(c: ModelComparisonRun, which: Case) -> tuple[Block, ...]:
         _line_table(c, which, "heading", "Heading line", "arcmin", 1.0 / ARCMIN),
         _line_table(c, which, "roll", "Roll line", "arcmin", 1.0 / ARCMIN),
     )
-    figure = (FigureBlock(lines_figure(c, which)),) if _days(c) > 1 else ()
+    figure = (FigureBlock(partial(lines_figure, c, which)),) if _days(c) > 1 else ()
     return (Text(_lines_sentence(c, which), lead=True), *figure, *tables)
 
 
-def _preparation_section(s: PlatformScenario, p: Preparation) -> Section:
-    blocks: list[Block] = [Notice("info", note) for note in p.notes]
+def _preparation_section(s: PlatformScenario, p: Preparation) -> tuple[Section, ...]:
+    notes = tuple(Notice("info", f"note: {note}") for note in p.notes)
+    blocks: list[Block] = []
     if p.identification is not None:
         blocks.append(parameter_table(p.identification, s))
     else:
         blocks.append(Text("The true misalignments were used."))
-    return Section("What the models were given", "given", tuple(blocks))
+    given = Section("What the models were given", "given", tuple(blocks))
+    return (Section("Notes", "notes", notes), given) if notes else (given,)
 
 
 def _comparison_tiles(c: ModelComparisonRun) -> tuple[Tile, ...]:

@@ -27,13 +27,10 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from piga.reports.render.envelope import envelope_rows
 from piga.reports.render.figure import INK, LIGHT, Axis, Figure, Panel, Series, bar_width
 
 WIDTH = 7.2
 """Width of a figure [inch]: two columns of a journal."""
-DRAWN = 1200
-"""Points that a drawn curve keeps at most: two for each hundredth of an inch."""
 SMALL = 8.5
 """Size of letters [point]."""
 LETTERS = 16.0
@@ -224,10 +221,9 @@ def _words(text: str, letters: float = math.inf) -> str:
 
 
 def _series(series: Series, axes: Axes, across: Axis) -> None:
-    """One curve; of a long one its outline, as on the page."""
+    """One curve."""
     x, y = series.arrays()
-    rows = envelope_rows(y, DRAWN)
-    x, y, colour = x[rows], y[rows], LIGHT[series.role]
+    colour = LIGHT[series.role]
     name = _words(series.name) or "_"
     if across.dates:
         x = x.astype(float)  # days since 1970-01-01: Matplotlib's own count of days
@@ -235,12 +231,12 @@ def _series(series: Series, axes: Axes, across: Axis) -> None:
         axes.bar(x, y, width=bar_width(x), color=colour, label=name)
         return
     if series.mark == "band":
-        upper = np.asarray(series.upper, dtype=float)[rows]
+        upper = np.asarray(series.upper, dtype=float)
         axes.fill_between(x, y, upper, color=colour, alpha=0.18, linewidth=0.0, label=name)
         return
     style = "none" if series.mark == "points" else "--" if series.dashed else "-"
     points = series.mark in ("points", "line+points")
-    error = None if series.error is None else np.asarray(series.error, dtype=float)[rows]
+    error = None if series.error is None else np.asarray(series.error, dtype=float)
     axes.errorbar(
         x,
         y,

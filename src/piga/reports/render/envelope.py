@@ -61,12 +61,6 @@ def _bucket_rows(values: NDArray[Any]) -> list[int]:
     return [gap, int(finite[np.argmin(values[finite])]), int(finite[np.argmax(values[finite])])]
 
 
-def thin(x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-    """``x`` and ``y`` reduced to at most :data:`POINTS` points by :func:`envelope_rows`."""
-    rows = envelope_rows(y)
-    return np.asarray(x, dtype=float)[rows], np.asarray(y, dtype=float)[rows]
-
-
 def outline(residuals: Residuals) -> Residuals:
     """Rows that keep the envelope of the residuals against time; all of a short record."""
     if residuals.t.size <= SHOWN:

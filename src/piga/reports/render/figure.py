@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from piga.reports.render.envelope import POINTS, envelope_rows
 from piga.results import Plotted, Result
 
 Mark = Literal["line", "points", "line+points", "bars", "band", "steps"]
@@ -87,7 +89,7 @@ class Series(Result):
     upper: ArrayLike | None = None
     error: ArrayLike | None = None
     dashed: bool = False
-    text: tuple[str, ...] | None = None
+    text: Sequence[str] | None = None
     rows: ArrayLike | None = None
     segments: ArrayLike | None = None
 
@@ -165,6 +167,10 @@ class Figure(Result, Plotted):
         return " ".join(parts)
 
 
+_WHOLE = ("mark", "dashed")
+"""Arguments of a curve that are not one for each point."""
+
+
 class Plot:
     """Makes a figure curve by curve. A curve goes to the last panel; :meth:`caption` ends the figure.
 
@@ -208,8 +214,12 @@ class Plot:
         return self
 
     def line(self, x: ArrayLike, y: ArrayLike, name: str = "", role: Role = "data", **more: Any) -> Self:
-        """Add a curve; ``more`` as for :class:`Series`."""
+        """Add a curve, a long one by its envelope; ``more`` as for :class:`Series`."""
         role = next((known for known in get_args(Role) if known == name), role)
+        if np.size(y) > POINTS:
+            kept = envelope_rows(y)
+            x, y = np.asarray(x)[kept], np.asarray(y)[kept]
+            more = {key: value if key in _WHOLE else np.asarray(value)[kept] for key, value in more.items()}
         self._panels[-1][1].append(Series(x, y, name, role=role, **more))
         return self
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga.reports.render.envelope import envelope_rows
 from piga.reports.render.figure import GRID, INK, LIGHT, SOFT, Axis, Figure, Panel, Series, bar_width
 
 _PIXELS_PER_INCH = 96
@@ -79,11 +78,10 @@ def _on(axis: Axis, values: ArrayLike) -> list[float | None]:
 
 def _trace(series: Series, panel: Panel, suffix: str) -> dict[str, Any]:
     x, y = series.arrays()
-    rows = envelope_rows(y)
     colour = LIGHT[series.role]
     trace: dict[str, Any] = {
-        "x": _on(panel.x, x[rows]),
-        "y": _on(panel.y, (y if series.upper is None else np.asarray(series.upper, dtype=float))[rows]),
+        "x": _on(panel.x, x),
+        "y": _on(panel.y, y if series.upper is None else series.upper),
         "xaxis": f"x{suffix}",
         "yaxis": f"y{suffix}",
         "name": _text(series.name),
@@ -91,18 +89,21 @@ def _trace(series: Series, panel: Panel, suffix: str) -> dict[str, Any]:
         "hovertemplate": _hover(series, panel),
     }
     if series.rows is not None:
-        trace["customdata"] = np.asarray(series.rows)[rows].astype(int).tolist()
+        trace["customdata"] = np.asarray(series.rows).astype(int).tolist()
     if series.segments is not None:
-        trace["meta"] = np.asarray(series.segments)[rows].astype(int).tolist()
-    text = series.text or tuple(panel.x.names[round(place) - 1] for place in x if panel.x.names)
-    if text:
-        trace["text"] = [_text(text[row]) for row in rows]
+        trace["meta"] = np.asarray(series.segments).astype(int).tolist()
+    text = (
+        series.text
+        if series.text is not None
+        else tuple(panel.x.names[round(place) - 1] for place in x if panel.x.names)
+    )
+    if len(text):
+        trace["text"] = [_text(one) for one in text]
     if series.role == "muted" and not series.name:
         trace["hoverinfo"] = "skip"
         del trace["hovertemplate"]
     if series.error is not None:
-        error = np.asarray(series.error, dtype=float)[rows]
-        trace["error_y"] = {"array": _logarithmic(error), "color": colour, "thickness": 1, "width": 2}
+        trace["error_y"] = {"array": _logarithmic(series.error), "color": colour, "thickness": 1, "width": 2}
     return trace | _look(series, colour)
 
 
@@ -130,12 +131,7 @@ def _band_base(trace: dict[str, Any], series: Series) -> list[dict[str, Any]]:
     """Lower edge of a band: the filled trace lies on it."""
     if series.mark != "band":
         return []
-    rows = envelope_rows(series.y)
-    lower = trace | {
-        "y": _numbers(np.asarray(series.y, dtype=float)[rows]),
-        "fill": "none",
-        "showlegend": False,
-    }
+    lower = trace | {"y": _numbers(series.y), "fill": "none", "showlegend": False}
     return [lower | {"uid": f"{trace['uid']}-lower", "hoverinfo": "skip", "hovertemplate": ""}]
 
 
@@ -147,7 +143,7 @@ def _hover(series: Series, panel: Panel) -> str:
         return f"{_text(axis.quantity)} %{{{letter}:.5~g}}{unit}"
 
     lines = [f"<b>{_text(series.name)}</b>"] if series.name else []
-    lines += ["%{text}"] if series.text or panel.x.names else []
+    lines += ["%{text}"] if series.text is not None or panel.x.names else []
     lines += [] if panel.x.names else [value(panel.x, "x")]
     return "<br>".join([*lines, value(panel.y, "y")]) + "<extra></extra>"
 

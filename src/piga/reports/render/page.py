@@ -13,9 +13,9 @@ import json
 import math
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
@@ -212,11 +212,16 @@ def named_values(
 
 @dataclass(frozen=True)
 class FigureBlock:
-    """A figure with its caption."""
+    """A figure with its caption; given as a function it is made when it is shown."""
 
     block: ClassVar = "figure"
 
-    figure: Figure
+    given: Figure | Callable[[], Figure]
+
+    @cached_property
+    def figure(self) -> Figure:
+        """The figure."""
+        return self.given if isinstance(self.given, Figure) else self.given()
 
 
 @dataclass(frozen=True)
@@ -270,17 +275,28 @@ class Page:
     segments: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        names = [section.anchor for section in self.sections] + [figure.key for figure in self.figures()]
-        for name in names:
-            if not re.fullmatch(r"[A-Za-z][A-Za-z0-9-]*", name):
-                raise ValueError(f"'{name}' cannot be an anchor or figure key: use letters, digits, hyphens")
-            if names.count(name) > 1:
-                raise ValueError(f"'{name}' is the anchor or key of two parts of the page")
+        _check_names([section.anchor for section in self.sections])
+
+    def drawn(self) -> Iterator[FigureBlock]:
+        """The blocks of all figures in reading order."""
+        for section in self.sections:
+            yield from (block for block in section.blocks if isinstance(block, FigureBlock))
 
     def figures(self) -> tuple[Figure, ...]:
         """All figures in reading order."""
-        blocks = (block for section in self.sections for block in section.blocks)
-        return tuple(block.figure for block in blocks if isinstance(block, FigureBlock))
+        return tuple(block.figure for block in self.drawn())
+
+    def only(self, *anchors: str) -> Page:
+        """The page with these sections alone."""
+        return replace(self, sections=tuple(one for one in self.sections if one.anchor in anchors))
+
+
+def _check_names(names: list[str]) -> None:
+    for name in names:
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9-]*", name):
+            raise ValueError(f"'{name}' cannot be an anchor or figure key: use letters, digits, hyphens")
+        if names.count(name) > 1:
+            raise ValueError(f"'{name}' is the anchor or key of two parts of the page")
 
 
 def origin(digests: Mapping[str, str]) -> Section:
@@ -294,6 +310,7 @@ def page_html(page: Page) -> str:
     from piga.reports.render.interactive import figure_spec
 
     figures = page.figures()
+    _check_names([section.anchor for section in page.sections] + [figure.key for figure in figures])
     scripts = (resource("assets", "plotly-basic.min.js"), resource("templates", "page.js")) if figures else ()
     return template("page.html.jinja").render(
         page=page,
@@ -320,23 +337,39 @@ def page_text(page: Page, *, width: int = 100, plain: bool = True) -> str:
     lines += [page.title, *(f"  {line}" for line in page.subtitle.splitlines())]
     lines += [f"  {tile.label}: {tile.words}" for tile in page.tiles]
     for number, section in enumerate(page.sections):
-        lines += [""] if number or section.title or page.subtitle else []
-        lines += [section.title] if section.title else []
-        for k, block in enumerate(section.blocks):
-            lines += [""] if k and isinstance(block, Table) else []
-            lines += _block_lines(block, told, width)
+        inside: list[str] = []
+        for block in section.blocks:
+            inside += [""] if inside and isinstance(block, Table) else []
+            inside += _block_lines(block, told, width)
+        if inside:
+            lines += [""] if number or section.title or page.subtitle else []
+            lines += [*([section.title] if section.title else []), *inside]
     return "\n".join(part for line in lines for part in _wrapped(told(line), width)).strip("\n")
 
 
 def _block_lines(block: Block, told: Callable[[str], str], width: int) -> list[str]:
     if isinstance(block, Text):
-        return [f"  {paragraph}" for paragraph in block.paragraphs]
+        return [] if block.lead else [f"  {paragraph}" for paragraph in block.paragraphs]
     if isinstance(block, Notice):
-        return [f"remark: {block.text}" if block.kind == "warning" else block.text]
+        return [{"warning": "remark: ", "problem": "problem: "}.get(block.kind, "") + block.text]
     if isinstance(block, FigureBlock):
         return []
     caption = [f"  {block.caption}"] if block.caption else []
-    return [*caption, *_table_lines(block, told, width), *(f"  {note}" for note in block.notes)]
+    return [*caption, *_fitting_lines(block, told, width), *(f"  {note}" for note in block.notes)]
+
+
+def _fitting_lines(table: Table, told: Callable[[str], str], width: int) -> list[str]:
+    """Rows of a table; of a wide one in parts below each other, each with the first column and those that fit."""
+    lines: list[str] = []
+    chosen: list[int] = [0]
+    best = _table_lines(table.only(chosen), told, width)
+    for column in range(1, len(table.columns)):
+        more = _table_lines(table.only([*chosen, column]), told, width)
+        if len(chosen) > 1 and max(map(len, more), default=0) > width + len(_WHOLE):
+            lines, chosen = [*lines, *best, ""], [0]
+            more = _table_lines(table.only([0, column]), told, width)
+        chosen, best = [*chosen, column], more
+    return [*lines, *best]
 
 
 _WHOLE = "\x00"
@@ -381,18 +414,19 @@ def brief(result: Shown) -> Page:
 def card_html(page: Page) -> str:
     """A brief page as a piece of HTML, for a notebook. It needs no script and no network; its figure needs Matplotlib."""
     blocks = [block for section in page.sections for block in section.blocks]
-    figures = "".join(map(_picture, page.figures()[:1]))
-    text: str = template("card.html.jinja").render(page=page, blocks=blocks, svg=figures)
+    first = next(page.drawn(), None)
+    picture = "" if first is None else _picture(first)
+    text: str = template("card.html.jinja").render(page=page, blocks=blocks, svg=picture)
     return text
 
 
-def _picture(figure: Figure) -> str:
+def _picture(block: FigureBlock) -> str:
     """The figure as SVG; empty where Matplotlib is not installed."""
     try:
         from piga.reports.render.axes import figure_svg
     except MissingPackageError:
         return ""
-    return figure_svg(figure, width=5.0)
+    return figure_svg(block.figure, width=5.0)
 
 
 def write_page(page: Page, path: Path) -> Path:
