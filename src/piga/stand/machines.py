@@ -12,6 +12,7 @@ import numpy as np
 from piga.earth import EARTH_RATE, Site
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
+from piga.records.arrays import BLOCK_ROWS
 from piga.results import Array, Result
 from piga.stand.imperfections import Imperfections
 from piga.stand.profile import Segment, plan, plan_holds
@@ -533,7 +534,13 @@ class VibrationTable:
         return plan([(str(k), drive.duration, True) for k, drive in enumerate(self.drives)])
 
     def _drive(self, t: Array) -> tuple[Array, Array, Array]:
-        """Acceleration, its rate of change, and both divided by the drive's amplitude, at ``t``."""
+        """Acceleration, its rate of change, and both divided by the drive's amplitude, at ``t``.
+
+        The last result is kept: the imperfections of a budget are all asked for at the same times.
+        """
+        held = self.__dict__.get("_held")
+        if held is not None and np.array_equal(held[0], t):
+            return held[1]
         starts = np.array([s.start for s in self.segments()])
         index = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, starts.size - 1)
         wave, wave_rate, peak = np.zeros(t.size), np.zeros(t.size), np.ones(t.size)
@@ -541,6 +548,8 @@ class VibrationTable:
             rows = index == k
             wave[rows], wave_rate[rows] = drive.acceleration(np.clip(t[rows] - starts[k], 0.0, drive.duration))
             peak[rows] = drive.amplitude or 1.0
+        if t.size <= 2 * BLOCK_ROWS:
+            self.__dict__["_held"] = (t.copy(), (wave, wave_rate, peak))
         return wave, wave_rate, peak
 
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:

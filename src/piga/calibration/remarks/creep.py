@@ -160,11 +160,11 @@ def find_creep(fit: FittedRun, coefficients: tuple[Coefficient, ...]) -> Creep |
     )
 
 
-def _decays(fit: FittedRun, block: Block, times: list[float]) -> Array:
+def _decays(fit: FittedRun, positions: Positions, block: Block, times: list[float]) -> Array:
     """Rows ``[times | rows]`` of a block: the integral of ``exp(-age/time)`` over each interval; for a rate log its value."""
     design, run = fit.design.means, fit.design.means.run
     samples = slice(block.start - (not design.point), block.stop)
-    begin = fit.design.run.t[fit.design.run.segment_edges()[block.segment]]
+    begin = fit.design.run.t[positions.edges[block.segment]]
     age = np.maximum(run.t[samples] - begin, 0.0)
     constants = np.array(times)[:, None]
     out: Array = np.exp(-age / constants)
@@ -207,7 +207,7 @@ def _tests(fit: FittedRun, positions: Positions, times: list[float]) -> list[_Te
     from scipy.special import stdtr
 
     names, m = tuple(map(str, range(len(times)))), len(fit.design.names)
-    extra = Extra(names, lambda block: _decays(fit, block, times))
+    extra = Extra(names, lambda block: _decays(fit, positions, block, times))
     parts = reduce_positions(fit.design, fit.mode, fit.noise, positions, extra)
     tests = []
     for by_move, moves in ((False, np.ones(positions.count)), (True, _moves(fit.design.run, positions))):
