@@ -23,12 +23,11 @@ from piga._kernels.compensation.data import Covariance, Inputs, Instrument, Past
 from piga._kernels.compensation.sample import (
     EVEN,
     FADING,
-    FAR_TURN,
     bow,
+    constant_input,
     keep_bends,
     keep_interval,
     keep_sample,
-    solve_far,
     spacing,
     transverse,
 )
@@ -277,26 +276,15 @@ def misfit_of_sample(p: Instrument, m: Member) -> float:
 @exact
 def misfit_of_interval(p: Instrument, m: Member, h: float) -> float:
     """Misfit of the exact equation of an interval [m/s^2]."""
-    coupling, delta = p.K * p.tan_beta, m.delta
+    coupling = p.K * p.tan_beta
     a = p.K * (m.a_x + m.error) - m.base_x
     y, z = coupling * m.a_Y + m.base_y, coupling * m.a_Z + m.base_z
     da = p.K * (m.da_x + m.derror) - m.rise_x
     dy, dz = coupling * m.da_Y + m.rise_y, coupling * m.da_Z + m.rise_z
     cross = h * h / 12.0
     Y, Z = h * y + cross * (a * dz - z * da), h * z - cross * (a * dy - y * da)
-    twist, coupled = cross * (y * dz - z * dy), Y * m.s - Z * m.c
-    if abs(delta) > FAR_TURN:
-        e = solve_far(delta, Y * Y + Z * Z, coupled)
-        return (2.0 * delta + e - (h * a + twist)) / (p.K * h)
-    e = (h * a - 2.0 * delta) + twist
-    d = delta * delta
-    sine = delta * m.gain
-    cosine = 1.0 + d * (-1 / 2 + d * (1 / 24 + d * (-1 / 720 + d * (1 / 40320 - d / 3628800))))
-    first = -1 / 3 + d * (-2 / 45 + d * (-6 / 945 + d * (-4 / 4725 + d * (-10 / 93555))))
-    second = -1 / 45 + d * (-6 / 945 + d * (-6 / 4725))
-    eta = delta * e + 0.25 * (e * e - (Y * Y + Z * Z))
-    value = e * cosine - 2.0 * sine * eta * (first + eta * second) + coupled
-    return -value * m.gain / (h * p.K)
+    A, _ = constant_input(m.delta, Y, Z, m.s, m.c)
+    return (A - (h * a + cross * (y * dz - z * dy))) / (p.K * h)
 
 
 @exact

@@ -200,26 +200,3 @@ def segment_motion(
         y, z = dd.multiply(y, (tan_beta, 0.0)), dd.multiply(z, (tan_beta, 0.0))
         turns, rest, rate = constant_motion(a, y, z, t[k], turns, rest)
         ends[0, k], ends[1, k], ends[2, k] = turns, rest, rate
-
-
-@kernel
-def constant_steps(a: float, y: float, z: float, start: float, noise: Array, out: Array) -> None:
-    """Angle under constant force after every step, in ``out`` (n + 1,): the exponential of a 2 x 2 matrix, then noise.
-
-    The tests of a coverage campaign are simulated with it. It shares no code with the motion that the estimator integrates.
-    ``a``: turn of one step without the coupling [rad]. ``y``, ``z``: turns of the coupling, times its tangent [rad].
-    ``noise`` (n,) is added after each step [rad].
-    """
-    x = 0.25 * (y * y + z * z - a * a)
-    root = math.sqrt(abs(x))
-    if x >= 0.0:
-        c, s = math.cosh(root), (math.sinh(root) / root if root > 1e-9 else 1.0)
-    else:
-        c, s = math.cos(root), (math.sin(root) / root if root > 1e-9 else 1.0)
-    alpha = start
-    out[0] = alpha
-    for i in range(noise.size):
-        sine, cosine = math.sin(alpha), math.cos(alpha)
-        step = 2.0 * math.atan2(0.5 * s * (a + y * sine - z * cosine), c - 0.5 * s * (y * cosine + z * sine))
-        alpha += step + noise[i]
-        out[i + 1] = alpha
