@@ -14,6 +14,9 @@ from piga.errors import CancelledError
 Progress = Callable[[float, float, str], bool | None]
 """Function of the work done, the whole work, and what comes now. It returns False to stop the call."""
 
+WHEN_COMPILED: list[Callable[[], None]] = []
+"""Called once when the first kernel of this process is compiled, not only loaded."""
+
 
 def report(
     progress: Progress | None,

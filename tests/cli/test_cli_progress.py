@@ -8,8 +8,11 @@ import sys
 import time
 from pathlib import Path
 
+import numba
 import pytest
 
+import piga._kernels.jit  # noqa: F401
+from piga.cli.common import FIRST_USE, progress
 from piga.cli.main import stopped_words
 from piga.data import copy_example
 from piga.output import results, write_whole
@@ -50,6 +53,14 @@ def test_nothing_is_shown_without_a_terminal(tmp_path: Path) -> None:
         check=True,
     )
     assert done.stderr == ""
+
+
+@pytest.mark.only_compiled
+def test_first_use_is_said_once_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress("calibrating"):
+        for more in (1, 2):
+            numba.njit(lambda x, more=more: x + more)(1)
+    assert capsys.readouterr().err.splitlines() == [f"calibrating; {FIRST_USE}"]
 
 
 def test_words_of_a_stop(tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def _run(capsys, *arguments):
 @pytest.mark.parametrize(
     ("command", "files"),
     [
-        ("simulate", {"readouts.parquet", "truth.parquet"}),
+        ("simulate", {"readouts.parquet", "truth.parquet", "simulated.toml"}),
         ("align", {"alignment.json"}),
         ("identify", {"identification.json"}),
         ("navigate", {f"navigation-{m}.parquet" for m in ("none", "A", "B", "C")}),
@@ -64,6 +64,16 @@ def test_a_command_leaves_its_files_and_a_page(capsys, scenario, tmp_path, comma
     assert {p.name for p in (tmp_path / "out").glob("[!.]*")} == {*files, "report.html"}
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "<svg" in page
+
+
+def test_identify_takes_the_folder_of_simulate(capsys, scenario, tmp_path):
+    assert _run(capsys, "simulate", scenario, "--out", tmp_path / "sim")[0] == 0
+    documents = []
+    for given in (scenario, tmp_path / "sim"):
+        code, streams = _run(capsys, "identify", given, "--out", tmp_path / f"of-{given.name}", "--json")
+        assert code == 0
+        documents.append(json.loads(streams.out))
+    assert documents[0] == documents[1]
 
 
 def test_comparison_json_is_as_promised(capsys, scenario):

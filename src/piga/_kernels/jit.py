@@ -28,6 +28,7 @@ from numba.core.runtime.nrt import rtsys
 from numpy.typing import NDArray
 
 from piga._version import __version__
+from piga.progress import WHEN_COMPILED
 
 Array = NDArray[np.float64]
 F = TypeVar("F", bound=Callable[..., Any])
@@ -110,6 +111,8 @@ class _Compilations(event.Listener):
     def on_start(self, _event: Any) -> None:
         """A kernel is compiled from now on."""
         _Compilations.going += 1
+        while WHEN_COMPILED:
+            WHEN_COMPILED.pop()()
 
     def on_end(self, _event: Any) -> None:
         """A kernel is compiled."""

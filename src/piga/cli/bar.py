@@ -27,7 +27,9 @@ class _Compiling(ProgressColumn):
         """The column of one line."""
         jit = sys.modules.get("piga._kernels.jit")
         return Text(
-            "first use: compiling, once for all commands" if jit is not None and jit.compiling() else ""
+            "first use: compiling, once for all commands, up to half a minute"
+            if jit is not None and jit.compiling()
+            else ""
         )
 
 

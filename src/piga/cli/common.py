@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -17,6 +18,7 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from piga.errors import ArgumentError, PigaError
 from piga.output import results, write_whole
+from piga.progress import WHEN_COMPILED
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -257,8 +259,8 @@ outlet: Callable[[str, int | None], Show] | None = None
 def progress(title: str, total: int | None = None, *, every: float | None = None) -> Iterator[Show]:
     """Progress bar on stderr, shown at once on a terminal. Yields the function that library calls take as ``progress``.
 
-    ``every``: without a terminal, a line of text after so many seconds. If the command is stopped, the message names
-    ``title``.
+    Without a terminal a line says that kernels are compiled; with ``every``, another what is done after so many seconds. If the
+    command is stopped, the message names ``title``.
     """
     try:
         if outlet is not None:
@@ -269,10 +271,15 @@ def progress(title: str, total: int | None = None, *, every: float | None = None
             with Bar(title, total) as drawn:
                 yield drawn.show
         else:
+            WHEN_COMPILED[:] = [partial(note, f"{title}; {FIRST_USE}")]
             yield _lines(title, every)
     except KeyboardInterrupt as stop:
         stop.add_note(f"{DOING}{title}")
         raise
+
+
+FIRST_USE = "first use: compiling, once for all commands, up to half a minute"
+"""Said while kernels are compiled."""
 
 
 def _lines(title: str, every: float | None) -> Show:

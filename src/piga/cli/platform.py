@@ -30,7 +30,24 @@ app = App(
     "Analyse a space-stable platform with case rotation.",
 )
 
-Scenario = Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="Scenario file.", show_default=False)]
+SCENARIO = "simulated.toml"
+"""Name of the scenario in the folder of ``simulate``."""
+
+
+def _scenario_of(path: Path) -> Path:
+    """The scenario file; that of ``simulate`` where its folder is named."""
+    return path / SCENARIO if (path / SCENARIO).is_file() else path
+
+
+Scenario = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SCENARIO.toml",
+        help="Scenario file, or the folder that simulate wrote.",
+        show_default=False,
+        callback=_scenario_of,
+    ),
+]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results and report.html.")]
 Every = Annotated[
     int,
@@ -49,19 +66,20 @@ def simulate(
 ) -> None:
     """Simulate the readouts and the truth.
 
-    Writes readouts.parquet, truth.parquet and a page.
+    Writes readouts.parquet, truth.parquet, the scenario and a page.
     """
     from piga.platform.scenario import load_scenario
     from piga.platform.simulate import READOUT_COLUMNS, TRUTH_COLUMNS, readouts_table, truth_table
     from piga.reports.platform.page import simulation_page
 
-    files = ("readouts.parquet", "truth.parquet", "report.html")
+    files = ("readouts.parquet", "truth.parquet", SCENARIO, "report.html")
     with _results(out, "simulate", scenario, force, json, *files) as to:
         read = load_scenario(scenario)
         _announce(read.steps + 1, READOUT_COLUMNS + TRUTH_COLUMNS, 2, every)
         run = _simulated(read)
         for table, name in zip((readouts_table(run.readouts), truth_table(run)), files, strict=False):
             _parquet(_thinned(table, every), to / name)
+        write_text(to / SCENARIO, scenario.read_text(encoding="utf-8"))
         rows, eta = len(run.readouts.times), run.truth.eta
         document = {
             "rows": rows,
