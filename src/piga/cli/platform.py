@@ -79,7 +79,7 @@ def simulate(
         run = _simulated(read)
         for table, name in zip((readouts_table(run.readouts), truth_table(run)), files, strict=False):
             _parquet(_thinned(table, every), to / name)
-        write_text(to / SCENARIO, scenario.read_text(encoding="utf-8"))
+        (to / SCENARIO).write_bytes(scenario.read_bytes())
         rows, eta = len(run.readouts.times), run.truth.eta
         document = {
             "rows": rows,
