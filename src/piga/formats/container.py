@@ -329,7 +329,6 @@ def _channel(path: Path, channels: list[Any], name: str) -> Any:
             f"{path}: several groups have a channel '{name}'",
             remedy=f"name it as one of {', '.join(map(repr, groups[:5]))}",
             where=Where(path, columns=(name,)),
-            columns=groups,
         )
     check_unpacked(path, 8 * len(matching[0]), path.stat().st_size)
     return matching[0]

@@ -506,12 +506,9 @@ def segment_by_positions(
     spans = positions(x)
     for k, (start, stop) in enumerate(spans):
         segment[start:stop] = k
-    moving = np.flatnonzero(segment < 0)
-    events = []
-    if moving.size:
-        detail = f"'{name}' does not stand still: rows between the {len(spans)} positions are not used"
-        events.append(Event("moving", int(moving.size), int(rows[moving[0]]), detail))
-    return segment, tuple(str(k + 1) for k in range(len(spans))), events
+    detail = f"'{name}' does not stand still: rows between the {len(spans)} positions are not used"
+    moving = counted("moving", np.flatnonzero(segment < 0), rows, detail)
+    return segment, tuple(str(k + 1) for k in range(len(spans))), moving
 
 
 def settling(
@@ -528,7 +525,5 @@ def settling(
     """
     begins = np.diff(segment, prepend=segment[0] - 1) != 0
     early = (t - t[begins][np.cumsum(begins) - 1] < seconds) & (segment >= 0)
-    if not early.any():
-        return early, []
     detail = f"the first {seconds:g} s of each position are not used"
-    return early, [Event("settling", int(np.count_nonzero(early)), int(rows[int(np.argmax(early))]), detail)]
+    return early, counted("settling", np.flatnonzero(early), rows, detail)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from piga.errors import DataError, Where
 from piga.formats.columns import FileChunk, RecordStream
 from piga.records.arrays import ColumnWriter, stored
-from piga.records.calibration import Event
+from piga.records.calibration import Event, counted
 from piga.records.limits import (
     LARGEST_SAMPLE,
     MAX_SEGMENTS,
@@ -250,11 +250,10 @@ def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
         )
     file_rows, labels = rows.finish(), stream.label_names if data.label_column else ["all"]
     segment, names = segments_of_visits(codes.finish(), labels)
-    bare = np.flatnonzero(segment < 0)
     events = stream.events()
-    if bare.size:
-        first = int(file_rows[bare[0]])
-        events.append(Event("no-segment", int(bare.size), first, "rows without a segment are not used"))
+    events += counted(
+        "no-segment", np.flatnonzero(segment < 0), file_rows, "rows without a segment are not used"
+    )
     columns = {name: column.finish() for name, column in numbers.items()}
     import pyarrow as pa
 
