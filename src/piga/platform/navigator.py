@@ -1,23 +1,13 @@
-r"""Navigation in inertial axes: specific force of a space-stable platform to position, velocity and attitude.
+"""Navigation in inertial axes: specific force of a space-stable platform to position, velocity and attitude.
 
-The linear error dynamics are held against full perturbed runs:
-
-.. math::
-
-   \delta\dot r = \delta v - k_1 n\,(n\cdot\delta r - \delta h), \qquad
-   \delta\dot v = G(r)\,\delta r + \delta f_i - k_2 n\,(n\cdot\delta r - \delta h), \qquad
-   \delta f_i = \phi_i(t) \times f_i + C_P^i\, b
-
-``delta r, delta v`` (3,) position [m] and velocity [m/s] error in inertial axes; ``G`` (3, 3) gradient
-of J2 gravitation [1/s^2]; ``phi`` (3,) attitude error [rad] (what must be added to the navigator's idea of
-the triad), ``b`` (3,) accelerometer bias [m/s^2] in platform axes, ``n`` the vertical, ``k1, k2`` the
-altitude gains, ``delta h`` the error of the reference height. Small misalignments between P and G are
-left out of ``C_P^i``. Form after [Britting1971]; written out in docs/theory/platform.md section 9.
+The linear dynamics of its errors are held against full perturbed runs. Form after [Britting1971]; written out in
+docs/theory/platform.md sections 7 and 9.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import expm, matrix_balance
@@ -344,18 +334,9 @@ class Perturbation:
 
     def plus(self, other: Perturbation) -> Perturbation:
         """The sum of two perturbations."""
-
-        def added(a: tuple[float, float, float], b: tuple[float, float, float]) -> tuple[float, float, float]:
-            return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
-
-        return Perturbation(
-            added(self.attitude, other.attitude),
-            added(self.drift, other.drift),
-            added(self.bias, other.bias),
-            self.height + other.height,
-            added(self.position, other.position),
-            added(self.velocity, other.velocity),
-        )
+        pairs = zip(astuple(self), astuple(other), strict=True)
+        sums: list[Any] = [tuple(np.add(a, b)) if isinstance(a, tuple) else a + b for a, b in pairs]
+        return Perturbation(*sums)
 
 
 def linear_errors(place: Place, perturbation: Perturbation, duration: float, *, step: float = 10.0,
@@ -381,9 +362,10 @@ def linear_errors(place: Place, perturbation: Perturbation, duration: float, *, 
 
 
 def _error_dynamics(place: Place, gains: Array) -> Array:
-    """Matrix (16, 16) of the error dynamics of the module's docstring. It is constant, as all vectors are in Earth axes.
+    """Matrix (16, 16) of the error dynamics (docs/theory/platform.md section 9). It is constant: all vectors are in Earth axes.
 
     State: error of inertial position and velocity, attitude, drift and bias (3 each), and of the reference height.
+    Small misalignments between platform and triad are left out of the effect of the bias.
     """
     position = geodetic_to_earth(place.latitude, place.longitude, place.height)
     up = -local_axes(place.latitude, place.longitude)[:, 2]

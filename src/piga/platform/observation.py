@@ -7,10 +7,8 @@ Unknowns, in this order: polar ``u v`` (``m1 cos, m1 sin`` of its phase) and har
 encoder angle; the same for the equatorial gyro; ``eta0, eta_rate``; triad attitude (3), triad drift (3),
 base attitude about two Earth axes (2). The angles alone cannot separate the third base angle from the triad's.
 
-Sources: gimbal angles, pick-off, and the disturbance by case rotation in the specific force, also on a moving base
-[Hu2010]. A platform that deviates from its triad by the small angles ``e`` measures ``f - e x f``. On a moving base the
-force ``f`` is unknown, but it is assumed to have no part near the frequencies of the cases. Its slow part is modelled by a
-spline with one knot per turn. Its fast part is removed by a window of a fifth of a turn.
+Sources: gimbal angles, pick-off, and the disturbance by case rotation in the specific force, also on a moving base, whose
+unknown force is a slow spline [Hu2010] (docs/theory/platform.md section 5).
 """
 
 from __future__ import annotations
