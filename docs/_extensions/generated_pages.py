@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import pkgutil
+from inspect import cleandoc
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -209,7 +210,7 @@ def struct_text(struct: type[msgspec.Struct]) -> str:
             f"| `{field.encode_name}` | {cell(words.sentence)} | {type_text(field.type)}{unit} | {field_default(field)} "
             f"| `{cell(words.example)}` |"
         )
-    summary = (struct.__doc__ or "").replace("``", "`")
+    summary = cleandoc(struct.__doc__ or "").replace("``", "`")
     return f"## {struct.__name__}\n\n{summary}\n\n" + "\n".join(rows) + "\n"
 
 
