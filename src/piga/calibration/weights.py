@@ -176,16 +176,14 @@ def weighting_mode(design: Design, method: str) -> str:
 
 
 def weighted_blocks(
-    design: Design, mode: str, noise: Noise, *, rate: bool = False, extra: Extra | None = None
+    design: Design, mode: str, noise: Noise, *, rate: bool = False
 ) -> Iterator[tuple[Block, Array]]:
-    """Blocks with their weighted columns in order: model, with ``rate`` that of the position, ``extra``, observation."""
-    size = len(design.names) + 1 + rate + (0 if extra is None else len(extra.names))
-    whitener = Whitener(mode, noise, size, design.run.median_step)
+    """Blocks of all samples with their weighted columns in order: model, with ``rate`` that of the position, observation."""
+    whitener = Whitener(mode, noise, len(design.names) + 1 + rate, design.run.median_step)
     for block in design.blocks():
         columns = block.columns
         if rate:
-            more = [] if extra is None else [extra.columns(block)]
-            columns = np.vstack([columns[:-1], np.maximum(block.h, 0.0)[None], *more, columns[-1:]])
+            columns = np.vstack([columns[:-1], np.maximum(block.h, 0.0)[None], columns[-1:]])
         yield block, whitener.apply(columns, block.h)
 
 

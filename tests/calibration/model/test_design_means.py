@@ -96,3 +96,14 @@ def test_rows_have_unit_variance(short, kind):
     free = total.without((RATE,))
     assert total.count < 400
     assert free.factor[-1, -1] ** 2 / (total.count - len(terms) - 2) == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_moved_record_has_the_same_means(short):
+    """A source of the budget moves the record; other means would add their noise to the effect of the source."""
+    run = fine(5)
+    f = run.f.copy()
+    f[::2, 1] += 0.5 * G0
+    moved, request = replace(run, f=f), make_request(run, TERMS, "information")
+    design = Design(run, request, run.scale_factor)
+    assert Design(moved, request, run.scale_factor).mean_size == 1
+    assert design.of(moved).means.every == design.means.every > 4

@@ -86,11 +86,6 @@ class Fit:
         """One triangle per segment of a record with the same sampling, with the weights of the fit."""
         return reduce_segments(design, self.mode, self.noise)
 
-    @property
-    def sample_variance(self) -> float:
-        """Variance of a sample of a rate log [rad^2/s^2]."""
-        return self.noise.walk / self.design.run.median_step
-
 
 def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
     """Fit a run. Samples that do not lie on the path of the output are left out first.

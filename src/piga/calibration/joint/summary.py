@@ -333,8 +333,9 @@ def moved_sources(
 ) -> tuple[SourceSummary, ...]:
     """The sources of Type B of ``run``: the record of ``live``, perhaps with another ``[uncertainty]``."""
     wish = replace(live.request, terms=columns, per_run=())
-    plain = live.fit.reduce(Design(run, wish, scale_factor))
-    return tuple(_source(s, plain, Design(s.moved, wish, scale_factor), live.fit) for s in sources(run))
+    design = Design(run, wish, scale_factor)
+    plain = live.fit.reduce(design)
+    return tuple(_source(s, plain, design.of(s.moved), live.fit) for s in sources(run))
 
 
 def _source(source: Source, plain: list[Reduction], moved: Design, fit: Fit) -> SourceSummary:

@@ -243,8 +243,10 @@ class Design:
         return self if state == self.servo else Design(self.run, self.request, self.scale_factor, state)
 
     def of(self, run: Run) -> Design:
-        """The same model for a record with the same segments."""
-        return Design(run, self.request, self.scale_factor, self.servo)
+        """The same model, from means of as many samples, for a record with the same segments."""
+        result = Design(run, self.request, self.scale_factor, self.servo)
+        result.__dict__["mean_size"] = self.mean_size
+        return result
 
     def with_phase_of(self, other: Design) -> Design:
         """The same observations with the phase of another output reading inside the regressors."""
@@ -268,13 +270,13 @@ class Design:
         A row is then the change from mean to mean, for the observation and all columns alike: nothing is approximated, and slow
         columns lose no information. All reductions use it.
         """
-        every = 1 if self.request.method != "information" else self._mean_size()
-        return self if every == 1 else MeanDesign(self, every)
+        return self if self.mean_size == 1 else MeanDesign(self, self.mean_size)
 
-    def _mean_size(self) -> int:
-        """Number of samples of a mean, so that the model changes little in it."""
+    @cached_property
+    def mean_size(self) -> int:
+        """Number of samples of a mean, so that the model changes little in it; 1 for a short record."""
         run, most = self.run, float(self.run.size // DESIGN.means)
-        if most <= 1.0:
+        if most <= 1.0 or self.request.method != "information":
             return 1
         lengths = np.diff(np.append(np.flatnonzero(run.begins), run.size))
         most = min(most, np.diff(run.segment_edges()).min() // DESIGN.shared)
