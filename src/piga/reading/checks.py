@@ -350,7 +350,8 @@ class Reading:
 
     def _check_jump(self, psi: Array) -> None:
         """Refuse an output with a jump that only a folded counter or a reset can make."""
-        size, unit = np.abs(changes(psi)), self.scale.unit
+        size, unit = changes(psi), self.scale.unit
+        np.abs(size, out=size)
         size[self.begins] = 0.0
         at = int(np.argmax(size))
         if size[at] > 10.0 * self.largest + 2.0:

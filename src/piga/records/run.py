@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga import doors
 from piga.errors import ArgumentError
-from piga.records.arrays import stored
+from piga.records.arrays import empty, stored
 from piga.records.calibration import Event, Quality, counted
 from piga.records.distribution import GivenParameter
 from piga.records.run_file import (
@@ -663,10 +663,13 @@ def drop_repeats(
     rows:
         File row of each sample, for the messages.
     """
-    index = np.flatnonzero(usable)
-    at, places = t[index], segment[index]
-    same = (at[1:] == at[:-1]) & (places[1:] == places[:-1])
-    first, second = index[:-1][same], index[1:][same]
+    clean = bool(usable.all())  # a long column is not copied for nothing
+    at, places = (t, segment) if clean else (t[usable], segment[usable])
+    first = np.flatnonzero((at[1:] == at[:-1]) & (places[1:] == places[:-1]))
+    second = first + 1
+    if not clean:
+        index = np.flatnonzero(usable)
+        first, second = index[first], index[second]
     identical = np.ones(first.size, dtype=bool)
     for column in values:
         identical &= column[first] == column[second]
@@ -681,7 +684,9 @@ def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64]) 
     """Find backward jumps and gaps between the used samples. The nominal step is the median of all forward steps."""
     same = np.zeros(t.size, np.bool_)
     same[1:] = segment[1:] == segment[:-1]
-    step = np.diff(t, prepend=t[:1])
+    step = empty(t.size)
+    step[:1] = 0.0
+    np.subtract(t[1:], t[:-1], out=step[1:])
     nominal = median(step[same & (step > 0.0)])
     begins = ~same | begins_stretch(step, nominal)
     backs, gaps = (np.flatnonzero(same & where) for where in (step <= 0.0, step > LONG_INTERVAL * nominal))
