@@ -25,6 +25,7 @@ from piga.calibration.fit.residuals import (
     find_residuals,
     segment_scatter,
     segment_table,
+    with_slow_counts,
 )
 from piga.calibration.intervals import Interval
 from piga.calibration.joint.joint_fit import (
@@ -171,7 +172,8 @@ class OneRun:
             gravity=gravity_in_words(run),
             budget=BudgetTable(budget),
             diagnostics=replace(
-                diagnose(residuals, plain, (counted,)).with_scatter(scatter), model_comparison=compared
+                with_slow_counts(diagnose(residuals, plain, (counted,)), record).with_scatter(scatter),
+                model_comparison=compared,
             ),
             segments=segment_table(design, residuals),
             provenance=provenance(dict(run.input_sha256), options),
@@ -279,6 +281,9 @@ def _joint_result(
     plain = Diagnostics(residual_kind="rate" if kind == "rate" else angle, range=_ranges(fit))
     weights = np.array([record.rows for record in records], dtype=float)
     first = fit.summaries[0]
+    tests = diagnose(residuals, plain, products) if residuals is not None else plain
+    for live in fit.live:
+        tests = tests if live is None else with_slow_counts(tests, live.run)
     return Calibration(
         serial=first.serial,
         scale_factor_nominal=first.scale_factor,
@@ -303,9 +308,7 @@ def _joint_result(
             *_notes_on_runs(records),
         ),
         budget=BudgetTable(budget),
-        diagnostics=(diagnose(residuals, plain, products) if residuals is not None else plain).with_scatter(
-            scatter
-        ),
+        diagnostics=tests.with_scatter(scatter),
         segments=tuple(segments),
         provenance=_provenance(fit),
         temperature_reference=first.temperature_reference,

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import piga
-from piga.calibration.fit.residuals import LAG_PART, WHITENESS, add_lagged_products, counting_probability
-from piga.records.calibration.verdict import COUNTED
+from piga.calibration.fit.residuals import (
+    LAG_PART,
+    WHITENESS,
+    add_lagged_products,
+    counting_probability,
+    with_slow_counts,
+)
+from piga.records.calibration.verdict import COUNTED, SLOW_COUNTS
+from piga.units import G0
 from tests.calibration.made.synthetic import TERMS, record
 
 COUNT = 2.0 * np.pi / 72000
@@ -80,3 +89,38 @@ def test_lagged_products() -> None:
     out = np.zeros(4)
     add_lagged_products(x, out)
     np.testing.assert_allclose(out, [x[k:] @ x[: x.size - k] for k in range(4)], rtol=1e-12, atol=1e-10)
+
+
+def whole_counts(angles: tuple[float, ...], rate: float) -> piga.Run:
+    """Positions of a minute on a head, each with an own zero of the counter (36 000 counts), without coupling."""
+    inside, scale, rng = np.arange(0.0, 60.0, 1.0 / rate), 0.8884 / G0, np.random.default_rng(3)
+    a_x = G0 * np.cos(np.radians(angles))
+    angle = scale * a_x[:, None] * inside + rng.uniform(0.0, 1.0, a_x.size)[:, None]
+    angle += np.cumsum(1e-6 * rng.standard_normal(angle.shape), axis=1)
+    output = np.round(angle / (2.0 * np.pi) * 36000) * (2.0 * np.pi / 36000)
+    f = np.zeros((output.size, 3))
+    f[:, 0] = np.repeat(a_x, inside.size)
+    segment = np.repeat(np.arange(a_x.size), inside.size)
+    labels = [f"{k}" for k in range(a_x.size)]
+    t = np.add.outer(65.0 * np.arange(a_x.size), inside).ravel()
+    return piga.Run.from_arrays(
+        t, output.ravel(), f, scale_factor="0.8884 rad/s/g", segment=segment, labels=labels, units="SI"
+    )
+
+
+@compiled
+def test_nearly_whole_counts_in_each_sample_are_named() -> None:
+    """At 45 degrees the output turns by 179.96 counts of 36 000 in each twentieth of a second."""
+    run = whole_counts((0.0, 45.0, 135.0, 180.0, 225.0, 315.0, 20.0, 160.0), 20.0)
+    result = piga.calibrate(run, ["scale_factor", "k0"])
+    assert result.diagnostics.verdict == SLOW_COUNTS
+    (doubt,) = (doubt for doubt in result.verdict.doubts if "white" in doubt.what)
+    assert "nearly whole counts" in doubt.what
+    assert "another rate" in doubt.remedy
+    assert not result.diagnostics.missing_terms
+    plain = replace(result.diagnostics, verdict="not white: the model or the noise description is incomplete")
+    assert with_slow_counts(plain, run).verdict == SLOW_COUNTS
+    assert (
+        with_slow_counts(plain, whole_counts((0.0, 10.0, 30.0, 150.0, 180.0, 70.0), 19.3)).verdict
+        == plain.verdict
+    )

@@ -15,7 +15,7 @@ from piga.calibration.weights import Noise, Whitener, rate_share, residual_incre
 from piga.reading.checks import largest_size
 from piga.records.arrays import changes, middles, stored, taken
 from piga.records.calibration import Diagnostics, Residuals, SegmentScatter, SegmentSummary
-from piga.records.calibration.verdict import COUNTED
+from piga.records.calibration.verdict import COUNTED, SLOW_COUNTS
 from piga.records.run import Run
 from piga.results import Array
 from piga.units import G0
@@ -36,6 +36,8 @@ class WhitenessSettings:
     """Probability below which whitened residuals are called not white."""
     draws: int = 32
     """Simulated countings for the correlations of a coarsely counted record."""
+    beat: float = 0.05
+    """Largest distance of the counts per sample from a whole number at which the error of the counts changes slowly."""
     drawn_rows: int = 1 << 16
     """First rows of the record used for this simulation: 0.2 s of processor time."""
 
@@ -239,6 +241,19 @@ def count_of(run: Run) -> float:
     count = float(np.diff(np.unique(np.concatenate(([0.0], different)))).min())
     turns = steps / count
     return count if np.abs(turns - np.round(turns)).max() < 1e-3 else 0.0
+
+
+def with_slow_counts(tests: Diagnostics, run: Run) -> Diagnostics:
+    """The tests; if they failed, and a third of the segments turn by nearly whole counts in each sample, the verdict says so."""
+    count = count_of(run)
+    if count == 0.0 or tests.verdict in (None, "white", COUNTED):
+        return tests
+    formed = ~run.begins[1:]
+    size = np.bincount(run.segment_index[1:][formed], minlength=len(run.labels))
+    turned = np.bincount(run.segment_index[1:][formed], np.diff(run.output)[formed] / count, len(run.labels))
+    steps = turned[size > 0] / size[size > 0]
+    slow = np.abs(steps - np.round(steps)) < WHITENESS.beat
+    return replace(tests, verdict=SLOW_COUNTS) if 3 * np.count_nonzero(slow) >= slow.size else tests
 
 
 def counted_products(design: Design, noise: Noise, mode: str, residuals: Residuals) -> Array | None:

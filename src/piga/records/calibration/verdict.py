@@ -21,6 +21,8 @@ Grade = Literal["clear", "doubt", "do not use"]
 
 COUNTED = "white but for the counting"
 """Verdict on whitened residuals whose correlation comes from counting. The others are ``white`` and ``not white: ...``."""
+SLOW_COUNTS = "not white: the output turns by nearly whole counts from sample to sample"
+"""Verdict on whitened residuals that are not white where the error of the counts changes slowly."""
 
 
 @dataclass(frozen=True)
@@ -206,7 +208,12 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
     chance = tests.ljung_box_probability
     shown = "p < 1e-300" if chance < 1e-300 else f"p = {chance:.2g}"
     counted = tests.verdict == COUNTED
-    if tests.verdict != "white" and not counted:
+    if tests.verdict == SLOW_COUNTS:
+        yield Doubt(
+            f"the whitened residuals are {SLOW_COUNTS} ({shown}), so the error of the counts changes slowly",
+            "sample at another rate, or take other angles or levels; the intervals come from the scatter of the positions",
+        )
+    elif tests.verdict != "white" and not counted:
         yield Doubt(
             f"the whitened residuals are not white (Ljung-Box, {shown}): the model or the noise "
             "description is incomplete; the intervals come from the scatter of the positions",
