@@ -297,18 +297,6 @@ def _lines(title: str, every: float | None) -> Show:
     return show
 
 
-def counting(show: Show) -> Callable[[int, int | None], None]:
-    """For calls that count: a function of the number done since its last call, and the whole number."""
-    done = 0
-
-    def advance(count: int, total: int | None = None) -> None:
-        nonlocal done
-        done += count
-        show(done, total, "")
-
-    return advance
-
-
 DOING = "while "
 """Start of the note on a stop that names what was being done."""
 

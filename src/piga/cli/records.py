@@ -18,7 +18,6 @@ from piga.cli.common import (
     RunFileArgument,
     TermsOption,
     counted,
-    counting,
     names_in,
     note,
     print_json_list,
@@ -388,7 +387,7 @@ def verify(
     if where is None:
         raise PigaError("nothing to verify", remedy="name an export, or give --store")
     with progress("verifying") as show:
-        verification = check(where, head or (), counting(show))
+        verification = check(where, head or (), show)
     names = ("sound", "records", "files", "head", "known", "problems")
     document = {"store": verification.name} | {name: getattr(verification, name) for name in names}
     tell(as_json, document, verification_lines(verification))
@@ -412,7 +411,7 @@ def export(
     from piga.ledger.store.transfer import export_records
 
     with opened(store) as kept, progress("exporting") as show:
-        exported = export_records(kept, out, record, advance=counting(show))
+        exported = export_records(kept, out, record, progress=show)
     tell_written(out, exported.records, exported.head, as_json=as_json)
 
 
@@ -482,7 +481,7 @@ def backup(
     from piga.ledger.store.transfer import backup as copy
 
     with opened(store) as kept, progress("copying") as show:
-        copied = copy(kept, out, advance=counting(show))
+        copied = copy(kept, out, progress=show)
     tell_written(out, copied.records, copied.head, as_json=as_json)
 
 

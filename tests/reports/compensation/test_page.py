@@ -174,7 +174,9 @@ def test_extremes_and_flags_are_kept():
     assert (coarse.count, warm.count) == (2, size - 2)
     assert (coarse.first, coarse.last) == (t[47], t[134_711])
     assert 0 < warm.t.size <= compensation_outline.MARKS
-    assert {len(series.arrays()[0]) for series in flag_figure(result).panels[0].series} == {2, warm.t.size}
+    drawn_marks = sorted(len(series.arrays()[0]) for series in flag_figure(result).panels[0].series)
+    assert drawn_marks[0] == 2
+    assert 500 < drawn_marks[1] <= warm.t.size
 
 
 def test_the_spectrum_is_of_the_first_rows(monkeypatch):

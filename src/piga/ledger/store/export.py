@@ -13,7 +13,7 @@ import os
 import re
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
@@ -25,6 +25,7 @@ from piga.errors import StoreError
 from piga.ledger.store.documents import PART, RECORD, Entry, RecordDocument, decode, digest_of, sha256
 from piga.ledger.store.rows import read_blob, read_entries, read_identity, stored_sizes
 from piga.ledger.store.store import Store
+from piga.progress import Progress, report
 from piga.records.limits import open_regular
 from piga.records.text_files import JsonError, json_object
 
@@ -73,12 +74,10 @@ of all bytes of this file before the comment.
 """
 
 
-def write_members(
-    store: Store, path: Path, numbers: set[int] | None, advance: Callable[[int, int], None]
-) -> None:
+def write_members(store: Store, path: Path, numbers: set[int] | None, progress: Progress | None) -> None:
     """Write an export: all links, and the records with the given numbers (None: all) with their files.
 
-    ``advance`` gets the number of files written since its last call, and the number of all files.
+    ``progress`` gets the number of files written, and the number of all files.
     """
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as target:
         sums = _Members(target)
@@ -94,10 +93,10 @@ def write_members(
                     sums.text(f"records/{number:08d}.json", entry.document)
                     wanted |= set(_file_names(entry.document))
             sizes = stored_sizes(connection)
-            for name in sorted(wanted):
+            for done, name in enumerate(sorted(wanted), start=1):
                 size, packed = sizes.get(name, (0, 0))
                 sums.file(f"files/{name}", size, packed, read_blob(connection, name))
-                advance(1, len(wanted))
+                report(progress, done, len(wanted), "writing")
         records = number if numbers is None else len(numbers)
         manifest = _Manifest(SCHEMA, f"piga {__version__}", records, number, head)
         text = json.dumps(msgspec.structs.asdict(manifest), indent=1, sort_keys=True)

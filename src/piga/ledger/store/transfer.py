@@ -36,15 +36,14 @@ from piga.ledger.store.export import Export, is_export, write_members
 from piga.ledger.store.rows import ENTRY, insert_blob
 from piga.ledger.store.store import Store
 from piga.ledger.store.verify import (
-    Advance,
     StoreSource,
     Verification,
     VerifiedSource,
     check_chain,
-    silent,
     verify,
 )
 from piga.output import write_whole
+from piga.progress import Progress, report
 
 
 def export_records(
@@ -53,12 +52,12 @@ def export_records(
     chosen: Iterable[str] | None = None,
     *,
     replace: bool = False,
-    advance: Advance = silent,
+    progress: Progress | None = None,
 ) -> Verification:
     """Write all records of a store, or the chosen ones, with all links of its chain.
 
-    The file is read back before it gets its name. ``advance`` gets the number of files written or read back since its
-    last call, and the number of all files.
+    The file is read back before it gets its name. ``progress`` gets the number of files written or read back, and the
+    number of all files.
 
     Raises
     ------
@@ -71,8 +70,8 @@ def export_records(
 
     def write(part: Path) -> None:
         nonlocal result
-        write_members(store, part, numbers, lambda count, total: advance(count, 2 * total))
-        result = verify(part, advance=lambda count, total: advance(count, 2 * total))
+        write_members(store, part, numbers, lambda done, of, what: report(progress, done, 2 * of, what))
+        result = verify(part, progress=lambda done, of, what: report(progress, of + done, 2 * of, what))
         _refuse_unsound(result, store.name)
 
     write_whole(target, write, replace=replace, kind=StoreError)
@@ -132,7 +131,9 @@ def _refuse_unfit(
         ) from None
 
 
-def backup(store: Store, target: Path, *, replace: bool = False, advance: Advance = silent) -> Verification:
+def backup(
+    store: Store, target: Path, *, replace: bool = False, progress: Progress | None = None
+) -> Verification:
     """Write a verified copy: a database for a SQLite store, an export for a PostgreSQL store.
 
     Raises
@@ -150,11 +151,11 @@ def backup(store: Store, target: Path, *, replace: bool = False, advance: Advanc
             with closing(source), closing(sqlite3.connect(part)) as copied:
                 copied.execute("PRAGMA journal_mode=OFF")
                 source.backup(copied)
-        result = verify(part, advance=advance)
+        result = verify(part, progress=progress)
         _refuse_unsound(result, store.name)
 
     if store.database.path is None:
-        return export_records(store, target, replace=replace, advance=advance)
+        return export_records(store, target, replace=replace, progress=progress)
     write_whole(target, copy, replace=replace, kind=StoreError)
     result.name = str(target)
     return result

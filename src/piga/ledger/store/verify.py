@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 import sqlalchemy as sa
 
-from piga.errors import PigaError, StoreError
+from piga.errors import CancelledError, PigaError, StoreError
 from piga.ledger.store.database import APPLICATION_ID, SCHEMA, is_url, open_database, schema_version
 from piga.ledger.store.documents import (
     IDENTITY,
@@ -41,14 +41,9 @@ from piga.ledger.store.rows import (
     read_identity,
 )
 from piga.ledger.store.store import Store
+from piga.progress import Progress, report
 
 MAX_PROBLEMS = 100
-Advance = Callable[[int, int], None]
-"""Function that gets the number of files checked since its last call, and the number of all files."""
-
-
-def silent(_count: int, _total: int) -> None:
-    """Report no progress."""
 
 
 class VerifiedSource(Protocol):
@@ -119,7 +114,7 @@ class StoreSource:
         return check_blobs(self.connection, wanted)
 
 
-def verify(where: str | Path, heads: Iterable[str] = (), advance: Advance = silent) -> Verification:
+def verify(where: str | Path, heads: Iterable[str] = (), progress: Progress | None = None) -> Verification:
     """Check a store or an export from end to end.
 
     Parameters
@@ -128,16 +123,23 @@ def verify(where: str | Path, heads: Iterable[str] = (), advance: Advance = sile
         Store (file or URL) or export.
     heads:
         Heads noted earlier, for example on reports. Each must be a head of the chain.
-    advance:
-        Called with the number of files checked since the last call, and the number of all files.
+    progress:
+        Called with the number of files checked, and the number of all files (:mod:`piga.progress`).
+
+    Raises
+    ------
+    CancelledError
+        If ``progress`` stops it.
     """
     result = Verification(str(where))
     try:
         if not is_url(where) and is_export(Path(where)):
             with Export(Path(where)) as export:
-                check_chain(result, export, heads, advance)
+                check_chain(result, export, heads, progress)
         else:
-            _verify_store(result, where, heads, advance)
+            _verify_store(result, where, heads, progress)
+    except CancelledError:
+        raise
     except PigaError as error:
         result.problem(error.message)
     except (TypeError, ValueError, OverflowError) as error:
@@ -145,18 +147,20 @@ def verify(where: str | Path, heads: Iterable[str] = (), advance: Advance = sile
     return result
 
 
-def _verify_store(result: Verification, where: str | Path, heads: Iterable[str], advance: Advance) -> None:
+def _verify_store(
+    result: Verification, where: str | Path, heads: Iterable[str], progress: Progress | None
+) -> None:
     with Store(open_database(where)) as store:
         result.name = store.name
         with store.database.reading() as connection:
             if connection.dialect.name == "sqlite":
                 _check_sqlite(result, connection)
-            check_chain(result, StoreSource(connection), heads, advance)
+            check_chain(result, StoreSource(connection), heads, progress)
             _check_columns(result, connection)
 
 
 def check_chain(
-    result: Verification, source: VerifiedSource, heads: Iterable[str] = (), advance: Advance = silent
+    result: Verification, source: VerifiedSource, heads: Iterable[str] = (), progress: Progress | None = None
 ) -> None:
     """Check links, records and files of a chain. Problems are added to ``result``."""
     identity = source.identity()
@@ -179,7 +183,7 @@ def check_chain(
         head, expected = sha256(entry.link), entry.number + 1
         seen[head] = entry.number
         result.records += entry.document is not None
-    _check_files(result, source, wanted, advance)
+    _check_files(result, source, wanted, progress)
     result.head = head
     for known in heads:
         result.known[known] = seen.get(known.lower())
@@ -217,7 +221,7 @@ def _place_of_origin(taken_over: TakenOver, record: str) -> tuple[str, int, str]
 
 
 def _check_files(
-    result: Verification, source: VerifiedSource, wanted: dict[str, int], advance: Advance
+    result: Verification, source: VerifiedSource, wanted: dict[str, int], progress: Progress | None
 ) -> None:
     there = source.file_names()
     for name in sorted(wanted.keys() - there):
@@ -229,7 +233,7 @@ def _check_files(
         if error is not None:
             result.problem(error.message)
         result.files += 1
-        advance(1, len(both))
+        report(progress, result.files, len(both), "checking")
 
 
 def _check_columns(result: Verification, connection: sa.Connection) -> None:
