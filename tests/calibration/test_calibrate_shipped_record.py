@@ -103,6 +103,9 @@ def test_without_the_terms_of_the_servo_the_interval_of_k_holds_both_meanings(fo
     assert all(abs(value - scale.value) < scale.expanded for value in under.values())
     assert under["servo"] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
     said = [*calibration.notes, *calibration.remarks]
+    assert (
+        "missing term: servo =" in calibration.verdict.reason
+    )  # the clearest, though others move a coefficient more
     assert any("missing term: servo =" in note and "with servo and" in note for note in said)
     assert any("servo_damping = " in note and "cover this" in note for note in said)
     phi = calibration["phi"]

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 from piga.calibration.fit.one_run import Fit
 from piga.calibration.model.solution import variances_of
@@ -63,8 +64,10 @@ def with_remarks(result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[
     words = suggestions_in_words(missing, held=CUBIC_SOURCE in sources, turned=DAMPING_SOURCE in sources)
     said = {CUBIC_SOURCE} if any(entry.scale_factor_under for entry in missing) else set()
     said |= {DAMPING_SOURCE} if any(entry.terms == ("servo_damping",) for entry in missing) else set()
+    # a clearer signature is told with the weaker one that moves a coefficient: they may have one cause
+    shifts = list(accumulate(reversed([entry.largest_shift for entry in missing]), max))[::-1]
     suggested = (
-        *((entry.largest_shift, sentence + also) for entry, sentence in zip(missing, words, strict=True)),
+        *((shift, sentence + also) for shift, sentence in zip(shifts, words, strict=True)),
         *(
             (doubt.largest_shift(result.coefficients), doubt.words)
             for doubt in doubts
