@@ -9,9 +9,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands have it; r
 
 import numba
 import pytest
+from hypothesis import HealthCheck, settings
 
 import piga
 from tests.short_record import TERMS, a_run
+
+settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any machine")  # no test fails because a machine is busy
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
