@@ -11,7 +11,7 @@ import numpy as np
 from piga._version import __version__
 from piga.gravity_norm.estimate import SetCalibration
 from piga.reports.render.figure import Figure, Plot
-from piga.reports.render.numbers import pretty_unit, printed, rounded, short
+from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, short
 from piga.reports.render.page import (
     FigureBlock,
     Notice,
@@ -53,8 +53,8 @@ def terms_table(cal: SetCalibration) -> Table:
         TableOf(cal.terms)
         .text("term", lambda term: term.key)
         .number("value", lambda term: printed(rounded(term.value, term.std).value))
-        .number("u", lambda term: short(term.std))
-        .number("U, 95 %", lambda term: short(term.expanded))
+        .number("u", lambda term: printed(rounded(term.value, term.std).uncertainty))
+        .number("U, 95 %", lambda term: printed(rounded(term.value, term.expanded).uncertainty))
         .number("degrees of freedom", lambda term: short(term.degrees_of_freedom))
         .text("unit", lambda term: pretty_unit(term.unit))
         .table()
@@ -71,10 +71,10 @@ def page(cal: SetCalibration) -> Page:
     notices = [Notice("warning", remark) for remark in cal.remarks]
     spells = (
         TableOf(cal.spells)
-        .number("begin", lambda one: f"{one.begin:.6g}", "s")
-        .number("end", lambda one: f"{one.end:.6g}", "s")
+        .number("begin", lambda one: fixed(one.begin, 2), "s")
+        .number("end", lambda one: fixed(one.end, 2), "s")
         .number("samples", lambda one: str(one.samples))
-        .number("|f| − g", lambda one: short(one.residual / MICRO_G), "µg")
+        .number("|f| − g", lambda one: printed(fixed(one.residual / MICRO_G, 1)), "µg")
         .table()
     )
     return Page(
