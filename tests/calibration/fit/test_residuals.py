@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.scatter_rule import CASES
+from benchmarks.scatter_rule import record as simulated
 
 import piga
 from piga.calibration.fit.residuals import (
@@ -124,3 +126,11 @@ def test_nearly_whole_counts_in_each_sample_are_named() -> None:
         with_slow_counts(plain, whole_counts((0.0, 10.0, 30.0, 150.0, 180.0, 70.0), 19.3)).verdict
         == plain.verdict
     )
+
+
+@compiled
+@pytest.mark.parametrize("seed", [1, 4, 7])
+def test_scatter_that_counts_make_is_no_doubt(seed: int) -> None:
+    """3600 counts at 10 Hz: in some positions the output turns by nearly whole counts in each sample."""
+    result = piga.calibrate(simulated(CASES["counts 3600"], seed))
+    assert not any("scatter" in doubt.what for doubt in result.verdict.doubts)

@@ -158,10 +158,14 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> Segme
     """Scatter of the mean rates of the segments, relative to the scatter expected from the noise.
 
     In a segment of duration T with n samples, the slope of the residual angle has the variance ``12 r/(n T^2) + q/T`` for
-    white noise r and random walk q (an upper bound of the second part is 6/5 of it). A scatter of the segments, stated or
-    estimated, adds its own variance. The ratio is the root mean square of slope over expected standard deviation.
+    white noise r and random walk q (an upper bound of the second part is 6/5 of it). Where the output turns by d counts in a
+    sample, beside whole ones, the errors of counting repeat d n times, and as many are independent. A scatter of the
+    segments, stated or estimated, adds its own variance. The ratio is the root mean square of slope over expected standard
+    deviation.
     """
     slopes, expected, slow = [], [], []
+    count = count_of(design.run)
+    counted = min(noise.white, count**2 / 12.0)
     variances = noise.rate_variances(len(design.run.labels))
     for left, right in pairwise(design.run.segment_edges()):
         t = residuals.t[left:right]
@@ -171,7 +175,12 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> Segme
         centred = t - t.mean()
         slopes.append(float(centred @ residuals.after[left:right]) / float(centred @ centred))
         slow.append(variances[int(design.run.segment_index[left])])
-        expected.append(12.0 * noise.white / ((right - left) * duration**2) + 1.2 * noise.walk / duration)
+        rows = right - left
+        white = (noise.white - counted) / rows
+        if counted > 0.0:
+            turned = float(np.diff(design.run.output[left:right]).mean()) / count
+            white += counted / max(1.0, rows * abs(turned - round(turned)))
+        expected.append(12.0 * white / duration**2 + 1.2 * noise.walk / duration)
     if design.point or len(slopes) < 4 or min(expected) == 0.0:
         return SegmentScatter()
     slope, variance = np.array(slopes), np.array(expected)
