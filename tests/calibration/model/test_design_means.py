@@ -107,3 +107,17 @@ def test_a_moved_record_has_the_same_means(short):
     design = Design(run, request, run.scale_factor)
     assert Design(moved, request, run.scale_factor).mean_size == 1
     assert design.of(moved).means.every == design.means.every > 4
+
+
+@pytest.mark.parametrize("fault", ["interval", "pieces"])
+def test_uneven_samples_are_not_averaged(short, fault):
+    """Means of other lengths would have other correlations; a piece of one mean would lose its rows."""
+    run = fine(3)
+    t, begins, (first, last) = np.array(run.t), np.array(run.begins), run.segment_edges()[1:3]
+    if fault == "interval":
+        t[first:last] = t[first] + 0.5 * (t[first:last] - t[first])
+    else:
+        begins[first:last:3] = True
+    uneven = replace(run, t=t, begins=begins)
+    design = Design(uneven, make_request(uneven, TERMS, "information"), run.scale_factor)
+    assert design.means is design

@@ -127,6 +127,10 @@ class DesignSettings:
     """Largest turn of the output in a mean [rad]; it loses 0.8 % of the information of a column that turns."""
     moved: float = 1e-3
     """Largest mean square of the force about the means, relative to that of the force; more would lose information."""
+    even: float = 0.1
+    """Largest relative difference of the interval of a segment from the usual one, in a record that is averaged."""
+    pieces: float = 0.01
+    """Largest share of the rows of a segment in pieces shorter than two means, in a record that is averaged."""
     shared: int = 16
     """Fewest means in a segment, and half the fewest in a stretch of usual length."""
 
@@ -287,10 +291,25 @@ class Design:
             turn = float(np.quantile(np.abs(np.diff(self.phase_angle[::every])), 0.9)) / every
             most = min(most, DESIGN.turn / max(orders * turn, 1e-300))
         count = max(1, int(most))
+        if not self._is_even(lengths, count):
+            return 1
         places = np.linspace(0, run.size - count, 1024).astype(np.int64)[:, None] + np.arange(count)
         force = run.f[places[~run.begins[places[:, 1:]].any(axis=1)]]
         about = force - force.mean(axis=1, keepdims=True)
         return count if np.mean(about**2) <= DESIGN.moved * np.mean(force**2) else 1
+
+    def _is_even(self, lengths: NDArray[np.int64], count: int) -> bool:
+        """True if all segments are sampled alike and none is in pieces (of these ``lengths``) shorter than two means."""
+        run, segments = self.run, len(self.run.labels)
+        within = ~run.begins[1:]
+        inside = run.segment_index[1:][within]
+        counts = np.maximum(np.bincount(inside, minlength=segments), 1)
+        step = np.bincount(inside, np.diff(run.t)[within], segments) / counts
+        short = np.bincount(run.segment_index, np.repeat(lengths < 2 * count, lengths), segments)
+        rows = np.bincount(run.segment_index, minlength=segments)
+        return bool(
+            (np.abs(step / run.median_step - 1.0) < DESIGN.even).all() and (short < DESIGN.pieces * rows).all()
+        )
 
     def noise_of_rows(self, white: float, walk: float) -> tuple[float, float]:
         """Variance of white noise and random walk of the rows, from those of the record."""
