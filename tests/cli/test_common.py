@@ -46,7 +46,7 @@ def run(tmp_path: Path) -> Path:
 def test_characters_that_the_terminal_lacks(run: Path, encoding: str) -> None:
     done = command(["check", run], encoding)
     assert (done.returncode, b"Traceback" in done.stderr) == (0, False)
-    assert "rows" in done.stdout.decode(encoding)
+    assert "Rows" in done.stdout.decode(encoding)
     document = json.loads(command(["check", run, "--json"], encoding).stdout.decode(encoding))
     assert document["serial"] == "陀螺-\u03b2\u2714"  # escaped, not replaced
 

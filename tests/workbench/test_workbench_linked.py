@@ -65,8 +65,8 @@ def test_a_segment_is_selected_everywhere(browser: Browser, report: tuple[str, A
     first, last = own["t"].min() - residuals["t"].min(), own["t"].max() - residuals["t"].min()
     for part in selected(frame, "residual-time", 2):
         assert part["name"] == "segment 3"
-        assert min(part["x"]) == pytest.approx(first, abs=0.01)
-        assert max(part["x"]) == pytest.approx(last, abs=0.01)
+        assert min(part["x"]) == pytest.approx(first, abs=2.0)  # extremes are drawn, not every sample
+        assert max(part["x"]) == pytest.approx(last, abs=2.0)
     rms = np.sqrt((own[["before", "after"]] ** 2).mean()) * 648000.0 / np.pi
     places = selected(frame, "segment-rms", 2)
     for part, value in zip(places, rms, strict=True):

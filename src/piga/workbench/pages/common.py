@@ -219,7 +219,8 @@ def result_file(bench: Bench, path: Path, *, draft: bool = False) -> Response:
     """A result file: a page in a frame without any rights, everything else to save."""
     raw = bench.folder.read(path)
     if path.suffix == ".html":
-        mark = environment().get_template("draft.html.jinja").render().encode() if draft else b""
+        unmarked = draft and b'class="draft"' not in raw  # the command marks a laboratory of the example itself
+        mark = environment().get_template("draft.html.jinja").render().encode() if unmarked else b""
         return Response(raw + mark, media_type="text/html", headers={"content-security-policy": REPORT_POLICY})
     headers = {"content-disposition": f"attachment; filename*=utf-8''{quote(path.name)}"}
     return Response(raw, media_type="application/octet-stream", headers=headers)
