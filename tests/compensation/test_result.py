@@ -18,6 +18,7 @@ from piga.compensation import (
     identify_phase,
 )
 from piga.compensation.compensator import pieces_of, stream_of
+from piga.compensation.model import FLAGS
 from piga.compensation.result import write_rows
 from piga.formats.columns import nulls_of, numbers_of
 from piga.units import G0
@@ -111,10 +112,22 @@ def test_rows_are_written_in_groups(tmp_path, monkeypatch):
     monkeypatch.setattr("piga.compensation.result.GROUP_ROWS", 100)
     t = 0.01 * np.arange(250)
     result = piga.compensate(run_of(t, constant_force(t, 1.0, 3.0, 1.0), phi=0.3), calibration_of(CAL))
-    assert write_rows(result, tmp_path / "o.parquet") == 250
+    assert write_rows(result, tmp_path / "o.parquet")[0] == 250
     metadata = pa.parquet.ParquetFile(tmp_path / "o.parquet").metadata
     assert [metadata.row_group(i).num_rows for i in range(metadata.num_row_groups)] == [100, 100, 50]
     assert_file_holds(tmp_path / "o.parquet", result)
+
+
+def test_flags_are_counted_in_the_rows_that_are_written(tmp_path):
+    """At another rate the file has other rows than the record."""
+    t = np.concatenate((0.01 * np.arange(250), 9.0 + 0.01 * np.arange(250)))
+    result = piga.compensate(run_of(t, constant_force(t, 0.001, 3.0, 1.0), phi=0.3), calibration_of(CAL))
+    assert result.flagged("locked").any()
+    rows, flagged = write_rows(result, tmp_path / "o.parquet", period=0.037)
+    table = pa.parquet.read_table(tmp_path / "o.parquet")
+    flags = table.column("flags").to_numpy()
+    assert rows == table.num_rows != result.size
+    assert flagged == {name: n for name, bit in FLAGS.items() if (n := np.count_nonzero(flags & bit))}
 
 
 def test_flags_of_all_rows_that_overlap():

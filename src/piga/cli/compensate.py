@@ -256,8 +256,8 @@ def _single(
             progress=advance,
             **options.arguments(),
         )
-        rows = write_rows(result, out, kind, period=options.period, inputs=inputs, progress=advance)
-    document = summary_of(result, [record], rows, inputs)
+        written = write_rows(result, out, kind, period=options.period, inputs=inputs, progress=advance)
+    document = summary_of(result, [record], written, inputs)
     if page is not None:
         from piga.reports.compensation.outline import of_record
 
@@ -305,8 +305,8 @@ def _together(
         result = compensate_set(
             records, mounted, details=page is not None, progress=advance, **options.arguments()
         )
-        rows = write_rows(result, out, kind, period=options.period, inputs=inputs, progress=advance)
-    summary = summary_of(result, records, rows, inputs)
+        written = write_rows(result, out, kind, period=options.period, inputs=inputs, progress=advance)
+    summary = summary_of(result, records, written, inputs)
     if page is not None:
         from piga.reports.compensation.outline import of_set
 

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from piga.compensation.compensator import check_phase_kept, check_serial
-from piga.compensation.model import FLAGS, Limits, Phase
+from piga.compensation.model import Limits, Phase
 from piga.compensation.result import Compensated, CompensatedSet, Inputs, inputs_listed
 from piga.compensation.set_compensator import Mounted, SetCompensator
 from piga.errors import ArgumentError, DataError, RunFileError
@@ -232,20 +232,22 @@ def read_member(path: Path, item: Mounted, force: bool) -> Run:
 
 
 def summary_of(
-    result: Compensated | CompensatedSet, records: Sequence[Run], rows: int, inputs: Inputs
+    result: Compensated | CompensatedSet,
+    records: Sequence[Run],
+    written: tuple[int, dict[str, int]],
+    inputs: Inputs,
 ) -> dict[str, Any]:
-    """What the command says of a compensation, for JSON: rows written, velocity, rows per flag, findings while reading."""
+    """What the command says of a compensation, for JSON: rows and flags ``written``, velocity, findings while reading."""
     repairs: dict[str, int] = {}
     for record in records:
         for event in record.quality.events:
             repairs[event.kind] = repairs.get(event.kind, 0) + event.count
     u = np.asarray(result.u_velocity)
-    flagged = {name: int(np.count_nonzero(result.flagged(name))) for name in FLAGS}
     return {
-        "rows": rows,
+        "rows": written[0],
         "velocity_m_s": result.dv.sum(axis=0).tolist(),
         "u_velocity_m_s": None if np.isnan(u).any() else u.tolist(),
-        "flags": {name: count for name, count in flagged.items() if count},
+        "flags": written[1],
         "repairs": repairs,
         "notes": result.notes,
         "inputs": inputs_listed(inputs),

@@ -130,8 +130,8 @@ def write_rows(
     period: float | None = None,
     inputs: Inputs = (),
     progress: Progress | None = None,
-) -> int:
-    """Write compensated rows to a file; returns the number of rows written.
+) -> tuple[int, dict[str, int]]:
+    """Write compensated rows to a file; returns the rows written, and how many of them have each flag.
 
     A missing value is an empty cell in CSV and nan in Parquet. Parquet has units, flag names, notes and inputs as metadata.
 
@@ -153,7 +153,7 @@ def write_rows(
     text = (kind or format_of(path)) == "csv"
     resampler = None if period is None else Resampler(period)
     writer: Any = None
-    rows = 0
+    rows, flagged = 0, dict.fromkeys(FLAGS, 0)
     try:
         for start in range(0, max(result.size, 1), GROUP_ROWS):
             part = result.rows(slice(start, min(start + GROUP_ROWS, result.size)))
@@ -163,6 +163,8 @@ def write_rows(
             arrays = [number_column(column, empty_cells=text) for column in columns.values()]
             writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
             rows += columns["t"].size
+            for name, bit in FLAGS.items():
+                flagged[name] += int(np.count_nonzero(columns.get("flags", part.flags) & bit))
             report(progress, start + part.size, result.size, "writing")
     except BaseException:
         with suppress(Exception):  # the error that ended the writing is the one to report
@@ -170,7 +172,7 @@ def write_rows(
                 writer.close()
         raise
     writer.close()
-    return rows
+    return rows, {name: count for name, count in flagged.items() if count}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
