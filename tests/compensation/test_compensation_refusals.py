@@ -134,7 +134,7 @@ def test_a_phase_that_cannot_be_found() -> None:
     with pytest.raises(piga.CalibrationError, match=r"the output does not turn once in the first 0\.5 s"):
         piga.compensation.identify_phase(still, cal, 0.5)
     alone = run_of(t, constant_force(t, 1.0, 0.0), phi=0.3)
-    with pytest.raises(piga.CalibrationError, match=r"does not turn once|more transverse specific force"):
+    with pytest.raises(piga.CalibrationError, match="no transverse specific force"):
         piga.compensation.identify_phase(alone, cal, 30.0)
     weak = run_of(t, constant_force(t, 1.0, 1e-3), phi=0.3)
     noisy = calibration_of(CAL, angle_rms=1e-4)
