@@ -260,10 +260,9 @@ def si_or_text(value: str | float, like: str, *, what: str = "quantity") -> floa
 
 
 def _without_unit(what: str, number: str, like: str) -> UnitError:
-    unit = {"rad": "deg", "rad/s": "deg/s", "K": "degC"}.get(like, like)
     return UnitError(
         f"{what}: {number} has no unit",
-        remedy=f'write its unit, e.g. "{number} {unit}" (piga 0.2 took it as SI)',
+        remedy=f'write its unit; piga 0.2 took it as "{number} {like}"',
     )
 
 

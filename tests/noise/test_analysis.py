@@ -79,6 +79,14 @@ def test_a_run_file_gives_rate_and_acceleration(tmp_path):
     assert f"{noise.levels[1].value / np.pi * 648000:.2f}"[:4] in text
 
 
+def test_a_column_without_a_unit_keeps_its_numbers(tmp_path, record):
+    rate, t = record
+    np.savetxt(tmp_path / "log.csv", np.column_stack((t, rate)), delimiter=",", header="t,rate", comments="")
+    noise = read_static_log(tmp_path / "log.csv", column="rate")
+    assert noise.unit == "1"
+    assert noise.levels[1].lower < 0.3 < noise.levels[1].upper
+
+
 def test_what_is_refused(tmp_path, record):
     rate, t = record
     with pytest.raises(ArgumentError, match="10 samples"):

@@ -160,7 +160,7 @@ MOST_LEVELS = 2000
 class ColumnGuess:
     """Guess for one column: its kind, axis (0 to 2) and unit, and the alternatives.
 
-    ``stamp``: form of its time stamps. ``example``: its first cell.
+    ``stamp``: form of its time stamps. ``example``: its first cell. ``unwritten``: the log names no unit, it is a guess.
     """
 
     name: str
@@ -171,6 +171,7 @@ class ColumnGuess:
     stamp: str = ""
     alternatives: tuple[str, ...] = ()
     example: str = ""
+    unwritten: bool = False
 
     @property
     def words(self) -> str:
@@ -518,6 +519,7 @@ def _with_unit(guess: ColumnGuess, guesses: list[ColumnGuess], numbers: dict[str
         unit=units[0],
         reason=f"{guess.reason}; unit {units[0]} guessed: {why}",
         alternatives=(*guess.alternatives, *(f"unit {other}" for other in units[1:])),
+        unwritten=True,
     )
 
 

@@ -238,7 +238,7 @@ def read_static_log(
         )
     table = msgspec.convert(layout | {"output": {"column": column, "kind": "counts"}}, DataTable)
     values, t, digests = read_series(path.parent, table, (column,))
-    shown = unit or guess.unit or "1"
+    shown = unit or ("" if guess.unwritten else guess.unit) or "1"
     return analyse_noise(
         values,
         t,
