@@ -46,6 +46,7 @@ def small_run(folder: Path) -> Path:
 @pytest.mark.only_compiled
 def test_the_main_job(tmp_path: Path) -> None:
     done = piga("demo", "--out", tmp_path / "out")
+    assert ".piga-" not in (tmp_path / "out" / "calibration.json").read_text(encoding="utf-8")
     assert done.returncode == 0, done.stderr
     assert "scale_factor" in done.stdout
     names = {path.name for path in (tmp_path / "out").glob("[!.]*")}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -196,7 +197,7 @@ def demo(
     with deliver(out, "demo", names, (), force=force, as_json=False) as to:
         run = copy_example(to.stage)
         with progress("reading"):
-            record = read_run(run)
+            record = replace(read_run(run), source=f"{to.folder}/{run.name}")
         with progress("calibrating") as show:
             from piga.calibration.calibrate import calibrate as estimate
 
