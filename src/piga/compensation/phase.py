@@ -133,12 +133,12 @@ def identify_phase(record: Run, calibration: Calibration, duration: float) -> Ph
     if starts.size:
         rows[starts[0] :] = False
     psi = integrated_rate(t, output, begins) if record.kind == "rate" else output
+    finder = PhaseFinder(calibration)
     if not (y[rows].any() or z[rows].any()):
         raise CalibrationError(
             f"{record.source}: no transverse specific force in the first {duration:g} s",
             remedy="rest in a position with a_Y or a_Z; without them the coupling is zero",
         )
-    finder = PhaseFinder(calibration)
     phase = finder.push(t[rows], psi[rows], y[rows], z[rows])
     if phase is None:
         raise CalibrationError(
