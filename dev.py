@@ -1,9 +1,7 @@
-"""Set up and run: ``python3 dev.py demo`` or ``python3 dev.py test``. Needs nothing but Python 3.11 or later.
+"""Set up and run: ``python3 dev.py demo``, ``ui`` or ``test``. Needs nothing but Python 3.11 or later.
 
-Each task makes its own virtual environment, installs the pinned requirements with their hashes, and runs. Further tasks:
-ui (the workbench on the shipped record), compiled (all tests of compiled kernels), slow (long statistical tests), docs (the
-site, in site/), coverage (JIT off), package (wheel and sdist, installed and run on
-every Python there is).
+Each task makes its own virtual environment, installs the pinned requirements with their hashes, and runs: the demo, the
+workbench on the shipped record, or the tests. ``python3 dev.py nox -l`` lists the longer tasks of ``noxfile.py``.
 """
 
 from __future__ import annotations
@@ -15,7 +13,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 import venv
 from pathlib import Path
 
@@ -30,7 +27,6 @@ INSTALLERS = 3
 """Number of pip processes that set up an environment."""
 BYTECODE = {"PYTHONDONTWRITEBYTECODE": ""}
 """Kept in any case: the tests start several hundred processes, which would compile the same modules again."""
-PYTHONS = ("python3.11", "python3.12", "python3.13", "python3.14")
 
 
 def programs_of(folder: Path) -> Path:
@@ -46,16 +42,17 @@ def environment(name: str, requirements: str) -> Path:
     folder = ROOT / name
     programs = programs_of(folder)
     python = programs / ("python.exe" if os.name == "nt" else "python")
+    listed = ROOT / "requirements" / f"{requirements}.txt"
     pip = [str(python), "-m", "pip", *PIP_INSTALL, "--no-deps"]
-    pinned, sources = digest([ROOT / requirements], sys.version), digest(package_files())
+    pinned, sources = digest([listed], sys.version), digest(package_files())
     commands: list[list[str]] = []
     if not python.exists() or kept(folder / "requirements.sha256") != pinned:
         print(f"setting up {folder.name}: about half a minute, and the download of the packages", flush=True)
         venv.create(folder, with_pip=True, clear=True)
-        for k, part in enumerate(parts_of(ROOT / requirements)):
-            listed = folder / f"requirements-{k}.txt"
-            listed.write_text(part, "utf-8")
-            commands.append([*pip, "--require-hashes", "--only-binary", ":all:", "-r", str(listed)])
+        for k, part in enumerate(parts_of(listed)):
+            share = folder / f"requirements-{k}.txt"
+            share.write_text(part, "utf-8")
+            commands.append([*pip, "--require-hashes", "--only-binary", ":all:", "-r", str(share)])
     if commands or kept(folder / "piga.sha256") != sources:
         together([*commands, [*pip, "--force-reinstall", str(ROOT)]])
         call([str(python), "-m", "pip", "check", "--disable-pip-version-check"])
@@ -114,13 +111,13 @@ def start(command: list[str], **variables: str) -> subprocess.Popen[bytes]:
 
 def demo(arguments: list[str]) -> None:
     """Calibrate the shipped record, compensate it and write the report."""
-    programs = environment(".venv", "requirements.txt")
+    programs = environment(".venv", "demo")
     call([str(programs / "piga"), "demo", *arguments])
 
 
 def ui(arguments: list[str]) -> None:
     """Open the workbench on the shipped record, in a folder of its own."""
-    programs = environment(".venv-ui", "requirements-ui.txt")
+    programs = environment(".venv-ui", "ui")
     folder = ROOT / "piga-workbench"
     folder.mkdir(exist_ok=True)
     data = ROOT / "src" / "piga" / "data"
@@ -132,7 +129,7 @@ def ui(arguments: list[str]) -> None:
 
 def test(arguments: list[str]) -> None:
     """Lint, types, import contract; smoke tests of the compiled kernels; all tests with the JIT off."""
-    programs = environment(".venv-test", "requirements-dev.txt")
+    programs = environment(".venv-test", "all")
     python = str(programs / "python")
     everything = [python, "-m", "pytest", "-n", "2", "--dist", "worksteal", "-m", "not slow", *arguments]
     if arguments:
@@ -142,7 +139,7 @@ def test(arguments: list[str]) -> None:
     smoke = [
         path for path in sorted((ROOT / "tests").rglob("test_*.py")) if "mark.smoke" in path.read_text("utf-8")
     ]
-    with start([python, "-m", "mypy"]) as types:  # uses one core only; its result is looked at last
+    with start([python, "-m", "mypy"]) as types:
         checks = [[python, "-m", "ruff", "check"], [python, "-m", "ruff", "format", "--check"]]
         together([*checks, [str(programs / "lint-imports")]])
         call([python, "-m", "pytest", "-n", "2", "-m", "smoke", *map(str, smoke)])
@@ -153,101 +150,14 @@ def test(arguments: list[str]) -> None:
         sys.exit(types.returncode)
 
 
-def compiled(arguments: list[str]) -> None:
-    """All tests of the compiled kernels, and those that are too long for interpreted ones."""
-    programs = environment(".venv-test", "requirements-dev.txt")
-    selected = "(compiled or only_compiled) and not slow"
-    call(
-        [str(programs / "python"), "-m", "pytest", "-n", "2", "--dist", "worksteal", "-m", selected, *arguments]
-    )
-
-
-def slow(arguments: list[str]) -> None:
-    """Run the long statistical tests, compiled."""
-    programs = environment(".venv-test", "requirements-dev.txt")
-    call([str(programs / "python"), "-m", "pytest", "-m", "slow", *arguments])
-
-
-def docs(arguments: list[str]) -> None:
-    """Build the documentation into site/; a warning is an error, and so is a picture with other numbers."""
-    programs = environment(".venv-docs", "requirements-docs.txt")
-    call([str(programs / "python"), "-m", "builders.build_report_image"])
-    call(
-        [
-            str(programs / "python"),
-            "-m",
-            "sphinx",
-            "-q",
-            "-W",
-            "--keep-going",
-            "-b",
-            "html",
-            *arguments,
-            "docs",
-            "site",
-        ]
-    )
-    print("open site/index.html")
-
-
-def coverage(arguments: list[str]) -> None:
-    """Branch coverage: all tests with the JIT off, then those that only run compiled."""
-    programs = environment(".venv-test", "requirements-dev.txt")
-    measured = [str(programs / "python"), "-m", "coverage", "run", "-m", "pytest", "-n", "2", *arguments]
-    call([str(programs / "coverage"), "erase"])
-    source = str(ROOT / "src")  # the tests of the checkout, not of what is installed
-    call([*measured, "-m", "not slow"], NUMBA_DISABLE_JIT="1", PYTHONPATH=source)
-    call([*measured, "-m", "only_compiled and not slow"], PYTHONPATH=source)
-    call([str(programs / "coverage"), "combine", "--quiet"])
-    call([str(programs / "coverage"), "report", "--fail-under", "95"])
-
-
-def package(arguments: list[str]) -> None:
-    """Build wheel and sdist; install and run each on every Python that is found (or named), or on this one."""
-    programs = environment(".venv-test", "requirements-dev.txt")
-    shutil.rmtree(ROOT / "dist", ignore_errors=True)
-    call([str(programs / "python"), "-m", "hatchling", "build", "--directory", "dist"])
-    result = [python for python in arguments or PYTHONS if runs(python)] or [sys.executable]
-    for python in result:
-        for built in sorted((ROOT / "dist").iterdir()):
-            with tempfile.TemporaryDirectory() as folder:
-                call([python, "-m", "venv", f"{folder}/venv"])
-                try_package(built, Path(folder))
-    print(f"wheel and sdist install and run on: {', '.join(result)}")
-
-
-def runs(python: str) -> bool:
-    """True when there is such a Python and it starts."""
-    path = shutil.which(python)
-    return (
-        path is not None
-        and subprocess.run([path, "--version"], capture_output=True, check=False).returncode == 0
-    )
-
-
-def try_package(built: Path, folder: Path) -> None:
-    """Install a built file with its pinned requirements into ``folder/venv``; run what a user runs first."""
-    programs = programs_of(folder / "venv")
-    pip = [str(programs / "python"), "-m", "pip", *PIP_INSTALL]
-    call([*pip, "--require-hashes", "--only-binary", ":all:", "-r", "requirements.txt"])
-    call([*pip, "--no-deps", str(built)])
-    call([str(programs / "python"), "-P", "-c", "import piga; print(piga.__version__, piga.__file__)"])
-    call([str(programs / "piga"), "--version"])
-    call([str(programs / "piga"), "demo", "--out", str(folder / "demo")])
+def nox(arguments: list[str]) -> None:
+    """Run longer tasks in the environment of the tests."""
+    call([str(environment(".venv-test", "all") / "nox"), *arguments])
 
 
 def main() -> None:
     """Pick the task."""
-    tasks = {
-        "demo": demo,
-        "ui": ui,
-        "test": test,
-        "compiled": compiled,
-        "slow": slow,
-        "docs": docs,
-        "coverage": coverage,
-        "package": package,
-    }
+    tasks = {"demo": demo, "ui": ui, "test": test, "nox": nox}
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("task", choices=tasks)
     task, rest = parser.parse_known_args()

@@ -1,4 +1,4 @@
-"""Sphinx: the site is built from these pages, the docstrings and the code; ``python3 dev.py docs`` runs it."""
+"""Sphinx: the site is built from these pages, the docstrings and the code; ``python3 dev.py nox -s docs`` runs it."""
 
 from __future__ import annotations
 

@@ -34,13 +34,13 @@ def packages(extra: str) -> set[str]:
 
 def pins(file: str) -> dict[str, str]:
     """Entry of each pinned package."""
-    blocks = re.split(r"\n(?=\S)", (ROOT / file).read_text())
+    blocks = re.split(r"\n(?=\S)", (ROOT / "requirements" / file).read_text())
     return {plain(re.split(r"[\[=]", block)[0]): block for block in blocks if "==" in block.splitlines()[0]}
 
 
 @pytest.mark.parametrize("extra", list(EXTRAS))
 def test_every_package_of_an_extra_is_pinned_with_hashes_and_its_licence_is_named(extra: str) -> None:
-    pinned = pins("requirements-docs.txt" if extra == "docs" else "requirements-dev.txt")
+    pinned = pins("all.txt")
     notice = (ROOT / "NOTICE").read_text()
     own = re.search(rf"^{extra} .*?(?=^\S)", notice, flags=re.MULTILINE | re.DOTALL)
     assert own, f"NOTICE has no line for the extra {extra}"
@@ -52,23 +52,22 @@ def test_every_package_of_an_extra_is_pinned_with_hashes_and_its_licence_is_name
 
 def test_all_that_the_pages_need_is_named() -> None:
     notice = (ROOT / "NOTICE").read_text().lower()
-    assert [name for name in pins("requirements.txt") if f" {name} " not in notice] == []
+    assert [name for name in pins("demo.txt") if f" {name} " not in notice] == []
 
 
 def test_every_pin_has_hashes_and_none_is_of_the_gpl() -> None:
-    for file in ("requirements.txt", "requirements-dev.txt", "requirements-docs.txt"):
-        for name, block in pins(file).items():
-            assert "--hash=sha256:" in block, (file, name)
-            assert name != "pysolid"
+    for name, block in pins("all.txt").items():
+        assert "--hash=sha256:" in block, name
+        assert name != "pysolid"
     assert not re.search(r"(?<!L)GPL-[23]", (ROOT / "NOTICE").read_text())
 
 
-def test_a_package_has_one_version_in_all_files() -> None:
-    files = [pins(path.name) for path in sorted(ROOT.glob("requirements*.txt"))]
-    assert len(files) == 4
-    every = {block.splitlines()[0] for file in files for block in file.values()}
-    names = [re.sub(r"==[^ ]*", "", line) for line in every]
-    assert sorted(names) == sorted(set(names)), "renew the pins as docs/release.md says"
+@pytest.mark.parametrize("file", ["demo.txt", "ui.txt"])
+def test_an_exported_file_has_the_versions_and_hashes_of_the_lock(file: str) -> None:
+    every, some = pins("all.txt"), pins(file)
+    bare = {name: re.sub(r" ; .*", " \\\\", block).strip() for name, block in every.items()}
+    for name, block in some.items():
+        assert re.sub(r" ; .*", " \\\\", block).strip() == bare[name], "nox -s lock renews them together"
 
 
 HIDE = """
@@ -127,9 +126,12 @@ def test_a_command_that_needs_more_says_which_extra(tmp_path: Path):
     "path", sorted((ROOT / ".github" / "workflows").glob("*.yml")), ids=lambda path: path.name
 )
 def test_a_workflow_can_be_read_and_names_what_exists(path):
-    """Tasks of dev.py and files; a line with ``: `` in it was no YAML."""
+    """Tasks of dev.py and nox, and files; a line with ``: `` in it was no YAML."""
     yaml = pytest.importorskip("yaml")
-    tasks = set(re.findall(r'^        "(\w+)": \w+,$', (ROOT / "dev.py").read_text("utf-8"), re.MULTILINE))
+    tasks = {"demo", "ui", "test", "nox"}
+    sessions = set(
+        re.findall(r"^@nox.session.*\ndef (\w+)", (ROOT / "noxfile.py").read_text("utf-8"), re.MULTILINE)
+    )
     lines = [
         step["run"]
         for job in yaml.safe_load(path.read_text("utf-8"))["jobs"].values()
@@ -139,4 +141,5 @@ def test_a_workflow_can_be_read_and_names_what_exists(path):
     assert lines
     for line in lines:
         assert set(re.findall(r"dev\.py (\w+)", line)) <= tasks, line
+        assert set(re.findall(r"nox -s (\w+)", line)) <= sessions, line
         assert all((ROOT / name).exists() for name in re.findall(r"(?:tests|requirements)[\w/.-]*", line)), line
