@@ -93,6 +93,13 @@ TERMS: dict[str, Term] = {
         _CENTRIFUGE,
         factors=("x", "|x|"),
     ),
+    "k1a": Term(
+        "1",
+        "k1a |a_x|",
+        "asymmetry of the scale factor (|a_x|): K (1 + k1a) for a_x above 0, K (1 - k1a) below",
+        "a tumble, or a centrifuge with both ends of the axis outward",
+        factors=("|x|",),
+    ),
     "m_Y": Term("rad", "m_Y a_Y", "mounting misalignment (a_Y)", _TUMBLE, factors=("y",)),
     "m_Z": Term("rad", "m_Z a_Z", "mounting misalignment (a_Z)", _ROLLED, factors=("z",)),
     "k_XY": Term("g/g^2", "k_XY a_x a_Y", "cross coefficient (a_x a_Y)", _TUMBLE, factors=("x", "y")),

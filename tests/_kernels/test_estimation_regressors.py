@@ -91,6 +91,7 @@ FORCE_TERMS = {
     "k2": lambda x, y, z, t, T: x * x,
     "k3": lambda x, y, z, t, T: x**3,
     "k2o": lambda x, y, z, t, T: x * abs(x),
+    "k1a": lambda x, y, z, t, T: abs(x),
     "m_Y": lambda x, y, z, t, T: y,
     "m_Z": lambda x, y, z, t, T: z,
     "k_XY": lambda x, y, z, t, T: x * y,

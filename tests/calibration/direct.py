@@ -36,7 +36,7 @@ class Tumble:
         """Output at every sample."""
         x, y, _ = self.force()[2].T
         c = self.truth
-        indicated = x + c["k0"] + c["k2"] * x**2 + c["k3"] * x**3 + c["m_Y"] * y
+        indicated = x + c["k0"] + c["k2"] * x**2 + c["k3"] * x**3 + c["m_Y"] * y + c.get("k1a", 0.0) * np.abs(x)
         noise = np.random.default_rng(self.seed).standard_normal(x.size)
         return np.asarray(self.K * indicated + self.noise * noise)
 

@@ -70,6 +70,24 @@ def test_estimate_is_that_of_least_squares_of_the_samples(tmp_path: Path) -> Non
     assert np.all((ratio > 0.6) & (ratio < 1.6))
 
 
+def test_asymmetry_of_the_scale_factor_is_found_and_taken_out(tmp_path: Path) -> None:
+    """K above and below zero, each fitted by itself with NumPy; then the force of the true reference back from the output."""
+    tumble = Tumble(truth=MA.truth | {"k2": 0.0, "k3": 0.0, "k1a": 4e-4})
+    path = tumble.write(tmp_path, "rate", "mA", "0.6 mA/g")
+    path.write_text(path.read_text().replace(str(list(TERMS)), "['scale_factor', 'k0', 'k1a', 'm_Y']"))
+    run = piga.read_run(path)
+    result = piga.calibrate(run)
+    x, y, _ = tumble.force()[2].T
+    columns = np.stack((np.maximum(x, 0.0), np.minimum(x, 0.0), np.ones(x.size), y), axis=1)
+    above, below = np.linalg.lstsq(columns, tumble.rate(), rcond=None)[0][:2]
+    assert result["scale_factor"].value == pytest.approx(0.5 * (above + below), rel=1e-9)
+    assert result["k1a"].value == pytest.approx((above - below) / (above + below), abs=1e-9)
+    assert abs(result["k1a"].value - 4e-4) < result["k1a"].expanded
+    force = piga.compensate(run, result).ax / G
+    assert abs(np.mean(force - x)) < 1e-7
+    assert abs(np.corrcoef(force - x, np.abs(x))[0, 1]) < 0.1
+
+
 def test_text_and_page_show_the_unit_and_nothing_of_a_gimbal(
     made: tuple[str, Tumble, Path], tmp_path: Path
 ) -> None:

@@ -53,7 +53,7 @@ def test_rate_samples_come_back_to_1e12_g():
 
 
 ERRORS = {
-    "k0": 1.6e-3, "k1": -2.4e-3, "k2": 2e-3, "k3": 1e-4, "k2o": 3e-4, "m_Y": 2e-4, "m_Z": -1e-4, "k_XY": 1e-4,
+    "k0": 1.6e-3, "k1": -2.4e-3, "k2": 2e-3, "k3": 1e-4, "k2o": 3e-4, "k1a": 2e-4, "m_Y": 2e-4, "m_Z": -1e-4, "k_XY": 1e-4,
     "k_XZ": -2e-4, "k_YY": 3e-5, "k_ZZ": 2e-5, "k_YZ": -1e-5, "k0_T": 1e-5, "k1_T": 2e-5,
     "s1": 1e-5, "c1": 3e-5,
 }  # fmt: skip

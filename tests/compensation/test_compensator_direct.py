@@ -42,6 +42,21 @@ def test_force_is_the_true_one(
     assert result.u_ax[seen] == pytest.approx(1e-6 * G * np.abs(truth[seen] + TRUTH["k0"]), rel=1e-2, abs=1e-8)
 
 
+@pytest.mark.parametrize("name", ["k1a", "k2o"])
+def test_an_interval_in_which_the_force_passes_zero(name: str) -> None:
+    """Counts by the antiderivative of the model; the mean force of each interval comes back."""
+    t = np.arange(40) * 0.1
+    x = -1.03 + 0.5 * t
+    integral = x**2 / 2.0 + 1e-3 * (x * np.abs(x) / 2.0 if name == "k1a" else np.abs(x) ** 3 / 3.0)
+    truth = piga.Calibration.from_coefficients({"scale_factor": 5e9, name: 1e-3}, unit="count/s")
+    force = G * np.stack((x, 0.0 * x, 0.0 * x), axis=1)
+    run = piga.Run.from_arrays(
+        t, 5e9 * (integral - integral[0]) / 0.5, force, scale_factor="5e9 count/s/g", unit="count/s", units="SI"
+    )
+    error = piga.compensate(run, truth).ax[3:] / G - 0.5 * (x[3:] + x[2:-1])
+    assert np.abs(error).max() < 2e-8
+
+
 def test_velocity_is_that_of_all_counts(tmp_path: Path) -> None:
     tumble = Tumble(K=5e6, noise=0.0)
     run = piga.read_run(tumble.write(tmp_path, "counts", "", "5e6 count/s/g"))

@@ -54,6 +54,7 @@ def test_full_error_model_of_angles():
         "k1": -2e-3,
         "k2": 2e-3,
         "k3": 1e-4,
+        "k1a": 1e-4,
         "m_Y": 2e-4,
         "k_XY": 1e-4,
         "s1": 1e-5,

@@ -106,7 +106,7 @@ def test_constant_base_rate_may_be_given_once():
 @pytest.mark.compiled
 def test_error_model_against_dop853():
     model = ErrorModel(
-        k0="2e-3 g", k1=1e-3, k2="2e-3 g/g^2", k3="1e-3 g/g^3", k2o="1e-3 g/g^2", m_Y=1e-3, m_Z=-2e-3,
+        k0="2e-3 g", k1=1e-3, k2="2e-3 g/g^2", k3="1e-3 g/g^3", k2o="1e-3 g/g^2", k1a=5e-4, m_Y=1e-3, m_Z=-2e-3,
         k_XY="1e-3 g/g^2", k_XZ="-2e-3 g/g^2", k_YY="3e-3 g/g^2", k_ZZ="1e-3 g/g^2", k_YZ="2e-3 g/g^2",
         s1="3e-3 g", c1="-2e-3 g", k0_t="1e-3 g/s", k0_T="1e-4 g/K", k1_T=1e-4, T_ref="20 degC",
     )  # fmt: skip
@@ -119,7 +119,7 @@ def test_error_model_against_dop853():
         x, y, z = force / G0
         warm = 290.0 + 10.0 * (s - t[0]) / (t[-1] - t[0]) - 293.15
         return G0 * (
-            2e-3 + 1e-3 * x + 2e-3 * x**2 + 1e-3 * x**3 + 1e-3 * x * abs(x) + 1e-3 * y - 2e-3 * z
+            2e-3 + 1e-3 * x + 2e-3 * x**2 + 1e-3 * x**3 + 1e-3 * x * abs(x) + 5e-4 * abs(x) + 1e-3 * y - 2e-3 * z
             + 1e-3 * x * y - 2e-3 * x * z + 3e-3 * y**2 + 1e-3 * z**2 + 2e-3 * y * z
             + 3e-3 * math.sin(alpha) - 2e-3 * math.cos(alpha) + 1e-3 * s + (1e-4 + 1e-4 * x) * warm
         )  # fmt: skip

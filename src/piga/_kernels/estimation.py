@@ -18,6 +18,7 @@ Samples that do not lie on the path of the output are told by one pass with two 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,15 +114,14 @@ def product_column(
 ) -> None:
     """Integral of a product of inputs over each interval, exact for linear inputs.
 
-    ``factors`` as in :data:`piga.terms.PRODUCTS`: none, one, two, ``x|x|`` or ``xxx``. ``f`` has shape (3, n + 1); ``t`` and
-    ``temperature`` are relative to their references.
+    ``factors`` as in :data:`piga.terms.PRODUCTS`: none, one, two, ``|x|``, ``x|x|`` or ``xxx``. ``f`` has shape (3, n + 1);
+    ``t`` and ``temperature`` are relative to their references.
     """
     inputs = {"x": f[0], "y": f[1], "z": f[2], "t": t, "T": temperature}
     if not factors:
         out[:] = 1.0
-    elif factors in (("x", "|x|"), ("x", "x", "x")):
-        start, end = f[0, :-1], f[0, 1:]
-        out[:] = _odd_square_mean(start, end) if "|x|" in factors else _cube_mean(start, end)
+    elif factors in MEANS:
+        out[:] = MEANS[factors](f[0, :-1], f[0, 1:])
     elif len(factors) == 1:
         a = inputs[factors[0]]
         np.add(a[:-1], a[1:], out=out)
@@ -147,6 +147,21 @@ def _odd_square_mean(a: Array, b: Array) -> Array:
     length = np.where(crossing, b - a, 1.0)
     across = (np.abs(b) ** 3 - np.abs(a) ** 3) / (3.0 * length)
     return np.where(crossing, across, np.copysign((a * a + a * b + b * b) / 3.0, a + b))
+
+
+def _size_mean(a: Array, b: Array) -> Array:
+    """Mean of ``|x|`` while x goes linearly from a to b."""
+    crossing = a * b < 0.0
+    across = (a * a + b * b) / (2.0 * np.where(crossing, np.abs(b - a), 1.0))
+    return np.where(crossing, across, 0.5 * np.abs(a + b))
+
+
+MEANS: dict[tuple[Factor, ...], Callable[[Array, Array], Array]] = {
+    ("|x|",): _size_mean,
+    ("x", "|x|"): _odd_square_mean,
+    ("x", "x", "x"): _cube_mean,
+}
+"""Mean of a product of powers of ``a_x`` while it goes linearly from one value to another."""
 
 
 @kernel
@@ -296,9 +311,10 @@ def add_product_bows(
     """Add the effect of the force bows (3, n) to a column of :func:`product_column`, to first order."""
     inputs = {"x": f[0], "y": f[1], "z": f[2], "T": temperature}
     bow = dict(zip("xyz", bows, strict=False))
-    if "|x|" in factors or len(factors) > 2:
+    if factors in MEANS:
         x = 0.5 * (f[0, :-1] + f[0, 1:])
-        out += h * bows[0] * (2.0 * np.abs(x) if "|x|" in factors else 3.0 * x * x)
+        slope = {1: np.sign(x), 2: 2.0 * np.abs(x), 3: 3.0 * x * x}[len(factors)]
+        out += h * bows[0] * slope
     elif len(factors) == 1 and factors[0] in bow:
         out += h * bow[factors[0]]
     elif len(factors) == 2:

@@ -88,7 +88,7 @@ class ErrorModel:
 
     .. math::
 
-       e = k_0 + k_1 a_x + k_2 a_x^2 + k_3 a_x^3 + k_{2o} a_x |a_x| + m_Y a_Y + m_Z a_Z
+       e = k_0 + k_1 a_x + k_2 a_x^2 + k_3 a_x^3 + k_{2o} a_x |a_x| + k_{1a} |a_x| + m_Y a_Y + m_Z a_Z
          + k_{XY} a_x a_Y + k_{XZ} a_x a_Z + k_{YY} a_Y^2 + k_{ZZ} a_Z^2 + k_{YZ} a_Y a_Z
          + s_1 \sin\alpha + c_1 \cos\alpha + k_{0t} t + (k_{0T} + k_{1T} a_x)(T - T_{ref})
 
@@ -109,6 +109,7 @@ class ErrorModel:
     k2: float = 0.0
     k3: float = 0.0
     k2o: float = 0.0
+    k1a: float = 0.0
     m_Y: float = 0.0
     m_Z: float = 0.0
     k_XY: float = 0.0
@@ -132,6 +133,7 @@ class ErrorModel:
             k2: Quantity = 0.0,
             k3: Quantity = 0.0,
             k2o: Quantity = 0.0,
+            k1a: Quantity = 0.0,
             m_Y: Quantity = 0.0,
             m_Z: Quantity = 0.0,
             k_XY: Quantity = 0.0,

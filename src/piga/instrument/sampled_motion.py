@@ -52,7 +52,7 @@ def _error_rates(
     """Error rate ``K e`` [rad/s] at the samples (n,), and the difference of its mean over a step from the trapezoid.
 
     Simpson's rule with the force halfway between samples: exact for the quadratic and cubic terms
-    of a force that is linear between samples (but for ``k2o`` in a step where ``a_x`` changes sign).
+    of a force that is linear between samples (but for ``k2o`` and ``k1a`` in a step where ``a_x`` changes sign).
     """
     if model.needs_temperature and temperature is None:
         raise ArgumentError(

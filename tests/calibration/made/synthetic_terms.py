@@ -25,7 +25,7 @@ def with_term(run, name, size):
     x, y, z = run.f.T
     alpha, t = run.output + PHI, run.t - 0.5 * (run.t[0] + run.t[-1])
     values = {
-        "k0": 1.0 + 0.0 * x, "k2": x**2, "k3": x**3, "k2o": x * np.abs(x), "m_Y": y, "m_Z": z, "k_XY": x * y,
+        "k0": 1.0 + 0.0 * x, "k2": x**2, "k3": x**3, "k2o": x * np.abs(x), "k1a": np.abs(x), "m_Y": y, "m_Z": z, "k_XY": x * y,
         "k_XZ": x * z, "k_YY": y**2, "k_ZZ": z**2, "k_YZ": y * z, "k0_t": t, "s1": np.sin(alpha),
         "c2": np.cos(2.0 * alpha),
     }[name]  # fmt: skip

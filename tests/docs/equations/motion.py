@@ -39,6 +39,7 @@ def _model() -> Iterator[Pair]:
     s, c = np.sin(alpha), np.cos(alpha)
     literal = a_x + TAN_BETA * (u_Y / K * s - u_Z / K * c)
     literal += value["k0"] + value["k2"] * a_x**2 + value["k3"] * a_x**3 + value["k2o"] * a_x * np.abs(a_x)
+    literal += value["k1a"] * np.abs(a_x)
     literal += value["m_Y"] * a_Y + value["m_Z"] * a_Z
     literal += value["k_XY"] * a_x * a_Y + value["k_XZ"] * a_x * a_Z
     literal += value["k_YY"] * a_Y**2 + value["k_ZZ"] * a_Z**2 + value["k_YZ"] * a_Y * a_Z
@@ -57,7 +58,7 @@ def _model() -> Iterator[Pair]:
 
 
 _SINGLE = (
-    "k0", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
+    "k0", "k2", "k3", "k2o", "k1a", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
     "servo", "servo_damping",
 )  # fmt: skip
 

@@ -51,6 +51,7 @@ class Instrument(Protocol):
     k2: float
     k3: float
     k2o: float
+    k1a: float
     m_Y: float
     m_Z: float
     k_XY: float

@@ -38,6 +38,7 @@ from piga._kernels.compensation.terms import (
     flags_of,
     harmonics,
     servo_error,
+    size_mean,
     uncertainty,
     variance_by_coefficients,
 )
@@ -252,13 +253,14 @@ def model_error(p: Instrument, m: Member, h: float) -> None:
     value = (
         p.k0 + a * p.k1 + p.m_Y * y + p.m_Z * z + p.k2 * (a * a + spread) + p.k3 * a * (a * a + 3.0 * spread)
     )
-    value += p.k2o * a * abs(a) + p.k_XY * (a * y + da * dy * TWELFTH) + p.k_XZ * (a * z + da * dz * TWELFTH)
+    value += p.k2o * a * abs(a) + p.k1a * size_mean(a, da)
+    value += p.k_XY * (a * y + da * dy * TWELFTH) + p.k_XZ * (a * z + da * dz * TWELFTH)
     value += p.k_YY * (y * y + dy * dy * TWELFTH) + p.k_ZZ * (z * z + dz * dz * TWELFTH)
     value += p.k_YZ * (y * z + dy * dz * TWELFTH)
     value += p.k0_t * (m.t - p.t_0) + (p.k0_T + p.k1_T * a) * m.temperature
     m.error += value
     rise = (p.k1 + 2.0 * (p.k2 * a + p.k2o * abs(a)) + 3.0 * p.k3 * a * a) * da
-    rise += p.m_Y * dy + p.m_Z * dz + 2.0 * (p.k_YY * y * dy + p.k_ZZ * z * dz)
+    rise += math.copysign(p.k1a, a) * da + p.m_Y * dy + p.m_Z * dz + 2.0 * (p.k_YY * y * dy + p.k_ZZ * z * dz)
     rise += p.k_XY * (a * dy + y * da) + p.k_XZ * (a * dz + z * da) + p.k_YZ * (y * dz + z * dy)
     rise += p.k0_t * h + (p.k0_T + p.k1_T * a) * m.dT + p.k1_T * m.temperature * da
     m.derror = rise

@@ -19,7 +19,7 @@ ITERATIONS = 4
 """Newton steps: the error model is nearly linear, each step squares a relative error below 1e-2."""
 TWELFTH = 1.0 / 12.0
 (
-    K0, K1, K2, K3, K2O, M_Y, M_Z, K_XY, K_XZ, K_YY, K_ZZ, K_YZ, K0_TIME, K0_TEMP, K1_TEMP, SERVO, SERVO_DAMPING,
+    K0, K1, K2, K3, K2O, K1A, M_Y, M_Z, K_XY, K_XZ, K_YY, K_ZZ, K_YZ, K0_TIME, K0_TEMP, K1_TEMP, SERVO, SERVO_DAMPING,
 ) = range(len(at.TERMS))  # fmt: skip
 
 
@@ -48,6 +48,14 @@ def odd_square_mean(a: float, change: float) -> float:
     return (abs(end) ** 3 - abs(start) ** 3) / (3.0 * change)
 
 
+@exact
+def size_mean(a: float, change: float) -> float:
+    """Mean of ``|a|`` while a goes linearly from ``a - change/2`` to ``a + change/2``."""
+    if abs(a) >= 0.5 * abs(change):
+        return abs(a)
+    return a * a / abs(change) + 0.25 * abs(change)
+
+
 @inline_exact
 def invert_terms(p: Instrument, x: Inputs, indicated: float) -> tuple[float, float]:
     """Specific force ``a_x`` from the indicated force, to rounding, and the derivative of one by the other.
@@ -74,15 +82,15 @@ def invert_terms(p: Instrument, x: Inputs, indicated: float) -> tuple[float, flo
             derivative = 1.0 + gain + 2.0 * p.k2 * a + 3.0 * p.k3 * (square + spread)
             inverse *= 2.0 - derivative * inverse
             a += ((right - a) - value) * inverse
-    if p.k2o != 0.0:
+    if p.k2o != 0.0 or p.k1a != 0.0:
         start, first = a, 1.0 / inverse
         derivative = first
         for _ in range(ITERATIONS + 1):
             step = a - start
             smooth = step * first + p.k2 * step * step + p.k3 * step * step * (3.0 * start + step)
             derivative = first + 2.0 * p.k2 * step + 3.0 * p.k3 * step * (2.0 * start + step)
-            derivative += 2.0 * p.k2o * abs(a)
-            a -= (smooth + p.k2o * odd_square_mean(a, da)) / derivative
+            derivative += 2.0 * p.k2o * abs(a) + math.copysign(p.k1a, a)
+            a -= (smooth + p.k2o * odd_square_mean(a, da) + p.k1a * size_mean(a, da)) / derivative
         inverse = 1.0 / derivative
     return a, inverse
 
@@ -104,13 +112,15 @@ def servo_error(p: Instrument, x: Inputs) -> float:
 
 @inline_exact
 def power_regressor(code: int, a: float) -> float:
-    """Derivative by ``k0``, ``k1``, ``k2``, ``k3`` or ``k2o``."""
+    """Derivative by ``k0``, ``k1``, ``k2``, ``k3``, ``k2o`` or ``k1a``."""
     if code == K0:
         return 1.0
     if code == K1:
         return a
     if code == K2O:
         return a * abs(a)
+    if code == K1A:
+        return abs(a)
     return a * a if code == K2 else a * a * a
 
 
@@ -142,7 +152,7 @@ def regressor(code: int, p: Instrument, x: Inputs, a: float) -> float:
     if code >= at.HARMONIC:
         angle = ((code - at.HARMONIC) // 2) * x.angle
         return math.sin(angle) if code % 2 == 0 else math.cos(angle)
-    if code <= K2O:
+    if code <= K1A:
         return power_regressor(code, a)
     if code <= K1_TEMP:
         return product_regressor(code, p, x, a)

@@ -60,6 +60,12 @@ _PAIRS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"k0", "k1"}), "a_x never changes: add positions or levels with another a_x"),
     (frozenset({"k0", "k2"}), "a_x^2 never changes: add levels with another |a_x|, or leave k2 out"),
     (frozenset({"k2", "k2o"}), "a_x keeps its sign: add levels with a_x of the other sign, or leave k2o out"),
+    (
+        frozenset({"scale_factor", "k1a"}),
+        "a_x keeps its sign: add levels with a_x of the other sign, or leave k1a out",
+    ),
+    (frozenset({"k0", "k1a"}), "|a_x| never changes: add levels with another |a_x|, or leave k1a out"),
+    (frozenset({"k2", "k1a"}), "|a_x| takes too few values: add levels, or leave k1a out"),
     (frozenset({"scale_factor", "k3"}), "|a_x| takes too few values: add levels, or leave k3 out"),
 )
 """Explanation for a record that cannot tell exactly these two terms apart."""

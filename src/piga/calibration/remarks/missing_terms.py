@@ -70,7 +70,8 @@ PAIRS = (("tan_beta", ("p", "q")), ("s1", ("s1", "c1")), ("s2", ("s2", "c2")))
 def candidate_terms(design: Design) -> list[tuple[str, ...]]:
     """Columns of every candidate that is missing in the model and that the record can determine.
 
-    Candidates that turn with the output are skipped unless the zero of its angle is known in all segments.
+    A gyro accelerometer has no known cause of ``k1a``: ask for it by name. Candidates that turn with the output are skipped
+    unless the zero of its angle is known in all segments.
     """
     terms, run = design.request.terms, design.run
     low, high = (
@@ -78,7 +79,7 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
     )
     left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
     left_out |= {"k0_T", "k1_T"} if low == high else set()
-    left_out |= servo_out_of_reach(design)
+    left_out |= servo_out_of_reach(design) | (set() if run.direct else {"k1a"})
     candidates: list[tuple[str, ...]] = [(name,) for name in ERROR_TERMS if name not in left_out]
     if run.direct:
         return candidates
