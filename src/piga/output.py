@@ -109,8 +109,8 @@ def remove_leftovers(home: Path) -> None:
     """Remove the hidden folders of processes that were killed: nobody holds their lock."""
     with suppress(OSError), _locked(home):
         for left in home.glob(f"{_HIDDEN}*"):
-            with suppress(OSError), _locked(left, wait=False) as held:
-                if held:
+            with suppress(OSError), _locked(left, wait=False) as got_lock:
+                if got_lock:
                     shutil.rmtree(left)
 
 
@@ -126,10 +126,10 @@ def _locked(folder: Path, *, wait: bool = True) -> Iterator[bool]:
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            held = True
+            got_lock = True
         except OSError:
-            held = False
-        yield held
+            got_lock = False
+        yield got_lock
     finally:
         os.close(handle)
 
@@ -214,8 +214,8 @@ def _folder_in_the_way(path: Path, option: str) -> ArgumentError:
 def _matching(folder: Path, names: Sequence[str]) -> list[Path]:
     """Files with these names (patterns) in a folder. Files behind a link to another folder are not of the folder."""
     home = folder.resolve()
-    found = {path for name in names for path in folder.glob(name) if not path.is_dir() or path.is_symlink()}
-    return sorted(path for path in found if path.parent.resolve().is_relative_to(home))
+    matching = {path for name in names for path in folder.glob(name) if not path.is_dir() or path.is_symlink()}
+    return sorted(path for path in matching if path.parent.resolve().is_relative_to(home))
 
 
 def _key(command: str, inputs: Sequence[Path]) -> str:

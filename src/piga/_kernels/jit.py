@@ -68,11 +68,11 @@ def cache_folder(parent: Path) -> Path | None:
         parent.mkdir(parents=True, exist_ok=True)
         if not folder.exists():
             folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
+        status = folder.lstat()
         if hasattr(os, "getuid"):
-            if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+            if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
                 return None
-            if stat.S_IMODE(found.st_mode) & 0o077:
+            if stat.S_IMODE(status.st_mode) & 0o077:
                 folder.chmod(0o700)
     except OSError:
         return None

@@ -402,10 +402,12 @@ def _check(plan: CampaignPlan) -> None:
         raise RunFileError(f"{plan.path}: '{overlap[0]}' is in [grid] and in [draw]", remedy="leave one out")
     done: set[tuple[str, str, str]] = set()
     for group in plan.groups:
-        told = {(group.name, key, repr(value)) for key, value in group.set.items()} or {(group.name, "", "")}
-        if told <= done:
+        settings = {(group.name, key, repr(value)) for key, value in group.set.items()} or {
+            (group.name, "", "")
+        }
+        if settings <= done:
             continue
-        done |= told
+        done |= settings
         record = plan.record(group.start)
         try:
             document = plan.document(record)

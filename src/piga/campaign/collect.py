@@ -256,10 +256,10 @@ def _judged(rows: pa.Table) -> pa.Table:
     degrees, bound, u = (_numbers(rows, name) for name in ("degrees_of_freedom", "bound", "u"))
     truth = _numbers(rows, "value") - off
     with np.errstate(all="ignore"):
-        held = np.where(np.isfinite(off), (low <= truth) & (truth <= high), np.nan)
+        covered = np.where(np.isfinite(off), (low <= truth) & (truth <= high), np.nan)
         columns = {
             "deviation": off,
-            "held": held,
+            "held": covered,
             "half": np.where(np.isfinite(off), 0.5 * (high - low), np.nan),
             "z2": z**2,
             "abs_z": np.abs(z),
@@ -331,23 +331,23 @@ _NEES = [("nees", "mean"), ("nees_expected", "mean")]
 
 def _coefficient(row: Row) -> CampaignCoefficient:
     """The figures of a coefficient, from its aggregates."""
-    tests, known = row["value_count"], row["deviation_count"]
+    tests, with_truth = row["value_count"], row["deviation_count"]
     plain = {"mean": row["value_mean"], "lowest": row["value_min"], "highest": row["value_max"]}
     std = row["value_stddev"] if tests > 1 else None
-    if not known:
+    if not with_truth:
         return CampaignCoefficient(row["name"], row["unit"], tests, std=std, **plain)
-    bias, spread = row["deviation_mean"], row["deviation_stddev"] if known > 1 else None
-    held, bound2 = int(row["held_sum"]), row["bound2_mean"]
+    bias, spread = row["deviation_mean"], row["deviation_stddev"] if with_truth > 1 else None
+    hits, bound2 = int(row["held_sum"]), row["bound2_mean"]
     return CampaignCoefficient(
         row["name"],
         row["unit"],
         tests,
         std=std,
         **plain,
-        coverage=held / known,
-        coverage_std_error=_share_error(held, known),
+        coverage=hits / with_truth,
+        coverage_std_error=_share_error(hits, with_truth),
         bias=bias,
-        bias_std_error=None if spread is None else spread / math.sqrt(known),
+        bias_std_error=None if spread is None else spread / math.sqrt(with_truth),
         bias_over_sigma=bias / spread if spread else None,
         spread=spread,
         rms_u=math.sqrt(row["u2_mean"]) if row["u2_mean"] is not None else None,
@@ -359,9 +359,9 @@ def _coefficient(row: Row) -> CampaignCoefficient:
     )
 
 
-def _share_error(held: int, tests: int) -> float:
+def _share_error(hits: int, tests: int) -> float:
     """Standard error of a share. At 0 and 1 it is that of half a test, because that of the binomial would be 0."""
-    share = min(max(held, 0.5), tests - 0.5) / tests
+    share = min(max(hits, 0.5), tests - 0.5) / tests
     return math.sqrt(share * (1.0 - share) / tests)
 
 

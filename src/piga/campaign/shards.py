@@ -87,8 +87,8 @@ class Campaign:
         """The part of each shard that is done, in the order of the shards."""
         paths = sorted((self.folder / PARTS).glob("part-*.parquet"))
         named = [(match, path) for path in paths if (match := _PART.fullmatch(path.name))]
-        found = {int(match[1]): path for match, path in reversed(named) if int(match[1]) < self.shards}
-        return dict(sorted(found.items()))
+        parts = {int(match[1]): path for match, path in reversed(named) if int(match[1]) < self.shards}
+        return dict(sorted(parts.items()))
 
     def missing(self) -> list[int]:
         """Shards without a part, in order."""
@@ -120,8 +120,8 @@ def software() -> dict[str, str]:
     from piga.ledger.reproduce import NUMERIC_ROOMS, software_identity, source_digest
 
     names = ("piga", "numpy", "scipy", "numba", "compiled")
-    known = {name: text for name, text in software_identity().items() if name in names}
-    return known | {"source_sha256": source_digest((*NUMERIC_ROOMS, "platform", "campaign"))}
+    versions = {name: text for name, text in software_identity().items() if name in names}
+    return versions | {"source_sha256": source_digest((*NUMERIC_ROOMS, "platform", "campaign"))}
 
 
 def open_campaign(folder: str | Path) -> Campaign:

@@ -202,10 +202,10 @@ def _truth(test: SimulatedTest, calibration: Calibration) -> Array:
     """True values by coefficient. A term that the simulation lacks has the truth 0."""
     from piga.stand.write_run import coefficients
 
-    known = {(value.name, value.segment): value.value for value in coefficients(test)}
+    truth = {(value.name, value.segment): value.value for value in coefficients(test)}
 
     def one(name: str, segment: str | None) -> float:
-        return known.get((name, segment), known.get((name, None), math.nan if name == "phi" else 0.0))
+        return truth.get((name, segment), truth.get((name, None), math.nan if name == "phi" else 0.0))
 
     return np.array([one(c.name, c.segment) for c in calibration.coefficients])
 
@@ -231,14 +231,14 @@ def _bound(test: SimulatedTest, run: Run) -> Array | None:
         return None
     step = 2.0 * math.pi / e.counts_per_revolution if e.kind == "counts" else 0.0
     white = math.sqrt(e.angle_noise**2 + step**2 / 12.0)
-    told = EstimationTable(
+    true_noise = EstimationTable(
         method="information",
         angle_rms=f"{white!r} rad",
         angle_random_walk=f"{e.angle_random_walk!r} rad/sqrt(s)",
         uncertainty="gum",
     )
     noise_alone = UncertaintyTable(waived=dict.fromkeys(ASSUMED_SOURCES, "the bound is that of the noise"))
-    best = calibrate(replace(run, estimation=told, uncertainty=noise_alone))
+    best = calibrate(replace(run, estimation=true_noise, uncertainty=noise_alone))
     return np.array([c.std for c in best.coefficients])
 
 

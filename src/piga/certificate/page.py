@@ -98,7 +98,9 @@ def is_draft(data: CertificateFile) -> bool:
     """Whether laboratory or customer are those of the shipped example: then it is no certificate."""
     example = tomllib.loads(example_files()["certificate.toml"].decode())
     names = (example[table]["name"] for table in ("laboratory", "customer"))
-    return any(one == own for one, own in zip(names, (data.laboratory.name, data.customer.name), strict=True))
+    return any(
+        given == name for given, name in zip(names, (data.laboratory.name, data.customer.name), strict=True)
+    )
 
 
 def _cautions(calibration: Calibration) -> tuple[str, list[str]]:

@@ -104,11 +104,16 @@ def compensate(
     inputs = [path for one in run for path in files_named_in(one)] + (calibration or [])
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # PyArrow's own keeps 30 MB of unused memory
     solve = _together if several else _single
-    beside = report is not None and report.parent == out.parent
-    names = [glob.escape(path.name) for path in (out, report) if path is not None and (path is out or beside)]
+    same_folder = report is not None and report.parent == out.parent
+    names = [
+        glob.escape(path.name) for path in (out, report) if path is not None and (path is out or same_folder)
+    ]
     command = f"compensate-{out.stem[:40]}"
     with deliver(out.parent, command, names, inputs, force=force, as_json=json) as to:
-        with _page_folder(report, None if beside else command, to.stage, inputs, force) as (folder, elsewhere):
+        with _page_folder(report, None if same_folder else command, to.stage, inputs, force) as (
+            folder,
+            elsewhere,
+        ):
             page = None if report is None else folder / report.name
             summary, calibrations = solve(run, sources, calibrations, to / out.name, page, options)
         document = {"file": str((to.folder or out.parent) / out.name)} | summary

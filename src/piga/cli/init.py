@@ -70,9 +70,9 @@ def init(
         raise ArgumentError(f"--out {target}: the name must end in .toml", remedy="e.g. run.toml")
     check_outputs([target], [log], force=force)
     given = dict(setting(text) for text in settings or [])
-    told = {name: kind for name, _, kind in (text.rpartition("=") for text in columns or [])}
+    kinds = {name: kind for name, _, kind in (text.rpartition("=") for text in columns or [])}
     with progress(f"reading {log.name}"):
-        described = describe_log(log, told)
+        described = describe_log(log, kinds)
     draft = draft_run_file(described, given, folder=target.parent)
     asking = not (yes or as_json) and sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     if asking:

@@ -120,9 +120,9 @@ def verification_lines(verification: Verification) -> Iterator[str]:
     v = verification
     if v.sound:
         yield f"{v.name}: sound: {v.records} records and {v.files} files are what they were"
-    for known, number in v.known.items():
+    for head, number in v.known.items():
         if number is not None:
-            yield f"known head {known[:16]}... is that after record {number}"
+            yield f"known head {head[:16]}... is that after record {number}"
     for problem in v.problems:
         note(f"piga: {problem}")
     if v.head:

@@ -48,10 +48,10 @@ class Limits:
         The range has the optional keys ``a_x`` [low, high] and ``a_t`` [low, high] in m/s^2, and
         ``temperature`` [low, high] in K. Each range is widened by ``RANGE_MARGIN``.
         """
-        known = calibration.diagnostics.range
+        ranges = calibration.diagnostics.range
         means = [segment.mean_a_x for segment in calibration.segments]
-        span = known.get("a_x") or ((min(means), max(means)) if len(means) > 2 else None)
-        transverse, warm = known.get("a_t"), known.get("temperature")
+        span = ranges.get("a_x") or ((min(means), max(means)) if len(means) > 2 else None)
+        transverse, warm = ranges.get("a_t"), ranges.get("temperature")
         return Limits(
             a_x=_widened(span) if span else (-math.inf, math.inf),
             a_t=float(transverse[1]) * (1.0 + RANGE_MARGIN) if transverse else math.inf,
@@ -188,8 +188,8 @@ def velocity_variance(calibration: Calibration, parts: Iterable[tuple[Model, Arr
             if place < 0:
                 given += value * model.phase_std
             else:
-                known = calibration.coefficients[place].name == "scale_factor"
-                slope[place] += value * (model.scale if known else 1.0)
+                is_scale = calibration.coefficients[place].name == "scale_factor"
+                slope[place] += value * (model.scale if is_scale else 1.0)
         p = model.instrument[0]
         gain = sums[kernels.GAIN] / sums[kernels.TIME] if sums[kernels.TIME] > 0.0 else 1.0
         noise = 2.0 * p["white"] * sums[kernels.STRETCHES] + p["walk"] * sums[kernels.TIME]
@@ -216,13 +216,13 @@ def _used_coefficients(
 ) -> tuple[Coefficient, ...]:
     shared = tuple(c for c in calibration.coefficients if c.name != "phi")
     if any(c.run is not None for c in shared):
-        own = ", ".join(sorted({c.name for c in shared if c.run is not None}))
+        names = ", ".join(sorted({c.name for c in shared if c.run is not None}))
         raise CalibrationError(
-            f"{own} differs between the runs of this joint calibration",
+            f"{names} differs between the runs of this joint calibration",
             remedy=f"take it as one run sees it: Calibration.for_run('{calibration.runs[0].name}')",
         )
-    known = phases(calibration)
-    if not known:
+    by_segment = phases(calibration)
+    if not by_segment:
         if any(c.name == "tan_beta" for c in shared) and phase is None:
             raise CalibrationError(
                 "the calibration has tan_beta but no phi",
@@ -231,11 +231,11 @@ def _used_coefficients(
         return shared
     if phase is not None:
         return (*shared, Coefficient("phi", phase.value, phase.std, "rad"))
-    if None in known:
-        return (*shared, known[None])
-    if segment in known:
-        return (*shared, known[segment])
-    have = ", ".join(str(c.owner) for c in list(known.values())[:8])
+    if None in by_segment:
+        return (*shared, by_segment[None])
+    if segment in by_segment:
+        return (*shared, by_segment[segment])
+    have = ", ".join(str(c.owner) for c in list(by_segment.values())[:8])
     wanted = "this record" if segment is None else f"segment '{segment}'"
     raise CalibrationError(
         f"the calibration holds no phase phi for {wanted} (it has per-segment phases: {have})",

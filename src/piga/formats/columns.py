@@ -241,9 +241,11 @@ def number_column(values: NDArray, empty_cells: bool = False) -> Any:
     """Arrow array that shares the memory of numbers (n,). With ``empty_cells``, nan becomes null."""
     import pyarrow as pa
 
-    held = np.ascontiguousarray(values)
-    known = pa.py_buffer(np.packbits(~np.isnan(held), bitorder="little")) if empty_cells else None
-    return pa.Array.from_buffers(pa.from_numpy_dtype(held.dtype), held.size, [known, pa.py_buffer(held)])
+    contiguous = np.ascontiguousarray(values)
+    validity = pa.py_buffer(np.packbits(~np.isnan(contiguous), bitorder="little")) if empty_cells else None
+    return pa.Array.from_buffers(
+        pa.from_numpy_dtype(contiguous.dtype), contiguous.size, [validity, pa.py_buffer(contiguous)]
+    )
 
 
 def text_column(values: Sequence[str]) -> Any:

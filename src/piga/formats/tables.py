@@ -140,8 +140,8 @@ def stated_units(table: object, arrow: Any) -> dict[str, str]:
     fields = {field.name: (field.metadata or {}).get(b"unit") for field in arrow.schema}
     attributes = getattr(table, "attrs", {})
     units = attributes.get("units", {}) if isinstance(attributes, dict) else {}
-    own = {str(name): str(unit) for name, unit in units.items()} if isinstance(units, dict) else {}
-    return {name: unit.decode() for name, unit in fields.items() if unit} | own
+    attached = {str(name): str(unit) for name, unit in units.items()} if isinstance(units, dict) else {}
+    return {name: unit.decode() for name, unit in fields.items() if unit} | attached
 
 
 def as_arrow(table: object) -> Any:

@@ -166,8 +166,8 @@ def _activity(t: ArrayLike, outputs: ArrayLike, window: float) -> tuple[Array, i
 def _spells(t: Array, activity: Array, half: int, multiple: float) -> tuple[Spell, ...]:
     still = np.concatenate(([False], activity < multiple, [False]))
     edges = np.flatnonzero(still[1:] != still[:-1])
-    found = [(a + half, b + half) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 2 * half]
-    return tuple(Spell(float(t[a]), float(t[b - 1]), int(b - a)) for a, b in found)
+    spells = [(a + half, b + half) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 2 * half]
+    return tuple(Spell(float(t[a]), float(t[b - 1]), int(b - a)) for a, b in spells)
 
 
 def calibrate_set(

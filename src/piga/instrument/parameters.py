@@ -211,12 +211,12 @@ def error_model_of(calibration: Calibration) -> ErrorModel:
     A calibration counts the drift ``k0_t`` from its reference time, an error model from time zero.
     """
     values = {c.key: c.value_si for c in calibration.coefficients if c.name not in MOTION}
-    known = ErrorModel.__dataclass_fields__
-    terms = {name: value for name, value in values.items() if name in known}
-    left_out = [name for name in values if name not in known]
-    if left_out:
+    available = ErrorModel.__dataclass_fields__
+    terms = {name: value for name, value in values.items() if name in available}
+    missing = [name for name in values if name not in available]
+    if missing:
         warnings.warn(
-            f"the error model leaves out {', '.join(left_out)}: the exact motion has no such term",
+            f"the error model leaves out {', '.join(missing)}: the exact motion has no such term",
             PigaWarning,
             stacklevel=4,
         )

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from piga.ledger.store.documents import Position
 
 
-def input_files(run: Path, known: dict[str, str]) -> tuple[DraftFile, ...]:
+def input_files(run: Path, digests: dict[str, str]) -> tuple[DraftFile, ...]:
     """Run file, data file, its ``.sha256`` if there is one, and the files of a ``[stand]`` table.
 
     Names keep their places relative to each other: a data file in ``../data`` moves the run file one folder down.
@@ -32,7 +32,7 @@ def input_files(run: Path, known: dict[str, str]) -> tuple[DraftFile, ...]:
     ----------
     run:
         Run file.
-    known:
+    digests:
         SHA-256 of each input as it was read for the calibration: :attr:`piga.Calibration.provenance`.
 
     Raises
@@ -44,7 +44,7 @@ def input_files(run: Path, known: dict[str, str]) -> tuple[DraftFile, ...]:
     """
     run_file = read_run_file(run)
     named = [("data", run_file.data.file), *(("stand", name) for name in stand_files(run_file.stand))]
-    if Path(f"{run_file.data.file}.sha256").name in known:
+    if Path(f"{run_file.data.file}.sha256").name in digests:
         named.append(("sidecar", f"{run_file.data.file}.sha256"))
     for _, name in named:
         if PurePosixPath(name).is_absolute() or Path(name).is_absolute():
@@ -54,10 +54,10 @@ def input_files(run: Path, known: dict[str, str]) -> tuple[DraftFile, ...]:
             )
     depth = max(_upwards(name) for _, name in named)
     below = "/".join(["run"] * depth)
-    files = [DraftFile("run", _joined(below, run.name), run, known.get(run.name, ""))]
+    files = [DraftFile("run", _joined(below, run.name), run, digests.get(run.name, ""))]
     for role, name in dict.fromkeys(named):
         key = name if role == "stand" else Path(name).name
-        files.append(DraftFile(role, _joined(below, name), run.parent / name, known.get(key, "")))
+        files.append(DraftFile(role, _joined(below, name), run.parent / name, digests.get(key, "")))
     for file in files:
         if digest_of(file.parts())[0] != file.sha256:
             raise DataError(

@@ -104,8 +104,8 @@ def _is_other(stored: Calibration) -> bool:
 
 def _of_the_same_inputs(stored: Calibration, recomputed: Calibration) -> Calibration:
     """The recomputed calibration with only the digests that the stored one has. piga 0.1 stored those of run and data file only."""
-    known = stored.provenance.input_sha256
-    inputs = {name: digest for name, digest in recomputed.provenance.input_sha256.items() if name in known}
+    digests = stored.provenance.input_sha256
+    inputs = {name: digest for name, digest in recomputed.provenance.input_sha256.items() if name in digests}
     return replace(recomputed, provenance=replace(recomputed.provenance, input_sha256=inputs))
 
 
@@ -294,15 +294,15 @@ def reproduce(store: Store, name: str | int) -> Reproduced:
     if record.file("run") is None or record.file("calibration") is None:
         raise StoreError(f"record {record.id} holds no run or no calibration", remedy="it cannot be recomputed")
     stored = store.calibration(record.id)
-    wish = record.document.request
+    request = record.document.request
     with tempfile.TemporaryDirectory(prefix="piga-") as folder, numbers_are_si(_is_other(stored)):
         run = read_run(store.extract(record.id, Path(folder), inputs_only=True))
         recomputed = calibrate(
             run,
-            wish.get("terms"),
-            wish.get("method"),
-            phases=wish.get("phase"),
-            phase_source=wish.get("phase_source"),
+            request.get("terms"),
+            request.get("method"),
+            phases=request.get("phase"),
+            phase_source=request.get("phase_source"),
         )
     then, now = record.document.software, software_identity()
     changed = {key: (then.get(key), now.get(key)) for key in now if then.get(key) != now.get(key)}

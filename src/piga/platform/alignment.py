@@ -105,7 +105,7 @@ def _angles(base: Array) -> Array:
 
 
 def align(
-    readouts: Readouts, place: Place, known: Knowledge, *, orders: int = 3, iterations: int = 5,
+    readouts: Readouts, place: Place, knowledge: Knowledge, *, orders: int = 3, iterations: int = 5,
     progress: Progress | None = None,
 ) -> Alignment:  # fmt: skip
     """Align on a record of a base at rest at a known place. The misalignments must be known.
@@ -121,10 +121,10 @@ def align(
     force = specific_force_at_rest(geodetic_to_earth(place.latitude, place.longitude, place.height))
     x = replace(
         coarse_unknowns(readouts, force, orders),
-        polar=Tip.of(known.polar, orders),
-        equatorial=Tip.of(known.equatorial, orders),
-        eta0=known.eta0,
-        eta_rate=known.eta_rate,
+        polar=Tip.of(knowledge.polar, orders),
+        equatorial=Tip.of(knowledge.equatorial, orders),
+        eta0=knowledge.eta0,
+        eta_rate=knowledge.eta_rate,
     )
     for k in range(iterations):
         report(progress, k, iterations, f"step {k + 1} of {iterations}")

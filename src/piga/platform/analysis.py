@@ -198,7 +198,7 @@ def daily_lines(errors: Errors, rates: float | tuple[float, ...], latitude: floa
 
 
 def theory_lines(
-    scenario: PlatformScenario, model: Model, known: Knowledge, days: list[slice], times: Array
+    scenario: PlatformScenario, model: Model, knowledge: Knowledge, days: list[slice], times: Array
 ) -> Lines:
     """Closed-form line amplitudes of a base that stays at its place, day by day (redundancy angle at mid-day) [He2014].
 
@@ -212,7 +212,7 @@ def theory_lines(
     """
     rates = case_rates(scenario)
     middles = [0.5 * float(times[d.start] + times[d.stop - 1]) for d in days]
-    left = np.array([_left_about_pole(scenario, model, known, middle, rates) for middle in middles])
+    left = np.array([_left_about_pole(scenario, model, knowledge, middle, rates) for middle in middles])
     lines = [_channels_of_turn(scenario, left[:, k], rate) for k, rate in enumerate(rates)]
     nothing = np.full(len(days), np.nan)
     return Lines(np.arange(1, len(days) + 1), lines[0], nothing, lines[1] if len(lines) > 1 else {})
@@ -236,7 +236,7 @@ def _channels_of_turn(scenario: PlatformScenario, turn: Array, rate: float) -> d
 
 
 def _left_about_pole(
-    scenario: PlatformScenario, model: Model, known: Knowledge, time: float, rates: tuple[float, ...]
+    scenario: PlatformScenario, model: Model, knowledge: Knowledge, time: float, rates: tuple[float, ...]
 ) -> list[float]:
     """Amplitudes [rad] at the case ``rates`` [rad/s] of the z angle that the model leaves at ``time``."""
     drift = scenario.equatorial.drift[0] - scenario.polar.drift[1]
@@ -247,12 +247,12 @@ def _left_about_pole(
         _about_pole(Gyro(), scenario.equatorial, angle, eta),
     ]
     if model != "none":
-        polar, equatorial = known.polar, known.equatorial
+        polar, equatorial = knowledge.polar, knowledge.equatorial
         if model != "C":
             polar, equatorial = (Gyro(g.misalignment, g.phase) for g in (polar, equatorial))
-        held = known.eta0 if model == "A" else eta
-        left[0] = left[0] - _about_pole(polar, Gyro(), angle, held)
-        left[1] = left[1] - _about_pole(Gyro(), equatorial, angle, held)
+        redundancy = knowledge.eta0 if model == "A" else eta
+        left[0] = left[0] - _about_pole(polar, Gyro(), angle, redundancy)
+        left[1] = left[1] - _about_pole(Gyro(), equatorial, angle, redundancy)
     orders = [np.fft.fft(part) / 128.0 for part in left]
     turning = rates if len(rates) == 2 else rates * 2
     return [

@@ -114,8 +114,8 @@ class ModelComparisonRun(Result, Plotted):
             east = ran.lines.amplitude["east_velocity"][-1:]
             line = "" if not east.size else f"east velocity line {east[0]:.3g} m/s, "
             last = ran.lines.position[-1:]
-            said = f"{line}position within {last[0]:.4g} m" if last.size else "less than a day"
-            rows.append(("no model" if model == "none" else f"model {model}", f"last day: {said}"))
+            last_day = f"{line}position within {last[0]:.4g} m" if last.size else "less than a day"
+            rows.append(("no model" if model == "none" else f"model {model}", f"last day: {last_day}"))
         return [*rows, *(("note", note) for note in self.preparation.notes)]
 
     def document(self) -> dict[str, Any]:
@@ -151,19 +151,23 @@ def prepare(run: PlatformRun, progress: Progress | None = None) -> Preparation:
     elif c.misalignment == "identified":
         notes.append("the cases are at rest: nothing can be identified; the true misalignments are used")
     notes += [note for note in (lines_note(s), theory_note(s)) if note]
-    known = true_knowledge(s) if identification is None else identification.knowledge
+    knowledge = true_knowledge(s) if identification is None else identification.knowledge
     aligned = None
     start = true_start(run.truth)
     attitude = c.attitude or ("aligned" if run.truth.motion.at_rest else "true")
     if "aligned" in (attitude, c.drift):
         aligned = align(
-            run.readouts.first(s.calibration_time), s.place, known, orders=c.orders, progress=progress
+            run.readouts.first(s.calibration_time), s.place, knowledge, orders=c.orders, progress=progress
         )
         if attitude == "aligned":
             start = aligned.start(with_drift=False)
     drift = _drift(s, aligned)
     return Preparation(
-        known, Start(start.position, start.velocity, start.triad, drift), identification, aligned, tuple(notes)
+        knowledge,
+        Start(start.position, start.velocity, start.triad, drift),
+        identification,
+        aligned,
+        tuple(notes),
     )
 
 
@@ -411,13 +415,13 @@ def line_budget(
 
 
 def _line_rows(scenario: PlatformScenario, source: str) -> Iterator[LineRow]:
-    run, known = simulate(scenario), true_knowledge(scenario)
-    made = compensator("none", known, run.readouts)
+    run, knowledge = simulate(scenario), true_knowledge(scenario)
+    made = compensator("none", knowledge, run.readouts)
     every = max(1, round(min(10.0, 0.05 * 2.0 * np.pi / max(case_rates(scenario))) / scenario.step))
     shown = navigate(run.readouts, made, true_start(run.truth), damping_time=scenario.damping_time, every=every)
     error, rates = errors(shown, run.truth, run.readouts), case_rates(scenario)
     full = daily_lines(error, rates, scenario.place.latitude)
-    theory = theory_lines(scenario, "none", known, day_slices(error.times), error.times)
+    theory = theory_lines(scenario, "none", knowledge, day_slices(error.times), error.times)
     pairs = ((theory.amplitude, full.amplitude), (theory.equatorial, full.equatorial))
     for rate, (expected, seen) in zip(rates, pairs, strict=False):
         if max(expected["heading"]) > 0.0:

@@ -177,9 +177,9 @@ def result(
 ) -> Identification:
     """The result at the unknowns ``x``, from the last rows and the last solution."""
     orders, tips = record.orders, 4 + 4 * record.orders
-    known = tips + (2 if "pick-off" in record.sources else 0)
-    vector = np.concatenate([x.polar.vector, x.equatorial.vector, [x.eta0, x.eta_rate]])[:known]
-    covariance = solution.covariance[:known, :known]
+    count = tips + (2 if "pick-off" in record.sources else 0)
+    vector = np.concatenate([x.polar.vector, x.equatorial.vector, [x.eta0, x.eta_rate]])[:count]
+    covariance = solution.covariance[:count, :count]
     noise, rms = by_source(parts, solution)
     return Identification(
         sources=record.sources,
@@ -187,14 +187,14 @@ def result(
         equatorial=x.equatorial.gyro(),
         eta0=x.eta0,
         eta_rate=x.eta_rate,
-        names=names(orders)[:known],
+        names=names(orders)[:count],
         values=vector,
         covariance=covariance,
         noise=noise,
         rms=rms,
         degrees_of_freedom=sum(part.rows for part in parts) - len(solution.covariance),
         condition=solution.condition,
-        parameters=_parameters(vector, covariance, orders, known > tips),
+        parameters=_parameters(vector, covariance, orders, count > tips),
         notes=_notes(vector, covariance, orders),
     )
 
@@ -389,10 +389,10 @@ class Observability(Result):
 
 
 @one_thread()
-def observability(readouts: Readouts, known: Identification) -> tuple[Observability, ...]:
+def observability(readouts: Readouts, identification: Identification) -> tuple[Observability, ...]:
     """Observability of the two misalignments from each source alone and together.
 
-    ``known`` gives the redundancy angle. If both cases turn at one speed, the z angle alone contains
+    ``identification`` gives the redundancy angle. If both cases turn at one speed, the z angle alone contains
     ``m2 sin(c2) - m1 tan(eta) cos(c1)`` as one line, and the pick-off alone ``m2 cos(c2) - m1 sin(c1)``. Each then
     leaves two of the four unknowns undetermined.
     """
@@ -400,10 +400,10 @@ def observability(readouts: Readouts, known: Identification) -> tuple[Observabil
     t = readouts.times[::every]
     encoders = (readouts.encoder1[::every], readouts.encoder2[::every])
     x = Unknowns(
-        Tip.of(known.polar, 0),
-        Tip.of(known.equatorial, 0),
-        known.eta0,
-        known.eta_rate,
+        Tip.of(identification.polar, 0),
+        Tip.of(identification.equatorial, 0),
+        identification.eta0,
+        identification.eta_rate,
         np.eye(3),
         np.zeros(3),
         np.eye(3),

@@ -73,7 +73,7 @@ class CaseCompensator(Result):
 
 
 def compensator(
-    model: Model, known: Knowledge, readouts: Readouts, *, redundancy: str = "pick-off"
+    model: Model, knowledge: Knowledge, readouts: Readouts, *, redundancy: str = "pick-off"
 ) -> CaseCompensator:
     """Prepare a model.
 
@@ -82,7 +82,7 @@ def compensator(
     model:
         ``none``; ``A`` redundancy angle held at ``known.eta0``; ``B`` followed; ``C`` followed and with
         the harmonics of the misalignments [He2014 for A and B; C is this project's own].
-    known:
+    knowledge:
         Misalignments, phases and redundancy angle to compensate.
     readouts:
         Readouts of the run. They give the pick-off and the times.
@@ -91,22 +91,22 @@ def compensator(
     """
     if model == "none":
         return CaseCompensator(model, np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1))
-    p, e = known.polar, known.equatorial
+    p, e = knowledge.polar, knowledge.equatorial
     if model != "C":
         p, e = (Gyro(gyro.misalignment, gyro.phase) for gyro in (p, e))
     c1, c2 = readouts.encoder1 + p.phase, readouts.encoder2 + e.phase
     if model == "A":
-        eta = np.array([known.eta0])
+        eta = np.array([knowledge.eta0])
     elif redundancy == "drift-model":
-        eta = known.eta0 + known.eta_rate * readouts.times
+        eta = knowledge.eta0 + knowledge.eta_rate * readouts.times
     else:
-        eta = follow_redundancy(readouts, small_angles(p, e, c1, c2, 0.0)[1], known)
+        eta = follow_redundancy(readouts, small_angles(p, e, c1, c2, 0.0)[1], knowledge)
     nodes, _ = small_angles(p, e, c1, c2, eta)
     middles, _ = small_angles(p, e, _between(c1), _between(c2), _between(eta))
     return CaseCompensator(model, nodes, middles, eta)
 
 
-def follow_redundancy(readouts: Readouts, expected: Array, known: Knowledge) -> Array:
+def follow_redundancy(readouts: Readouts, expected: Array, knowledge: Knowledge) -> Array:
     """Redundancy angle (n + 1,) [rad] from the pick-off minus ``expected = m2 cos c2 - m1 sin c1``, smoothed without lag.
 
     The filter is a critically damped second-order tracker. Its time constant is four case turns (eight minutes
@@ -118,7 +118,7 @@ def follow_redundancy(readouts: Readouts, expected: Array, known: Knowledge) -> 
     decay = np.exp(-readouts.step / constant)
     eta = np.empty(len(expected))
     follow(
-        readouts.pickoff, expected, known.eta0, known.eta_rate, readouts.step,
+        readouts.pickoff, expected, knowledge.eta0, knowledge.eta_rate, readouts.step,
         1.0 - decay * decay, (1.0 - decay) ** 2 / readouts.step, eta,
     )  # fmt: skip
     return eta

@@ -225,8 +225,8 @@ def coarse_unknowns(readouts: Readouts, force_earth: Array, orders: int) -> Unkn
     ends = [slice(0, max(1, n // 20)), slice(n - max(1, n // 20), n)]
     t = 0.5 * (readouts.times[1:] + readouts.times[:-1])
     seen = [readouts.increments[part].mean(axis=0) for part in ends]
-    known = [(earth_to_inertial(t[part]) @ force_earth).mean(axis=0) for part in ends]
-    triad = _triad(seen) @ _triad(known).T
+    expected = [(earth_to_inertial(t[part]) @ force_earth).mean(axis=0) for part in ends]
+    triad = _triad(seen) @ _triad(expected).T
     zero = Tip(0.0, 0.0, np.zeros(orders), np.zeros(orders))
     base = triad.T @ gimbal_attitude(readouts.gimbals[0])
     rate, eta0 = np.polyfit(readouts.times, readouts.pickoff, 1)

@@ -398,11 +398,11 @@ def _lost_in_gaps(
     gap = t[at] - t[at - 1]
     times = np.array([t[at - 1] - t[before], t[after - 1] - t[at]])
     turns = np.array([psi[at - 1] - psi[before], psi[after - 1] - psi[at]])
-    known = (raw.segment[at] == raw.segment[at - 1]) & ~lost[at] & (gap > 0.0) & (times.min(axis=0) > 0.0)
-    known &= np.abs(turns).min(axis=0) >= 2.0 * np.pi
-    first, second = np.divide(turns, times, out=np.zeros_like(turns), where=known)
+    comparable = (raw.segment[at] == raw.segment[at - 1]) & ~lost[at] & (gap > 0.0) & (times.min(axis=0) > 0.0)
+    comparable &= np.abs(turns).min(axis=0) >= 2.0 * np.pi
+    first, second = np.divide(turns, times, out=np.zeros_like(turns), where=comparable)
     allowed = LOST_ANGLE + (np.abs(first - second) + LOST_SHARE * np.abs(first)) * gap
-    gone = at[known & (np.abs(psi[at] - psi[at - 1] - 0.5 * (first + second) * gap) > allowed)]
+    gone = at[comparable & (np.abs(psi[at] - psi[at - 1] - 0.5 * (first + second) * gap) > allowed)]
     lost[gone] = True
     return counted("counts-lost", gone, raw.rows, "the counter lost counts in the gap; the phase is new")
 

@@ -301,8 +301,8 @@ def _state(path: Path, remedy: str) -> tuple[int, int, int, int]:
 def stand_files(table: Any) -> list[str]:
     """Names of all files in a ``[stand]`` table and its inner tables, as written."""
     if isinstance(table, dict):
-        own = [value for key, value in table.items() if key == "file" and isinstance(value, str)]
-        return list(dict.fromkeys(own + [name for value in table.values() for name in stand_files(value)]))
+        named = [value for key, value in table.items() if key == "file" and isinstance(value, str)]
+        return list(dict.fromkeys(named + [name for value in table.values() for name in stand_files(value)]))
     if isinstance(table, list):
         return list(dict.fromkeys(name for value in table for name in stand_files(value)))
     return []

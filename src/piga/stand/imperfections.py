@@ -144,13 +144,13 @@ def imperfections(
     ArgumentError, UnitError
         If a value is not valid. The message names the key.
     """
-    known = {entry.name: entry.metadata for entry in fields(Imperfections)}
+    metadata = {entry.name: entry.metadata for entry in fields(Imperfections)}
     for name in values:
-        if name not in known:
-            raise ArgumentError(f"{where}: unknown key '{name}'", remedy=f"known keys: {', '.join(known)}")
+        if name not in metadata:
+            raise ArgumentError(f"{where}: unknown key '{name}'", remedy=f"known keys: {', '.join(metadata)}")
     chosen = {
         name: _one(name, values[name], str(meta["unit"]), int(meta["size"]), f"{where} {name}", rng)
-        for name, meta in known.items()
+        for name, meta in metadata.items()
         if name in values
     }
     return Imperfections(**chosen)

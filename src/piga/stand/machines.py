@@ -538,9 +538,9 @@ class VibrationTable:
 
         The last result is kept: the imperfections of a budget are all asked for at the same times.
         """
-        held = self.__dict__.get("_held")
-        if held is not None and np.array_equal(held[0], t):
-            return held[1]
+        last = self.__dict__.get("_held")
+        if last is not None and np.array_equal(last[0], t):
+            return last[1]
         starts = np.array([s.start for s in self.segments()])
         index = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, starts.size - 1)
         wave, wave_rate, peak = np.zeros(t.size), np.zeros(t.size), np.ones(t.size)

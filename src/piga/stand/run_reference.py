@@ -90,8 +90,8 @@ def read_run(path: str | Path, *, need_reference: bool = True, content: bytes | 
 def _check_unchanged(run: Run) -> None:
     """Refuse a stand whose files changed since the record was read."""
     for name in stand_files(run.stand):
-        known = run.input_sha256.get(name)
-        if known is not None and known != file_digest(Path(run.source).parent / name):
+        digest = run.input_sha256.get(name)
+        if digest is not None and digest != file_digest(Path(run.source).parent / name):
             raise RunFileError(f"[stand] file '{name}' changed after it was read", remedy="read the run again")
 
 
@@ -197,9 +197,11 @@ def plan_times(
         return t
     planned = [part for part in stand.segments() if part.recorded]
     by_name = dict(zip(names or tuple(part.label for part in planned), planned, strict=True))
-    own = [label.split("/")[0] for label in labels]
-    parts = [by_name.get(label) for label in own]
-    if None in parts or (names is None and len(set(own)) != len(planned)):  # numbers alone match by chance
+    names_of_parts = [label.split("/")[0] for label in labels]
+    parts = [by_name.get(label) for label in names_of_parts]
+    if None in parts or (
+        names is None and len(set(names_of_parts)) != len(planned)
+    ):  # numbers alone match by chance
         parts = _in_order(planned, labels, segment)
     starts, durations = np.array([(part.start, part.duration) for part in parts if part is not None]).T
     first, times = np.zeros(len(labels)), empty(t.size)
@@ -293,7 +295,7 @@ def run_from_table(
         If the columns do not hold what the description says.
     """
     arrow = as_arrow(table)
-    own = stated_units(table, arrow)
+    units_of_table = stated_units(table, arrow)
     at = arrow.schema.get_field_index(columns["time"] or "")
     timed = at >= 0 and is_time(arrow.schema.field(at).type)
     unknown = [name for name in units if name not in arrow.schema.names]
@@ -306,7 +308,7 @@ def run_from_table(
         raise ArgumentError(
             f"units: column '{columns['time']}' holds dates or durations", remedy="leave its unit out"
         )
-    units = own | units | ({columns["time"]: "s"} if timed else {})
+    units = units_of_table | units | ({columns["time"]: "s"} if timed else {})
     try:
         run_file = msgspec.convert(
             tables | {"data": _data(columns, units, () if si else arrow.schema.names)}, RunFile
@@ -340,10 +342,10 @@ def _data(columns: dict[str, Any], units: dict[str, str], stated: Sequence[str])
         return several.pop()
 
     _check_names(columns)
-    kind, name, own = columns["kind"], columns["output"], columns["unit"]
+    kind, name, unit = columns["kind"], columns["output"], columns["unit"]
     output = {"column": name, "kind": kind, "wraps_at": columns["wraps_at"]}
     if kind != "counts":
-        output["unit"] = unit_of(kind, [name], SI.get(kind, "rad")) if own == GYRO else units.get(name, own)
+        output["unit"] = unit_of(kind, [name], SI.get(kind, "rad")) if unit == GYRO else units.get(name, unit)
     data: dict[str, Any] = {"file": str(WHERE), "output": output}
     for role in ("time", "temperature"):
         if columns[role] is not None:

@@ -417,7 +417,7 @@ def _specimen(table: ScenarioTable) -> Specimen:
                 remedy="leave it out",
             )
         if name not in _MOTION and (name == "phi" or not check_name(name)):
-            known = [
+            keys = [
                 *_MOTION,
                 *(term for term in UNITS if term not in ("phi", *_MOTION)),
                 "s1",
@@ -425,7 +425,7 @@ def _specimen(table: ScenarioTable) -> Specimen:
                 "s2",
                 "...",
             ]
-            raise ArgumentError(f"[truth]: unknown key '{name}'", remedy=f"known keys: {', '.join(known)}")
+            raise ArgumentError(f"[truth]: unknown key '{name}'", remedy=f"known keys: {', '.join(keys)}")
     if "beta" in truth and "tan_beta" in truth:
         raise ArgumentError("[truth]: beta and tan_beta are the same thing", remedy="leave one out")
     tangent = to_si(truth.get("tan_beta", 0.0), "1", what="[truth] tan_beta")

@@ -86,9 +86,9 @@ class Specimen:
         """
         if self.twin is None:
             raise ArgumentError("the model 'twin' needs [twin] parameters", remedy='e.g. preset = "example"')
-        own = self.instrument
-        twin = self.twin.with_scale_factor(own.scale_factor)
-        return replace(twin, pick_off_null=own.beta, alpha0=own.alpha0)
+        instrument = self.instrument
+        twin = self.twin.with_scale_factor(instrument.scale_factor)
+        return replace(twin, pick_off_null=instrument.beta, alpha0=instrument.alpha0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -408,20 +408,20 @@ def _twin_motion(
     if not force:
         require_stable(p)
         stable = True
-    own = specimen.error_model
+    terms = specimen.error_model
     if specimen.servo or specimen.servo_damping:
         raise ArgumentError(
             "the terms servo and servo_damping cannot be prescribed to the twin: its servo makes them",
             remedy='set integral_gain and damping in [twin], or use model "quasi-steady"',
         )
-    if specimen.harmonics or own.s1 or own.c1:
+    if specimen.harmonics or terms.s1 or terms.c1:
         raise ArgumentError(
             "harmonics of the gimbal angle cannot be prescribed to the twin: it makes its own",
             remedy='use model "quasi-steady", or leave s1, c1, s2, ... out',
         )
     size = profile.t.size
     felt = profile.force.copy()
-    felt[:, 0] += own.specific_force(profile.t, profile.force, kelvin)
+    felt[:, 0] += terms.specific_force(profile.t, profile.force, kelvin)
     felt = straightened(felt)
     felt[:, 0] += wandering_bias(e, streams[1], streams[4], size, grid)
     noise = np.zeros((size, 3))

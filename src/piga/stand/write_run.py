@@ -54,9 +54,9 @@ def coefficients(test: SimulatedTest) -> tuple[TrueValue, ...]:
     ``servo`` and ``servo_damping`` are then predicted from its servo at a small rate.
     Harmonics refer to the zero of the output angle.
     """
-    own = test.specimen.instrument
-    values = {"scale_factor": own.scale_factor}
-    values |= {} if test.specimen.direct else {"tan_beta": abs(own.tan_beta)}
+    instrument = test.specimen.instrument
+    values = {"scale_factor": instrument.scale_factor}
+    values |= {} if test.specimen.direct else {"tan_beta": abs(instrument.tan_beta)}
     model = test.specimen.error_model
     values |= {f.name: getattr(model, f.name) for f in fields(model) if f.name not in ("T_ref", "s1", "c1")}
     values |= {"servo": test.specimen.servo, "servo_damping": test.specimen.servo_damping}
@@ -203,19 +203,19 @@ def write_data(test: SimulatedTest, path: Path) -> None:
 
 def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> str:
     """The run file (TOML) of the test, for ``piga calibrate``."""
-    own, electronics = scenario.table.instrument, test.electronics
-    instrument: dict[str, Any] = {"serial": own.serial, "scale_factor": own.scale_factor}
+    described, electronics = scenario.table.instrument, test.electronics
+    instrument: dict[str, Any] = {"serial": described.serial, "scale_factor": described.scale_factor}
     output: dict[str, Any] = {"column": _output_name(test), "kind": electronics.kind}
     direct = test.specimen.direct
     instrument |= {"kind": "direct"} if direct else {}
     if electronics.kind == "counts":
-        instrument |= {} if direct else {"counts_per_revolution": own.counts_per_revolution}
-        if own.counter_bits is not None:
-            instrument["counter_bits"] = own.counter_bits
+        instrument |= {} if direct else {"counts_per_revolution": described.counts_per_revolution}
+        if described.counter_bits is not None:
+            instrument["counter_bits"] = described.counter_bits
     else:
         output["unit"] = "rad" if electronics.kind == "angle" else test.specimen.unit
-    if own.servo is not None:
-        instrument["servo"] = given_values(msgspec.to_builtins(own.servo))
+    if described.servo is not None:
+        instrument["servo"] = given_values(msgspec.to_builtins(described.servo))
     data = {
         "file": data_file,
         "time": {"column": "t_s", "unit": "s"},

@@ -98,16 +98,17 @@ def examples() -> Chapter:
     """Rate against time in the four regimes, with the ideal line."""
     values: dict[str, float | Value] = {}
     for example in EXAMPLES:
-        name, known = f"example-{example.number}", solved(example)
-        at = int(np.argmax(np.abs(known.published - known.integrated[1])))
+        name, solution = f"example-{example.number}", solved(example)
+        at = int(np.argmax(np.abs(solution.published - solution.integrated[1])))
         values[f"{name}.ideal"] = math.degrees(INSTRUMENT.scale_factor * example.force[0])
         values[f"{name}.form"] = Value(
-            math.degrees(known.integrated[1][at]),
-            published=math.degrees(known.published[at]),
-            words={"t": known.t[at]},
+            math.degrees(solution.integrated[1][at]),
+            published=math.degrees(solution.published[at]),
+            words={"t": solution.t[at]},
         )
         values[f"{name}.agreement"] = max(
-            float(np.abs(angle - known.integrated[0]).max()) for angle, _ in (known.closed, known.sampled)
+            float(np.abs(angle - solution.integrated[0]).max())
+            for angle, _ in (solution.closed, solution.sampled)
         )
         if example.number == 4:
             values[f"{name}.mean"] = math.degrees(float(mean_rate(INSTRUMENT, *example.force)))
@@ -119,16 +120,16 @@ def examples() -> Chapter:
 def _rate_figure() -> Figure:
     plot = Plot("constant-input-rates", "Output rate under constant input, four regimes", columns=2, height=2.5)
     for example in EXAMPLES:
-        known = solved(example)
-        shown = known.t <= (20.0 if example.number == 4 else DURATION)
-        shown &= np.arange(known.t.size) % 5 == 0
-        t = known.t[shown]
+        solution = solved(example)
+        shown = solution.t <= (20.0 if example.number == 4 else DURATION)
+        shown &= np.arange(solution.t.size) % 5 == 0
+        t = solution.t[shown]
         dots = slice(None, None, max(1, t.size // _DOTS))
         title = f"{example.number}  {example.regime}: a_x = {example.a_x:.5g} g"
         plot.panel("time [s]", "output rate [deg/s]", title)
         plot.level([0.0, t[-1]], math.degrees(INSTRUMENT.scale_factor * example.force[0]), "ideal: K a_x")
-        plot.line(t, np.degrees(known.closed[1][shown]), "cross-coupled: closed form", "after")
-        plot.points(t[dots], np.degrees(known.published[shown][dots]), "published form", "before")
+        plot.line(t, np.degrees(solution.closed[1][shown]), "cross-coupled: closed form", "after")
+        plot.points(t[dots], np.degrees(solution.published[shown][dots]), "published form", "before")
     return plot.caption(
         "Dashed: what an ideal instrument would turn. In regimes 1 to 3 the rate dies although in 2 and 3 there is "
         "specific force along the input axis; in regime 4 it swings about a mean just below the ideal line."
@@ -138,14 +139,14 @@ def _rate_figure() -> Figure:
 def _agreement_figure() -> Figure:
     plot = Plot("constant-input-agreement", "Three solutions of the same motion", columns=2, height=2.1)
     for example in EXAMPLES:
-        known = solved(example)
+        solution = solved(example)
         every = slice(1, None, 8)
-        left = np.abs(known.closed[0] - known.integrated[0])[every]
-        right = np.abs(known.closed[0] - known.sampled[0])[every]
+        left = np.abs(solution.closed[0] - solution.integrated[0])[every]
+        right = np.abs(solution.closed[0] - solution.sampled[0])[every]
         y = axis("log difference in angle [rad]", limits=(_FLOOR, 1e-9))
         plot.panel("time [s]", y, f"{example.number}  {example.regime}")
-        plot.line(known.t[every], np.maximum(left, _FLOOR), "closed form less integration", "before")
-        plot.line(known.t[every], np.maximum(right, _FLOOR), "closed form less propagator", "after")
+        plot.line(solution.t[every], np.maximum(left, _FLOOR), "closed form less integration", "before")
+        plot.line(solution.t[every], np.maximum(right, _FLOOR), "closed form less propagator", "after")
     return plot.caption(
         "The independent integrator errs by up to 1e-10 rad, closed form and propagator differ from each other by "
         "rounding only. Differences below 1e-16 rad are drawn there."

@@ -260,8 +260,8 @@ def ten_days() -> Chapter:
     values: dict[str, float | Value] = {}
     for c in CHANNELS:
         name = c.channel.replace("_", "-")
-        held, followed = (lines[model][c.channel] / c.scale for model in ("A", "B"))
-        values |= dict.fromkeys((f"{name}-theory", f"{name}-formula", f"{name}-A"), held)
+        theory, followed = (lines[model][c.channel] / c.scale for model in ("A", "B"))
+        values |= dict.fromkeys((f"{name}-theory", f"{name}-formula", f"{name}-A"), theory)
         values[f"{name}-B"] = followed
     first = [float(comparison.models[m].lines.amplitude["east_velocity"][0]) for m in ("A", "B")]
     values["first-day"] = first[0] - first[1]
@@ -291,12 +291,12 @@ def _with_published(figure: Figure) -> Figure:
     printed = {c.label: c for c in CHANNELS}
     panels = []
     for panel in figure.panels:
-        known = printed.get(panel.y.quantity.removesuffix(" line"))
+        channel = printed.get(panel.y.quantity.removesuffix(" line"))
         added: tuple[Series, ...] = ()
-        if known is not None:
+        if channel is not None:
             added = (
-                Series([_DAYS], [known.simulated], "published simulation, model A", "points", "warning"),
-                Series([_DAYS], [known.theory], "published theory, model A", "points", "model"),
+                Series([_DAYS], [channel.simulated], "published simulation, model A", "points", "warning"),
+                Series([_DAYS], [channel.theory], "published theory, model A", "points", "model"),
             )
         panels.append(replace(panel, y=replace(panel.y, log=False), series=(*panel.series, *added)))
     caption = (

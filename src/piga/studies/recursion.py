@@ -107,10 +107,10 @@ def _history_figure(key: str, title: str, profile: ForceHistory, caption: str) -
 def compensation() -> Chapter:
     """The published compensation (under 0.002 g) against the exact one (rounding)."""
     log = record("ramp")
-    published, own = published_calibration("ramp"), own_calibration("ramp")
+    published, ours = published_calibration("ramp"), own_calibration("ramp")
     before, model = raw_error(log), model_residual(log, published)
     formula = compensated_error(log, with_phase(published, PUBLISHED_PHASE), "published")
-    exact = compensated_error(log, own, "exact")
+    exact = compensated_error(log, ours, "exact")
     largest = [float(np.abs(error).max()) for error in (before, model, formula, exact)]
     values = {
         "before": largest[0],

@@ -276,14 +276,14 @@ class _Records:
 
     def trend(self, key: str) -> CoefficientTrend:
         """Trend of one coefficient."""
-        held = [one[key] for one in self.by_key]
-        values, stds = np.array([(c.value, c.std) for c in held]).T
+        coefficients = [one[key] for one in self.by_key]
+        values, stds = np.array([(c.value, c.std) for c in coefficients]).T
         shared = common_contributions(key, self.calibrations, self.common)
         own = np.sqrt(np.maximum(stds**2 - np.sum(shared**2, axis=0), (1e-3 * stds) ** 2))
         last = shared[:, -1].copy()
         model = trend_model(self.years, values, own**2, self.days, shared)
         forecasts, scores, day_scores = self._expected(values, own, shared)
-        half = self._own_half_widths(key, held, own)
+        half = self._own_half_widths(key, coefficients, own)
         points = tuple(
             Point(
                 record=self.names[i],
@@ -297,13 +297,13 @@ class _Records:
                 score=float(scores[i]),
                 forecast=forecasts[i],
             )
-            for i, c in enumerate(held)
+            for i, c in enumerate(coefficients)
         )
         chart = Chart(model.days.time, day_scores, *moving_average(day_scores))
         step = clearest_step(model.days)
-        return CoefficientTrend(key, held[0].unit, points, chart, model, step, last)
+        return CoefficientTrend(key, coefficients[0].unit, points, chart, model, step, last)
 
-    def _own_half_widths(self, key: str, held: Sequence[Coefficient], own: Array) -> Array:
+    def _own_half_widths(self, key: str, coefficients: Sequence[Coefficient], own: Array) -> Array:
         """95 % half-width of each record's own part: coverage factor at its effective degrees of freedom, times ``own``.
 
         ``sum(u_i^4/nu_i) = u^4/nu`` over all sources (JCGM 100, G.2b). The common part of each source is subtracted.
@@ -312,7 +312,7 @@ class _Records:
             source: 1.0 - (1.0 - _shared_part(self.common, source)) ** 2
             for source in {row.source for one in self.calibrations for row in _type_b(one)}
         }
-        doubt = np.array([c.std**4 / c.degrees_of_freedom for c in held]) - [
+        doubt = np.array([c.std**4 / c.degrees_of_freedom for c in coefficients]) - [
             sum(
                 taken_off[row.source]
                 * row.contributions.get(key, 0.0) ** 4

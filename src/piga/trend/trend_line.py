@@ -273,8 +273,8 @@ class TrendModel(Result):
         line = self.line
         if line is None:
             return None
-        known = float(np.sum(line.shared[1] ** 2))
-        parts = ((float(line.covariance[1, 1]), line.degrees_of_freedom), (known, math.inf))
+        common = float(np.sum(line.shared[1] ** 2))
+        parts = ((float(line.covariance[1, 1]), line.degrees_of_freedom), (common, math.inf))
         return _combined(1.0, float(line.coefficients[1]), parts)
 
     def record_at(self, time: float, own: float, shared: Array) -> Forecast:
@@ -397,23 +397,23 @@ class Outlook(Result):
         weights, values, variances = np.zeros(since.size), [], []
         for model in self.models:
             covariance = CAUSES[model.cause]
-            beside = model.moving * covariance(since, ahead)[:, 0]
-            own = model.moving * float(covariance(ahead, ahead)[0, 0]) + model.still + variance
-            whitened = np.linalg.solve(model.factor, np.column_stack([design, beside, days.means]))
+            covariances = model.moving * covariance(since, ahead)[:, 0]
+            variance_then = model.moving * float(covariance(ahead, ahead)[0, 0]) + model.still + variance
+            whitened = np.linalg.solve(model.factor, np.column_stack([design, covariances, days.means]))
             X, g, y = whitened[:, :2], whitened[:, 2], whitened[:, 3]
             q, r = np.linalg.qr(X)
             direction = np.linalg.solve(r.T, there - X.T @ g)
             on_days = g + q @ direction  # weights on the whitened days
             values.append(float(on_days @ y))
-            variances.append(own - float(g @ g) + float(direction @ direction))
+            variances.append(variance_then - float(g @ g) + float(direction @ direction))
             weights += model.weight * np.linalg.solve(model.factor.T, on_days)
         chance = np.array([model.weight for model in self.models])
         mean = float(chance @ values)
-        known = weights @ days.shared
+        common = weights @ days.shared
         if shared is not None:
-            known = known - shared
+            common = common - shared
         spread = float(chance @ (np.array(variances) + (np.array(values) - mean) ** 2))
-        return Forecast(time, mean, math.sqrt(max(spread, 0.0) + float(np.sum(known**2))), math.inf)
+        return Forecast(time, mean, math.sqrt(max(spread, 0.0) + float(np.sum(common**2))), math.inf)
 
 
 def outlook(days: Days) -> Outlook:

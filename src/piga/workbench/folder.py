@@ -320,15 +320,15 @@ class Folder:
 
     def entry(self, name: str) -> Entry:
         """One record."""
-        found = next((entry for entry in self.entries() if entry.name == name), None)
-        if found is None:
+        entry = next((entry for entry in self.entries() if entry.name == name), None)
+        if entry is None:
             raise OutsideError(f"{name[:200]}: is not a record of this folder", remedy="choose a listed record")
-        return found
+        return entry
 
     def kept(self, folder: Path) -> Kept | None:
         """The kept calibration of a folder; None if it cannot be read."""
-        found: Kept | None = self._once(folder / CALIBRATION, lambda: self._read_kept(folder))
-        return found
+        kept: Kept | None = self._once(folder / CALIBRATION, lambda: self._read_kept(folder))
+        return kept
 
     def _read_kept(self, folder: Path) -> Kept | None:
         try:
@@ -411,8 +411,8 @@ def _with_kept(entry: Entry, kept: list[Kept], result: str) -> Entry:
         if one.name == result or re.fullmatch(rf"{re.escape(result)}-v\d{{1,6}}", one.name)
     ]
     versions.sort(key=lambda item: (item[0] != 0, item[0]))
-    own = tuple(replace(one, version=number) for number, one in versions)
-    return replace(entry, kept=own, state="kept" if own and entry.state == "ready" else entry.state)
+    numbered = tuple(replace(one, version=number) for number, one in versions)
+    return replace(entry, kept=numbered, state="kept" if numbered and entry.state == "ready" else entry.state)
 
 
 def _state(path: Path) -> tuple[int, int]:

@@ -180,15 +180,15 @@ class Guard:
         path, method = scope["path"], scope.get("method")
         if path == "/healthz" and method in SAFE_METHODS:
             return None
-        known = door.has_session(cookie_value(headers.get("cookie", ""), door.cookie))
+        has_session = door.has_session(cookie_value(headers.get("cookie", ""), door.cookie))
         query = parse_qs(scope["query_string"].decode("latin-1"))
         if path == "/" and "token" in query and method == "GET":
             session = door.open_session(query["token"][0])
             if session is not None:
                 return 303, "", ((b"location", b"/"), (b"set-cookie", door.set_cookie(session).encode()))
-            if known:
+            if has_session:
                 return 303, "", ((b"location", b"/"),)
-        if known:
+        if has_session:
             return None
         return (
             403,

@@ -231,9 +231,9 @@ def inputs_of(p: Instrument, m: Member, h: float, doubt: float) -> Inputs:
 
 
 @exact
-def turn_force(axes: Array, found: Solution, m: Member) -> None:
+def turn_force(axes: Array, solution: Solution, m: Member) -> None:
     """Force and its change over the interval in the axes of an instrument."""
-    f, d = found.f, found.df
+    f, d = solution.f, solution.df
     m.a_x = axes[0, 0] * f[0] + axes[0, 1] * f[1] + axes[0, 2] * f[2]
     m.a_Y = axes[1, 0] * f[0] + axes[1, 1] * f[1] + axes[1, 2] * f[2]
     m.a_Z = axes[2, 0] * f[0] + axes[2, 1] * f[1] + axes[2, 2] * f[2]
@@ -296,7 +296,7 @@ def misfit_at_zero(p: Instrument, m: Member) -> float:
 
 
 @exact
-def invert_normal(members: Any, found: Solution) -> None:
+def invert_normal(members: Any, solution: Solution) -> None:
     """The inverse of the weighted normal matrix of the effective axes."""
     xx = xy = xz = yy = yz = zz = 0.0
     for i in range(members.size):
@@ -309,7 +309,7 @@ def invert_normal(members: Any, found: Solution) -> None:
         zz += m.weight * m.axis_z * m.axis_z
     a, b, d = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     per = 1.0 / (xx * a + xy * b + xz * d)
-    n = found.inverse
+    n = solution.inverse
     n[0, 0], n[1, 1], n[2, 2] = a * per, (xx * zz - xz * xz) * per, (xx * yy - xy * xy) * per
     n[0, 1] = n[1, 0] = b * per
     n[0, 2] = n[2, 0] = d * per
@@ -347,22 +347,22 @@ def solve_row(
     h: float,
     sampled: bool,
     early: Array,
-    found: Solution,
+    solution: Solution,
 ) -> None:
     """Force of the row by rounds of least squares on the exact equations. ``early`` (3, 3) is updated."""
-    invert_normal(members, found)
+    invert_normal(members, solution)
     rounds = SAMPLE_ROUNDS if sampled else EXACT_ROUNDS
     for i in range(instruments.size):
         if instruments[i].has_terms != 0.0:
             rounds = TERM_ROUNDS
-    found.f[:] = 0.0
-    found.df[:] = 0.0
-    n = found.inverse
+    solution.f[:] = 0.0
+    solution.df[:] = 0.0
+    n = solution.inverse
     for k in range(rounds):
-        x = y = z = found.sums[0] = found.sums[1] = 0.0
+        x = y = z = solution.sums[0] = solution.sums[1] = 0.0
         for i in range(members.size):
             p, m = instruments[i], members[i]
-            turn_force(axes[i], found, m)
+            turn_force(axes[i], solution, m)
             model_error(p, m, h)
             if sampled:
                 m.misfit = misfit_of_sample(p, m)
@@ -370,19 +370,19 @@ def solve_row(
                 m.misfit = misfit_at_zero(p, m) if k == 0 else misfit_of_interval(p, m, h)
             pull = m.weight * m.misfit
             x, y, z = x + pull * m.axis_x, y + pull * m.axis_y, z + pull * m.axis_z
-            found.sums[0] += m.misfit * m.misfit
-            found.sums[1] += pull * m.misfit
+            solution.sums[0] += m.misfit * m.misfit
+            solution.sums[1] += pull * m.misfit
         for axis in range(3):
-            found.f[axis] += n[axis, 0] * x + n[axis, 1] * y + n[axis, 2] * z
+            solution.f[axis] += n[axis, 0] * x + n[axis, 1] * y + n[axis, 2] * z
         if k == rounds // 2 - 1 and not sampled:  # the estimate for a change of zero
             for axis in range(3):
-                f = found.f[axis]
-                found.df[axis], found.bend[axis] = change_of_force(h, past, f, early, axis)
+                f = solution.f[axis]
+                solution.df[axis], solution.bend[axis] = change_of_force(h, past, f, early, axis)
                 early[2, axis], early[1, axis], early[0, axis] = early[1, axis], early[0, axis], f
 
 
 @exact
-def doubt_of_member(p: Instrument, axes: Array, past: Past, h: float, found: Solution, m: Member) -> float:
+def doubt_of_member(p: Instrument, axes: Array, past: Past, h: float, solution: Solution, m: Member) -> float:
     """Uncertainty of an instrument's equation by the motion between samples [m/s^2], as :func:`.sample.doubt_of_interval`.
 
     The transverse force is an unknown of the solution. The bend of the solution (3,) is the possible error of the change of the
@@ -392,7 +392,7 @@ def doubt_of_member(p: Instrument, axes: Array, past: Past, h: float, found: Sol
     left = m.left_x + m.left_y * abs(m.s) + m.left_z * abs(m.c)
     x = inputs_of(p, m, h, 0.0)
     across, turn = x.y * m.c + x.z * m.s, p.tan_beta * m.turn
-    bend = found.bend
+    bend = solution.bend
     bend_x = axes[0, 0] * bend[0] + axes[0, 1] * bend[1] + axes[0, 2] * bend[2]
     bend_Y = axes[1, 0] * bend[0] + axes[1, 1] * bend[1] + axes[1, 2] * bend[2]
     bend_Z = axes[2, 0] * bend[0] + axes[2, 1] * bend[1] + axes[2, 2] * bend[2]
@@ -427,7 +427,7 @@ def compensate_set(
     """
     count, sampled, warm = instruments.size, samples.rate.shape[1] > 0, samples.temperature.shape[1] > 0
     turning, detailed, wanted = samples.base_rate.shape[1] > 0, rows.each.shape[1] > 0, rows.u.shape[0] > 0
-    found = Solution(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros(2))
+    solution = Solution(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros(2))
     work, doubts = np.empty((count, at.MOST_TERMS)), np.zeros(count)
     for j in range(samples.t.size):
         first = last.past[0]
@@ -448,25 +448,27 @@ def compensate_set(
                 keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
             keep_sample(past, now, now.psi, p.phi, 0.0)
         if solved:
-            solve_row(instruments, axes, members, first, h, sampled, last.early[PLAIN], found)
+            solve_row(instruments, axes, members, first, h, sampled, last.early[PLAIN], solution)
             for i in range(count):
                 p, past, m = instruments[i], last.past[i], members[i]
-                turn_force(axes[i], found, m)
+                turn_force(axes[i], solution, m)
                 steady, force = h * past.h1 * past.h2 != 0.0, (m.a_x, m.a_Y, m.a_Z)
                 m.hidden, shaken = rectified(p, past, force, h, steady, sampled)
                 m.shaken = 1.0 if shaken else 0.0
                 if wanted or count > 3:
                     if not sampled:
-                        doubts[i] = doubt_of_member(p, axes[i], last.past[i], h, found, m)
+                        doubts[i] = doubt_of_member(p, axes[i], last.past[i], h, solution, m)
                     m.weight = weigh(p, covariance_of(all_of, i), inputs_of(p, m, h, doubts[i]), m, work[i])
             if count > 3:
-                solve_row(instruments, axes, members, first, h, sampled, last.early[WEIGHTED], found)
+                solve_row(instruments, axes, members, first, h, sampled, last.early[WEIGHTED], solution)
             elif wanted:
-                invert_normal(members, found)
+                invert_normal(members, solution)
             if wanted:
-                add_velocities(instruments, all_of, members, h, doubts, work, found.inverse, rows.sums)
-        write_row(j, h, sampled, found, last.force, rows)
-        flag_row(j, h, sampled, base_flag, warm, instruments, axes, members, found, threshold, detailed, rows)
+                add_velocities(instruments, all_of, members, h, doubts, work, solution.inverse, rows.sums)
+        write_row(j, h, sampled, solution, last.force, rows)
+        flag_row(
+            j, h, sampled, base_flag, warm, instruments, axes, members, solution, threshold, detailed, rows
+        )
         for i in range(count):
             kept = doubts[i] if h != 0.0 and last.past[i].h1 != 0.0 else 0.0
             keep_interval(last.past[i], h, 0.0, 0.0, 0.0, kept)
@@ -502,24 +504,24 @@ def covariance_of(all_of: SetCovariance, i: int) -> Covariance:
 
 
 @exact
-def write_row(j: int, h: float, sampled: bool, found: Solution, before: Array, rows: SetRows) -> None:
+def write_row(j: int, h: float, sampled: bool, solution: Solution, before: Array, rows: SetRows) -> None:
     """Force, increment, uncertainty and residual; ``before`` is the force of the last row, updated."""
     solved = sampled or h != 0.0
     for axis in range(3):
-        f = found.f[axis]
+        f = solution.f[axis]
         mean = 0.5 * (before[axis] + f) if sampled else f
         rows.force[j, axis] = f if solved else math.nan
         rows.dv[j, axis] = mean * h if h != 0.0 else 0.0
         if rows.u.shape[0]:
-            rows.u[j, axis] = math.sqrt(max(found.inverse[axis, axis], 0.0)) if solved else math.nan
+            rows.u[j, axis] = math.sqrt(max(solution.inverse[axis, axis], 0.0)) if solved else math.nan
         before[axis] = f if solved else 0.0
-    rows.residual[j] = math.sqrt(found.sums[0]) if solved else math.nan
+    rows.residual[j] = math.sqrt(solution.sums[0]) if solved else math.nan
 
 
 @exact
 def flag_row(
     j: int, h: float, sampled: bool, base_flag: int, warm: bool, instruments: Any, axes: Array, members: Any,
-    found: Solution, threshold: float, detailed: bool, rows: SetRows,
+    solution: Solution, threshold: float, detailed: bool, rows: SetRows,
 ) -> None:  # fmt: skip
     """Flags of the row: those of each instrument at the force found, a fault, and rows without an increment."""
     if rows.flags.size == 0:
@@ -529,13 +531,13 @@ def flag_row(
     for i in range(instruments.size):
         p, m, flag = instruments[i], members[i], 0
         if solved:
-            turn_force(axes[i], found, m)
+            turn_force(axes[i], solution, m)
             flag = base_flag | flags_of(p, inputs_of(p, m, h, 0.0), m.a_x, warm)
             flag |= at.VIBRATION if m.shaken != 0.0 else 0
         together |= flag
         if detailed:
             rows.misfits[i, j] = m.misfit if solved else math.nan
             rows.each[i, j] = flag | none
-    if solved and instruments.size > 3 and found.sums[1] > threshold:
+    if solved and instruments.size > 3 and solution.sums[1] > threshold:
         together |= at.FAULT
     rows.flags[j] = together | none

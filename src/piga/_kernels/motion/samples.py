@@ -246,15 +246,15 @@ def propagate_samples(state: Array, alpha: Array, rate: Array, samples: MotionSa
         last = min(first + BLOCK, n)  # of the samples of this block
         count = min(last, n - 1) - first  # of its steps
         around, stop = max(first - 2, 0), min(first + count + 2, n)
-        skipped, known = first - around, stop - around
+        skipped, measured = first - around, stop - around
         read_rates(samples, around, stop, r)
         turn_linear(samples, first, count, skipped, r, s)
         if samples.smooth and n > 3 and count > 0:
             ends, times = (first == 0, first + count == n - 1), t[around:stop]
-            weigh_neighbours(times, known, r)
-            add_bows(times, r.a, known, skipped, ends, r, s.A)
-            add_bows(times, r.y, known, skipped, ends, r, s.Y)
-            add_bows(times, r.z, known, skipped, ends, r, s.Z)
+            weigh_neighbours(times, measured, r)
+            add_bows(times, r.a, measured, skipped, ends, r, s.A)
+            add_bows(times, r.y, measured, skipped, ends, r, s.Y)
+            add_bows(times, r.z, measured, skipped, ends, r, s.Z)
         make_matrices(t[first:], count, s)
         done, turns, p, q = carry_pair(count, s, turns, p, q)
         if done < count:

@@ -149,19 +149,19 @@ class StampClock:
         return pa.array(self._continued(days, values), mask=bad)
 
     def _continued(self, days: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-        known = np.flatnonzero(~np.isnan(values))
-        if known.size == 0:
+        valid = np.flatnonzero(~np.isnan(values))
+        if valid.size == 0:
             return values
         if self.stamp.dated:
             if self._first_day is None:
-                self._first_day = float(days[known[0]])
+                self._first_day = float(days[valid[0]])
             return DAY * (days - self._first_day) + values
-        steps = np.diff(values[known], prepend=self._last)
+        steps = np.diff(values[valid], prepend=self._last)
         steps[np.isnan(steps)] = 0.0
         turns = np.cumsum((steps < -HALF_DAY).astype(float) - (steps > HALF_DAY).astype(float))
         result = values.copy()
-        result[known] += self._added + DAY * turns
-        self._last, self._added = float(values[known[-1]]), self._added + DAY * float(turns[-1])
+        result[valid] += self._added + DAY * turns
+        self._last, self._added = float(values[valid[-1]]), self._added + DAY * float(turns[-1])
         return result
 
 

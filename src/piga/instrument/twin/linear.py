@@ -291,19 +291,19 @@ def servo_terms(
     -----
     Derivation and terms of the next order: theory page "The servo in the model".
     """
-    own = ServoParameters.of_twin(p) if isinstance(p, TwinParameters) else p
+    parameters = ServoParameters.of_twin(p) if isinstance(p, TwinParameters) else p
     names = [entry.name for entry in fields(ServoParameters)]
     sources = {}
     for name, uncertainty in (u or {}).items():
         if name not in names:
             raise ArgumentError(f"servo: unknown parameter '{name}'", remedy=f"choose {', '.join(names)}")
-        value, step = getattr(own, name), 1e-4
+        value, step = getattr(parameters, name), 1e-4
         size = value or 1.0
-        up = _servo_pair(replace(own, **{name: value + step * size}), rate)
-        down = _servo_pair(replace(own, **{name: max(0.0, value - step * size)}), rate)
+        up = _servo_pair(replace(parameters, **{name: value + step * size}), rate)
+        down = _servo_pair(replace(parameters, **{name: max(0.0, value - step * size)}), rate)
         span = step * size + min(value, step * size)
         sources[name] = ((up[0] - down[0]) / span * uncertainty, (up[1] - down[1]) / span * uncertainty)
-    return ServoTerms(*_servo_pair(own, rate), sources)
+    return ServoTerms(*_servo_pair(parameters, rate), sources)
 
 
 def servo_force(

@@ -100,15 +100,15 @@ def slow_manifold(
     if slowest <= 0.0:
         raise PigaError("the loop is unstable: it has no slow manifold", remedy="use start = 'transient'")
     H, _ = servo.wheel(p.constants(), t)
-    held = replace(p, angular_momentum=H, hunting=0.0, spin_start=1.0)
+    steady_wheel = replace(p, angular_momentum=H, hunting=0.0, spin_start=1.0)
     duration = 30.0 / slowest
     times = np.linspace(-duration, 0.0, max(2, math.ceil(duration * 50.0)))
     force, rate = (np.tile(np.asarray(v, dtype=float), (times.size, 1)) for v in (f, base_rate))
-    state = quasi_steady_state(held, 0.0, alpha, f, base_rate)
+    state = quasi_steady_state(steady_wheel, 0.0, alpha, f, base_rate)
     start = alpha - duration * state[2]
     for _ in range(20):
-        first = quasi_steady_state(held, 0.0, start, f, base_rate)
-        state = _run(held, times, force, rate, np.zeros_like(force), first, accuracy)[0][-1]
+        first = quasi_steady_state(steady_wheel, 0.0, start, f, base_rate)
+        state = _run(steady_wheel, times, force, rate, np.zeros_like(force), first, accuracy)[0][-1]
         start += alpha - state[0]
         if abs(alpha - state[0]) < 1e-10:
             break
@@ -178,10 +178,10 @@ def run_twin(
     Nutation is resolved if it is excited, and otherwise only kept stable.
     """
     times, force, rate = _inputs(t, f, base_rate)
-    held = np.zeros(force.shape) if noise is None else float_array("noise", noise, force.shape)
+    torques = np.zeros(force.shape) if noise is None else float_array("noise", noise, force.shape)
     first = _start(p, start, times[0], force[0], rate[0], accuracy)
-    states, error, steps = _run(p, times, force, rate, held, first, accuracy)
-    return _motion(p, times, states, held[:, 2], error, steps)
+    states, error, steps = _run(p, times, force, rate, torques, first, accuracy)
+    return _motion(p, times, states, torques[:, 2], error, steps)
 
 
 def _start(

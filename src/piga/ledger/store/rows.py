@@ -211,13 +211,13 @@ def _in_batches(
     connection: sa.Connection, wanted: Iterable[tuple[str, int]]
 ) -> Iterator[tuple[str, int, bytes | StoreError]]:
     batch: list[tuple[str, int]] = []
-    held = 0
+    size_of_batch = 0
     for name, size in wanted:
         batch.append((name, size))
-        held += size
-        if len(batch) == BATCH_FILES or held > BATCH_BYTES:
+        size_of_batch += size
+        if len(batch) == BATCH_FILES or size_of_batch > BATCH_BYTES:
             yield from _read_batch(connection, batch)
-            batch, held = [], 0
+            batch, size_of_batch = [], 0
     yield from _read_batch(connection, batch)
 
 

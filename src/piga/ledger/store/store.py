@@ -156,7 +156,7 @@ class Store:
         Superseded records are left out, because their successors replace them. A calibration that cannot be read is left
         out, and a :class:`piga.PigaWarning` names it.
         """
-        found = []
+        calibrations = []
         with self.database.reading() as connection:
             old: set[str | None] = set()
             kept = []
@@ -172,8 +172,8 @@ class Store:
                 except CalibrationError as error:
                     warnings.warn(f"{self.name}: left out: {error}", PigaWarning, stacklevel=2)
                     continue
-                found.append((name, measured, calibration))
-        return found
+                calibrations.append((name, measured, calibration))
+        return calibrations
 
     def extract(self, name: str | int, folder: Path, *, inputs_only: bool = False) -> Path:
         """Write the files of a record below ``folder`` under their own names. Returns the path of the run file.

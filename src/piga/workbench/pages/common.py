@@ -121,8 +121,13 @@ def environment() -> Any:
 def render(request: Request, template: str, code: int = 200, **values: Any) -> Response:
     """A page from its template."""
     bench = bench_of(request)
-    known = {"folder": bench.folder.root.name, "undo": bench.history.last, "at": request.url.path, "live": True}
-    return HTMLResponse(environment().get_template(template).render(known | values), status_code=code)
+    shared = {
+        "folder": bench.folder.root.name,
+        "undo": bench.history.last,
+        "at": request.url.path,
+        "live": True,
+    }
+    return HTMLResponse(environment().get_template(template).render(shared | values), status_code=code)
 
 
 async def sent_form(request: Request) -> dict[str, list[str]]:

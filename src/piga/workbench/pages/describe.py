@@ -140,9 +140,9 @@ def sheet(folder: Folder, name: str, fields: dict[str, list[str]]) -> Sheet:
         questions |= {one.key: one for one in draft.optional}
     shown = []
     for key in dict.fromkeys((*asked, *questions)):
-        known = asked.get(key, Field(key, "", ""))
+        field = asked.get(key, Field(key, "", ""))
         words, example = _words(key)
-        shown.append(replace(known, words=words, example=example, units=UNITS.get(key, ("1", ()))[1]))
+        shown.append(replace(field, words=words, example=example, units=UNITS.get(key, ("1", ()))[1]))
     return Sheet(described, draft, shown, message)
 
 

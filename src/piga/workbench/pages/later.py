@@ -130,21 +130,21 @@ def _own(bench: Bench, kept: Kept | None) -> dict[str, str]:
     """What is known already: the laboratory's own entries, and those of the calibration."""
     example = _example()
     flat = _flat(example)
-    known = {key: _shown(flat[key]) for key in USUAL if key in flat}
+    entries = {key: _shown(flat[key]) for key in USUAL if key in flat}
     try:
         mine = toml_document(Path(CERTIFICATE), bench.folder.text(CERTIFICATE).encode())
     except PigaError:
         mine = {}
-    known |= {
+    entries |= {
         key: _shown(value) for key, value in _flat(mine).items() if key in USUAL or value != flat.get(key)
     }
     tables = {key: _table_text(mine, key) for key in TABLES}
-    known |= {key: text for key, text in tables.items() if text != _table_text(example, key)}
+    entries |= {key: text for key, text in tables.items() if text != _table_text(example, key)}
     if kept is not None:
-        known |= {"item.serial": kept.serial, "calibration.end": kept.created[:10]}
-    if _is_used(bench, known.get("certificate.number", "")) or "certificate.number" not in known:
-        known["certificate.number"] = _next_number(bench)
-    return known
+        entries |= {"item.serial": kept.serial, "calibration.end": kept.created[:10]}
+    if _is_used(bench, entries.get("certificate.number", "")) or "certificate.number" not in entries:
+        entries["certificate.number"] = _next_number(bench)
+    return entries
 
 
 def _is_used(bench: Bench, number: str) -> bool:
@@ -239,7 +239,7 @@ async def issue(request: Request) -> Response:
 def _issue(request: Request, fields: dict[str, list[str]]) -> Response:
     bench = bench_of(request)
     kept = kept_of(bench, only(fields, "of"))
-    values = {key.removeprefix("c:"): held[-1] for key, held in fields.items() if key.startswith("c:")}
+    values = {key.removeprefix("c:"): sent[-1] for key, sent in fields.items() if key.startswith("c:")}
     items = _items(bench, values)
     wrong = [item for item in items if item.refusal]
     draft = only(fields, "do") != "issue"

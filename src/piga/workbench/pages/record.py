@@ -630,13 +630,15 @@ def compare(request: Request) -> Response:
     both = [Calibration.from_json(bench.folder.file(f"{one.name}/{CALIBRATION}")) for one in pair]
     table = []
     for key in dict.fromkeys(one.key for calibration in both for one in calibration.coefficients):
-        found = [next((c for c in calibration.coefficients if c.key == key), None) for calibration in both]
-        one, other = found
-        factor, unit = shown_unit(key, next(c.unit for c in found if c is not None))
+        coefficients = [
+            next((c for c in calibration.coefficients if c.key == key), None) for calibration in both
+        ]
+        one, other = coefficients
+        factor, unit = shown_unit(key, next(c.unit for c in coefficients if c is not None))
         row: dict[str, Any] = {
             "key": key,
             "unit": unit,
-            "cells": [None if c is None else (factor * c.value, factor * c.std) for c in found],
+            "cells": [None if c is None else (factor * c.value, factor * c.std) for c in coefficients],
         }
         if one is not None and other is not None:
             u = float(np.hypot(one.std, other.std))
