@@ -6,15 +6,23 @@ import gzip
 import hashlib
 import json
 import math
+import re
 import sys
+import tempfile
+import textwrap
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+import piga
+from piga.certificate.dcc.document import read_dcc
+from piga.certificate.dcc.xml_signature import verify_signature
 from piga.gravity_norm import calibrate_set_file
 from piga.noise import allan_deviation
+from piga.units import G0
 
 HERE = Path(__file__).parent
 PAGE = HERE.parent / "docs" / "validation-data.md"
@@ -44,6 +52,98 @@ def xsens() -> Iterator[Comparison]:
         off = (term.value - value) / term.std
         what = f"imu_tk, Xsens record: {term.key} [{term.unit}]"
         yield Comparison(what, f"{value:.7g}", f"{term.value:.7g}, {off:+.1f} u", abs(off) < 2.0)
+
+
+def imucal() -> Iterator[Comparison]:
+    """The twelve parameters of imucal's six positions, each axis as a direct instrument; and a term that they cannot tell."""
+    own = json.loads((HERE / "data" / "imucal-result.json").read_text())
+    matrix, offset = np.array(own["K_a"]) @ np.array(own["R_a"]), np.array(own["b_a"])
+    log = np.genfromtxt(
+        HERE / "data" / "imucal-six-positions.csv.gz", delimiter=",", names=True, dtype=None, encoding=None
+    )
+    part, g = log["part"], 9.81
+    for i, axis in enumerate("xyz"):
+        order = [i, (i + 1) % 3, (i + 2) % 3]
+        upwards = np.stack(
+            [(part == f"{'xyz'[k]}_p") * g - (part == f"{'xyz'[k]}_a") * g for k in order], axis=1
+        )
+        K = matrix[i, i]
+        published = {"scale_factor": K * G0, "k0": offset[i] / K / G0}
+        published |= {"m_Y": matrix[i, order[1]] / K, "m_Z": matrix[i, order[2]] / K}
+
+        run = piga.Run.from_arrays(
+            np.arange(part.size) / 100.0, log[axis].astype(float), upwards, scale_factor=f"{K * G0} LSB/g", kind="rate",
+            unit="LSB", segment=part, model={"terms": [*published]}, units="SI",
+        )  # fmt: skip
+        with warnings.catch_warnings(action="ignore"):
+            result = piga.calibrate(run)
+            try:
+                words = f"accepted, U {piga.calibrate(run, terms=[*published, 'k_ZZ'])['scale_factor'].expanded:.2g}"
+            except piga.PigaError as error:
+                words = f"refused: {str(error).splitlines()[0]}"
+        for name, value in published.items():
+            c = result[name]
+            off = (c.value - value) / c.std
+            what = f"imucal, six positions, axis {axis}: {name} [{c.unit}]"
+            yield Comparison(
+                what, f"{value:.7g}", f"{c.value:.7g}, {round(off, 1) + 0.0:+.1f} u", abs(off) < 2.0
+            )
+        what = f"imucal, six positions, axis {axis}: with k_ZZ, which one position decides"
+        yield Comparison(what, "U of K 53 times smaller in piga 0.2", words, words.startswith("refused"))
+
+
+NOT_OURS = "holds no calibration record of piga"
+SIGNED, CHANGED = "the signature holds", "the signature does not hold: Digest mismatch"
+CERTIFICATES = {
+    "dcc_gp_temperature_typical_v12_signed.xml": ("signed", SIGNED),
+    "dcc_gp_temperature_typical_v12_signed_manipulated.xml": ("manipulated", CHANGED),
+    "dcc_gp_temperature_typical_v12_v3.2.0_signed.xml": ("signed", SIGNED),
+    "dcc_gp_temperature_typical_v12_v3.2.0_signed_lt.xml": ("signed, with revocation lists", SIGNED),
+    "dcc_gp_temperature_typical_v12_v3.2.0_signed_lt_revoked.xml": (
+        "signer revoked",
+        "was revoked on 2023-06-15",
+    ),
+    "dcc_gp_temperature_typical_v12_v3.2.0_signed_manipulated.xml": ("manipulated", CHANGED),
+    "examples_siliziumkugel___.xml.p7m": ("XML in an envelope", "is an envelope (CMS, PKCS #7), not XML"),
+    "signed_siliziumkugel.xml": (
+        "signed through an XPath filter",
+        "after the transform http://www.w3.org/2002/06/xmldsig-filter2",
+    ),
+    "siliziumkugel_2_4_0.xml": ("version 2.4.0", "DCC version '2.4.0' is not known"),
+}
+"""What is special about a certificate, and words of the answer. All others are valid, not signed, of other instruments."""
+
+
+def certificates() -> Iterator[Comparison]:
+    """The example certificates (DCC) of pydcc: a signed one is verified with the certificate inside, others are read."""
+    sources = json.loads((HERE / "sources.json").read_text())["pydcc"]
+    for name, file in sources["files"].items():
+        path, what = HERE / "fetched" / name, f"pydcc, `{name}`"
+        fact, words = CERTIFICATES.get(name, ("valid, not signed, not of piga", NOT_OURS))
+        if not path.exists():
+            yield Comparison(what, fact, f"skipped: {sources['licence']}; run python validation/fetch.py", None)
+            continue
+        raw = path.read_bytes()
+        if hashlib.sha256(raw).hexdigest() != file["sha256"]:
+            raise SystemExit(f"{path}: another digest than in sources.json; delete it and fetch again")
+        answer = _answer(path, raw)
+        yield Comparison(what, fact, answer, words in answer)
+
+
+def _answer(path: Path, raw: bytes) -> str:
+    """What piga says of a certificate."""
+    signer = re.search(rb"X509Certificate>([^<]+)<", raw)
+    try:
+        if signer is None:
+            return f"read: {read_dcc(path).serial}"
+        body = "\n".join(textwrap.wrap("".join(signer[1].decode().split()), 64))
+        with tempfile.NamedTemporaryFile("w", suffix=".pem") as pem:
+            pem.write(f"-----BEGIN CERTIFICATE-----\n{body}\n-----END CERTIFICATE-----\n")
+            pem.flush()
+            signed = verify_signature(path, Path(pem.name))
+    except piga.PigaError as error:
+        return str(error).splitlines()[0].partition(f"{path}: ")[2].rstrip(" ()")
+    return "; ".join((f"{SIGNED}: {signed.signer}", *(note.partition(":")[0] for note in signed.remarks)))
 
 
 def nist_suite() -> Iterator[Comparison]:
@@ -132,6 +232,7 @@ Made by `python validation/validate.py`.
 Records and results that we did not make: sources, licences and digests are in the folder `validation` of the repository.
 No record of a real gyro accelerometer is public.
 A parameter holds within 2 u, a deviation within one unit of its last printed digit, an end of a band within 0.3 %.
+A certificate holds if the answer is the true one.
 
 | comparison | published | piga | |
 |---|---|---|---|"""
@@ -147,13 +248,14 @@ TAIL = """Compared in the tests, on each change:
 
 Of the crystal oscillator the tables without bands are used.
 Those with bands were made from a file with fewer digits, and differ by 0.2 %.
-Not compared yet: imucal's six positions, and the example DCCs of the PTB.
+imucal takes the bias from the two positions of its own axis, piga from all six.
+The certificates are those of the PTB in the tests of pydcc: each holds what its name says, and piga says so.
 """
 
 
 def main() -> int:
     """Write the page; 1 if a comparison does not hold."""
-    results = [*xsens(), *nist_suite(), *allantools()]
+    results = [*xsens(), *imucal(), *nist_suite(), *allantools(), *certificates()]
     PAGE.write_text(page(results), encoding="utf-8")
     for one in results:
         print(one.holds, one.what, one.result, sep=" | ")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import datetime as dt
 import random
@@ -60,6 +61,53 @@ def test_signed_and_verified(cal, keys, tmp_path, name):
 def test_the_expected_signer_alone_counts(signed, keys, tmp_path):
     with pytest.raises(DataError, match="signature does not hold"):
         verify_signature(put(tmp_path, signed), keys["other"][1])
+
+
+@pytest.mark.parametrize(("serial", "authority", "refused"), [(0, 0, True), (1, 0, False), (0, 1, False)])
+def test_a_signer_on_a_revocation_list_in_the_file_is_refused(
+    signed, keys, tmp_path, serial, authority, refused
+):
+    """The list must be of the authority of the signer, and name the signer: 1 stands for another one."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+
+    key, pem = (path.read_bytes() for path in keys["ours"])
+    signer = x509.load_pem_x509_certificate(pem)
+    day = dt.datetime(2026, 5, 4, tzinfo=dt.UTC)
+    entry = (
+        x509.RevokedCertificateBuilder()
+        .serial_number(signer.serial_number + serial)
+        .revocation_date(day)
+        .build()
+    )
+    name = x509.load_pem_x509_certificate(keys["other"][1].read_bytes()).subject if authority else signer.issuer
+    made = x509.CertificateRevocationListBuilder(name, day, day + dt.timedelta(days=9), [], [entry])
+    der = made.sign(serialization.load_pem_private_key(key, None), hashes.SHA256()).public_bytes(
+        serialization.Encoding.DER
+    )
+    properties = (
+        b'<x:QualifyingProperties xmlns:x="http://uri.etsi.org/01903/v1.3.2#"><x:EncapsulatedCRLValue>'
+        + base64.b64encode(der)
+        + b"</x:EncapsulatedCRLValue></x:QualifyingProperties>"
+    )
+    root = etree.fromstring(signed)
+    etree.SubElement(root[-1], f"{xml_signature._DS}Object").append(etree.fromstring(properties))
+    path = put(tmp_path, written(root))
+    if refused:
+        with pytest.raises(DataError, match="of the signer was revoked on 2026-05-04"):
+            verify_signature(path, keys["ours"][1])
+    else:
+        assert "XAdES" in verify_signature(path, keys["ours"][1]).remarks[0]
+
+
+def test_an_envelope_and_an_old_version_are_named(tmp_path):
+    with pytest.raises(DataError, match="is an envelope") as caught:
+        read_dcc(put(tmp_path, b"\x30\x82\x8a\x9d\x06"))
+    assert "openssl cms" in caught.value.remedy
+    old = b'<d:digitalCalibrationCertificate xmlns:d="https://ptb.de/dcc" schemaVersion="2.4.0"/>'
+    with pytest.raises(DataError, match=r"version '2\.4\.0' is not known") as caught:
+        read_dcc(put(tmp_path, old))
+    assert "one of version 3" in caught.value.remedy
 
 
 def test_signed_again_by_somebody_else(cal, keys, tmp_path):

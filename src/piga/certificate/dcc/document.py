@@ -228,7 +228,8 @@ def calibration_of(root: etree._Element, path: Path) -> Calibration:
         root.remove(root[-1])
     version = root.get("schemaVersion", "")
     if not version.startswith("3."):
-        raise DataError(f"{path}: DCC version '{version[:20]}' is not known", remedy="update piga")
+        remedy = "ask the issuer for one of version 3" if version[:2] in ("1.", "2.") else "update piga"
+        raise DataError(f"{path}: DCC version '{version[:20]}' is not known", remedy=remedy)
     raw = _attached(root, RECORD, path)
     if raw is None:
         raise DataError(

@@ -7,6 +7,7 @@ signed. The inside of the signature element is not signed, so nothing is read fr
 
 from __future__ import annotations
 
+import base64
 import copy
 import datetime as dt
 from dataclasses import dataclass
@@ -40,6 +41,11 @@ def parse_xml(raw: bytes, path: Path) -> etree._Element:
     """Root element of XML bytes. Messages name ``path``. Errors as in :func:`read_xml`."""
     from lxml import etree
 
+    if raw[:1] == b"\x30":
+        raise DataError(
+            f"{path}: is an envelope (CMS, PKCS #7), not XML: the certificate is inside it",
+            remedy=f"take it out: openssl cms -verify -inform DER -in {path.name} -CAfile AUTHORITY.pem -out certificate.xml",
+        )
     if b"<!DOCTYPE" in raw:
         raise _forbidden(path)
     parser = etree.XMLParser(
@@ -140,8 +146,8 @@ def verify_signature(path: Path, certificate: Path) -> VerifiedSignature:
     Raises
     ------
     DataError
-        If the file is not signed, was changed, was signed with another certificate, or the signature does not cover
-        the whole document.
+        If the file is not signed, was changed, was signed with another certificate or with one that a revocation list in
+        the file names, or the signature does not cover the whole document.
     """
     root = read_xml(path)[1]
     expected = load_certificate(certificate)
@@ -151,8 +157,15 @@ def verify_signature(path: Path, certificate: Path) -> VerifiedSignature:
         raise DataError(
             f"{path}: holds more than one signature: the signature does not hold", remedy="do not use the file"
         )
+    document, revoked = _verified(path, root, expected), _revoked(root[-1], expected)
+    if revoked is not None:
+        raise DataError(
+            f"{path}: the X.509 certificate of the signer was revoked on {revoked:%Y-%m-%d}, by the list of its authority in "
+            "the file",
+            remedy="do not use the file, and ask the laboratory",
+        )
     return VerifiedSignature(
-        _verified(path, root, expected),
+        document,
         expected.subject.rfc4514_string(),
         expected.not_valid_before_utc,
         expected.not_valid_after_utc,
@@ -204,6 +217,24 @@ def _verified(path: Path, root: etree._Element, expected: Any) -> etree._Element
         if signed is not None and etree.tostring(signed, method="c14n", with_comments=False) == text:
             return signed
     raise DataError(f"{path}: the signature does not cover the whole document", remedy="do not use the file")
+
+
+def _revoked(signature: etree._Element, expected: Any) -> dt.datetime | None:
+    """When the signer's certificate was revoked, by a list of its authority among the XAdES properties; None if none says so.
+
+    The signature of the list is not verified: a false list can only have a good file refused.
+    """
+    from cryptography import x509
+
+    for node in signature.iter("{*}EncapsulatedCRLValue"):
+        try:
+            found = x509.load_der_x509_crl(base64.b64decode(node.text or ""))
+            entry = found.get_revoked_certificate_by_serial_number(expected.serial_number)
+        except ValueError:
+            continue
+        if entry is not None and found.issuer == expected.issuer:
+            return entry.revocation_date_utc
+    return None
 
 
 def _remarks(signature: etree._Element) -> tuple[str, ...]:
