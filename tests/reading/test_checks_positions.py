@@ -149,6 +149,35 @@ def test_counts_lost_in_a_gap_begin_a_phase_anew(tmp_path, lost, kinds):
     assert len(set(run.phase_group)) == 1 + len(kinds)
 
 
+@pytest.mark.parametrize("lost", [0.0, 0.3])
+def test_a_folded_angle_that_lost_its_zero_in_a_gap_begins_anew(tmp_path, lost):
+    """Whole turns are not seen; the rest of 0.3 of the 3.4 turns is."""
+    path = _without_rate(head_log(tmp_path, gap=500, lost=lost))
+    log = np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
+    log[:, 1] = log[:, 1] / 100.0 % 360.0
+    np.savetxt(tmp_path / "log.csv", log, delimiter=",", header="t,n,angle", comments="", fmt="%.6f")
+    text = path.read_text().replace("counts_per_revolution = 36000\n", "")
+    path.write_text(text.replace('kind = "counts"', 'kind = "angle", unit = "deg", wraps_at = "360 deg"'))
+    run = piga.read_run(path)
+    assert len(set(run.phase_group)) == 1 + (lost > 0.0)
+
+
+def test_a_loss_is_seen_where_the_output_turns_slowly(tmp_path):
+    path = _without_rate(head_log(tmp_path, gap=500, lost=0.5))
+    log = np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
+    gap = int(np.argmax(np.diff(log[:, 0]))) + 1
+    begin = 3300
+    slow = 0.09 * (log[:, 0] - log[begin, 0]) * 36_000 / (2 * np.pi)
+    log[begin:, 1] = log[begin, 1] + np.round(slow[begin:])
+    log[gap:, 1] -= 0.45 * 36_000 / (2 * np.pi)
+    np.savetxt(
+        tmp_path / "log.csv", log, delimiter=",", header="t,n,angle", comments="", fmt=["%.2f", "%.0f", "%.6f"]
+    )
+    run = piga.read_run(path)
+    assert "counts-lost" in {event.kind for event in run.quality.events}
+    assert abs(np.ptp(run.output[begin:gap])) < 2 * np.pi
+
+
 def test_pulses_of_missing_rows_are_lost(tmp_path):
     run = piga.read_run(_without_rate(head_log(tmp_path, kind="pulses", gap=500)))
     assert "pulses-lost" in {event.kind for event in run.quality.events}

@@ -100,12 +100,13 @@ def text_layout(path: Path) -> TextLayout:
 
 @dataclass(frozen=True)
 class _TextTable:
-    """A table of numbers in some lines: its separator, first data line, and cells of a line."""
+    """A table of numbers in some lines: its separator, first data line, cells of a line, rows, and cells that are values."""
 
     separator: str
     start: int
     width: int
     rows: int
+    values: int
 
 
 def _layout(head: str, path: Path, encoding: str) -> TextLayout:
@@ -116,7 +117,7 @@ def _layout(head: str, path: Path, encoding: str) -> TextLayout:
             f"{path}: no table of numbers in the first {len(lines)} rows",
             remedy="check that this is the log; columns are separated by ; , | a tab or blanks",
         )
-    table = max(tables, key=lambda one: (one.width > 1, one.separator != " ", one.rows * one.width))
+    table = max(tables, key=lambda one: (one.width > 1, one.separator != " ", one.values))
     header, units_at = _heads(lines, table)
     upper = None if header is None else _upper(lines, header, table)
     body = [_cells(line, table.separator) for line in lines[table.start :] if line.strip()]
@@ -181,7 +182,7 @@ def _table(lines: list[str], separator: str) -> _TextTable | None:
     A single damaged row does not end the table if rows of numbers stand above it.
     """
     filled = [index for index, line in enumerate(lines) if line.strip()]
-    width, start, rows = 0, 0, 0
+    width, start, rows, values = 0, 0, 0, 0
     for place in range(len(filled) - 1, -1, -1):
         index = filled[place]
         cells = _cells(lines[index], separator)
@@ -190,14 +191,15 @@ def _table(lines: list[str], separator: str) -> _TextTable | None:
             width = len(cells)
         if not fits or (rows > 1 and abs(len(cells) - width) > 1):
             if rows < 2 and index > len(lines) - 4:  # a cut or damaged last row
-                rows, width = 0, 0
+                rows, width, values = 0, 0, 0
                 continue
             above = [_cells(lines[k], separator) for k in filled[max(place - LEAST_ABOVE, 0) : place]]
             if len(above) == LEAST_ABOVE and all(_is_row(row, width, empty=False) for row in above):
                 continue
             break
         width, start, rows = (len(cells) if rows == 1 else width), index, rows + 1
-    return _TextTable(separator, start, width, rows) if rows >= 2 else None
+        values += sum(map(_is_value, cells))
+    return _TextTable(separator, start, width, rows, values) if rows >= 2 else None
 
 
 def _is_row(cells: list[str], width: int | None = None, *, empty: bool = True) -> bool:
@@ -221,6 +223,7 @@ def _heads(lines: list[str], table: _TextTable) -> tuple[int | None, int | None]
         len(wide) > 1
         and wide[-2] == above[-2]
         and any(known_unit(unit_text(cell)) for cell in last)
+        and not any(units_in_names((cell,))[1] for cell in last)  # name (unit)
         and (bracketed or (2 * len(marks) >= len(last) and len(marks) > names))
     ):
         return wide[-2], wide[-1]

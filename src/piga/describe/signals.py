@@ -99,18 +99,21 @@ def _correlation(y: Array, x: Array) -> float:
 
 
 def _counter_bits(x: Array) -> tuple[int, str] | None:
-    """Width of a counter that folds: the narrowest one that holds its values, if it falls by more than half of it."""
+    """Width of a counter that folds: the narrowest one that holds its values, if it falls by more than half of it.
+
+    Its steps, each the shortest way round, are then below half of it in nearly every row.
+    """
     x = x[np.isfinite(x)]
     if x.size < 3:
         return None
     d = np.diff(x)
     size, low, high = float(np.abs(d).max()), float(x.min()), float(x.max())
-    usual = float(np.quantile(np.abs(d), 0.9))
     for bits in WIDTHS:
         span = 2.0**bits
+        usual = float(np.quantile(np.abs(np.remainder(d + 0.5 * span, span) - 0.5 * span), 0.9))
         signed = low < 0.0
         if -0.5 * span * signed <= low and high < span * (0.5 if signed else 1.0):
-            if size > 0.5 * span and usual < 0.25 * span:
+            if size > 0.5 * span and usual < 0.4 * span:
                 at = int(np.argmax(np.abs(d)))
                 inside = f"between -2^{bits - 1} and 2^{bits - 1}" if signed else f"below 2^{bits}"
                 return bits, f"goes from {x[at]:.0f} to {x[at + 1]:.0f} in one row, and stays {inside}"

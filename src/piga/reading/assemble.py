@@ -6,6 +6,7 @@ NumPy works on whole columns here. Those of a long record lie in files (:mod:`pi
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -48,6 +49,8 @@ StandReference = Callable[
 """Specific force and base rate of a ``[stand]`` table: (table, folder, t, segment, labels) to (n, 3) each."""
 LOST_ANGLE, LOST_SHARE = 0.1, 0.01
 """Angle [rad] and share of the turn in a gap by which the output may differ from the rates on both sides (coupling, noise)."""
+LEAST_TURN = 0.5
+"""Angle [rad] by which the output turns beside a short gap, so that its rate there is known (own choice)."""
 WHOLE = 1e-9
 """Tolerance [rev] of the test for whole turns. A range in units such as mrad is never exactly whole."""
 
@@ -130,7 +133,9 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: St
     output, lost = _output(data, raw, base, scale, 1.2 * scale_factor * largest_size(f[:, 0]) * base.nominal)
     if gyro and data.output.counted and run_file.instrument.counter_bits is None:
         raw.events += _resets(raw, t, output, base, f, scale_factor, lost)
-        raw.events += _lost_in_gaps(raw, t, output, base, lost)
+    if gyro and data.output.kind != "rate":
+        fold = math.inf if scale.span is None else abs(scale.span * scale.factor)
+        raw.events += _lost_in_gaps(raw, t, output, base, lost, fold)
     raw.events += _doubtful(data, raw, t, output, f, base, scale_factor, scale)
     segment, labels, groups = _split_lost(raw, lost)
     servo = run_file.instrument.servo
@@ -387,11 +392,12 @@ def _resets(
 
 
 def _lost_in_gaps(
-    raw: RawColumns, t: Array, psi: Array, base: TimeBase, lost: NDArray[np.bool_]
+    raw: RawColumns, t: Array, psi: Array, base: TimeBase, lost: NDArray[np.bool_], fold: float
 ) -> list[Event]:
     """Mark gaps inside a position over which the output did not turn as it does on both sides: counts were lost.
 
-    The rates on both sides are those of the stretches before and after, of which each must have turned once.
+    The rates on both sides are those of the stretches before and after. Each must have turned once, or by half a radian in a
+    time no shorter than the gap. ``fold`` [rad]: range after which the reading folds back; whole ranges are not seen.
     """
     bounds = np.append(np.flatnonzero(base.begins), t.size)
     before, at, after = bounds[:-2], bounds[1:-1], bounds[2:]
@@ -399,10 +405,13 @@ def _lost_in_gaps(
     times = np.array([t[at - 1] - t[before], t[after - 1] - t[at]])
     turns = np.array([psi[at - 1] - psi[before], psi[after - 1] - psi[at]])
     comparable = (raw.segment[at] == raw.segment[at - 1]) & ~lost[at] & (gap > 0.0) & (times.min(axis=0) > 0.0)
-    comparable &= np.abs(turns).min(axis=0) >= 2.0 * np.pi
+    turned = np.abs(turns).min(axis=0)
+    comparable &= (turned >= 2.0 * np.pi) | ((turned >= LEAST_TURN) & (times.min(axis=0) >= gap))
     first, second = np.divide(turns, times, out=np.zeros_like(turns), where=comparable)
     allowed = LOST_ANGLE + (np.abs(first - second) + LOST_SHARE * np.abs(first)) * gap
-    gone = at[comparable & (np.abs(psi[at] - psi[at - 1] - 0.5 * (first + second) * gap) > allowed)]
+    missed = psi[at] - psi[at - 1] - 0.5 * (first + second) * gap
+    missed -= np.round(missed / fold) * fold if math.isfinite(fold) else 0.0
+    gone = at[comparable & (np.abs(missed) > allowed)]
     lost[gone] = True
     return counted("counts-lost", gone, raw.rows, "the counter lost counts in the gap; the phase is new")
 

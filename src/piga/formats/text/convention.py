@@ -294,11 +294,13 @@ def unit_text(cell: str) -> str:
 
 
 def is_units_row(cells: list[str], following: list[str] | None = None) -> bool:
-    """True for a units row below the header: at least one cell is a unit, and none is a number.
+    """True for a units row below the header: at least one cell is a unit, and none is a number or a name with its unit.
 
     A dash or ``1`` is allowed for a column without a unit. Then the ``following`` row must show that a unit stands above
     a number, since a data row may have such cells too.
     """
+    if any(units_in_names((cell,))[1] for cell in cells):
+        return False
     bare = [unit_text(cell) for cell in cells]
     below = [cell.strip().strip('"').strip() for cell in following or ()]
     loose = False
