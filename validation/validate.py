@@ -234,7 +234,7 @@ No record of a real gyro accelerometer is public.
 A parameter holds within 2 u, a deviation within one unit of its last printed digit, an end of a band within 0.3 %.
 A certificate holds if the answer is the true one.
 
-| comparison | published | piga | |
+| comparison | published | piga | result |
 |---|---|---|---|"""
 TAIL = """Compared in the tests, on each change:
 

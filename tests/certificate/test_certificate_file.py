@@ -131,7 +131,7 @@ def test_the_working_copy_has_the_cautions(cal):
     doubtful = replace(cal, notes=("segment 3 moves k0 by 4 u",))
     issued, copy = (plain(certificate_html(complete(), doubtful, working_copy=one)) for one in (False, True))
     assert "moves k0" not in issued
-    assert "Segment 3 moves k0 by 4 u." in copy
+    assert copy.lower().count("segment 3 moves k0 by 4 u") == 1
     assert "not to be issued" in copy
     assert "Doubt: segment 3 moves k0 by 4 u." in copy
 

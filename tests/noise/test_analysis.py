@@ -75,6 +75,7 @@ def test_a_run_file_gives_rate_and_acceleration(tmp_path):
     with pytest.raises(ArgumentError, match="states column"):
         read_static_log(tmp_path / "run.toml", column="psi")
     text = noise.summary()
+    assert text.count("Levels") == 1
     assert "as acceleration" in text
     assert f"{noise.levels[1].value / np.pi * 648000:.2f}"[:4] in text
 

@@ -106,7 +106,10 @@ def is_draft(data: CertificateFile) -> bool:
 def _cautions(calibration: Calibration) -> tuple[str, list[str]]:
     """The verdict on the calibration and its doubts, for the laboratory."""
     verdict = calibration.verdict
-    return verdict.headline, [f"{sentence(doubt.words)}." for doubt in verdict.doubts]
+    first = [doubt.remedy for doubt in verdict.doubts[:1] if doubt.remedy]
+    return verdict.headline, [
+        f"{sentence(words)}." for words in (*first, *(d.words for d in verdict.doubts[1:]))
+    ]
 
 
 def write_certificate(html: str, path: Path) -> Path:

@@ -35,7 +35,7 @@ NAMES = {
     "drift": "drift R",
 }
 """Each level in words, with its usual letter."""
-_ROLES: dict[str, Role] = {"allan": "after", "modified": "x", "hadamard": "z"}
+_ROLES: dict[str, Role] = {"allan": "after", "modified": "x", "hadamard": "warning"}
 
 
 def figures(noise: NoiseAnalysis) -> dict[str, Callable[[], Figure]]:
@@ -127,7 +127,7 @@ def levels_table(noise: NoiseAnalysis) -> Table:
             .number("interval", lambda level: interval(level, gravity))
             .text("its unit", lambda level: pretty_unit(level_unit(level.name, "ug")))
         )
-    return table.table("Levels")
+    return table.table()
 
 
 def deviations_table(noise: NoiseAnalysis) -> Table:

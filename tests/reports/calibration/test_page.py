@@ -1,3 +1,4 @@
+import colorsys
 import dataclasses
 import math
 import re
@@ -11,6 +12,7 @@ from piga.records.run_file import ASSUMED_SOURCES, UncertaintyTable
 from piga.records.terms import shown_unit
 from piga.reports.calibration.budget import SOURCES, budget_tables, source_in_words
 from piga.reports.calibration.figures import (
+    budget_figure,
     calibration_figures,
     convergence_figure,
     elapsed_time,
@@ -25,6 +27,7 @@ from piga.reports.calibration.tables import (
     scalars,
     scale_factor,
 )
+from piga.reports.render.figure import LIGHT
 from piga.reports.render.interactive import figure_spec
 from piga.reports.render.numbers import ascii_text
 from piga.reports.render.page import Notice, Table, page_html
@@ -469,3 +472,27 @@ def test_of_too_many_segments_none_can_be_selected(cal):
     assert calibration_page(many).segments == ()
     assert 'id="chosen"' not in page_html(calibration_page(many))
     assert calibration_page(cal).segments == tuple(map(str, range(24)))
+
+
+def test_the_reason_of_a_verdict_stands_once(cal):
+    """With its remedy; the list below holds the other doubts only."""
+    doubtful = dataclasses.replace(cal, notes=("segment 3 moves k0 by 4 u", "the residuals drift"))
+    page = calibration_page(doubtful)
+    for text in (re.sub(r"\s+", " ", page_html(page)), re.sub(r"\s+", " ", doubtful.summary())):
+        assert text.lower().count("segment 3 moves k0 by 4 u") == 1
+        assert "drift" in text
+    first = doubtful.verdict.doubts[0]
+    assert page.judgement.remedy == first.remedy
+    assert len(page.judgement.problems) == len(doubtful.verdict.doubts) - 1 >= 1
+
+
+def test_sources_of_the_budget_have_colours_of_their_own(cal):
+    rows = tuple(dataclasses.replace(cal.budget[0], source=f"source {k}") for k in range(6))
+    figure = budget_figure(dataclasses.replace(cal, budget=rows))
+    hues = {
+        round(24 * colorsys.rgb_to_hsv(*(int(LIGHT[one.role][i : i + 2], 16) / 255 for i in (1, 3, 5)))[0])
+        if one.role not in ("reference", "muted")
+        else one.role
+        for one in figure.panels[0].series
+    }
+    assert len(hues) == len(figure.panels[0].series) == 6

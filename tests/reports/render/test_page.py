@@ -16,6 +16,7 @@ from piga.reports.render.page import (
     Section,
     Table,
     TableColumn,
+    TableOf,
     Text,
     Tile,
     json_island,
@@ -185,3 +186,9 @@ def test_a_wide_table_comes_in_parts(count: int, widths: list[int]) -> None:
     assert all(part.columns[0].heading == "Source" and part.rows[0][0] == "s" for part in parts)
     assert [part.caption for part in parts] == ["caption"] + [""] * (len(parts) - 1)
     assert [part.notes for part in parts] == [()] * (len(parts) - 1) + [("note",)]
+
+
+def test_numbers_of_a_table_have_one_notation():
+    """Powers of ten are printed as such, also within words; text columns stay as they are."""
+    table = TableOf([1.0]).text("a", lambda _: "1e-5").number("b", lambda _: "at most -1.2e-5").table()
+    assert table.rows == (("1e-5", "at most −1.2\u00a0×\u00a010⁻⁵"),)

@@ -357,7 +357,7 @@ def budget_figure(cal: Calibration) -> Figure | None:
         return None
     number = np.arange(1, len(keys) + 1)
     largest = sorted(shares, key=lambda source: -max(shares[source]))[:MOST_SOURCES]
-    roles: tuple[Role, ...] = ("after", "before", "model", "x", "z", "warning")
+    roles: tuple[Role, ...] = ("after", "before", "model", "reference", "warning", "muted")
     y = Axis("share of the variance", "%", limits=(-3.0, 103.0))
     plot = Plot(
         "budget-shares", "Sources of the uncertainty.", named_axis("coefficient", tuple(keys)), y, height=2.7

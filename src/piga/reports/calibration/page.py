@@ -437,7 +437,7 @@ def _budget(cal: Calibration, shown: dict[str, Figure]) -> Section:
     elif cal.type_a_only:
         blocks.append(Notice("warning", f"{TYPE_A_ONLY}. Add an [uncertainty] table to the run file."))
     if cal.gravity:
-        blocks.append(Text(f"Local gravity of the reference: {cal.gravity}."))
+        blocks.append(Text(f"Local gravity of the reference: {pretty_unit(cal.gravity)}."))
     return Section("Uncertainty budget", "budget", tuple(blocks))
 
 

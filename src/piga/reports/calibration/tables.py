@@ -58,10 +58,10 @@ def judgement(cal: Calibration, subject: str = "", verdict: Verdict | None = Non
     ``verdict`` is taken in place of the calibration's own.
     """
     verdict = verdict or cal.verdict
-    problems = tuple((sentence(doubt.what), doubt.remedy) for doubt in verdict.doubts)
-    return Judgement(
-        TONES[verdict.grade], f"{subject}{verdict.headline}", problems, verdict.tested, verdict.not_tested
-    )
+    remedy = verdict.doubts[0].remedy if verdict.doubts else ""
+    problems = tuple((sentence(doubt.what), doubt.remedy) for doubt in verdict.doubts[1:])
+    headline = f"{subject}{verdict.headline}"
+    return Judgement(TONES[verdict.grade], headline, remedy, problems, verdict.tested, verdict.not_tested)
 
 
 def sentence(text: str) -> str:

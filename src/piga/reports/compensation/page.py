@@ -17,7 +17,7 @@ from piga.errors import CalibrationError
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
 from piga.records.terms import shown_unit
-from piga.reports.calibration.tables import judgement
+from piga.reports.calibration.tables import judgement, sentence
 from piga.reports.compensation.figures import (
     error_figures,
     flag_figure,
@@ -143,17 +143,16 @@ def _judgement(outline: CompensationOutline, facts: CompensationFacts) -> Judgem
         return judgement(outline.instruments[0].calibration, "The calibration that was used: ")
     worst = max(each, key=lambda one: _SEVERITY.index(one.tone))
     named: dict[tuple[str, str], list[str]] = {}
-    for name, one in zip(facts.names, each, strict=True):
-        for doubt in one.problems:
-            named.setdefault(doubt, []).append(name)
+    for name, instrument in zip(facts.names, outline.instruments, strict=True):
+        for doubt in instrument.calibration.verdict.doubts:
+            named.setdefault((sentence(doubt.what), doubt.remedy), []).append(name)
     problems = tuple((f"{', '.join(names)}: {what}", remedy) for (what, remedy), names in named.items())
     tested, open_ones = (
         tuple(dict.fromkeys(words for one in each for words in getattr(one, name)))
         for name in ("tested", "not_tested")
     )
-    return Judgement(
-        worst.tone, f"The calibrations that were used: {worst.headline}", problems, tested, open_ones
-    )
+    headline = f"The calibrations that were used: {worst.headline}"
+    return Judgement(worst.tone, headline, "", problems, tested, open_ones)
 
 
 _SEVERITY: tuple[Tone, ...] = ("", "quiet", "good", "doubtful", "bad")

@@ -18,6 +18,7 @@ _ASCII = str.maketrans({
     "−": "-", "–": "-", "±": "+/-", "×": "x", "∞": "inf", "µ": "u", "²": "^2", "³": "^3", "\u00a0": "", "\u202f": "",
     "″": "arcsec", "°": "deg", "→": "->", "…": "...", "ν": "nu", "β": "beta", "φ": "phi", "χ": "chi", "ψ": "psi",
 })  # fmt: skip
+_MINUS, _EXPONENT = re.compile(r"(?<![\w)])-(?=\d)"), re.compile(r"(?<=[\d)])e(-?\d+)\b")
 _PRETTY = (("^2", "²"), ("^3", "³"), ("sqrt(s)", "√s"), ("arcsec", "″"), ("degC", "°C"))
 
 
@@ -150,10 +151,14 @@ def relative(value: float, uncertainty: float) -> str:
 
 
 def printed(number: str) -> str:
-    """A number as it is printed: ``3.5876(12)e-4`` becomes ``3.5876(12) × 10⁻⁴``, with a true minus sign."""
-    mantissa, mark, exponent = number.partition("e")
-    text = mantissa.replace("-", "−")
-    return f"{text} × {power(exponent)}" if mark and exponent.lstrip("-").isdigit() else text
+    """Numbers of a text as they are printed: ``3.5876(12)e-4`` becomes ``3.5876(12) × 10⁻⁴``, with a true minus sign.
+
+    Examples
+    --------
+    >>> printed("-7.4e-7 to 0.1") == "−7.4\\u00a0×\\u00a010⁻⁷ to 0.1", printed("not seen")
+    (True, 'not seen')
+    """
+    return _EXPONENT.sub(lambda found: f"\u00a0×\u00a0{power(found[1])}", _MINUS.sub("−", number))
 
 
 def ascii_text(text: str) -> str:

@@ -24,7 +24,7 @@ from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 from piga._version import __version__
 from piga.errors import MissingPackageError, needed
 from piga.reports.render.figure import Figure
-from piga.reports.render.numbers import aligned, ascii_text
+from piga.reports.render.numbers import aligned, ascii_text, printed
 from piga.results import Plotted, Shown
 
 Tone = Literal["", "good", "doubtful", "bad", "quiet"]
@@ -177,7 +177,7 @@ class TableOf(Generic[Item]):
     def number(self, heading: str, cell: Callable[[Item], str | Cell], unit: str = "") -> Self:
         """Add a column of numbers."""
         self._columns.append(TableColumn(heading, unit))
-        self._cells.append(cell)
+        self._cells.append(lambda item: _printed(cell(item)))
         return self
 
     def across(
@@ -196,6 +196,10 @@ class TableOf(Generic[Item]):
         """The table; ``more`` as for :class:`Table`."""
         rows = tuple(tuple(cell(item) for cell in self._cells) for item in self._items)
         return Table(tuple(self._columns), rows, caption, notes, **more)
+
+
+def _printed(cell: str | Cell) -> str | Cell:
+    return replace(cell, text=printed(cell.text)) if isinstance(cell, Cell) else printed(cell)
 
 
 def _with_other(cell: Callable[[Item, Other], str | Cell], other: Other, item: Item) -> str | Cell:
@@ -239,10 +243,11 @@ Block = Text | Table | FigureBlock | Notice
 
 @dataclass(frozen=True)
 class Judgement:
-    """The verdict box at the top of a page: ``tone``, one sentence, doubts with remedies, what was tested and what not."""
+    """The verdict box at the top of a page: one sentence with its remedy, further doubts, what was tested and what not."""
 
     tone: Tone
     headline: str
+    remedy: str = ""
     problems: tuple[tuple[str, str], ...] = ()
     tested: tuple[str, ...] = ()
     not_tested: tuple[str, ...] = ()
@@ -330,6 +335,7 @@ def page_text(page: Page, *, width: int = 100, plain: bool = True) -> str:
     lines = []
     if page.judgement is not None:
         lines.append(f"verdict: {page.judgement.headline}")
+        lines += [f"  what to do: {page.judgement.remedy}"] if page.judgement.remedy else []
         for what, remedy in page.judgement.problems:
             lines.append(f"  doubt: {what}" + (f": {remedy}" if remedy else ""))
         lines += [f"  tested: {what}" for what in page.judgement.tested]
