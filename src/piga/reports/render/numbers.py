@@ -151,13 +151,7 @@ def relative(value: float, uncertainty: float) -> str:
 
 
 def printed(number: str) -> str:
-    """Numbers of a text as they are printed: ``3.5876(12)e-4`` becomes ``3.5876(12) × 10⁻⁴``, with a true minus sign.
-
-    Examples
-    --------
-    >>> printed("-7.4e-7 to 0.1") == "−7.4\\u00a0×\\u00a010⁻⁷ to 0.1", printed("not seen")
-    (True, 'not seen')
-    """
+    """Numbers of a text as they are printed: ``3.5876(12)e-4`` becomes ``3.5876(12) × 10⁻⁴``, with a true minus sign."""
     return _EXPONENT.sub(lambda found: f"\u00a0×\u00a0{power(found[1])}", _MINUS.sub("−", number))
 
 
