@@ -399,7 +399,9 @@ def mean_rows(columns: Array, firsts: NDArray[np.int64], after: Array, out: Arra
             for i in range(firsts[g], stop):
                 whole += columns[j, i]
                 within += (stop - i) * columns[j, i]
-            within /= stop - firsts[g]
+            within /= max(
+                stop - firsts[g], 1
+            )  # the first group may be the first sample alone, without an increment
             out[j, g] = after[j] + within
             after[j] = whole - within
 

@@ -121,3 +121,16 @@ def test_uneven_samples_are_not_averaged(short, fault):
     uneven = replace(run, t=t, begins=begins)
     design = Design(uneven, make_request(uneven, TERMS, "information"), run.scale_factor)
     assert design.means is design
+
+
+def test_the_first_mean_may_hold_the_first_sample_alone(monkeypatch):
+    """Means of two of a stretch with an odd number of samples; the record of means was not a number, and had no result."""
+    run = fine(1)
+    odd = run.without(run.row[:2])  # 401 samples of the first position become 399
+    first = np.flatnonzero(odd.begins)[1]
+    assert first % 4 == 3
+    monkeypatch.setattr(design_module, "DESIGN", replace(design_module.DESIGN, means=odd.size // 2, shared=4))
+    design = Design(odd, make_request(odd, TERMS, "information"), odd.scale_factor).means
+    assert isinstance(design, MeanDesign)
+    assert design.firsts[1] == 1
+    assert np.isfinite(piga.calibrate(odd, TERMS)["scale_factor"].std)
