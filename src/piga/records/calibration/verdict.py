@@ -307,7 +307,7 @@ def _largest_effects(calibration: Calibration, sources: list[StandSource]) -> st
     effects = [
         (
             abs(change) / named[key].std,
-            f"1 {source.unit} of {component} changes {key} by {change:.2g}",
+            f"1 {source.unit} of {component} changes {key} by {f'{change:.2g}'.replace('e-0', 'e-')}",
             named[key],
         )
         for source in sources

@@ -71,7 +71,7 @@ def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
         If the number of axes is not the number of panels.
     """
     if ax is None:
-        drawing = _new(figure)
+        drawing = _new(figure, legend="outside lower left")  # the title is above
         drawing.suptitle(_words(figure.title, WIDTH * LETTERS), fontsize=SMALL + 1.5, color=INK)
         return drawing
     chosen = [ax] if isinstance(ax, Axes) else list(np.ravel(np.asarray(ax, dtype=object)))
@@ -126,8 +126,8 @@ def _saved(figure: Figure, kind: str, width: float, dpi: int) -> bytes:
     return buffer.getvalue()
 
 
-def _new(figure: Figure, width: float = WIDTH) -> Drawing:
-    """A new figure with a panel in each cell of its grid, and one legend above them."""
+def _new(figure: Figure, width: float = WIDTH, legend: str = "outside upper left") -> Drawing:
+    """A new figure with a panel in each cell of its grid, and one legend above or below them."""
     rows, columns = figure.grid
     drawing = Drawing(figsize=(width, rows * (figure.height + 0.2)), layout="constrained")
     drawing.caption = figure.caption
@@ -149,7 +149,7 @@ def _new(figure: Figure, width: float = WIDTH) -> Drawing:
         drawing.legend(
             list(named.values()),
             list(named),
-            loc="outside upper left",
+            loc=legend,
             ncols=across,
             fontsize=SMALL - 0.5,
             frameon=False,
