@@ -10,7 +10,7 @@ import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -60,6 +60,9 @@ class Drawing(Canvas):
         buffer = io.BytesIO()
         FigureCanvasAgg(self).print_png(buffer)  # type: ignore[no-untyped-call]
         return buffer.getvalue()
+
+
+_Place = Literal["outside upper left", "outside lower left"]
 
 
 def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
@@ -126,7 +129,7 @@ def _saved(figure: Figure, kind: str, width: float, dpi: int) -> bytes:
     return buffer.getvalue()
 
 
-def _new(figure: Figure, width: float = WIDTH, legend: str = "outside upper left") -> Drawing:
+def _new(figure: Figure, width: float = WIDTH, legend: _Place = "outside upper left") -> Drawing:
     """A new figure with a panel in each cell of its grid, and one legend above or below them."""
     rows, columns = figure.grid
     drawing = Drawing(figsize=(width, rows * (figure.height + 0.2)), layout="constrained")
