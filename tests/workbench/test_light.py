@@ -54,4 +54,4 @@ def test_a_source_that_nobody_stated_is_amber() -> None:
     shown = light(replace(GOOD, notes=(), sources=(StandSource("timing", "stated", "ppm"), source)))
     assert shown.grade == "amber"
     assert "Type A and 1 of 2 sources" in shown.reason
-    assert "1 um of arm_radius changes scale_factor by 1e-06" in shown.reason
+    assert "1 um of arm_radius changes scale_factor by 1e-6" in shown.reason
