@@ -112,7 +112,7 @@ def _calibration(fitted: OneRun | SeveralRuns, steps: Steps) -> Calibration:
     """From the fit and its intervals to the result: budget, doubts about the model, Monte Carlo, remarks."""
     steps("adding up the budget")
     budget, doubts = fitted.budget(steps), fitted.doubts()
-    for doubt in doubts:
+    for doubt in (doubt for doubt in doubts if doubt.change.any()):
         budget = budget.with_row(doubt.row(fitted.coefficients))
     type_a, covariance = budget.covariances(fitted.covariance)
     degrees = fitted.degrees * share_of_type_a(type_a, fitted.covariance)

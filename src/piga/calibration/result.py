@@ -47,7 +47,7 @@ from piga.calibration.model.solution import asked_order, layout_of, name_coeffic
 from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks, with_sentences
 from piga.calibration.remarks.creep import creep_of_run, creep_of_runs, with_creep
-from piga.calibration.remarks.left_out import LeftOut, left_out_of_runs, left_out_terms, odd_square
+from piga.calibration.remarks.left_out import LeftOut, left_out_of_runs, left_out_terms
 from piga.calibration.remarks.missing_terms import Candidates
 from piga.errors import DataError, IdentifiabilityError
 from piga.progress import Steps
@@ -162,7 +162,7 @@ class OneRun:
             outliers=fit.outliers,
             segment_scatter=fit.noise.segment_scatter,
             condition=fit.examination.condition,
-            notes=odd_square(fit, coefficients) + scatter_in_words(scatter, direct=run.direct),
+            notes=scatter_in_words(scatter, direct=run.direct),
             remarks=(
                 *one_way_in_words(run, request.terms),
                 *remarks_in_words(coefficients, covariance, request.phases),

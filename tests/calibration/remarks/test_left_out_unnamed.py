@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks import verdict
 
 import piga
 from piga.records.run_file import UncertaintyTable
@@ -94,3 +95,38 @@ def test_k3_in_its_place_is_a_choice_of_meaning_too():
     assert abs(result["k3"].value) < 2.0 * result["k3"].std
     assert result["scale_factor"].std > 1.2 * alone["scale_factor"].std
     assert holds(result)
+
+
+ON_ARM = ["scale_factor", "tan_beta", "k0", "k2"]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_servo_of_a_centrifuge_alone_is_in_u_of_all_that_it_moves(seed):
+    """4 ug/g^3 move K by 35 ppm there, because the arm turns the head: 2.3 ppm was U without the source."""
+    result = piga.calibrate(verdict.arm(seed, verdict.Fault(servo=4e-6 / G0**2)), ON_ARM)
+    for key, true in (("scale_factor", verdict.K * G0), ("k0", 1e-3), ("k2", 0.0)):
+        assert abs(result[key].value - true) < result[key].expanded, key
+    assert abs(result["scale_factor"].value / (verdict.K * G0) - 1.0) > 2e-5
+    (servo,) = (source for source in result.sources if source.name == "servo")
+    assert servo.status == "bounded"
+    assert any("servo = 4" in doubt.what for doubt in result.verdict.doubts)
+    sound = piga.calibrate(verdict.arm(seed, verdict.Fault()), ON_ARM)
+    assert sound["scale_factor"].expanded < 4e-6
+
+
+def test_a_servo_that_a_model_without_coupling_cannot_tell_is_listed_with_its_effect():
+    terms = ["scale_factor", "k0", "k2"]
+    sound, yielding = (
+        piga.calibrate(verdict.arm(1, verdict.Fault(servo=s / G0**2)), terms) for s in (0.0, 4e-6)
+    )
+    (servo,) = (source for source in sound.sources if source.name == "servo")
+    assert (servo.status, servo.unit) == ("unstated", "ug/g^3")
+    for key, effect in servo.effects["servo"].items():
+        assert yielding[key].value - sound[key].value == pytest.approx(4.0 * effect, rel=0.05), key
+    assert not any(row.source == SOURCE for row in sound.budget)
+
+
+def test_k2o_leaves_the_servo_in_u_of_k():
+    result = piga.calibrate(verdict.head(1, verdict.Fault(servo=4e-6 / G0**2)), [*verdict.TERMS, "k2o"])
+    assert any(row.source == SOURCE for row in result.budget)
+    assert abs(result["scale_factor"].value - verdict.K * G0) < result["scale_factor"].expanded

@@ -15,6 +15,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piga._kernels.estimation import merge_rows
 from piga.calibration.fit.one_run import Fit
@@ -28,7 +29,7 @@ from piga.records.calibration import StandSource
 from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import ASSUMED_SOURCES, UNCERTAINTY_UNITS, Draw, UncertaintyTable, drawn_for
-from piga.records.terms import SERVO_TERMS
+from piga.records.terms import SERVO_TERMS, si_factor
 from piga.results import Array
 from piga.stand import stand_changes
 from piga.terms import PRODUCTS
@@ -343,14 +344,45 @@ def gravity_in_words(run: Run) -> str:
 
 def sources_of_stand(fit: Fit) -> tuple[StandSource, ...]:
     """The sources of the stand, and the change of each coefficient by one unit of those that are not stated."""
-    run = fit.design.run
     units = [s for s in sources(with_units(fit.design.means.run)) if "servo" not in s.fields]
+    return _with_effects_of(fit, listed(fit.design.run), units)
+
+
+def unstated_servo(fit: Fit) -> StandSource:
+    """A servo that nobody stated, and that the record does not tell: 1 ug/g^3 of it, averaged over turns of the output.
+
+    It lowers the output, as a reference that is as much too large.
+    """
+    run = fit.design.means.run
+    unit = 1e-6 * si_factor("servo")
+
+    def force(part: slice) -> Array:
+        change = np.zeros_like(run.f[part])
+        change[:, 0] = unit * run.f[part, 0] * across_squared(run, part)
+        return change
+
+    source = StandSource("servo", "unstated", "ug/g^3")
+    return _with_effects_of(fit, (source,), [Source(run, "servo", 1.0, "ug/g^3", force=force)])[0]
+
+
+def across_squared(run: Run, at: NDArray[np.int64] | slice) -> Array:
+    """``(u_t/K)^2`` [m^2/s^4] at some samples: what bends the servo, specific force less base rate over K across X0."""
+    across = run.f[at, 1:]
+    if run.base_rate is not None:
+        across = across - run.base_rate[at, 1:] / run.scale_factor
+    return np.asarray((across**2).sum(axis=1))
+
+
+def _with_effects_of(
+    fit: Fit, listed_sources: tuple[StandSource, ...], units: list[Source]
+) -> tuple[StandSource, ...]:
+    """The sources with the change of each coefficient by one unit of those that are not stated."""
     named, _ = name_coefficients(fit.design, fit.solution, fit.solution.covariance)
     effects = {}
     if units:
         for source, change in zip(units, _changes(fit, units).T, strict=True):
             effects[source.name] = moved_values(fit.design, fit.solution, change)
-    return with_effects(listed(run), effects, [c.key for c in named])
+    return with_effects(listed_sources, effects, [c.key for c in named])
 
 
 def _changes(fit: Fit, units: list[Source]) -> Array:

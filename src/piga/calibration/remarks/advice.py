@@ -21,11 +21,11 @@ from piga.calibration.model.request import Request, phase_angle
 from piga.calibration.model.solution import least_squares
 from piga.errors import DataError, PigaError
 from piga.records.calibration import Calibration
-from piga.records.calibration.verdict import COUNTED
+from piga.records.calibration.verdict import COUNTED, scale_over_nominal
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS
 from piga.results import Array
-from piga.units import G0, UNIT_FACTORS, UnitFactor
+from piga.units import UNIT_FACTORS, UnitFactor
 
 
 @dataclass(frozen=True)
@@ -195,20 +195,23 @@ def looks_wrong(result: Calibration) -> bool:
 
     The scale factor is far from the nominal one, or the residuals are not white.
     """
-    values = {c.name: c.value for c in result.coefficients}
-    nominal = result.scale_factor_nominal * G0
-    scale = values.get("scale_factor", nominal) / nominal + values.get("k1", 0.0)
     white = result.diagnostics.verdict in (None, "white", COUNTED)
-    return not (white and 1.0 / ADVICE.off < scale < ADVICE.off)
+    return not (white and _likely(scale_over_nominal(result)))
 
 
-def advise(run: Run, request: Request) -> tuple[str, ...]:
+def _likely(scale: float) -> bool:
+    return 1.0 / ADVICE.off < scale < ADVICE.off
+
+
+def advise(run: Run, request: Request, scale: float | None = None) -> tuple[str, ...]:
     """Readings that fit the data far better, in words; empty if the data fit as they are.
 
     Parameters
     ----------
     run, request:
         As for the calibration.
+    scale:
+        The scale factor of the whole record over the nominal one. If it is likely, a few windows say nothing of a unit.
 
     Returns
     -------
@@ -219,10 +222,10 @@ def advise(run: Run, request: Request) -> tuple[str, ...]:
     plain = next((t for t in trials if t.reading == AdviceReading()), None)
     if plain is None:
         return ()
-    likely = [t for t in trials if t is plain or 1.0 / ADVICE.off < abs(t.scale) < ADVICE.off]
+    likely = [t for t in trials if t is plain or _likely(abs(t.scale))]
     least = min(t.residual for t in likely)
     if plain.residual <= ADVICE.far_better * least:
-        return _scale_words(plain, trials, run)
+        return () if scale is not None and _likely(scale) else _scale_words(plain, trials, run)
     near = [t for t in likely if t.residual <= ADVICE.as_good * least]
     upright = [t for t in near if t.scale > 0.0] or near
     best, *others = sorted(upright, key=lambda t: (t.reading.changes, t.residual))

@@ -22,6 +22,7 @@ from piga.calibration.remarks.left_out import CUBIC_SOURCE, DAMPING_SOURCE, Left
 from piga.calibration.remarks.leverage import find_leverage
 from piga.calibration.remarks.missing_terms import Candidates, suggest_terms, suggestions_in_words
 from piga.records.calibration import Calibration, Coefficient, MissingTerm, SegmentLeverage
+from piga.records.calibration.verdict import scale_over_nominal
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,8 @@ def with_remarks(result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[
 
     A signature of the servo is reported by the suggestion of its term or by a sentence of its own.
     """
-    advice = advise(fit.design.run, fit.design.request) if looks_wrong(result) else ()
+    scale = scale_over_nominal(result)
+    advice = advise(fit.design.run, fit.design.request, scale) if looks_wrong(result) else ()
     missing = () if advice else remarks.missing
     diagnostics = replace(result.diagnostics, leverage=remarks.leverage, advice=advice, missing_terms=missing)
     also = "; the scatter of the segments may be the same effect" if fit.noise.scatter > 0.0 else ""

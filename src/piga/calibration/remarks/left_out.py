@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
+from piga.calibration.budget.sources import across_squared, unstated_servo
 from piga.calibration.budget.uncertainty import budget_row
 from piga.calibration.fit.one_run import Fit, repetitions, without_scatter
 from piga.calibration.fit.servo import at_state, settled_design
@@ -55,6 +56,8 @@ class LeftOutSettings:
     """Probability of such a signature by chance, below which it enters the budget."""
     seen: float = 2.0
     """Ratio of a requested k3 to its standard uncertainty above which its other meaning is reported."""
+    negligible: float = 1e-9
+    """Relative change of K by the softest servo below which none is listed."""
     softest: float = 1e-4
     """Softest servo that is assumed [g/g^3]: its rotor axis tilts by 1e-4 rad at 45 degrees in 1 g (2 s a_x a_t)."""
 
@@ -117,7 +120,8 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
         return ()
     square = constant_squares(design.run)[0]
     cube = square is not None and "scale_factor" in held and not set(CUBIC) & set(held)
-    unnamed = _unnamed(candidates, coefficients, square) if square is not None and cube else ()
+    named = "servo" in held or ("k3" in held and square is not None) or "scale_factor" not in held
+    unnamed = () if named else _unnamed(candidates, coefficients, square)
     if "tan_beta" not in held:
         return unnamed
     settled = square is None or design.turning_servo or "servo" in design.run.uncertainty.waived
@@ -150,26 +154,33 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
 
 
 def _unnamed(
-    candidates: Candidates, coefficients: tuple[Coefficient, ...], square: float
+    candidates: Candidates, coefficients: tuple[Coefficient, ...], square: float | None
 ) -> tuple[LeftOut, ...]:
-    """The servo that a record does not exclude: by the column of ``servo``, without ``tan_beta`` by the cube."""
+    """The servo that a record does not exclude: by the column of ``servo``, without ``tan_beta`` by the cube in 1 g.
+
+    Without both it is listed with its effect, and has no size.
+    """
     plain, unit = candidates.fit, si_factor("servo")
     run = plain.design.run
     if "servo" in run.uncertainty.waived:
         return ()
+    along, across = run.f[:, 0] ** 2, across_squared(run, slice(None))
+    part = LEFT_OUT.softest * unit * float(along @ across / max(float(along.sum()), 1e-300))
+    if part < LEFT_OUT.negligible:
+        return ()
     pieces, rows = candidates.pieces
     names = ("servo",) if "servo" in candidates.order else ("k3",)
+    if names == ("k3",) and square is None:
+        return (LeftOut(UNNAMED_SOURCE, np.zeros(len(coefficients)), "", unstated_servo(plain)),)
     test = tested(pieces, candidates.order, names, rows)
     if test is None:
-        x = run.f[:, 0] ** 2
-        part = LEFT_OUT.softest * unit * float(x @ (square - x) / x.sum())
         moved = [c.value * part if c.name == "scale_factor" else 0.0 for c in coefficients]
         return (unnamed_servo(np.array(moved), LEFT_OUT.softest, math.inf),)
     before, after = (after_change(plain, change) for change in (np.zeros(1), test.change))
     size, std, spread = (
         float(values[0]) / plain.design.scale_factor / unit for values in (test.columns, test.std, test.spread)
     )
-    if names == ("k3",):
+    if names == ("k3",) and square is not None:
         after["scale_factor"] *= 1.0 + size * unit * square
     std = max(std, spread * coverage_factor(test.freedom) / coverage_factor(math.inf))
     shift = _difference(coefficients, before, after | {name: before[name] for name in TURNED if name in before})
@@ -300,23 +311,6 @@ def _difference(
     return changes(coefficients, *values)
 
 
-def odd_square(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ...]:
-    """Remark on the scale factor if ``k2o`` is requested and the record can hardly separate ``k2o`` from the servo."""
-    odd = next((c for c in coefficients if c.name == "k2o"), None)
-    scaled = any(c.name == "scale_factor" for c in coefficients)
-    if odd is None or not scaled or fit.design.turning_servo or fit.design.run.direct:
-        return ()
-    if constant_squares(fit.design.run)[0] is None:
-        return ()
-    if abs(odd.value) <= LEFT_OUT.seen * odd.std:
-        return ()
-    words = (
-        "k2o takes up much of the effect of the servo's stiffness, and scale_factor depends on which "
-        "of the two is estimated: compare the sets with 'k2o' and with 'servo' instead (--compare)"
-    )
-    return (words,)
-
-
 EXTRA = ("k3", *SERVO_TERMS)
 """Terms that are tried."""
 LACKING = {"servo": "servo terms that the model lacks", "k3": "k3 that the model lacks"}
@@ -372,7 +366,7 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
         return ()
     if base is None:
         return ()
-    unnamed = _unnamed_of_runs(rows, base) if cube and not set(CUBIC) & held else ()
+    unnamed = _unnamed_of_runs(rows, base) if cube else ()
     if cube and not set(CUBIC) & held and rows.refit((*terms, "servo", "k3")):
         return _lacking(rows, base) or unnamed
     doubts: list[LeftOut] = []
@@ -492,10 +486,13 @@ def _asked(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     named = {c.key: c for c in coefficients}
     k3, scale = named["k3"], named["scale_factor"]
     swapped = rows.refit(tuple("servo" if name == "k3" else name for name in terms))
-    if abs(k3.value) <= LEFT_OUT.seen * k3.std or swapped is None or rows.refit((*terms, "servo")):
+    if swapped is None or rows.refit((*terms, "servo")):
         return ()
     shift = _values(swapped)["scale_factor"] - _values(base)["scale_factor"]
-    return (_other_meaning(coefficients, scale, shift),)
+    if abs(k3.value) > LEFT_OUT.seen * k3.std:
+        return (_other_meaning(coefficients, scale, shift),)
+    moved = np.array([shift if c is scale else 0.0 for c in coefficients])
+    return (unnamed_servo(moved, k3.value, k3.std),)
 
 
 def _lacking(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:

@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from piga.calibration.budget.sources import across_squared
 from piga.calibration.fit.one_run import Fit
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.reduction import solve_upper
@@ -103,11 +104,10 @@ def servo_out_of_reach(design: Design) -> set[str]:
 
 
 def constant_squares(run: Run) -> tuple[float | None, float | None]:
-    """``a_x^2 + a_t^2`` and ``a_t^2`` [m^2/s^4] of a record; None for one that changes."""
-    f = run.f[np.unique(np.linspace(0, run.size - 1, CANDIDATES.force_samples).astype(np.int64))]
-    across = f[:, 1] ** 2 + f[:, 2] ** 2
+    """``a_x^2 + a_t^2`` and ``(u_t/K)^2`` [m^2/s^4] of a record; None for one that changes."""
+    at = np.unique(np.linspace(0, run.size - 1, CANDIDATES.force_samples).astype(np.int64))
     squares: list[float | None] = []
-    for square in (across + f[:, 0] ** 2, across):
+    for square in ((run.f[at] ** 2).sum(axis=1), across_squared(run, at)):
         low, middle, high = np.quantile(square, (0.005, 0.5, 0.995))
         squares.append(float(middle) if high - low <= CANDIDATES.constant * middle else None)
     return squares[0], squares[1]

@@ -27,7 +27,7 @@ SLOW_COUNTS = "not white: the output turns by nearly whole counts from sample to
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Limits beyond which a figure of a calibration becomes a doubt (own choices).
+    """Limits of the figures of a calibration (own choices).
 
     Attributes
     ----------
@@ -35,10 +35,15 @@ class Thresholds:
         Largest condition numbers [1] of the column-scaled problem for "well separated" and for "separable".
         The condition number is the largest amplification of relative errors of the reference.
     residual_rms:
-        Largest deviation [1] of the whitened residual's root mean square from 1. Standard uncertainties are wrong by
-        the same ratio as the noise levels.
+        Largest deviation [1] of the whitened residual's root mean square from 1 that is called "of size one".
     used:
-        Least share [1] of used rows. A smaller share gives a remark.
+        Least share [1] of used rows that is not mentioned as small.
+    moves:
+        Share [1] of rows not used above which they could move a coefficient by more than u (95 %): the estimate with all
+        rows differs from that with a share 1 - q of them by ``sqrt(q) u`` rms, and ``2 sqrt(q) > 1``.
+    correlated:
+        Correlation [1] of neighbouring whitened residuals above which the variance of their mean is more than twice that of
+        white noise, ``(1 + r)/(1 - r) > 2``.
     large_residual:
         Root mean square of the residuals [rad] (one degree) above which a fit must explain something.
     explains:
@@ -49,6 +54,8 @@ class Thresholds:
     separated: float = 1e6
     residual_rms: float = 0.1
     used: float = 0.95
+    moves: float = 0.25
+    correlated: float = 1.0 / 3.0
     large_residual: float = 0.01745
     explains: float = 0.7071
 
@@ -173,11 +180,15 @@ def whitened_rms(calibration: Calibration) -> float:
     return math.sqrt(math.nan if variance is None else variance)
 
 
-def _nominal(calibration: Calibration) -> Iterator[str | Doubt]:
+def scale_over_nominal(calibration: Calibration) -> float:
+    """Scale factor over the nominal one; 1 where it is not estimated."""
     values = {c.name: c.value for c in calibration.coefficients}
     nominal = calibration.scale_factor_nominal * G0
-    ratio = values.get("scale_factor", nominal) / nominal + values.get("k1", 0.0)
-    tolerance = calibration.scale_factor_tolerance
+    return values.get("scale_factor", nominal) / nominal + values.get("k1", 0.0)
+
+
+def _nominal(calibration: Calibration) -> Iterator[str | Doubt]:
+    ratio, tolerance = scale_over_nominal(calibration), calibration.scale_factor_tolerance
     if abs(ratio - 1.0) <= tolerance:
         yield f"K is within {100.0 * tolerance:.3g} % of its nominal value"
         return
@@ -202,37 +213,56 @@ def _explained(calibration: Calibration) -> Iterator[str | Doubt]:
 
 
 def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
+    """Whiteness moves no number where the scatter of the positions gives the intervals: it is said, and is no doubt.
+
+    It is one where the noise within one position gives an interval, that of its own phase, and correlation doubles its variance.
+    """
     tests, rms = calibration.diagnostics, whitened_rms(calibration)
     if tests.verdict is None or tests.ljung_box_probability is None or math.isnan(rms):
         return
-    chance = tests.ljung_box_probability
+    chance, neighbours = tests.ljung_box_probability, tests.lag1_correlation or 0.0
     shown = "p < 1e-300" if chance < 1e-300 else f"p = {chance:.2g}"
-    counted = tests.verdict == COUNTED
-    if tests.verdict == SLOW_COUNTS:
-        yield Doubt(
-            f"the whitened residuals are {SLOW_COUNTS} ({shown}), so the error of the counts changes slowly",
-            "sample at another rate, or take other angles or levels; the intervals come from the scatter of the positions",
+    contained = "the intervals come from the scatter of the positions, which contains it"
+    within = not _by_positions(calibration) or any(c.segment is not None for c in calibration.coefficients)
+    if tests.verdict == COUNTED:
+        yield (
+            f"the whitened residuals correlate as whole counts make them, and no further (p = "
+            f"{tests.counting_probability:.2g})"
         )
-    elif tests.verdict != "white" and not counted:
-        yield Doubt(
-            f"the whitened residuals are not white (Ljung-Box, {shown}): the model or the noise "
-            "description is incomplete; the intervals come from the scatter of the positions",
-            "look for suggested terms"
+    elif tests.verdict == "white":
+        yield f"the whitened residuals are white (Ljung-Box, {shown})"
+    else:
+        slow = tests.verdict == SLOW_COUNTS
+        what = f"the whitened residuals are {SLOW_COUNTS if slow else 'not white'} (Ljung-Box, {shown})"
+        remedy = (
+            "sample at another rate, or take other angles or levels"
+            if slow
+            else "look for suggested terms"
             if calibration.direct
-            else "look for lines in the residuals by revolution order, and for suggested terms",
+            else "look for lines in the residuals by revolution order, and for suggested terms"
         )
-    if abs(rms - 1.0) > THRESHOLDS.residual_rms:
+        if within and abs(neighbours) > THRESHOLDS.correlated:
+            size = math.sqrt((1.0 + abs(neighbours)) / max(1.0 - abs(neighbours), 1e-3))
+            yield Doubt(
+                f"{what}: intervals from the noise within one position are about {size:.2g} times too small",
+                remedy,
+            )
+        else:
+            yield f"{what}: {contained}; {remedy}"
+    if abs(rms - 1.0) <= THRESHOLDS.residual_rms:
+        yield f"the whitened residuals are of size one ({rms:.3f})"
+    elif _by_positions(calibration):
+        yield f"the whitened residuals have a root mean square of {rms:.3f} instead of 1: {contained}"
+    else:
         yield Doubt(
             f"the whitened residuals have a root mean square of {rms:.3f} instead of 1",
             "check the noise levels that were given, and the residuals of single segments",
         )
-    elif counted:
-        yield (
-            f"the whitened residuals correlate as whole counts make them, and no further (p = "
-            f"{tests.counting_probability:.2g}), and are of size one ({rms:.3f})"
-        )
-    elif tests.verdict == "white":
-        yield f"the whitened residuals are white (Ljung-Box, {shown}) and of size one ({rms:.3f})"
+
+
+def _by_positions(calibration: Calibration) -> bool:
+    """True if the intervals come from the scatter of the positions: since version 0.3."""
+    return not calibration.provenance.software.startswith(("piga 0.1", "piga 0.2"))
 
 
 def _creep(calibration: Calibration) -> Iterator[str]:
@@ -242,15 +272,15 @@ def _creep(calibration: Calibration) -> Iterator[str]:
 
 
 def _separation(calibration: Calibration) -> Iterator[str | Doubt]:
+    """Separation of the coefficients. What it magnifies is in u, or listed by source: only the limit of arithmetic is a doubt."""
     condition = calibration.condition
     shown = f"{condition:.2g}" if math.isfinite(condition) else "infinite"
     if condition <= THRESHOLDS.well_separated:
         yield f"the record separates the coefficients (condition number {shown})"
     elif condition <= THRESHOLDS.separated:
-        yield Doubt(
-            f"some coefficients are hard to separate (condition number {shown}): errors of the reference are "
-            "magnified",
-            "leave terms out, or add positions, levels or another kind of run",
+        yield (
+            f"some coefficients are hard to separate (condition number {shown}): the uncertainties contain this, and so do "
+            "the effects of the sources; to narrow them leave terms out, or add positions, levels or another kind of run"
         )
     else:
         yield Doubt(
@@ -261,11 +291,16 @@ def _separation(calibration: Calibration) -> Iterator[str | Doubt]:
 
 
 def _rows(calibration: Calibration) -> Iterator[str | Doubt]:
-    share = 1.0 - calibration.quality.lost
-    if share < THRESHOLDS.used:
-        yield Doubt(f"only {100.0 * share:.3g} % of the rows were used", "see the findings in the data")
-    else:
-        yield f"{'all' if share == 1.0 else f'{100.0 * share:.4g} % of the'} rows of the positions were used"
+    lost = calibration.quality.lost
+    if lost <= 1.0 - THRESHOLDS.used:
+        share = "all" if lost == 0.0 else f"{100.0 * (1.0 - lost):.4g} % of the"
+        yield f"{share} rows of the positions were used"
+        return
+    what = (
+        f"only {100.0 * (1.0 - lost):.3g} % of the rows were used: the others would move a coefficient by up to "
+        f"{2.0 * math.sqrt(lost):.2g} u (95 %)"
+    )
+    yield Doubt(what, "see the findings in the data") if lost > THRESHOLDS.moves else what
 
 
 def _names(sources: tuple[StandSource, ...], status: str) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
-from piga.records.calibration.verdict import COUNTED, THRESHOLDS, Doubt, Verdict, whitened_rms
+from piga.records.calibration.verdict import COUNTED, THRESHOLDS, Verdict, whitened_rms
 from piga.records.terms import integral_unit, meaning_of, shown_output, shown_unit
 from piga.reports.calibration.budget import budget_tables, sensitivity_tables, source_tables
 from piga.reports.calibration.figures import (
@@ -217,17 +217,12 @@ def _sections(cal: Calibration, shown: dict[str, Figure]) -> tuple[Section, ...]
 
 
 def _with_lines(verdict: Verdict, lines: tuple[str, ...]) -> Verdict:
-    """The verdict with the lines of the order spectrum: those that are not explained are doubts."""
-    explained = tuple(f"l{line[1:].removesuffix('.')}" for line in lines if BEAT in line)
-    doubts = tuple(
-        Doubt(
-            line.removesuffix("."),
-            "see the figure of revolution orders; a harmonic term, the encoder or a bearing may make it",
-        )
-        for line in lines
-        if BEAT not in line
+    """The verdict with the lines of the order spectrum: a line moves no coefficient but by the scatter, or as a missing term."""
+    see = ": see the figure of revolution orders; a harmonic term, the encoder or a bearing may make it"
+    said = tuple(
+        f"{line[0].lower()}{line[1:].removesuffix('.')}{'' if BEAT in line else see}" for line in lines
     )
-    return replace(verdict, tested=verdict.tested + explained, doubts=verdict.doubts + doubts)
+    return replace(verdict, tested=verdict.tested + said)
 
 
 def _title(cal: Calibration) -> str:
