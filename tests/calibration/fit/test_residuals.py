@@ -40,7 +40,7 @@ def test_the_lines_of_whole_counts_are_no_doubt() -> None:
     assert tests.counting_probability > 1e-3
     words = "correlate as whole counts make them"
     assert any(words in held for held in calibration.verdict.tested)
-    assert not any("not white" in doubt.words for doubt in calibration.verdict.doubts)
+    assert not any("not white" in said for said in calibration.verdict.tested)
 
 
 @compiled
@@ -48,7 +48,8 @@ def test_the_lines_of_whole_counts_are_no_doubt() -> None:
 def test_what_the_model_misses_is_seen_beside_the_counts(left_out: str) -> None:
     calibration = piga.calibrate(counted(31), [term for term in TERMS if term != left_out])
     assert calibration.diagnostics.counting_probability < 1e-6
-    assert any("not white" in doubt.words for doubt in calibration.verdict.doubts)
+    assert any("not white" in said for said in calibration.verdict.tested)
+    assert any(f"missing term: {left_out} = " in said for said in (*calibration.notes, *calibration.remarks))
 
 
 @compiled
@@ -56,7 +57,7 @@ def test_a_record_without_counts_has_no_such_excuse() -> None:
     run = record(np.random.default_rng(32), white=2.5e-5)
     calibration = piga.calibrate(run, [term for term in TERMS if term != "m_Y"])
     assert calibration.diagnostics.counting_probability is None
-    assert any("not white" in doubt.words for doubt in calibration.verdict.doubts)
+    assert any("not white" in said for said in calibration.verdict.tested)
 
 
 @compiled
@@ -116,9 +117,10 @@ def test_nearly_whole_counts_in_each_sample_are_named() -> None:
     run = whole_counts((0.0, 45.0, 135.0, 180.0, 225.0, 315.0, 20.0, 160.0), 20.0)
     result = piga.calibrate(run, ["scale_factor", "k0"])
     assert result.diagnostics.verdict == SLOW_COUNTS
-    (doubt,) = (doubt for doubt in result.verdict.doubts if "white" in doubt.what)
-    assert "nearly whole counts" in doubt.what
-    assert "another rate" in doubt.remedy
+    (said,) = (
+        said for said in result.verdict.tested if "white (" not in said and "nearly whole counts" in said
+    )
+    assert "another rate" in said
     assert not result.diagnostics.missing_terms
     plain = replace(result.diagnostics, verdict="not white: the model or the noise description is incomplete")
     assert with_slow_counts(plain, run).verdict == SLOW_COUNTS
