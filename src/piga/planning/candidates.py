@@ -62,7 +62,7 @@ class Candidate:
     """One position or level: ``table`` is the stand with only this one; ``force`` [m/s^2] (3,) in base axes.
 
     ``margin`` is ``|u_x|/(u_t tan_beta)``: below 1 the instrument is locked. ``revolution`` [s] is the time
-    of one revolution of the gimbal.
+    of one revolution of the gimbal. Both are infinite for a direct instrument.
     """
 
     label: str
@@ -108,12 +108,14 @@ def candidate_of(request: PlanRequest, label: str, table: SimpleStand) -> Candid
     K, tangent = specimen.instrument.scale_factor, abs(specimen.instrument.tan_beta)
     stand = msgspec.structs.replace(table, dwell="60 s").build(request.path.parent)
     force, rate = stand.motion(np.arange(61.0), NONE)
+    x, y, z = (float(value) for value in force.mean(axis=0))
+    if specimen.direct:
+        return Candidate(label, table, (x, y, z), math.inf, math.inf)
     u = K * force - rate
     along, across = np.abs(u[:, 0]), tangent * np.hypot(u[:, 1], u[:, 2])
     margin = float(np.min(along / np.maximum(across, 1e-300))) if across.any() else math.inf
     mean = float(np.mean(np.sqrt(np.maximum(along**2 - across**2, 0.0))))
     revolution = 2.0 * math.pi / mean if mean > 0.0 else math.inf
-    x, y, z = (float(value) for value in force.mean(axis=0))
     return Candidate(label, table, (x, y, z), margin, revolution)
 
 
@@ -126,7 +128,7 @@ def noise_of(request: PlanRequest) -> Noise:
         If the electronics have no noise; every plan would then be perfect.
     """
     e = request.scenario.electronics
-    count = 2.0 * math.pi / e.counts_per_revolution if e.kind == "counts" else 0.0
+    count = (1.0 if request.direct else 2.0 * math.pi / e.counts_per_revolution) if e.kind == "counts" else 0.0
     white = 0.0 if e.kind == "rate" else e.angle_noise**2 + count**2 / 12.0
     noise = Noise(white, e.angle_random_walk**2)
     if noise.white + noise.walk == 0.0 or (e.kind == "rate" and noise.walk == 0.0):
@@ -148,8 +150,9 @@ def run_of(
         f,
         scale_factor=request.scenario.specimen.instrument.scale_factor,
         kind="rate" if e.kind == "rate" else "angle",
-        base_rate=rate,
+        base_rate=None if request.direct else rate,
         segment=segment,
+        unit=request.unit,
         serial=request.table.instrument.serial,
         units="SI",
     )
@@ -201,8 +204,8 @@ def _segments(request: PlanRequest, candidate: Candidate) -> Design:
     count = round(request.longest_dwell / interval)
     t = np.arange(count + 1, dtype=np.float64) * interval
     force, rate = candidate.stand(request.longest_dwell, request).motion(t, NONE)
-    outputs = []
-    for start in range(STARTS):
+    outputs = [t] * STARTS if specimen.direct else []  # its regressors do not depend on its output
+    for start in () if specimen.direct else range(STARTS):
         turned = Instrument(own.scale_factor, own.beta, own.alpha0 + 2.0 * math.pi * start / STARTS)
         alpha, speed = propagate(
             turned, t, force, rate, with_rate=True, error_model=specimen.error_model, between="linear"

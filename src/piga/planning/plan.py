@@ -136,7 +136,10 @@ class Plan(Result, Plotted, Reported):
             ("duration", f"{best.duration:.6g} s, {best.recorded:.6g} s recorded"),
             ("efficiency", f"{100.0 * self.efficiency:.1f} % of the bound"),
             ("left out", f"{len(self.excluded)} of {len(self.candidates)} candidates"),
-            *((f"u({name})", f"{best.std(name):.3g} {unit_of(name)}") for name in self.names),
+            *(
+                (f"u({name})", f"{best.std(name):.3g} {unit_of(name, self.request.unit)}")
+                for name in self.names
+            ),
         ]
 
 
@@ -460,7 +463,8 @@ def _cheapest(search: _Search, best: Prediction) -> Cheapest:
             return Cheapest(
                 math.inf,
                 None,
-                f"the stand alone adds {fixed:.2g} {unit_of(name)} to {name}: {wanted:.2g} cannot be reached in any time",
+                f"the stand alone adds {fixed:.2g} {unit_of(name, request.unit)} to {name}: {wanted:.2g} cannot be reached in "
+                "any time",
             )
         targets[name] = math.sqrt(wanted**2 - fixed**2)
     search = replace(search, request=replace(request, wanted=targets))
@@ -493,6 +497,8 @@ def scenario_text(plan: Plan) -> str:
         **whole["model"],
         "terms": list(plan.request.model.terms),
     }
+    if plan.request.direct:
+        del whole["instrument"]["counts_per_revolution"], whole["model"]["phases"]
     tables = {name: whole[name] for name in _TABLES if whole.get(name)}
     tables["stand"] = stand_table(plan.request, plan.best.visits)
     comment = (
@@ -502,19 +508,21 @@ def scenario_text(plan: Plan) -> str:
 
 
 CSV_COLUMNS = ("step", "begin_s", "hold_s", "stand", "position", "a_x_g", "a_Y_g", "a_Z_g", "revolutions")
-"""Columns of the program of the stand."""
+"""Columns of the program of the stand; a direct instrument has no revolutions."""
 
 
 def program_csv(plan: Plan) -> str:
     """The program of the stand as CSV: one row a visit, in order, with the move before the next one left as a gap in time."""
-    begin, rows = 0.0, [",".join(CSV_COLUMNS)]
+    last = -1 if plan.request.direct else None
+    begin, rows = 0.0, [",".join(CSV_COLUMNS[:last])]
     for step, visit in enumerate(plan.best.visits, start=1):
         candidate = visit.candidate
         kind = str(msgspec.to_builtins(candidate.table)["kind"])
         force = [f"{value / G0 + 0.0:.9f}" for value in candidate.force]
         label = f'"{candidate.label}"' if "," in candidate.label else candidate.label
         turns = f"{visit.dwell / candidate.revolution:.4f}"
-        rows.append(",".join((str(step), f"{begin:.3f}", f"{visit.dwell:.3f}", kind, label, *force, turns)))
+        cells = (str(step), f"{begin:.3f}", f"{visit.dwell:.3f}", kind, label, *force, turns)
+        rows.append(",".join(cells[:last]))
         begin += visit.dwell + plan.request.move
     return "\n".join(rows) + "\n"
 
@@ -528,7 +536,8 @@ def plan_document(plan: Plan, mounting: Mounting | None) -> dict[str, Any]:
         "duration_s": best.duration,
         "recorded_s": best.recorded,
         "visits": [
-            {"position": v.candidate.label, "dwell_s": v.dwell, "revolutions": v.dwell / v.candidate.revolution}
+            {"position": v.candidate.label, "dwell_s": v.dwell}
+            | ({} if plan.request.direct else {"revolutions": v.dwell / v.candidate.revolution})
             for v in best.visits
         ],
         "excluded": [{"position": e.candidate.label, "reason": e.reason} for e in plan.excluded],
@@ -566,7 +575,7 @@ def _prediction_document(plan: Plan, prediction: Prediction) -> dict[str, Any]:
             "combined": prediction.combined(name),
             "expanded": _finite(prediction.expanded(name)),
             "degrees_of_freedom": _finite(prediction.degrees(name)),
-            "unit": unit_of(name),
+            "unit": unit_of(name, plan.request.unit),
         }
         for name in plan.names
     }

@@ -15,7 +15,7 @@ import msgspec
 from piga.calibration.model.request import Request, check_servo
 from piga.errors import PigaError, RunFileError, UnitError
 from piga.records.run_file import ModelTable, Quantity, TomlTable, UncertaintyTable
-from piga.records.terms import check_terms, si_factor, unit_of
+from piga.records.terms import GYRO, check_terms, scale_factor_in, si_factor, unit_of
 from piga.records.text_files import read_toml
 from piga.results import Result
 from piga.stand.scenario import (
@@ -28,6 +28,7 @@ from piga.stand.scenario import (
     Scenario,
     ScenarioTable,
     SimpleStand,
+    output_unit,
     scenario_of,
 )
 from piga.terms import THERMAL_TERMS
@@ -102,6 +103,16 @@ class PlanRequest(Result):
         return self.table.plan
 
     @property
+    def unit(self) -> str:
+        """Unit of the output rate."""
+        return self.scenario.specimen.unit
+
+    @property
+    def direct(self) -> bool:
+        """True for a direct instrument: it has no lock zone and no revolutions."""
+        return self.scenario.specimen.direct
+
+    @property
     def stands(self) -> tuple[SimpleStand, ...]:
         """The parts of the stand, one unless it is a composite."""
         stand = self.table.stand
@@ -124,12 +135,13 @@ def read_plan(path: str | Path, *, content: str | None = None) -> PlanRequest:
     try:
         model = _converted(table.model, ModelTable, "model")
         uncertainty = _converted(table.uncertainty, UncertaintyTable, "uncertainty")
-        if table.instrument.kind == "direct":
+        unit = output_unit(table)
+        check_terms(model.terms, where="[model] terms", output=unit)
+        if unit != GYRO and table.mounting is not None:
             raise RunFileError(
-                "[instrument] kind 'direct' cannot be planned: plans are for gyro accelerometers",
-                remedy="take 24 positions of a head, there and back, and simulate them with 'piga simulate'",
+                "[mounting] belongs to a gyro accelerometer, and the instrument is direct",
+                remedy="leave it out",
             )
-        check_terms(model.terms, where="[model] terms")
         _check(table, model)
         return _request(path, table, model, uncertainty)
     except (PigaError, UnitError) as error:
@@ -221,10 +233,12 @@ def _request(path: Path, table: PlanTable, model: ModelTable, uncertainty: Uncer
         raise RunFileError(
             "[plan] longest_dwell is below minimum_dwell", remedy="make longest_dwell at least as long"
         )
-    wanted = {}
+    wanted, output = {}, output_unit(table)
     for name, value in plan.wanted.items():
-        unit = unit_of(name)
-        wanted[name] = to_si(value, unit, what=f"[plan] wanted.{name}") / si_factor(name)
+        what = f"[plan] wanted.{name}"
+        scale = name == "scale_factor"
+        si = scale_factor_in(value, output, what) if scale else to_si(value, unit_of(name), what=what)
+        wanted[name] = si / si_factor(name)
         if not wanted[name] > 0.0:
             raise RunFileError(f"[plan] wanted.{name}: must be positive", remedy="give a standard uncertainty")
     return PlanRequest(path, table, scenario_of(path, table), model, uncertainty, wanted=wanted, **times)

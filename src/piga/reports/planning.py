@@ -46,12 +46,12 @@ def _forces(candidates: tuple[Candidate, ...]) -> tuple[Array, Array]:
 
 def figures(plan: Plan) -> dict[str, Callable[[], Figure]]:
     """The figures of a plan by name."""
-    return {
+    drawn: dict[str, Callable[[], Figure]] = {
         "positions": partial(dwell_figure, plan),
         "uncertainty": partial(uncertainty_figure, plan),
         "duration": partial(duration_figure, plan),
-        "lock": partial(lock_figure, plan),
     }
+    return drawn if plan.request.direct else drawn | {"lock": partial(lock_figure, plan)}
 
 
 def dwell_figure(plan: Plan) -> Figure:
@@ -116,7 +116,7 @@ def duration_figure(plan: Plan) -> Figure:
             plot.marked(hours[known], usual[known], plan.stretched[-1][2].name, "before")
         plot.dashed(hours, np.sqrt(plan.request.duration / 60.0 / hours), "1/sqrt(time)", "muted")
     return plot.caption(
-        "Type A. With the angle random walk alone the curves fall as one over the root of the time; where quantisation "
+        "Type A. With the random walk of the output alone the curves fall as one over the root of the time; where quantisation "
         "rules, longer dwells gain more."
     )
 
@@ -177,8 +177,10 @@ def page(plan: Plan, mounting: Mounting | None = None) -> Page:
         Section("The test", "the-test", (lead, places, visit_table(plan))),
         Section("What it will give", "what-it-gives", (uncertainty_table(plan), spread)),
         Section("Time", "time", (*_cheapest_blocks(plan), FigureBlock(partial(duration_figure, plan)))),
-        Section("Lock zone", "lock-zone", (FigureBlock(partial(lock_figure, plan)), *_excluded_blocks(plan))),
     ]
+    if not plan.request.direct:
+        lock = (FigureBlock(partial(lock_figure, plan)), *_excluded_blocks(plan))
+        sections.append(Section("Lock zone", "lock-zone", lock))
     if mounting is not None:
         blocks = (_mounting_notice(mounting), FigureBlock(partial(mounting_figure, mounting)))
         sections.append(Section("Mounting", "mounting", blocks))
@@ -223,19 +225,18 @@ def _tiles(plan: Plan) -> tuple[Tile, ...]:
 
 def visit_table(plan: Plan) -> Table:
     """Visits of the plan in the order of the test."""
-    return (
-        TableOf(plan.best.visits)
-        .text("position or level", lambda visit: visit.candidate.label)
-        .number("dwell", lambda visit: f"{visit.dwell:.2f}", "s")
-        .number("revolutions", lambda visit: f"{visit.dwell / visit.candidate.revolution:.2f}")
-        .number("force along X0", lambda visit: printed(signed(visit.candidate.force[0] / G0, 4)), "g")
-        .table("Visits in the order of the test.")
-    )
+    table = TableOf(plan.best.visits)
+    table.text("position or level", lambda visit: visit.candidate.label)
+    table.number("dwell", lambda visit: f"{visit.dwell:.2f}", "s")
+    if not plan.request.direct:
+        table.number("revolutions", lambda visit: f"{visit.dwell / visit.candidate.revolution:.2f}")
+    table.number("force along X0", lambda visit: printed(signed(visit.candidate.force[0] / G0, 4)), "g")
+    return table.table("Visits in the order of the test.")
 
 
 def uncertainty_table(plan: Plan) -> Table:
     """Predicted uncertainties, and those of the standard plans as multiples."""
-    shown = [(name, *shown_unit(name, unit_of(name))) for name in plan.names]
+    shown = [(name, *shown_unit(name, unit_of(name, plan.request.unit))) for name in plan.names]
     table = (
         TableOf(shown)
         .text("coefficient", lambda row: Cell(row[0], title=meaning_of(row[0])))
@@ -277,7 +278,10 @@ def _cheapest_blocks(plan: Plan) -> tuple[Block, ...]:
     cheapest = plan.cheapest
     if cheapest is None:
         return ()
-    shown = ((name, u, *shown_unit(name, unit_of(name))) for name, u in plan.request.wanted.items())
+    shown = (
+        (name, u, *shown_unit(name, unit_of(name, plan.request.unit)))
+        for name, u in plan.request.wanted.items()
+    )
     wanted = ", ".join(f"u({name}) = {short(u * scale)} {pretty_unit(unit)}" for name, u, scale, unit in shown)
     if cheapest.plan is None:
         return (Notice("problem", f"Wanted {wanted}: {cheapest.refusal}."),)
