@@ -131,9 +131,9 @@ def test(arguments: list[str]) -> None:
     """Lint, types, import contract; smoke tests of the compiled kernels; all tests with the JIT off."""
     programs = environment(".venv-test", "all")
     python = str(programs / "python")
-    everything = [python, "-m", "pytest", "-n", "2", "--dist", "worksteal", "-m", "not slow", *arguments]
+    everything = [python, "-m", "pytest", "-n", "2", "--dist", "worksteal", "-m"]
     if arguments:
-        call(everything, NUMBA_DISABLE_JIT="1")
+        call([*everything, "not slow", *arguments], NUMBA_DISABLE_JIT="1")
         return
     print("lint, import contract, types and smoke tests of the compiled kernels (under one minute)", flush=True)
     smoke = [
@@ -144,7 +144,7 @@ def test(arguments: list[str]) -> None:
         together([*checks, [str(programs / "lint-imports")]])
         call([python, "-m", "pytest", "-n", "2", "-m", "smoke", *map(str, smoke)])
         print("all tests with the JIT off (about three minutes on two cores)", flush=True)
-        call(everything, NUMBA_DISABLE_JIT="1")
+        call([*everything, "not slow and not only_compiled"], NUMBA_DISABLE_JIT="1")
     if types.returncode:
         print("the types are wrong: see above, or run .venv-test/bin/mypy", flush=True)
         sys.exit(types.returncode)

@@ -20,11 +20,9 @@ import piga
 from piga.compensation.live import compensate_arrow, compensate_lines
 from piga.compensation.model import make_model
 from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
-from piga.records.run_file import read_run_file
 from tests.certificate.certificate_data import budgeted, complete
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
 from tests.formats.test_formats_fuzz import SCALE, mutated, outcome, seeded
-from tests.records.files import write_run
 from tests.reports.example import calibration
 
 CASES = 200 * SCALE
@@ -57,15 +55,6 @@ def test_calibrations() -> None:
     with np.errstate(all="ignore"):
         kept = sum(outcome(lambda: use(altered(source, draw))) for _ in range(CASES))
     assert 0 < kept < CASES
-
-
-def test_run_files(tmp_path: Path) -> None:
-    draw = seeded(22)
-    path = write_run(tmp_path, instrument="counter_bits = 16", data='range = { n = [0, 1] }\nmissing = ["x"]')
-    source = path.read_bytes()
-    for _ in range(CASES):
-        path.write_bytes(altered(source, draw))
-        outcome(lambda: read_run_file(path))
 
 
 def _live(name: str) -> tuple[bytes, Callable[[bytes, piga.Calibration], object]]:

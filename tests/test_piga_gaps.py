@@ -10,31 +10,6 @@ from piga.units import G0
 from tests.short_record import SCALE
 
 
-def a_record_with_a_gap() -> piga.Run:
-    t = np.arange(900) * 0.05
-    t[300:] += 7.0
-    t[600:] += 0.02  # less than a gap
-    f = G0 * np.column_stack([0.8 + 0.3 * np.sin(0.7 * t), 0.5 * np.cos(0.4 * t), 0.2 + 0 * t])
-    inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=0.4)
-    return piga.Run.from_arrays(
-        t, piga.propagate(inst, t, f, between="linear"), f, scale_factor=SCALE, units="SI"
-    )
-
-
-@pytest.mark.parametrize("edges", [[], [300], [299], [301], [1, 2, 450, 899]])
-def test_a_stream_of_columns_is_the_whole_record_to_the_bit(cal, edges):
-    run = a_record_with_a_gap()
-    assert np.flatnonzero(run.begins).tolist() == [0, 300]
-    whole = piga.compensate(run, cal, force=True)
-    stream = piga.Compensator(cal, step=run.median_step)
-    parts = np.split(np.arange(run.size), edges)
-    rows = [stream.push({"t": run.t[p], "output": run.output[p], "f": run.f[p]}) for p in parts]
-    for name in ("ax", "dv", "u_ax", "flags"):
-        joined = np.concatenate([getattr(part, name) for part in rows])
-        assert np.array_equal(joined, getattr(whole, name), equal_nan=True), name
-    assert np.flatnonzero(np.isnan(whole.ax)).tolist() == [0, 300]
-
-
 def test_a_segment_is_a_gap_without_time():
     """At the same samples, a segment and a gap of marks form no increment; the stream hears of it by ``begins``."""
     t = np.arange(200) * 0.05

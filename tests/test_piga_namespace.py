@@ -40,13 +40,6 @@ def test_every_public_name_of_a_room_is_there_and_says_what_it_is(room):
         _ = module.nothing
 
 
-def test_names_that_scripts_look_for_are_public():
-    assert "plan_test" in piga.__all__
-    assert "find_trend" in piga.__all__
-    assert "allan_deviation" in piga.__all__
-    assert "write_figure" in piga.reports.__all__
-
-
 def test_help_leads_to_every_task():
     text = pydoc.render_doc(piga)
     for name in (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-import multiprocessing
 from dataclasses import dataclass, field, replace
 from unittest import mock
 
@@ -13,7 +12,7 @@ import pytest
 
 import piga
 from piga.results import ByValue, same
-from tests.short_record import a_run, pickled
+from tests.short_record import a_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +81,6 @@ def test_a_calibration_is_itself_after_reading_back(cal, tmp_path):
     assert again != replace(cal, covariance=2.0 * cal.covariance)
 
 
-def test_a_pickle_holds_the_residuals(cal):
-    again = pickled(cal)
-    assert again == cal
-    assert again.residuals == cal.residuals is not None
-
-
 def test_a_copy_keeps_the_residuals(cal):
     assert copy.copy(cal).residuals is cal.residuals
     deep = copy.deepcopy(cal)
@@ -95,9 +88,3 @@ def test_a_copy_keeps_the_residuals(cal):
     assert deep.residuals == cal.residuals
     assert deep.residuals.t is not cal.residuals.t
     assert deep.covariance is not cal.covariance
-
-
-def test_a_calibration_travels_to_another_process(run, cal):
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        assert pool.apply(copy.copy, (cal,)) == cal
-        assert pool.apply(copy.copy, (run,)) == run

@@ -227,15 +227,3 @@ def test_a_run_file_is_hashable_or_says_so():
     table = a_run(uncertainty={"reference_scale": "1 ppm"}).uncertainty
     assert table == msgspec.structs.replace(table)
     assert table != msgspec.structs.replace(table, reference_scale="2 ppm")
-
-
-@pytest.mark.only_compiled
-def test_the_shipped_record_calibrates_fast():
-    import time
-
-    run = piga.example_run()
-    piga.calibrate(run)
-    before = time.process_time()
-    cal = piga.calibrate(run)
-    assert time.process_time() - before < 3.0
-    assert len(cal.correlated("uncertainties")) == len(cal.coefficients)

@@ -11,7 +11,7 @@ import pytest
 import piga
 from piga.records.run_file import UncertaintyTable
 from piga.units import G0
-from tests.calibration.made.synthetic import SCALE, TERMS, errors, record
+from tests.calibration.made.synthetic import SCALE, TERMS, at_rest, errors, record
 
 
 @pytest.mark.only_compiled
@@ -181,7 +181,7 @@ def turning(seed: int, **options: Any) -> piga.Run:
 @pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_whole_turns_of_a_small_record() -> None:
-    rest = UncertaintyTable(waived={"earth_rate": "simulated at rest", "servo": "simulated without"})
+    rest = at_rest()
     stated = UncertaintyTable(waived=rest.waived, reference_scale="20 ppm")
     calibration = piga.calibrate(replace(turning(31), uncertainty=stated), MEAN, "revolutions")
     (scale,) = [row.contributions["scale_factor"] for row in calibration.budget if row.type == "B"]

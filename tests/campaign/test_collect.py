@@ -113,15 +113,6 @@ def test_worst_case_is_repeated_by_its_command(small, tmp_path, capsys):
 
 
 @pytest.mark.only_compiled
-def test_collect_does_not_depend_on_the_cut(small, tmp_path):
-    text = SMALL.replace("records_per_shard = 4", "records_per_shard = 7")
-    computed(written(tmp_path, text), tmp_path / "out")
-    first, second = collected(small), collected(tmp_path / "out")
-    assert first["json"] == second["json"]
-    assert first["csv"] == second["csv"]
-
-
-@pytest.mark.only_compiled
 def test_a_record_that_fails_is_a_row(tmp_path):
     text = SMALL + '\n[[case]]\nname = "still"\nrepeats = 2\nset = { "stand.positions" = "0:1:1 deg" }\n'
     computed(written(tmp_path, text), tmp_path / "out")

@@ -26,17 +26,12 @@ LONG = LONG.replace("records_per_shard = 4", "records_per_shard = 3")
 """30 records in 10 shards: the first part is written long before the last."""
 
 
-def whole(folder, text):
-    """What ``collect`` makes of a campaign that is computed without interruption, in this process."""
-    folder.mkdir(exist_ok=True)
-    computed(written(folder, text), folder / "out")
-    return collected(folder / "out")
-
-
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory):
-    """What ``LONG`` gives without interruption."""
-    return whole(tmp_path_factory.mktemp("one"), LONG)
+    """What ``collect`` makes of ``LONG`` that is computed without interruption, in this process."""
+    folder = tmp_path_factory.mktemp("one")
+    computed(written(folder, LONG), folder / "out")
+    return collected(folder / "out")
 
 
 def wait_for(process, ready, seconds=300.0):
@@ -47,21 +42,21 @@ def wait_for(process, ready, seconds=300.0):
 
 
 @pytest.mark.only_compiled
-def test_two_workers_and_one_process_make_the_same(tmp_path):
-    path = written(tmp_path)
+def test_two_workers_and_one_process_make_the_same(tmp_path, uninterrupted):
+    path = written(tmp_path, LONG)
     code, out, err = call("run", path, "--out", tmp_path / "out", "--workers", 2, "--json")
     assert code == 0, err
     content = json.loads(out)
-    assert (content["shards"], content["shards_done"], content["records_of_this_run"]) == (5, 5, 17)
-    assert sum(worker["records"] for worker in content["workers"]) == 17
-    assert collected(tmp_path / "out") == whole(tmp_path / "one", SMALL)
+    assert (content["shards"], content["shards_done"], content["records_of_this_run"]) == (10, 10, 30)
+    assert sum(worker["records"] for worker in content["workers"]) == 30
+    assert collected(tmp_path / "out") == uninterrupted
     code, out, err = call("run", path, "--out", tmp_path / "out", "--workers", 1, "--json")
     assert code == 0
     assert json.loads(out)["records_of_this_run"] == 0, "what is done is not computed again"
 
 
 @pytest.mark.only_compiled
-@pytest.mark.parametrize("who", ["worker", "parent"])
+@pytest.mark.parametrize("who", [pytest.param("worker", marks=pytest.mark.slow), "parent"])
 def test_killed(tmp_path, uninterrupted, who):
     """kill -9 of a worker or of the parent: workers end with their parent, and the next run ends with the same bits."""
     path, out = written(tmp_path, LONG), tmp_path / "out"
@@ -119,8 +114,6 @@ def test_a_shard_whose_worker_always_dies_is_named(tmp_path):
     assert [entry["shard"] for entry in json.loads(said)["set_aside"]] == [3]
     assert "shard 3 is not computed: records 12 to 15: its worker died 4 times" in err
     assert open_campaign(out).missing() == [3]
-    assert call("run", path, "--out", out, "--workers", 1)[0] == 0
-    assert collected(out)["json"] == whole(tmp_path / "one", SMALL)["json"]
 
 
 @pytest.mark.only_compiled

@@ -82,19 +82,6 @@ def test_help_names_values_as_users_do(said: subprocess.CompletedProcess[str]) -
     assert re.search(r"--out DIR +Folder for run\.toml", said.stdout)
 
 
-def test_no_command_is_cut_short_in_a_list_of_commands() -> None:
-    """80 columns hold one sentence for each."""
-    group = get_command(app)
-    assert isinstance(group, TyperGroup)
-    for words, part in [
-        ("piga", group),
-        *((n, c) for n, c in group.commands.items() if isinstance(c, TyperGroup)),
-    ]:
-        width = 80 - 6 - max(map(len, part.commands))
-        cut = [n for n, c in part.commands.items() if c.get_short_help_str(width).endswith("...")]
-        assert not cut, words
-
-
 @pytest.mark.parametrize(("arguments", "code", "words"), [(["--version"], 0, "piga "), (["chekc"], 2, "chekc")])
 def test_the_module_runs_as_the_program_does(arguments: list[str], code: int, words: str) -> None:
     as_module = run("-m", "piga", *arguments)

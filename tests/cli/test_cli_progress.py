@@ -36,13 +36,6 @@ def test_calibrate_shows_what_it_does_and_what_a_stop_left(tmp_path: Path) -> No
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tumble-a.csv", "tumble-a.toml"]
 
 
-def test_platform_navigate_is_not_silent(tmp_path: Path) -> None:
-    scenario = Path(__file__).parents[2] / "examples" / "platform-wobble.toml"
-    text, code = on_terminal(["platform", "navigate", scenario, "--out", tmp_path / "out"], "simulating")
-    assert code in STOPPED, text
-    assert "stopped while simulating" in text
-
-
 def test_nothing_is_shown_without_a_terminal(tmp_path: Path) -> None:
     run = copy_example(tmp_path)
     done = subprocess.run(

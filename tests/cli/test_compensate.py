@@ -88,9 +88,8 @@ def test_wrong_serial_and_missing_phase_exit_2_with_remedy(tmp_path, monkeypatch
 
 @pytest.mark.parametrize("name", ["run.parquet", "run.csv"])
 @pytest.mark.parametrize("counts", [False, True])
-@pytest.mark.parametrize("chunk", [37, 1 << 18])
-def test_streamed_file_is_the_whole_record(tmp_path, monkeypatch, name, counts, chunk):
-    small_chunks(monkeypatch, chunk)
+def test_streamed_file_is_the_whole_record(tmp_path, monkeypatch, name, counts):
+    small_chunks(monkeypatch, 37)
     path = write(tmp_path, name, rows=1500, counts=counts)
     cal = calibration_of(CAL, {"phi": 1e-4}, serial="A", angle_rms=1e-6)
     summary = to_file(path, cal, tmp_path / "o.parquet")

@@ -51,16 +51,6 @@ def test_json_is_one_document_of_the_interface(capsys):
         assert abs(case["difference"]) <= case["tolerance"]
 
 
-def test_table_is_plain_text_off_a_terminal(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "100")
-    assert exit_code("reproduce", "--only", "mounting") == 0
-    table = capsys.readouterr().out
-    assert "\x1b" not in table
-    assert table.splitlines()[0].split()[:4] == ["case", "published", "computed", "difference"]
-    assert table.count("  pass") == 2
-    assert "3 cases: 2 agree, 0 do not, 1 without" in table
-
-
 def test_unknown_id_names_the_known_ones(capsys):
     assert exit_code("reproduce", "--only", "nothing") == 2
     assert "one of: constant-input, period" in capsys.readouterr().err
@@ -87,8 +77,3 @@ def test_disagreement_ends_with_exit_code_1(monkeypatch):
     done = invoked("reproduce", "--only", "mounting")
     assert done.exit_code == 1
     assert "1 cases: 0 agree, 1 do not" in done.stdout
-
-
-@pytest.mark.parametrize("option", ["--out", "--only", "--json"])
-def test_help_names_the_options(option):
-    assert option in invoked("reproduce", "--help").stdout

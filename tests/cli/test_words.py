@@ -13,10 +13,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from typer.core import TyperGroup
-from typer.main import get_command
 
-from piga.cli.main import app
 from piga.cli.words import explain
 from piga.data import example_files
 from piga.describe.draft import FILES, key_table, places_of
@@ -25,7 +22,6 @@ from piga.records.run_file import METHOD_WORDS, METHODS
 from piga.records.terms import TERM_WORDS, UNITS, term_words
 from piga.units import to_si
 from tests.cli.runner import invoked
-from tests.cli.test_cli_help import commands
 
 
 @pytest.mark.parametrize("file", FILES)
@@ -110,27 +106,6 @@ def test_methods() -> None:
     assert all(f"{name}: " in out for name in METHODS)
 
 
-def test_the_report_shows_the_words_of_a_coefficient() -> None:
-    from piga.records.calibration import Coefficient
-    from piga.reports.calibration.tables import named
-
-    cell = named(Coefficient("k0", 1e-4, 1e-6, "g"))
-    assert cell.text == "k0"
-    assert (
-        cell.title
-        == "bias; adds k0; shown by a tumble on a dividing head; e.g. 1600 ug in the example of [Wei2024]"
-    )
-
-
-def test_the_value_of_a_key_is_said_in_words() -> None:
-    for key, words in (
-        ("wanted", "table of quantities"),
-        ("compare", "list of lists of"),
-    ):
-        assert f"value    {words}" in invoked("check", "--explain", key).stdout
-    assert "e.g. in 1" not in invoked("check", "--explain", "seed").stdout
-
-
 def test_every_example_is_toml_and_in_its_unit() -> None:
     """A quantity of an example can be read in the unit that stands beside it."""
     for table, keys in key_table().items():
@@ -166,13 +141,6 @@ def test_what_the_docs_name_is_there() -> None:
             assert name in names, (page.name, name)
 
 
-def test_an_example_runs(tmp_path: Path) -> None:
-    invoked("examples", "--out", tmp_path / "examples")
-    done = invoked("simulate", tmp_path / "examples/dividing-head.toml", "--out", tmp_path / "head")
-    assert done.exit_code == 0, done.exception
-    assert (tmp_path / "head" / "run.toml").exists()
-
-
 def test_the_wheel_holds_them() -> None:
     build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"][
         "targets"
@@ -203,18 +171,6 @@ def test_each_shell_gets_commands_and_options() -> None:
     assert "--phase-source" in fish
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_script_is_one_of_the_shell(shell: str) -> None:
-    done = invoked("completion", shell)
-    assert done.exit_code == 0
-    assert "_PIGA_COMPLETE=complete_" + shell in done.stdout
-    if shell == "zsh":
-        assert done.stdout.startswith("#compdef piga\n")
-    program = shutil.which(shell)
-    if program is not None:
-        subprocess.run([program, "-n"], input=done.stdout, text=True, check=True)
-
-
 def test_bash_completes_with_the_script() -> None:
     bash = shutil.which("bash")
     if bash is None:
@@ -229,12 +185,3 @@ def test_bash_completes_with_the_script() -> None:
 
 def test_another_shell_is_refused() -> None:
     assert invoked("completion", "tcsh").exit_code == 2
-
-
-def test_help_names_no_python_type() -> None:
-    group = get_command(app)
-    assert isinstance(group, TyperGroup)
-    for words in commands(group):
-        text = invoked(*words, "--help").stdout
-        wrong = re.findall(r"<(?:path|str|int|float|list)[^>]*>|\b(?:TEXT|PATH|INTEGER|FLOAT)\b", text)
-        assert not wrong, (words, wrong)

@@ -12,7 +12,7 @@ import piga
 from piga.compensation import Mounted, PhaseFinder, SetCompensator
 from piga.units import G0
 from tests.compensation.triads import orthogonal
-from tests.compensation.twin_data import assert_same_bits, calibration_of, in_pieces
+from tests.compensation.twin_data import calibration_of
 from tests.instrument.servo_truth import Design, motion
 
 DESIGN = Design(beta=1e-3)
@@ -95,18 +95,6 @@ def test_a_set():
             left[name, sampled] = np.abs(rows.f[1:] / G0 - force).max()
     assert left["without", False] > 100e-6
     assert max(left["with", False], left["with", True]) < 6e-6
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("chunks", [1, 13])
-def test_result_is_the_same_to_the_bit_whatever_the_chunks(chunks):
-    columns = {name: record(1.0, 5.0, 0.0)[name] for name in ("t", "output", "f")}
-    cal = calibration_of(
-        {**WHOLE, "k2": 1e-5}, {"servo": 1e-7, "servo_damping": 1e-7, "phi": 1e-4}, angle_rms=1e-6
-    )
-    whole, stream = piga.Compensator(cal).push(columns), piga.Compensator(cal)
-    cuts = [*range(0, whole.ax.size, chunks), whole.ax.size]
-    assert_same_bits(in_pieces(stream, columns, cuts), whole)
 
 
 @pytest.mark.parametrize("force", [(1.0, 1.0, 0.0), (-1.0, 5.0, 1.0), (2.0, 3.0, -4.0)])

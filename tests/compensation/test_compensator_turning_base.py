@@ -12,7 +12,7 @@ import piga
 from piga.compensation import Mounted, SetCompensator
 from piga.units import G0
 from tests.compensation.triads import orthogonal
-from tests.compensation.twin_data import K_G, TAN_BETA, assert_same_bits, calibration_of, in_pieces
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
 
 K, PHI = K_G / G0, 0.3
 Input = Callable[[float], np.ndarray]
@@ -134,18 +134,6 @@ def test_the_beginning_of_a_stretch_takes_nothing_from_before():
     alone = piga.Compensator(calibration()).push({name: c[60:] for name, c in columns.items()})
     assert np.array_equal(whole.ax[60:], alone.ax, equal_nan=True)
     assert np.array_equal(whole.u_ax[60:], alone.u_ax, equal_nan=True)
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("chunks", [1, 3, 7])
-def test_bows_are_the_same_to_the_bit_whatever_the_chunks(chunks):
-    t, psi, f, omega, _ = record(20.0, 3.0, steady, swaying)
-    f = f + 0.1 * np.sin(2.0 * t)[:, None]
-    cal = calibration(scale_factor=1e-6)
-    columns = {"t": t, "output": psi, "f": f, "base_rate": omega}
-    whole, stream = piga.Compensator(cal).push(columns), piga.Compensator(cal)
-    parts = in_pieces(stream, columns, [*range(0, t.size, chunks), t.size])
-    assert_same_bits(parts, whole, ("ax", "u_ax"))
 
 
 AXES = np.array(orthogonal())

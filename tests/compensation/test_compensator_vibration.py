@@ -5,7 +5,6 @@ The truth is a force on a grid 64 times finer than the samples, with own sums.
 
 from __future__ import annotations
 
-import itertools
 import json
 
 import numpy as np
@@ -14,7 +13,7 @@ import pytest
 
 import piga
 from piga._kernels.compensation.vibration import near_nyquist
-from piga.compensation import Compensator, Mounted, SetCompensator
+from piga.compensation import Mounted, SetCompensator
 from piga.records import Run
 from piga.reports.compensation import page
 from piga.reports.render.page import Notice
@@ -61,7 +60,7 @@ def shaken(seed, band, rms=5.0):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("band", [0.6, 1.0, 2.0, 4.0, 6.0])
+@pytest.mark.parametrize("band", [0.6, 2.0, 6.0])
 def test_hidden_variance_stands_in_the_uncertainty(band):
     """Without the term u is zero, and the mean up to 106 micro-g wrong: more than twice u in 1 of 20 records at most."""
     misses = 0
@@ -119,21 +118,6 @@ def test_shaken_reference_is_rectified_by_k_YY():
 def test_force_without_any_step_before_the_last_is_no_division_by_zero():
     assert near_nyquist(0.0, 6.0, 0.0) == 1.0
     assert near_nyquist(0.0, 0.0, 0.0) == 0.0
-
-
-def test_chunks_of_any_size_agree():
-    _, run = shaken(4, 2.0)
-    whole = piga.compensate(run, with_k2())
-    stream = Compensator(with_k2(), step=H)
-    edges = [0, 1, 2, 5, 40, 41, 500, run.size]
-    parts = [
-        stream.push({"t": run.t[a:b], "output": run.output[a:b], "f": run.f[a:b]})
-        for a, b in itertools.pairwise(edges)
-    ]
-    for name in ("ax", "u_ax", "flags"):
-        joined = np.concatenate([getattr(part, name) for part in parts])
-        assert np.array_equal(joined, getattr(whole, name), equal_nan=True)
-    assert stream.remarks() == whole.notes[-1:]
 
 
 @pytest.mark.parametrize("count", [3, 4])

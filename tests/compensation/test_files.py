@@ -27,16 +27,14 @@ def test_resume_is_answered_by_what_to_do(tmp_path, monkeypatch, capsys):
     assert "run the same command again without it" in text
 
 
-@pytest.mark.parametrize("kind", ["angle", "rate"])
-def test_set_of_files_in_chunks_is_the_set_read_whole(tmp_path, monkeypatch, kind):
+def test_set_of_files_in_chunks_is_the_set_read_whole(tmp_path, monkeypatch):
     runs = []
     for i, name in enumerate("xyz"):
         path = write(tmp_path, f"{name}.parquet", rows=400, axes=orthogonal()[i], phi=0.2 * i)
-        if kind == "rate":
-            path.write_text(path.read_text().replace('"angle", unit = "rad"', '"rate", unit = "rad/s"'))
-            table = pa.parquet.read_table(tmp_path / f"{name}.parquet")
-            rate = 0.9 + 0.1 * np.sin(0.3 * (i + 1) * table["t"].to_numpy())
-            pa.parquet.write_table(table.set_column(1, "psi", pa.array(rate)), tmp_path / f"{name}.parquet")
+        path.write_text(path.read_text().replace('"angle", unit = "rad"', '"rate", unit = "rad/s"'))
+        table = pa.parquet.read_table(tmp_path / f"{name}.parquet")
+        rate = 0.9 + 0.1 * np.sin(0.3 * (i + 1) * table["t"].to_numpy())
+        pa.parquet.write_table(table.set_column(1, "psi", pa.array(rate)), tmp_path / f"{name}.parquet")
         runs.append(path)
     mounted = orthogonal_triad([calibration_of(CAL, {"phi": 1e-4}, serial="A") for _ in runs])
     for name in ("whole", "parts"):

@@ -64,12 +64,10 @@ def folded(path: Path, turn: float) -> None:
     pa.parquet.write_table(table.set_column(1, "psi", pa.array(psi)), path.with_suffix(".parquet"))
 
 
-def same(
-    path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, cal: piga.Calibration, chunk: int
-) -> dict[str, int]:
+def same(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, cal: piga.Calibration) -> dict[str, int]:
     """Compare both ways; returns the repairs that were counted on the way."""
     whole = piga.compensate(piga.read_run(path), cal)
-    small_chunks(monkeypatch, chunk)
+    small_chunks(monkeypatch, 37)
     result = to_file(path, cal, folder / "o.parquet")["repairs"]
     assert_file_holds(folder / "o.parquet", whole)
     return result
@@ -90,15 +88,11 @@ VARIANTS = {
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("chunk", [37, 1000])
-def test_every_kind_of_column(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str, chunk: int
-) -> None:
+def test_every_kind_of_column(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str) -> None:
     path = written(tmp_path, **VARIANTS[variant])  # type: ignore[arg-type]
     more = {"k0_T": 1e-5} if variant == "temperature" else {}
     cal = calibration_of({**CAL, **more}, {"phi": 1e-4, "k0": 1e-6}, serial="A", angle_rms=1e-6)
-    repairs = same(path, tmp_path, monkeypatch, cal, chunk)
-    assert repairs == {}
+    assert same(path, tmp_path, monkeypatch, cal) == {}
 
 
 @pytest.mark.only_compiled
@@ -117,7 +111,7 @@ def test_phases_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         f"phi[{x}]": 0.3 + 0.01 * i for i, x in enumerate(labels)
     }
     assert len(labels) == 4
-    same(path, tmp_path, monkeypatch, calibration_of(values, serial="A"), 37)
+    same(path, tmp_path, monkeypatch, calibration_of(values, serial="A"))
 
 
 @pytest.mark.parametrize("turn", [2.0 * np.pi, 6.0 * np.pi])
@@ -125,7 +119,7 @@ def test_an_angle_that_folds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tu
     path = written(tmp_path, output=f'kind = "angle", unit = "rad", wraps_at = "{turn!r} rad"')
     before = pa.parquet.read_table(path.with_suffix(".parquet"))["psi"].to_numpy() + 1.0
     folded(path, turn)
-    result = same(path, tmp_path, monkeypatch, calibration_of(CAL, serial="A"), 37)
+    result = same(path, tmp_path, monkeypatch, calibration_of(CAL, serial="A"))
     assert result.get("counter-roll-over", 0) == np.count_nonzero(np.diff(np.floor(before / turn)))
 
 
@@ -138,7 +132,7 @@ def test_a_gap_loses_the_phase_of_a_range_that_is_no_whole_turn(
     folded(path, turn)
     cal = calibration_of(CAL, serial="A")
     if kept:
-        assert same(path, tmp_path, monkeypatch, cal, 37)["gap"] == 1
+        assert same(path, tmp_path, monkeypatch, cal)["gap"] == 1
         return
     small_chunks(monkeypatch, 37)
     with pytest.raises(piga.CalibrationError, match="the zero of the output angle was lost before segment"):
@@ -149,7 +143,7 @@ def test_values_outside_of_their_range_are_missing(tmp_path: Path, monkeypatch: 
     fz = np.full(ROWS, G0)
     fz[[7, 8, 300]] = 40.0, 50.0, -40.0
     path = written(tmp_path, fz=fz, more="range = { fz = [-40.0, 40.0] }")
-    repairs = same(path, tmp_path, monkeypatch, calibration_of(CAL, serial="A"), 37)
+    repairs = same(path, tmp_path, monkeypatch, calibration_of(CAL, serial="A"))
     assert repairs["saturated"] == 3
 
 
@@ -225,12 +219,11 @@ def write_numbered(folder, name: str, more: str):
 
 
 @pytest.mark.parametrize("name", ["run.parquet", "run.tdms"])
-@pytest.mark.parametrize("chunk", [37, 1 << 16])
-def test_ranges_and_sequence_numbers_hold_in_a_streamed_file(tmp_path, monkeypatch, name, chunk):
+def test_ranges_and_sequence_numbers_hold_in_a_streamed_file(tmp_path, monkeypatch, name):
     more = 'sequence = { column = "n", wraps_at = 256 }\n[data.range]\npsi = [-1e6, 1e6]\nfy = [-100.0, 100.0]'
     path = write_numbered(tmp_path, name, more)
     whole = piga.compensate(piga.read_run(path), NUMBERED_CAL)
-    small_chunks(monkeypatch, chunk)
+    small_chunks(monkeypatch, 37)
     summary = to_file(path, NUMBERED_CAL, tmp_path / "o.parquet")
     assert summary["rows"] == whole.size == NUMBERED_ROWS - 4
     assert_file_holds(tmp_path / "o.parquet", whole)

@@ -65,20 +65,6 @@ def test_full_error_model_of_angles():
     assert np.abs(compensated.f[1:] - f[1:]).max() < 2e-12 * G0 * max(1.0, 0.009 * ROWS)
 
 
-@pytest.mark.only_compiled
-@pytest.mark.parametrize("size", [3, 37])
-def test_a_redundant_set_that_locks_is_the_same_whatever_the_chunks(size: int) -> None:
-    """Weights follow the force that is found without them: both solutions look back over the edges of the chunks."""
-    t = np.linspace(0.0, 26.0, ROWS // 2)
-    f = G0 * np.column_stack([np.cos(0.7 * t), np.sin(0.7 * t), 0.4 + 0.0 * t])
-    runs, mounted = made(t, f, [rotation(a) for a in SKEWED], std={"phi": 1e-5, "tan_beta": 1e-6})
-    psi = np.array([run.output for run in runs])
-    whole, stream = SetCompensator(mounted).push(t, psi), SetCompensator(mounted)
-    assert whole.flagged("near_critical").any()
-    parts = [stream.push(t[i : i + size], psi[:, i : i + size]) for i in range(0, t.size, size)]
-    assert_same_bits(parts, whole, ("f", "dv", "u_f", "residual", "flags"))
-
-
 @pytest.mark.compiled
 def test_set_is_the_same_to_the_bit_whatever_the_chunks():
     t = np.arange(ROWS) * 0.01

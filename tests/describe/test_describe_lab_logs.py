@@ -52,35 +52,27 @@ def test_numbers_are_those_of_the_record(tmp_path: Path, name: str) -> None:
     assert read_run_file(path).instrument.counts_per_revolution == 72000
 
 
-@pytest.mark.parametrize(("name", "key", "value"), [
-    ("german.csv", "encoding", "cp1252"),
-    ("german.csv", "decimal", ","),
-    ("german.csv", "header_row", 6),
-    ("german.csv", "units_row", 7),
-    ("german.csv", "time", {"column": "Zeitstempel", "stamp": "DD.MM.YYYY hh:mm:ss.f"}),
-    ("german.csv", "temperature", {"column": "Temperatur", "unit": "°C"}),
-    ("labview.lvm", "header_row", 20),
-    ("labview.lvm", "delimiter", "\t"),
-    ("labview.lvm", "output", {"column": "Counter", "kind": "counts"}),
-    ("chinese.csv", "encoding", "gb18030"),
-    ("chinese.csv", "segment", "位置号"),
-    ("french.csv", "time", {"column": "Temps", "unit": "ms"}),
-    ("french.csv", "header_row", 2),
-    ("iso.csv", "time", {"column": "timestamp", "stamp": "iso"}),
-    ("folded.tsv", "header_row", 5),
-    ("folded.tsv", "units_row", 6),
-    ("head-angle.csv", "segment", {"holds_of": "Teilkopfwinkel"}),
-    ("centrifuge.csv", "segment", "level"),
-])  # fmt: skip
-def test_what_is_guessed(name: str, key: str, value: object) -> None:
-    assert draft_run_file(describe_log(LOGS / name)).document["data"][key] == value
+GUESSED = {
+    "german.csv": {
+        "serial": "G-0417", "encoding": "cp1252", "decimal": ",", "header_row": 6, "units_row": 7,
+        "time": {"column": "Zeitstempel", "stamp": "DD.MM.YYYY hh:mm:ss.f"},
+        "temperature": {"column": "Temperatur", "unit": "°C"},
+    },
+    "labview.lvm": {"header_row": 20, "delimiter": "\t", "output": {"column": "Counter", "kind": "counts"}},
+    "chinese.csv": {"serial": "BY-07", "encoding": "gb18030", "segment": "位置号"},
+    "french.csv": {"serial": "A-12", "time": {"column": "Temps", "unit": "ms"}, "header_row": 2},
+    "iso.csv": {"serial": "iso", "time": {"column": "timestamp", "stamp": "iso"}},
+    "folded.tsv": {"serial": "T-9", "header_row": 5, "units_row": 6},
+    "head-angle.csv": {"segment": {"holds_of": "Teilkopfwinkel"}},
+    "centrifuge.csv": {"segment": "level"},
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "serial"), [
-    ("german.csv", "G-0417"), ("chinese.csv", "BY-07"), ("french.csv", "A-12"), ("folded.tsv", "T-9"), ("iso.csv", "iso"),
-])  # fmt: skip
-def test_serial_of_the_preamble(name: str, serial: str) -> None:
-    assert draft_run_file(describe_log(LOGS / name)).document["instrument"]["serial"] == serial
+@pytest.mark.parametrize("name", GUESSED)
+def test_what_is_guessed(name: str) -> None:
+    document = draft_run_file(describe_log(LOGS / name)).document
+    found = document["data"] | {"serial": document["instrument"]["serial"]}
+    assert {key: found[key] for key in GUESSED[name]} == GUESSED[name]
 
 
 def test_a_counter_that_folds_and_a_gap(tmp_path: Path) -> None:

@@ -193,9 +193,10 @@ def test_sheets_formulas_hidden_rows_and_text(tmp_path: Path) -> None:
         read_xlsx(path, NAMES, None, "log")
 
 
-@pytest.mark.parametrize("shape", [(700,), (700, 1), (1, 700)])
-@pytest.mark.parametrize("kind", ["f8", "f4", "i4", "u8"])
-@pytest.mark.parametrize("matlab", [False, True])
+@pytest.mark.parametrize(
+    ("shape", "matlab"), [((700,), False), ((700, 1), False), ((1, 700), False), ((1, 700), True)]
+)
+@pytest.mark.parametrize("kind", ["f4", "i4"])
 def test_a_column_standing_or_lying(tmp_path: Path, shape: tuple[int, ...], kind: str, matlab: bool) -> None:
     values = (1000.0 * np.random.default_rng(1).random(700)).astype(kind)
     with h5py.File(tmp_path / "a.h5", "w") as out:
@@ -210,7 +211,7 @@ def test_a_column_standing_or_lying(tmp_path: Path, shape: tuple[int, ...], kind
         np.testing.assert_array_equal(result[name], values.astype(float))
 
 
-@pytest.mark.parametrize("kind", ["f8", "f4", "i4", "u8"])
+@pytest.mark.parametrize("kind", ["f4", "i4"])
 @pytest.mark.parametrize("cut", [0, 300])
 def test_a_channel_in_segments(tmp_path: Path, kind: str, cut: int) -> None:
     """As it was written, and cut off in its last segment."""

@@ -39,7 +39,7 @@ from tests.planning.cases import request
 
 pytestmark = pytest.mark.compiled
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plan-dividing-head.toml"
-REPEATS = 100
+REPEATS = 30
 
 
 def regression(points: np.ndarray, degree: int) -> np.ndarray:

@@ -29,7 +29,8 @@ ARCSEC = DEG / 3600.0
 EXAMPLES = Path(__file__).parents[2] / "examples"
 INTERPRETED = bool(numba.config.DISABLE_JIT)
 
-only_compiled = pytest.mark.skipif(INTERPRETED, reason="days of one-second steps take minutes with the JIT off")
+only_compiled = pytest.mark.only_compiled
+"""Days of one-second steps."""
 
 
 def published(**changes) -> PlatformScenario:

@@ -15,7 +15,6 @@ from tests.platform.conftest import (
     ARCMIN,
     ARCSEC,
     AT_SEA,
-    INTERPRETED,
     NOISE,
     calibration,
     only_compiled,
@@ -75,7 +74,7 @@ def _hold(scores, nees, sigmas, margin=0.0):
 @only_compiled
 @pytest.mark.parametrize("case", CASES)
 def test_intervals_hold(case):
-    scores, nees = _scores(case, range(40))
+    scores, nees = _scores(case, range(20))
     _hold(scores, nees, 4.0)
 
 
@@ -159,7 +158,7 @@ def _bound(s, sources):
 @pytest.mark.parametrize("sources", [ANGLES, FORCE])
 def test_every_uncertainty_is_the_cramer_rao_bound(sources):
     """Angles, phases and harmonics. The force is held to the bound of a base *known* to be at rest."""
-    s = calibration(sensors=NOISE, duration=7200.0, step=16.0 if INTERPRETED else 4.0)
+    s = calibration(sensors=NOISE, duration=7200.0, step=4.0)
     identified = identify(simulate(s).readouts, s.place, sources=sources)
     level = {"gimbals": ARCSEC, "pick-off": ARCSEC, "force": NOISE.velocity_random_walk / np.sqrt(s.step)}
     noise = np.mean([identified.noise[k] / level[k] for k in sources])

@@ -73,20 +73,6 @@ def test_the_step_is_of_fourth_order():
     assert np.all(orders > 3.6)
 
 
-def test_chunks_do_not_change_the_result():
-    s = published(duration=600.0, step=2.0)
-    run = simulate(s)
-    made = compensator("B", true_knowledge(s), run.readouts)
-    whole = Navigator(true_start(run.truth), 2.0).push(run.readouts.increments, made.middles, np.zeros(1))
-    navigator = Navigator(true_start(run.truth), 2.0)
-
-    def pushed(part):
-        return navigator.push(run.readouts.increments[part], made.middles[part], np.zeros(1))[0]
-
-    rows = [pushed(part) for part in (slice(0, 2), slice(2, 131), slice(131, 300))]
-    np.testing.assert_array_equal(np.concatenate(rows), whole[0])
-
-
 def test_rows_can_be_thinned_but_must_divide():
     s = published(duration=600.0, step=2.0)
     _, dense = navigated(s, "A")

@@ -150,12 +150,9 @@ def test_the_corpus_ends_alike(
     test_every_command_ends_alike_at_every_length(tmp_path, monkeypatch, capsys, name)
 
 
-@pytest.mark.parametrize("length", LENGTHS)
-def test_a_growing_file_is_refused_at_every_length(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, length: str
-) -> None:
+def test_a_growing_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     run, collect = Case("grows", text(rows()), "error").write(tmp_path), columns.collect
-    as_long(monkeypatch, length)
+    as_long(monkeypatch, "on disk")
 
     def grow(path: Path, *more: object) -> columns.RawColumns:
         result = collect(path, *more)  # type: ignore[arg-type]

@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 
@@ -165,8 +164,14 @@ def test_calibration_finds_the_truth_of_every_stand(kind, tmp_path):
         assert abs(error) < 4.0 * std, key
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="minutes of twin need compiled code")
-@pytest.mark.parametrize("kind", SHORT)
+@pytest.mark.only_compiled
+@pytest.mark.parametrize(
+    "kind",
+    [
+        kind if kind in ("dividing-head", "centrifuge") else pytest.param(kind, marks=pytest.mark.slow)
+        for kind in SHORT
+    ],
+)
 def test_calibration_of_a_twin_run_is_off_by_the_predicted_model_error(kind, tmp_path):
     """Within the uncertainty plus the predicted model error; taken off first, within the uncertainty."""
     stand, sample_rate = SHORT[kind]
@@ -183,7 +188,7 @@ def test_calibration_of_a_twin_run_is_off_by_the_predicted_model_error(kind, tmp
         assert abs(raw[key][0]) < 4.0 * std + 1.2 * abs(model_error), key
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="minutes of twin need compiled code")
+@pytest.mark.only_compiled
 def test_second_harmonic_of_a_soft_servo_shows_at_order_two(tmp_path):
     from piga.calibration.orders import order_spectrum
     from piga.reports.calibration.tables import scale_factor

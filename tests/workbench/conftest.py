@@ -275,9 +275,15 @@ def program(chromium: str) -> Iterator[Any]:
         browser.close()
 
 
-@pytest.fixture(params=[(1300, "light"), (400, "dark")], ids=["wide-light", "narrow-dark"])
+WIDE, NARROW = (1300, "light"), (400, "dark")
+narrow = pytest.mark.parametrize("browser", [NARROW], indirect=True, ids=["narrow-dark"])
+both = pytest.mark.parametrize("browser", [WIDE, NARROW], indirect=True, ids=["wide-light", "narrow-dark"])
+"""Windows of a test. Each page is seen in both; what a person does in it is done in one."""
+
+
+@pytest.fixture
 def browser(request: pytest.FixtureRequest, program: Any, running: Server) -> Iterator[Browser]:
-    width, scheme = request.param
+    width, scheme = getattr(request, "param", WIDE)
     context = program.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
     name, _, value = running.client.cookie.partition("=")
     context.add_cookies([{"name": name, "value": value, "url": f"http://127.0.0.1:{running.client.port}"}])

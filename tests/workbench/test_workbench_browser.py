@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -17,10 +16,19 @@ from piga.records import Calibration
 from tests.certificate.certificate_data import budgeted, key_pair
 from tests.reports.example import calibration
 from tests.workbench import logs
-from tests.workbench.conftest import Browser, Server, entered, shipped_record, wait_until
+from tests.workbench.conftest import (
+    NARROW,
+    WIDE,
+    Browser,
+    Server,
+    both,
+    entered,
+    narrow,
+    shipped_record,
+    wait_until,
+)
 
 pytestmark = pytest.mark.only_compiled
-"""Paths that differ only in what they fill in are gone in one window."""
 SCALE = "Nominal scale factor (pendulosity over angular momentum)"
 COUNTS = "Counts of the output per revolution of the outer gimbal"
 
@@ -38,13 +46,14 @@ def drawn(browser: Browser) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "log", "values"),
+    ("browser", "name", "log", "values"),
     [
-        ("Messung 7.csv", logs.german, {SCALE: "0,8884 rad/s/g"}),
-        ("\u53f0\u67b6.xlsx", logs.chinese, {}),
-        ("centrifuge.csv", logs.centrifuge, {SCALE: "0.8884 rad/s/g"}),
+        (NARROW, "Messung 7.csv", logs.german, {SCALE: "0,8884 rad/s/g"}),
+        (WIDE, "\u53f0\u67b6.xlsx", logs.chinese, {}),
+        (WIDE, "centrifuge.csv", logs.centrifuge, {SCALE: "0.8884 rad/s/g"}),
     ],
     ids=["german", "chinese", "centrifuge"],
+    indirect=["browser"],
 )
 def test_a_strangers_log_takes_six_actions(
     browser: Browser, place: Path, tmp_path: Path, name: str, log: Any, values: dict[str, str]
@@ -89,6 +98,7 @@ def test_a_strangers_log_takes_six_actions(
         shutil.rmtree(kept) if kept.is_dir() else kept.unlink()
 
 
+@narrow
 def test_a_bare_number_and_a_wrong_unit_are_refused_at_their_field(browser: Browser, place: Path) -> None:
     page = browser.page
     (place / "bare.csv").write_bytes(logs.german())
@@ -302,7 +312,7 @@ def test_a_lost_server_is_said_and_found_again(program: Any, tmp_path: Path) -> 
     assert again.end() == (0, "")
 
 
-def test_three_hundred_records_open_and_are_searched_at_once(program: Any, tmp_path: Path) -> None:
+def test_three_hundred_records_open_and_are_searched(program: Any, tmp_path: Path) -> None:
     run = shipped_record(tmp_path)
     text = run.read_text(encoding="utf-8")
     made = calibration(serial="tumble-a", with_residuals=False)
@@ -314,27 +324,22 @@ def test_three_hundred_records_open_and_are_searched_at_once(program: Any, tmp_p
         shutil.copy(tmp_path / "calibration.json", place)
     (tmp_path / "calibration.json").unlink()
     server = entered(tmp_path)
-    server.client.page("/text")
-    started = time.monotonic()
-    page_text = server.client.page("/text")
-    assert time.monotonic() - started < 5.0
-    assert page_text.count("<li data-words") == 301
+    assert server.client.page("/text").count("<li data-words") == 301
     context = program.new_context(viewport={"width": 1300, "height": 900})
     name, _, value = server.client.cookie.partition("=")
     context.add_cookies([{"name": name, "value": value, "url": server.client.home}])
     page = context.new_page()
     page.goto(f"{server.client.home}/text")
-    spent = page.evaluate(
-        """() => { const box = document.getElementById('search'); const start = performance.now();
-           box.value = 'run-123'; box.dispatchEvent(new Event('input'));
-           document.body.getBoundingClientRect(); return performance.now() - start; }"""
+    page.evaluate(
+        """() => { const box = document.getElementById('search');
+           box.value = 'run-123'; box.dispatchEvent(new Event('input')); }"""
     )
-    assert spent < 2000.0
     assert page.locator("#records li:visible").count() == 1
     context.close()
     assert server.end() == (0, "")
 
 
+@narrow
 def test_a_certificate_is_signed_verified_and_refused_when_it_was_changed(
     browser: Browser, place: Path
 ) -> None:
@@ -377,6 +382,7 @@ def test_a_certificate_is_signed_verified_and_refused_when_it_was_changed(
     (place / "certificate.toml").unlink()
 
 
+@both
 def test_every_other_page_is_clean(browser: Browser, place: Path) -> None:
     page = browser.page
     for path in (
@@ -403,6 +409,7 @@ def test_every_other_page_is_clean(browser: Browser, place: Path) -> None:
     assert not page.get_by_role("button", name="Keep", exact=True).is_visible()
 
 
+@narrow
 def test_a_plan_is_made_and_a_record_compensated(browser: Browser, place: Path) -> None:
     page = browser.page
     browser.open("/record/tumble-a.toml")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.workbench.conftest import Browser, wait_until
+from tests.workbench.conftest import Browser, both, wait_until
 
 pytestmark = pytest.mark.only_compiled
 SELECTED = """key => document.getElementById(key).querySelector('.live').data
@@ -107,6 +107,7 @@ def test_a_segment_is_selected_everywhere(browser: Browser, report: tuple[str, A
     assert frame.locator("#chosen").input_value() == ""
 
 
+@both
 def test_no_figure_moves_the_page_when_it_is_drawn(browser: Browser, report: tuple[str, Any]) -> None:
     page = browser.page
     browser.open(_alone(report[0]))
@@ -132,6 +133,7 @@ def test_what_the_reader_zoomed_stays(browser: Browser, report: tuple[str, Any])
     assert shown == pytest.approx([100.0, 300.0])
 
 
+@both
 def test_the_report_alone_does_the_same_and_is_accessible(browser: Browser, report: tuple[str, Any]) -> None:
     browser.open(_alone(report[0]))
     browser.is_accessible()

@@ -8,15 +8,12 @@ import pytest
 
 import piga
 from piga._kernels.compensation import data as at
-from piga.compensation import Compensator
 from piga.compensation.model import make_model
 from piga.units import G0
 from tests.compensation.twin_data import (
     K_G,
     TAN_BETA,
-    assert_same_bits,
     calibration_of,
-    in_pieces,
     mean_force,
     run_of,
 )
@@ -48,27 +45,6 @@ def test_uneven_intervals_cost_the_higher_differences_only():
     t = np.cumsum(0.01 * (1.0 + 0.2 * rng.random(500)))
     left = np.abs(piga.compensate(run_of(t, smooth(t), phi=0.4), CAL).ax[1:] - mean_force(smooth(t)))[3:]
     assert left.max() < 1e-8 * G0
-
-
-@pytest.mark.only_compiled
-def test_intervals_are_the_same_to_the_bit_whatever_the_chunks():
-    """Some intervals turn far, some are uneven, some begin stretches."""
-    rng = np.random.default_rng(4)
-    size = 3000
-    t = np.cumsum(rng.choice([0.01, 0.01, 0.01, 0.012, 0.05], size))
-    f = smooth(t) + 0.1 * G0 * rng.standard_normal((size, 3))
-    psi = run_of(t, f, phi=0.4).output
-    begins = rng.random(size) < 0.02
-    std = {"phi": 1e-4, "tan_beta": 1e-7, "k0": 1e-6, "scale_factor": 1e-7, "k2": 1e-7}
-    cal = calibration_of(
-        {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4, "k0": 1e-3, "k2": 1e-5, "s2": 1e-5, "c2": 0.0},
-        std,
-    )
-    columns = {"t": t, "output": psi, "f": f, "begins": begins}
-    whole = Compensator(cal).push(columns)
-    for _ in range(6):
-        cuts = [0, *np.sort(rng.integers(0, size, 9)).tolist(), size]
-        assert_same_bits(in_pieces(Compensator(cal), columns, cuts), whole)
 
 
 def test_coefficients_have_codes_of_their_own():

@@ -17,10 +17,11 @@ from piga.calibration.weights import Noise
 from piga.errors import CalibrationError, RunFileError
 from piga.planning.plan import plan_test
 from piga.records.calibration import Amount
-from piga.records.run_file import ASSUMED_SOURCES, EstimationTable, UncertaintyTable
+from piga.records.run_file import ASSUMED_SOURCES, EstimationTable
 from tests.calibration.made.dense import increments_covariance
 from tests.calibration.made.repeated import ARCSEC, CASES, TERMS, Repeated, coverage, head
 from tests.calibration.made.scenarios import SCENARIOS, Array, Scenario
+from tests.calibration.made.synthetic import at_rest
 from tests.chance import assert_variance
 from tests.planning.cases import request
 
@@ -121,9 +122,7 @@ def test_what_is_stated_is_not_found_again() -> None:
         silent = case.scenario.calibrate(
             replace(
                 run,
-                uncertainty=UncertaintyTable(
-                    waived={"earth_rate": "simulated at rest", "servo": "simulated without"}
-                ),
+                uncertainty=at_rest(),
             )
         )
         assert told.segment_scatter < 0.7 * silent.segment_scatter
@@ -151,10 +150,7 @@ def test_more_than_is_stated_is_found_beside_it() -> None:
 def test_what_is_lost_in_the_noise_leaves_the_fit_as_it_is(record: piga.Run) -> None:
     told = replace(
         record,
-        uncertainty=UncertaintyTable(
-            waived={"earth_rate": "simulated at rest", "servo": "simulated without"},
-            angle_repeatability="0.05 arcsec",
-        ),
+        uncertainty=at_rest(angle_repeatability="0.05 arcsec"),
     )
     with_it, without = (
         piga.calibrate(r, SETTING.scenario.terms)
@@ -162,9 +158,7 @@ def test_what_is_lost_in_the_noise_leaves_the_fit_as_it_is(record: piga.Run) -> 
             told,
             replace(
                 record,
-                uncertainty=UncertaintyTable(
-                    waived={"earth_rate": "simulated at rest", "servo": "simulated without"}
-                ),
+                uncertainty=at_rest(),
             ),
         )
     )
@@ -180,10 +174,12 @@ def test_what_is_lost_in_the_noise_leaves_the_fit_as_it_is(record: piga.Run) -> 
 @pytest.fixture(scope="module")
 def pair() -> list[piga.Run]:
     """Two tests on one head with one reference: repeated settings and mountings, a shared turn of the axis."""
-    stated = UncertaintyTable(waived={"earth_rate": "simulated at rest", "servo": "simulated without"},
-        reference_id="head 2", angle_repeatability="2 arcsec", reference_misalignment="1 arcsec",
+    stated = at_rest(
+        reference_id="head 2",
+        angle_repeatability="2 arcsec",
+        reference_misalignment="1 arcsec",
         mounting_repeatability="1 arcsec",
-    )  # fmt: skip
+    )
     records = [SETTING.record(np.random.default_rng(seed)) for seed in (1, 2)]
     return [replace(known_noise(run), uncertainty=stated) for run in records]
 
@@ -252,7 +248,7 @@ def test_the_reference_of_each_level_of_a_centrifuge() -> None:
     arm = replace(arm, seconds=2.0, rate=20.0, terms=("scale_factor", "k0"))
     run = replace(
         known_noise(arm.record(np.random.default_rng(3))),
-        uncertainty=UncertaintyTable(waived={"earth_rate": "simulated at rest", "servo": "simulated without"}),
+        uncertainty=at_rest(),
     )
 
     def scale(r: piga.Run) -> float:
@@ -265,10 +261,7 @@ def test_the_reference_of_each_level_of_a_centrifuge() -> None:
     expected = np.linalg.norm([scale(r) - scale(run) for r in moved])
     told = replace(
         run,
-        uncertainty=UncertaintyTable(
-            waived={"earth_rate": "simulated at rest", "servo": "simulated without"},
-            reference_repeatability="20 ppm",
-        ),
+        uncertainty=at_rest(reference_repeatability="20 ppm"),
     )
     result = rows(piga.calibrate(told, arm.terms))["reference_repeatability"]
     assert 0.5 * expected < result.contributions["scale_factor"] < 1.001 * expected, "the weights know of it"
@@ -302,9 +295,7 @@ def test_a_stand_refuses_what_it_does_not_repeat(record: piga.Run) -> None:
     wrong = replace(
         record,
         source="a.toml",
-        uncertainty=UncertaintyTable(
-            waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, rate_repeatability="1 ppm"
-        ),
+        uncertainty=at_rest(rate_repeatability="1 ppm"),
     )
     with pytest.raises(RunFileError, match=r"rate_repeatability does not exist on a dividing-head") as refused:
         piga.calibrate(wrong, TERMS)
@@ -315,9 +306,7 @@ def test_a_distribution_may_be_stated(record: piga.Run) -> None:
     spread = {"half_width": "2 arcsec", "distribution": "rectangular"}
     told = replace(
         known_noise(record),
-        uncertainty=UncertaintyTable(
-            waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, angle_repeatability=spread
-        ),
+        uncertainty=at_rest(angle_repeatability=spread),
     )
     row = rows(piga.calibrate(told, SETTING.scenario.terms))[ROW]
     assert row.distribution == "rectangular"

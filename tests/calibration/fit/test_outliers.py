@@ -24,8 +24,7 @@ def spiked(run: piga.Run, seed: int, share: float, size: float) -> tuple[piga.Ru
 
 
 @pytest.mark.only_compiled
-@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
-@pytest.mark.parametrize("share", [0.001, 0.05, 0.2])
+@pytest.mark.parametrize(("share", "size"), [(0.001, 1e-3), (0.05, 1.0), (0.2, 1e-3), (0.2, 1e3)])
 def test_spikes_are_left_out(share: float, size: float) -> None:
     run = record(np.random.default_rng(31), **NOISE)
     bad, where = spiked(run, 31, share, size)
@@ -42,9 +41,9 @@ def test_spikes_are_left_out(share: float, size: float) -> None:
 
 @pytest.mark.only_compiled
 def test_intervals_hold_under_contamination() -> None:
-    """40 records with 20 % bad samples: mean square of error over uncertainty that of Student's t with few degrees of freedom."""
+    """20 records with 20 % bad samples: mean square of error over uncertainty that of Student's t with few degrees of freedom."""
     squares = []
-    for seed in range(40):
+    for seed in range(20):
         run = record(np.random.default_rng([seed, 33]), **{**NOISE, "seconds": 10.0}, count=8)
         calibration = piga.calibrate(spiked(run, seed, 0.2, 0.05)[0], TERMS)
         squares += [z**2 for z in errors(calibration).values()]
@@ -96,26 +95,7 @@ def test_too_much_is_refused() -> None:
 
 
 @pytest.mark.only_compiled
-def test_rate_log() -> None:
-    rng = np.random.default_rng(35)
-    t = np.arange(20_001) * 0.01
-    f = G0 * np.column_stack([1.0 + np.sin(0.3 * t), 3.0 * np.cos(0.2 * t), 0.5 + 0.0 * t])
-    _, rate = piga.propagate(
-        piga.Instrument(scale_factor=SCALE, beta=BETA), t, f, with_rate=True, between="linear"
-    )
-    rate = rate + 1e-5 * rng.standard_normal(t.size)
-    bad = rng.choice(t.size, 2000, replace=False)
-    rate[bad] += rng.standard_normal(bad.size)
-    run = piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate", units="SI")
-    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"])
-    assert sum(o.samples for o in calibration.outliers) == pytest.approx(2000, abs=2)
-    assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), abs=4.0 * calibration["tan_beta"].std)
-    assert calibration.angle_random_walk == pytest.approx(1e-6, rel=0.03)
-
-
-@pytest.mark.only_compiled
-@pytest.mark.parametrize("size", [30.0, 300.0, -5e4])
-@pytest.mark.parametrize("bad", [1, 30])
+@pytest.mark.parametrize(("size", "bad"), [(30.0, 30), (300.0, 1), (-5e4, 30)])
 def test_spikes_of_a_rate_log_do_not_turn_its_phase(size: float, bad: int) -> None:
     """Their integral is radians: with it the coupling of the rest of the log would be at another phase."""
     t = 0.1 * np.arange(600)
@@ -134,14 +114,14 @@ def test_spikes_of_a_rate_log_do_not_turn_its_phase(size: float, bad: int) -> No
 
 @pytest.mark.only_compiled
 def test_clean_records_stay_whole() -> None:
-    """20 records, 96 000 good samples: fewer than 5 are left out (1 expected)."""
+    """10 records, 48 000 good samples: fewer than 4 are left out (0.5 expected)."""
     lost = 0
-    for seed in range(20):
+    for seed in range(10):
         calibration = piga.calibrate(
             record(np.random.default_rng([seed, 36]), **NOISE, levels=(1.0,)), TERMS[:3]
         )
         lost += sum(outlier.samples for outlier in calibration.outliers)
-    assert lost < 5
+    assert lost < 4
     assert limit(1_000_000, 5) == pytest.approx(5.45, abs=0.01)
 
 
@@ -157,14 +137,6 @@ def test_coarse_counts_are_no_outliers(count: float) -> None:
 def test_missing_terms_are_no_outliers() -> None:
     run = record(np.random.default_rng(38), white=1e-7)
     assert piga.calibrate(run, ["scale_factor"]).outliers == ()
-
-
-@pytest.mark.only_compiled
-def test_outliers_in_the_file(tmp_path) -> None:
-    run = record(np.random.default_rng(39), **NOISE)
-    calibration = piga.calibrate(spiked(run, 39, 0.01, 1.0)[0], TERMS)
-    calibration.to_json(tmp_path / "c.json")
-    assert piga.Calibration.from_json(tmp_path / "c.json").outliers == calibration.outliers
 
 
 def test_errors_of_readings_come_back() -> None:
@@ -205,18 +177,10 @@ def test_the_first_good_reading_begins_the_stretch() -> None:
 
 @pytest.mark.only_compiled
 @pytest.mark.parametrize("rate", [0.004, 0.05, 0.6])
-def test_readings_that_stand_still_are_no_outliers(rate: float) -> None:
-    """A path of so many counts a sample: most readings repeat the one before."""
-    run = slow_counter(rate)
-    calibration = piga.calibrate(run, ["scale_factor"])
-    assert calibration.outliers == ()
-    assert abs(calibration["scale_factor"].value - G0) < 5.0 * calibration["scale_factor"].std
-
-
-@pytest.mark.only_compiled
-@pytest.mark.parametrize("rate", [0.004, 0.05, 0.6])
 def test_spikes_are_found_among_readings_that_stand_still(rate: float) -> None:
+    """A path of so many counts a sample: most readings repeat the one before, and are no outliers."""
     run = slow_counter(rate)
+    assert piga.calibrate(run, ["scale_factor"]).outliers == ()
     bad, where = spiked(run, 12, 0.1, 0.05)
     calibration = piga.calibrate(bad, ["scale_factor"])
     assert sum(outlier.samples for outlier in calibration.outliers) == pytest.approx(where.size, rel=0.02)
@@ -267,12 +231,12 @@ def few_readings(rng: np.random.Generator, count: int, readings: int) -> piga.Ru
 @pytest.mark.only_compiled
 @pytest.mark.parametrize(("count", "readings", "size"), [(8, 4, 1e-3), (4, 8, 0.05)])
 def test_one_wrong_reading_of_thirty_two(count: int, readings: int, size: float) -> None:
-    """30 records: sound ones keep all readings, of others the wrong one alone is left out.
+    """15 records: sound ones keep all readings, of others the wrong one alone is left out.
 
     With four positions a wrong first reading of a position may leave too little for an interval: refused, not guessed.
     """
     kept = alone = refused = 0
-    for seed in range(30):
+    for seed in range(15):
         rng = np.random.default_rng([seed, count])
         run = few_readings(rng, count, readings)
         terms = ["scale_factor", "tan_beta", "k0"]
@@ -285,9 +249,9 @@ def test_one_wrong_reading_of_thirty_two(count: int, readings: int, size: float)
             refused += 1
             continue
         alone += sum(outlier.samples for outlier in result.outliers) == 1
-    assert kept >= 28
-    assert alone >= 24
-    assert refused <= (3 if count == 4 else 0)
+    assert kept >= 14
+    assert alone >= 12
+    assert refused <= (2 if count == 4 else 0)
 
 
 def test_spikes_of_a_log_of_rates() -> None:

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
-import jsonschema
 import msgspec
 import numpy as np
 import pytest
 
 import piga
 from piga.calibration.joint.summary import RunSummary
-from piga.formats.parquet import write_residuals
-from piga.records.calibration.document import to_document
-from piga.records.run_file import Spread, UncertaintyTable
+from piga.records.run_file import Spread
 from tests.calibration.made.scenarios import SCENARIOS
 from tests.calibration.made.scenarios_joint import TERMS, joint_test, scores
+from tests.calibration.made.synthetic import at_rest
 from tests.chance import assert_variance
 
 pytestmark = pytest.mark.only_compiled
@@ -110,97 +107,7 @@ def test_summary_stands_in_for_the_raw_data(
     assert asked_anew["k3"].std < 1e-4
 
 
-def test_damaged_summary_is_refused(runs: list[piga.Run], tmp_path: Path) -> None:
-    path = tmp_path / "s.json"
-    RunSummary.of(runs[0], ["scale_factor", "k0"]).to_json(path)
-    document = json.loads(path.read_text())
-    for change, words in (
-        (lambda d: d["positions"][0]["part"]["factor"][0].pop(), "its summaries are damaged"),
-        (lambda d: d["positions"][0]["part"]["factor"][0].__setitem__(0, "1.0"), "its summaries are damaged"),
-        (lambda d: d["positions"][0]["part"].update(factor=None), "its summaries are damaged"),
-        (lambda d: d["positions"][0]["part"].update(count=-1), "its summaries are damaged"),
-        (lambda d: d["noise"].update(white=-1e-9), "its noise levels are damaged"),
-        (lambda d: d["noise"].update(walk="much"), "noise.walk"),
-        (lambda d: d.pop("kind"), "kind"),
-    ):
-        damaged = json.loads(json.dumps(document))
-        change(damaged)
-        path.write_text(json.dumps(damaged))
-        with pytest.raises(piga.CalibrationError, match=words):
-            RunSummary.from_json(path)
-    path.write_text('{"schema": "piga.calibration/1"}')
-    with pytest.raises(piga.CalibrationError, match="no run summary"):
-        RunSummary.from_json(path)
-
-
-def test_coefficients_per_run(runs: list[piga.Run]) -> None:
-    calibration = piga.calibrate(runs, ["scale_factor", "tan_beta", "k0", "k2"], per_run=["k0"])
-    assert {c.key for c in calibration.coefficients} >= {"k0[run 1]", "k0[run 2]", "phi[run 1]", "phi[run 2]"}
-    seen = calibration.for_run("run 2")
-    assert [c.key for c in seen.coefficients] == ["scale_factor", "tan_beta", "phi", "k0", "k2"]
-    assert seen["k0"].value == calibration["k0[run 2]"].value
-    assert piga.compensate(runs[1], seen).ax.size == runs[1].size
-    with pytest.raises(piga.CalibrationError, match=r"k0 differs between the runs"):
-        piga.compensate(runs[1], calibration)
-    with pytest.raises(piga.ArgumentError, match="scale_factor"):
-        piga.calibrate(runs, per_run=["scale_factor"])
-
-
-def test_common_source_moves_all_runs_an_own_one_only_its_run(runs: list[piga.Run]) -> None:
-    """A scale error shared by both stands goes into K undiminished; independent ones average."""
-    terms = TERMS
-
-    def scale_part(first: str | None, second: str | None) -> tuple[float, int]:
-        tables = (
-            UncertaintyTable(
-                waived={"earth_rate": "simulated at rest", "servo": "simulated without"},
-                reference_scale="10 ppm",
-                reference_id=name,
-            )
-            for name in (first, second)
-        )
-        moved = [replace(run, uncertainty=table) for run, table in zip(runs, tables, strict=True)]
-        rows = [row for row in piga.calibrate(moved, terms).budget if row.type == "B"]
-        return float(np.sqrt(sum(row.contributions["scale_factor"] ** 2 for row in rows))), len(rows)
-
-    shared, count = scale_part("head 1", "head 1")
-    assert count == 1
-    assert shared == pytest.approx(10e-6 * 0.8886, rel=1e-3)
-    apart, count = scale_part("head 1", "centrifuge 2")
-    assert count == 2
-    assert apart < 0.999 * shared
-
-
-def test_result_is_valid_and_names_every_run(
-    runs: list[piga.Run], together: piga.Calibration, tmp_path: Path
-) -> None:
-    schema = json.loads((Path(piga.__file__).parent / "records/schema/calibration-1.json").read_text())
-    jsonschema.validate(json.loads(json.dumps(to_document(together))), schema)
-    together.to_json(tmp_path / "c.json")
-    back = piga.Calibration.from_json(tmp_path / "c.json")
-    assert back.runs == together.runs
-    assert back["phi[run 2]"] == together["phi[run 2]"]
-    assert together.runs[0].angle_rms == pytest.approx(2.5e-5, rel=0.1)
-    assert together.runs[1].angle_rms == pytest.approx(6e-5, rel=0.1)
-    write_residuals(together, tmp_path / "r.parquet")
-    from pyarrow import parquet
-
-    names = parquet.read_table(tmp_path / "r.parquet").column("run").to_pylist()
-    assert (names[0], names[-1], len(names)) == ("run 1", "run 2", sum(run.size for run in runs))
-
-
-def test_runs_that_do_not_belong_together(runs: list[piga.Run]) -> None:
-    with pytest.raises(piga.CalibrationError, match="instrument 'synthetic'"):
-        piga.calibrate([runs[0], replace(runs[1], serial="other")])
-    with pytest.raises(piga.CalibrationError, match="nominal scale factors"):
-        piga.calibrate([runs[0], replace(runs[1], scale_factor=runs[0].scale_factor * 1.001)])
-    marked = replace(runs[0], input_sha256={"run.csv": "a" * 64})
-    with pytest.raises(piga.CalibrationError, match="same data"):
-        piga.calibrate([marked, marked])
-    with pytest.raises(piga.ArgumentError, match="list of runs"):
-        piga.calibrate([runs[0], "b"])
-    with pytest.raises(piga.CalibrationError, match="method 'information'"):
-        piga.calibrate(runs, method="rate")
+def test_two_runs_that_cannot_separate_terms_either(runs: list[piga.Run]) -> None:
     with pytest.raises(piga.IdentifiabilityError, match="2 runs together cannot"):
         piga.calibrate(runs, ["scale_factor", "k0", "m_Z", "k_ZZ"])
 
@@ -242,9 +149,7 @@ def test_a_bounded_source_keeps_its_distribution(runs: list[piga.Run]) -> None:
     moved = [
         replace(
             run,
-            uncertainty=UncertaintyTable(
-                waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, reference_scale=spread
-            ),
+            uncertainty=at_rest(reference_scale=spread),
         )
         for run in runs
     ]

@@ -15,9 +15,8 @@ import pytest
 import piga
 from piga.calibration.joint.summary import RunSummary
 from piga.records.calibration.document import to_document
-from piga.records.run_file import UncertaintyTable
 from tests.calibration.made.scenarios_joint import TERMS, TRUE_SCALE, joint_test, scores
-from tests.calibration.made.synthetic import record
+from tests.calibration.made.synthetic import at_rest, record
 
 pytestmark = pytest.mark.compiled
 FEW = ["scale_factor", "k0", "k2"]
@@ -58,6 +57,8 @@ def test_two_small_runs_together(
     assert joint.residuals is not None
     assert joint.residuals.run is not None
     assert set(joint.residuals.run.tolist()) == {0, 1}
+    joint.to_json(tmp_path / "c.json")
+    assert piga.Calibration.from_json(tmp_path / "c.json").runs == joint.runs
     schema = json.loads((Path(piga.__file__).parent / "records/schema/calibration-1.json").read_text())
     jsonschema.validate(json.loads(json.dumps(to_document(joint))), schema)
 
@@ -66,9 +67,7 @@ def test_two_small_runs_together(
 def test_a_summary_for_the_raw_data(runs: list[piga.Run], tmp_path: Path) -> None:
     kept = replace(
         runs[1],
-        uncertainty=UncertaintyTable(
-            waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, reference_scale="10 ppm"
-        ),
+        uncertainty=at_rest(reference_scale="10 ppm"),
     )
     RunSummary.of(kept, FEW).to_json(tmp_path / "old.json")
     assert json.loads((tmp_path / "old.json").read_text(encoding="utf-8"))["phase"] == "shared"
@@ -93,7 +92,11 @@ def test_a_summary_for_the_raw_data(runs: list[piga.Run], tmp_path: Path) -> Non
 def test_a_coefficient_of_each_run(runs: list[piga.Run]) -> None:
     calibration = piga.calibrate(runs, FEW, per_run=["k0"])
     assert [c.key for c in calibration.coefficients] == ["scale_factor", "k0[run 1]", "k0[spun]", "k2"]
-    assert calibration.for_run("spun")["k0"].value == calibration["k0[spun]"].value
+    seen = calibration.for_run("spun")
+    assert seen["k0"].value == calibration["k0[spun]"].value
+    assert piga.compensate(runs[1], seen).ax.size == runs[1].size
+    with pytest.raises(piga.CalibrationError, match=r"k0 differs between the runs"):
+        piga.compensate(runs[1], calibration)
     again = piga.calibrate([runs[0], runs[0]], FEW, per_run=["k2"])
     assert [c.key for c in again.coefficients][2:] == ["k2[run 1]", "k2[run 2]"]
 
@@ -106,11 +109,7 @@ def test_sources_that_runs_share(runs: list[piga.Run]) -> None:
         moved = [
             replace(
                 run,
-                uncertainty=UncertaintyTable(
-                    waived={"earth_rate": "simulated at rest", "servo": "simulated without"},
-                    reference_scale="10 ppm",
-                    reference_id=name,
-                ),
+                uncertainty=at_rest(reference_scale="10 ppm", reference_id=name),
             )
             for run, name in zip(runs, (first, second), strict=True)
         ]
@@ -169,6 +168,11 @@ def test_terms_that_cannot_differ_between_runs(runs: list[piga.Run], name: str, 
         (lambda d: d["positions"][0]["part"]["factor"][1].__setitem__(0, -1.0), "its summaries are damaged"),
         (lambda d: d["positions"][0]["part"].__setitem__("count", -1), "its summaries are damaged"),
         (lambda d: d["positions"].clear(), "its summaries are damaged"),
+        (lambda d: d["positions"][0]["part"]["factor"][0].__setitem__(0, "1.0"), "its summaries are damaged"),
+        (lambda d: d["positions"][0]["part"].update(factor=None), "its summaries are damaged"),
+        (lambda d: d["noise"].update(white=-1e-9), "its noise levels are damaged"),
+        (lambda d: d["noise"].update(walk="much"), "noise.walk"),
+        (lambda d: d.pop("kind"), "kind"),
         (lambda d: d.pop("noise"), "not a valid run summary"),
         (lambda d: d.__setitem__("schema", "piga.run-summary/9"), "no run summary of schema"),
     ],
@@ -199,12 +203,6 @@ def test_files_that_are_no_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("piga.calibration.joint.summary.MOST_SUMMARY_BYTES", 1)
     with pytest.raises(piga.CalibrationError, match="larger than 1 bytes"):
         RunSummary.from_json(tmp_path / "s.json")
-
-
-# --- whole revolutions
-
-
-# --- requests that do not fit the record
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ import piga
 from piga.records.run_file import UncertaintyTable
 from piga.units import G0
 from tests.calibration.made.scenarios import SCENARIOS, Array, Scenario
+from tests.calibration.made.synthetic import at_rest
 
 ARCSEC = np.pi / 648000.0
 TRUTH = {"k0": 1.6e-3, "k2": 2.0e-4, "m_Y": 2.4e-4}
@@ -46,13 +47,7 @@ class Repeated:
         """One simulated test; the lab states what repeats, or not."""
         run = replace(self.scenario, forces=self.set_forces(rng)).record(rng)
         asked = (self.scenario.forces * G0)[run.segment_index]
-        told = (
-            UncertaintyTable(
-                waived={"earth_rate": "simulated at rest", "servo": "simulated without"}, **self.stated
-            )
-            if tell
-            else UncertaintyTable()
-        )
+        told = at_rest(**self.stated) if tell else UncertaintyTable()
         return replace(run, f=asked, uncertainty=told, stand=self.stand)
 
 

@@ -5,12 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 import piga
+from piga.records.run_file import UncertaintyTable
 from piga.units import G0
 
 SCALE = "0.8884 rad/s/g"
 BETA = 3.6e-4
 PHI = 0.48
 TRUTH = {"tan_beta": float(np.tan(BETA)), "phi": PHI, "k0": 1.6e-3, "k2": 2.0e-4, "m_Y": 2.4e-4}
+
+
+def at_rest(**sources) -> UncertaintyTable:
+    """The uncertainties of a simulated stand: no rotation of the Earth and no servo is in the record."""
+    waived = {"earth_rate": "simulated at rest", "servo": "simulated without"}
+    return UncertaintyTable(waived=waived, **sources)
 
 
 def positions(count: int = 12, seconds: float = 40.0, rate: float = 20.0, levels: tuple[float, ...] = (1.0,)):
@@ -63,7 +70,7 @@ def record(
         t,
         output,
         f,
-        uncertainty={"waived": {"earth_rate": "simulated at rest", "servo": "simulated without"}},
+        uncertainty=at_rest(),
         scale_factor=SCALE,
         segment=segment,
         resolution=count_angle,

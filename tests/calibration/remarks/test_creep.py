@@ -10,9 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 import piga
-from piga.records.run_file import EstimationTable, UncertaintyTable
+from piga.records.run_file import EstimationTable
 from piga.reports.calibration.figures import creep_figure
 from tests.calibration.made.independent import Bench, head
+from tests.calibration.made.synthetic import at_rest
 
 SECONDS, PAUSE, TIME = 60.0, 5.0, 5.0
 ORDER = np.random.default_rng(5).permutation(16)
@@ -82,6 +83,7 @@ def test_time_advised_leaves_nothing(crept):
     assert abs(crept["k0"].value - BENCH.k0) > crept["k0"].expanded
 
 
+@pytest.mark.only_compiled
 def test_creep_that_follows_the_move_is_told_from_one_that_does_not():
     moves = np.diff(BENCH.forces[:, 0], prepend=BENCH.forces[0, 0])
     result = quiet(record(100e-6 * moves))
@@ -93,9 +95,7 @@ def test_creep_that_follows_the_move_is_told_from_one_that_does_not():
 
 
 def test_creep_below_the_uncertainty_is_a_remark():
-    stated = UncertaintyTable(
-        reference_bias="20 ug", waived={"earth_rate": "simulated at rest", "servo": "simulated without"}
-    )
+    stated = at_rest(reference_bias="20 ug")
     result = quiet(replace(record(14e-6), uncertainty=stated))
     creep = result.diagnostics.creep
     assert creep.seen
@@ -117,6 +117,7 @@ def weighed(run: piga.Run) -> piga.Run:
     return replace(run, estimation=msgspec.convert(levels, EstimationTable))
 
 
+@pytest.mark.only_compiled
 def test_creep_of_one_run_among_several_is_named(turned):
     crept, clean = (
         weighed(replace(record(size), source="crept.toml", input_sha256={"a": "a"})) for size in (100e-6, 0.0)
@@ -133,6 +134,7 @@ def test_creep_of_one_run_among_several_is_named(turned):
     assert without.diagnostics.creep.probability > 0.01
 
 
+@pytest.mark.only_compiled
 def test_sound_records_show_none():
     bench = replace(BENCH, seconds=12.0, rate=5.0)
     chances = [quiet(replace(bench, k0_T=0.0).record(seed)).diagnostics.creep.probability for seed in range(12)]

@@ -38,13 +38,6 @@ def test_a_page_and_a_file_show_the_same_series(cal):
         assert len(traces) == sum(len(panel.series) for panel in figure.panels)
 
 
-def test_each_panel_has_its_cell_of_the_grid_and_its_title_above_it():
-    layout = figure_spec(every_mark())["layout"]
-    assert (layout["grid"]["rows"], layout["grid"]["columns"]) == (1, 2)
-    assert [note["xref"] for note in layout["annotations"]] == ["x domain"]
-    assert layout["xaxis2"]["anchor"] == "y2"
-
-
 def test_names_stand_on_the_axis():
     figure = Plot("share", "Share.", named_axis("coefficient", ("k0", "k2")), "share [%]").points(
         [1, 2], [3, 4]
@@ -95,15 +88,6 @@ def test_hover_and_axes_carry_units():
 def test_text_for_plotly_holds_no_markup_of_the_data():
     names = [trace["name"] for trace in figure_spec(every_mark())["data"]]
     assert "error &lt;b&gt;" in names
-
-
-def test_palette_tells_before_from_after_in_grey_print():
-    def grey(colour):
-        red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-        return 0.2126 * red + 0.7152 * green + 0.0722 * blue
-
-    assert abs(grey(LIGHT["before"]) - grey(LIGHT["after"])) > 40
-    assert len(set(LIGHT.values())) == len(LIGHT)
 
 
 @pytest.mark.parametrize("ending", ["svg", "png", "pdf"])

@@ -155,14 +155,6 @@ def test_figures_say_what_they_show_and_that_they_need_scripts():
     assert re.search(r"<noscript>.*Allow scripts", holder)
 
 
-def test_tables_have_scoped_headings_and_scroll_in_their_own_box():
-    parsed = Checker(page_html(page()))
-    assert all(attrs.get("scope") in {"col", "row"} for attrs in parsed.all("th"))
-    boxes = [attrs for attrs in parsed.all("div") if attrs.get("class") == "table"]
-    assert len(boxes) == len(parsed.all("table")) == 3
-    assert all(box["tabindex"] == "0" and box["role"] == "group" for box in boxes)
-
-
 @pytest.mark.parametrize(
     ("anchors", "message"), [(("a", "a"), "two parts"), (("a b", "c"), "cannot be an anchor")]
 )
