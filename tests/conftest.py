@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Iterable
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands have it; read when NumPy is loaded
 
@@ -12,6 +14,8 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import piga
+from piga.cli import certificate, common, records
+from tests import json_documents
 from tests.short_record import TERMS, a_run
 
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -38,3 +42,22 @@ def cal(run: piga.Run) -> piga.Calibration:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return piga.calibrate(run, TERMS)
+
+
+@pytest.fixture(autouse=True)
+def json_schemas(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every document that a command prints in this process is compared with the schema of its command."""
+    print_json, print_json_list = common.print_json, common.print_json_list
+
+    def one(document: Any) -> None:
+        json_documents.check(document)
+        print_json(document)
+
+    def listed(document: dict[str, Any], name: str, items: Iterable[Any]) -> None:
+        whole = list(items)
+        json_documents.check(document | {name: whole})
+        print_json_list(document, name, whole)
+
+    monkeypatch.setattr(common, "print_json", one)
+    monkeypatch.setattr(certificate, "print_json", one)
+    monkeypatch.setattr(records, "print_json_list", listed)

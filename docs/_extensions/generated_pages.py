@@ -31,6 +31,15 @@ from piga.stand.scenario import ScenarioTable
 
 EXAMPLES = Path(__file__).parents[1] / "reference" / "examples"
 """Pages of code that use every public name of a room; a test runs them."""
+JSON_SCHEMAS = EXAMPLES.parent / "json"
+"""Schemas of the documents that commands print (``python -m builders.json_schemas``)."""
+JSON_HEAD = """# JSON of the commands
+
+With `--json` a command prints one document and nothing else.
+Its members are those below, and no others; `*` is a name from the data.
+A change is a line in the changelog.
+The files are JSON Schemas in `docs/reference/json` of the sources.
+"""
 PLAIN = ("units", "frames", "earth", "errors")
 """Modules that are rooms of their own."""
 
@@ -44,7 +53,13 @@ def setup(app: Sphinx) -> dict[str, bool]:
 def write_pages(folder: Path) -> None:
     """Write all pages; leave a page alone that is right already, so that it is not read again."""
     folder.mkdir(parents=True, exist_ok=True)
-    own = {"cli": cli_page(), "schemas": schema_page(), "terms": terms_page(), "methods": methods_page()}
+    own = {
+        "cli": cli_page(),
+        "schemas": schema_page(),
+        "json": json_page(),
+        "terms": terms_page(),
+        "methods": methods_page(),
+    }
     pages = api_pages() | own | file_pages()
     for old in folder.glob("*.md"):
         if old.stem not in pages:
@@ -308,6 +323,17 @@ def schema_page() -> str:
     return "\n".join(parts)
 
 
+def json_page() -> str:
+    """What every command prints with ``--json``."""
+    parts = [JSON_HEAD]
+    for path in sorted(JSON_SCHEMAS.glob("*.json")):
+        schema = json.loads(path.read_text(encoding="utf-8"))
+        top, start = (schema["items"], "[].") if schema["type"] == "array" else (schema, "")
+        rows = ["| member | type | meaning |", "|---|---|---|", *schema_rows(top, top, start)]
+        parts.append(f"## {path.stem.replace('-', ' ')}\n\n" + "\n".join(rows) + "\n")
+    return "\n".join(parts)
+
+
 def schema_rows(node: dict[str, Any], root: dict[str, Any], path: str) -> list[str]:
     """Rows for the members of an object, its arrays' members behind ``[]``."""
     rows = []
@@ -318,6 +344,8 @@ def schema_rows(node: dict[str, Any], root: dict[str, Any], path: str) -> list[s
         value = f"`{member['const']}`" if "const" in member else cell(member.get("description", ""))
         rows.append(f"| `{where}` | {kind} | {value} |")
         rows += schema_rows(member, root, f"{where}.")
+        if isinstance(member.get("additionalProperties"), dict):
+            rows += schema_rows(member["additionalProperties"], root, f"{where}.*.")
         if "items" in member:
             rows += schema_rows(resolve(member["items"], root), root, f"{where}[].")
     return rows

@@ -10,12 +10,14 @@ import socket
 import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 
 import psutil
 import pytest
 
 from piga.campaign import open_campaign, plan_campaign
-from piga.campaign.run import is_local, run_campaign
+from piga.campaign.run import _client, is_local, run_campaign
 from piga.errors import CancelledError, PigaError
 from tests.campaign.small import ROOT, SMALL, call, children, collected, computed, start, workers, written
 from tests.certificate.certificate_data import key_pair
@@ -114,6 +116,27 @@ def test_a_shard_whose_worker_always_dies_is_named(tmp_path):
     assert [entry["shard"] for entry in json.loads(said)["set_aside"]] == [3]
     assert "shard 3 is not computed: records 12 to 15: its worker died 4 times" in err
     assert open_campaign(out).missing() == [3]
+
+
+@pytest.mark.only_compiled
+def test_nobody_else_gets_a_page_of_the_cluster(tmp_path):
+    """Dask's pages listen on loopback alone, on any free port, and show nothing (of two campaigns at once one had a warning)."""
+    campaign = plan_campaign(written(tmp_path), tmp_path / "out")
+    with _client(campaign, None, 1, None) as client:
+        servers = [
+            client.run_on_scheduler(lambda dask_scheduler: dask_scheduler.http_server.address),
+            *client.run(lambda dask_worker: dask_worker.http_server.address).values(),
+        ]
+        ports = [
+            client.run_on_scheduler(lambda dask_scheduler: dask_scheduler.http_server.port),
+            *client.run(lambda dask_worker: dask_worker.http_server.port).values(),
+        ]
+        assert set(servers) == {"127.0.0.1"}
+        assert 8787 not in ports
+        for port in ports:
+            for page in ("info/main/workers.html", "metrics", "json/identity.json", "health", "status"):
+                with pytest.raises(urllib.error.HTTPError, match="404"):
+                    urllib.request.urlopen(f"http://127.0.0.1:{port}/{page}", timeout=20)
 
 
 @pytest.mark.only_compiled

@@ -153,7 +153,9 @@ def _client(
     compile_kernels(campaign.plan)
     options = {"threads_per_worker": 1, "security": True, "protocol": "tls://", "dashboard_address": None}
     options["silence_logs"] = logging.CRITICAL  # of the workers: their traceback at Ctrl-C
-    with dask.config.set({"distributed.scheduler.worker-saturation": 1.0}):
+    options["scheduler_kwargs"] = {"dashboard_address": "127.0.0.1:0"}  # any free port; nothing is shown there
+    pages: dict[str, list[str]] = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
+    with dask.config.set({"distributed.scheduler.worker-saturation": 1.0, **pages}):
         with _without_ctrl_c():
             cluster = distributed.LocalCluster(n_workers=count, host="127.0.0.1", env=ONE_THREAD, **options)
         with cluster, distributed.Client(cluster, set_as_default=False) as client:
