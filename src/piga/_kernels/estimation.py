@@ -306,10 +306,10 @@ def _carried_on(far: float, near: float, h_far: float, h_near: float, h: float) 
 
 
 def add_product_bows(
-    factors: tuple[Factor, ...], f: Array, bows: Array, temperature: Array, h: Array, out: Array
+    factors: tuple[Factor, ...], t: Array, f: Array, bows: Array, temperature: Array, h: Array, out: Array
 ) -> None:
     """Add the effect of the force bows (3, n) to a column of :func:`product_column`, to first order."""
-    inputs = {"x": f[0], "y": f[1], "z": f[2], "T": temperature}
+    inputs = {"x": f[0], "y": f[1], "z": f[2], "t": t, "T": temperature}
     bow = dict(zip("xyz", bows, strict=False))
     if factors in MEANS:
         x = 0.5 * (f[0, :-1] + f[0, 1:])

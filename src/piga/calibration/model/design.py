@@ -473,7 +473,7 @@ class Design:
             out = held if self.point else columns[row]
             product_column(factors, t, force, temperature, h, out)
             if bows is not None:
-                add_product_bows(factors, force, bows, temperature, h, out)
+                add_product_bows(factors, t, force, bows, temperature, h, out)
             if self.point:
                 columns[row] = self._every(out)
 
