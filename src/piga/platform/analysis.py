@@ -155,7 +155,9 @@ def has_theory(scenario: PlatformScenario) -> bool:
 
 
 def theory_note(scenario: PlatformScenario) -> str:
-    """The reason why the lines of a moving base are shown without theory, or without that of roll and pitch; else empty."""
+    """The reason why the lines are shown without theory, or without that of roll and pitch; else empty."""
+    if scenario.polar_rotation.turns != 0:
+        return "the cases reverse: the closed form of the lines does not hold, and no theory is shown"
     if scenario.motion.kind == "track":
         return "the base changes its place: the closed form of the lines does not hold, and no theory is shown"
     if scenario.motion.kind == "turn":

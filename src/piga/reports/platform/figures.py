@@ -155,8 +155,8 @@ _SAYINGS = {
 
 Case = Literal["amplitude", "equatorial"]
 """Choice of lines: at the polar case's rate, or at the equatorial case's rate if that differs."""
-REFERENCE_MODEL: dict[Case, Model] = {"amplitude": "A", "equatorial": "none"}
-"""Model whose theory stands beside the lines: what A leaves grows at the polar rate, at the equatorial one it is nothing."""
+WITH_THEORY: dict[Case, tuple[Model, ...]] = {"amplitude": ("A", "none"), "equatorial": ("none",)}
+"""Models whose theory stands beside the lines: what A leaves grows at the polar rate, at the equatorial one it is nothing."""
 
 
 def lines_figure(comparison: ModelComparisonRun, which: Case = "amplitude") -> Figure:
@@ -174,7 +174,7 @@ def lines_figure(comparison: ModelComparisonRun, which: Case = "amplitude") -> F
         for model, run in comparison.models.items():
             label, amplitude = model_name(model), getattr(run.lines, which)[name]
             plot.marked(run.lines.day, amplitude / scale, label, MODEL_ROLES[model])
-            if model == REFERENCE_MODEL[which] and run.theory is not None:
+            if model in WITH_THEORY[which] and run.theory is not None:
                 theory = getattr(run.theory, which)[name]
                 plot.dashed(run.theory.day, theory / scale, f"theory, {label}")
     sayings = [_SAYINGS[m] for m in comparison.models if m in _SAYINGS]

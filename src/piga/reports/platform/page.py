@@ -22,7 +22,7 @@ from piga.platform.identify import (
 from piga.platform.scenario import Gyro, PlatformScenario
 from piga.platform.simulate import PlatformRun
 from piga.reports.platform.figures import (
-    REFERENCE_MODEL,
+    WITH_THEORY,
     Case,
     cone_figure,
     convergence_figure,
@@ -379,7 +379,8 @@ def _days(c: ModelComparisonRun) -> int:
 
 
 def _lines_sentence(c: ModelComparisonRun, which: Case) -> str:
-    day, shown = _days(c), REFERENCE_MODEL[which]
+    day = _days(c)
+    shown = next((m for m in WITH_THEORY[which] if m in c.models), "none")
     east = {m: float(getattr(r.lines, which)["east_velocity"][-1]) for m, r in c.models.items()}
     left = east.get(shown, np.nan)
     if not np.isfinite(left):
@@ -399,11 +400,11 @@ def _lines_sentence(c: ModelComparisonRun, which: Case) -> str:
 def _line_table(
     c: ModelComparisonRun, which: Case, channel: str, heading: str, unit: str, scale: float
 ) -> Table:
-    """One channel day by day: every model, and the theory of one of them beside it."""
+    """One channel day by day: every model, and the theory beside those that have it."""
     curves = []
     for m, r in c.models.items():
         curves.append((model_name(m), getattr(r.lines, which)[channel] * scale))
-        if r.theory is not None and m == REFERENCE_MODEL[which]:
+        if r.theory is not None and m in WITH_THEORY[which]:
             curves.append((f"theory, {model_name(m)}", getattr(r.theory, which)[channel] * scale))
     days = next(iter(c.models.values())).lines.day
     table = TableOf(range(len(days))).text("day", lambda k: str(int(days[k])))
