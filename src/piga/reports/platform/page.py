@@ -19,7 +19,7 @@ from piga.platform.identify import (
     Observability,
     Parameter,
 )
-from piga.platform.scenario import Gyro, PlatformScenario
+from piga.platform.scenario import Gyro, Model, PlatformScenario
 from piga.platform.simulate import PlatformRun
 from piga.reports.platform.figures import (
     WITH_THEORY,
@@ -380,7 +380,7 @@ def _days(c: ModelComparisonRun) -> int:
 
 def _lines_sentence(c: ModelComparisonRun, which: Case) -> str:
     day = _days(c)
-    shown = next((m for m in WITH_THEORY[which] if m in c.models), "none")
+    shown: Model = next((m for m in WITH_THEORY[which] if m in c.models), "none")
     east = {m: float(getattr(r.lines, which)["east_velocity"][-1]) for m, r in c.models.items()}
     left = east.get(shown, np.nan)
     if not np.isfinite(left):
