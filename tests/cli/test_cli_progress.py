@@ -6,12 +6,15 @@ import signal
 import subprocess
 import sys
 import time
+from io import StringIO
 from pathlib import Path
 
 import numba
 import pytest
+from rich.console import Console
 
 import piga._kernels.jit  # noqa: F401
+from piga.cli.bar import Bar
 from piga.cli.common import FIRST_USE, progress
 from piga.cli.main import stopped_words
 from piga.data import copy_example
@@ -99,3 +102,12 @@ def test_compiling_is_told_from_loading(monkeypatch: pytest.MonkeyPatch) -> None
     assert jit.compiling()
     monkeypatch.setattr(jit._Compilations, "ended", time.monotonic() - 2.0 * jit.RECENT)
     assert not jit.compiling()
+
+
+def test_the_bar_is_one_line_on_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    bar = Bar("calibrating", 10)
+    bar.show(3, 10, "adding up the budget: reference_misalignment X0")
+    console = Console(width=60, file=StringIO())
+    console.print(bar._bar.get_renderable())
+    assert len(console.file.getvalue().rstrip("\n").splitlines()) == 1

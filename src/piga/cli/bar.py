@@ -7,7 +7,11 @@ from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
+from rich.table import Column
 from rich.text import Text
+
+WIDE = 90
+"""Columns of a terminal from which on the bar is long."""
 
 
 class _Time(ProgressColumn):
@@ -37,14 +41,15 @@ class Bar:
     """A line on stderr that shows what is done and how far it is. It disappears at the end."""
 
     def __init__(self, title: str, total: int | None = None) -> None:
+        console = Console(stderr=True)
         columns = (
             SpinnerColumn("line"),
-            TextColumn("{task.description}"),
-            BarColumn(24),
-            _Time(),
-            _Compiling(),
+            TextColumn("{task.description}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
+            BarColumn(24 if console.width >= WIDE else 8),
+            _Time(table_column=Column(no_wrap=True)),
+            _Compiling(table_column=Column(no_wrap=True, overflow="ellipsis")),
         )
-        self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+        self._bar = Progress(*columns, console=console, transient=True)
         self._title = title
         self._task = self._bar.add_task(title, total=total)
 

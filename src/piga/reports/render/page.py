@@ -19,6 +19,7 @@ from functools import cached_property, lru_cache, partial
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 
 from piga._version import __version__
@@ -329,8 +330,17 @@ def page_html(page: Page) -> str:
     )
 
 
-def page_text(page: Page, *, width: int = 100, plain: bool = True) -> str:
-    """The page for a terminal ``width`` columns wide: verdict, title, tables, remarks. ``plain``: pure ASCII."""
+MOST_COLUMNS, FEWEST_COLUMNS = 100, 40
+"""Widest and narrowest text of a page [letters]."""
+
+
+def page_text(page: Page, *, width: int | None = None, plain: bool = True) -> str:
+    """The page for a terminal ``width`` columns wide: verdict, title, tables, remarks. ``plain``: pure ASCII.
+
+    Without a width it is that of the terminal, at most 100; 100 if there is none.
+    """
+    if width is None:
+        width = min(max(get_terminal_size((MOST_COLUMNS, 24)).columns, FEWEST_COLUMNS), MOST_COLUMNS)
     told = ascii_text if plain else str
     lines = []
     if page.judgement is not None:
@@ -389,16 +399,39 @@ def _table_lines(table: Table, told: Callable[[str], str], width: int) -> list[s
     left = {k for k, column in enumerate(table.columns) if column.align == "text"}
     last = len(heads) - 1
     lines = []
+    if last == 1 and 0 in left:
+        rows = _narrowed(rows, width, text=last in left)
     start = 2 + sum(max(len(row[k]) for row in rows) + 2 for k in range(last))
     for line in aligned(rows, left):
         whole = f"  {line}".rstrip()
         if last in left and start < width - 20 and len(whole) > width:
-            lines += textwrap.wrap(
-                whole[start:], width, initial_indent=whole[:start], subsequent_indent=" " * start
-            )
+            lines += _lines_of(whole[start:], width, whole[:start], " " * start)
         else:
             lines.append(whole)
     return [f"{_WHOLE}{line}" for line in (lines if any(heads) else lines[1:])]
+
+
+def _narrowed(rows: list[list[str]], width: int, *, text: bool) -> list[list[str]]:
+    """Rows of two cells: the first goes on below itself where the second leaves too few letters. ``text``: so does the second."""
+    other = max(len(row[1]) for row in rows)
+    room = max(width - 4 - (min(other, width // 3) if text else other), width // 3)
+    narrow = []
+    for row in rows:
+        first, *more = _lines_of(row[0], room - 2) if len(row[0]) > room else [row[0]]
+        narrow += [[first, row[1]], *([f"  {part}", ""] for part in more)]
+    return narrow
+
+
+def _lines_of(text: str, width: int, first: str = "", later: str = "") -> list[str]:
+    """Lines of at most ``width`` letters; a number or a name is never broken."""
+    return textwrap.wrap(
+        text,
+        width,
+        initial_indent=first,
+        subsequent_indent=later,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def _wrapped(line: str, width: int) -> list[str]:
@@ -406,7 +439,7 @@ def _wrapped(line: str, width: int) -> list[str]:
     if line.startswith(_WHOLE) or len(line) <= width:
         return [line.removeprefix(_WHOLE)]
     indent = " " * (len(line) - len(line.lstrip()))
-    return textwrap.wrap(line.strip(), width, initial_indent=indent, subsequent_indent=f"{indent}    ")
+    return _lines_of(line.strip(), width, indent, f"{indent}    ")
 
 
 def brief(result: Shown) -> Page:
