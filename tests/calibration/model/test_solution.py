@@ -16,7 +16,6 @@ from piga.calibration.model.solution import (
     Estimate,
     Layout,
     _best_phases,
-    _Profile,
     name_parameters,
     solve_parts,
 )
@@ -119,17 +118,6 @@ def test_the_best_phase_is_that_of_a_fine_grid(orders: tuple[int, ...]) -> None:
             assert cost[-1] <= least * (1.0 + 1e-9)
 
 
-def test_derivatives_where_the_phases_follow() -> None:
-    layout, factors, _ = grouped(3, (1,), 3.0)
-    amplitudes = np.random.default_rng(4).standard_normal(layout.size)
-    here, h = _Profile.of(layout, amplitudes, factors), 1e-5
-    for k, step in enumerate(h * np.eye(layout.size)):
-        low, high = (_Profile.of(layout, amplitudes + sign * step, factors) for sign in (-1.0, 1.0))
-        assert here.slope[k] == pytest.approx((high.cost - low.cost) / (2.0 * h), rel=1e-6)
-        change = (high.slope - low.slope) / (2.0 * h)
-        np.testing.assert_allclose(here.curvature[k], change, atol=1e-6 * np.abs(here.curvature).max())
-
-
 @pytest.mark.parametrize(("orders", "uneven"), [((), 0.5), ((2,), 0.5), ((), 3.0), ((2,), 3.0)])
 def test_common_amplitudes_have_the_least_sum_of_squares(
     orders: tuple[int, ...], uneven: float, monkeypatch: pytest.MonkeyPatch
@@ -139,7 +127,7 @@ def test_common_amplitudes_have_the_least_sum_of_squares(
     The phases are fitted here, not integrated out.
     """
     monkeypatch.setattr(
-        solution, "_fitted_noise", lambda _best, covariance, _variance: np.zeros(len(covariance))
+        solution, "_fitted_noise", lambda _fitted, _curvatures, covariance, _variance: np.zeros(len(covariance))
     )
     for seed in range(12):
         layout, factors, truth = grouped(seed, orders, uneven)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,10 +29,10 @@ class SolutionSettings:
 
     unseen: float = 1e-12
     """Size of a phase's column, relative to the largest column, below which no sample shows the phase."""
-    settled: float = 1e-6
-    """Step of the common amplitudes, in their standard uncertainties, at which they are settled."""
-    reach: float = 1e6
-    """Largest first step of them, in their standard uncertainties."""
+    deeper: float = 1e-9
+    """Relative fall of the sum of squares above which another minimum is deeper."""
+    starts: int = 8
+    """Most starts: each from the best phases for the amplitudes before; one is usual."""
     scan: int = 180
     """Phases tried for each group before refinement; the cost has at most twice the highest order of minima."""
     integrations: int = 50
@@ -266,10 +265,10 @@ def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
 
 
 def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
-    """Solve with one phase per group and common amplitudes: separable least squares [Golub2003].
+    """Solve with one phase per group and common amplitudes: least squares from the best phases of a scan.
 
-    The best phases for given amplitudes are found group by group. What is left is a function of the amplitudes alone, whose
-    first and second derivatives are known.
+    For given amplitudes each group has its own best phase. The scan begins anew at the solution, because another minimum of a
+    phase may be deeper there.
     """
     if not layout.coupled:
         raise CalibrationError(
@@ -277,58 +276,62 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
             "terms: it carries the phase",
             remedy="add 'tan_beta'",
         )
-    from scipy.optimize import minimize
+    from scipy.optimize import least_squares as least_squares_from
 
-    factors = [part.factor for part in parts]
+    factors, size = [part.factor for part in parts], layout.size
     shared, amplitude = _start(layout, parts)
-    first = np.concatenate([[amplitude], np.zeros(2 * len(layout.orders)), shared])
-    first = _amplitudes_given(layout, _best_phases(layout, first, factors), factors)
-    beyond, count = sum(float(part.factor[-1, -1] ** 2) for part in parts), sum(part.count for part in parts)
+    amplitudes = np.concatenate([[amplitude], np.zeros(2 * len(layout.orders)), shared])
 
-    @lru_cache(maxsize=1)
-    def at(amplitudes: bytes) -> _Profile:
-        return _Profile.of(layout, np.frombuffer(amplitudes), factors)
+    def missed(x: Array) -> Array:
+        values = (layout.linear(x[:size], x[size + g], g) for g in range(len(parts)))
+        return np.concatenate([f[:-1, :-1] @ v - f[:-1, -1] for f, v in zip(factors, values, strict=True)])
 
-    start = at(first.tobytes())
-    variance = (start.cost + beyond) / count or 1.0
-    scale = np.linalg.norm(np.vstack(start.rows), axis=0)[: layout.size] / np.sqrt(variance)
-    scale[scale == 0.0] = 1.0
-    reach = {"initial_trust_radius": SOLUTION.reach, "max_trust_radius": 1e3 * SOLUTION.reach}
-    result = minimize(
-        lambda x: at((x / scale).tobytes()).cost / variance,
-        first * scale,
-        jac=lambda x: at((x / scale).tobytes()).slope / scale / variance,
-        hess=lambda x: at((x / scale).tobytes()).curvature / np.outer(scale, scale) / variance,
-        method="trust-exact",
-        options={"gtol": SOLUTION.settled, **reach},
-    )
-    best = at((result.x / scale).tobytes())
-    amplitudes, phases, shift = best.amplitudes, best.phases, np.zeros(layout.size + len(parts))
-    covariance = _inverse_information(np.asarray(np.linalg.qr(np.vstack(best.rows), mode="r")), layout.size)
+    def rows(x: Array) -> Array:
+        derivatives = (layout.jacobian(x[:size], x[size:], g) for g in range(len(parts)))
+        return np.vstack([f[:-1, :-1] @ d for f, d in zip(factors, derivatives, strict=True)])
+
+    best, cost = np.zeros(0), math.inf
+    for _ in range(SOLUTION.starts):
+        phases = _best_phases(layout, amplitudes, factors)
+        first = np.concatenate([_amplitudes_given(layout, phases, factors), phases])
+        if float(np.sum(missed(first) ** 2)) >= cost * (1.0 - SOLUTION.deeper):
+            break
+        best = least_squares_from(missed, first, rows, x_scale="jac", ftol=1e-15, xtol=1e-12, gtol=1e-15).x
+        amplitudes, cost = best[:size], float(np.sum(missed(best) ** 2))
+    phases, along = best[size:], rows(best)
+    covariance = _inverse_information(np.asarray(np.linalg.qr(along, mode="r")), size)
     jacobians = tuple(layout.jacobian(amplitudes, phases, g) for g in range(len(parts)))
-    variance = (best.cost + beyond) / max(count - len(covariance), 1)
+    cost += sum(float(part.factor[-1, -1] ** 2) for part in parts)
+    variance, shift = cost / max(sum(part.count for part in parts) - len(covariance), 1), np.zeros(best.size)
     if variance > 0.0:
-        moved = _fitted_noise(best, covariance, variance)
-        amplitudes, phases = amplitudes - moved[: layout.size], phases - moved[layout.size :]
-        shift = moved / np.sqrt(variance)
+        bends = [
+            f[: layout.local, : layout.local] @ bend
+            for f, bend in zip(factors, layout.turned(amplitudes, phases, 2), strict=True)
+        ]
+        starts = np.cumsum([0, *(len(f) - 1 for f in factors[:-1])])
+        bent = [missed(best)[at : at + layout.local] @ bend for at, bend in zip(starts, bends, strict=True)]
+        moved = _fitted_noise(
+            float(amplitudes[0]), np.sum(along[:, size:] ** 2, axis=0) + bent, covariance, variance
+        )
+        amplitudes, phases, shift = amplitudes - moved[:size], phases - moved[size:], moved / np.sqrt(variance)
     covariance = covariance + np.outer(shift, shift)
-    return Estimate(amplitudes, phases, covariance, best.cost + beyond, jacobians, shift=shift)
+    return Estimate(amplitudes, phases, covariance, cost, jacobians, shift=shift)
 
 
-def _fitted_noise(best: _Profile, covariance: Array, variance: float) -> Array:
+def _fitted_noise(fitted: float, curvatures: Array, covariance: Array, variance: float) -> Array:
     """By how much the parameters are wrong because each phase fits noise, and the coupling takes that noise up.
 
     If the phases are integrated out instead, each with equal probability over the circle, the likelihood of the coupling A
     has its maximum at ``A = A_0 - u^2 sum_g s_g (1 - I_1(s_g A)/I_0(s_g A))``. Here A_0 is the estimate with fitted phases, u its
-    standard uncertainty, and ``s_g A_0`` the information on the phase of group g (own derivation, docs/theory/calibration).
-    The other parameters follow by their correlation with A.
+    standard uncertainty, and ``s_g A_0`` the information on the phase of group g (own derivation, docs/theory/calibration): half
+    the second derivative of the sum of squares by the phase (``curvatures``), over the variance of the noise. The other
+    parameters follow by their correlation with A.
     """
     from scipy.special import i0e, i1e
 
-    fitted = float(best.amplitudes[0])
     if fitted == 0.0:
         return np.zeros(len(covariance))
-    known = np.maximum(best.phase_curvatures, 0.0) / variance / abs(fitted)
+    known = np.maximum(curvatures, 0.0) / variance / abs(fitted)
     coupling, square = abs(fitted), float(covariance[0, 0]) * variance
     for _ in range(SOLUTION.integrations):
         coupling = max(
@@ -336,73 +339,6 @@ def _fitted_noise(best: _Profile, covariance: Array, variance: float) -> Array:
         )
     shift: Array = (fitted - math.copysign(coupling, fitted)) * covariance[:, 0] / covariance[0, 0]
     return shift
-
-
-@dataclass(frozen=True)
-class _Profile:
-    """Least sum of squares that the phases of the groups allow, as a function of the common amplitudes.
-
-    ``phases`` are the best ones for ``amplitudes``; ``rows`` (m, size + groups) and ``residuals`` (m,) are those of each group.
-    """
-
-    layout: Layout
-    factors: list[Array]
-    amplitudes: Array
-    phases: Array
-    rows: list[Array]
-    residuals: list[Array]
-
-    @classmethod
-    def of(cls, layout: Layout, amplitudes: Array, factors: list[Array]) -> _Profile:
-        phases = _best_phases(layout, amplitudes, factors)
-        rows = [f[:-1, :-1] @ layout.jacobian(amplitudes, phases, g) for g, f in enumerate(factors)]
-        residuals = [
-            f[:-1, -1] - f[:-1, :-1] @ layout.linear(amplitudes, phases[g], g) for g, f in enumerate(factors)
-        ]
-        return cls(layout, factors, amplitudes, phases, rows, residuals)
-
-    @property
-    def cost(self) -> float:
-        """The sum of squares."""
-        return float(sum(residual @ residual for residual in self.residuals))
-
-    @property
-    def slope(self) -> Array:
-        """Its derivative by the amplitudes; at the best phases their change has no effect."""
-        slope: Array = -2.0 * np.concatenate(self.residuals) @ np.vstack(self.rows)[:, : self.layout.size]
-        return slope
-
-    @property
-    def phase_curvatures(self) -> Array:
-        """Half the second derivative of the sum of squares by the phase of each group (groups,)."""
-        local, size = self.layout.local, self.layout.size
-        bends = self.layout.turned(self.amplitudes, self.phases, 2)
-        groups = enumerate(zip(self.factors, self.rows, self.residuals, strict=True))
-        return np.array(
-            [
-                rows[:, size + g] @ rows[:, size + g] - residual[:local] @ (factor[:local, :local] @ bends[g])
-                for g, (factor, rows, residual) in groups
-            ]
-        )
-
-    @property
-    def curvature(self) -> Array:
-        """Its second derivatives by the amplitudes. The phases follow the amplitudes."""
-        layout, local = self.layout, self.layout.local
-        head, size = layout.head, layout.size
-        curvatures = self.phase_curvatures
-        turns = np.stack([layout.turned(unit, self.phases, 1) for unit in np.eye(head)], axis=2)
-        total = np.zeros((size, size))
-        for group, (factor, rows, residual) in enumerate(
-            zip(self.factors, self.rows, self.residuals, strict=True)
-        ):
-            own, along, top = rows[:, :size], rows[:, size + group], factor[:local, :local]
-            mixed = own.T @ along
-            mixed[:head] -= (top @ turns[group]).T @ residual[:local]
-            total += own.T @ own
-            if curvatures[group] > 0.0:
-                total -= np.outer(mixed, mixed) / curvatures[group]
-        return 2.0 * total
 
 
 def _start(layout: Layout, parts: list[Reduction]) -> tuple[Array, float]:
