@@ -226,17 +226,18 @@ def test_truth_is_found_again():
 
 
 def part_of(rows: np.ndarray) -> Reduction:
-    part = Reduction.empty(("a", "b"))
-    part.absorb(np.ascontiguousarray(rows.T))
+    """Triangle of a set of two columns; the first is the constant force, too."""
+    part = Reduction.empty(("a", "b", "k0"))
+    part.absorb(np.ascontiguousarray(rows[:, [0, 1, 0, 2]].T))
     return part
 
 
 def test_what_cannot_be_predicted_from_the_rest_is_not() -> None:
     rng = np.random.default_rng(5)
     rows = [np.column_stack([x := rng.standard_normal((6, 2)), x @ [2.0, 3.0] + 0.1]) for _ in range(3)]
-    parts, probe = [part_of(r) for r in rows], (0, 1.0)
-    assert predict(parts[:1], [0, 1], probe, None) is None
-    whole = predict(parts, [0, 1], probe, None)
+    parts = [part_of(r) for r in rows]
+    assert predict(parts[:1], 1.0) is None
+    whole = predict(parts, 1.0)
     assert whole is not None
     expected = 0.0
     for k in range(3):
@@ -245,6 +246,6 @@ def test_what_cannot_be_predicted_from_the_rest_is_not() -> None:
         expected += float(np.sum((rows[k][:, 2] - rows[k][:, :2] @ x) ** 2))
     assert whole.chi_square == pytest.approx(expected, rel=1e-9)
     only_here = [part_of(r * [1.0, float(k == 0), 1.0]) for k, r in enumerate(rows)]
-    assert predict(only_here, [0, 1], probe, None) is None  # b is seen in the first part alone
+    assert predict(only_here, 1.0) is None  # b is seen in the first part alone
     twice = [part_of(np.column_stack([r[:, 0], 2.0 * r[:, 0], r[:, 2]])) for r in rows]
-    assert predict(twice, [0, 1], probe, None) is None
+    assert predict(twice, 1.0) is None

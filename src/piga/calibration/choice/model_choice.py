@@ -16,21 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.fit.one_run import Fit
-from piga.calibration.fit.servo import at_state, state_of
-from piga.calibration.joint.summary import prepare, run_name
-from piga.calibration.model.design import PHASELESS, Design, ServoState, phaseless_columns
-from piga.calibration.model.identifiability import (
-    alike_in_words,
-    examine_parts,
-    refuse_if_confounded,
-    refuse_useless,
-)
+from piga.calibration.fit.one_run import Fit, repetitions
+from piga.calibration.joint.joint_fit import MergedRuns, Wish
+from piga.calibration.joint.summary import RunSummary, bare_summary, prepare
+from piga.calibration.model.design import Design, ServoState
+from piga.calibration.model.identifiability import alike_in_words, refuse_useless
 from piga.calibration.model.reduction import Reduction, solve_upper
-from piga.calibration.model.request import Request, harmonics_of, make_request, shared_of
-from piga.calibration.model.solution import Estimate, Layout, merged, name_parameters, solve_parts
+from piga.calibration.model.request import Request, make_request
+from piga.calibration.model.solution import Estimate
 from piga.calibration.remarks.missing_terms import CUBIC, constant_squares
-from piga.calibration.weights import reduce_between
+from piga.calibration.weights import Positions, reduce_between
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.progress import Progress, Steps
 from piga.reading.checks import largest_size
@@ -101,13 +96,14 @@ class HeldOutPrediction(Result):
         }
 
 
-def row_edges(run: Run, per_segment: bool) -> tuple[NDArray[np.int64], str]:
-    """First row of every part and the end row; the kind of the parts (segments or blocks)."""
-    edges = run.segment_edges()
+def parts_of(run: Run, per_segment: bool) -> tuple[Positions, str]:
+    """The parts of a record that are left out and predicted, and their kind: segments or blocks."""
+    edges = run.segment_edges().astype(np.int64)
     if per_segment or edges.size > FOLDS.fewest_segments:
-        return edges, "segment"
+        return Positions(edges, np.arange(edges.size - 1)), "segment"
     blocks = np.linspace(0, run.size, min(FOLDS.blocks, run.size) + 1).astype(np.int64)
-    return np.unique(np.concatenate((edges, blocks))), "block"
+    edges = np.unique(np.concatenate((edges, blocks)))
+    return Positions(edges, run.segment_index[edges[:-1]].astype(np.int64)), "block"
 
 
 def fold_of(parts: int) -> NDArray[np.int64]:
@@ -115,24 +111,15 @@ def fold_of(parts: int) -> NDArray[np.int64]:
     return np.arange(parts) * min(parts, FOLDS.most) // parts
 
 
-def predict(
-    parts: list[Reduction],
-    columns: list[int],
-    probe: tuple[int, float],
-    fixed: tuple[int, float] | None,
-) -> HeldOutPrediction | None:
+def predict(parts: Sequence[Reduction], scale_factor: float) -> HeldOutPrediction | None:
     """Predict every part from the others.
 
     Parameters
     ----------
     parts:
-        Summaries of the parts over the union of columns.
-    columns:
-        Indices of the columns of the set.
-    probe:
-        Column of a constant force, and the scale factor that converts its coefficient to a force.
-    fixed:
-        A column that is not estimated, and its coefficient.
+        Triangles ``[columns of the set | constant force | y]`` of the parts.
+    scale_factor:
+        Converts the coefficient of the constant force to a force.
 
     Returns
     -------
@@ -142,8 +129,7 @@ def predict(
     if len(parts) < 2:
         return None
     factors = np.array([part.factor for part in parts])
-    right = factors[:, :, -1] - (fixed[1] * factors[:, :, fixed[0]] if fixed else 0.0)
-    rows = np.concatenate((factors[:, :, columns], right[:, :, None]), axis=2)
+    rows, constants = np.delete(factors, -2, axis=2), factors[:, :, -2]
     folds = fold_of(len(parts))
     squares, forces = np.zeros(int(folds[-1]) + 1), []
     for fold in range(squares.size):
@@ -151,10 +137,9 @@ def predict(
         if estimate is None:
             return None
         for part in np.flatnonzero(folds == fold):
-            missed = rows[part, :, -1] - rows[part, :, :-1] @ estimate
-            constant = factors[part, :, probe[0]]
+            missed, constant = rows[part, :, -1] - rows[part, :, :-1] @ estimate, constants[part]
             squares[fold] += float(missed @ missed)
-            forces.append(float(constant @ missed) / float(constant @ constant) / probe[1])
+            forces.append(float(constant @ missed) / float(constant @ constant) / scale_factor)
     return HeldOutPrediction(float(squares.sum()), float(np.sqrt(np.mean(np.square(forces)))), squares)
 
 
@@ -344,8 +329,8 @@ def compare_models(
     best = _least([row.bic for row in rows])
     return ModelComparison(
         sets=tuple(_with_changes(rows, best)),
-        observations=weighed.observations,
-        parts=len(weighed.parts),
+        observations=weighed.summary.count,
+        parts=len(weighed.summary.positions),
         folds=weighed.folds,
         parted_by=weighed.parted_by,
         noise_terms=weighed.fit.design.request.terms,
@@ -419,57 +404,42 @@ def union_of(wanted: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class UnionReduction:
-    """A record, whitened and reduced over the union of all columns: one summary per part."""
+    """A record, whitened and reduced over the union of all columns: its summary has one triangle per part."""
 
     fit: Fit
-    design: Design
-    parts: list[Reduction]
-    groups: tuple[int, ...]
-    per_segment: bool
+    summary: RunSummary
     parted_by: str
     log_determinant: float
 
     @classmethod
     def of(cls, run: Run, request: Request) -> UnionReduction:
         """Find the noise with the determined part of the union, then reduce the whole union once."""
-        fit = prepare(run, request, run_name(run, 0)).fit
-        columns = tuple(dict.fromkeys((*request.terms, PROBE)))
-        design = Design(fit.design.run, replace(request, terms=columns), fit.design.scale_factor)
-        groups, per_segment = design.groups, design.per_segment
-        edges, parted_by = row_edges(design.run, per_segment)
-        parts, logarithm = reduce_between(design, fit.mode, fit.noise, edges)
-        parts = [part.select(design.names) for part in parts]
-        of_part = tuple(groups[int(design.run.segment_index[edge])] for edge in edges[:-1])
-        return cls(fit, design, parts, of_part, per_segment, parted_by, logarithm)
-
-    @property
-    def observations(self) -> int:
-        """Number of reduced rows."""
-        return sum(part.count for part in self.parts)
+        live = prepare(run, request, "")
+        fit, columns = live.fit, tuple(dict.fromkeys((*request.terms, PROBE)))
+        design = Design(live.run, replace(request, terms=columns), fit.design.scale_factor)
+        noise = replace(fit.noise, scatter=0.0, stated=())
+        positions, parted_by = parts_of(live.run, design.per_segment)
+        triangles, logarithm = reduce_between(design, fit.mode, noise, positions.edges)
+        summary = bare_summary(live, design, repetitions(design, noise, triangles, positions))
+        return cls(fit, summary, parted_by, logarithm)
 
     @property
     def folds(self) -> int:
         """Number of groups of parts; a group is left out together."""
-        return int(fold_of(len(self.parts))[-1]) + 1
+        return int(fold_of(len(self.summary.positions))[-1]) + 1
 
     def compared(self, terms: tuple[str, ...], *, predict: bool = True) -> TermSet:
         """Figures of one set, or the reason why there are none; without ``predict`` no part is left out and predicted."""
-        harmonics, shared = harmonics_of(terms), shared_of(terms)
-        local: tuple[str, ...] = ("p", "q") if "tan_beta" in terms else ()
-        local += tuple(f"{kind}{order}" for order in harmonics for kind in ("s", "c"))
-        own = self.per_segment and bool(local)
-        layout = Layout.of_one("tan_beta" in terms, harmonics, shared, max(self.groups) + 1 if own else 1)
-        state: ServoState | None = None
+        runs = MergedRuns.of(Wish(terms, (), (terms,)), [self.summary])
         try:
             _refuse_servo_alone(terms)
-            state, chosen = self._at_state(layout, local, shared, own)
-            refuse_if_confounded(examine_parts(layout, chosen))
-            estimate = solve_parts(layout, chosen)
-            coefficients, alike = self._named(layout, estimate, terms, own)
+            state, _, estimate = runs.solved()
+            coefficients, alike = self._named(runs, estimate)
         except (CalibrationError, IdentifiabilityError) as error:
             return TermSet(terms, error.message, error.remedy)
-        n, m = self.observations, estimate.parameters
+        n, m = self.summary.count, estimate.parameters
         likelihood = -0.5 * (n * math.log(2.0 * math.pi) + self.log_determinant + estimate.cost)
+        own_phases = len(self.summary.labels) > 1 and runs.layout.local > 0
         return TermSet(
             terms,
             alike=alike,
@@ -478,71 +448,18 @@ class UnionReduction:
             log_likelihood=likelihood,
             bic=m * math.log(n) - 2.0 * likelihood,
             aic=2.0 * m - 2.0 * likelihood,
-            prediction=self._predicted(local, shared, state) if predict and not own else None,
+            prediction=self._predicted(runs, state) if predict and not own_phases else None,
             coefficients=coefficients,
         )
 
-    def _at_state(
-        self, layout: Layout, local: tuple[str, ...], shared: tuple[str, ...], own: bool
-    ) -> tuple[ServoState | None, list[Reduction]]:
-        """One summary per phase group with the columns of a set; servo columns at the phases of the record."""
-        known = {name: size for name, size in self.design.known_servo.items() if name not in shared}
-        terms = (*(name for name in SERVO_TERMS if name in shared), *known)
-        if not terms:
-            return None, self._chosen(local, shared, own)
-        plain = tuple(name for name in shared if name not in SERVO_TERMS)
-        held = self._chosen(local, (*plain, *phaseless_columns(terms)), own)
-        wanted = [(*local, *shared)] * len(held)
-        state = state_of(layout, held, wanted, known, per_segment=own)
-        return state, [at_state(part, wanted[0], state, group, known) for group, part in enumerate(held)]
+    def _predicted(self, runs: MergedRuns, state: ServoState | None) -> HeldOutPrediction | None:
+        parts = [repetition.part for repetition in runs.repetitions(state, (PROBE,))]
+        return predict(parts, self.summary.inner_scale_factor)
 
-    def _predicted(
-        self, local: tuple[str, ...], shared: tuple[str, ...], state: ServoState | None
-    ) -> HeldOutPrediction | None:
-        names, parts = self.design.names, self.parts
-        if state is not None:
-            known = {name: size for name, size in self.design.known_servo.items() if name not in shared}
-            names = tuple(name for name in names if name not in PHASELESS)
-            names += tuple(name for name in SERVO_TERMS if name in shared)
-            parts = [at_state(part, names, state, 0, known) for part in parts]
-        columns = [names.index(self._held(name)) for name in (*local, *shared)]
-        probe = (names.index(PROBE), self.design.scale_factor)
-        return predict(parts, columns, probe, self._fixed(shared))
-
-    def _held(self, name: str) -> str:
-        return "scale_factor" if name == "k1" and "k1" not in self.design.names else name
-
-    def _fixed(self, shared: tuple[str, ...]) -> tuple[int, float] | None:
-        """Column and value of the nominal scale factor, for a set that does not estimate it."""
-        if "scale_factor" not in self.design.names or "scale_factor" in shared:
-            return None
-        return self.design.names.index("scale_factor"), self.design.run.scale_factor
-
-    def _chosen(self, local: tuple[str, ...], shared: tuple[str, ...], own: bool) -> list[Reduction]:
-        """One summary per phase group with the columns of a set, named by its terms."""
-        count = max(self.groups) + 1 if own else 1
-        groups = []
-        for group in range(count):
-            total = merged(
-                [part for part, g in zip(self.parts, self.groups, strict=True) if g == group or not own]
-            )
-            if self._fixed(shared) is not None:
-                total = total.less("scale_factor", self.design.run.scale_factor)
-            held = total.select(tuple(self._held(name) for name in (*local, *shared)))
-            groups.append(replace(held, names=(*local, *shared)))
-        return groups
-
-    def _named(
-        self, layout: Layout, estimate: Estimate, terms: tuple[str, ...], own: bool
-    ) -> tuple[tuple[Coefficient, ...], tuple[str, ...]]:
+    def _named(self, runs: MergedRuns, estimate: Estimate) -> tuple[tuple[Coefficient, ...], tuple[str, ...]]:
         """The coefficients, and those of them that are hard to separate."""
-        run = self.design.run
-        owners: list[tuple[str | None, str | None]] = [
-            (label if own else None, None) for label in run.labels[: estimate.phases.size]
-        ]
-        named, covariance = name_parameters(
-            layout, estimate, estimate.covariance, run.scale_factor, terms, owners, run.unit
-        )
+        run = self.fit.design.run
+        named, covariance = runs.named(estimate, estimate.covariance)
         spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
         refuse_useless(named, largest_size(run.f), float(np.ptp(run.t)), spread)
         return named, tuple(alike_in_words(named, covariance))

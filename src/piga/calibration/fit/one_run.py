@@ -198,9 +198,11 @@ def _scale_factor(design: Design, solution: Solution) -> float:
     return float(solution.amplitudes[coupled + local + design.shared_names.index("scale_factor")])
 
 
-def repetitions(design: Design, noise: Noise, parts: list[Reduction]) -> tuple[Repetition, ...]:
+def repetitions(
+    design: Design, noise: Noise, parts: list[Reduction], positions: Positions | None = None
+) -> tuple[Repetition, ...]:
     """The positions of a run, with their triangles, as repetitions of the measurement."""
-    run, positions = design.run, Positions.of(design.run)
+    run, positions = design.run, positions or Positions.of(design.run)
     begin, end = positions.times(run)
     names = [run.labels[k] for k in positions.segments.tolist()]
     if positions.continuous:

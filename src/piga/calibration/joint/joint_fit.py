@@ -172,14 +172,37 @@ class MergedRuns:
                     remedy="write the same [instrument] servo in all run files of an instrument, or in none",
                 )
         wanted = [self.wanted(index) for index, summary in enumerate(self.summaries) for _ in summary.parts]
-        return state_of(self.layout, self.parts(None), wanted, known[0], runs=len(self.summaries))
+        several = all(len(summary.labels) > 1 for summary in self.summaries)
+        return state_of(
+            self.layout, self.parts(None), wanted, known[0], per_segment=several, runs=len(self.summaries)
+        )
 
-    def repetitions(self, state: ServoState | None) -> list[Repetition]:
-        """The positions of all runs, with the columns of the fit."""
+    def solved(self) -> tuple[ServoState | None, Examination, Estimate]:
+        """State of the servo columns, examination and estimate.
+
+        Raises
+        ------
+        CalibrationError
+            If a column of a summary is missing, or the runs give different parameters of the servo.
+        IdentifiabilityError
+            If the runs together cannot separate what is asked.
+        """
+        state = self.servo_state()
+        parts = self.parts(state)
+        examination = examine_parts(self.layout, parts)
+        refuse_if_confounded(examination, len(self.summaries))
+        return state, examination, solve_parts(self.layout, parts)
+
+    def repetitions(self, state: ServoState | None, beside: Names = (RATE,)) -> list[Repetition]:
+        """The positions of all runs, with the columns of the fit and those ``beside`` them."""
         result: list[Repetition] = []
         for index, summary in enumerate(self.summaries):
-            first, wanted, known = self.first_group(index), (*self.wanted(index), RATE), self.known_servo(index)
-            stored = (*self.stored(index), RATE)
+            first, wanted, known = (
+                self.first_group(index),
+                (*self.wanted(index), *beside),
+                self.known_servo(index),
+            )
+            stored = (*self.stored(index), *beside)
             held = summary.choose(tuple(p.part for p in summary.positions), self.local, stored)
             for position, part in zip(summary.positions, held, strict=True):
                 group = first + position.group
@@ -197,7 +220,7 @@ class MergedRuns:
         """Coefficients of all runs in file units, and their covariance, from that of the internal parameters."""
         owners: list[Owner] = []
         if self.layout.coupled:
-            owners = [(label, summary.name) for summary in self.summaries for label in summary.labels]
+            owners = [(label, summary.name or None) for summary in self.summaries for label in summary.labels]
         nominal = self.summaries[0].scale_factor
         return name_parameters(
             self.layout, estimate, covariance, nominal, self.wish.terms, owners, self.summaries[0].unit
@@ -357,21 +380,9 @@ def _check_temperature(wish: Wish, summaries: list[RunSummary]) -> None:
 
 
 def merge_runs(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | None]) -> JointFit:
-    """Merge summaries that contain the requested columns, and solve.
-
-    Raises
-    ------
-    CalibrationError
-        If a column of a summary is missing, or the runs give different parameters of the servo.
-    IdentifiabilityError
-        If the runs together cannot separate what is asked.
-    """
+    """Merge summaries that contain the requested columns, and solve; raises as :meth:`MergedRuns.solved` does."""
     runs = MergedRuns.of(wish, summaries)
-    state = runs.servo_state()
-    parts = runs.parts(state)
-    examination = examine_parts(runs.layout, parts)
-    refuse_if_confounded(examination, len(summaries))
-    estimate = solve_parts(runs.layout, parts)
+    state, examination, estimate = runs.solved()
     interval = runs.interval(estimate, state)
     coefficients, covariance = runs.named(estimate, interval.covariance)
     phases = len(coefficients) - runs.layout.size

@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +135,7 @@ class RunSummary(Result):
     stand_sources: tuple[StandSource, ...] = ()
     unit: str = GYRO
 
-    @property
+    @cached_property
     def parts(self) -> tuple[Reduction, ...]:
         """Triangle ``[columns | y]`` of each phase group, with the scatter of the positions in its weights."""
         alone = [(p.group, p.part.without((RATE,), p.variance)) for p in self.positions]
@@ -295,13 +296,9 @@ def all_columns(run: Run, request: Request) -> tuple[str, ...]:
     return (*static, *thermal, *(term for term in request.terms if harmonic(term)))
 
 
-def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | None = None) -> RunSummary:
-    """Reduce a prepared run to the given columns; ``scale_factor`` replaces the K inside the regressors."""
+def bare_summary(live: LiveRun, design: Design, positions: tuple[Repetition, ...]) -> RunSummary:
+    """The triangles of a prepared run, with what is needed to solve them: no sources, no residuals."""
     run, fit = live.run, live.fit
-    inner = scale_factor or fit.design.scale_factor
-    wish = replace(live.request, terms=columns, per_run=())
-    design = Design(run, wish, inner)
-    positions = repetitions(design, fit.noise, reduce_positions(design, fit.mode, fit.noise))
     return RunSummary(
         name=live.name,
         serial=run.serial,
@@ -313,17 +310,34 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
         temperature_reference=live.request.temperature_reference,
         time_reference=fit.design.time_reference,
         noise=fit.noise,
-        inner_scale_factor=inner,
+        inner_scale_factor=design.scale_factor,
         turning=run.base_rate is not None,
         labels=run.labels if design.per_segment else (None,),
         positions=positions,
-        sources=moved_sources(live, run, columns, inner),
-        stand_sources=listed(run),
+        sources=(),
         stand=None if run.stand is None else str(run.stand.get("kind")),
         reference_id=run.uncertainty.reference_id,
         undetermined=live.undetermined,
+        quality=run.quality,
+        segments=(),
+        figures={},
+        ranges={},
         known_servo=tuple(given_servo(run).items()),
         unit=run.unit,
+    )
+
+
+def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | None = None) -> RunSummary:
+    """Reduce a prepared run to the given columns; ``scale_factor`` replaces the K inside the regressors."""
+    run, fit = live.run, live.fit
+    design = Design(
+        run, replace(live.request, terms=columns, per_run=()), scale_factor or fit.design.scale_factor
+    )
+    positions = repetitions(design, fit.noise, reduce_positions(design, fit.mode, fit.noise))
+    return replace(
+        bare_summary(live, design, positions),
+        sources=moved_sources(live, run, columns, design.scale_factor),
+        stand_sources=listed(run),
         **_described(fit),
     )
 
@@ -367,11 +381,10 @@ def _group(summaries: list[Reduction], groups: tuple[int, ...], group: int) -> R
 
 
 def _described(fit: Fit) -> dict[str, Any]:
-    """Quality, segments and figures of a run from its own fit."""
+    """Segments and figures of a run from its own fit."""
     run = fit.design.run
     residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
     return {
-        "quality": run.quality,
         "segments": segment_table(fit.design, residuals),
         "figures": residual_figures(residuals),
         "ranges": validity_ranges(run),
