@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.budget.monte_carlo import monte_carlo_intervals
-from piga.calibration.budget.sources import gravity_in_words, sources, sources_of_stand
-from piga.calibration.budget.uncertainty import Budget, budget_of, make_budget, stated_scatter
+from piga.calibration.budget.sources import gravity_in_words, sources
+from piga.calibration.budget.uncertainty import Budget, budget_of, make_budget, sources_of_stand, stated_scatter
 from piga.calibration.choice.model_choice import compare_models
 from piga.calibration.fit.one_run import Fit, fit_run, history_of, interval_of_run, without_scatter
 from piga.calibration.fit.residuals import (

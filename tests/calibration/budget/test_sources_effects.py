@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga.calibration.budget.sources import sources, sources_of_stand, with_units
-from piga.calibration.budget.uncertainty import values_near
+from piga.calibration.budget.sources import sources, with_units
+from piga.calibration.budget.uncertainty import sources_of_stand, values_near
 from piga.calibration.fit.one_run import Fit, fit_run
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients

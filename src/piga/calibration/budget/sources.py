@@ -1,10 +1,4 @@
-"""The sources of Type B of a record: those that are stated, those of an assumed size, and those that nobody stated.
-
-The effect of a source that nobody stated is the change of each coefficient by one unit, from one pass over the record. The
-estimate is linear in the increments. A source changes the modelled rate by its derivatives by specific force, temperature and
-time, times the change of these. The estimate of this change, with the weights of the fit, is the effect of the source (first
-order; the derivatives are those at the middle of each interval).
-"""
+"""The sources of Type B of a record: those that are stated, those of an assumed size, and those that nobody stated."""
 
 from __future__ import annotations
 
@@ -17,11 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation import merge_rows
-from piga.calibration.fit.one_run import Fit
-from piga.calibration.model.design import Block, Design
-from piga.calibration.model.solution import moved_values, name_coefficients
-from piga.calibration.weights import Extra, Positions, reduce_positions, with_scatter
 from piga.earth import EARTH_RATE, Site
 from piga.errors import RunFileError
 from piga.records.arrays import copied, empty, scaled, spans
@@ -29,10 +18,8 @@ from piga.records.calibration import StandSource
 from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import ASSUMED_SOURCES, UNCERTAINTY_UNITS, Draw, UncertaintyTable, drawn_for
-from piga.records.terms import SERVO_TERMS, si_factor
 from piga.results import Array
 from piga.stand import stand_changes
-from piga.terms import PRODUCTS
 from piga.units import G0, from_si, to_si
 
 HEIGHT = 500.0
@@ -342,133 +329,9 @@ def gravity_in_words(run: Run) -> str:
     return ""
 
 
-def sources_of_stand(fit: Fit) -> tuple[StandSource, ...]:
-    """The sources of the stand, and the change of each coefficient by one unit of those that are not stated."""
-    units = [s for s in sources(with_units(fit.design.means.run)) if "servo" not in s.fields]
-    return _with_effects_of(fit, listed(fit.design.run), units)
-
-
-def unstated_servo(fit: Fit) -> StandSource:
-    """A servo that nobody stated, and that the record does not tell: 1 ug/g^3 of it, averaged over turns of the output.
-
-    It lowers the output, as a reference that is as much too large.
-    """
-    run = fit.design.means.run
-    unit = 1e-6 * si_factor("servo")
-
-    def force(part: slice) -> Array:
-        change = np.zeros_like(run.f[part])
-        change[:, 0] = unit * run.f[part, 0] * across_squared(run, part)
-        return change
-
-    source = StandSource("servo", "unstated", "ug/g^3")
-    return _with_effects_of(fit, (source,), [Source(run, "servo", 1.0, "ug/g^3", force=force)])[0]
-
-
 def across_squared(run: Run, at: NDArray[np.int64] | slice) -> Array:
     """``(u_t/K)^2`` [m^2/s^4] at some samples: what bends the servo, specific force less base rate over K across X0."""
     across = run.f[at, 1:]
     if run.base_rate is not None:
         across = across - run.base_rate[at, 1:] / run.scale_factor
     return np.asarray((across**2).sum(axis=1))
-
-
-def _with_effects_of(
-    fit: Fit, listed_sources: tuple[StandSource, ...], units: list[Source]
-) -> tuple[StandSource, ...]:
-    """The sources with the change of each coefficient by one unit of those that are not stated."""
-    named, _ = name_coefficients(fit.design, fit.solution, fit.solution.covariance)
-    effects = {}
-    if units:
-        for source, change in zip(units, _changes(fit, units).T, strict=True):
-            effects[source.name] = moved_values(fit.design, fit.solution, change)
-    return with_effects(listed_sources, effects, [c.key for c in named])
-
-
-def _changes(fit: Fit, units: list[Source]) -> Array:
-    """Change of the internal parameters (parameters, sources) by each source."""
-    design, positions, m = fit.design, Positions.of(fit.design.run), len(fit.design.names)
-    extra = Extra(tuple(source.name for source in units), lambda block: _increments(fit, block, units))
-    parts = with_scatter(reduce_positions(design, fit.mode, fit.noise, positions, extra), fit.noise)
-    total = sum(
-        fit.solution.jacobians[design.groups[segment]].T @ part.factor[:, :m].T @ part.factor[:, m:-1]
-        for part, segment in zip(parts, positions.segments.tolist(), strict=True)
-    )
-    return np.asarray(fit.solution.inverse @ total)
-
-
-def _increments(fit: Fit, block: Block, units: list[Source]) -> Array:
-    """Change of the observed less the modelled increments (sources, n) of a block."""
-    design, run = fit.design.means, fit.design.means.run
-    samples = slice(block.start - (not design.point), block.stop)
-    slopes, ages = _slopes(fit, block.segment, samples)
-    h, turn = np.ones(block.h.size), np.zeros(block.h.size)
-    if not design.point:
-        h, turn = np.diff(run.t[samples]), np.diff(run.output[samples])
-        h[run.begins[block.start : block.stop]] = 0.0
-        turn[h == 0.0] = 0.0
-    out = np.empty((len(units), h.size))
-    for number, source in enumerate(units):
-        rate = source.warmth * slopes["T"] + source.stretch * ages * slopes["t"]
-        for axis, change in zip("xyz", () if source.force is None else source.force(samples).T, strict=False):
-            if change.any():
-                rate += slopes[axis] * _middle(design, change)
-        out[number] = -h * rate
-        if source.stretch:
-            out[number] -= source.stretch * turn
-    if run.left_out is not None:
-        left_out = run.left_out[block.start : block.stop]
-        if design.point:
-            out[:, left_out] = 0.0
-        else:
-            merge_rows(out, h, left_out)
-    return out
-
-
-def _middle(design: Design, values: Array) -> Array:
-    """Mean of the values at both ends of each interval; for a rate log the values."""
-    return values if design.point else 0.5 * (values[..., 1:] + values[..., :-1])
-
-
-def _slopes(fit: Fit, segment: int, samples: slice) -> tuple[dict[str, Array], Array]:
-    """Derivatives of the modelled rate by x, y, z, T and t at the middle of each interval, and t there."""
-    design, run = fit.design.means, fit.design.means.run
-    values = dict(zip(design.names, fit.solution.values[segment].tolist(), strict=True))
-    values = {"scale_factor": run.scale_factor} | design.known_servo | values
-    force = _middle(design, run.f[samples].T)
-    age = _middle(design, run.t[samples]) - design.time_reference
-    warm = age if run.temperature is None else _middle(design, run.temperature[samples])
-    inputs = dict(zip("xyz", force, strict=True)) | {"|x|": np.abs(force[0]), "t": age}
-    inputs["T"] = warm - design.request.temperature_reference
-    slopes = {name: np.zeros(age.size) for name in "xyzTt"}
-    for name, value in values.items():
-        factors = PRODUCTS.get(name, ())
-        for k, factor in enumerate(factors):
-            slope = value * np.sign(inputs["x"]) if factor == "|x|" else value
-            for other in (*factors[:k], *factors[k + 1 :]):
-                slope = slope * inputs[other]
-            slopes[factor.strip("|")] += slope
-    if "p" in values:
-        psi = design.phase_angle[samples]
-        sine, cosine = np.sin(_middle(design, psi)), np.cos(_middle(design, psi))
-        even = 1.0 if design.point else np.sinc(0.5 * np.diff(psi) / np.pi)
-        slopes["y"] += even * (values["p"] * sine + values["q"] * cosine)
-        slopes["z"] += even * (values["q"] * sine - values["p"] * cosine)
-        if set(SERVO_TERMS) & set(values):
-            _add_servo(slopes, values, force, sine, cosine)
-    return slopes, age
-
-
-def _add_servo(
-    slopes: dict[str, Array], values: dict[str, float], force: Array, sine: Array, cosine: Array
-) -> None:
-    """Add the derivatives of the servo terms, ``-2 servo x v^2 - servo_damping x^2 u``; u and v turn with the output."""
-    stiffness, damping = (values.get(name, 0.0) for name in SERVO_TERMS)
-    size = np.hypot(values.get("p", 0.0), values.get("q", 0.0)) or 1.0
-    c, s = values.get("p", 0.0) / size, values.get("q", 0.0) / size
-    cosine, sine = c * cosine - s * sine, c * sine + s * cosine
-    x, y, z = force
-    u, v = y * cosine + z * sine, z * cosine - y * sine
-    slopes["x"] -= 2.0 * stiffness * v * v + 2.0 * damping * x * u
-    slopes["y"] += 4.0 * stiffness * x * v * sine - damping * x * x * cosine
-    slopes["z"] -= 4.0 * stiffness * x * v * cosine + damping * x * x * sine

@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from piga.calibration.budget.sources import Source, sources
+from piga.calibration.budget.sources import Source, across_squared, listed, sources, with_effects, with_units
+from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import name_coefficients, solve
+from piga.calibration.model.solution import moved_values, name_coefficients, solve
+from piga.calibration.weights import Extra, Positions, reduce_positions, residual_increments, with_scatter
 from piga.progress import SILENT, Steps
 from piga.records.arrays import copied
-from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient
+from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient, StandSource
 from piga.records.calibration.coefficient import short_way, welch_satterthwaite
 from piga.records.run import Run
 from piga.records.terms import si_factor, unit_of
@@ -27,7 +29,6 @@ from piga.results import Array, Result
 
 if TYPE_CHECKING:
     from piga.calibration.fit.one_run import Fit
-    from piga.calibration.model.design import Design
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -168,6 +169,58 @@ def make_budget(
     stated = bool(fit.noise.stated)
     in_fit = tuple(stated and source.draw == "segment" for source, _ in changes_by_source)
     return budget_of(coefficients, covariance, changes_by_source, in_fit)
+
+
+def sources_of_stand(fit: Fit) -> tuple[StandSource, ...]:
+    """The sources of the stand, and the change of each coefficient by one unit of those that are not stated."""
+    units = [source for source in sources(with_units(fit.design.means.run)) if "servo" not in source.fields]
+    return _with_effects_of(fit, listed(fit.design.run), units)
+
+
+def unstated_servo(fit: Fit) -> StandSource:
+    """A servo that nobody stated, and that the record does not tell: 1 ug/g^3 of it, averaged over turns of the output.
+
+    It lowers the output, as a reference that is as much too large.
+    """
+    run = fit.design.means.run
+    unit = 1e-6 * si_factor("servo")
+
+    def force(part: slice) -> Array:
+        change = np.zeros_like(run.f[part])
+        change[:, 0] = unit * run.f[part, 0] * across_squared(run, part)
+        return change
+
+    source = StandSource("servo", "unstated", "ug/g^3")
+    return _with_effects_of(fit, (source,), [Source(run, "servo", 1.0, "ug/g^3", force=force)])[0]
+
+
+def _with_effects_of(
+    fit: Fit, listed_sources: tuple[StandSource, ...], units: list[Source]
+) -> tuple[StandSource, ...]:
+    """The sources with the change of each coefficient by one unit of those that are not stated.
+
+    The estimate is linear in the residual increments of the record, moved by a unit, under the fit (first order). Of a long
+    record the means of neighbouring samples are moved.
+    """
+    means, values = fit.design.means, fit.solution.values
+    plain = Design(means.run, means.request, means.scale_factor, means.servo)
+    known = residual_increments(plain, values)[0]
+    moved = [residual_increments(plain.of(source.moved), values)[0] - known for source in units]
+    extra = Extra(
+        tuple(s.name for s in units), lambda block: np.array([d[block.start : block.stop] for d in moved])
+    )
+    effects = {}
+    if units:
+        m, positions = len(plain.names), Positions.of(fit.design.run)
+        parts = with_scatter(reduce_positions(fit.design, fit.mode, fit.noise, positions, extra), fit.noise)
+        score = sum(
+            fit.solution.jacobians[plain.groups[segment]].T @ part.factor[:, :m].T @ part.factor[:, m:-1]
+            for part, segment in zip(parts, positions.segments.tolist(), strict=True)
+        )
+        for source, change in zip(units, (fit.solution.inverse @ score).T, strict=True):
+            effects[source.name] = moved_values(fit.design, fit.solution, change)
+    keys = [c.key for c in name_coefficients(fit.design, fit.solution, fit.solution.covariance)[0]]
+    return with_effects(listed_sources, effects, keys)
 
 
 def budget_of(

@@ -22,8 +22,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from piga.calibration.budget.sources import across_squared, unstated_servo
-from piga.calibration.budget.uncertainty import budget_row
+from piga.calibration.budget.sources import across_squared
+from piga.calibration.budget.uncertainty import budget_row, unstated_servo
 from piga.calibration.fit.one_run import Fit, repetitions, without_scatter
 from piga.calibration.fit.servo import at_state, settled_design
 from piga.calibration.joint.joint_fit import JointFit, merge_runs
