@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.budget.uncertainty import contributions, values_near
 from piga.calibration.fit.one_run import repetitions
-from piga.calibration.fit.servo import settled_design, with_mean_servo
+from piga.calibration.fit.servo import reduce_settled, with_mean_servo
 from piga.calibration.intervals import LeverageError, find_interval
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.identifiability import examine, refuse_if_confounded
@@ -29,8 +29,6 @@ from piga.calibration.weights import (
     Noise,
     Positions,
     of_segments,
-    reduce_positions,
-    reduce_segments,
     weighted_blocks,
     weighting_mode,
     with_scatter,
@@ -362,8 +360,7 @@ def predict(
     design = Design(run, wish, run.scale_factor)
     mode = weighting_mode(design, "information")
     try:
-        design = settled_design(design, mode, noise)
-        parts = reduce_positions(design, mode, noise)
+        design, parts = reduce_settled(design, mode, noise)
         summaries = of_segments(with_scatter(parts, noise), Positions.of(run))
         refuse_if_confounded(examine(design, summaries))
         solution = solve(design, summaries)
@@ -381,8 +378,8 @@ def predict(
     base = np.array([c.value for c in coefficients])
 
     def estimate(moved: Run) -> Array:
-        again = settled_design(Design(moved, wish, run.scale_factor), mode, noise)
-        return values_near(base, again, reduce_segments(again, mode, noise))
+        again, turned = reduce_settled(Design(moved, wish, run.scale_factor), mode, noise)
+        return values_near(base, again, of_segments(with_scatter(turned, noise), Positions.of(run)))
 
     squares = np.zeros(base.size)
     if type_b:

@@ -21,7 +21,7 @@ from piga.calibration.fit.outliers import (
     suspicious,
     without_rates,
 )
-from piga.calibration.fit.servo import settled_design
+from piga.calibration.fit.servo import reduce_settled
 from piga.calibration.intervals import Interval, Repetition, find_interval
 from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import Examination, examine, refuse_if_confounded
@@ -35,7 +35,6 @@ from piga.calibration.weights import (
     find_noise,
     find_scatter,
     of_segments,
-    reduce_positions,
     reduce_segments,
     residual_increments,
     starting_noise,
@@ -131,31 +130,30 @@ def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
 
 def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
     """Alternate between the linear fit and the weights until they agree."""
-    design = Design(run, request, run.scale_factor)
-    mode = weighting_mode(design, request.method)
-    if design.rows <= len(design.names) + len(set(design.groups)):
+    raw = Design(run, request, run.scale_factor)
+    mode = weighting_mode(raw, request.method)
+    if raw.rows <= len(raw.names) + len(set(raw.groups)):
         raise CalibrationError(
-            f"the record has {design.rows} increments, too few for {len(design.names)} parameters",
+            f"the record has {raw.rows} increments, too few for {len(raw.names)} parameters",
             remedy="record longer, or leave terms out",
         )
     positions, given = Positions.of(run), _given_noise(request)
     own = () if positions.continuous or not stated else stated
     noise = replace(given or starting_noise(run.resolution, run.median_step), stated=own)
     for refit in range(FIT.refits):
-        design = settled_design(design, mode, noise)
-        parts = reduce_positions(design, mode, noise, positions)
+        design, parts = reduce_settled(raw, mode, noise)
         summaries = of_segments([part.select(design.names) for part in parts], positions)
         examination = examine(design, summaries)
         refuse_if_confounded(examination)
         solution = solve(design, summaries)
-        refined = design.with_scale_factor(_scale_factor(design, solution))
+        refined = raw.with_scale_factor(_scale_factor(design, solution))
         d, h = residual_increments(design, solution.values)
         levels = given or find_noise(design, d, h, solution.parameters, mode, noise if refit else None)
         step = run.median_step
-        settled = refined is design and levels.close_to(noise, step, design.rows // len(run.labels))
+        settled = refined is raw and levels.close_to(noise, step, design.rows // len(run.labels))
         if settled or refit == FIT.refits - 1:
             break
-        noise, design = replace(levels, stated=own), refined
+        noise, raw = replace(levels, stated=own), refined
     if given is None and mode != "rates" and not positions.continuous:
         noise = find_scatter(parts, noise, design.local_names if design.has_phases else ())
     if noise.scatter > 0.0 or noise.stated:

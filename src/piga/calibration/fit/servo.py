@@ -18,7 +18,7 @@ from piga.calibration.model.design import PHASELESS, STIFFNESS_COLUMNS, Design, 
 from piga.calibration.model.identifiability import examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Estimate, Layout, merged_groups, solve_parts
-from piga.calibration.weights import Noise, reduce_segments
+from piga.calibration.weights import RATE, Noise, Positions, of_segments, reduce_positions, with_scatter
 from piga.errors import IdentifiabilityError
 from piga.records.calibration.coefficient import short_way
 from piga.records.terms import SERVO_TERMS
@@ -175,26 +175,29 @@ def without_servo(layout: Layout) -> Layout:
     return replace(layout, keys=tuple(layout.keys[i] for i in kept), tails=tails)
 
 
-def settled_design(design: Design, mode: str, noise: Noise) -> Design:
-    """The design with the servo columns combined at the phases of the record; unchanged without servo terms.
+def reduce_settled(design: Design, mode: str, noise: Noise) -> tuple[Design, list[Reduction]]:
+    """The design with the servo columns at the phases of the record, and a triangle ``[model | rate | y]`` per position.
+
+    One pass: triangles with columns without a phase give the phases, and then combine.
 
     Raises
     ------
     IdentifiabilityError
         If the record cannot separate a servo term from other terms; names the terms and a test that can.
     """
-    if not design.turning_servo:
-        return design
-    if "tan_beta" not in design.request.terms:
-        return with_mean_servo(design)
-    summaries = reduce_segments(design.with_servo(None), mode, noise)
-    parts = merged_groups(summaries, design.groups)
-    count = len(parts)
-    terms = design.request.shared_terms
-    layout = Layout.of_one(True, design.request.harmonics, terms, count)
-    wanted = (design.local_names + terms,) * count
-    state = state_of(layout, parts, wanted, design.known_servo, per_segment=count > 1)
-    return design.with_servo(replace(state, phases=tuple(state.phases[group] for group in design.groups)))
+    raw, positions = design.with_servo(None), Positions.of(design.run)
+    parts = reduce_positions(raw, mode, noise, positions)
+    if not raw.turning_servo:
+        return raw, parts
+    terms, known = raw.request.shared_terms, raw.known_servo
+    held = merged_groups(of_segments(with_scatter(parts, noise), positions), raw.groups)
+    layout = Layout.of_one("tan_beta" in raw.request.terms, raw.request.harmonics, terms, len(held))
+    names = raw.local_names + terms
+    state = state_of(layout, held, (names,) * len(held), known, per_segment=len(held) > 1)
+    state = replace(state, phases=tuple(state.phases[group] for group in raw.groups))
+    segments = positions.segments.tolist()
+    turned = [at_state(p, (*names, RATE), state, s, known) for p, s in zip(parts, segments, strict=True)]
+    return raw.with_servo(state), turned
 
 
 def with_mean_servo(design: Design) -> Design:

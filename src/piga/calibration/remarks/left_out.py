@@ -25,7 +25,7 @@ from scipy.special import chdtrc
 from piga.calibration.budget.sources import across_squared
 from piga.calibration.budget.uncertainty import budget_row, unstated_servo
 from piga.calibration.fit.one_run import Fit, repetitions, without_scatter
-from piga.calibration.fit.servo import at_state, settled_design
+from piga.calibration.fit.servo import at_state, reduce_settled
 from piga.calibration.joint.joint_fit import JointFit, merge_runs
 from piga.calibration.joint.summary import LiveRun, RunSummary
 from piga.calibration.model.design import Design, Names
@@ -40,7 +40,7 @@ from piga.calibration.remarks.missing_terms import (
     tested,
     with_term,
 )
-from piga.calibration.weights import reduce_positions
+from piga.calibration.weights import Positions, of_segments, reduce_positions, with_scatter
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.records.calibration import BudgetEntry, Coefficient, StandSource
 from piga.records.calibration.coefficient import changes, coverage_factor
@@ -213,10 +213,10 @@ def _with_terms(plain: Fit, extra: tuple[str, ...]) -> dict[str, float] | None:
     request = replace(plain.design.request, terms=(*plain.design.request.terms, *extra))
     raw = Design(plain.design.run, request, plain.design.scale_factor)
     try:
-        design = settled_design(raw, plain.mode, plain.noise)
+        design, parts = reduce_settled(raw, plain.mode, plain.noise)
     except IdentifiabilityError:
         return None
-    solution = solve(design, plain.reduce(design))
+    solution = solve(design, of_segments(with_scatter(parts, plain.noise), Positions.of(raw.run)))
     named, _ = name_coefficients(design, solution, solution.covariance)
     return {c.key: c.value for c in named}
 
