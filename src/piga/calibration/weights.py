@@ -284,7 +284,7 @@ class LevelSettings:
     largest_ratio: float = 1e6
     """Largest ratio of walk to white noise in an increment."""
     first_rows: int = 1 << 16
-    """Rows of the first search; of a longer record neighbouring increments are joined."""
+    """Rows of a search without a first guess; of a longer record neighbouring increments are joined."""
     tolerance: float = 0.1
     """Tolerance of the ratio [natural logarithm]."""
     scatter_range: tuple[float, float] = (-5.0, 14.0)
@@ -305,7 +305,8 @@ def likeliest_levels(
 ) -> Noise:
     """Levels of the largest restricted likelihood; the rate of each stretch between ``edges`` is free.
 
-    ``floor`` [rad] is the smallest white noise. The search begins ``near`` levels with a walk; by default all ratios are tried.
+    ``floor`` [rad] is the smallest white noise. The search begins ``near`` levels with a walk; by default all ratios are tried,
+    in a long record with neighbouring increments joined.
     """
     from scipy.optimize import minimize_scalar
 
@@ -322,25 +323,24 @@ def likeliest_levels(
 
     low, high = math.log((math.pi / longest) ** 2 / longest) - 4.0, math.log(LEVELS.largest_ratio)
     grid = np.arange(low, high + LEVELS.spacing, LEVELS.spacing)
+    rows, searched, few = (d, h, edges), (d, h, edges), count
     if near is None or near.walk == 0.0 or near.white == 0.0:
-        rough = joined(d, h, edges, max(1, d.size // LEVELS.first_rows))
-        few = int(np.count_nonzero(rough[1] > 0.0))
-        best = float(grid[int(np.argmin([deviance(math.exp(x), rough, few)[0] for x in grid]))])
+        searched = joined(d, h, edges, max(1, d.size // LEVELS.first_rows))
+        few = int(np.count_nonzero(searched[1] > 0.0))
+        best = float(grid[int(np.argmin([deviance(math.exp(x), searched, few)[0] for x in grid]))])
     else:
         best = float(grid[int(np.argmin(np.abs(grid - math.log(near.walk * step / near.white))))])
-    rows = (d, h, edges)
     found = minimize_scalar(
-        lambda x: deviance(math.exp(x), rows, count)[0],
+        lambda x: deviance(math.exp(x), searched, few)[0],
         bounds=(best - LEVELS.spacing, best + LEVELS.spacing),
         method="bounded",
         options={"xatol": LEVELS.tolerance},
     )
-    none, white = deviance(0.0, rows, count)
-    if none < float(found.fun) + WALK_GAIN:
-        return Noise(white, 0.0)
     ratio = math.exp(float(found.x))
-    white = deviance(ratio, rows, count)[1]
-    return Noise(white, white * ratio / step)
+    (none, white), (least, beside) = deviance(0.0, rows, count), deviance(ratio, rows, count)
+    if none < least + WALK_GAIN:
+        return Noise(white, 0.0)
+    return Noise(beside, beside * ratio / step)
 
 
 def joined(d: Array, h: Array, edges: NDArray[np.int64], every: int) -> tuple[Array, Array, NDArray[np.int64]]:
