@@ -175,16 +175,11 @@ def weighting_mode(design: Design, method: str) -> str:
     return "rates" if method == "rate" else "increments"
 
 
-def weighted_blocks(
-    design: Design, mode: str, noise: Noise, *, rate: bool = False
-) -> Iterator[tuple[Block, Array]]:
-    """Blocks of all samples with their weighted columns in order: model, with ``rate`` that of the position, observation."""
-    whitener = Whitener(mode, noise, len(design.names) + 1 + rate, design.run.median_step)
+def weighted_blocks(design: Design, mode: str, noise: Noise) -> Iterator[tuple[Block, Array]]:
+    """Blocks of all samples with their weighted columns in order: model, observation."""
+    whitener = Whitener(mode, noise, len(design.names) + 1, design.run.median_step)
     for block in design.blocks():
-        columns = block.columns
-        if rate:
-            columns = np.vstack([columns[:-1], np.maximum(block.h, 0.0)[None], columns[-1:]])
-        yield block, whitener.apply(columns, block.h)
+        yield block, whitener.apply(block.columns, block.h)
 
 
 def rate_share(variance: ArrayLike, square: ArrayLike) -> Array:

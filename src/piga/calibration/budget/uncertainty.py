@@ -159,7 +159,7 @@ def make_budget(
         return values_near(base, fit.design, summaries)
 
     def one_by_one(run: Run) -> Iterator[Array]:
-        moved, plain = reduced(run), reduced(fit.design.run)
+        moved, plain = reduced(run), fit.summaries
         for s in range(len(plain)):
             yield solved([*plain[:s], moved[s], *plain[s + 1 :]])
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -35,10 +34,10 @@ from piga.calibration.weights import (
     find_noise,
     find_scatter,
     of_segments,
+    reduce_between,
     reduce_segments,
     residual_increments,
     starting_noise,
-    weighted_blocks,
     weighting_mode,
     with_scatter,
 )
@@ -254,18 +253,17 @@ def history_of(fit: Fit) -> dict[str, Array]:
 
 def _growing(fit: Fit) -> Iterator[tuple[int, list[Reduction]]]:
     """Number of samples, and one summary for each segment begun; the last item is that of the whole record."""
-    design, total = fit.design, fit.design.run.size
+    design, run = fit.design, fit.design.run
     points = POINTS if not design.has_phases else POINTS // 10
-    marks = np.unique(np.linspace(min(total, 2 * len(design.names)), total, points).astype(np.int64))
-    variances = fit.noise.rate_variances(len(design.run.labels)).tolist()
+    marks = np.unique(np.linspace(min(run.size, 2 * len(design.names)), run.size, points).astype(np.int64))
+    edges = np.union1d(run.segment_edges(), marks)
+    variances = fit.noise.rate_variances(len(run.labels)).tolist()
     parts: list[Reduction] = []
-    segment = -1
-    for block, columns in weighted_blocks(design, fit.mode, fit.noise, rate=True):
-        if block.segment != segment:
-            segment = block.segment
-            parts.append(Reduction.empty((*design.names, RATE)))
-        inside = marks[(marks > block.start) & (marks <= block.stop)].tolist()
-        for start, stop in pairwise([block.start, *inside, block.stop]):
-            parts[-1].absorb(np.ascontiguousarray(columns[:, start - block.start : stop - block.start]))
-            if stop in inside:
-                yield stop, [part.without((RATE,), own) for part, own in zip(parts, variances, strict=False)]
+    pieces = reduce_between(design, fit.mode, fit.noise, edges)[0]
+    for piece, start, stop in zip(pieces, edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        if run.segment_index[start] < len(parts):
+            parts[-1].merge(piece)
+        else:
+            parts.append(piece)
+        if stop in marks:
+            yield stop, [part.without((RATE,), own) for part, own in zip(parts, variances, strict=False)]

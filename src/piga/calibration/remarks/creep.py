@@ -9,8 +9,9 @@ or proportional to the change of a_x by the move. A few time constants are tried
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -20,10 +21,9 @@ from piga.calibration.intervals import sandwich
 from piga.calibration.joint.joint_fit import JointFit
 from piga.calibration.joint.summary import LiveRun
 from piga.calibration.model.design import Block, Design
-from piga.calibration.model.reduction import Reduction, solve_upper, triangle
-from piga.calibration.model.solution import parameter_rows
+from piga.calibration.model.reduction import Reduction, triangle
+from piga.calibration.model.solution import moved_values
 from piga.calibration.remarks.all_remarks import with_sentences
-from piga.calibration.remarks.missing_terms import after_change
 from piga.calibration.weights import RATE, Extra, Noise, Positions, reduce_positions, residual_increments
 from piga.records.calibration import Calibration, Coefficient, Creep
 from piga.records.calibration.coefficient import changes
@@ -58,14 +58,26 @@ CREEP = CreepSettings()
 class FittedRun:
     """A record under a fit: its columns, its weights, and the column coefficients ``values`` (segments, m).
 
-    ``effect`` is the change of the coefficients (file units) by adding a creep of this size, whose column is in the triangles.
+    ``jacobians`` are the derivatives of these by the parameters of the fit, for each segment, ``inverse`` is the inverse
+    information of the parameters. ``moved`` gives the change of the coefficients (file units) by one of the parameters.
     """
 
     design: Design
     mode: str
     noise: Noise
     values: Array
-    effect: Callable[[float, list[Reduction]], Array]
+    jacobians: Sequence[Array]
+    inverse: Array
+    moved: Callable[[Array], Array]
+
+    def effect(self, rows: Sequence[Reduction]) -> Array:
+        """Change of the parameters by a creep of size one; ``rows`` are ``[model | rate | creep | y]`` of the positions."""
+        positions, score = Positions.of(self.design.run), np.zeros(len(self.inverse))
+        variances = self.noise.rate_variances(positions.count).tolist()
+        for part, segment, variance in zip(rows, positions.segments.tolist(), variances, strict=True):
+            factor = part.without((RATE,), variance).factor
+            score += self.jacobians[segment].T @ (factor[:, :-2].T @ factor[:, -2])
+        return self.inverse @ score
 
 
 def creep_of_run(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Creep | None:
@@ -78,49 +90,32 @@ def creep_of_run(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Creep | Non
     coefficients:
         The result, with combined standard uncertainties.
     """
-
-    def effect(size: float, rows: list[Reduction]) -> Array:
-        before, after = (
-            np.array([after_change(fit, change)[c.key] for c in coefficients])
-            for change in (np.zeros(1), size * _taken_up(fit, rows))
-        )
-        return changes(coefficients, before, after)
-
-    return find_creep(FittedRun(fit.design, fit.mode, fit.noise, fit.solution.values, effect), coefficients)
+    design, solution = fit.design, fit.solution
+    jacobians = [solution.jacobians[group] for group in design.groups]
+    moved = partial(moved_values, design, solution)
+    own = FittedRun(design, fit.mode, fit.noise, solution.values, jacobians, solution.inverse, moved)
+    return find_creep(own, coefficients)
 
 
 def creep_of_runs(fit: JointFit, coefficients: tuple[Coefficient, ...]) -> tuple[LiveRun, Creep] | None:
     """The likeliest creep of the runs with raw data, and its run; None if none was tested."""
-    before = np.array([c.value for c in fit.coefficients])
+    estimate = fit.estimate
+
+    def moved(change: Array) -> Array:
+        at = estimate.amplitudes.size
+        amplitudes, phases = estimate.amplitudes + change[:at], estimate.phases + change[at:]
+        named, _ = fit.named(replace(estimate, amplitudes=amplitudes, phases=phases), estimate.covariance)
+        return changes(coefficients, *(np.array([c.value for c in one]) for one in (fit.coefficients, named)))
+
     creeps: list[tuple[LiveRun, Creep]] = []
     for index, live in enumerate(fit.live):
         if live is None:
             continue
         design, values = fit.design_of(index, live)
-
-        def effect(size: float, rows: list[Reduction], index: int = index, design: Design = design) -> Array:
-            positions, noise = Positions.of(design.run), fit.summaries[index].noise
-            score = np.zeros(fit.estimate.parameters)
-            for part, segment, variance in zip(
-                rows, positions.segments.tolist(), noise.rate_variances(positions.count), strict=True
-            ):
-                factor = part.without((RATE,), float(variance)).factor
-                group = fit.first_group(index) + design.groups[segment]
-                turned = factor[:, :-2] @ fit.layout.jacobian(
-                    fit.estimate.amplitudes, fit.estimate.phases, group
-                )
-                score += turned.T @ factor[:, -2]
-            change = size * (fit.estimate.inverse @ score)
-            at = fit.estimate.amplitudes.size
-            moved = replace(
-                fit.estimate,
-                amplitudes=fit.estimate.amplitudes + change[:at],
-                phases=fit.estimate.phases + change[at:],
-            )
-            named, _ = fit.named(moved, fit.estimate.covariance)
-            return changes(coefficients, before, np.array([c.value for c in named]))
-
-        creep = find_creep(FittedRun(design, live.fit.mode, live.fit.noise, values, effect), coefficients)
+        groups = [fit.first_group(index) + group for group in design.groups]
+        jacobians = [fit.layout.jacobian(estimate.amplitudes, estimate.phases, group) for group in groups]
+        own = FittedRun(design, live.fit.mode, live.fit.noise, values, jacobians, estimate.inverse, moved)
+        creep = find_creep(own, coefficients)
         if creep is not None:
             creeps.append((live, creep))
     if not creeps:
@@ -148,7 +143,7 @@ def find_creep(fit: FittedRun, coefficients: tuple[Coefficient, ...]) -> Creep |
         near = _tests(fit, positions, [best.time * part for part in CREEP.near])
         best = max((test for test in near if test.by_move == best.by_move), key=lambda test: test.fall)
     scale = fit.design.scale_factor * (1.0 if best.by_move else G0)
-    shifts = zip(coefficients, fit.effect(-best.size, best.rows), strict=True)
+    shifts = zip(coefficients, fit.moved(-best.size * fit.effect(best.rows)), strict=True)
     return Creep(
         best.size / scale,
         best.std / scale,
@@ -225,21 +220,6 @@ def _tests(fit: FittedRun, positions: Positions, times: list[float]) -> list[_Te
                 chance = 2.0 * float(stdtr(degrees, -abs(size) / max(float(std), 1e-300)))
                 tests.append(_Test(time, by_move, rows, size, float(std), chance, size**2 * square))
     return tests
-
-
-def _taken_up(fit: Fit, rows: list[Reduction]) -> Array:
-    """Change of the parameters by a creep of size one that the model lacks, with the weights of the fit."""
-    positions = Positions.of(fit.design.run)
-    variances = fit.noise.rate_variances(positions.count).tolist()
-    stacked = np.vstack(
-        [
-            parameter_rows(fit.design, fit.solution, segment, part.without((RATE,), own).factor[:, :-1])
-            for part, segment, own in zip(rows, positions.segments.tolist(), variances, strict=True)
-        ]
-    )
-    size = np.linalg.norm(stacked[:, :-1], axis=0)
-    R = triangle(stacked / np.append(size, 1.0))
-    return solve_upper(R[:-1, :-1], R[:-1, -1]) / size
 
 
 def _stacked(fit: FittedRun, positions: Positions, length: float) -> tuple[tuple[float, ...], ...]:
