@@ -45,7 +45,7 @@ from piga.calibration.model.identifiability import (
 from piga.calibration.model.request import Request
 from piga.calibration.model.solution import asked_order, layout_of, name_coefficients
 from piga.calibration.remarks.advice import advise, with_advice
-from piga.calibration.remarks.all_remarks import find_remarks, with_remarks, with_sentences
+from piga.calibration.remarks.all_remarks import with_remarks, with_sentences
 from piga.calibration.remarks.creep import creep_of_run, creep_of_runs, with_creep
 from piga.calibration.remarks.left_out import LeftOut, left_out_of_runs, left_out_terms
 from piga.calibration.remarks.missing_terms import Candidates
@@ -183,8 +183,8 @@ class OneRun:
             history=history_of(fit) if request.method == "recursive" else None,
             unit=run.unit,
         )
-        said = find_remarks(fit, self.candidates, coefficients)
-        return with_creep(with_remarks(result, fit, said, doubts), run, creep_of_run(fit, coefficients))
+        result = with_remarks(result, fit, self.candidates, doubts)
+        return with_creep(result, run, creep_of_run(fit, coefficients))
 
     def servo(self) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
         """Given coefficients of the servo, and the same moved by each source of Type B that affects them."""

@@ -49,6 +49,9 @@ class SharedSource(Result):
     in_fit: bool = False
 
 
+UNMOVED = 1e-9
+"""Largest relative change by a parameter of the servo that the model does not use: rounding."""
+
 Estimate = Callable[[Run], Array]
 OneByOne = Callable[[Run], Iterable[Array]]
 
@@ -72,7 +75,7 @@ def contributions(
         else:
             moved = [estimate(_in_segment(run, record, s)) for s in range(len(run.labels))]
         changes = np.array(moved) - base
-        if "servo" not in source.fields or changes.any():
+        if "servo" not in source.fields or (np.abs(changes) > UNMOVED * np.abs(base)).any():
             yield source, changes
 
 

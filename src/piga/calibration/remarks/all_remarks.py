@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import accumulate
 
 from piga.calibration.fit.one_run import Fit
@@ -21,47 +21,26 @@ from piga.calibration.remarks.advice import advise, looks_wrong
 from piga.calibration.remarks.left_out import CUBIC_SOURCE, DAMPING_SOURCE, LeftOut
 from piga.calibration.remarks.leverage import find_leverage
 from piga.calibration.remarks.missing_terms import Candidates, suggest_terms, suggestions_in_words
-from piga.records.calibration import Calibration, Coefficient, MissingTerm, SegmentLeverage
+from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration.verdict import scale_over_nominal
 
 
-@dataclass(frozen=True)
-class Remarks:
-    """Leverage by segment, its remarks on single segments and on moved coefficients (with the shift in u), terms suggested."""
-
-    leverage: dict[str, SegmentLeverage]
-    alone: tuple[str, ...]
-    moved: tuple[tuple[float, str], ...]
-    missing: tuple[MissingTerm, ...]
-
-
-def find_remarks(fit: Fit, candidates: Candidates, coefficients: tuple[Coefficient, ...]) -> Remarks:
-    """Remarks from the fit alone, without its residuals.
-
-    Parameters
-    ----------
-    fit, candidates:
-        The finished fit, and the candidates of the fit without slow noise.
-    coefficients:
-        Those of the result, with combined standard uncertainties.
-    """
-    slow = fit.noise.scatter > 0.0
-    plain = candidates.fit
-    known = _known_without_slow(fit, plain, coefficients) if slow else coefficients
-    leverage, alone, moved = find_leverage(plain, known, slow, {c.name: c.std for c in coefficients})
-    return Remarks(leverage, alone, moved, suggest_terms(candidates, coefficients))
-
-
-def with_remarks(result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[LeftOut, ...]) -> Calibration:
+def with_remarks(
+    result: Calibration, fit: Fit, candidates: Candidates, doubts: tuple[LeftOut, ...]
+) -> Calibration:
     """The result with ``leverage``, ``missing_terms`` and ``advice`` in its diagnostics and in its notes.
 
-    A signature of the servo is reported by the suggestion of its term or by a sentence of its own.
+    ``candidates`` are those of the fit without slow noise. A signature of the servo is reported by the suggestion of its term or
+    by a sentence of its own.
     """
+    plain, slow, coefficients = candidates.fit, fit.noise.scatter > 0.0, result.coefficients
+    quiet = _known_without_slow(fit, plain, coefficients) if slow else coefficients
+    leverage, alone, moved = find_leverage(plain, quiet, slow, {c.name: c.std for c in coefficients})
     scale = scale_over_nominal(result)
     advice = advise(fit.design.run, fit.design.request, scale) if looks_wrong(result) else ()
-    missing = () if advice else remarks.missing
-    diagnostics = replace(result.diagnostics, leverage=remarks.leverage, advice=advice, missing_terms=missing)
-    also = "; the scatter of the segments may be the same effect" if fit.noise.scatter > 0.0 else ""
+    missing = () if advice else suggest_terms(candidates, coefficients)
+    diagnostics = replace(result.diagnostics, leverage=leverage, advice=advice, missing_terms=missing)
+    also = "; the scatter of the segments may be the same effect" if slow else ""
     sources = [doubt.source for doubt in doubts]
     words = suggestions_in_words(missing, held=CUBIC_SOURCE in sources, turned=DAMPING_SOURCE in sources)
     said = {CUBIC_SOURCE} if any(entry.scale_factor_under for entry in missing) else set()
@@ -71,13 +50,13 @@ def with_remarks(result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[
     suggested = (
         *((shift, sentence + also) for shift, sentence in zip(shifts, words, strict=True)),
         *(
-            (doubt.largest_shift(result.coefficients), doubt.words)
+            (doubt.largest_shift(coefficients), doubt.words)
             for doubt in doubts
             if doubt.words and doubt.source not in said
         ),
     )
-    cause = (*((math.inf, words) for words in advice), *suggested) or remarks.moved
-    result = replace(result, remarks=(*remarks.alone, *result.remarks), diagnostics=diagnostics)
+    cause = (*((math.inf, words) for words in advice), *suggested) or moved
+    result = replace(result, remarks=(*alone, *result.remarks), diagnostics=diagnostics)
     return with_sentences(result, cause)
 
 
