@@ -63,8 +63,8 @@ def servo_order() -> dict:
 
 def servo_fit() -> dict:
     """Calibrations of a head and a centrifuge of the rigid body."""
-    from tests.calibration.fit.test_servo_truth import BODY as TILTED
-    from tests.calibration.fit.test_servo_truth import HEAD, head, off, run_of
+    from tests.calibration.test_servo_truth import BODY as TILTED
+    from tests.calibration.test_servo_truth import HEAD, head, off, run_of
 
     import piga
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from piga._kernels.compensation.data import INSTRUMENT
-from piga.calibration.joint.summary import STATIC_TERMS
+from piga.calibration.summary import STATIC_TERMS
 from piga.instrument import ErrorModel
 from piga.records.terms import SERVO_TERMS
 from piga.terms import ERROR_TERMS, PRODUCTS, THERMAL_TERMS
@@ -18,7 +18,7 @@ def test_a_term_stands_everywhere(name: str) -> None:
     places = {
         "Instrument in _kernels/compensation/data.py": name in INSTRUMENT.names,
         "ErrorModel in instrument/parameters.py": servo or name in ErrorModel.__dataclass_fields__,
-        "STATIC_TERMS in calibration/joint/summary.py": name in ("k1", *THERMAL_TERMS) or name in STATIC_TERMS,
+        "STATIC_TERMS in calibration/summary.py": name in ("k1", *THERMAL_TERMS) or name in STATIC_TERMS,
         "factors in terms.py": servo or name in PRODUCTS,
     }
     assert all(places.values()), f"{name} is missing in " + ", ".join(

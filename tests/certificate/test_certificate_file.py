@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from piga.calibration.budget.uncertainty import with_given_servo
+from piga.calibration.uncertainty import with_given_servo
 from piga.certificate.certificate_file import (
     CertificateFile,
     ConditionTable,

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import piga
-from piga.calibration.fit.one_run import fit_run
+from piga.calibration.fit import fit_run
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients
 from piga.cli.main import app

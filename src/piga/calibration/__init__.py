@@ -1,9 +1,9 @@
 """Coefficients with uncertainty from a recorded run. The entry point is ``piga.calibrate``."""
 
-from piga.calibration.choice.model_choice import ModelComparison, TermSet, compare_models
-from piga.calibration.choice.prospects import TermProspect, term_prospects
-from piga.calibration.joint.summary import RunSummary
 from piga.calibration.model.reduction import Reduction
+from piga.calibration.model_choice import ModelComparison, TermSet, compare_models
+from piga.calibration.prospects import TermProspect, term_prospects
+from piga.calibration.summary import RunSummary
 
 __all__ = [
     "ModelComparison",

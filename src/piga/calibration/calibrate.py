@@ -6,12 +6,12 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
-from piga.calibration.budget.uncertainty import combined, share_of_type_a, with_given_servo
-from piga.calibration.joint.joint_fit import check_items, fit_jointly
-from piga.calibration.joint.summary import RunSummary
+from piga.calibration.joint import check_items, fit_jointly
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.result import OneRun, SeveralRuns
 from piga.calibration.revolutions import whole_turns
+from piga.calibration.summary import RunSummary
+from piga.calibration.uncertainty import combined, share_of_type_a, with_given_servo
 from piga.errors import ArgumentError, CalibrationError, CalibrationWarning
 from piga.progress import Progress, Steps
 from piga.records.calibration import Calibration

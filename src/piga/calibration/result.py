@@ -13,28 +13,14 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.budget.monte_carlo import monte_carlo_intervals
-from piga.calibration.budget.sources import gravity_in_words, sources
-from piga.calibration.budget.uncertainty import Budget, budget_of, make_budget, sources_of_stand, stated_scatter
-from piga.calibration.choice.model_choice import compare_models
-from piga.calibration.fit.one_run import Fit, fit_run, history_of, interval_of_run, without_scatter
-from piga.calibration.fit.residuals import (
-    Products,
-    counted_products,
-    diagnose,
-    find_residuals,
-    segment_scatter,
-    segment_table,
-    with_slow_counts,
-)
+from piga.calibration.fit import Fit, fit_run, history_of, interval_of_run, without_scatter
 from piga.calibration.intervals import Interval
-from piga.calibration.joint.joint_fit import (
+from piga.calibration.joint import (
     JointFit,
     joint_contributions,
     joint_sources,
     joint_sources_of_stand,
 )
-from piga.calibration.joint.summary import LiveRun, provenance, residual_figures, validity_ranges
 from piga.calibration.model.design import given_servo
 from piga.calibration.model.identifiability import (
     one_way_in_words,
@@ -44,11 +30,25 @@ from piga.calibration.model.identifiability import (
 )
 from piga.calibration.model.request import Request
 from piga.calibration.model.solution import asked_order, layout_of, name_coefficients
+from piga.calibration.model_choice import compare_models
+from piga.calibration.monte_carlo import monte_carlo_intervals
 from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import with_remarks, with_sentences
 from piga.calibration.remarks.creep import creep_of_run, creep_of_runs, with_creep
 from piga.calibration.remarks.left_out import LeftOut, left_out_of_runs, left_out_terms
 from piga.calibration.remarks.missing_terms import Candidates
+from piga.calibration.residuals import (
+    Products,
+    counted_products,
+    diagnose,
+    find_residuals,
+    segment_scatter,
+    segment_table,
+    with_slow_counts,
+)
+from piga.calibration.sources import gravity_in_words, sources
+from piga.calibration.summary import LiveRun, provenance, residual_figures, validity_ranges
+from piga.calibration.uncertainty import Budget, budget_of, make_budget, sources_of_stand, stated_scatter
 from piga.errors import DataError, IdentifiabilityError
 from piga.progress import Steps
 from piga.reading.checks import largest_size

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from piga.calibration.fit.one_run import fit_run
+from piga.calibration.fit import fit_run
 from piga.calibration.model.request import Request
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.records.calibration import Event, Outlier

@@ -25,7 +25,7 @@ from piga.data import EXAMPLE, copy_example
 from piga.output import CALIBRATION_RESULTS
 
 if TYPE_CHECKING:
-    from piga.calibration.joint.summary import RunSummary
+    from piga.calibration.summary import RunSummary
     from piga.records import Calibration, Run
 
 RunFilesArgument = Annotated[
@@ -138,7 +138,7 @@ def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummar
 
     from msgspec.structs import replace as replaced
 
-    from piga.calibration.joint.summary import RunSummary
+    from piga.calibration.summary import RunSummary
     from piga.errors import ArgumentError
     from piga.records.terms import check_terms
 
@@ -155,7 +155,7 @@ def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummar
 
 def read_items(paths: list[Path]) -> list[Run | RunSummary]:
     """The runs and summaries of runs that the command names."""
-    from piga.calibration.joint.summary import RunSummary
+    from piga.calibration.summary import RunSummary
     from piga.stand import read_run
 
     with progress("reading"):
@@ -164,7 +164,7 @@ def read_items(paths: list[Path]) -> list[Run | RunSummary]:
 
 def write_summaries(items: list[Run | RunSummary], directory: Path) -> None:
     """Write the summary of every run whose data were read, with the options of its run file."""
-    from piga.calibration.joint.summary import RunSummary
+    from piga.calibration.summary import RunSummary
 
     for item in items:
         if not isinstance(item, RunSummary):

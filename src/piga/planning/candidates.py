@@ -18,13 +18,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.budget.uncertainty import contributions, values_near
-from piga.calibration.fit.one_run import repetitions
-from piga.calibration.fit.servo import reduce_settled, with_mean_servo
+from piga.calibration.fit import repetitions
 from piga.calibration.intervals import LeverageError, find_interval
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.identifiability import examine, refuse_if_confounded
 from piga.calibration.model.solution import asked_order, layout_of, name_coefficients, solve
+from piga.calibration.servo import reduce_settled, with_mean_servo
+from piga.calibration.uncertainty import contributions, values_near
 from piga.calibration.weights import (
     Noise,
     Positions,

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 import piga
-from piga.calibration.fit.one_run import Fit
+from piga.calibration.fit import Fit
 from piga.calibration.model.design import Design
 from piga.calibration.model.solution import solve
 from piga.calibration.weights import Noise

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import piga
-from piga.calibration.budget.uncertainty import with_given_servo
+from piga.calibration.uncertainty import with_given_servo
 from piga.certificate.certificate_file import ConformityTable
 from piga.certificate.dcc.document import DIGITS, G, dsi_unit, label_of, power_of_g, to_dsi
 from piga.errors import DataError, PigaError

@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from itertools import accumulate
 
-from piga.calibration.fit.one_run import Fit
+from piga.calibration.fit import Fit
 from piga.calibration.model.solution import variances_of
 from piga.calibration.remarks.advice import advise, looks_wrong
 from piga.calibration.remarks.left_out import CUBIC_SOURCE, DAMPING_SOURCE, LeftOut

@@ -16,14 +16,14 @@ from functools import partial
 import numpy as np
 
 from piga._kernels.estimation import merge_rows
-from piga.calibration.fit.one_run import Fit
+from piga.calibration.fit import Fit
 from piga.calibration.intervals import sandwich
-from piga.calibration.joint.joint_fit import JointFit
-from piga.calibration.joint.summary import LiveRun
+from piga.calibration.joint import JointFit
 from piga.calibration.model.design import Block, Design
 from piga.calibration.model.reduction import Reduction, triangle
 from piga.calibration.model.solution import moved_values
 from piga.calibration.remarks.all_remarks import with_sentences
+from piga.calibration.summary import LiveRun
 from piga.calibration.weights import RATE, Extra, Noise, Positions, reduce_positions, residual_increments
 from piga.records.calibration import Calibration, Coefficient, Creep
 from piga.records.calibration.coefficient import changes

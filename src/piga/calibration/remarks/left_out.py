@@ -22,12 +22,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from piga.calibration.budget.sources import across_squared
-from piga.calibration.budget.uncertainty import budget_row, unstated_servo
-from piga.calibration.fit.one_run import Fit, repetitions, without_scatter
-from piga.calibration.fit.servo import at_state, reduce_settled
-from piga.calibration.joint.joint_fit import JointFit, merge_runs
-from piga.calibration.joint.summary import LiveRun, RunSummary
+from piga.calibration.fit import Fit, repetitions, without_scatter
+from piga.calibration.joint import JointFit, merge_runs
 from piga.calibration.model.design import Design, Names
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
@@ -40,6 +36,10 @@ from piga.calibration.remarks.missing_terms import (
     tested,
     with_term,
 )
+from piga.calibration.servo import at_state, reduce_settled
+from piga.calibration.sources import across_squared
+from piga.calibration.summary import LiveRun, RunSummary
+from piga.calibration.uncertainty import budget_row, unstated_servo
 from piga.calibration.weights import Positions, of_segments, reduce_positions, with_scatter
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.records.calibration import BudgetEntry, Coefficient, StandSource

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piga.calibration.fit.one_run import Fit
-from piga.calibration.fit.outliers import NORMAL_MEDIAN
+from piga.calibration.fit import Fit
 from piga.calibration.model.identifiability import SEPARATION, term_of
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import (
@@ -24,6 +23,7 @@ from piga.calibration.model.solution import (
     parameter_rows,
     solve_parts,
 )
+from piga.calibration.outliers import NORMAL_MEDIAN
 from piga.calibration.weights import Positions
 from piga.records.calibration import Coefficient, SegmentLeverage
 from piga.records.calibration.coefficient import short_way

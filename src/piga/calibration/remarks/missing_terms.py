@@ -15,11 +15,11 @@ from functools import cached_property
 
 import numpy as np
 
-from piga.calibration.budget.sources import across_squared
-from piga.calibration.fit.one_run import Fit
+from piga.calibration.fit import Fit
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.reduction import solve_upper
 from piga.calibration.model.solution import layout_of, name_coefficients, parameter_rows
+from piga.calibration.sources import across_squared
 from piga.calibration.weights import RATE, Extra, reduce_between
 from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.run import Run

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.fit.residuals import add_lagged_products
 from piga.calibration.orders import (
     OrderSpectrum,
     Ripple,
@@ -18,6 +17,7 @@ from piga.calibration.orders import (
     ripple,
     segment_slices,
 )
+from piga.calibration.residuals import add_lagged_products
 from piga.noise.deviations import allan_deviation, drift_line, model_deviation
 from piga.records.calibration import Calibration, Residuals
 from piga.records.calibration.verdict import COUNTED

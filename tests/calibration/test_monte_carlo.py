@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.budget import monte_carlo
-from piga.calibration.budget.monte_carlo import size_limits, standard_draws
+from piga.calibration import monte_carlo
+from piga.calibration.monte_carlo import size_limits, standard_draws
 from tests.calibration.made.independent import Bench
 
 

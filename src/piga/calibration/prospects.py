@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from piga.calibration.choice.model_choice import TermSet, UnionReduction, union_of
 from piga.calibration.model.request import make_request
+from piga.calibration.model_choice import TermSet, UnionReduction, union_of
 from piga.records.run import Run
 from piga.records.terms import (
     SERVO_TERMS,

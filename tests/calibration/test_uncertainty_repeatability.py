@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.budget.monte_carlo import Contribution, source_draws
-from piga.calibration.joint.summary import RunSummary
+from piga.calibration.monte_carlo import Contribution, source_draws
+from piga.calibration.summary import RunSummary
 from piga.calibration.weights import Noise
 from piga.errors import CalibrationError, RunFileError
 from piga.planning.plan import plan_test

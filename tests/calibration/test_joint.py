@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.joint.summary import RunSummary
+from piga.calibration.summary import RunSummary
 from piga.records.run_file import Spread
 from tests.calibration.made.scenarios import SCENARIOS
 from tests.calibration.made.scenarios_joint import TERMS, joint_test, scores

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga.calibration.budget.sources import sources, with_units
-from piga.calibration.budget.uncertainty import sources_of_stand, values_near
-from piga.calibration.fit.one_run import Fit, fit_run
+from piga.calibration.fit import Fit, fit_run
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients
+from piga.calibration.sources import sources, with_units
+from piga.calibration.uncertainty import sources_of_stand, values_near
 from piga.records.run import Run
 from tests.calibration.made.synthetic import record
 

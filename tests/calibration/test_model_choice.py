@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.choice.model_choice import fold_of, predict
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import make_request
+from piga.calibration.model_choice import fold_of, predict
 from piga.calibration.weights import Noise, weighted_blocks
 from piga.units import G0
 from tests.calibration.made.synthetic import TERMS, record

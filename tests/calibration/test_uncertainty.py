@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.budget.uncertainty import propagate, sources
+from piga.calibration.uncertainty import propagate, sources
 from piga.errors import RunFileError
 from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
@@ -143,7 +143,7 @@ def test_coarse_counts_at_locked_positions_give_honest_intervals() -> None:
 
 def test_counts_are_seen_in_a_log_of_angles() -> None:
     """An angle rounded to counts is found out; a continuous one is not."""
-    from piga.calibration.fit.residuals import count_of
+    from piga.calibration.residuals import count_of
 
     scenario = SCENARIOS["coarse"]
     run = scenario.record(np.random.default_rng(1))
@@ -157,7 +157,7 @@ def test_counts_are_seen_in_a_log_of_angles() -> None:
 
 def test_monte_carlo_of_a_linear_model_agrees_with_the_first_order() -> None:
     """JCGM 101, 9.2: four normal or rectangular inputs summed; published intervals +-3.92 and +-3.88."""
-    from piga.calibration.budget.monte_carlo import Contribution, propagate_distributions
+    from piga.calibration.monte_carlo import Contribution, propagate_distributions
 
     def total(draws: np.ndarray) -> np.ndarray:
         return draws.sum(axis=1, keepdims=True)

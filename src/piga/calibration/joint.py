@@ -12,11 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piga.calibration.budget.sources import merged_sources, with_effects, with_units
-from piga.calibration.budget.uncertainty import SharedSource
-from piga.calibration.fit.servo import at_state, state_of
 from piga.calibration.intervals import Interval, Repetition, find_interval
-from piga.calibration.joint.summary import LiveRun, RunSummary, moved_sources, prepare, run_name, summarise
 from piga.calibration.model.design import Design, Names, ServoState, phaseless_columns
 from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
@@ -29,6 +25,10 @@ from piga.calibration.model.solution import (
     name_parameters,
     solve_parts,
 )
+from piga.calibration.servo import at_state, state_of
+from piga.calibration.sources import merged_sources, with_effects, with_units
+from piga.calibration.summary import LiveRun, RunSummary, moved_sources, prepare, run_name, summarise
+from piga.calibration.uncertainty import SharedSource
 from piga.calibration.weights import RATE
 from piga.errors import ArgumentError, CalibrationError
 from piga.progress import SILENT, Steps

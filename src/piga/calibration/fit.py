@@ -7,7 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from piga.calibration.fit.outliers import (
+from piga.calibration.intervals import Interval, Repetition, find_interval
+from piga.calibration.model.design import Design
+from piga.calibration.model.identifiability import Examination, examine, refuse_if_confounded
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.request import Request
+from piga.calibration.model.solution import Solution, layout_of, name_coefficients, solve
+from piga.calibration.outliers import (
     find_flags,
     first_noise,
     is_misfit,
@@ -20,13 +26,7 @@ from piga.calibration.fit.outliers import (
     suspicious,
     without_rates,
 )
-from piga.calibration.fit.servo import reduce_settled
-from piga.calibration.intervals import Interval, Repetition, find_interval
-from piga.calibration.model.design import Design
-from piga.calibration.model.identifiability import Examination, examine, refuse_if_confounded
-from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.request import Request
-from piga.calibration.model.solution import Solution, layout_of, name_coefficients, solve
+from piga.calibration.servo import reduce_settled
 from piga.calibration.weights import (
     RATE,
     Noise,

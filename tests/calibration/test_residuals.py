@@ -10,7 +10,7 @@ from benchmarks.scatter_rule import CASES
 from benchmarks.scatter_rule import record as simulated
 
 import piga
-from piga.calibration.fit.residuals import (
+from piga.calibration.residuals import (
     LAG_PART,
     WHITENESS,
     add_lagged_products,

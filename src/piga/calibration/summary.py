@@ -18,15 +18,15 @@ import msgspec
 import numpy as np
 
 from piga._version import __version__
-from piga.calibration.budget.sources import Source, listed, sources
-from piga.calibration.budget.uncertainty import stated_scatter
-from piga.calibration.fit.one_run import Fit, fit_run, repetitions
-from piga.calibration.fit.residuals import find_residuals, root_mean_square, segment_table
+from piga.calibration.fit import Fit, fit_run, repetitions
 from piga.calibration.intervals import Repetition
 from piga.calibration.model.design import PHASELESS, Design, given_servo
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import merged
+from piga.calibration.residuals import find_residuals, root_mean_square, segment_table
+from piga.calibration.sources import Source, listed, sources
+from piga.calibration.uncertainty import stated_scatter
 from piga.calibration.weights import RATE, Noise, reduce_positions
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.output import check_results

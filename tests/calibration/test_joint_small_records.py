@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.joint.summary import RunSummary
+from piga.calibration.summary import RunSummary
 from piga.records.calibration.document import to_document
 from tests.calibration.made.scenarios_joint import TERMS, TRUE_SCALE, joint_test, scores
 from tests.calibration.made.synthetic import at_rest, record
@@ -200,7 +200,7 @@ def test_files_that_are_no_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             RunSummary.from_json(tmp_path / "s.json")
     with pytest.raises(piga.CalibrationError, match="cannot be read"):
         RunSummary.from_json(tmp_path / "none.json")
-    monkeypatch.setattr("piga.calibration.joint.summary.MOST_SUMMARY_BYTES", 1)
+    monkeypatch.setattr("piga.calibration.summary.MOST_SUMMARY_BYTES", 1)
     with pytest.raises(piga.CalibrationError, match="larger than 1 bytes"):
         RunSummary.from_json(tmp_path / "s.json")
 

@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.fit.one_run import Fit, repetitions
-from piga.calibration.joint.joint_fit import MergedRuns, Wish
-from piga.calibration.joint.summary import RunSummary, bare_summary, prepare
+from piga.calibration.fit import Fit, repetitions
+from piga.calibration.joint import MergedRuns, Wish
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.identifiability import alike_in_words, refuse_useless
 from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import Estimate
 from piga.calibration.remarks.missing_terms import CUBIC, constant_squares
+from piga.calibration.summary import RunSummary, bare_summary, prepare
 from piga.calibration.weights import Positions, reduce_between
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.progress import Progress, Steps

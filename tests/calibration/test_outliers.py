@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.fit.outliers import Misses, errors_of_readings, leave_out, limit
+from piga.calibration.outliers import Misses, errors_of_readings, leave_out, limit
 from piga.units import G0
 from tests.calibration.made.synthetic import BETA, SCALE, TERMS, TRUTH, errors, positions, record
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga.calibration.budget.uncertainty import Budget
-from piga.calibration.fit.one_run import Fit
+from piga.calibration.fit import Fit
+from piga.calibration.uncertainty import Budget
 from piga.records.calibration import BudgetEntry, Coefficient, MonteCarlo, MonteCarloCheck
 from piga.records.calibration.coefficient import coverage_factor, short_way
 from piga.records.terms import si_factor

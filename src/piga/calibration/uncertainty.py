@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from piga.calibration.budget.sources import Source, across_squared, listed, sources, with_effects, with_units
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import moved_values, name_coefficients, solve
+from piga.calibration.sources import Source, across_squared, listed, sources, with_effects, with_units
 from piga.calibration.weights import Extra, Positions, reduce_positions, residual_increments, with_scatter
 from piga.progress import SILENT, Steps
 from piga.records.arrays import copied
@@ -28,7 +28,7 @@ from piga.records.terms import si_factor, unit_of
 from piga.results import Array, Result
 
 if TYPE_CHECKING:
-    from piga.calibration.fit.one_run import Fit
+    from piga.calibration.fit import Fit
 
 
 @dataclass(frozen=True, eq=False, repr=False)

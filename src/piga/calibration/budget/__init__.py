@@ -1,1 +1,0 @@
-"""Type B sources, the budget table and Monte Carlo."""

@@ -1,1 +1,0 @@
-"""Bad samples, the estimate and the residuals of one run."""
