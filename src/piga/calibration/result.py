@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import accumulate
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -29,14 +31,20 @@ from piga.calibration.model.identifiability import (
     scatter_in_words,
 )
 from piga.calibration.model.request import Request
-from piga.calibration.model.solution import asked_order, layout_of, name_coefficients
+from piga.calibration.model.solution import asked_order, layout_of, name_coefficients, variances_of
 from piga.calibration.model_choice import compare_models
 from piga.calibration.monte_carlo import monte_carlo_intervals
-from piga.calibration.remarks.advice import advise, with_advice
-from piga.calibration.remarks.all_remarks import with_remarks, with_sentences
-from piga.calibration.remarks.creep import creep_of_run, creep_of_runs, with_creep
-from piga.calibration.remarks.left_out import LeftOut, left_out_of_runs, left_out_terms
-from piga.calibration.remarks.missing_terms import Candidates
+from piga.calibration.remarks.advice import advise, looks_wrong, with_advice
+from piga.calibration.remarks.creep import creep_in_words, creep_of_run, creep_of_runs
+from piga.calibration.remarks.left_out import (
+    CUBIC_SOURCE,
+    DAMPING_SOURCE,
+    LeftOut,
+    left_out_of_runs,
+    left_out_terms,
+)
+from piga.calibration.remarks.leverage import find_leverage
+from piga.calibration.remarks.missing_terms import Candidates, suggest_terms, suggestions_in_words
 from piga.calibration.residuals import (
     Products,
     counted_products,
@@ -57,6 +65,7 @@ from piga.records.calibration import (
     BudgetTable,
     Calibration,
     Coefficient,
+    Creep,
     Diagnostics,
     Event,
     MonteCarlo,
@@ -67,6 +76,7 @@ from piga.records.calibration import (
     SegmentScatter,
     SegmentSummary,
 )
+from piga.records.calibration.verdict import scale_over_nominal
 from piga.records.run import Run
 from piga.records.terms import GYRO, integral_unit
 from piga.results import Array
@@ -461,3 +471,67 @@ def _provenance(fit: JointFit) -> Provenance:
             hashes[name if hashes.get(name, digest) == digest else f"{summary.name}: {name}"] = digest
     options = {"runs": [s.source or s.name for s in fit.summaries], "per_run": list(fit.wish.per_run)}
     return provenance(hashes, options)
+
+
+def with_remarks(
+    result: Calibration, fit: Fit, candidates: Candidates, doubts: tuple[LeftOut, ...]
+) -> Calibration:
+    """The result with ``leverage``, ``missing_terms`` and ``advice`` in its diagnostics and in its notes.
+
+    ``candidates`` are those of the fit without slow noise. A signature of the servo is reported by the suggestion of its term or
+    by a sentence of its own.
+    """
+    plain, slow, coefficients = candidates.fit, fit.noise.scatter > 0.0, result.coefficients
+    quiet = _known_without_slow(fit, plain, coefficients) if slow else coefficients
+    leverage, alone, moved = find_leverage(plain, quiet, slow, {c.name: c.std for c in coefficients})
+    scale = scale_over_nominal(result)
+    advice = advise(fit.design.run, fit.design.request, scale) if looks_wrong(result) else ()
+    missing = () if advice else suggest_terms(candidates, coefficients)
+    diagnostics = replace(result.diagnostics, leverage=leverage, advice=advice, missing_terms=missing)
+    also = "; the scatter of the segments may be the same effect" if slow else ""
+    sources = [doubt.source for doubt in doubts]
+    words = suggestions_in_words(missing, held=CUBIC_SOURCE in sources, turned=DAMPING_SOURCE in sources)
+    said = {CUBIC_SOURCE} if any(entry.scale_factor_under for entry in missing) else set()
+    said |= {DAMPING_SOURCE} if any(entry.terms == ("servo_damping",) for entry in missing) else set()
+    # a clearer signature is told with the weaker one that moves a coefficient: they may have one cause
+    shifts = list(accumulate(reversed([entry.largest_shift for entry in missing]), max))[::-1]
+    suggested = (
+        *((shift, sentence + also) for shift, sentence in zip(shifts, words, strict=True)),
+        *(
+            (doubt.largest_shift(coefficients), doubt.words)
+            for doubt in doubts
+            if doubt.words and doubt.source not in said
+        ),
+    )
+    cause = (*((math.inf, words) for words in advice), *suggested) or moved
+    result = replace(result, remarks=(*alone, *result.remarks), diagnostics=diagnostics)
+    return with_sentences(result, cause)
+
+
+def with_sentences(result: Calibration, sentences: Iterable[tuple[float, str]]) -> Calibration:
+    """The result with sentences: a doubt if the shift before it is above one standard uncertainty, else a remark."""
+    said = list(sentences)
+    doubts = [words for shift, words in said if shift > 1.0]
+    remarks = [words for shift, words in said if not shift > 1.0]
+    return replace(result, notes=(*doubts, *result.notes), remarks=(*remarks, *result.remarks))
+
+
+def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:
+    """Coefficients with standard uncertainties without slow noise."""
+    named = [variances_of(one.design, one.solution, one.solution.covariance) for one in (fit, plain)]
+    return tuple(
+        replace(c, std=math.sqrt(max(c.std**2 - noisy + quiet, quiet)))
+        for c, noisy, quiet in zip(coefficients, *named, strict=True)
+    )
+
+
+def with_creep(result: Calibration, run: Run, creep: Creep | None, name: str = "") -> Calibration:
+    """The result with a creep in its diagnostics: a doubt if it moves a coefficient by more than u, else a remark.
+
+    ``name`` is that of the run among several.
+    """
+    result = replace(result, diagnostics=replace(result.diagnostics, creep=creep))
+    if creep is None or not creep.seen or result.diagnostics.advice:
+        return result
+    words = (f"run '{name}': " if name else "") + creep_in_words(run, creep)
+    return with_sentences(result, [(creep.largest_shift, words)])

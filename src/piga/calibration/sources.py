@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from piga.earth import EARTH_RATE, Site
 from piga.errors import RunFileError
-from piga.records.arrays import copied, empty, scaled, spans
+from piga.records.arrays import copied, empty, norms, scaled, spans
 from piga.records.calibration import StandSource
 from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
@@ -92,7 +92,7 @@ def assumed_sizes(run: Run) -> dict[str, str]:
 
 def _gravity_alone(run: Run) -> bool:
     """True if the largest specific force is 1 g: gravity is the reference."""
-    largest = max(float(np.max(np.linalg.norm(run.f[part], axis=1))) for part in spans(run.size))
+    largest = max(float(norms(run.f[part]).max()) for part in spans(run.size))
     return abs(largest / G0 - 1.0) < GRAVITY_REFERENCE
 
 
@@ -323,7 +323,7 @@ def gravity_in_words(run: Run) -> str:
         where = f"{height:.0f} m" if "height" in stand else "sea level (the height is not stated)"
         return f"{site.local_gravity:.8g} m/s^2, normal gravity at latitude {stand['latitude']} and {where}"
     if not run.computed_reference and _gravity_alone(run):
-        mean = sum(float(np.linalg.norm(run.f[part], axis=1).sum()) for part in spans(run.size)) / run.size
+        mean = sum(float(norms(run.f[part]).sum()) for part in spans(run.size)) / run.size
         if abs(mean / G0 - 1.0) < GRAVITY_REFERENCE:
             return f"{mean:.8g} m/s^2, mean size of the logged reference"
     return ""

@@ -22,10 +22,9 @@ from piga.calibration.joint import JointFit
 from piga.calibration.model.design import Block, Design
 from piga.calibration.model.reduction import Reduction, triangle
 from piga.calibration.model.solution import moved_values
-from piga.calibration.remarks.all_remarks import with_sentences
 from piga.calibration.summary import LiveRun
 from piga.calibration.weights import RATE, Extra, Noise, Positions, reduce_positions, residual_increments
-from piga.records.calibration import Calibration, Coefficient, Creep
+from piga.records.calibration import Coefficient, Creep
 from piga.records.calibration.coefficient import changes
 from piga.records.calibration.diagnostics import CREEP_ALARMS
 from piga.records.run import Run
@@ -248,19 +247,7 @@ def _stacked(fit: FittedRun, positions: Positions, length: float) -> tuple[tuple
     return tuple(tuple(values[kept].tolist()) for values in (time, middle, band))
 
 
-def with_creep(result: Calibration, run: Run, creep: Creep | None, name: str = "") -> Calibration:
-    """The result with a creep in its diagnostics: a doubt if it moves a coefficient by more than u, else a remark.
-
-    ``name`` is that of the run among several.
-    """
-    result = replace(result, diagnostics=replace(result.diagnostics, creep=creep))
-    if creep is None or not creep.seen or result.diagnostics.advice:
-        return result
-    words = (f"run '{name}': " if name else "") + _in_words(run, creep)
-    return with_sentences(result, [(creep.largest_shift, words)])
-
-
-def _in_words(run: Run, creep: Creep) -> str:
+def creep_in_words(run: Run, creep: Creep) -> str:
     """The creep, what it does to the coefficients, and the remedy."""
     size, std = 1e6 * creep.size, 1e6 * creep.standard_uncertainty
     per = " for a change of a_x by 1 g" if creep.by_move else ""
