@@ -49,9 +49,6 @@ class SharedSource(Result):
     in_fit: bool = False
 
 
-UNMOVED = 1e-9
-"""Largest relative change by a parameter of the servo that the model does not use: rounding."""
-
 Estimate = Callable[[Run], Array]
 OneByOne = Callable[[Run], Iterable[Array]]
 
@@ -65,6 +62,7 @@ def contributions(
     moved at a time; by default it calls ``estimate``. A source has one draw, or one draw per segment. Moved records
     are not kept, because each is as large as the record. ``steps`` hears of each source.
     """
+    unmoved = estimate(run) if run.servo else base
     for number, source in enumerate(sources(run)):
         steps.parts(number, f"adding up the budget: {source.name}")
         record = source.moved
@@ -75,7 +73,7 @@ def contributions(
         else:
             moved = [estimate(_in_segment(run, record, s)) for s in range(len(run.labels))]
         changes = np.array(moved) - base
-        if "servo" not in source.fields or (np.abs(changes) > UNMOVED * np.abs(base)).any():
+        if "servo" not in source.fields or not np.array_equal(moved[0], unmoved):
             yield source, changes
 
 
