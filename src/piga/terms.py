@@ -2,7 +2,8 @@
 
 A term with ``factors`` adds its coefficient times the product of these inputs to the indicated specific force:
 ``x``, ``y``, ``z`` the specific force along X0, Y0, Z0, ``|x|`` the size of the first, ``t`` the time and ``T`` the
-temperature from their references. Names follow IEEE 1293 by analogy; that standard excludes the PIGA, and no compliance is
+temperature from their references, ``v`` the root mean square of a vibration that the samples do not
+show. Names follow IEEE 1293 by analogy; that standard excludes the PIGA, and no compliance is
 claimed.
 
 Two terms describe the servo. Its stiffness is finite, so the transverse force tilts the rotor axis. With
@@ -20,7 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Factor = Literal["x", "|x|", "y", "z", "t", "T"]
+Factor = Literal["x", "|x|", "y", "z", "t", "T", "v"]
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,13 @@ TERMS: dict[str, Term] = {
     "k1_T": Term(
         "1/K", "k1_T (T - T_ref) a_x", "scale-factor drift with temperature", _CYCLE, factors=("x", "T")
     ),
+    "k2v": Term(
+        "g/g^2",
+        "k2v v^2, v the rms of the vibration in its column",
+        "vibration rectification (square of the rms of a vibration)",
+        "a vibration table: several sizes of the vibration at one position",
+        factors=("v", "v"),
+    ),
     "servo": Term(
         "g/g^3",
         "-2 s a_x (a_Y sin(alpha) - a_Z cos(alpha))^2",
@@ -149,5 +157,12 @@ ERROR_TERMS = tuple(name for name in TERMS if name not in MOTION)
 """Terms of the error model."""
 PRODUCTS = {name: term.factors for name, term in TERMS.items() if term.factors is not None}
 """Factors of the terms that are products of inputs."""
+LOGGED_TERMS = {
+    name: column
+    for name, factors in PRODUCTS.items()
+    for factor, column in (("T", "temperature"), ("v", "vibration"))
+    if factor in factors
+}
+"""Terms that need a column of the log, and what it holds."""
 THERMAL_TERMS = tuple(name for name, factors in PRODUCTS.items() if "T" in factors)
 """Terms that need a temperature."""

@@ -45,11 +45,13 @@ def test_columns_of_several_intervals_are_those_of_each(name: str) -> None:
         rng.normal(size=(3, 5)),
     )
     out, one = np.empty(4), np.empty(1)
-    product_column(PRODUCTS[name], t, force, temperature, h, out)
+    product_column(PRODUCTS[name], t, force, temperature, h, out, 2.0 * temperature)
     for i in range(4):
         part = slice(i, i + 2)
         force_of_one = np.ascontiguousarray(force[:, part])
-        product_column(PRODUCTS[name], t[part], force_of_one, temperature[part], h[i : i + 1], one)
+        product_column(
+            PRODUCTS[name], t[part], force_of_one, temperature[part], h[i : i + 1], one, 2.0 * temperature[part]
+        )
         assert out[i] == one[0]
 
 
@@ -102,6 +104,7 @@ FORCE_TERMS = {
     "k0_t": lambda x, y, z, t, T: t,
     "k0_T": lambda x, y, z, t, T: T,
     "k1_T": lambda x, y, z, t, T: x * T,
+    "k2v": lambda x, y, z, t, T: (2.0 * T) ** 2,
 }
 
 
@@ -111,7 +114,7 @@ def test_force_terms_are_integrated_exactly(name: str, ends: tuple[float, float]
     force = np.array([ends, (0.4, -1.1), (2.0, 2.5)])
     t, temperature, h = np.array([3.0, 3.2]), np.array([-4.0, 5.0]), np.array([0.2])
     out = np.empty(1)
-    product_column(PRODUCTS[name], t, force, temperature, h, out)
+    product_column(PRODUCTS[name], t, force, temperature, h, out, 2.0 * temperature)
 
     def integrand(s: float) -> float:
         x, y, z = force[:, 0] + s * np.diff(force, axis=1)[:, 0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numba
@@ -214,7 +215,7 @@ def test_of_one_coefficient(name: str, kind: str) -> None:
     t = 0.01 * np.arange(120)
     f = G0 * np.column_stack((1.0 + 0.5 * np.sin(3.0 * t), 2.0 + np.cos(2.0 * t), -1.0 + 0.3 * t))
     warm = 293.15 + 4.0 * np.cos(t)
-    run = run_of(t, f, phi=0.4, kind=kind, temperature=warm)
+    run = replace(run_of(t, f, phi=0.4, kind=kind, temperature=warm), vibration=G0 * (2.0 + np.sin(t)))
     std = 1e-5 * abs(PLAIN.get(name, 1.0))
     order = name[1:] if name[0] in "sc" and name[1:].isdigit() else ""
     values = {**PLAIN, **({f"s{order}": 0.0, f"c{order}": 0.0} if order else {}), name: PLAIN.get(name, 0.0)}

@@ -27,6 +27,9 @@ from piga._kernels.arithmetic import LIMIT, bow_of, curvature, fast_sine_cosine,
 from piga._kernels.jit import Array, exact, inline, kernel
 from piga.terms import Factor
 
+NONE = np.empty(0)
+"""No column."""
+
 
 @inline
 def small_angle_moments(x: float) -> tuple[float, float, float]:
@@ -110,14 +113,20 @@ def _coupled(
 
 
 def product_column(
-    factors: tuple[Factor, ...], t: Array, f: Array, temperature: Array, h: Array, out: Array
+    factors: tuple[Factor, ...],
+    t: Array,
+    f: Array,
+    temperature: Array,
+    h: Array,
+    out: Array,
+    vibration: Array = NONE,
 ) -> None:
     """Integral of a product of inputs over each interval, exact for linear inputs.
 
     ``factors`` as in :data:`piga.terms.PRODUCTS`: none, one, two, ``|x|``, ``x|x|`` or ``xxx``. ``f`` has shape (3, n + 1);
     ``t`` and ``temperature`` are relative to their references.
     """
-    inputs = {"x": f[0], "y": f[1], "z": f[2], "t": t, "T": temperature}
+    inputs = {"x": f[0], "y": f[1], "z": f[2], "t": t, "T": temperature, "v": vibration}
     if not factors:
         out[:] = 1.0
     elif factors in MEANS:

@@ -24,7 +24,6 @@ from piga.records.terms import (
     turns,
     unit_of,
 )
-from piga.terms import THERMAL_TERMS
 from piga.threads import one_thread
 
 
@@ -128,10 +127,7 @@ def _known(run: Run, asked: tuple[str, ...]) -> tuple[str, ...]:
         names = [name for name in names if name not in ("scale_factor", "k1")]
     else:
         names.remove("k1")
-    low, high = (
-        (0.0, 0.0) if run.temperature is None else (float(run.temperature.min()), float(run.temperature.max()))
-    )
-    return tuple(name for name in names if low < high or name not in THERMAL_TERMS)
+    return tuple(name for name in names if run.shows(name))
 
 
 def _needed(term: str, base: tuple[str, ...]) -> tuple[str, ...]:

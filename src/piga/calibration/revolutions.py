@@ -164,6 +164,7 @@ def _run_of_turns(run: Run, positions: list[tuple[int, slice, Array, float]]) ->
         f=np.ascontiguousarray(means(run.f)),
         base_rate=None if run.base_rate is None else np.ascontiguousarray(means(run.base_rate)),
         temperature=None if run.temperature is None else means(run.temperature),
+        vibration=None if run.vibration is None else means(run.vibration),
         segment_index=np.repeat(np.arange(len(positions), dtype=np.int32), counts),
         labels=tuple(run.labels[index] for index, *_ in positions),
         begins=np.concatenate([np.arange(count) == 0 for count in counts]),

@@ -38,11 +38,11 @@ from piga.records.run_file import Draw
 from piga.records.terms import GYRO, SERVO_TERMS, check_name, harmonic, turns
 from piga.records.text_files import JsonError, json_object
 from piga.results import Array, Result
-from piga.terms import TERMS, THERMAL_TERMS
+from piga.terms import LOGGED_TERMS, TERMS
 from piga.threads import one_thread
 
-STATIC_TERMS = tuple(name for name in TERMS if name not in ("phi", "k1", *THERMAL_TERMS))
-"""Columns of a stored summary besides the requested harmonics; with temperature also the temperature columns."""
+STATIC_TERMS = tuple(name for name in TERMS if name not in ("phi", "k1", *LOGGED_TERMS))
+"""Columns of a stored summary besides the requested harmonics; with temperature or vibration also their columns."""
 SCHEMA = "piga.run-summary/2"
 MOST_SUMMARY_BYTES = 256 << 20
 LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
@@ -291,9 +291,9 @@ def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str,
 
 def all_columns(run: Run, request: Request) -> tuple[str, ...]:
     """Terms with columns in a stored summary."""
-    thermal = () if run.temperature is None else THERMAL_TERMS
+    logged = (name for name, column in LOGGED_TERMS.items() if getattr(run, column) is not None)
     static = (name for name in STATIC_TERMS if not (run.direct and turns(name)))
-    return (*static, *thermal, *(term for term in request.terms if harmonic(term)))
+    return (*static, *logged, *(term for term in request.terms if harmonic(term)))
 
 
 def bare_summary(live: LiveRun, design: Design, positions: tuple[Repetition, ...]) -> RunSummary:

@@ -43,8 +43,9 @@ NO_MARKS = np.zeros(0, dtype=np.bool_)
 class Chunk(Result):
     """Some samples in SI: ``t`` [s], ``output`` (psi [rad], or rate [rad/s]), ``a_Y``, ``a_Z`` [m/s^2].
 
-    ``begins`` marks samples that begin a stretch; ``base_rate`` (n, 3) [rad/s] and ``temperature`` [K] may
-    be empty. ``angle`` is the output angle [rad] recorded with a rate. If empty, it is integrated from the rate.
+    ``begins`` marks samples that begin a stretch; ``base_rate`` (n, 3) [rad/s], ``temperature`` [K] and
+    ``vibration`` [m/s^2] may be empty. ``angle`` is the output angle [rad] recorded with a
+    rate. If empty, it is integrated from the rate.
     All arrays are contiguous float64.
     """
 
@@ -56,6 +57,7 @@ class Chunk(Result):
     base_rate: Array
     temperature: Array
     angle: Array
+    vibration: Array
 
 
 def init_state() -> Any:
@@ -82,7 +84,15 @@ def run_kernel(model: Model, state: Any, chunk: Chunk, kind: str, rows: Rows) ->
     output = chunk.output if model.scale == 1.0 else model.scale * chunk.output
     psi, rate = (output, NONE) if kind == "angle" else (chunk.angle, output)
     samples = Samples(
-        chunk.t, psi, rate, chunk.a_Y, chunk.a_Z, chunk.begins, chunk.base_rate, chunk.temperature
+        chunk.t,
+        psi,
+        rate,
+        chunk.a_Y,
+        chunk.a_Z,
+        chunk.begins,
+        chunk.base_rate,
+        chunk.temperature,
+        chunk.vibration,
     )
     compensate_record(samples, model.instrument, model.more, model.base_flag, state, rows)
 
@@ -93,7 +103,7 @@ def empty_rows(n: int, uncertainty: bool, flags: bool) -> Rows:
     return Rows(empty(n), empty(n), empty(n if uncertainty else 0), marks, np.zeros(SUMS))
 
 
-ROW_KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle")
+ROW_KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle", "vibration")
 
 
 class Compensator:
@@ -180,6 +190,11 @@ class Compensator:
         """True if the calibration has temperature terms."""
         return self._model.needs_temperature
 
+    @property
+    def needs_vibration(self) -> bool:
+        """True if the calibration has vibration rectification."""
+        return self._model.needs_vibration
+
     def take_segment(self, segment: str | None) -> None:
         """Use the phase of another segment from the next sample on.
 
@@ -204,9 +219,9 @@ class Compensator:
         chunk:
             A mapping of columns in SI: ``t`` (n,) [s], ``output`` (n,), ``f`` (n, 3) [m/s^2]. Optional:
             ``base_rate`` (n, 3) [rad/s], ``temperature`` (n,) [K], ``angle`` (n,) [rad] recorded with a rate,
-            ``begins`` (n,). Single samples may be plain numbers. Or a :class:`piga.Run` that continues the previous
-            one, or a checked :class:`Chunk`. Without ``begins``, a stretch begins where time goes back or leaves a
-            gap (more than 1.5 nominal intervals), as in :func:`piga.read_run`.
+            ``vibration`` (n,) [m/s^2], ``begins`` (n,). Single samples may be plain numbers. Or a :class:`piga.Run` that
+            continues the previous one, or a checked :class:`Chunk`. Without ``begins``, a stretch begins where time goes back or
+            leaves a gap (more than 1.5 nominal intervals), as in :func:`piga.read_run`.
 
         Raises
         ------
@@ -239,6 +254,7 @@ class Compensator:
         begins[:1] = find_begins(self._state, chunk.t[:1])
         columns: dict[str, Any] = {"t": chunk.t, "output": chunk.output, "f": chunk.f, "begins": begins}
         columns |= {} if chunk.base_rate is None else {"base_rate": chunk.base_rate}
+        columns |= {} if chunk.vibration is None else {"vibration": chunk.vibration}
         return columns | ({} if chunk.temperature is None else {"temperature": chunk.temperature})
 
     def _samples(self, columns: Mapping[str, Any]) -> Chunk:
@@ -251,20 +267,25 @@ class Compensator:
         n = t.size
         output, force = _shaped(columns, "output", (n,)), _shaped(columns, "f", (n, 3))
         temperature = _shaped(columns, "temperature", (n,), NONE)
-        if self._model.needs_temperature and not temperature.size:
-            raise ArgumentError(
-                "chunk: the key 'temperature' is missing, and the calibration has temperature terms",
-                remedy="add 'temperature' [K], one value per time",
-            )
+        vibration = _shaped(columns, "vibration", (n,), NONE)
+        for key, unit, lacks in (
+            ("temperature", "K", self._model.needs_temperature and not temperature.size),
+            ("vibration", "m/s^2", self._model.needs_vibration and not vibration.size),
+        ):
+            if lacks:
+                raise ArgumentError(
+                    f"chunk: the key '{key}' is missing, and the calibration has {key} terms",
+                    remedy=f"add '{key}' [{unit}], one value per time",
+                )
         base_rate = _shaped(columns, "base_rate", (n, 3), NO_RATES)
         angle = _shaped(columns, "angle", (n,), NONE)
         given = columns.get("begins")
         y, z = np.ascontiguousarray(force[:, 1]), np.ascontiguousarray(force[:, 2])
-        _check_finite(Chunk(t, output, y, z, NO_MARKS, base_rate, temperature, angle))
+        _check_finite(Chunk(t, output, y, z, NO_MARKS, base_rate, temperature, angle, vibration))
         begins = (
             find_begins(self._state, t) if given is None else np.atleast_1d(np.asarray(given, dtype=np.bool_))
         )
-        return Chunk(t, output, y, z, begins, base_rate, temperature, angle)
+        return Chunk(t, output, y, z, begins, base_rate, temperature, angle, vibration)
 
 
 def _shaped(
@@ -292,6 +313,7 @@ def _check_finite(samples: Chunk) -> None:
         "f": np.maximum(np.abs(samples.a_Y), np.abs(samples.a_Z)),
     }
     named |= {"base_rate": samples.base_rate, "temperature": samples.temperature, "angle": samples.angle}
+    named["vibration"] = samples.vibration
     for name, values in named.items():
         if values.size == 0:
             continue
@@ -386,6 +408,11 @@ def stream_of(
             "the calibration has temperature terms, but the record has no temperature",
             remedy="add [data] temperature = { column = '...', unit = 'degC' }",
         )
+    if stream.needs_vibration and record.vibration is None:
+        raise CalibrationError(
+            "the calibration has the term k2v, but the record has no vibration",
+            remedy="add [data] vibration = { column = '...', unit = 'g' }",
+        )
     return stream
 
 
@@ -451,4 +478,5 @@ def _chunk(record: Run, rows: slice) -> Chunk:
         base_rate=NO_RATES if record.base_rate is None else np.ascontiguousarray(record.base_rate[rows]),
         temperature=NONE if record.temperature is None else record.temperature[rows],
         angle=NONE,
+        vibration=NONE if record.vibration is None else record.vibration[rows],
     )

@@ -1,6 +1,6 @@
 """Compensate a stream through a pipe: lines of text or Arrow record batches in, the same kind out.
 
-Input columns are in SI: ``t, output, fx, fy, fz`` and optionally ``wx, wy, wz, temperature, angle``
+Input columns are in SI: ``t, output, fx, fy, fz`` and optionally ``wx, wy, wz, temperature, angle, vibration``
 (see :meth:`piga.Compensator.push`). Output columns are ``t, ax, dv, u_ax, flags``.
 """
 
@@ -25,7 +25,7 @@ NEEDED = ("t", "output", *FORCE)
 MAX_LINE = 1 << 16
 """Longest line [characters]; a row of eleven numbers has about 250."""
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-KNOWN = (*NEEDED, *RATE, "temperature", "angle")
+KNOWN = (*NEEDED, *RATE, "temperature", "angle", "vibration")
 MOST_ROWS = 1 << 22
 """Most rows of a record batch."""
 
@@ -36,7 +36,7 @@ def chunk_of(columns: Mapping[str, Any]) -> dict[str, Any]:
     chunk["f"] = np.stack([np.asarray(columns[name]) for name in FORCE], axis=-1)
     if all(name in columns for name in RATE):
         chunk["base_rate"] = np.stack([np.asarray(columns[name]) for name in RATE], axis=-1)
-    return chunk | {name: columns[name] for name in ("temperature", "angle") if name in columns}
+    return chunk | {name: columns[name] for name in ("temperature", "angle", "vibration") if name in columns}
 
 
 def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int:

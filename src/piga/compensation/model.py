@@ -115,6 +115,7 @@ class Model:
     more: at.Covariance
     base_flag: int
     needs_temperature: bool
+    needs_vibration: bool
     places: tuple[int, ...]
     phase_std: float
     scale: float = 1.0
@@ -171,7 +172,9 @@ def make_model(
         factor,
     )
     warm = any(name in values for name in THERMAL_TERMS)
-    return Model(instrument, more, flag, warm, places, 0.0 if phase is None else phase.std, scale)
+    return Model(
+        instrument, more, flag, warm, "k2v" in values, places, 0.0 if phase is None else phase.std, scale
+    )
 
 
 def velocity_variance(calibration: Calibration, parts: Iterable[tuple[Model, Array]]) -> float:

@@ -232,6 +232,11 @@ class SetCompensator:
         rates = np.zeros((count, 0)) if rate is None else _shaped("rate", rate, (count, n))
         omega = np.zeros((count, 0, 3)) if base_rate is None else _shaped("base_rate", base_rate, (count, n, 3))
         warm = np.zeros((count, 0)) if temperature is None else _shaped("temperature", temperature, (count, n))
+        if any(model.needs_vibration for model in self._models):
+            raise ArgumentError(
+                "a calibration has the term k2v, and a set has no column of the vibration",
+                remedy="calibrate without k2v, or compensate each instrument by itself",
+            )
         if temperature is None and any(model.needs_temperature for model in self._models):
             raise ArgumentError(
                 "temperature: missing, and a calibration has temperature terms",

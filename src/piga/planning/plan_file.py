@@ -31,14 +31,14 @@ from piga.stand.scenario import (
     output_unit,
     scenario_of,
 )
-from piga.terms import THERMAL_TERMS
+from piga.terms import LOGGED_TERMS
 from piga.units import to_si
 
 T = TypeVar("T", bound=msgspec.Struct)
 
 PlannedStand = DividingHeadTable | CentrifugeTable | RateTableTable
 """Stands whose positions or levels can be chosen one by one."""
-TIMELY = ("k0_t", *THERMAL_TERMS)
+TIMELY = ("k0_t", *LOGGED_TERMS)
 """Terms whose information depends on the time of a visit, not only on its duration."""
 
 

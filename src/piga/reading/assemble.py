@@ -37,7 +37,7 @@ from piga.reading.columns import RawColumns, collect, file_digest, read_columns,
 from piga.records.arrays import empty, scaled, stored, taken
 from piga.records.calibration import Event, Quality, counted
 from piga.records.run import Run, TimeBase, drop_repeats, examine_time
-from piga.records.run_file import DataTable, PositionColumn, RunFile, read_run_file
+from piga.records.run_file import ColumnTable, DataTable, PositionColumn, RunFile, read_run_file
 from piga.records.terms import integral_unit, scale_factor_in
 from piga.records.text_files import toml_bytes
 from piga.results import Array
@@ -147,7 +147,8 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: St
         output=output,
         f=f,
         base_rate=base_rate,
-        temperature=_temperature(raw, data),
+        temperature=_logged(raw, data.temperature),
+        vibration=_logged(raw, data.vibration),
         segment_index=segment,
         labels=labels,
         begins=base.begins,
@@ -311,11 +312,11 @@ def _axes(raw: RawColumns, group: Any, unit: str) -> Array | None:
     return rows.T
 
 
-def _temperature(raw: RawColumns, data: DataTable) -> Array | None:
-    if data.temperature is None:
+def _logged(raw: RawColumns, column: ColumnTable | None) -> Array | None:
+    if column is None:
         return None
-    unit = _unit(raw, data.temperature.column, data.temperature.unit)
-    return _si(raw, data.temperature.column, parse_unit(unit).factor, offset_to_si(unit))
+    unit = _unit(raw, column.column, column.unit)
+    return _si(raw, column.column, parse_unit(unit).factor, offset_to_si(unit))
 
 
 def _output_scale(run_file: RunFile, raw: RawColumns) -> OutputScale:

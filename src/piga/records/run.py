@@ -32,6 +32,7 @@ from piga.records.run_file import (
 from piga.records.terms import GYRO, integral_unit, scale_factor_in
 from piga.records.text_files import RENAMED
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular
+from piga.terms import LOGGED_TERMS
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -107,6 +108,13 @@ class Run(Result, Plotted, Reported, Tabular):
     source: str = ""
     input_sha256: dict[str, str] = field(default_factory=dict)
     unit: str = GYRO
+    vibration: Array | None = None
+
+    def shows(self, term: str) -> bool:
+        """True unless the term needs a column of the log that is missing, or is the same everywhere."""
+        column = LOGGED_TERMS.get(term)
+        values = None if column is None else getattr(self, column)
+        return column is None or (values is not None and float(values.min()) < float(values.max()))
 
     @property
     def direct(self) -> bool:
@@ -148,6 +156,8 @@ class Run(Result, Plotted, Reported, Tabular):
             columns |= {f"w{axis}": Column(self.base_rate[part, i], "rad/s") for i, axis in enumerate("xyz")}
         if self.temperature is not None:
             columns["temperature"] = Column(self.temperature[part], "K")
+        if self.vibration is not None:
+            columns["vibration"] = Column(self.vibration[part], "m/s^2")
         columns["segment"] = Column(self.segment_index[part].astype(np.int32), "1", self.labels)
         return columns | {"row": Column(self.row[part])}
 
@@ -199,6 +209,7 @@ class Run(Result, Plotted, Reported, Tabular):
         kind: str = "angle",
         base_rate: ArrayLike | None = None,
         temperature: ArrayLike | None = None,
+        vibration: ArrayLike | None = None,
         segment: ArrayLike | None = None,
         labels: Sequence[str] | None = None,
         gaps: ArrayLike | None = None,
@@ -224,8 +235,8 @@ class Run(Result, Plotted, Reported, Tabular):
         units:
             ``"SI"``: every array, and a plain number as ``scale_factor``, is SI. Or units by argument, e.g.
             ``{"f": "g", "output": "deg"}``: an argument that it does not name is SI, but ``f`` must be named.
-        base_rate, temperature:
-            Inertial rate of the base (n, 3), and temperature (n,).
+        base_rate, temperature, vibration:
+            Inertial rate of the base (n, 3), temperature (n,), and root mean square of the vibration along X0 (n,).
         segment, labels:
             Segment of each sample (n,): numbers, or names. ``labels`` names the numbers, in rising order. A name that
             returns later is a new segment ``name#2``, as in files.
@@ -256,13 +267,16 @@ class Run(Result, Plotted, Reported, Tabular):
             raise ArgumentError(
                 "f: its unit is not stated", remedy="units='SI' if it is in m/s^2, or e.g. units={'f': 'g'}"
             )
-        unknown = [name for name in told if name not in ("t", "output", "f", "base_rate", "temperature")]
+        unknown = [
+            name for name in told if name not in ("t", "output", "f", "base_rate", "temperature", "vibration")
+        ]
         if unknown:
             raise ArgumentError(f"units: there is no argument '{unknown[0]}'", remedy="name arrays, e.g. 'f'")
         t = _in_si("t", t, told, "s")
         output = _in_si("output", output, told, unit if kind == "rate" else integral_unit(unit))
         base_rate = None if base_rate is None else _in_si("base_rate", base_rate, told, "rad/s")
         temperature = None if temperature is None else _in_si("temperature", temperature, told, "K")
+        vibration = None if vibration is None else _in_si("vibration", vibration, told, "m/s^2")
         places, names = _segments(segment, labels, t.size)
         computed = f is None
         if f is None:
@@ -273,7 +287,7 @@ class Run(Result, Plotted, Reported, Tabular):
             base_rate = np.ascontiguousarray(rate) if base_rate is None and unit == GYRO else base_rate
         else:
             f = _in_si("f", f, told, "m/s^2")
-        check_arrays(t, output, f, base_rate, temperature, places, kind)
+        check_arrays(t, output, f, base_rate, temperature, places, kind, vibration)
         row = np.arange(1, t.size + 1, dtype=np.int64)
         base = examine_time(t, places, row)
         asked = _table("model", model, ModelTable).of(unit, "model terms")
@@ -290,6 +304,7 @@ class Run(Result, Plotted, Reported, Tabular):
             f=f,
             base_rate=base_rate,
             temperature=temperature,
+            vibration=vibration,
             segment_index=places,
             labels=names,
             begins=base.begins | _gaps(gaps, t.size),
@@ -481,6 +496,7 @@ class Run(Result, Plotted, Reported, Tabular):
             f=np.ascontiguousarray(self.f[index]),
             base_rate=taken(self.base_rate),
             temperature=taken(self.temperature),
+            vibration=taken(self.vibration),
             segment_index=place.astype(np.int32),
             labels=tuple(self.labels[i] for i in old),
             begins=begins,
@@ -576,6 +592,7 @@ def check_arrays(
     temperature: ArrayLike | None,
     segment: NDArray[np.int32],
     kind: str,
+    vibration: ArrayLike | None = None,
 ) -> None:
     """Refuse arrays that do not fit together. The message names the argument and the first index."""
     if kind not in ("angle", "rate"):
@@ -593,6 +610,8 @@ def check_arrays(
         shapes["base_rate"] = (np.asarray(base_rate), (t.size, 3))
     if temperature is not None:
         shapes["temperature"] = (np.asarray(temperature), (t.size,))
+    if vibration is not None:
+        shapes["vibration"] = (np.asarray(vibration), (t.size,))
     for name, (array, shape) in shapes.items():
         if array.shape != shape:
             raise ArgumentError(

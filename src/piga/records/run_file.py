@@ -231,6 +231,7 @@ class DataTable(TomlTable, frozen=True):
     sample_rate: Quantity | None = None
     base_rate: Columns | None = None
     temperature: ColumnTable | None = None
+    vibration: ColumnTable | None = None
     segment: str | PositionColumn | None = None
     settle: Seconds | None = None
     delimiter: str | None = None
@@ -250,7 +251,7 @@ class DataTable(TomlTable, frozen=True):
         """Names of the number columns, each once, in reading order."""
         names = [self.output.column]
         names += [self.time.column] if self.time else []
-        names += [self.temperature.column] if self.temperature else []
+        names += [column.column for column in (self.temperature, self.vibration) if column]
         for group in (self.reference, self.base_rate):
             names += group.columns if group else []
         names += [self.sequence.column] if self.sequence else []
@@ -480,6 +481,8 @@ def _check_units(run_file: RunFile) -> None:
             conversion_factor(table.unit, like, what=f"[data] {name}")
     if data.temperature is not None:
         conversion_factor(data.temperature.unit, "K", what="[data] temperature")
+    if data.vibration is not None:
+        conversion_factor(data.vibration.unit, "m/s^2", what="[data] vibration")
     for name, like in UNCERTAINTY_UNITS.items():
         value = getattr(run_file.uncertainty, name)
         if value is not None:

@@ -112,6 +112,7 @@ class RunTable(TomlTable, frozen=True):
     step: Seconds | None = None
     format: Literal["parquet", "csv"] = "parquet"
     imperfections: Literal["fixed", "drawn"] = "fixed"
+    vibration: tuple[Quantity, ...] = ()
 
 
 class SiteTable(TomlTable, frozen=True):
@@ -284,7 +285,8 @@ class ScenarioTable(TomlTable, frozen=True):
     uncertainty: dict[str, Any] = msgspec.field(default_factory=dict)
 
 
-_SERVO = ("servo", "servo_damping")
+_APART = ("servo", "servo_damping", "k2v")
+"""Terms that are no part of the error model of the exact motion."""
 _MOTION = ("scale_factor", "beta", "tan_beta", "alpha0", "T_ref")
 
 
@@ -376,6 +378,7 @@ def run_scenario(
             scenario.electronics,
             imperfections=scenario.imperfections(chosen),
             temperature=scenario.temperature,
+            vibration=[to_si(level, "g", what="[run] vibration") for level in run.vibration],
             model=model or run.model,
             seed=chosen,
             step=run.in_si("[run] ").get("step"),
@@ -435,15 +438,17 @@ def _specimen(table: ScenarioTable) -> Specimen:
         to_si(truth.get("alpha0", 0.0), "rad", what="[truth] alpha0"),
     )
     twin = twin_parameters(table.twin) if table.twin or table.run.model == "twin" else None
-    s, d = (to_si(truth.get(name, 0.0), unit_of(name), what=f"[truth] {name}") for name in _SERVO)
-    return Specimen(instrument, _error_model(table), _harmonics(table), s, d, twin, table.run.start, unit)
+    s, d, v = (to_si(truth.get(name, 0.0), unit_of(name), what=f"[truth] {name}") for name in _APART)
+    if unit == GYRO and v:
+        raise ArgumentError("[truth]: 'k2v' is simulated for a direct instrument only", remedy="leave it out")
+    return Specimen(instrument, _error_model(table), _harmonics(table), s, d, v, twin, table.run.start, unit)
 
 
 def _error_model(table: ScenarioTable) -> ErrorModel:
     terms = {
         name: to_si(value, unit_of(name), what=f"[truth] {name}")
         for name, value in table.truth.items()
-        if name not in (*_MOTION, *_SERVO) and harmonic(name) is None
+        if name not in (*_MOTION, *_APART) and harmonic(name) is None
     }
     model = ErrorModel.from_terms(terms)
     reference = table.truth.get("T_ref", table.model.get("temperature_reference", "20 degC"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -55,7 +55,8 @@ class Specimen:
 
     ``error_model`` holds the polynomial and drift terms; ``harmonics`` maps an order to the amplitudes
     [m/s^2] of sine and cosine of that multiple of the *true* gimbal angle. ``servo`` and ``servo_damping``
-    [1/(m/s^2)^2] are the coefficients of the servo's terms. ``twin`` adds rotor, float and servo for the model
+    [1/(m/s^2)^2] are the coefficients of the servo's terms, ``k2v`` [1/(m/s^2)] is the vibration
+    rectification. ``twin`` adds rotor, float and servo for the model
     ``twin``. Then K, beta and alpha0 of ``instrument`` replace those of the twin, and its motion contains the
     servo's terms. ``unit`` is that of the output rate: another one than ``rad/s`` makes it a direct instrument, with K in this
     unit per m/s^2.
@@ -66,6 +67,7 @@ class Specimen:
     harmonics: Harmonics = field(default_factory=dict)
     servo: float = 0.0
     servo_damping: float = 0.0
+    k2v: float = 0.0
     twin: TwinParameters | None = None
     start: Start = "slow-manifold"
     unit: str = GYRO
@@ -95,7 +97,8 @@ class Specimen:
 class Log(Result):
     """The lab's log, per row.
 
-    Time [s], segment index and names, output, reference [m/s^2], base rate [rad/s], temperature [K].
+    Time [s], segment index and names, output, reference [m/s^2], base rate [rad/s], temperature [K],
+    root mean square of the vibration [m/s^2].
     """
 
     t: Array
@@ -105,6 +108,7 @@ class Log(Result):
     reference: Array
     base_rate: Array
     temperature: Array
+    vibration: Array | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -169,6 +173,7 @@ def simulate_test(
     *,
     imperfections: Imperfections = NONE,
     temperature: Temperature | None = None,
+    vibration: Sequence[float] = (),
     model: Model = "quasi-steady",
     seed: int = 1,
     step: float | None = None,
@@ -183,6 +188,8 @@ def simulate_test(
         The stand, the instrument under test, and its readout.
     imperfections:
         Deviations of the stand from its reference.
+    vibration:
+        Root mean square of the vibration along X0 in each segment [m/s^2], in order and again from the first.
     temperature:
         Temperature of the instrument; None: constant 20 degC.
     model:
@@ -217,6 +224,9 @@ def simulate_test(
     steps("motion of the gimbal")
     streams = np.random.default_rng(seed).spawn(5)
     kelvin = temperature.at(profile.t)
+    recorded = np.array([part.recorded for part in profile.segments])
+    number = np.where(recorded, np.cumsum(recorded) - 1, -1).astype(np.int32)
+    shaking = vibration_of(number[profile.segment], vibration)
     if specimen.direct:
         if model == "twin":
             raise ArgumentError(
@@ -224,7 +234,7 @@ def simulate_test(
                 remedy='use model "quasi-steady"',
             )
         motion = None
-        alpha, rate = _direct(specimen, electronics, profile, kelvin, grid, streams)
+        alpha, rate = _direct(specimen, electronics, profile, kelvin, shaking, grid, streams)
     elif model == "twin":
         motion = _twin_motion(specimen, electronics, profile, kelvin, grid, streams, force=force)
         alpha, rate = motion.alpha, motion.rate
@@ -233,6 +243,8 @@ def simulate_test(
         alpha, rate = _quasi_steady(specimen, electronics, profile, kelvin, grid, streams)
     steps("reading the output")
     log, phases = _read(electronics, profile, alpha, rate, kelvin, oversample, imperfections, streams[3])
+    if vibration:
+        log = replace(log, vibration=vibration_of(log.segment, vibration))
     return SimulatedTest(
         model=model,
         specimen=specimen,
@@ -327,11 +339,19 @@ def _quasi_steady(
     )
 
 
+def vibration_of(segment: NDArray[np.int32], levels: Sequence[float]) -> Array:
+    """Root mean square of the vibration [m/s^2] in each row: the levels by segment, again and again; 0 outside of segments."""
+    if not levels:
+        return np.zeros(segment.size)
+    return np.where(segment < 0, 0.0, np.array(levels)[segment % len(levels)])
+
+
 def _direct(
     specimen: Specimen,
     e: Electronics,
     profile: Profile,
     kelvin: Array,
+    shaking: Array,
     grid: float,
     streams: list[np.random.Generator],
 ) -> tuple[Array, Array]:
@@ -339,6 +359,7 @@ def _direct(
     felt, size = profile.force.copy(), profile.t.size
     felt[:, 0] += wandering_bias(e, streams[1], streams[4], size, grid)
     force = felt[:, 0] + specimen.error_model.specific_force(profile.t, felt, kelvin)
+    force += specimen.k2v * shaking**2
     rate = specimen.instrument.scale_factor * force
     straight = straightened(rate[:, None])[:, 0]
     count = np.concatenate(([0.0], np.cumsum(0.5 * grid * (straight[1:] + straight[:-1]))))

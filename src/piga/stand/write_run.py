@@ -60,6 +60,7 @@ def coefficients(test: SimulatedTest) -> tuple[TrueValue, ...]:
     model = test.specimen.error_model
     values |= {f.name: getattr(model, f.name) for f in fields(model) if f.name not in ("T_ref", "s1", "c1")}
     values |= {"servo": test.specimen.servo, "servo_damping": test.specimen.servo_damping}
+    values["k2v"] = test.specimen.k2v
     if test.model == "twin":
         for name, extra in _of_twin(test.specimen.design).items():
             values[name] += extra
@@ -187,6 +188,8 @@ def log_table(test: SimulatedTest) -> pa.Table:
     if not test.specimen.direct:
         columns |= {f"w{axis}_rad_s": number_column(log.base_rate[:, k]) for k, axis in enumerate(_AXES)}
     columns["T_degC"] = number_column(log.temperature - 273.15)
+    if log.vibration is not None:
+        columns["vibration_g"] = number_column(log.vibration / G0)
     return pa.Table.from_arrays(list(columns.values()), names=list(columns))
 
 
@@ -227,6 +230,8 @@ def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> st
     }
     if direct:
         del data["base_rate"]
+    if test.log.vibration is not None:
+        data["vibration"] = {"column": "vibration_g", "unit": "g"}
     tables = {"instrument": instrument, "data": data, "model": _model(scenario, test)}
     tables |= {
         "stand": given_values(msgspec.to_builtins(scenario.table.stand)),

@@ -62,6 +62,7 @@ class Instrument(Protocol):
     k0_t: float
     k0_T: float
     k1_T: float
+    k2v: float
     servo: float
     servo_damping: float
     low: float
@@ -77,8 +78,8 @@ class Instrument(Protocol):
 class Past(Protocol):
     """What the next sample needs of the samples before it.
 
-    ``seen``: 1 once there is a sample. ``t`` [s], ``psi`` [rad], ``a_Y``, ``a_Z`` [m/s^2], ``temperature`` above T_0 [K] and
-    base rate ``Omega`` [rad/s] of the last sample; ``y``, ``z``: its transverse input
+    ``seen``: 1 once there is a sample. ``t`` [s], ``psi`` [rad], ``a_Y``, ``a_Z`` [m/s^2], ``temperature`` above T_0 [K],
+    ``vibration`` (rms) [m/s^2] and base rate ``Omega`` [rad/s] of the last sample; ``y``, ``z``: its transverse input
     ``tan_beta u`` [rad/s]. ``..._before``: one sample earlier. ``h1, h2, h3``: the last intervals, latest first [s]; ``u1, u2,
     u3``: mean ``u_x`` of these intervals if it were constant [rad/s]. ``bend_x``, ``bend_y``, ``bend_z``: second derivatives
     of Omega_x, y and z by the last three samples. ``u_x``: mean of ``u_x`` (or its value) [rad/s]; ``a_x``: the last result;
@@ -98,6 +99,7 @@ class Past(Protocol):
     a_Y: float
     a_Z: float
     temperature: float
+    vibration: float
     Omega_x: float
     Omega_Y: float
     Omega_Z: float
@@ -194,7 +196,10 @@ class Covariance(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """One sample: time [s], angle psi [rad], rate [rad/s], transverse force [m/s^2], base rate [rad/s], T above T_0 [K]."""
+    """One sample: time [s], angle psi [rad], rate [rad/s], transverse force [m/s^2], base rate [rad/s], T above T_0 [K].
+
+    ``vibration``: root mean square of the vibration along X0 [m/s^2], 0 if none is recorded.
+    """
 
     t: float
     psi: float
@@ -205,6 +210,7 @@ class Sample(NamedTuple):
     Omega_Y: float
     Omega_Z: float
     T: float
+    vibration: float
 
 
 class Inputs(NamedTuple):
@@ -214,7 +220,7 @@ class Inputs(NamedTuple):
     turned [rad]; ``half``: half of it, 0 for a sample. ``angle``, ``s``, ``c``: angle in the middle, sine and cosine. ``v``:
     output rate over K [m/s^2]; ``Omega_x``, ``Omega_Y``, ``Omega_Z`` [rad/s]; ``y``, ``z``: transverse input at the end
     [rad/s]. ``a_Y``, ``a_Z`` [m/s^2], ``T`` [K], with changes ``d...`` over the interval; ``t`` [s]. ``da``: change of a_x.
-    ``doubt``: uncertainty by the motion between samples [m/s^2].
+    ``doubt``: uncertainty by the motion between samples [m/s^2]. ``vibration``: its mean square [m^2/s^4].
     """
 
     h: float
@@ -239,3 +245,4 @@ class Inputs(NamedTuple):
     dT: float
     da: float
     doubt: float
+    vibration: float

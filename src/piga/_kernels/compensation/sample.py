@@ -300,6 +300,7 @@ def indicate_interval(p: Instrument, past: Past, now: Sample, h: float) -> Indic
         0.5 * (past.t + now.t), 0.5 * (past.a_Y + now.a_Y), 0.5 * (past.a_Z + now.a_Z),
         now.a_Y - past.a_Y, now.a_Z - past.a_Z, 0.5 * (past.temperature + now.T), now.T - past.temperature,
         slope + (now.Omega_x - past.Omega_x) * per_K, doubt,
+        (past.vibration * (past.vibration + now.vibration) + now.vibration * now.vibration) / 3.0,
     )  # fmt: skip
     kept = doubt if past.h1 != 0.0 else 0.0
     keep_bends(past, now, y, z, (bend_x, bend_y, bend_z))
@@ -329,7 +330,7 @@ def keep_sample(past: Past, now: Sample, psi: float, phi: float, a_x: float) -> 
     past.seen, past.t, past.phi, past.a_x = 1.0, now.t, phi, a_x
     past.psi = psi
     past.a_Y, past.a_Z, past.temperature = now.a_Y, now.a_Z, now.T
-    past.Omega_Y, past.Omega_Z = now.Omega_Y, now.Omega_Z
+    past.Omega_Y, past.Omega_Z, past.vibration = now.Omega_Y, now.Omega_Z, now.vibration
 
 
 @exact
@@ -369,7 +370,7 @@ def indicate_sample(p: Instrument, past: Past, now: Sample, h: float, recorded: 
     per = 1.0 / (h if h != 0.0 else p.typical)
     inputs = Inputs(
         h, per, psi - past.psi, 0.0, angle, s, c, now.rate / p.K, now.Omega_x, now.Omega_Y, now.Omega_Z,
-        y, z, now.t, now.a_Y, now.a_Z, 0.0, 0.0, now.T, 0.0, 0.0, 0.0,
+        y, z, now.t, now.a_Y, now.a_Z, 0.0, 0.0, now.T, 0.0, 0.0, 0.0, now.vibration * now.vibration,
     )  # fmt: skip
     keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
     keep_interval(past, h, 0.0, u_x, 0.0, 0.0)
@@ -451,7 +452,7 @@ ANGLE, RATE, BOTH = 0, 1, 2
 class Samples(NamedTuple):
     """Columns of a record: time [s], transverse force [m/s^2], stretches, base rate (n, 3) [rad/s], temperature [K].
 
-    ``psi`` [rad], ``rate`` [rad/s]: one of them, or both. Base rate and temperature may be empty.
+    ``psi`` [rad], ``rate`` [rad/s]: one of them, or both. Base rate, temperature and vibration [m/s^2] may be empty.
     """
 
     t: Array
@@ -462,6 +463,7 @@ class Samples(NamedTuple):
     begins: NDArray[np.bool_]
     base_rate: Array
     temperature: Array
+    vibration: Array
 
 
 class Rows(NamedTuple):
@@ -487,6 +489,7 @@ def compensate_record(
     """
     p, last = instrument[0], past[0]
     turning, warm = samples.base_rate.shape[0] > 0, samples.temperature.size > 0
+    shaken = samples.vibration.size > 0
     kind = ANGLE if samples.rate.size == 0 else (BOTH if samples.psi.size else RATE)
     work = np.empty(at.MOST_TERMS if rows.u.size else 0)
     for j in range(samples.t.size):
@@ -500,6 +503,7 @@ def compensate_record(
             samples.base_rate[j, 1] if turning else 0.0,
             samples.base_rate[j, 2] if turning else 0.0,
             samples.temperature[j] - p.T_0 if warm else 0.0,
+            samples.vibration[j] if shaken else 0.0,
         )
         h = 0.0 if samples.begins[j] or last.seen == 0.0 else now.t - last.t
         ax, dv, u, flags = compensate_sample(p, more, last, now, h, kind, warm, work, rows.sums)

@@ -226,7 +226,7 @@ def inputs_of(p: Instrument, m: Member, h: float, doubt: float) -> Inputs:
     return Inputs(
         h, per, m.turn, m.delta, m.angle, m.s, m.c, m.v, m.base_x, m.Omega_Y, m.Omega_Z,
         coupling * m.a_Y + m.base_y, coupling * m.a_Z + m.base_z, m.t, m.a_Y, m.a_Z, m.da_Y, m.da_Z, m.temperature, m.dT,
-        m.da_x, doubt,
+        m.da_x, doubt, 0.0,
     )  # fmt: skip
 
 
@@ -439,7 +439,7 @@ def compensate_set(
                 samples.t[j], samples.psi[i, j], samples.rate[i, j] if sampled else 0.0, 0.0, 0.0,
                 samples.base_rate[i, j, 0] if turning else 0.0, samples.base_rate[i, j, 1] if turning else 0.0,
                 samples.base_rate[i, j, 2] if turning else 0.0,
-                samples.temperature[i, j] - p.T_0 if warm else 0.0,
+                samples.temperature[i, j] - p.T_0 if warm else 0.0, 0.0,
             )  # fmt: skip
             if solved:
                 read_member(p, covariance_of(all_of, i), axes[i], past, now, h, sampled, members[i])

@@ -19,7 +19,7 @@ ITERATIONS = 4
 """Newton steps: the error model is nearly linear, each step squares a relative error below 1e-2."""
 TWELFTH = 1.0 / 12.0
 (
-    K0, K1, K2, K3, K2O, K1A, M_Y, M_Z, K_XY, K_XZ, K_YY, K_ZZ, K_YZ, K0_TIME, K0_TEMP, K1_TEMP, SERVO, SERVO_DAMPING,
+    K0, K1, K2, K3, K2O, K1A, M_Y, M_Z, K_XY, K_XZ, K_YY, K_ZZ, K_YZ, K0_TIME, K0_TEMP, K1_TEMP, K2_VIBRATION, SERVO, SERVO_DAMPING,
 ) = range(len(at.TERMS))  # fmt: skip
 
 
@@ -69,6 +69,7 @@ def invert_terms(p: Instrument, x: Inputs, indicated: float) -> tuple[float, flo
     apart += p.k_YY * (y * y + dy * dy * TWELFTH) + p.k_ZZ * (z * z + dz * dz * TWELFTH)
     apart += p.k_YZ * (y * z + dy * dz * TWELFTH)
     apart += (p.k_XY * dy + p.k_XZ * dz + p.k1_T * x.dT) * da * TWELFTH
+    apart += p.k2v * x.vibration
     right, gain = indicated - apart, p.k1 + p.k_XY * y + p.k_XZ * z + p.k1_T * x.T
     if p.servo != 0.0 or p.servo_damping != 0.0:
         right -= servo_error(p, x)
@@ -154,6 +155,8 @@ def regressor(code: int, p: Instrument, x: Inputs, a: float) -> float:
         return math.sin(angle) if code % 2 == 0 else math.cos(angle)
     if code <= K1A:
         return power_regressor(code, a)
+    if code == K2_VIBRATION:
+        return x.vibration
     if code <= K1_TEMP:
         return product_regressor(code, p, x, a)
     across, along = x.a_Y * x.s - x.a_Z * x.c, x.a_Y * x.c + x.a_Z * x.s

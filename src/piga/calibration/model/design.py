@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.estimation import (
+    NONE,
     add_product_bows,
     coupling_columns,
     mean_rows,
@@ -465,13 +466,14 @@ class Design:
         t = self.run.t[window] - self.time_reference
         warm = self.run.temperature
         temperature = t if warm is None else warm[window] - self.request.temperature_reference
+        vibration = NONE if self.run.vibration is None else self.run.vibration[window]
         held = np.empty(h.size)
         for row, name in enumerate(self.shared_names, start=len(self.local_names)):
             if name in SERVO_TERMS or name in PHASELESS:
                 continue
             factors = PRODUCTS[name]
             out = held if self.point else columns[row]
-            product_column(factors, t, force, temperature, h, out)
+            product_column(factors, t, force, temperature, h, out, vibration)
             if bows is not None:
                 add_product_bows(factors, t, force, bows, temperature, h, out)
             if self.point:
@@ -524,6 +526,7 @@ class MeanDesign(Design):
             f=mean(run.f),
             base_rate=None if run.base_rate is None else mean(run.base_rate),
             temperature=None if run.temperature is None else mean(run.temperature),
+            vibration=None if run.vibration is None else mean(run.vibration),
             segment_index=run.segment_index[self.firsts],
             begins=np.logical_or.reduceat(run.begins, self.firsts),
             row=run.row[self.firsts],

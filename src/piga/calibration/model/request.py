@@ -17,7 +17,7 @@ from piga.records.run import Run
 from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES
 from piga.records.terms import SERVO_TERMS, check_terms, harmonic, integral_unit, level_in, term_names
 from piga.results import Array
-from piga.terms import THERMAL_TERMS
+from piga.terms import LOGGED_TERMS
 from piga.units import to_si
 
 
@@ -129,10 +129,12 @@ def check_per_run(per_run: tuple[str, ...], terms: tuple[str, ...]) -> None:
 
 def _check_record(run: Run, request: Request) -> None:
     for name in request.terms:
-        if name in THERMAL_TERMS and run.temperature is None:
+        column = LOGGED_TERMS.get(name)
+        if column is not None and getattr(run, column) is None:
+            unit = "degC" if column == "temperature" else "g"
             raise CalibrationError(
-                f"term '{name}' needs the temperature, but the record has none",
-                remedy="add [data] temperature = { column = '...', unit = 'degC' }, or leave the term out",
+                f"term '{name}' needs the {column}, but the record has none",
+                remedy=f"add [data] {column} = {{ column = '...', unit = '{unit}' }}, or leave the term out",
             )
     if run.direct:
         for key, asked, only in (

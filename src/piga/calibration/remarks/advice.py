@@ -313,6 +313,7 @@ def sample_of(run: Run, request: Request) -> Sample:
         f=np.ascontiguousarray(run.f[index]),
         base_rate=None if run.base_rate is None else np.ascontiguousarray(run.base_rate[index]),
         temperature=None if run.temperature is None else np.ascontiguousarray(run.temperature[index]),
+        vibration=None if run.vibration is None else np.ascontiguousarray(run.vibration[index]),
         segment_index=run.segment_index[index],
         begins=np.concatenate(begins),
         row=run.row[index],

@@ -25,7 +25,7 @@ from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, harmonic, si_factor, unit_of
 from piga.results import Array
-from piga.terms import ERROR_TERMS
+from piga.terms import ERROR_TERMS, LOGGED_TERMS
 
 Names = tuple[str, ...]
 
@@ -75,11 +75,8 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
     unless the zero of its angle is known in all segments.
     """
     terms, run = design.request.terms, design.run
-    low, high = (
-        (0.0, 0.0) if run.temperature is None else (float(run.temperature.min()), float(run.temperature.max()))
-    )
     left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
-    left_out |= {"k0_T", "k1_T"} if low == high else set()
+    left_out |= {name for name in LOGGED_TERMS if not run.shows(name)}
     left_out |= servo_out_of_reach(design) | (set() if run.direct else {"k1a"})
     candidates: list[tuple[str, ...]] = [(name,) for name in ERROR_TERMS if name not in left_out]
     if run.direct:
