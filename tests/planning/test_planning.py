@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,12 +11,15 @@ import numpy as np
 import pytest
 
 import piga
+from piga.calibration.fit.one_run import fit_run, interval_of_run
 from piga.calibration.model.design import Design
+from piga.calibration.model.solution import name_coefficients
 from piga.errors import ArgumentError, CalibrationError, RunFileError
-from piga.planning.candidates import _without_phase, coefficient_names, run_of
+from piga.planning.candidates import Visit, _without_phase, candidate_of, coefficient_names, predict, run_of
 from piga.planning.mounting import plan_mounting
 from piga.planning.plan import plan_test
 from piga.planning.plan_file import read_plan, request_of
+from piga.stand import Composite, simulate_test
 from piga.units import G0
 from tests.calibration.made.synthetic import SCALE
 from tests.planning.cases import request
@@ -100,3 +104,35 @@ def test_positions_are_shuffled_unless_the_order_of_the_stand_is_asked_for(tmp_p
     assert len(labels[1]) > 4
     assert labels[0] != labels[1]
     assert shuffled.best.std("k0") == pytest.approx(ordered.best.std("k0"), rel=0.02)
+
+
+@pytest.mark.only_compiled
+def test_coarse_counts_are_predicted_as_they_will_be_stated(tmp_path: Path) -> None:
+    """Few long positions with 3600 counts a turn: as white noise the rounding would make u of phi several times too large."""
+    changes = {
+        "rate": 20,
+        "white": 0,
+        "walk": 1e-6,
+        "duration": 3600,
+        "terms": '"scale_factor", "tan_beta", "k0", "m_Y"',
+    }
+    path = request(tmp_path, **changes).path
+    text = path.read_text(encoding="utf-8").replace('output = "angle"', 'output = "counts"')
+    path.write_text(text.replace("[truth]", "counts_per_revolution = 3600\n[truth]"), encoding="utf-8")
+    wish = read_plan(path)
+    (stand,), count = wish.stands, 2.0 * math.pi / 3600
+    tables = [msgspec.structs.replace(stand, positions=(f"{angle} deg",)) for angle in range(0, 360, 60)]
+    visits = tuple(Visit(candidate_of(wish, str(k), table), 575.0) for k, table in enumerate(tables))
+    predicted = predict(wish, "six", visits, type_b=False)
+    motion = Composite(tuple(visit.candidate.stand(visit.dwell, wish) for visit in visits), wish.move)
+    stated = []
+    for seed in range(12):
+        log = simulate_test(motion, wish.scenario.specimen, wish.scenario.electronics, seed=seed).log
+        run = run_of(wish, log.t, log.output * count, log.reference, log.base_rate, log.segment)
+        fit = fit_run(replace(run, resolution=count), request_of(wish.model))
+        covariance = interval_of_run(fit).covariance
+        stated.append([c.std for c in name_coefficients(fit.design, fit.solution, covariance)[0]])
+    ratios = [c.std / u for c, u in zip(predicted.coefficients, np.median(stated, axis=0), strict=True)]
+    assert [c.name for c in predicted.coefficients][1:3] == ["tan_beta", "phi"]
+    assert max(ratios[1:3]) < 1.6, ratios  # the others scatter by a factor of two among so few records
+    assert min(ratios[1:3]) > 0.6, ratios

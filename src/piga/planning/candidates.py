@@ -5,7 +5,8 @@ The information is that of the estimator. The stand and the exact motion give a 
 Its regressors are whitened with the noise model of the calibration. The information is averaged over four
 starting angles of the gimbal, a quarter turn apart, because a test may start at any angle.
 
-A result is predicted by calibrating the noiseless record of the test, with the covariance of the estimator.
+A result is predicted by calibrating the noiseless record of the test, with the covariance of the estimator. The rounding of
+counts is not white where the output turns evenly: what is then stated is that of records with counts and noise.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from piga.calibration.model.solution import asked_order, layout_of, name_coeffic
 from piga.calibration.servo import reduce_settled, with_mean_servo
 from piga.calibration.uncertainty import contributions, values_near
 from piga.calibration.weights import (
+    RATE,
+    Extra,
     Noise,
     Positions,
     of_segments,
@@ -51,6 +54,8 @@ from piga.stand.scenario import (
 )
 from piga.stand.write_run import given_values
 
+COUNTED_RECORDS = 24
+"""Records with counts and noise whose stated uncertainties are those of a plan (own choice)."""
 STARTS = 4
 """Number of evenly spaced starting angles of the gimbal for the average of the information."""
 
@@ -296,9 +301,10 @@ class Visit:
 class Prediction(Result):
     """Predicted result of a test.
 
-    ``coefficients`` have standard uncertainties of Type A with ``covariance``, and the degrees of freedom that the scatter of
+    ``coefficients`` have standard uncertainties of Type A and the degrees of freedom that the scatter of
     the positions will have. ``type_b`` (n,) is the standard uncertainty by the stand. File units. ``refusal`` gives the reason if
-    there is no result, or if :func:`piga.calibrate` would refuse the record.
+    there is no result, or if :func:`piga.calibrate` would refuse the record. ``covariance`` is that of the weights: visits are
+    chosen by it, because a scatter that few positions show is often too small by chance.
     """
 
     name: str
@@ -373,6 +379,9 @@ def predict(
             ) from None
         return Prediction(name, visits, duration, refusal=error.message.replace("record", "plan", 1))
     named, covariance = name_coefficients(design, solution, solution.covariance)
+    if request.scenario.electronics.kind == "counts":
+        stated = _stated_with_counts(request, design, mode, noise)
+        named = [replace(c, std=float(u)) for c, u in zip(named, stated, strict=True)]
     degrees = interval.degrees[asked_order(layout, wish.terms, solution.phases.size)]
     coefficients = tuple(replace(c, degrees_of_freedom=float(nu)) for c, nu in zip(named, degrees, strict=True))
     base = np.array([c.value for c in coefficients])
@@ -386,6 +395,37 @@ def predict(
         for _, change in contributions(run, base, estimate):
             squares += np.sum(change**2, axis=0)
     return Prediction(name, visits, duration, coefficients, covariance, np.sqrt(squares))
+
+
+def _stated_with_counts(request: PlanRequest, design: Design, mode: str, noise: Noise) -> Array:
+    """Median of the Type A standard uncertainties that records with counts and noise state, by coefficient (file units).
+
+    What the counts add to the noiseless output of each record is one more column of the same reduction.
+    """
+    e, whole, positions = request.scenario.electronics, design.run, Positions.of(design.run)
+    rng, count = np.random.default_rng(0), 2.0 * math.pi / e.counts_per_revolution
+    walk = e.angle_random_walk * math.sqrt(whole.median_step)
+    rows, changes = design.means, []
+    for _ in range(COUNTED_RECORDS):
+        noisy = whole.output + rng.uniform(0.0, count) + walk * np.cumsum(rng.standard_normal(whole.size))
+        noisy += e.angle_noise * rng.standard_normal(whole.size)
+        added = np.round(noisy / count) * count - whole.output
+        changes.append(np.diff(rows.means_of(added), prepend=0.0))
+    columns = np.where(rows.run.begins, 0.0, changes)
+    names = tuple(f"record {k}" for k in range(COUNTED_RECORDS))
+    extra = Extra(names, lambda block: columns[:, block.start : block.stop])
+    parts, stated = reduce_positions(design, mode, noise, positions, extra), []
+    model = (*design.names, RATE)
+    for k in range(COUNTED_RECORDS):
+        matrix = np.zeros((len(model) + COUNTED_RECORDS + 1, len(model) + 1))
+        matrix[: len(model), : len(model)] = np.eye(len(model))
+        matrix[[len(model) + k, -1], -1] = 1.0
+        record = [part.mixed(model, matrix) for part in parts]
+        solution = solve(design, of_segments(with_scatter(record, noise), positions))
+        layout = layout_of(design, max(solution.phases.size, 1))
+        interval = find_interval(layout, solution, repetitions(design, noise, record))
+        stated.append([c.std for c in name_coefficients(design, solution, interval.covariance)[0]])
+    return np.asarray(np.median(stated, axis=0))
 
 
 def noiseless_run(request: PlanRequest, visits: tuple[Visit, ...]) -> Run:

@@ -312,6 +312,10 @@ class Design:
             (np.abs(step / run.median_step - 1.0) < DESIGN.even).all() and (short < DESIGN.pieces * rows).all()
         )
 
+    def means_of(self, values: Array) -> Array:
+        """Values of the samples, one for each row of the design."""
+        return values
+
     def noise_of_rows(self, white: float, walk: float) -> tuple[float, float]:
         """Variance of white noise and random walk of the rows, from those of the record."""
         return white, walk
@@ -513,12 +517,7 @@ class MeanDesign(Design):
         place = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
         self.firsts = np.repeat(starts, counts) + (place * np.repeat(lengths / counts, counts)).astype(np.int64)
         self._ranges = [(*self.rows_of(np.array(ends)).tolist(), segment) for *ends, segment in whole._ranges]
-        sizes = np.diff(np.append(self.firsts, run.size))
-
-        def mean(values: Array) -> Array:
-            each = sizes if values.ndim == 1 else sizes[:, None]
-            return np.asarray(np.add.reduceat(values, self.firsts, axis=0) / each)
-
+        mean = self.means_of
         self.run = replace(
             run,
             t=mean(run.t),
@@ -533,6 +532,12 @@ class MeanDesign(Design):
             left_out=None,
         )
         self.phase_angle = mean(whole.phase_angle)
+
+    def means_of(self, values: Array) -> Array:
+        """Means of values (n,) or (n, 3) of the samples, one for each row."""
+        sizes = np.diff(np.append(self.firsts, self.whole.run.size))
+        each = sizes if values.ndim == 1 else sizes[:, None]
+        return np.asarray(np.add.reduceat(values, self.firsts, axis=0) / each)
 
     def blocks(self, *, keep: bool = True) -> Iterator[Block]:
         """As for the record; the rows of the means are always kept."""
