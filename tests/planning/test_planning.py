@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.fit.one_run import fit_run, interval_of_run
+from piga.calibration.fit import fit_run, interval_of_run
 from piga.calibration.model.design import Design
 from piga.calibration.model.solution import name_coefficients
 from piga.errors import ArgumentError, CalibrationError, RunFileError

@@ -32,6 +32,7 @@ from piga.calibration.weights import (
     Noise,
     Positions,
     of_segments,
+    reduce_positions,
     weighted_blocks,
     weighting_mode,
     with_scatter,
