@@ -43,7 +43,7 @@ from piga.planning.plan_file import PlanRequest, request_of
 from piga.records.calibration import Coefficient
 from piga.records.calibration.coefficient import coverage_factor
 from piga.records.run import Run
-from piga.records.terms import SERVO_TERMS, harmonic, si_factor
+from piga.records.terms import GYRO, SERVO_TERMS, harmonic, si_factor
 from piga.results import Array, Result
 from piga.stand import Composite, simulate_test
 from piga.stand.imperfections import NONE
@@ -380,9 +380,9 @@ def predict(
             ) from None
         return Prediction(name, visits, duration, refusal=error.message.replace("record", "plan", 1))
     named, covariance = name_coefficients(design, solution, solution.covariance)
-    if request.scenario.electronics.kind == "counts":
+    if request.scenario.electronics.kind == "counts" and request.unit == GYRO:
         stated = _stated_with_counts(request, design, mode, noise)
-        named = [replace(c, std=float(u)) for c, u in zip(named, stated, strict=True)]
+        named = tuple(replace(c, std=float(u)) for c, u in zip(named, stated, strict=True))
     degrees = interval.degrees[asked_order(layout, wish.terms, solution.phases.size)]
     coefficients = tuple(replace(c, degrees_of_freedom=float(nu)) for c, nu in zip(named, degrees, strict=True))
     base = np.array([c.value for c in coefficients])
@@ -399,7 +399,7 @@ def predict(
 
 
 def _stated_with_counts(request: PlanRequest, design: Design, mode: str, noise: Noise) -> Array:
-    """Median of the Type A standard uncertainties that records with counts and noise state, by coefficient (file units).
+    """Root mean square of the Type A standard uncertainties that records with counts and noise state (file units).
 
     What the counts add to the noiseless output of each record is one more column of the same reduction.
     """
@@ -426,7 +426,7 @@ def _stated_with_counts(request: PlanRequest, design: Design, mode: str, noise: 
         layout = layout_of(design, max(solution.phases.size, 1))
         interval = find_interval(layout, solution, repetitions(design, noise, record))
         stated.append([c.std for c in name_coefficients(design, solution, interval.covariance)[0]])
-    return np.asarray(np.median(stated, axis=0))
+    return np.asarray(np.sqrt(np.mean(np.square(stated), axis=0)))
 
 
 def noiseless_run(request: PlanRequest, visits: tuple[Visit, ...]) -> Run:
