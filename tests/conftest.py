@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands have it; read when NumPy is loaded
+os.environ["COLUMNS"] = "100"  # text as without a terminal: workers of xdist have another width
 
 import numba
 import pytest

@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-MOST_MESSAGE = 20_000
+_MOST_MESSAGE = 20_000
 """Most characters of a message. A longer one quotes a text that is much longer than anything a person wrote: it is cut."""
 
 _LONG_WORD = re.compile(r"(\S{60})\S{300,}")
@@ -78,8 +78,8 @@ class PigaError(Exception):
         columns: Sequence[str] = (),
         fixes: Sequence[Fix] = (),
     ) -> None:
-        if len(message) > MOST_MESSAGE:
-            message = f"{message[: MOST_MESSAGE // 2]} ... {message[-MOST_MESSAGE // 10 :]}"
+        if len(message) > _MOST_MESSAGE:
+            message = f"{message[: _MOST_MESSAGE // 2]} ... {message[-_MOST_MESSAGE // 10 :]}"
         message = _LONG_WORD.sub(r"\1...", message)
         self.message = message
         self.remedy = remedy

@@ -94,7 +94,7 @@ def put_in_place(part: Path, target: Path, *, replace: bool = True) -> None:
 @contextmanager
 def _hidden_folder(home: Path) -> Iterator[Path]:
     """A hidden folder of this process in ``home``, removed at the end."""
-    remove_leftovers(home)
+    _remove_leftovers(home)
     with ExitStack() as stack:
         with _locked(home):
             hidden = Path(tempfile.mkdtemp(prefix=_HIDDEN, dir=home))
@@ -105,7 +105,7 @@ def _hidden_folder(home: Path) -> Iterator[Path]:
             shutil.rmtree(hidden, ignore_errors=True)
 
 
-def remove_leftovers(home: Path) -> None:
+def _remove_leftovers(home: Path) -> None:
     """Remove the hidden folders of processes that were killed: nobody holds their lock."""
     with suppress(OSError), _locked(home):
         for left in home.glob(f"{_HIDDEN}*"):
@@ -282,7 +282,7 @@ def results(
     folder = _free_folder(folder, command, names, inputs, force=force, option=option)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(folder.parent)
+        _remove_leftovers(folder.parent)
         with _hidden_folder(folder if folder.is_dir() else folder.parent) as hidden:
             stage = hidden / "results"
             stage.mkdir()

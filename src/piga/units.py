@@ -85,7 +85,7 @@ _QUANTITY = re.compile(r"^\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]
 
 
 _UNIT_REMEDY = f"use one of: {' '.join(_ATOMS)}; combine with * / ^ sqrt()"
-MOST_LETTERS = 200
+_MOST_LETTERS = 200
 """Characters of a unit: parentheses are read by recursion."""
 LARGEST = 1e100
 """Largest number of any quantity: squares of it, and products with units, stay finite."""
@@ -183,7 +183,7 @@ def parse_unit(text: str) -> Unit:
     stripped = _ALIASES.get(text.strip(), text.strip())
     if not stripped:
         raise UnitError("a unit is missing", remedy="write the unit, e.g. 'rad/s', or '1' for a plain number")
-    if len(stripped) > MOST_LETTERS:
+    if len(stripped) > _MOST_LETTERS:
         raise UnitError(f"unit '{stripped[:40]}...' has {len(stripped)} characters", remedy="e.g. 'rad/s/g'")
     parser = _UnitParser(stripped)
     try:

@@ -26,9 +26,9 @@ import numpy as np
 
 from piga._kernels.jit import Array, exact, inline, kernel
 
-PI_HIGH = math.pi
-PI_LOW = 1.2246467991473532e-16
-PI_LOWEST = -2.9947698097183397e-33
+_PI_HIGH = math.pi
+_PI_LOW = 1.2246467991473532e-16
+_PI_LOWEST = -2.9947698097183397e-33
 _SPLIT = 134217729.0  # 2^27 + 1
 
 
@@ -83,10 +83,10 @@ def square_root(a: tuple[float, float]) -> tuple[float, float]:
 @exact
 def remainder_pi(a: tuple[float, float]) -> tuple[float, float]:
     """``(n, a - n pi)`` with the nearest integer ``n``; keeps 1e-16 rad up to n of 1e15."""
-    n = np.rint(a[0] / PI_HIGH)
-    rest = add(a, two_product(-n, PI_HIGH))
-    rest = add(rest, two_product(-n, PI_LOW))
-    return n, rest[0] + (rest[1] - n * PI_LOWEST)
+    n = np.rint(a[0] / _PI_HIGH)
+    rest = add(a, two_product(-n, _PI_HIGH))
+    rest = add(rest, two_product(-n, _PI_LOW))
+    return n, rest[0] + (rest[1] - n * _PI_LOWEST)
 
 
 @exact
@@ -104,7 +104,7 @@ def _negative(a: tuple[float, float]) -> tuple[float, float]:
     return -a[0], -a[1]
 
 
-MOST_GROWTH = 2.0
+_MOST_GROWTH = 2.0
 """The second derivative in an interval is at most this multiple of the smaller one of its neighbours."""
 
 
@@ -112,8 +112,8 @@ MOST_GROWTH = 2.0
 def limited(value: float, first: float, second: float) -> float:
     """A second derivative limited by two others; 0 if their signs differ."""
     low, high = min(first, second), max(first, second)
-    return min(max(value, 0.0), MOST_GROWTH * max(low, 0.0)) + max(
-        min(value, 0.0), MOST_GROWTH * min(high, 0.0)
+    return min(max(value, 0.0), _MOST_GROWTH * max(low, 0.0)) + max(
+        min(value, 0.0), _MOST_GROWTH * min(high, 0.0)
     )
 
 

@@ -32,7 +32,7 @@ NONE = np.empty(0)
 
 
 @inline
-def small_angle_moments(x: float) -> tuple[float, float, float]:
+def _small_angle_moments(x: float) -> tuple[float, float, float]:
     """As :func:`half_angle_moments` for ``|x| < 0.5``: series, since the quotients lose digits."""
     x2 = x * x
     j0 = 1.0 + x2 * (_J0[0] + x2 * (_J0[1] + x2 * (_J0[2] + x2 * (_J0[3] + x2 * (_J0[4] + x2 * _J0[5])))))
@@ -47,7 +47,7 @@ def half_angle_moments(x: float) -> tuple[float, float, float]:
     ``j0 = sin x / x``, ``j1 = (sin x - x cos x)/x^2`` and ``2 j1/x``: spherical Bessel functions.
     """
     if abs(x) < 0.5:
-        return small_angle_moments(x)
+        return _small_angle_moments(x)
     sine, cosine = math.sin(x), math.cos(x)
     j1 = (sine - x * cosine) / (x * x)
     return sine / x, j1, 2.0 * j1 / x
@@ -85,7 +85,7 @@ def coupling_columns(
         small &= (h[i] == 0.0) | ((abs(turn) < 0.5) & (abs(middle) <= LIMIT))
     if small:  # without branches: whole vectors at a time
         for i in range(h.size):
-            moments = small_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
+            moments = _small_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
             turned = fast_sine_cosine(0.5 * order * (psi[i] + psi[i + 1]))
             columns[0, i], columns[1, i] = _coupled(y, z, bows, h, i, order * bend[i], moments, turned)
     else:
@@ -129,8 +129,8 @@ def product_column(
     inputs = {"x": f[0], "y": f[1], "z": f[2], "t": t, "T": temperature, "v": vibration}
     if not factors:
         out[:] = 1.0
-    elif factors in MEANS:
-        out[:] = MEANS[factors](f[0, :-1], f[0, 1:])
+    elif factors in _MEANS:
+        out[:] = _MEANS[factors](f[0, :-1], f[0, 1:])
     elif len(factors) == 1:
         a = inputs[factors[0]]
         np.add(a[:-1], a[1:], out=out)
@@ -165,7 +165,7 @@ def _size_mean(a: Array, b: Array) -> Array:
     return np.where(crossing, across, 0.5 * np.abs(a + b))
 
 
-MEANS: dict[tuple[Factor, ...], Callable[[Array, Array], Array]] = {
+_MEANS: dict[tuple[Factor, ...], Callable[[Array, Array], Array]] = {
     ("|x|",): _size_mean,
     ("x", "|x|"): _odd_square_mean,
     ("x", "x", "x"): _cube_mean,
@@ -320,7 +320,7 @@ def add_product_bows(
     """Add the effect of the force bows (3, n) to a column of :func:`product_column`, to first order."""
     inputs = {"x": f[0], "y": f[1], "z": f[2], "t": t, "T": temperature}
     bow = dict(zip("xyz", bows, strict=False))
-    if factors in MEANS:
+    if factors in _MEANS:
         x = 0.5 * (f[0, :-1] + f[0, 1:])
         slope = {1: np.sign(x), 2: 2.0 * np.abs(x), 3: 3.0 * x * x}[len(factors)]
         out += h * bows[0] * slope
@@ -447,7 +447,7 @@ def rate_sums(d: Array, h: Array, edges: NDArray[np.int64], kappa: float, out: A
     return logarithm + math.log(product)
 
 
-CONFIRM = 8
+_CONFIRM = 8
 """Samples that must agree on another level before it counts as a jump."""
 PATIENCE = 2
 """Misses beyond the hits after which a candidate level is dropped."""
@@ -467,13 +467,13 @@ def scan_samples(
     the majority decides: if more samples agree on the second level than on the first, the first ones are left out. Fewer
     than CONFIRM samples before a jump of a stretch are left out too.
     """
-    member = np.zeros(CONFIRM, dtype=np.int64)
+    member = np.zeros(_CONFIRM, dtype=np.int64)
     angle = level = variance = other = other_variance = 0.0
     hits = misses = accepted = begin = 0
     for i in range(d.size):
         flags[i] = 0
         if h[i] == 0.0:
-            if i - begin < CONFIRM and hits > accepted:
+            if i - begin < _CONFIRM and hits > accepted:
                 _keep_members(flags, member[:hits], begin, i)
             angle, level, variance = 0.0, 0.0, white
             hits, accepted, begin = 0, 1, i
@@ -499,22 +499,22 @@ def scan_samples(
             other_variance *= 1.0 - gain
             member[hits] = i
             hits += 1
-            if hits == CONFIRM:
-                for k in range(CONFIRM):
+            if hits == _CONFIRM:
+                for k in range(_CONFIRM):
                     flags[member[k]] = 0
-                if accepted < CONFIRM:
+                if accepted < _CONFIRM:
                     for k in range(begin, member[0]):
                         flags[k] = 1
                 flags[member[0]] = 2
                 level, variance = other, other_variance
-                hits, accepted, begin = 0, CONFIRM, member[0]
+                hits, accepted, begin = 0, _CONFIRM, member[0]
             continue
         misses += 1
         if hits == 0 or misses > hits + PATIENCE:
             other, other_variance = angle, white
             hits, misses = 1, 0
             member[0] = i
-    if d.size - begin < CONFIRM and hits > accepted:
+    if d.size - begin < _CONFIRM and hits > accepted:
         _keep_members(flags, member[:hits], begin, d.size)
 
 

@@ -38,7 +38,7 @@ RECENT = 2.0
 """Time after a compilation within which the next one is expected [s]."""
 
 
-def user_cache() -> Path:
+def _user_cache() -> Path:
     """The folder for caches of the current user, by the custom of the system. RuntimeError if there is no home."""
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
@@ -84,7 +84,7 @@ def _folder_to_use() -> str:
     if config.CACHE_DIR:
         return str(config.CACHE_DIR)
     try:
-        return str(cache_folder(user_cache()) or "")
+        return str(cache_folder(_user_cache()) or "")
     except RuntimeError:
         return ""
 

@@ -19,7 +19,7 @@ from piga.records.run import Run
 from piga.records.terms import term_names
 from piga.threads import one_thread
 
-STEPS = 5
+_STEPS = 5
 """Steps of a calibration that ``progress`` hears of."""
 
 
@@ -75,7 +75,7 @@ def calibrate(
     """
     if phase is not None and phases is not None:
         raise ArgumentError("phase and phases: one is the former name of the other", remedy="give phases alone")
-    steps, runs = Steps(progress, STEPS), check_items(run)
+    steps, runs = Steps(progress, _STEPS), check_items(run)
     wanted, own = (None if names is None else list(term_names(names)) for names in (terms, per_run))
     with one_thread():
         steps("fitting the model")

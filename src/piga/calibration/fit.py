@@ -48,7 +48,7 @@ from piga.results import Array
 
 
 @dataclass(frozen=True)
-class FitSettings:
+class _FitSettings:
     """Settings of the fit of one run (own choices)."""
 
     refits: int = 4
@@ -57,7 +57,7 @@ class FitSettings:
     """Most rounds of leaving samples out and fitting again; two or three are usual."""
 
 
-FIT = FitSettings()
+_FIT = _FitSettings()
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
     raw.forget()
     noise = first_noise(misses, parameters)
     flags = find_flags(misses, noise, resolution, parameters)
-    for _ in range(FIT.rounds):
+    for _ in range(_FIT.rounds):
         if not flags.any() or is_misfit(run, misses, flags) or is_too_many(flags):
             return plain
         cleaned, outliers = leave_out(run, misses, flags, free=request.phases == "per-segment")
@@ -139,7 +139,7 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
     positions, given = Positions.of(run), _given_noise(request)
     own = () if positions.continuous or not stated else stated
     noise = replace(given or starting_noise(run.resolution, run.median_step), stated=own)
-    for refit in range(FIT.refits):
+    for refit in range(_FIT.refits):
         design, parts = reduce_settled(raw, mode, noise)
         summaries = of_segments([part.select(design.names) for part in parts], positions)
         examination = examine(design, summaries)
@@ -150,7 +150,7 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
         levels = given or find_noise(design, d, h, solution.parameters, mode, noise if refit else None)
         step = run.median_step
         settled = refined is raw and levels.close_to(noise, step, design.rows // len(run.labels))
-        if settled or refit == FIT.refits - 1:
+        if settled or refit == _FIT.refits - 1:
             break
         noise, raw = replace(levels, stated=own), refined
     if given is None and mode != "rates" and not positions.continuous:

@@ -25,7 +25,7 @@ from piga.results import Array
 
 
 @dataclass(frozen=True)
-class IntervalSettings:
+class _IntervalSettings:
     """Limits of the rule (own choices)."""
 
     alone: float = 1e-3
@@ -44,7 +44,7 @@ class IntervalSettings:
     """Positions per shortest of these times."""
 
 
-INTERVALS = IntervalSettings()
+_INTERVALS = _IntervalSettings()
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def find_interval(
     u, degrees = sandwich(scattered, repetitions, words)
     excess, probability, slow = _order(rows, repetitions)
     growth = np.ones(u.size)
-    if slow is not None and probability < INTERVALS.excess:
+    if slow is not None and probability < _INTERVALS.excess:
         growth = np.sqrt(1.0 + (slow**2 - 1.0) * (1.0 - 1.0 / excess))
     wide, few = _between_runs(scattered, repetitions, u, degrees)
     u, degrees = np.maximum(u * growth, wide), np.where(wide > u * growth, few, degrees)
@@ -184,12 +184,12 @@ def sandwich(
     g = np.einsum("jka,jk->ja", x, missed - x @ moved)
     value, vector = np.linalg.eigh(B)
     known = (inverse**2).sum(axis=1)
-    alone = value > 1.0 - INTERVALS.alone
+    alone = value > 1.0 - _INTERVALS.alone
     if alone.any():
         if repetitions is not None:
             share = np.einsum("ca,jab->jcb", inverse, vector) ** 2 / known[None, :, None]
             _refuse_alone(alone, share, repetitions, names)
-        value = np.minimum(value, 1.0 - INTERVALS.alone)
+        value = np.minimum(value, 1.0 - _INTERVALS.alone)
     root = np.einsum("jab,jb,jcb->jac", vector, (1.0 - value) ** -0.5, vector)
     d = np.einsum("ca,jab->cjb", inverse, root)
     z = np.einsum("cja,ja->cj", d, g)
@@ -198,7 +198,7 @@ def sandwich(
     at = np.arange(len(parts))
     P[:, at, at] += np.einsum("cja,cja->cj", d, dB)
     variance = P[:, at, at]
-    weight = np.maximum(variance + INTERVALS.share * variance.mean(axis=1, keepdims=True), 1e-300) ** -0.5
+    weight = np.maximum(variance + _INTERVALS.share * variance.mean(axis=1, keepdims=True), 1e-300) ** -0.5
     trace = (weight * variance).sum(axis=1)
     u = np.sqrt(known * (weight * z**2).sum(axis=1) / trace)
     degrees = trace**2 / np.einsum("cj,cjk,ck,cjk->c", weight, P, weight, P)
@@ -222,7 +222,7 @@ def _refuse_alone(
         concerned = [
             name
             for name, own in zip(names, share[j][:, alone[j]].sum(axis=1), strict=True)
-            if own > INTERVALS.concerned
+            if own > _INTERVALS.concerned
         ]
         if concerned:
             listed = ", ".join(dict.fromkeys(concerned))
@@ -262,10 +262,10 @@ def _between_runs(
     x = np.array([part[:, :p] @ inverse for part in together])
     value, vector = np.linalg.eigh(np.einsum("jka,jkb->jab", x, x))
     share = np.einsum("ca,jab->jcb", inverse, vector) ** 2 / (inverse**2).sum(axis=1)[None, :, None]
-    alone = np.where((value > 1.0 - INTERVALS.alone)[:, None, :], share, 0.0).sum(axis=2).max(axis=0)
+    alone = np.where((value > 1.0 - _INTERVALS.alone)[:, None, :], share, 0.0).sum(axis=2).max(axis=0)
     wide, few = sandwich(together, None, [])
     chance = fdtrc(few, degrees, (wide / np.maximum(u, 1e-300)) ** 2)
-    taken = (alone < INTERVALS.concerned) & (wide > u) & (chance < INTERVALS.between)
+    taken = (alone < _INTERVALS.concerned) & (wide > u) & (chance < _INTERVALS.between)
     return np.where(taken, wide, 0.0), few
 
 
@@ -311,8 +311,8 @@ def _slow_factor(repetitions: Sequence[Repetition], hat: Array, effect: Array, f
     longest = max(float(end[run == k].max() - begin[run == k].min()) for k in set(run.tolist()))
     usual = float(np.median(end - begin))
     covariance = np.zeros_like(hat)
-    for exponent in np.arange(0.0, np.log10(INTERVALS.shortest * longest / usual), INTERVALS.spacing):
-        covariance += _mean_covariance(begin, end, usual / INTERVALS.shortest * 10.0**exponent)
+    for exponent in np.arange(0.0, np.log10(_INTERVALS.shortest * longest / usual), _INTERVALS.spacing):
+        covariance += _mean_covariance(begin, end, usual / _INTERVALS.shortest * 10.0**exponent)
     covariance *= run[:, None] == run[None, :]
     rest = np.eye(len(hat)) - hat
     shown = float(np.trace(rest @ covariance @ rest.T)) / freedom

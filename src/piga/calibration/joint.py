@@ -41,7 +41,7 @@ from piga.terms import THERMAL_TERMS
 
 
 @dataclass(frozen=True)
-class JointSettings:
+class _JointSettings:
     """Limits and steps of a joint fit (own choices)."""
 
     inner_change: float = 1e-6
@@ -50,12 +50,12 @@ class JointSettings:
     """Largest relative difference of a servo coefficient between runs that is accepted; different rates cause it."""
 
 
-JOINT = JointSettings()
+_JOINT = _JointSettings()
 
 
-SERVO_SOURCE = "servo "
+_SERVO_SOURCE = "servo "
 """Prefix of the names of sources that belong to the instrument."""
-COMMON_TO_ALL_STANDS = ("gravity",)
+_COMMON_TO_ALL_STANDS = ("gravity",)
 """Sources that belong to the site, not to the stand."""
 
 
@@ -163,7 +163,7 @@ class MergedRuns:
             return None
         for index, given in enumerate(known):
             alike = given.keys() == known[0].keys() and all(
-                abs(size - known[0][name]) <= JOINT.same_servo * abs(size) for name, size in given.items()
+                abs(size - known[0][name]) <= _JOINT.same_servo * abs(size) for name, size in given.items()
             )
             if not alike:
                 first, other = self.summaries[0].name, self.summaries[index].name
@@ -307,7 +307,7 @@ def fit_jointly(
     stale = [
         i
         for i, summary in enumerate(summaries)
-        if summary.turning and abs(scale_factor / summary.inner_scale_factor - 1.0) > JOINT.inner_change
+        if summary.turning and abs(scale_factor / summary.inner_scale_factor - 1.0) > _JOINT.inner_change
     ]
     for i in stale:
         prepared_again = live[i]
@@ -419,8 +419,8 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[SharedSource]:
     shared_by_key: dict[tuple[str, str | None, str | None, float, int], SharedSource] = {}
     for index, summary in enumerate(summaries):
         for number, source in enumerate(summary.sources):
-            of_servo = source.name.startswith(SERVO_SOURCE)
-            of_site = source.name in COMMON_TO_ALL_STANDS or of_servo
+            of_servo = source.name.startswith(_SERVO_SOURCE)
+            of_site = source.name in _COMMON_TO_ALL_STANDS or of_servo
             own = -1 if source.draw == "reference" else index
             device = None if of_servo else summary.reference_id
             key = (source.name, None if of_site else summary.stand, device, source.value, own)

@@ -37,7 +37,7 @@ from piga.threads import one_thread
 
 
 @dataclass(frozen=True)
-class FoldSettings:
+class _FoldSettings:
     """Parts that cross-validation leaves out (own choices)."""
 
     fewest_segments: int = 4
@@ -50,7 +50,7 @@ class FoldSettings:
     """Largest independent share of a column's length for which the column counts as dependent on the others."""
 
 
-FOLDS = FoldSettings()
+_FOLDS = _FoldSettings()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,16 +99,16 @@ class HeldOutPrediction(Result):
 def parts_of(run: Run, per_segment: bool) -> tuple[Positions, str]:
     """The parts of a record that are left out and predicted, and their kind: segments or blocks."""
     edges = run.segment_edges().astype(np.int64)
-    if per_segment or edges.size > FOLDS.fewest_segments:
+    if per_segment or edges.size > _FOLDS.fewest_segments:
         return Positions(edges, np.arange(edges.size - 1)), "segment"
-    blocks = np.linspace(0, run.size, min(FOLDS.blocks, run.size) + 1).astype(np.int64)
+    blocks = np.linspace(0, run.size, min(_FOLDS.blocks, run.size) + 1).astype(np.int64)
     edges = np.unique(np.concatenate((edges, blocks)))
     return Positions(edges, run.segment_index[edges[:-1]].astype(np.int64)), "block"
 
 
 def fold_of(parts: int) -> NDArray[np.int64]:
     """Fold of each part: one per part, or one for several neighbours if there are many parts."""
-    return np.arange(parts) * min(parts, FOLDS.most) // parts
+    return np.arange(parts) * min(parts, _FOLDS.most) // parts
 
 
 def predict(parts: Sequence[Reduction], scale_factor: float) -> HeldOutPrediction | None:
@@ -150,7 +150,7 @@ def _least_squares(rows: Array) -> Array | None:
         return None
     triangle: Array = np.linalg.qr(rows / np.append(size, 1.0))[1]
     m = size.size
-    if np.abs(np.diag(triangle)[:m]).min() <= FOLDS.dependent:
+    if np.abs(np.diag(triangle)[:m]).min() <= _FOLDS.dependent:
         return None
     return solve_upper(triangle[:m, :m], triangle[:m, m]) / size
 
@@ -269,7 +269,7 @@ def _set_document(row: TermSet, best: float | None, observations: int) -> dict[s
     return document
 
 
-PROBE = "k0"
+_PROBE = "k0"
 """Column that converts a prediction error to a mean specific force. It is reduced with every union."""
 
 
@@ -415,7 +415,7 @@ class UnionReduction:
     def of(cls, run: Run, request: Request) -> UnionReduction:
         """Find the noise with the determined part of the union, then reduce the whole union once."""
         live = prepare(run, request, "")
-        fit, columns = live.fit, tuple(dict.fromkeys((*request.terms, PROBE)))
+        fit, columns = live.fit, tuple(dict.fromkeys((*request.terms, _PROBE)))
         design = Design(live.run, replace(request, terms=columns), fit.design.scale_factor)
         noise = replace(fit.noise, scatter=0.0, stated=())
         positions, parted_by = parts_of(live.run, design.per_segment)
@@ -453,7 +453,7 @@ class UnionReduction:
         )
 
     def _predicted(self, runs: MergedRuns, state: ServoState | None) -> HeldOutPrediction | None:
-        parts = [repetition.part for repetition in runs.repetitions(state, (PROBE,))]
+        parts = [repetition.part for repetition in runs.repetitions(state, (_PROBE,))]
         return predict(parts, self.summary.inner_scale_factor)
 
     def _named(self, runs: MergedRuns, estimate: Estimate) -> tuple[tuple[Coefficient, ...], tuple[str, ...]]:

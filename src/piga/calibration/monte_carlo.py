@@ -24,7 +24,7 @@ from piga.results import Array
 
 
 @dataclass(frozen=True)
-class MonteCarloSettings:
+class _MonteCarloSettings:
     """Settings of the Monte Carlo propagation (JCGM 101; else own choices)."""
 
     trials: int = 200_000
@@ -39,7 +39,7 @@ class MonteCarloSettings:
     """Ratio of tan_beta to its standard uncertainty below which its interval is not linear (Rice-like)."""
 
 
-MONTE_CARLO = MonteCarloSettings()
+MONTE_CARLO = _MonteCarloSettings()
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Contribution:
 
 
 @dataclass(frozen=True)
-class Propagated:
+class _Propagated:
     """Per result: estimate, standard uncertainty, symmetric and shortest 95 % interval (2, n), and the verdict.
 
     ``tolerance`` is delta of JCGM 101, 7.9.2, for two significant digits, but at
@@ -101,7 +101,7 @@ def tolerance(u: Array) -> Array:
     return 0.5 * 10.0**exponent
 
 
-def shortest_interval(ordered: Array) -> Array:
+def _shortest_interval(ordered: Array) -> Array:
     """Shortest interval holding 95 % of sorted trials (trials, n), shape (2, n) (JCGM 101, 5.3.4)."""
     inside = round(0.95 * ordered.shape[0])
     widths = ordered[inside:] - ordered[:-inside]
@@ -116,7 +116,7 @@ def propagate_distributions(
     sources: list[Contribution],
     results: Callable[[Array], Array],
     first_order: Array,
-) -> Propagated:
+) -> _Propagated:
     """Propagate distributions through ``results`` by ``MONTE_CARLO.trials`` trials.
 
     Parameters
@@ -151,7 +151,7 @@ def propagate_distributions(
     )  # the standard deviation of few degrees of freedom is unbounded
     delta = np.maximum(tolerance(size), MONTE_CARLO.resolved * size)
     agrees = np.max(np.abs(first_order - symmetric), axis=0) <= delta
-    return Propagated(trials, ordered.mean(axis=0), std, symmetric, shortest_interval(ordered), delta, agrees)
+    return _Propagated(trials, ordered.mean(axis=0), std, symmetric, _shortest_interval(ordered), delta, agrees)
 
 
 def monte_carlo_intervals(

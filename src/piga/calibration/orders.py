@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class OrderSettings:
+class _OrderSettings:
     """Settings of the spectrum and of the ripple (own choices)."""
 
     step: float = 0.125
@@ -48,7 +48,7 @@ class OrderSettings:
     """An order is a line above this multiple of the expected noise: chance reaches it in one spectrum of a hundred."""
 
 
-ORDERS = OrderSettings()
+ORDERS = _OrderSettings()
 _TAPER = 1.5  # variance of an amplitude under the raised cosine, against equal weights
 _STANDING = 1e-7  # turn between samples below which the output stands [rad]
 _LEAST = 8

@@ -29,12 +29,12 @@ Flags = NDArray[np.int8]
 
 NORMAL_MEDIAN = 0.6745
 """Median size of a normal deviate of one."""
-NORMAL_QUARTER = 0.3186
+_NORMAL_QUARTER = 0.3186
 """Size below which a quarter of normal deviates lie."""
 
 
 @dataclass(frozen=True)
-class OutlierSettings:
+class _OutlierSettings:
     """Limits for bad samples of the output, and settings of their search (own choices)."""
 
     false_alarms: float = 0.05
@@ -80,7 +80,7 @@ class OutlierSettings:
     """Most times named in an event."""
 
 
-OUTLIERS = OutlierSettings()
+OUTLIERS = _OutlierSettings()
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def robust_values(design: Design) -> Array:
     values = _weighted(design, parts, [np.ones(columns.shape[1]) for _, columns in parts])
     for step in range(OUTLIERS.absolute_fits + OUTLIERS.tukey_fits):
         sizes = [np.abs(columns[-1] - values[s] @ columns[:-1]) for s, columns in parts]
-        spread = max(float(np.quantile(np.concatenate(sizes), 0.25)) / NORMAL_QUARTER, 1e-300)
+        spread = max(float(np.quantile(np.concatenate(sizes), 0.25)) / _NORMAL_QUARTER, 1e-300)
         if step < OUTLIERS.absolute_fits:
             weights = [1.0 / np.sqrt(np.maximum(size, 0.1 * spread) / spread) for size in sizes]
         else:
@@ -230,7 +230,7 @@ def without_rates(misses: Misses, edges: NDArray[np.int64], resolution: float) -
         if not formed.size:
             continue
         away = d[formed] - h[formed] * np.median(d[formed] / h[formed])
-        spread = float(np.quantile(np.abs(away), 0.25)) / NORMAL_QUARTER
+        spread = float(np.quantile(np.abs(away), 0.25)) / _NORMAL_QUARTER
         near = formed[np.abs(away) <= max(OUTLIERS.tukey * spread, 2.0 * resolution)]
         d[start:stop] -= d[near].sum() / h[near].sum() * np.maximum(h[start:stop], 0.0)
     return replace(misses, d=d)
@@ -241,7 +241,7 @@ def first_noise(misses: Misses, parameters: int) -> Noise:
 
     If equal readings give a core of no width, the smallest error of a bad sample replaces it.
     """
-    core = float(np.quantile(misses.sizes(), 0.25)) / NORMAL_QUARTER * misses.small_sample(parameters)
+    core = float(np.quantile(misses.sizes(), 0.25)) / _NORMAL_QUARTER * misses.small_sample(parameters)
     sigma = max(core, OUTLIERS.least_miss)
     if misses.point:
         return Noise(0.0, sigma**2)

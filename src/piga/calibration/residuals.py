@@ -20,14 +20,14 @@ from piga.records.run import Run
 from piga.results import Array
 from piga.units import G0
 
-Integers = NDArray[np.int64]
+_Integers = NDArray[np.int64]
 
 LAG_PART = 8192
 """Samples per step when lagged products are summed: 64 KiB."""
 
 
 @dataclass(frozen=True)
-class WhitenessSettings:
+class _WhitenessSettings:
     """Settings of the tests for white residuals (own choices)."""
 
     lags: int = 20
@@ -42,7 +42,7 @@ class WhitenessSettings:
     """First rows of the record used for this simulation: 0.2 s of processor time."""
 
 
-WHITENESS = WhitenessSettings()
+WHITENESS = _WhitenessSettings()
 
 
 Products = Callable[[], "Array | None"]

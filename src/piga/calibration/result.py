@@ -193,8 +193,8 @@ class OneRun:
             history=history_of(fit) if request.method == "recursive" else None,
             unit=run.unit,
         )
-        result = with_remarks(result, fit, self.candidates, doubts)
-        return with_creep(result, run, creep_of_run(fit, coefficients))
+        result = _with_remarks(result, fit, self.candidates, doubts)
+        return _with_creep(result, run, creep_of_run(fit, coefficients))
 
     def servo(self) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
         """Given coefficients of the servo, and the same moved by each source of Type B that affects them."""
@@ -249,12 +249,12 @@ class SeveralRuns:
             gravity="; ".join(dict.fromkeys(filter(None, map(gravity_in_words, runs)))),
         )
         said = ((doubt.largest_shift(coefficients), doubt.words) for doubt in doubts if doubt.words)
-        result = with_sentences(result, said)
+        result = _with_sentences(result, said)
         crept = creep_of_runs(fit, coefficients)
         if crept is None:
             return result
         live, creep = crept
-        return with_creep(result, live.run, creep, live.name)
+        return _with_creep(result, live.run, creep, live.name)
 
     def servo(self) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
         """Given coefficients of the servo, and the same moved by each source of Type B that affects them."""
@@ -473,7 +473,7 @@ def _provenance(fit: JointFit) -> Provenance:
     return provenance(hashes, options)
 
 
-def with_remarks(
+def _with_remarks(
     result: Calibration, fit: Fit, candidates: Candidates, doubts: tuple[LeftOut, ...]
 ) -> Calibration:
     """The result with ``leverage``, ``missing_terms`` and ``advice`` in its diagnostics and in its notes.
@@ -505,10 +505,10 @@ def with_remarks(
     )
     cause = (*((math.inf, words) for words in advice), *suggested) or moved
     result = replace(result, remarks=(*alone, *result.remarks), diagnostics=diagnostics)
-    return with_sentences(result, cause)
+    return _with_sentences(result, cause)
 
 
-def with_sentences(result: Calibration, sentences: Iterable[tuple[float, str]]) -> Calibration:
+def _with_sentences(result: Calibration, sentences: Iterable[tuple[float, str]]) -> Calibration:
     """The result with sentences: a doubt if the shift before it is above one standard uncertainty, else a remark."""
     said = list(sentences)
     doubts = [words for shift, words in said if shift > 1.0]
@@ -525,7 +525,7 @@ def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, .
     )
 
 
-def with_creep(result: Calibration, run: Run, creep: Creep | None, name: str = "") -> Calibration:
+def _with_creep(result: Calibration, run: Run, creep: Creep | None, name: str = "") -> Calibration:
     """The result with a creep in its diagnostics: a doubt if it moves a coefficient by more than u, else a remark.
 
     ``name`` is that of the run among several.
@@ -534,4 +534,4 @@ def with_creep(result: Calibration, run: Run, creep: Creep | None, name: str = "
     if creep is None or not creep.seen or result.diagnostics.advice:
         return result
     words = (f"run '{name}': " if name else "") + creep_in_words(run, creep)
-    return with_sentences(result, [(creep.largest_shift, words)])
+    return _with_sentences(result, [(creep.largest_shift, words)])

@@ -20,11 +20,11 @@ from piga.records.calibration import Event, Outlier
 from piga.records.run import Run
 from piga.results import Array
 
-FULL_TURN = 2.0 * np.pi
+_FULL_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
-class RevolutionSettings:
+class _RevolutionSettings:
     """Settings of the method of whole turns (own choices)."""
 
     steady: float = 2e-3
@@ -38,11 +38,11 @@ class RevolutionSettings:
     """Fewest turns beyond one for each position."""
 
 
-REVOLUTIONS = RevolutionSettings()
+_REVOLUTIONS = _RevolutionSettings()
 
 
 @dataclass(frozen=True)
-class WholeTurns:
+class _WholeTurns:
     """The record at the ends of whole turns, the terms that it determines, and outliers of the record itself."""
 
     run: Run
@@ -50,7 +50,7 @@ class WholeTurns:
     outliers: tuple[Outlier, ...]
 
 
-def whole_turns(run: Run, request: Request) -> WholeTurns:
+def whole_turns(run: Run, request: Request) -> _WholeTurns:
     """The record at the ends of whole turns of every position.
 
     Raises
@@ -86,7 +86,7 @@ def whole_turns(run: Run, request: Request) -> WholeTurns:
         else:
             positions.append((index, stretch, *position))
     turns = sum(at.size - 1 for *_, at, _ in positions)
-    if turns < len(positions) + REVOLUTIONS.fewest_turns:
+    if turns < len(positions) + _REVOLUTIONS.fewest_turns:
         short = left_out["no-whole-revolution"]
         raise CalibrationError(
             f"method 'revolutions' finds {turns} whole turns of the output in {len(positions)} positions"
@@ -96,7 +96,7 @@ def whole_turns(run: Run, request: Request) -> WholeTurns:
     quality = replace(run.quality, events=(*run.quality.events, *_events(left_out)))
     model = msgspec.structs.replace(run.model, compare=())
     turned = replace(_run_of_turns(run, positions), quality=quality, model=model)
-    return WholeTurns(turned, terms, outliers)
+    return _WholeTurns(turned, terms, outliers)
 
 
 def _without_outliers(run: Run, request: Request) -> tuple[Run, tuple[Outlier, ...]]:
@@ -121,18 +121,18 @@ def _position(run: Run, stretch: slice) -> tuple[Array, float] | str:
     """Times [s] of the ends of whole turns and the angle of one turn without pulling [rad]; or why the position is left out."""
     t, output, force = run.t[stretch], run.output[stretch], run.f[stretch]
     x = np.maximum.accumulate(np.abs(output - output[0]))
-    count = int(x[-1] / FULL_TURN)
+    count = int(x[-1] / _FULL_TURN)
     if count < 1:
         return "no-whole-revolution"
-    if np.ptp(force, axis=0).max() > REVOLUTIONS.steady * np.linalg.norm(force, axis=1).max():
+    if np.ptp(force, axis=0).max() > _REVOLUTIONS.steady * np.linalg.norm(force, axis=1).max():
         return "force-not-constant"
-    parts = REVOLUTIONS.parts
-    inner = np.interp(FULL_TURN / parts * np.arange(parts * count + 1), x, t)
+    parts = _REVOLUTIONS.parts
+    inner = np.interp(_FULL_TURN / parts * np.arange(parts * count + 1), x, t)
     ratio = ripple(np.diff(inner).reshape(count, parts).mean(axis=0))
-    if ratio > REVOLUTIONS.locking:
+    if ratio > _REVOLUTIONS.locking:
         return "near-lock"
     sign = float(np.sign(output[-1] - output[0]))
-    return inner[::parts], sign * FULL_TURN / float(np.sqrt(1.0 - ratio**2))
+    return inner[::parts], sign * _FULL_TURN / float(np.sqrt(1.0 - ratio**2))
 
 
 def ripple(times: Array) -> float:
@@ -142,7 +142,7 @@ def ripple(times: Array) -> float:
     ``2 (1 - sqrt(1 - r^2))/r = 2 tan(asin(r)/2)``. The mean over a part of the turn reduces it by a sinc.
     """
     parts = times.size
-    wave = np.exp(-1j * FULL_TURN * (np.arange(parts) + 0.5) / parts)
+    wave = np.exp(-1j * _FULL_TURN * (np.arange(parts) + 0.5) / parts)
     size = 2.0 * abs(complex(wave @ times)) / float(times.sum()) / float(np.sinc(1.0 / parts))
     return float(np.sin(2.0 * np.arctan(0.5 * size)))
 
@@ -178,7 +178,7 @@ def _events(left_out: dict[str, list[str]]) -> list[Event]:
     words = {
         "no-whole-revolution": "the output does not turn once",
         "force-not-constant": "the specific force changes while the output turns",
-        "near-lock": f"the lock zone is above {REVOLUTIONS.locking:g} of the drive",
+        "near-lock": f"the lock zone is above {_REVOLUTIONS.locking:g} of the drive",
     }
     return [
         Event(

@@ -26,7 +26,7 @@ from piga.results import Array
 
 
 @dataclass(frozen=True)
-class ServoFitSettings:
+class _ServoFitSettings:
     """Settings of the search for the phase of the servo terms (own choices)."""
 
     iterations: int = 40
@@ -43,7 +43,7 @@ class ServoFitSettings:
     """Least share of that column for which another term is named."""
 
 
-SERVO_FIT = ServoFitSettings()
+_SERVO_FIT = _ServoFitSettings()
 
 
 def at_state(
@@ -105,7 +105,7 @@ def find_state(
     """
     state = ServoState((0.0,) * len(parts), known.get("servo", 0.0), known.get("servo_damping", 0.0), 0.0)
     state = replace(state, phases=_first_phases(layout, parts, wanted, state, known))
-    for _ in range(SERVO_FIT.iterations):
+    for _ in range(_SERVO_FIT.iterations):
         chosen = [
             at_state(part, names, state, g, known)
             for g, (part, names) in enumerate(zip(parts, wanted, strict=True))
@@ -113,7 +113,7 @@ def find_state(
         estimate = solve_parts(layout, chosen)
         moved = _moved_state(layout, estimate, known, sum(part.count for part in parts))
         change = short_way(np.array(moved.phases) - np.array(state.phases))
-        settled = np.abs(change).max() < SERVO_FIT.settled and (moved.inverse == 0.0) == (state.inverse == 0.0)
+        settled = np.abs(change).max() < _SERVO_FIT.settled and (moved.inverse == 0.0) == (state.inverse == 0.0)
         sizes = np.array([state.stiffness, state.damping]), np.array([moved.stiffness, moved.damping])
         settled = settled and bool(np.all(np.abs(sizes[1] - sizes[0]) <= 1e-9 * np.abs(sizes[1])))
         state = moved
@@ -133,7 +133,7 @@ def _moved_state(layout: Layout, estimate: Estimate, known: dict[str, float], ro
     coupling = float(estimate.amplitudes[0])
     freedom = max(rows - estimate.covariance.shape[0], 1)
     deviation = np.sqrt(max(estimate.covariance[0, 0] * estimate.cost / freedom, 0.0))
-    inverse = 1.0 / coupling if abs(coupling) > SERVO_FIT.seen * deviation else 0.0
+    inverse = 1.0 / coupling if abs(coupling) > _SERVO_FIT.seen * deviation else 0.0
     phases = tuple(float(phase) for phase in estimate.phases)
     return ServoState(phases, sizes["servo"], sizes["servo_damping"], inverse)
 
@@ -146,13 +146,13 @@ def _first_phases(
         return (_scanned(parts[0], wanted[0], known),)
     plain = [tuple(name for name in names if name not in SERVO_TERMS) for names in wanted]
     chosen = [at_state(part, names, state, g) for g, (part, names) in enumerate(zip(parts, plain, strict=True))]
-    return tuple(float(phase) for phase in solve_parts(without_servo(layout), chosen).phases)
+    return tuple(float(phase) for phase in solve_parts(_without_servo(layout), chosen).phases)
 
 
 def _scanned(part: Reduction, wanted: Names, known: dict[str, float]) -> float:
     """Phase of least sum of squares; the coupling is bound to it."""
     best, chosen = np.inf, 0.0
-    for phase in 2.0 * np.pi * np.arange(SERVO_FIT.scan) / SERVO_FIT.scan - np.pi:
+    for phase in 2.0 * np.pi * np.arange(_SERVO_FIT.scan) / _SERVO_FIT.scan - np.pi:
         state = ServoState((float(phase),), 0.0, 0.0, 0.0)
         factor = at_state(part, wanted, state, 0, known).factor
         bound = np.column_stack([factor[:, :2] @ [np.cos(phase), np.sin(phase)], factor[:, 2:]])
@@ -165,7 +165,7 @@ def _scanned(part: Reduction, wanted: Names, known: dict[str, float]) -> float:
     return chosen
 
 
-def without_servo(layout: Layout) -> Layout:
+def _without_servo(layout: Layout) -> Layout:
     """The layout without the terms of the servo."""
     kept = [i for i, (name, _) in enumerate(layout.keys) if name not in SERVO_TERMS]
     number = {old: new for new, old in enumerate(kept)}
@@ -245,7 +245,7 @@ def _refuse_if_servo_alike(
     IdentifiabilityError
         Names the terms and the test that separates them.
     """
-    plain = without_servo(layout)
+    plain = _without_servo(layout)
     state = ServoState((0.0,) * len(parts), 0.0, 0.0, 0.0)
     names = [tuple(name for name in columns if name not in SERVO_TERMS) for columns in wanted]
     rest = [at_state(part, own, state, g) for g, (part, own) in enumerate(zip(parts, names, strict=True))]
@@ -313,11 +313,11 @@ def _made_of(rows: Array, size: float, names: list[str]) -> Names:
     columns = rows[:, :-1] / scale
     share = np.linalg.lstsq(columns, rows[:, -1], rcond=1e-9)[0]
     left = float(np.linalg.norm(rows[:, -1] - columns @ share))
-    if left > SERVO_FIT.separate * size:
+    if left > _SERVO_FIT.separate * size:
         return ()
     named = tuple(
         dict.fromkeys(
-            n for n, part in zip(names, share, strict=True) if abs(part) > SERVO_FIT.named_share * size
+            n for n, part in zip(names, share, strict=True) if abs(part) > _SERVO_FIT.named_share * size
         )
     )
     return named or ("tan_beta",)

@@ -24,14 +24,14 @@ from piga.units import G0, from_si, to_si
 
 HEIGHT = 500.0
 """Standard uncertainty [m] of a height that is not stated."""
-GRADIENT = 3.1e-7
+_GRADIENT = 3.1e-7
 """Relative change of gravity with height [1/m] (free air)."""
-GRAVITY_REFERENCE = 0.05
+_GRAVITY_REFERENCE = 0.05
 """Largest relative difference of the specific force from 1 g for which gravity is the reference."""
 
 ANY = {"reference_misalignment": "arcsec", "timing": "ppm", "vibration": "ug"}
 LOGGED = {"reference_scale": "ppm", "reference_bias": "ug"} | ANY
-OF_STAND: dict[str, dict[str, str]] = {
+_OF_STAND: dict[str, dict[str, str]] = {
     "dividing-head": {"gravity": "ug", "levelling": "arcsec", "angle_error": "arcsec", "settling": "arcsec"}
     | ANY,
     "centrifuge": {
@@ -47,7 +47,7 @@ OF_STAND: dict[str, dict[str, str]] = {
     "vibration-table": {"levelling": "arcsec", "transverse_motion": "ppm", "rocking": "arcsec"} | LOGGED,
 }
 """Sources that exist on each stand, by the key of ``[uncertainty]``, with the unit in which they are listed."""
-INSTEAD = {"gravity": ("reference_scale", "centrifuge")}
+_INSTEAD = {"gravity": ("reference_scale", "centrifuge")}
 """A source that another key states too, but on one stand: a scale of the reference contains local gravity."""
 
 
@@ -58,14 +58,14 @@ def catalogue(run: Run) -> dict[str, str]:
     kinds = [part.get("kind") for part in parts] if isinstance(parts, (list, tuple)) else [stand.get("kind")]
     listed: dict[str, str] = {}
     for kind in kinds:
-        listed |= OF_STAND.get(str(kind), LOGGED)
+        listed |= _OF_STAND.get(str(kind), LOGGED)
     thermal = run.temperature is not None and any(term.endswith("_T") for term in run.model.terms)
     return listed | ({"temperature": "K"} if thermal else {})
 
 
-def is_stated(run: Run, name: str) -> bool:
+def _is_stated(run: Run, name: str) -> bool:
     """True if ``[uncertainty]`` states a source by its key, or by one that contains it."""
-    other, but = INSTEAD.get(name, (name, ""))
+    other, but = _INSTEAD.get(name, (name, ""))
     stand = (run.stand or {}).get("kind")
     names = (name,) if stand == but else (name, other)
     repeated = {
@@ -75,7 +75,7 @@ def is_stated(run: Run, name: str) -> bool:
     return any(getattr(run.uncertainty, key) is not None for key in (*names, *repeated.get(name, ())))
 
 
-def assumed_sizes(run: Run) -> dict[str, str]:
+def _assumed_sizes(run: Run) -> dict[str, str]:
     """Sources that nobody stated and that have an assumed size, each with its size in words."""
     waived, sizes = run.uncertainty.waived, {}
     if not run.direct and run.base_rate is None and "earth_rate" not in waived and _gravity_alone(run):
@@ -85,7 +85,7 @@ def assumed_sizes(run: Run) -> dict[str, str]:
         )
     if "height" not in waived and run.uncertainty.gravity is None and _unknown_height(run):
         sizes["height"] = (
-            f"not stated: {HEIGHT:.0f} m assumed, {1e6 * GRADIENT * HEIGHT:.3g} ppm of local gravity"
+            f"not stated: {HEIGHT:.0f} m assumed, {1e6 * _GRADIENT * HEIGHT:.3g} ppm of local gravity"
         )
     return sizes
 
@@ -93,7 +93,7 @@ def assumed_sizes(run: Run) -> dict[str, str]:
 def _gravity_alone(run: Run) -> bool:
     """True if the largest specific force is 1 g: gravity is the reference."""
     largest = max(float(norms(run.f[part]).max()) for part in spans(run.size))
-    return abs(largest / G0 - 1.0) < GRAVITY_REFERENCE
+    return abs(largest / G0 - 1.0) < _GRAVITY_REFERENCE
 
 
 def _unknown_height(run: Run) -> bool:
@@ -107,7 +107,7 @@ def _unknown_height(run: Run) -> bool:
 
 def _assumed(run: Run, size: float) -> Iterator[Source]:
     """Sources with an assumed size: the rotation of the Earth, upwards and across, and the height of the site."""
-    sizes = assumed_sizes(run)
+    sizes = _assumed_sizes(run)
     if "earth_rate" in sizes:
         half = size * EARTH_RATE / math.sqrt(3.0)
         shown = EARTH_RATE / math.sqrt(3.0)
@@ -118,7 +118,7 @@ def _assumed(run: Run, size: float) -> Iterator[Source]:
             fields = {"base_rate": rate}
             yield Source(run, f"earth_rate {name}", shown, "rad/s", "rectangular", fields=fields)
     if "height" in sizes:
-        yield Source(run, "height", HEIGHT, "m", force=_scale(run, -size * GRADIENT * HEIGHT))
+        yield Source(run, "height", HEIGHT, "m", force=_scale(run, -size * _GRADIENT * HEIGHT))
 
 
 Force = Callable[[slice], Array]
@@ -242,11 +242,11 @@ def _turn(run: Run, angle: float, axis: int) -> Force:
 
 def listed(run: Run) -> tuple[StandSource, ...]:
     """The sources that exist on the stand of a record, each with its status; without their effects."""
-    waived, assumed = run.uncertainty.waived, assumed_sizes(run)
+    waived, assumed = run.uncertainty.waived, _assumed_sizes(run)
     result = [
         StandSource(
             name,
-            "waived" if name in waived else "stated" if is_stated(run, name) else "unstated",
+            "waived" if name in waived else "stated" if _is_stated(run, name) else "unstated",
             unit,
             reason=waived.get(name, ""),
         )
@@ -324,7 +324,7 @@ def gravity_in_words(run: Run) -> str:
         return f"{site.local_gravity:.8g} m/s^2, normal gravity at latitude {stand['latitude']} and {where}"
     if not run.computed_reference and _gravity_alone(run):
         mean = sum(float(norms(run.f[part]).sum()) for part in spans(run.size)) / run.size
-        if abs(mean / G0 - 1.0) < GRAVITY_REFERENCE:
+        if abs(mean / G0 - 1.0) < _GRAVITY_REFERENCE:
             return f"{mean:.8g} m/s^2, mean size of the logged reference"
     return ""
 

@@ -45,12 +45,12 @@ STATIC_TERMS = tuple(name for name in TERMS if name not in ("phi", "k1", *LOGGED
 """Columns of a stored summary besides the requested harmonics; with temperature or vibration also their columns."""
 SCHEMA = "piga.run-summary/2"
 MOST_SUMMARY_BYTES = 256 << 20
-LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
+_LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
 """Terms that the fit for the noise levels leaves out last."""
 
 
 @dataclass(frozen=True)
-class SourceSummary:
+class _SourceSummary:
     """One source of Type B: the summaries of the record moved by its standard uncertainty.
 
     A source with a new value in each segment has no ``parts``. For each segment, ``segments`` then contains the changed phase
@@ -118,7 +118,7 @@ class RunSummary(Result):
     turning: bool
     labels: tuple[str | None, ...]
     positions: tuple[Repetition, ...]
-    sources: tuple[SourceSummary, ...]
+    sources: tuple[_SourceSummary, ...]
     stand: str | None
     reference_id: str | None
     undetermined: tuple[str, ...]
@@ -163,7 +163,7 @@ class RunSummary(Result):
             If the request does not fit the record.
         """
         live = prepare(run, make_request(run, terms, "information"), name or run_name(run, 0))
-        return summarise(live, all_columns(run, live.request))
+        return summarise(live, _all_columns(run, live.request))
 
     def to_json(self, path: str | Path) -> None:
         """Write the summary (schema ``piga.run-summary/2``): exact.
@@ -279,7 +279,7 @@ def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str,
     """Terms to leave out of a fit that cannot separate these terms: one of them, with its partner."""
     if not confounded or len(terms) == 1:
         raise ArgumentError("the run determines no coefficient", remedy="check its reference and its output")
-    order = {term: LAST_TO_GO.index(term) + 1 if term in LAST_TO_GO else 0 for term in confounded}
+    order = {term: _LAST_TO_GO.index(term) + 1 if term in _LAST_TO_GO else 0 for term in confounded}
     chosen = min(reversed(confounded), key=order.__getitem__)
     wave = harmonic(chosen)
     if wave:
@@ -289,7 +289,7 @@ def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str,
     return (chosen,)
 
 
-def all_columns(run: Run, request: Request) -> tuple[str, ...]:
+def _all_columns(run: Run, request: Request) -> tuple[str, ...]:
     """Terms with columns in a stored summary."""
     logged = (name for name, column in LOGGED_TERMS.items() if getattr(run, column) is not None)
     static = (name for name in STATIC_TERMS if not (run.direct and turns(name)))
@@ -344,7 +344,7 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
 
 def moved_sources(
     live: LiveRun, run: Run, columns: tuple[str, ...], scale_factor: float
-) -> tuple[SourceSummary, ...]:
+) -> tuple[_SourceSummary, ...]:
     """The sources of Type B of ``run``: the record of ``live``, perhaps with another ``[uncertainty]``."""
     wish = replace(live.request, terms=columns, per_run=())
     design = Design(run, wish, scale_factor)
@@ -352,8 +352,8 @@ def moved_sources(
     return tuple(_source(s, plain, design.of(s.moved), live.fit) for s in sources(run))
 
 
-def _source(source: Source, plain: list[Reduction], moved: Design, fit: Fit) -> SourceSummary:
-    summary = SourceSummary(
+def _source(source: Source, plain: list[Reduction], moved: Design, fit: Fit) -> _SourceSummary:
+    summary = _SourceSummary(
         source.name,
         source.value,
         source.unit,
@@ -365,13 +365,13 @@ def _source(source: Source, plain: list[Reduction], moved: Design, fit: Fit) -> 
     )
     rows, groups = fit.reduce(moved), moved.groups
     if source.draw != "segment":
-        return replace(summary, parts=group_rows(rows, groups))
+        return replace(summary, parts=_group_rows(rows, groups))
     alone = ([*plain[:s], rows[s], *plain[s + 1 :]] for s in range(len(plain)))
     segments = [(own, _group(mixed, groups, own)) for own, mixed in zip(groups, alone, strict=True)]
     return replace(summary, segments=tuple(segments), in_fit=bool(fit.noise.stated))
 
 
-def group_rows(summaries: list[Reduction], groups: tuple[int, ...]) -> tuple[Reduction, ...]:
+def _group_rows(summaries: list[Reduction], groups: tuple[int, ...]) -> tuple[Reduction, ...]:
     """One triangle per phase group, from triangles of segments."""
     return tuple(_group(summaries, groups, group) for group in range(max(groups) + 1))
 

@@ -50,11 +50,11 @@ class SharedSource(Result):
 
 
 Estimate = Callable[[Run], Array]
-OneByOne = Callable[[Run], Iterable[Array]]
+_OneByOne = Callable[[Run], Iterable[Array]]
 
 
 def contributions(
-    run: Run, base: Array, estimate: Estimate, one_by_one: OneByOne | None = None, *, steps: Steps = SILENT
+    run: Run, base: Array, estimate: Estimate, one_by_one: _OneByOne | None = None, *, steps: Steps = SILENT
 ) -> Iterator[tuple[Source, Array]]:
     """Change of the coefficients (draws, n; file units) by each source; ``base`` is the unmoved estimate.
 
@@ -122,11 +122,11 @@ class Budget:
         each = [change.T @ change for change in self.changes]
         nothing = np.zeros_like(covariance)
         held = sum((part for part, stated in zip(each, self.in_fit, strict=True) if stated), start=nothing)
-        type_a = positive_part(covariance - held) if any(self.in_fit) else covariance
+        type_a = _positive_part(covariance - held) if any(self.in_fit) else covariance
         return type_a, type_a + sum(each, start=nothing)
 
 
-def positive_part(covariance: Array) -> Array:
+def _positive_part(covariance: Array) -> Array:
     """The matrix without negative eigenvalues of its correlations, which rounding can cause."""
     std = np.sqrt(np.maximum(np.abs(np.diag(covariance)), 1e-300))
     value, vector = np.linalg.eigh(covariance / np.outer(std, std))
@@ -233,7 +233,7 @@ def budget_of(
     """The budget from the changes of the coefficients by each source; ``covariance`` is that of the fit."""
     changes = tuple(change for _, change in changes_by_source)
     type_a = Budget((), changes, in_fit).covariances(covariance)[0]
-    return Budget(budget_rows(coefficients, type_a, changes_by_source), changes, in_fit)
+    return Budget(_budget_rows(coefficients, type_a, changes_by_source), changes, in_fit)
 
 
 def values_near(base: Array, design: Design, summaries: list[Reduction]) -> Array:
@@ -244,7 +244,7 @@ def values_near(base: Array, design: Design, summaries: list[Reduction]) -> Arra
     return np.where([c.name == "phi" for c in named], base + short_way(values - base), values)
 
 
-def budget_rows(
+def _budget_rows(
     coefficients: tuple[Coefficient, ...], type_a: Array, changes: Iterable[tuple[Source | SharedSource, Array]]
 ) -> tuple[BudgetEntry, ...]:
     """Rows of the budget: Type A with its covariance, then each source with its changes (draws, n)."""

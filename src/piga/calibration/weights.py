@@ -28,7 +28,7 @@ RATE = "rate"
 """Name of the column of a rate of its own in the triangle of a position."""
 BLOCKS = 20
 """Blocks of equal length in place of positions, in a record of one segment (Bell and McCaffrey's rule needs repetitions)."""
-WALK_GAIN = 1.5
+_WALK_GAIN = 1.5
 """Gain of twice the log-likelihood from which on a random walk is in the weights."""
 
 
@@ -271,7 +271,7 @@ def find_noise(design: Design, d: Array, h: Array, fitted: int, mode: str, near:
 
 
 @dataclass(frozen=True)
-class LevelSettings:
+class _LevelSettings:
     """Settings of the search for the levels (own choices)."""
 
     spacing: float = 1.5
@@ -286,7 +286,7 @@ class LevelSettings:
     """Range of the scatter over the noise of a mean rate [natural logarithm of the variance]."""
 
 
-LEVELS = LevelSettings()
+LEVELS = _LevelSettings()
 
 
 def likeliest_levels(
@@ -333,7 +333,7 @@ def likeliest_levels(
     )
     ratio = math.exp(float(found.x))
     (none, white), (least, beside) = deviance(0.0, rows, count), deviance(ratio, rows, count)
-    if none < least + WALK_GAIN:
+    if none < least + _WALK_GAIN:
         return Noise(white, 0.0)
     return Noise(beside, beside * ratio / step)
 

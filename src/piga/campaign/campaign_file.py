@@ -27,7 +27,7 @@ from piga.records.text_files import read_toml, toml_bytes, toml_document
 
 Count = Annotated[int, Meta(ge=1, le=1_000_000_000)]
 Subject = Literal["stand", "platform"]
-MOST_CASES = 1_000_000
+_MOST_CASES = 1_000_000
 """Most cases of a campaign."""
 
 
@@ -183,12 +183,12 @@ class CampaignPlan:
         document = deepcopy(self.documents[record.group.scenario])
         case = next((c for c in self.file.case if c.name == record.group.name), None)
         for key, value in (case.set if case else {}).items():
-            replace_value(document, key, value)
+            _replace_value(document, key, value)
         for key, value in record.group.set.items():
-            replace_value(document, key, value)
+            _replace_value(document, key, value)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(record.case,)))
         for key, table in self.file.draw.items():
-            replace_value(document, key, _drawn(table, rng))
+            _replace_value(document, key, _drawn(table, rng))
         return document
 
     def sequence(self, record: RecordName) -> np.random.SeedSequence:
@@ -196,7 +196,7 @@ class CampaignPlan:
         return np.random.SeedSequence(self.seed, spawn_key=(record.case, record.repeat))
 
 
-def replace_value(document: dict[str, Any], key: str, value: Any) -> None:
+def _replace_value(document: dict[str, Any], key: str, value: Any) -> None:
     """Set a value of a TOML document by its dotted key. Missing tables are made. A number selects an entry of a list.
 
     Raises
@@ -349,8 +349,8 @@ def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, An
     designs = file.campaign.designs if file.draw else 1
     if file.campaign.designs > 1 and not file.draw:
         raise RunFileError(f"{path}: [campaign] designs needs [draw]", remedy="add [draw], or use repeats")
-    if max(1, len(file.case)) * len(points) * designs > MOST_CASES:
-        raise RunFileError(f"{path}: more than {MOST_CASES} cases", remedy="make the grid coarser")
+    if max(1, len(file.case)) * len(points) * designs > _MOST_CASES:
+        raise RunFileError(f"{path}: more than {_MOST_CASES} cases", remedy="make the grid coarser")
     first = start = 0
     for case in file.case or (CaseTable(""),):
         scenario = case.scenario or file.scenario

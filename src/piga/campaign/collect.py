@@ -29,7 +29,7 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class CollectSettings:
+class _CollectSettings:
     """Settings of the collection of a campaign (own choices)."""
 
     probability: float = 0.95
@@ -42,7 +42,7 @@ class CollectSettings:
     """Number of worst cases that are kept."""
 
 
-COLLECT = CollectSettings()
+COLLECT = _CollectSettings()
 
 EDGES = np.linspace(-5.0, 5.0, 41)
 """Edges of the histogram of errors over standard uncertainties; values beyond are counted in the outer bins."""
@@ -136,7 +136,7 @@ class GroupResult:
 
 
 @dataclass(frozen=True)
-class WorstCase:
+class _WorstCase:
     """A coefficient of one record far from its truth: error over standard uncertainty, and the command that repeats it."""
 
     record: int
@@ -149,7 +149,7 @@ class WorstCase:
 
 
 @dataclass(frozen=True)
-class Failure:
+class _Failure:
     """A class of failures: how many records, and the first of them."""
 
     error_class: str
@@ -174,8 +174,8 @@ class Collected:
     groups: tuple[GroupResult, ...]
     misses: tuple[Miss, ...]
     errors: tuple[int, ...]
-    worst: tuple[WorstCase, ...]
-    failures: tuple[Failure, ...]
+    worst: tuple[_WorstCase, ...]
+    failures: tuple[_Failure, ...]
 
     @property
     def failed(self) -> int:
@@ -221,7 +221,7 @@ def collect(campaign: Campaign) -> Collected:
     )
 
 
-def repeat_command(campaign: Campaign, record: RecordName) -> str:
+def _repeat_command(campaign: Campaign, record: RecordName) -> str:
     """The command that repeats one record."""
     name = shlex.quote(campaign.plan.path.name)
     return f"piga campaign repeat {name} --case {record.case} --repeat {record.repeat} --out DIR"
@@ -385,7 +385,7 @@ def _histogram(rows: pa.Table) -> tuple[int, ...]:
     return tuple(int(count) for count in counts)
 
 
-def _worst(campaign: Campaign, rows: pa.Table) -> list[WorstCase]:
+def _worst(campaign: Campaign, rows: pa.Table) -> list[_WorstCase]:
     """The coefficients that are farthest from their truth. Of equal ones the first record comes first."""
     z = _numbers(rows, "z")
     size = np.where(np.isfinite(z), np.abs(z), 0.0)
@@ -395,11 +395,11 @@ def _worst(campaign: Campaign, rows: pa.Table) -> list[WorstCase]:
             record = campaign.plan.record(rows.column("record")[int(at)].as_py())
             place = (record.number, record.case, record.repeat, record.group.label)
             name = rows.column("name")[int(at)].as_py()
-            cases.append(WorstCase(*place, name, float(z[at]), repeat_command(campaign, record)))
+            cases.append(_WorstCase(*place, name, float(z[at]), _repeat_command(campaign, record)))
     return cases
 
 
-def _failures(campaign: Campaign, heads: pa.Table) -> list[Failure]:
+def _failures(campaign: Campaign, heads: pa.Table) -> list[_Failure]:
     """Failures by class, the most frequent first, with the first record of each."""
     import pyarrow.compute as pc
 
@@ -409,7 +409,7 @@ def _failures(campaign: Campaign, heads: pa.Table) -> list[Failure]:
         firsts.setdefault(row["error_class"], row)
     counts = Counter(failed.column("error_class").to_pylist())
     return [
-        Failure(name, count, first["record"], first["error"] or "", repeat_command(campaign, record))
+        _Failure(name, count, first["record"], first["error"] or "", _repeat_command(campaign, record))
         for name, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))
         for first in [firsts[name]]
         for record in [campaign.plan.record(first["record"])]

@@ -31,7 +31,7 @@ from piga.reports.render.page import (
 
 
 @dataclass(frozen=True)
-class CampaignPageSettings:
+class _CampaignPageSettings:
     """What the page of a campaign shows (own choices)."""
 
     groups: int = 60
@@ -40,7 +40,7 @@ class CampaignPageSettings:
     """Most coefficients with a figure over the grid."""
 
 
-SHOWN = CampaignPageSettings()
+SHOWN = _CampaignPageSettings()
 
 
 def campaign_page(collected: Collected) -> Page:
@@ -142,7 +142,7 @@ _LEAD = (
 
 
 def _intervals(judged: list[GroupResult], collected: Collected) -> list[Block]:
-    blocks: list[Block] = [Text(_LEAD, lead=True), FigureBlock(coverage_figure(judged))]
+    blocks: list[Block] = [Text(_LEAD, lead=True), FigureBlock(_coverage_figure(judged))]
     return [*blocks, *_tables(judged, _interval_table), FigureBlock(error_figure(collected))]
 
 
@@ -259,7 +259,7 @@ def _number(c: CampaignCoefficient, value: float | None) -> str:
 # --- figures -----------------------------------------------------------------------------------------
 
 
-def coverage_figure(judged: list[GroupResult]) -> Figure:
+def _coverage_figure(judged: list[GroupResult]) -> Figure:
     """Coverage of every coefficient, group by group, with two standard errors; the line at 95 %."""
     points = [(r, c) for r in judged for c in r.coefficients if c.coverage is not None]
     x = np.arange(1, len(points) + 1, dtype=float)

@@ -31,13 +31,13 @@ from piga.progress import Progress
 from piga.progress import report as report_progress
 from piga.records.limits import first_line
 
-POLL = 0.5
+_POLL = 0.5
 """Time between two reports of the progress [s]."""
-CONNECT = 20.0
+_CONNECT = 20.0
 """Longest time to wait for the scheduler and its first worker [s]."""
 PATIENCE = 60.0
 """A cluster without workers for longer than this ends the run [s]."""
-ONE_THREAD = dict.fromkeys(
+_ONE_THREAD = dict.fromkeys(
     (
         "OMP_NUM_THREADS",
         "OPENBLAS_NUM_THREADS",
@@ -157,7 +157,7 @@ def _client(
     pages: dict[str, list[str]] = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
     with dask.config.set({"distributed.scheduler.worker-saturation": 1.0, **pages}):
         with _without_ctrl_c():
-            cluster = distributed.LocalCluster(n_workers=count, host="127.0.0.1", env=ONE_THREAD, **options)
+            cluster = distributed.LocalCluster(n_workers=count, host="127.0.0.1", env=_ONE_THREAD, **options)
         with cluster, distributed.Client(cluster, set_as_default=False) as client:
             yield client
 
@@ -204,14 +204,14 @@ def _connected(distributed: Any, executor: str) -> Any:
     security.require_encryption = secure
     address = f"{'tls' if secure else 'tcp'}://{match['host']}:{match['port']}"
     try:
-        client = distributed.Client(address, security=security, timeout=CONNECT, set_as_default=False)
+        client = distributed.Client(address, security=security, timeout=_CONNECT, set_as_default=False)
     except (OSError, TimeoutError, ValueError, TypeError) as error:
         raise PigaError(
             f"--executor {executor}: no scheduler answers ({first_line(error)[:200]})",
             remedy="start it, and check that its address and certificates are the ones given here",
         ) from None
     try:
-        client.wait_for_workers(1, timeout=CONNECT)
+        client.wait_for_workers(1, timeout=_CONNECT)
     except (OSError, TimeoutError):
         client.close(timeout=5)
         raise PigaError(
@@ -251,7 +251,7 @@ def _compute(
         what = f"{report.done} of {report.shards} shards" + (f", {failed} records failed" if failed else "")
         report_progress(progress, records, total, what, f"go on with the same command: {_AGAIN[5:]}")
         with suppress(queue.Empty):
-            future = finished.get(timeout=POLL)
+            future = finished.get(timeout=_POLL)
             if future.status == "cancelled":
                 raise _gone(client)
             shard = waiting.pop(future)

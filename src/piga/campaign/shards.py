@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 SCHEMA = "piga.campaign/2"
-MANIFEST, PARTS, LOCK = "manifest.json", "parts", "running.lock"
+MANIFEST, _PARTS, LOCK = "manifest.json", "parts", "running.lock"
 _PART = re.compile(r"part-(\d{5,})-([0-9a-f]{32})\.parquet")
 
 
 @dataclass(frozen=True)
-class CutSettings:
+class _CutSettings:
     """How a campaign is cut into shards.
 
     A shard should last ``seconds``. ``fewest`` is the number of shards that a short campaign is cut into, so that several
@@ -50,7 +50,7 @@ class CutSettings:
     patience: float = 60.0
 
 
-CUT = CutSettings()
+_CUT = _CutSettings()
 
 
 class Manifest(msgspec.Struct, frozen=True):
@@ -85,7 +85,7 @@ class Campaign:
 
     def parts(self) -> dict[int, Path]:
         """The part of each shard that is done, in the order of the shards."""
-        paths = sorted((self.folder / PARTS).glob("part-*.parquet"))
+        paths = sorted((self.folder / _PARTS).glob("part-*.parquet"))
         named = [(match, path) for path in paths if (match := _PART.fullmatch(path.name))]
         parts = {int(match[1]): path for match, path in reversed(named) if int(match[1]) < self.shards}
         return dict(sorted(parts.items()))
@@ -179,7 +179,7 @@ def plan_campaign(path: str | Path, folder: str | Path) -> Campaign:
     if folder.exists() and not folder.is_dir():
         raise ArgumentError(f"--out {folder}: is a file", remedy="name a folder")
     try:
-        (folder / PARTS).mkdir(parents=True, exist_ok=True)
+        (folder / _PARTS).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise PigaError(
             f"--out {folder}: cannot be written ({error.strerror or error})",
@@ -225,10 +225,10 @@ def probes(plan: CampaignPlan) -> list[int]:
     ends = [group.start + group.records - 1 for group in plan.groups if group.records]
     if len(plan.groups) == 1:
         first = min(plan.groups[0].bounds, plan.records - 1)
-        step = (plan.records - 1 - first) / (CUT.probes - 1)
-        ends = [first + round(k * step) for k in range(CUT.probes)]
-    elif len(ends) > CUT.probes:
-        ends = [ends[round(k * (len(ends) - 1) / (CUT.probes - 1))] for k in range(CUT.probes)]
+        step = (plan.records - 1 - first) / (_CUT.probes - 1)
+        ends = [first + round(k * step) for k in range(_CUT.probes)]
+    elif len(ends) > _CUT.probes:
+        ends = [ends[round(k * (len(ends) - 1) / (_CUT.probes - 1))] for k in range(_CUT.probes)]
     return sorted(set(ends))
 
 
@@ -251,14 +251,14 @@ def seconds_per_record(plan: CampaignPlan) -> float:
         start = time.process_time()
         _try(plan, number)
         spent.append(time.process_time() - start)
-        if time.monotonic() - began > CUT.patience:
+        if time.monotonic() - began > _CUT.patience:
             break
     return max(sum(spent) / len(spent), 1e-6)
 
 
 def shard_size(records: int, seconds: float) -> int:
-    """Records of a shard: 1, 2 or 5 times a power of ten, for shards of ``CUT.seconds``, and at least ``CUT.fewest`` shards."""
-    wanted = min(CUT.seconds / seconds, max(1.0, records / CUT.fewest))
+    """Records of a shard: 1, 2 or 5 times a power of ten, for shards of ``_CUT.seconds``, and at least ``_CUT.fewest`` shards."""
+    wanted = min(_CUT.seconds / seconds, max(1.0, records / _CUT.fewest))
     if wanted <= 1.0:
         return 1
     power = 10 ** math.floor(math.log10(wanted))
@@ -362,7 +362,7 @@ def _coefficient_rows(outcome: Outcome) -> list[dict[str, Any]]:
     return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
-def part_schema() -> pa.Schema:
+def _part_schema() -> pa.Schema:
     """Columns of a part. Rows without a name are records, the others their coefficients."""
     import pyarrow as pa
 
@@ -380,13 +380,13 @@ def _write_part(campaign: Campaign, shard: int, rows: list[dict[str, Any]]) -> N
     import pyarrow as pa
     from pyarrow import parquet
 
-    schema = part_schema()
+    schema = _part_schema()
     columns = [pa.array([row.get(f.name) for row in rows], f.type, from_pandas=True) for f in schema]
     sink = pa.BufferOutputStream()
     parquet.write_table(pa.Table.from_arrays(columns, schema=schema), sink, compression="zstd")
     content = sink.getvalue().to_pybytes()
     write_whole(
-        campaign.folder / PARTS / f"part-{shard:05d}-{campaign.digest(shard, content)}.parquet",
+        campaign.folder / _PARTS / f"part-{shard:05d}-{campaign.digest(shard, content)}.parquet",
         lambda part: part.write_bytes(content),
         remedy="make room on the disk, then run the campaign again: it goes on where it stopped",
     )

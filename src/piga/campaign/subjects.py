@@ -180,13 +180,13 @@ def _simulated(plan: CampaignPlan, record: RecordName, scenario: Scenario, *, wi
 
     with tempfile.TemporaryDirectory(prefix="piga-campaign-") as folder:
         test = run_scenario(scenario, seed=seed_of(plan, record))
-        run = read_run(write_lab_files(scenario, test, Path(folder)))
+        run = read_run(_write_lab_files(scenario, test, Path(folder)))
         calibration = calibrate(run)
         bound = _bound(test, run) if with_bound else None
     return of_calibration(calibration, _truth(test, calibration), bound)
 
 
-def write_lab_files(scenario: Scenario, test: SimulatedTest, folder: Path) -> Path:
+def _write_lab_files(scenario: Scenario, test: SimulatedTest, folder: Path) -> Path:
     """Write the log, the run file and the truth of a simulated test into ``folder``. Returns the run file."""
     from piga.stand.write_run import run_file_text, truth_text, write_data
 
@@ -286,7 +286,7 @@ def write_record(plan: CampaignPlan, record: RecordName, folder: Path) -> list[s
     seeded = _plain(document | {"run": document.get("run", {}) | {"seed": seed_of(plan, record)}})
     (folder / "scenario.toml").write_text(toml_text(seeded), encoding="utf-8", newline="\n")
     if isinstance(made, Scenario):
-        write_lab_files(made, run_scenario(made, seed=seed_of(plan, record)), folder)
+        _write_lab_files(made, run_scenario(made, seed=seed_of(plan, record)), folder)
     return sorted(path.name for path in folder.iterdir())
 
 

@@ -22,7 +22,7 @@ from piga.records.terms import SERVO_TERMS, meaning_of
 from piga.records.text_files import read_toml
 from piga.units import to_si
 
-MASKED = 0.05
+_MASKED = 0.05
 """Largest share of masked rows for which a certificate is issued, unless the file allows more."""
 Status = Literal["pass", "fail", "conditionalPass", "conditionalFail"]
 WORST: tuple[Status, ...] = ("pass", "conditionalPass", "conditionalFail", "fail")
@@ -49,7 +49,7 @@ class CertificateTable(_Table, frozen=True):
     title: str = "Calibration certificate"
     replaces: str = ""
     amendment: str = ""
-    largest_masked_share: float = MASKED
+    largest_masked_share: float = _MASKED
 
 
 class PartyTable(_Table, frozen=True):
@@ -338,7 +338,7 @@ def _order_of_dates(data: CertificateFile) -> Iterator[str]:
             yield f"{second} (7.8.2.1): {later} is before {first}, {earlier}"
 
 
-def first_day_of_issue(calibration: Calibration) -> dt.date:
+def _first_day_of_issue(calibration: Calibration) -> dt.date:
     """Day of the evaluation where it is earliest. The record has it in UTC; local time is at most 12 h behind."""
     return (dt.datetime.fromisoformat(calibration.provenance.created) - dt.timedelta(hours=12)).date()
 
@@ -346,7 +346,7 @@ def first_day_of_issue(calibration: Calibration) -> dt.date:
 def _evaluated_before(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
     """Check that the date of issue is not before the evaluation."""
     issued = data.certificate.issued
-    if issued is not None and issued < first_day_of_issue(calibration):
+    if issued is not None and issued < _first_day_of_issue(calibration):
         yield (
             f"[certificate] issued (7.8.2.1 j): {issued} is before the evaluation, "
             f"{calibration.provenance.created[:10]}"

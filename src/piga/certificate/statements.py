@@ -33,7 +33,7 @@ TRACEABILITY = "basic_traceability"
 
 
 @dataclass(frozen=True)
-class Statement:
+class _Statement:
     """One statement. ``ranges`` are (name, low, high, SI unit). ``ref_type`` identifies it in a DCC."""
 
     title: str
@@ -92,32 +92,32 @@ def decision_rule(data: CertificateFile) -> str:
     return "" if data.conformity is None or data.conformity.rule is None else _RULES[data.conformity.rule]
 
 
-def statements(data: CertificateFile, calibration: Calibration) -> tuple[Statement, ...]:
+def statements(data: CertificateFile, calibration: Calibration) -> tuple[_Statement, ...]:
     """All applicable statements, in the order of the standard."""
     declarations = [
-        Statement(
+        _Statement(
             "Scope of the results",
             "The results relate only to the item described here, in the state in which it was calibrated.",
             "7.8.2.1 l",
         ),
-        Statement(
+        _Statement(
             "Reproduction",
             "This certificate shall not be reproduced except in full without approval of the laboratory.",
             "7.8.2.1",
         ),
-        Statement("Sampling", f"Sampling plan: {data.method.sampling}.", "7.8.2.1 k"),
-        Statement(
+        _Statement("Sampling", f"Sampling plan: {data.method.sampling}.", "7.8.2.1 k"),
+        _Statement(
             "Method",
             f"Additions, deviations and exclusions from the method: {data.method.deviations}.",
             "7.8.2.1 n",
         ),
-        Statement(
+        _Statement(
             "External providers",
             f"Results from external providers: {data.method.external_results}.",
             "7.8.2.1 p",
         ),
-        Statement("Adjustment", _adjustment(data), "7.8.4.1 d"),
-        Statement(
+        _Statement("Adjustment", _adjustment(data), "7.8.4.1 d"),
+        _Statement(
             "Traceability",
             data.traceability.statement,
             "7.8.4.1 c",
@@ -137,16 +137,16 @@ def _adjustment(data: CertificateFile) -> str:
     return f"The item was adjusted or repaired{how}. Results before and after are given."
 
 
-def _validity(calibration: Calibration) -> list[Statement]:
+def _validity(calibration: Calibration) -> list[_Statement]:
     ranges = validity_ranges(calibration)
     if not ranges:
         return []
     return [
-        Statement("Range", range_sentence(ranges), "7.8.4.1 b", ref_type="basic_validityRange", ranges=ranges)
+        _Statement("Range", range_sentence(ranges), "7.8.4.1 b", ref_type="basic_validityRange", ranges=ranges)
     ]
 
 
-def _conformity(data: CertificateFile, calibration: Calibration) -> list[Statement]:
+def _conformity(data: CertificateFile, calibration: Calibration) -> list[_Statement]:
     rule = data.conformity
     if rule is None:
         return []
@@ -155,7 +155,7 @@ def _conformity(data: CertificateFile, calibration: Calibration) -> list[Stateme
     names = ", ".join(verdict.key for verdict in conformities)
     text = f"Specification: {rule.specification}. Decision rule: {decision_rule(data)}. Applies to: {names}."
     return [
-        Statement(
+        _Statement(
             "Conformity",
             f"{text} Overall: {overall(worst)}.",
             "7.8.6.2",
@@ -165,22 +165,22 @@ def _conformity(data: CertificateFile, calibration: Calibration) -> list[Stateme
     ]
 
 
-def _optional(data: CertificateFile) -> list[Statement]:
+def _optional(data: CertificateFile) -> list[_Statement]:
     declarations = []
     if data.statements.opinions:
         text = f"{data.statements.opinions} (Opinion of {data.statements.opinions_by}.)"
-        declarations.append(Statement("Opinions and interpretations", text, "7.8.7"))
+        declarations.append(_Statement("Opinions and interpretations", text, "7.8.7"))
     if data.statements.recalibrate and data.statements.interval_agreed:
         text = "As agreed with the customer, the item is to be recalibrated by this date."
         when = data.statements.recalibrate
         declarations.append(
-            Statement("Recalibration", text, "7.8.4.3", ref_type="basic_recalibration", date=when)
+            _Statement("Recalibration", text, "7.8.4.3", ref_type="basic_recalibration", date=when)
         )
     if data.certificate.replaces:
         text = (
             f"This certificate replaces certificate {data.certificate.replaces}. {data.certificate.amendment}"
         )
-        declarations.append(Statement("Amendment", text, "7.8.8"))
+        declarations.append(_Statement("Amendment", text, "7.8.8"))
     if data.statements.remarks:
-        declarations.append(Statement("Remarks", data.statements.remarks, "7.8.2"))
+        declarations.append(_Statement("Remarks", data.statements.remarks, "7.8.2"))
     return declarations

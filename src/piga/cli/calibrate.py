@@ -88,7 +88,7 @@ def calibrate(
         )
         return
     with deliver(directory, "calibrate", CALIBRATION_RESULTS, inputs, force=force, as_json=as_json) as to:
-        items = read_items(runs) if compare is None else _with_sets(read_items(runs), compare)
+        items = _read_items(runs) if compare is None else _with_sets(_read_items(runs), compare)
         with progress("calibrating") as advance:
             from piga.calibration.calibrate import calibrate as estimate
 
@@ -99,7 +99,7 @@ def calibrate(
         with progress("writing the report" if report else "writing"):
             write_results(calibration, to.stage, report=report)
             if summary:
-                write_summaries(items, to.stage)
+                _write_summaries(items, to.stage)
         to.tell(lambda: _document(calibration), calibration.summary)
 
 
@@ -153,7 +153,7 @@ def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummar
     return [replace(item, model=replaced(item.model, compare=sets))]
 
 
-def read_items(paths: list[Path]) -> list[Run | RunSummary]:
+def _read_items(paths: list[Path]) -> list[Run | RunSummary]:
     """The runs and summaries of runs that the command names."""
     from piga.calibration.summary import RunSummary
     from piga.stand import read_run
@@ -162,7 +162,7 @@ def read_items(paths: list[Path]) -> list[Run | RunSummary]:
         return [RunSummary.from_json(path) if path.suffix == ".json" else read_run(path) for path in paths]
 
 
-def write_summaries(items: list[Run | RunSummary], directory: Path) -> None:
+def _write_summaries(items: list[Run | RunSummary], directory: Path) -> None:
     """Write the summary of every run whose data were read, with the options of its run file."""
     from piga.calibration.summary import RunSummary
 

@@ -33,7 +33,7 @@ app = App(
 File = Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="Campaign file.", show_default=False)]
 Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the campaign.")]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the campaign.", show_default=False)]
-INCOMPLETE = 1
+_INCOMPLETE = 1
 """Exit code if shards could not be computed, or the run was stopped."""
 
 
@@ -79,13 +79,13 @@ def run(
             report = run_campaign(planned, workers=workers, executor=executor, progress=show)
     except KeyboardInterrupt:
         note(f"piga: stopped; the shards under way are dropped\n  remedy: go on with: {again}")
-        raise SystemExit(INCOMPLETE) from None
+        raise SystemExit(_INCOMPLETE) from None
     tell(as_json, _run_document(planned, report), _run_lines(report))
     if report.set_aside:
         for shard, text in sorted(report.set_aside.items()):
             note(f"piga: shard {shard} is not computed: {text}")
         note(f"  remedy: find out why the worker dies (memory?), then try again with: {again}")
-        raise SystemExit(INCOMPLETE)
+        raise SystemExit(_INCOMPLETE)
     if not as_json:
         say(f"collect with: piga campaign collect {shlex.quote(str(out))}")
 
@@ -129,7 +129,7 @@ def collect(folder: Folder, as_json: JsonOption = False) -> None:
         to.tell(lambda: document, lambda: page_text(page))
     if collected.missing:
         note(f"piga: {len(collected.missing)} of {collected.shards} shards are not computed yet")
-        raise SystemExit(INCOMPLETE)
+        raise SystemExit(_INCOMPLETE)
 
 
 @app.command()

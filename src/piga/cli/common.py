@@ -51,7 +51,7 @@ def check_pipes() -> None:
         raise PigaError(f"standard {closed} is closed", remedy="connect it: ... | piga compensate - ... > FILE")
 
 
-LOST = 1
+_LOST = 1
 """Exit code if a JSON document could not be written on stdout."""
 
 
@@ -65,7 +65,7 @@ def prepare_output() -> None:
             stream.reconfigure(errors="replace")
 
 
-def write_out(text: str, *, needed: bool) -> None:
+def _write_out(text: str, *, needed: bool) -> None:
     """Write on stdout. If stdout is full or closed, the command has still done its work, and no error is reported.
 
     ``needed``: the text is the result itself (JSON), so a full disk behind stdout gives exit code 1.
@@ -80,7 +80,7 @@ def write_out(text: str, *, needed: bool) -> None:
             return
         note(f"piga: standard output cannot be written ({error.strerror}); what the command did is done")
         if needed:
-            raise SystemExit(LOST) from None
+            raise SystemExit(_LOST) from None
 
 
 def as_json(document: Any) -> str:
@@ -94,19 +94,19 @@ def as_json(document: Any) -> str:
 
 def print_json(document: Any) -> None:
     """Write one JSON document on stdout and nothing else."""
-    write_out(as_json(document) + "\n", needed=True)
+    _write_out(as_json(document) + "\n", needed=True)
 
 
 def print_json_list(document: dict[str, Any], name: str, items: Iterable[Any]) -> None:
     """Write ``document`` with a last entry ``name``: the list of ``items``, written one by one as they come."""
     start = as_json(document).removesuffix("\n}")
-    write_out(f"{start},\n {json.dumps(name)}: [", needed=True)
+    _write_out(f"{start},\n {json.dumps(name)}: [", needed=True)
     between = "\n"
     for item in items:
         text = as_json(item)
-        write_out(between + "\n".join(f"  {line}" for line in text.split("\n")), needed=True)
+        _write_out(between + "\n".join(f"  {line}" for line in text.split("\n")), needed=True)
         between = ",\n"
-    write_out("\n ]\n}\n" if between != "\n" else "]\n}\n", needed=True)
+    _write_out("\n ]\n}\n" if between != "\n" else "]\n}\n", needed=True)
 
 
 def counted(count: int, noun: str) -> str:
@@ -116,7 +116,7 @@ def counted(count: int, noun: str) -> str:
 
 def say(text: str) -> None:
     """Print a line for people on stdout."""
-    write_out(clean(text) + "\n", needed=False)
+    _write_out(clean(text) + "\n", needed=False)
 
 
 def note(text: str) -> None:

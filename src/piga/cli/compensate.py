@@ -90,7 +90,7 @@ def compensate(
     given = None if phase is None else Phase(to_si(phase, "rad", what="--phase"))
     rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
     period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
-    options = CompensationOptions(method, given, uncertainty, max_age, other_serial, period, rest)
+    options = _CompensationOptions(method, given, uncertainty, max_age, other_serial, period, rest)
     live, several = str(run[0]) == "-", len(run) > 1 or _is_triad(run[0])
     if live or several:
         _refuse(live, identify_phase=rest, phase=given, rate=period, report=report)
@@ -161,7 +161,7 @@ def _verdicts(calibrations: list[Calibration]) -> list[dict[str, Any]]:
     ]
 
 
-ONE_RECORD = {
+_ONE_RECORD = {
     "identify_phase": ("live", "several", "give the phase, or use piga.compensation.PhaseFinder"),
     "phase": ("", "several", "give each [[triad.instrument]] its phase"),
     "rate": ("live", "", "resample with piga.compensation.Resampler"),
@@ -174,7 +174,7 @@ def _refuse(live: bool, **options: object) -> None:
     """Refuse an option that would have no effect."""
     kind = "live" if live else "several"
     for name, value in options.items():
-        *refused, remedy = ONE_RECORD[name]
+        *refused, remedy = _ONE_RECORD[name]
         if value and kind in refused:
             where = "a live stream" if live else "several instruments"
             raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
@@ -195,7 +195,7 @@ def _one(calibrations: list[Calibration]) -> Calibration:
 
 
 @dataclass(frozen=True)
-class CompensationOptions:
+class _CompensationOptions:
     """Options of a compensation.
 
     ``period`` [s] is the interval of another output rate. ``rest`` [s] is the time at rest that gives the phase.
@@ -231,7 +231,7 @@ class CompensationOptions:
 
 def _single(
     runs: list[Path], sources: list[tuple[str, str]], calibrations: list[Calibration], out: Path, page: Path | None,
-    options: CompensationOptions,
+    options: _CompensationOptions,
 ) -> tuple[dict[str, Any], list[Calibration]]:  # fmt: skip
     """Compensate one recorded run of any length.
 
@@ -279,7 +279,7 @@ def _single(
 
 def _together(
     runs: list[Path], sources: list[tuple[str, str]], calibrations: list[Calibration], out: Path, page: Path | None,
-    options: CompensationOptions,
+    options: _CompensationOptions,
 ) -> tuple[dict[str, Any], list[Calibration]]:  # fmt: skip
     """Summary and the calibrations used: those given, or those that the triad file names."""
     from piga.compensation.files import compensate_set, orthogonal_triad, read_member, read_triad, summary_of
@@ -339,7 +339,7 @@ def _write_page(
         write_page(compensation_page(outline, facts, whole), page)
 
 
-def _live(calibration: Calibration, kind: str, options: CompensationOptions, arrow: bool) -> None:
+def _live(calibration: Calibration, kind: str, options: _CompensationOptions, arrow: bool) -> None:
     from piga.compensation import Compensator
     from piga.compensation.live import compensate_arrow, compensate_lines
 

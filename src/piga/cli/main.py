@@ -31,7 +31,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 RARELY = 100_000
 """New objects between two searches for garbage: most objects of a command are made at its start and stay."""
-COMPLETE = "_PIGA_COMPLETE"
+_COMPLETE = "_PIGA_COMPLETE"
 """Environment variable by which a shell asks for completions."""
 STOPPED = 130
 """Exit code of a command that was stopped with Ctrl-C, as shells have it."""
@@ -124,7 +124,7 @@ def stopped_words(stop: KeyboardInterrupt) -> str:
 def guarded(action: Callable[[], object]) -> None:
     """Do the work of a command; errors end the process with an exit code."""
     prepare_output()
-    if COMPLETE in os.environ:
+    if _COMPLETE in os.environ:
         from typer._completion_classes import completion_init
 
         completion_init()

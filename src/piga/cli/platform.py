@@ -55,14 +55,14 @@ Every = Annotated[
         "--every", metavar="N", help="Write every N-th row. Increments are summed; results use all rows.", min=1
     ),
 ]
-LARGE_MB = 50.0
+_LARGE_MB = 50.0
 """Size above which a file is announced before it is written [MB]."""
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+_Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
 @app.command()
 def simulate(
-    scenario: Scenario, out: Out, every: Every = 1, force: ForceOption = False, json: Json = False
+    scenario: Scenario, out: Out, every: Every = 1, force: ForceOption = False, json: _Json = False
 ) -> None:
     """Simulate the readouts and the truth.
 
@@ -91,7 +91,7 @@ def simulate(
 
 
 @app.command()
-def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json = False) -> None:
+def align(scenario: Scenario, out: Out, force: ForceOption = False, json: _Json = False) -> None:
     """Align on the first stretch of a static base.
 
     Writes alignment.json and a page.
@@ -124,7 +124,7 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
 
 
 @app.command()
-def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Json = False) -> None:
+def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: _Json = False) -> None:
     """Identify misalignments, phases and harmonics.
 
     Writes identification.json and a page.
@@ -151,7 +151,7 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
 
 @app.command()
 def navigate(
-    scenario: Scenario, out: Out, every: Every = 1, force: ForceOption = False, json: Json = False
+    scenario: Scenario, out: Out, every: Every = 1, force: ForceOption = False, json: _Json = False
 ) -> None:
     """Navigate with every model of the scenario.
 
@@ -185,7 +185,7 @@ def compare(
         Path | None, typer.Option(metavar="DIR", help="Folder for comparison.json and report.html.")
     ] = None,
     force: ForceOption = False,
-    json: Json = False,
+    json: _Json = False,
     budget: Annotated[bool, typer.Option("--budget", help="Add the error budget by source.")] = False,
 ) -> None:
     """Compare the compensation models, and each with theory.
@@ -283,7 +283,7 @@ def _announce(rows: int, columns: int, files: int, every: int) -> None:
     """
     kept = -(-rows // every)
     size = 8.0 * kept * columns / 1e6
-    if size > LARGE_MB:
+    if size > _LARGE_MB:
         more = "" if every > 1 else "; fewer with --every N"
         note(f"piga: {files} files of {kept} rows will be written, up to {size:.0f} MB together{more}")
 

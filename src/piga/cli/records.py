@@ -35,19 +35,19 @@ if TYPE_CHECKING:
     from piga.ledger.store.verify import Verification
 
 
-def store_name(where: str) -> str:
+def _store_name(where: str) -> str:
     """Name of the store as printed, without the password of a URL."""
     from piga.ledger.store.database import is_url, postgresql_database
 
     return postgresql_database(where).name if is_url(where) else where
 
 
-def head_line(records: int, head: str) -> str:
+def _head_line(records: int, head: str) -> str:
     """Number of records, and the head that proves them."""
     return f"{counted(records, 'record')}, head {head}"
 
 
-def record_document(record: Record) -> dict[str, Any]:
+def _record_document(record: Record) -> dict[str, Any]:
     """A record as JSON values: its place in this store, then its document."""
     from piga.results import plain
 
@@ -56,7 +56,7 @@ def record_document(record: Record) -> dict[str, Any]:
     return place | of
 
 
-def record_lines(record: Record) -> Iterator[str]:
+def _record_lines(record: Record) -> Iterator[str]:
     """Operator, time, reason, software and files of a record."""
     document = record.document
     yield f"record {record.id}, number {record.number}, head {record.head}"
@@ -76,7 +76,7 @@ def record_lines(record: Record) -> Iterator[str]:
         yield f"  {file.role:<12}{file.sha256[:16]}  {file.size:>10}  {file.name}"
 
 
-def difference_document(difference: Difference) -> dict[str, Any]:
+def _difference_document(difference: Difference) -> dict[str, Any]:
     """The difference of two records as JSON values."""
     from piga.results import plain
 
@@ -96,7 +96,7 @@ def _type_a_only(difference: Difference) -> list[str]:
     return [f"{name}: {TYPE_A_ONLY}" for name in difference.type_a_only]
 
 
-def difference_lines(difference: Difference) -> Iterator[str]:
+def _difference_lines(difference: Difference) -> Iterator[str]:
     """The difference of each coefficient with its uncertainty, then the other differences."""
     from piga.records.terms import shown_unit
     from piga.reports.render.numbers import rounded, signed
@@ -115,7 +115,7 @@ def difference_lines(difference: Difference) -> Iterator[str]:
     yield from (f"  {name}: {old} -> {new}" for name, (old, new) in difference.facts.items())
 
 
-def verification_lines(verification: Verification) -> Iterator[str]:
+def _verification_lines(verification: Verification) -> Iterator[str]:
     """The result of a verification; what is wrong goes to stderr."""
     v = verification
     if v.sound:
@@ -126,16 +126,16 @@ def verification_lines(verification: Verification) -> Iterator[str]:
     for problem in v.problems:
         note(f"piga: {problem}")
     if v.head:
-        yield head_line(v.records, v.head)
+        yield _head_line(v.records, v.head)
 
 
-def tell_written(path: Path, records: int, head: str, *, as_json: bool) -> None:
+def _tell_written(path: Path, records: int, head: str, *, as_json: bool) -> None:
     """The file that was written and verified."""
-    lines = (f"wrote {path}, read back and found sound", head_line(records, head))
+    lines = (f"wrote {path}, read back and found sound", _head_line(records, head))
     tell(as_json, {"file": str(path), "records": records, "head": head}, lines)
 
 
-def reproduced_document(reproduced: Reproduced) -> dict[str, Any]:
+def _reproduced_document(reproduced: Reproduced) -> dict[str, Any]:
     """A recomputed record as JSON values."""
     from piga.results import plain
 
@@ -149,7 +149,7 @@ def reproduced_document(reproduced: Reproduced) -> dict[str, Any]:
     }
 
 
-def reproduced_line(reproduced: Reproduced) -> str:
+def _reproduced_line(reproduced: Reproduced) -> str:
     """Whether a recomputed record is the same, and the changes since; differences go to stderr."""
     where = (
         "same software and platform" if reproduced.same_platform else f"then and now: {_changes(reproduced)}"
@@ -250,7 +250,7 @@ def add(
             f"kept record {record.id}, number {record.number}, instrument {record.document.serial}",
             f"head {record.head}",
         )
-        tell(as_json, {"store": kept.name, **record_document(record)}, lines)
+        tell(as_json, {"store": kept.name, **_record_document(record)}, lines)
 
 
 def _superseded(where: str, record: str, run: Path) -> str:
@@ -295,15 +295,15 @@ def list_records(
     with opened(store) as kept:
         head = kept.head()
         if as_json:
-            documents = map(record_document, kept.each(serial))
-            print_json_list({"store": store_name(store), "head": head.sha256}, "records", documents)
+            documents = map(_record_document, kept.each(serial))
+            print_json_list({"store": _store_name(store), "head": head.sha256}, "records", documents)
             return
         old = kept.superseded(serial)
         for r in kept.each(serial):
             amended = "  superseded" if r.id in old else ""
             who = f"{r.document.serial}  {r.document.operator}{amended}"
             say(f"{r.number:5d}  {r.id}  {r.measured:%Y-%m-%d}  {who}")
-        say(head_line(head.number, head.sha256))
+        say(_head_line(head.number, head.sha256))
 
 
 @app.command()
@@ -327,11 +327,11 @@ def show(
         if extract is not None:
             kept.extract(shown.id, _made(extract))
     result = None if calibration is None else to_document(calibration)
-    place = {"store": store_name(store), "head": head.sha256}
-    lines = [*record_lines(shown), *(["", calibration.summary()] if calibration else [])]
+    place = {"store": _store_name(store), "head": head.sha256}
+    lines = [*_record_lines(shown), *(["", calibration.summary()] if calibration else [])]
     lines += [] if extract is None else [f"wrote {len(shown.document.files)} files to {extract}"]
-    lines.append(head_line(head.number, head.sha256))
-    tell(as_json, place | record_document(shown) | {"calibration": result}, lines)
+    lines.append(_head_line(head.number, head.sha256))
+    tell(as_json, place | _record_document(shown) | {"calibration": result}, lines)
 
 
 def _made(folder: Path) -> Path:
@@ -357,8 +357,8 @@ def diff(
 
     with opened(store) as kept:
         changes, head = difference(kept, first, second), kept.head()
-    document = {"store": store_name(store), "head": head.sha256} | difference_document(changes)
-    tell(as_json, document, (*difference_lines(changes), head_line(head.number, head.sha256)))
+    document = {"store": _store_name(store), "head": head.sha256} | _difference_document(changes)
+    tell(as_json, document, (*_difference_lines(changes), _head_line(head.number, head.sha256)))
 
 
 @app.command()
@@ -390,7 +390,7 @@ def verify(
         verification = check(where, head or (), show)
     names = ("sound", "records", "files", "head", "known", "problems")
     document = {"store": verification.name} | {name: getattr(verification, name) for name in names}
-    tell(as_json, document, verification_lines(verification))
+    tell(as_json, document, _verification_lines(verification))
     if not verification.sound:
         raise typer.Exit(2)
 
@@ -412,7 +412,7 @@ def export(
 
     with opened(store) as kept, progress("exporting") as show:
         exported = export_records(kept, out, record, progress=show)
-    tell_written(out, exported.records, exported.head, as_json=as_json)
+    _tell_written(out, exported.records, exported.head, as_json=as_json)
 
 
 @app.command("import")
@@ -432,8 +432,8 @@ def import_export(
     with opened(store, create=True) as kept, progress("importing"):
         added = import_records(kept, archive, operator, reason)
         head = kept.head()
-    document = {"store": store_name(store), "added": added, "records": head.number, "head": head.sha256}
-    lines = (f"imported {len(added)} records from {archive}", head_line(head.number, head.sha256))
+    document = {"store": _store_name(store), "added": added, "records": head.number, "head": head.sha256}
+    lines = (f"imported {len(added)} records from {archive}", _head_line(head.number, head.sha256))
     tell(as_json, document, lines)
 
 
@@ -459,10 +459,12 @@ def reproduce(
                 show(number, len(names), name)
                 results_by_record.append(recompute(kept, name))
         head = kept.head()
-    documents = [reproduced_document(one) for one in results_by_record]
-    document = {"store": store_name(store), "head": head.sha256, "records": documents}
+    documents = [_reproduced_document(one) for one in results_by_record]
+    document = {"store": _store_name(store), "head": head.sha256, "records": documents}
     tell(
-        as_json, document, chain(map(reproduced_line, results_by_record), [head_line(head.number, head.sha256)])
+        as_json,
+        document,
+        chain(map(_reproduced_line, results_by_record), [_head_line(head.number, head.sha256)]),
     )
     if not all(one.reproduced for one in results_by_record):
         raise typer.Exit(2)
@@ -482,7 +484,7 @@ def backup(
 
     with opened(store) as kept, progress("copying") as show:
         copied = copy(kept, out, progress=show)
-    tell_written(out, copied.records, copied.head, as_json=as_json)
+    _tell_written(out, copied.records, copied.head, as_json=as_json)
 
 
 @app.command()
@@ -500,4 +502,4 @@ def restore(
 
     with progress("restoring"):
         restored = make(source, store)
-    tell_written(Path(store_name(store)), restored.records, restored.head, as_json=as_json)
+    _tell_written(Path(_store_name(store)), restored.records, restored.head, as_json=as_json)

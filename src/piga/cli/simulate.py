@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from piga.studies import Reproduction
 
 
-PLAN_RESULTS = ("scenario.toml", "program.csv", "plan.json", "report.html")
+_PLAN_RESULTS = ("scenario.toml", "program.csv", "plan.json", "report.html")
 """Names of the result files of ``plan``."""
 
 
@@ -47,7 +47,7 @@ def plan(
 
     inputs = files_named_in(plan_file)
     folder = out or plan_file.parent / f"{plan_file.stem}-plan"
-    with deliver(folder, "plan", PLAN_RESULTS, inputs, force=force, as_json=as_json) as to:
+    with deliver(folder, "plan", _PLAN_RESULTS, inputs, force=force, as_json=as_json) as to:
         request = read_plan(plan_file)
         with progress("planning") as show:
             mounting = plan_mounting(request)

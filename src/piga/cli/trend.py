@@ -17,7 +17,7 @@ from piga.output import is_hidden
 if TYPE_CHECKING:
     from piga.trend.history import Common, HistoryEntry
 
-MOST_RECORDS = 10_000
+_MOST_RECORDS = 10_000
 RARELY = (100_000, 50, 100)
 """Thresholds that make garbage collection rare: thousands of records are many small objects, and none is garbage."""
 
@@ -108,8 +108,8 @@ def _files(sources: list[Path]) -> list[Path]:
         if not inside:
             raise PigaError(f"{source}: holds no calibration.json", remedy="name another directory")
         paths += inside
-    if len(paths) > MOST_RECORDS:
-        raise PigaError(f"{len(paths)} files, more than {MOST_RECORDS}", remedy="name fewer directories")
+    if len(paths) > _MOST_RECORDS:
+        raise PigaError(f"{len(paths)} files, more than {_MOST_RECORDS}", remedy="name fewer directories")
     return list(dict.fromkeys(paths))
 
 

@@ -36,7 +36,7 @@ from piga.results import Array, Result
 
 NONE = np.zeros(0)
 NO_RATES = np.zeros((0, 3))
-NO_MARKS = np.zeros(0, dtype=np.bool_)
+_NO_MARKS = np.zeros(0, dtype=np.bool_)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,7 +103,7 @@ def empty_rows(n: int, uncertainty: bool, flags: bool) -> Rows:
     return Rows(empty(n), empty(n), empty(n if uncertainty else 0), marks, np.zeros(SUMS))
 
 
-ROW_KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle", "vibration")
+_ROW_KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle", "vibration")
 
 
 class Compensator:
@@ -258,11 +258,11 @@ class Compensator:
         return columns | ({} if chunk.temperature is None else {"temperature": chunk.temperature})
 
     def _samples(self, columns: Mapping[str, Any]) -> Chunk:
-        unknown = [name for name in columns if name not in ROW_KEYS]
-        missing = [name for name in ROW_KEYS[:3] if name not in columns]
+        unknown = [name for name in columns if name not in _ROW_KEYS]
+        missing = [name for name in _ROW_KEYS[:3] if name not in columns]
         if unknown or missing:
             what = f"lacks '{missing[0]}'" if missing else f"has the unknown key '{unknown[0]}'"
-            raise ArgumentError(f"chunk: {what}", remedy=f"keys: {', '.join(ROW_KEYS)}")
+            raise ArgumentError(f"chunk: {what}", remedy=f"keys: {', '.join(_ROW_KEYS)}")
         t = np.atleast_1d(np.asarray(columns["t"], dtype=float))
         n = t.size
         output, force = _shaped(columns, "output", (n,)), _shaped(columns, "f", (n, 3))
@@ -281,7 +281,7 @@ class Compensator:
         angle = _shaped(columns, "angle", (n,), NONE)
         given = columns.get("begins")
         y, z = np.ascontiguousarray(force[:, 1]), np.ascontiguousarray(force[:, 2])
-        _check_finite(Chunk(t, output, y, z, NO_MARKS, base_rate, temperature, angle, vibration))
+        _check_finite(Chunk(t, output, y, z, _NO_MARKS, base_rate, temperature, angle, vibration))
         begins = (
             find_begins(self._state, t) if given is None else np.atleast_1d(np.asarray(given, dtype=np.bool_))
         )

@@ -55,14 +55,14 @@ def compensate_set(
     CalibrationError, ArgumentError
         As :class:`SetCompensator`, and for calibrations of other instruments unless ``force``.
     """
-    check_together(records)
+    _check_together(records)
     if len(records) != len(instruments):
         raise ArgumentError(
             f"{len(records)} records for {len(instruments)} instruments",
             remedy="give one record for each instrument",
         )
     for record, item in zip(records, instruments, strict=True):
-        check_member(record, item, force)
+        _check_member(record, item, force)
     first, rates = records[0], records[0].kind == "rate"
     stream = SetCompensator(
         [replace(item, segment=item.segment or r.labels[0]) for r, item in zip(records, instruments, strict=True)],
@@ -93,7 +93,7 @@ def compensate_set(
     return replace(whole, notes=stream.notes + stream.remarks(), u_velocity=stream.u_velocity())
 
 
-def check_member(record: Run, item: Mounted, force: bool) -> None:
+def _check_member(record: Run, item: Mounted, force: bool) -> None:
     """Refuse a record for which the calibration of its instrument is not valid.
 
     Raises
@@ -106,7 +106,7 @@ def check_member(record: Run, item: Mounted, force: bool) -> None:
     check_phase_kept(record, item.calibration, item.phase, alone=False)
 
 
-def check_together(records: Sequence[Run]) -> None:
+def _check_together(records: Sequence[Run]) -> None:
     """Refuse records that were not sampled at the same times.
 
     Raises
@@ -227,7 +227,7 @@ def read_member(path: Path, item: Mounted, force: bool) -> Run:
         As :func:`piga.read_run` and :func:`compensate_set`.
     """
     record = read_run(path, need_reference=False)
-    check_member(record, item, force)
+    _check_member(record, item, force)
     return replace(record, f=np.zeros((0, 3)), segment_index=record.segment_index[:0])
 
 

@@ -30,7 +30,7 @@ MOST_ROWS = 1 << 22
 """Most rows of a record batch."""
 
 
-def chunk_of(columns: Mapping[str, Any]) -> dict[str, Any]:
+def _chunk_of(columns: Mapping[str, Any]) -> dict[str, Any]:
     """Chunk for :meth:`piga.Compensator.push` from named columns."""
     chunk: dict[str, Any] = {"t": columns["t"], "output": columns["output"]}
     chunk["f"] = np.stack([np.asarray(columns[name]) for name in FORCE], axis=-1)
@@ -55,7 +55,7 @@ def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int
         Gives the number of the line that is wrong, too long, or cut off.
     """
     rows = 0
-    for _, result in answered_lines(source, stream):
+    for _, result in _answered_lines(source, stream):
         columns = result.columns()
         if rows == 0:
             sink.write(",".join(columns) + "\n")
@@ -65,7 +65,7 @@ def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int
     return rows
 
 
-def answered_lines(source: IO[str], stream: Compensator) -> Iterator[tuple[dict[str, float], Compensated]]:
+def _answered_lines(source: IO[str], stream: Compensator) -> Iterator[tuple[dict[str, float], Compensated]]:
     """Each row of a stream of comma-separated lines, with its compensated values, as soon as it arrives.
 
     Raises
@@ -105,7 +105,7 @@ def _row(line: str, header: list[str], number: int) -> dict[str, float]:
 
 def _pushed(stream: Compensator, columns: Mapping[str, Any], where: str) -> Compensated:
     try:
-        return stream.push(chunk_of(columns))
+        return stream.push(_chunk_of(columns))
     except ArgumentError as error:
         raise DataError(f"standard input: {where}: {error.message}", remedy=error.remedy) from None
 

@@ -19,7 +19,7 @@ from piga.records.terms import harmonic, si_factor
 from piga.results import Array
 from piga.terms import THERMAL_TERMS
 
-RANGE_MARGIN = 0.05
+_RANGE_MARGIN = 0.05
 """Margin beyond the calibrated range before a value is flagged, as a share of the range."""
 
 
@@ -46,7 +46,7 @@ class Limits:
         """Limits from a calibration record: its ``diagnostics.range``, else from the means of its segments.
 
         The range has the optional keys ``a_x`` [low, high] and ``a_t`` [low, high] in m/s^2, and
-        ``temperature`` [low, high] in K. Each range is widened by ``RANGE_MARGIN``.
+        ``temperature`` [low, high] in K. Each range is widened by ``_RANGE_MARGIN``.
         """
         ranges = calibration.diagnostics.range
         means = [segment.mean_a_x for segment in calibration.segments]
@@ -54,7 +54,7 @@ class Limits:
         transverse, warm = ranges.get("a_t"), ranges.get("temperature")
         return Limits(
             a_x=_widened(span) if span else (-math.inf, math.inf),
-            a_t=float(transverse[1]) * (1.0 + RANGE_MARGIN) if transverse else math.inf,
+            a_t=float(transverse[1]) * (1.0 + _RANGE_MARGIN) if transverse else math.inf,
             temperature=_widened(warm, 2.0) if warm else (-math.inf, math.inf),
         )
 
@@ -62,7 +62,7 @@ class Limits:
 def _widened(span: Any, least: float = 0.0) -> tuple[float, float]:
     low, high = float(span[0]), float(span[1])
     margin = max(
-        RANGE_MARGIN * (high - low), least, RANGE_MARGIN * max(abs(low), abs(high)) if least == 0.0 else 0.0
+        _RANGE_MARGIN * (high - low), least, _RANGE_MARGIN * max(abs(low), abs(high)) if least == 0.0 else 0.0
     )
     return low - margin, high + margin
 
@@ -86,10 +86,10 @@ def age_flag(calibration: Calibration, max_age_days: float | None) -> int:
     return at.AGE if age is None or age > max_age_days else 0
 
 
-COMPENSATION_METHODS = ("exact", "published")
+_COMPENSATION_METHODS = ("exact", "published")
 
 
-SMALL_K = 1e-9
+_SMALL_K = 1e-9
 """K [(rad/s)/(m/s^2)] that stands for that of a direct instrument: its angles are below all limits of the motion."""
 
 
@@ -148,7 +148,7 @@ def make_model(
     for name in at.TERMS:
         instrument[name] = values.get(name, 0.0)
     K = values.get("scale_factor", calibration.scale_factor_nominal)
-    scale = SMALL_K / K if calibration.direct else 1.0
+    scale = _SMALL_K / K if calibration.direct else 1.0
     chosen, T_0 = limits or Limits.of(calibration), calibration.temperature_reference
     low, high = chosen.a_x
     cold, hot = chosen.temperature
@@ -298,9 +298,9 @@ def check_method(method: str | None, calibration: Calibration) -> str:
     """
     if method is None:
         return "published" if calibration.phase_source == "input" else "exact"
-    if method not in COMPENSATION_METHODS:
+    if method not in _COMPENSATION_METHODS:
         raise CalibrationError(
-            f"method: '{method}' is not known", remedy=f"one of: {', '.join(COMPENSATION_METHODS)}"
+            f"method: '{method}' is not known", remedy=f"one of: {', '.join(_COMPENSATION_METHODS)}"
         )
     return method
 

@@ -18,7 +18,7 @@ from piga.results import Array
 
 
 @dataclass(frozen=True)
-class PowerUpSettings:
+class _PowerUpSettings:
     """Limits for a phase identified at power-up (own choices)."""
 
     least_turn: float = 2.0 * math.pi
@@ -30,7 +30,7 @@ class PowerUpSettings:
     """Largest standard uncertainty [rad] of a phase that is given."""
 
 
-POWER_UP = PowerUpSettings()
+_POWER_UP = _PowerUpSettings()
 
 
 class PhaseFinder:
@@ -99,7 +99,7 @@ class PhaseFinder:
 
     def phase(self) -> Phase | None:
         """The phase from all samples so far; None before one full revolution."""
-        if self._turned < POWER_UP.least_turn:
+        if self._turned < _POWER_UP.least_turn:
             return None
         # The rate column is h itself; the coupling columns contain the factor K tan_beta a_t, so p and q are cos and sin.
         matrix = self._normal[:3, :3]
@@ -108,7 +108,7 @@ class PhaseFinder:
             return None
         covariance = np.linalg.inv(matrix / np.outer(size, size)) / np.outer(size, size)
         p, q = 1.0, 0.0
-        for _ in range(POWER_UP.servo_rounds):  # cos and sin of twice the phase times what turns twice as fast
+        for _ in range(_POWER_UP.servo_rounds):  # cos and sin of twice the phase times what turns twice as fast
             twice = 2.0 * math.atan2(q, p)
             right = self._normal[:3] @ np.array([0, 0, 0, math.sin(twice), -math.cos(twice), 1.0])
             _, p, q = covariance @ right
@@ -145,7 +145,7 @@ def identify_phase(record: Run, calibration: Calibration, duration: float) -> Ph
             f"{record.source}: the output does not turn once in the first {duration:g} s",
             remedy="take a longer time at rest",
         )
-    if not phase.std < POWER_UP.useless:
+    if not phase.std < _POWER_UP.useless:
         raise CalibrationError(
             f"{record.source}: the phase is known to {phase.std:.2g} rad only after {duration:g} s",
             remedy="take a longer time at rest, or an attitude with more transverse specific force",

@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 
-WRITTEN_UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
+_WRITTEN_UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
 """Unit of each column that is neither a force nor an increment."""
 
-FORMATS = {".parquet": "parquet", ".pq": "parquet", ".csv": "csv"}
+_FORMATS = {".parquet": "parquet", ".pq": "parquet", ".csv": "csv"}
 """Kind of file by suffix."""
 
 GROUP_ROWS = 1 << 18
@@ -46,10 +46,10 @@ def inputs_listed(inputs: Inputs) -> list[dict[str, str]]:
     return [{"file": name, "sha256": digest} for name, digest in inputs]
 
 
-def unit_of_column(name: str) -> str:
+def _unit_of_column(name: str) -> str:
     """Unit of a column: forces in m/s^2, increments (``dv...``) in m/s."""
-    if name in WRITTEN_UNITS:
-        return WRITTEN_UNITS[name]
+    if name in _WRITTEN_UNITS:
+        return _WRITTEN_UNITS[name]
     return "m/s" if name.startswith("dv") else "m/s^2"
 
 
@@ -61,7 +61,7 @@ def format_of(path: Path) -> str:
     ArgumentError
         For any other suffix.
     """
-    file_format = FORMATS.get(path.suffix.lower())
+    file_format = _FORMATS.get(path.suffix.lower())
     if file_format is None:
         raise ArgumentError(
             f"{path}: piga does not write files of kind '{path.suffix}'",
@@ -84,14 +84,14 @@ def schema_of(
 
     fields = [
         pa.field(
-            name, pa.int32() if name == "flags" else pa.float64(), empty_cells, {"unit": unit_of_column(name)}
+            name, pa.int32() if name == "flags" else pa.float64(), empty_cells, {"unit": _unit_of_column(name)}
         )
         for name in columns
     ]
     metadata = {
         "piga.flags": json.dumps(FLAGS),
         "piga.flag_meanings": json.dumps(MEANING),
-        "piga.units": json.dumps({name: unit_of_column(name) for name in columns}),
+        "piga.units": json.dumps({name: _unit_of_column(name) for name in columns}),
     }
     metadata |= {"piga.notes": json.dumps(notes)} if notes else {}
     metadata |= {"piga.inputs": json.dumps(inputs_listed(inputs))} if inputs else {}
@@ -104,7 +104,7 @@ def _heading(name: str, notes: tuple[str, ...]) -> str:
         return name
     short = TYPE_A_ONLY.partition(";")[0]
     alone = f" ({short})" if name.startswith("u_") and any(TYPE_A_ONLY in note for note in notes) else ""
-    return f"{name}{alone} [{unit_of_column(name)}]"
+    return f"{name}{alone} [{_unit_of_column(name)}]"
 
 
 def _opened(
@@ -261,7 +261,7 @@ class Compensated(Result, Plotted, Reported, Tabular):
 
     def columns(self) -> dict[str, NDArray]:
         """The columns of the written file, in order."""
-        return columns_of(self.t, self.ax, self.dv, self.flags, self.u_ax)
+        return _columns_of(self.t, self.ax, self.dv, self.flags, self.u_ax)
 
     def table_columns(self) -> dict[str, Column]:
         """The columns of the written file with their units."""
@@ -310,7 +310,7 @@ def note_on_vibration(past: Any, sampled: bool, *calibrations: Calibration) -> t
     return (f"{named}{seen} (flag vibration): {effect}; {remedy}",)
 
 
-SHOWN_STARTS = 5
+_SHOWN_STARTS = 5
 """Most stretches whose rows are named in a sentence."""
 
 
@@ -342,8 +342,10 @@ class LockedStarts:
         """A sentence that names the rows; none without one."""
         if not self._rows:
             return ()
-        named = ", ".join(f"{first} to {last}" for first, last in self._rows[:SHOWN_STARTS])
-        more = f" and {len(self._rows) - SHOWN_STARTS} more stretches" if len(self._rows) > SHOWN_STARTS else ""
+        named = ", ".join(f"{first} to {last}" for first, last in self._rows[:_SHOWN_STARTS])
+        more = (
+            f" and {len(self._rows) - _SHOWN_STARTS} more stretches" if len(self._rows) > _SHOWN_STARTS else ""
+        )
         where = f"the output stands still from the start of a stretch on (flag locked) in rows {named}{more}"
         remedy = "leave these rows out, or begin where |a_x| is larger"
         return (f"{where}: a_x is known only to a_t tan(beta) there; {remedy}",)
@@ -396,7 +398,7 @@ class CompensatedSet(Result, Plotted, Tabular):
 
     def columns(self) -> dict[str, NDArray]:
         """The columns of the written file, in order."""
-        columns = columns_of(self.t, self.f, self.dv, self.flags, self.u_f)
+        columns = _columns_of(self.t, self.f, self.dv, self.flags, self.u_f)
         flags = columns.pop("flags", self.flags)
         return columns | {"residual": self.residual, "flags": flags}
 
@@ -405,7 +407,7 @@ class CompensatedSet(Result, Plotted, Tabular):
         return with_units(self.columns())
 
 
-def columns_of(
+def _columns_of(
     t: Array, force: Array, dv: Array, flags: NDArray[np.int32], u: Array | None = None
 ) -> dict[str, NDArray]:
     """The columns of compensated rows in order: force, increment and uncertainty (n,), or (n, 3) of a set; empty: none."""
@@ -423,7 +425,7 @@ def columns_of(
 
 def with_units(columns: dict[str, NDArray]) -> dict[str, Column]:
     """Columns with the units of the written files."""
-    return {name: Column(values, unit_of_column(name)) for name, values in columns.items()}
+    return {name: Column(values, _unit_of_column(name)) for name, values in columns.items()}
 
 
 class Resampler:
@@ -483,7 +485,7 @@ class Resampler:
         times, dv, flags = self._push(part.t, part.dv, part.flags)
         none = (flags & FLAGS["no_increment"]) != 0
         mean = np.where(none if dv.ndim == 1 else none[:, None], np.nan, dv / self._period)
-        return columns_of(times, mean, dv, flags)
+        return _columns_of(times, mean, dv, flags)
 
     def _push(
         self, t: Array, dv: ArrayLike, flags: NDArray[np.int32]

@@ -25,7 +25,7 @@ from piga.results import Array, Result
 
 
 @dataclass(frozen=True)
-class SetSettings:
+class _SetSettings:
     """Settings of sets of instruments (own choices)."""
 
     orthogonal: float = 1e-6
@@ -34,7 +34,7 @@ class SetSettings:
     """Probability of the flag ``fault`` in a row of a sound set."""
 
 
-SET = SetSettings()
+SET = _SetSettings()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,7 +81,7 @@ def rotation(axes: ArrayLike, index: int) -> Array:
     return np.asarray(left @ right)
 
 
-def check_count(count: int) -> None:
+def _check_count(count: int) -> None:
     """Refuse fewer than three instruments.
 
     Raises
@@ -95,7 +95,7 @@ def check_count(count: int) -> None:
         )
 
 
-def check_spread(axes: Array) -> None:
+def _check_spread(axes: Array) -> None:
     """Refuse fewer than three instruments or coplanar input axes; ``axes`` has shape (N, 3, 3).
 
     Raises
@@ -103,7 +103,7 @@ def check_spread(axes: Array) -> None:
     ArgumentError
         In both cases.
     """
-    check_count(axes.shape[0])
+    _check_count(axes.shape[0])
     smallest = np.linalg.svd(axes[:, 0, :], compute_uv=False)[-1]
     if smallest < 0.05:
         raise ArgumentError(
@@ -152,7 +152,7 @@ class SetCompensator:
         for item in instruments:
             item.calibration.require_gimbal("compensation of a set")
         self._axes = np.array([rotation(item.axes, i) for i, item in enumerate(instruments)])
-        check_spread(self._axes)
+        _check_spread(self._axes)
         self._sampled, self._uncertainty, self._flags = sampled, uncertainty, flags
         self._details = details and flags
         self._models = [
@@ -166,7 +166,7 @@ class SetCompensator:
         for i, model in enumerate(self._models):
             self._instruments[i] = model.instrument[0]
         self._more = stacked([model.more for model in self._models])
-        self._threshold = fault_threshold(self._count - 3)
+        self._threshold = _fault_threshold(self._count - 3)
         self._past = SetPast(at.records(self._count, at.PAST), np.zeros(3), np.zeros((2, 3, 3)))
         self._members = at.records(self._count, MEMBER)
         self._starts = LockedStarts()
@@ -259,7 +259,7 @@ class SetCompensator:
         return result
 
 
-def fault_threshold(freedom: int) -> float:
+def _fault_threshold(freedom: int) -> float:
     """Weighted sum of squares that a sound set exceeds with probability ``SET.fault_probability``."""
     if freedom < 1:
         return math.inf

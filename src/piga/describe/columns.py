@@ -120,7 +120,7 @@ def fact(line: str) -> tuple[str, str] | None:
     return None
 
 
-LIKE: dict[str, str] = {
+_LIKE: dict[str, str] = {
     "time": "s",
     "angle": "rad",
     "rate": "rad/s",
@@ -152,7 +152,7 @@ _PLAIN = re.compile(r"[-+]?\d*[.,]?\d*(?:[eE][-+]?\d+)?")
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:[,.' \u00a0]\d{3})+(?:[.,]\d+)?")
 _UNNAMED = re.compile(r"[A-Z]{1,2}|.*\(:,\d+\)|(?:c|ch|col|column|channel|var|field)[ _-]?\d+", re.IGNORECASE)
 """Names that say nothing."""
-MOST_LEVELS = 2000
+_MOST_LEVELS = 2000
 """Most holds of a stepped column."""
 
 
@@ -214,7 +214,7 @@ class Values:
     @property
     def stepped(self) -> bool:
         """True if the value is held over many rows, at several levels."""
-        return 2 <= self.holds <= min(MOST_LEVELS, max(self.count // 4, 2))
+        return 2 <= self.holds <= min(_MOST_LEVELS, max(self.count // 4, 2))
 
 
 TOLD = "as you said"
@@ -267,12 +267,14 @@ def _told(guess: ColumnGuess, text: str) -> ColumnGuess:
             f"--column {guess.name}={text}: '{name}' is not what a column can hold",
             remedy=f"one of: {kinds}; with its unit: angle [deg]",
         )
-    if unit is not None and not (kind in LIKE and known_unit(unit) and measures(known_unit(unit), LIKE[kind])):
+    if unit is not None and not (
+        kind in _LIKE and known_unit(unit) and measures(known_unit(unit), _LIKE[kind])
+    ):
         raise ArgumentError(
             f"--column {guess.name}={text}: '{unit}' is not a unit of {WORDS[kind]}",
-            remedy=f"e.g. {guess.name}={name} [{LIKE[kind]}]" if kind in LIKE else "leave it out",
+            remedy=f"e.g. {guess.name}={name} [{_LIKE[kind]}]" if kind in _LIKE else "leave it out",
         )
-    kept = guess.unit if kind in LIKE and measures(guess.unit, LIKE[kind]) else ""
+    kept = guess.unit if kind in _LIKE and measures(guess.unit, _LIKE[kind]) else ""
     place = None if axis is None else _AXES[axis]
     return replace(guess, kind=kind, axis=place, unit=known_unit(unit or "") or kept, reason=TOLD)
 
@@ -302,9 +304,9 @@ def guess_columns(
 
 FILLS = (-9999.0, -999.0, -99999.0, -9999.9, -999.9, -32768.0, 9999.0, 99999.0, 32767.0, -1e30, 1e30, 9.9e37)
 """Numbers that loggers write for a missing value."""
-MOST_FILLED = 0.2
+_MOST_FILLED = 0.2
 """Largest share of the rows that such a number may take."""
-FAR = 20.0
+_FAR = 20.0
 """A fill value is at least this many usual steps from the values around it and from all other values."""
 
 
@@ -323,19 +325,19 @@ def _fill(x: Array) -> float | None:
     """A number of :data:`FILLS` that lies far outside all other values of the column."""
     for value in FILLS:
         filled = x == value
-        if not 0 < np.count_nonzero(filled) <= MOST_FILLED * x.size:
+        if not 0 < np.count_nonzero(filled) <= _MOST_FILLED * x.size:
             continue
         rest = x[~filled & np.isfinite(x)]
         if rest.size < 3:
             continue
         usual = float(np.quantile(np.abs(np.diff(rest)), 0.9))
         apart = max(rest.min() - value, value - rest.max())
-        if apart > max(FAR * usual, 0.0 if usual else np.ptp(rest)):
+        if apart > max(_FAR * usual, 0.0 if usual else np.ptp(rest)):
             return value
     return None
 
 
-MOST_SPIKES = 100
+_MOST_SPIKES = 100
 """Most spikes of one column that are left out row by row."""
 
 
@@ -352,7 +354,7 @@ def without_spikes(
         usual = float(np.nanquantile(np.abs(np.diff(x)), 0.9)) if np.isfinite(x).sum() > 8 else 0.0
         for value in FILLS:
             filled = x == value
-            if usual == 0.0 or not 0 < np.count_nonzero(filled) <= MOST_SPIKES:
+            if usual == 0.0 or not 0 < np.count_nonzero(filled) <= _MOST_SPIKES:
                 continue
             edges = np.flatnonzero(np.diff(np.r_[False, filled, False]))
             starts, ends = edges[::2], edges[1::2] - 1
@@ -361,7 +363,7 @@ def without_spikes(
                 np.where(starts > 0, np.abs(before - value), np.inf),
                 np.where(ends + 1 < x.size, np.abs(after - value), np.inf),
             )
-            far = apart > FAR * usual
+            far = apart > _FAR * usual
             if far.any():
                 chosen = list(zip(starts[far].tolist(), ends[far].tolist(), strict=True))
                 spikes[name] = value, tuple((int(rows[a]), int(rows[b])) for a, b in chosen)
@@ -409,7 +411,7 @@ def _by_name(name: str, logged: str, cells: list[str], x: Array | None) -> Colum
         )
     if kind == "segment" and measures(unit, "rad"):
         return replace(guess, kind="stand-angle", reason=f"its name, and its unit {unit}")
-    if kind in LIKE and unit and not measures(unit, LIKE[kind]):
+    if kind in _LIKE and unit and not measures(unit, _LIKE[kind]):
         return _by_unit(guess)
     if x is None and kind not in ("segment", "date"):
         return replace(guess, kind="other", reason=_no_numbers(cells), unit="")
@@ -431,7 +433,7 @@ def _by_unit(guess: ColumnGuess) -> ColumnGuess:
     """A column whose name and unit disagree: the unit decides."""
     others: tuple[Kind, ...] = ("angle", "rate", "temperature") if guess.kind != "temperature" else ("time",)
     for kind in others:
-        if measures(guess.unit, LIKE[kind]):
+        if measures(guess.unit, _LIKE[kind]):
             return replace(
                 guess, kind=kind, axis=None, reason=f"its unit {guess.unit}", alternatives=(WORDS[guess.kind],)
             )
@@ -504,7 +506,7 @@ def _by_value(guess: ColumnGuess, x: Array, kinds: set[str]) -> ColumnGuess:
 def _with_unit(guess: ColumnGuess, guesses: list[ColumnGuess], numbers: dict[str, Array]) -> ColumnGuess:
     """Guess a unit that neither header nor name gives. Columns of three axes have one unit."""
     x = numbers.get(guess.name)
-    if guess.unit or guess.stamp or x is None or guess.kind not in LIKE:
+    if guess.unit or guess.stamp or x is None or guess.kind not in _LIKE:
         return guess
     axes = {one.axis: one for one in reversed(guesses) if one.kind == guess.kind and one.axis is not None}
     beside = list(axes.values()) if guess in axes.values() else []

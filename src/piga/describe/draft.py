@@ -30,7 +30,7 @@ FILES: dict[str, tuple[str, str, str]] = {
     "triad": ("triad file", "piga.compensation.files", "TriadFile"),
 }
 """Kinds of TOML files: name, module and class of the whole file."""
-MOST_PARTS = 6
+_MOST_PARTS = 6
 """Most parts of a key's path."""
 
 
@@ -42,7 +42,7 @@ HEIGHT = (
 
 
 @dataclass(frozen=True)
-class KeyWords:
+class _KeyWords:
     """What a key means: its sentence, unit and an example of its value in TOML."""
 
     sentence: str
@@ -59,13 +59,13 @@ class KeyPlace:
     table: str
     kind: str
     default: str
-    words: KeyWords
+    words: _KeyWords
 
 
 @lru_cache(maxsize=1)
-def key_table() -> dict[str, dict[str, KeyWords]]:
+def key_table() -> dict[str, dict[str, _KeyWords]]:
     """The words of every key, by class of the table and key. ``*``: keys that mean the same in several tables."""
-    table: dict[str, dict[str, KeyWords]] = {}
+    table: dict[str, dict[str, _KeyWords]] = {}
     section = ""
     for line in files("piga.data").joinpath("keys.txt").read_text(encoding="utf-8").splitlines():
         if line.startswith("["):
@@ -73,11 +73,11 @@ def key_table() -> dict[str, dict[str, KeyWords]]:
             table[section] = {}
         elif line.strip() and not line.startswith("#"):
             key, unit, example, sentence = re.split(r" ?\| ?", line)
-            table[section][key] = KeyWords(sentence, unit, example)
+            table[section][key] = _KeyWords(sentence, unit, example)
     return table
 
 
-def words_of(table: str, key: str) -> KeyWords:
+def words_of(table: str, key: str) -> _KeyWords:
     """The words of a key of a table, by the name of its class; empty if it has none."""
     known = key_table()
     own = known.get(table, {})
@@ -85,17 +85,17 @@ def words_of(table: str, key: str) -> KeyWords:
         own = known["ScenarioTable"]
     if table == "SpecimenTable" and key not in own:
         own = known.get("InstrumentTable", {})
-    return own.get(key) or known["*"].get(key) or KeyWords("", "", "")
+    return own.get(key) or known["*"].get(key) or _KeyWords("", "", "")
 
 
 @cache
 def places_of(file: str) -> tuple[KeyPlace, ...]:
     """All keys of a kind of file, in order."""
     _, module, name = FILES[file]
-    return tuple(places_in(file, getattr(import_module(module), name)))
+    return tuple(_places_in(file, getattr(import_module(module), name)))
 
 
-def places_in(file: str, struct: Any) -> list[KeyPlace]:
+def _places_in(file: str, struct: Any) -> list[KeyPlace]:
     """All keys of a kind of file, in order.
 
     Parameters
@@ -116,8 +116,8 @@ def _below(file: str, struct: Any, path: str, depth: int) -> list[KeyPlace]:
         inner = structs_in(entry.type)
         words = words_of(struct.__name__, entry.encode_name)
         where = f"{path}{entry.encode_name}"
-        result.append(KeyPlace(file, where, struct.__name__, type_words(entry.type), _default(entry), words))
-        if depth < MOST_PARTS:
+        result.append(KeyPlace(file, where, struct.__name__, _type_words(entry.type), _default(entry), words))
+        if depth < _MOST_PARTS:
             for part in inner:
                 result += _below(file, part, f"{where}.", depth + 1)
     return result
@@ -169,22 +169,22 @@ def _plural(words: str) -> str:
     return " or ".join(_PLURALS.get(word, word) for word in words.split(" or "))
 
 
-def type_words(annotation: Any) -> str:
+def _type_words(annotation: Any) -> str:
     """A type in words."""
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return "quantity" if si_unit(annotation) else type_words(parts[0])
+        return "quantity" if si_unit(annotation) else _type_words(parts[0])
     if origin is Literal:
         return " | ".join(f'"{part}"' for part in parts)
     if origin in (Union, UnionType):
         real = [part for part in parts if part is not type(None)]
         words = ["quantity"] if {str, float} <= set(real) else []
-        words += [type_words(part) for part in real if not words or part not in (str, float, int)]
+        words += [_type_words(part) for part in real if not words or part not in (str, float, int)]
         return " or ".join(dict.fromkeys(words))
     if origin in (tuple, list):
-        return f"list of {_plural(type_words(next(part for part in parts if part is not Ellipsis)))}"
+        return f"list of {_plural(_type_words(next(part for part in parts if part is not Ellipsis)))}"
     if origin is dict:
-        return f"table of {_plural(type_words(parts[-1]))}"
+        return f"table of {_plural(_type_words(parts[-1]))}"
     if structs_in(annotation):
         return "table"
     if isinstance(annotation, type) and issubclass(annotation, tuple):

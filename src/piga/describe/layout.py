@@ -26,7 +26,7 @@ from piga.formats.text.faults import split_cells
 from piga.formats.text.source import GUESSED, TextSource
 from piga.formats.text.time_stamp import forms_of
 
-MOST_HEAD_LINES = 400
+_MOST_HEAD_LINES = 400
 """Lines of the head that are examined."""
 SEPARATORS = ("\t", ";", "|", ",", " ")
 """Separators that are tried, the likelier ones first. A blank stands for any number of blanks and tabs."""
@@ -110,7 +110,7 @@ class _TextTable:
 
 
 def _layout(head: str, path: Path, encoding: str) -> TextLayout:
-    lines = lines_of(head)[:MOST_HEAD_LINES]
+    lines = lines_of(head)[:_MOST_HEAD_LINES]
     tables = [table for separator in SEPARATORS if (table := _table(lines, separator)) is not None]
     if not tables:
         raise DataError(
@@ -172,7 +172,7 @@ def _is_value(cell: str) -> bool:
     return bool(cell in _EMPTY or _NUMBER.fullmatch(cell) or _COMMA.fullmatch(cell) or forms_of([cell]))
 
 
-LEAST_ABOVE = 3
+_LEAST_ABOVE = 3
 """Rows of numbers above a damaged row that show that the table goes on there."""
 
 
@@ -193,8 +193,8 @@ def _table(lines: list[str], separator: str) -> _TextTable | None:
             if rows < 2 and index > len(lines) - 4:  # a cut or damaged last row
                 rows, width, values = 0, 0, 0
                 continue
-            above = [_cells(lines[k], separator) for k in filled[max(place - LEAST_ABOVE, 0) : place]]
-            if len(above) == LEAST_ABOVE and all(_is_row(row, width, empty=False) for row in above):
+            above = [_cells(lines[k], separator) for k in filled[max(place - _LEAST_ABOVE, 0) : place]]
+            if len(above) == _LEAST_ABOVE and all(_is_row(row, width, empty=False) for row in above):
                 continue
             break
         width, start, rows = (len(cells) if rows == 1 else width), index, rows + 1

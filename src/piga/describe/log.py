@@ -32,11 +32,11 @@ from piga.reading.columns import TEXT_SUFFIXES, columns_stream, file_kind, open_
 from piga.records.run_file import DataTable, OutputColumn
 from piga.results import Array
 
-MOST_LOG_ROWS = 2_000_000
+_MOST_LOG_ROWS = 2_000_000
 """Rows of a log whose values are examined."""
 
 
-NO_COLUMN = "\N{REPLACEMENT CHARACTER}"
+_NO_COLUMN = "\N{REPLACEMENT CHARACTER}"
 """A column that no file has: the refusal lists the columns that there are."""
 
 
@@ -55,7 +55,7 @@ class LogDescription:
     facts:
         Keys of the run file that the preamble gives, such as ``instrument.serial``.
     numbers:
-        Values of the number columns, at most :data:`MOST_LOG_ROWS` of each.
+        Values of the number columns, at most :data:`_MOST_LOG_ROWS` of each.
     labels:
         Segment label of each of these rows, as an index into ``label_names``; None without a segment column.
     fills:
@@ -159,14 +159,14 @@ def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
     )
 
 
-MOST_WORDS = 0.2
+_MOST_WORDS = 0.2
 """Largest share of cells with words in a column of numbers."""
 
 
 def _mostly_numbers(cells: list[str], decimal: str) -> bool:
     """True for a column of numbers, in which some cells may hold a word for a missing value."""
     words = sum(not is_number(cell, decimal) for cell in cells[:-1] or cells)
-    return bool(cells) and words <= MOST_WORDS * len(cells) and len(cells) > words
+    return bool(cells) and words <= _MOST_WORDS * len(cells) and len(cells) > words
 
 
 def _label_numbers(names: list[str], decimal: str) -> Array:
@@ -197,7 +197,7 @@ def _collected(stream: RecordStream, names: tuple[str, ...]) -> tuple[dict[str, 
         if chunk.codes is not None:
             codes.append(chunk.codes)
         rows += chunk.rows.size
-        if rows >= MOST_LOG_ROWS:
+        if rows >= _MOST_LOG_ROWS:
             break
     joined = {name: np.concatenate(part) if part else np.empty(0) for name, part in parts.items()}
     file_rows = np.concatenate(places) if places else np.empty(0, np.int64)
@@ -303,7 +303,7 @@ def _names_in(path: Path, sheet: str | None) -> tuple[str, ...]:
 def _refusal(path: Path, sheet: str | None) -> DataError | None:
     """The answer to a request for no column: it lists the columns, or the sheets, of the file."""
     try:
-        open_stream(path.parent, DataTable(path.name, OutputColumn(NO_COLUMN, "counts"), sheet=sheet))
+        open_stream(path.parent, DataTable(path.name, OutputColumn(_NO_COLUMN, "counts"), sheet=sheet))
     except DataError as error:
         return error
     return None

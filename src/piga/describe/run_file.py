@@ -22,7 +22,7 @@ from piga.results import Array
 from piga.stand.run_reference import read_run
 from piga.units import parse_unit
 
-MOST_DAMAGED = 0.01
+_MOST_DAMAGED = 0.01
 """Largest share of damaged rows that a draft leaves out by itself."""
 
 
@@ -107,7 +107,7 @@ def _without_damage(draft: RunFileDraft, path: Path, error: DataError) -> Run:
             run = read_run(path, content=draft.text().encode())
         except DataError:
             run = None
-        if run is not None and run.quality.rows - run.size <= max(MOST_DAMAGED * run.quality.rows, 2):
+        if run is not None and run.quality.rows - run.size <= max(_MOST_DAMAGED * run.quality.rows, 2):
             return run
         draft.comments.pop(f"data.{fix.key}")
         draft.document["data"] = before

@@ -23,11 +23,11 @@ from piga.results import Array
 from piga.stand.scenario import head_positions
 from piga.units import G0, parse_unit, to_si
 
-WIDTHS = (8, 12, 16, 20, 24, 32)
+_WIDTHS = (8, 12, 16, 20, 24, 32)
 """Usual widths of counters [bits]."""
-ROUND_COUNTS = 0.02
+_ROUND_COUNTS = 0.02
 """Counts per revolution are rounded to a usual number within this relative distance."""
-USUAL_COUNTS = tuple(
+_USUAL_COUNTS = tuple(
     sorted(
         {m * 10**k for m in (1, 1.44, 1.8, 2, 2.5, 3.6, 4, 5, 7.2, 8) for k in range(2, 7)}
         | {2**k for k in range(8, 25)}
@@ -37,9 +37,9 @@ COUNTED = ("counts", "pulses")
 """Kinds of an output that needs the counts per revolution."""
 MOVING = 0.02
 """Largest share of the rows in which a stand moves while a column numbers a position."""
-SAME_PLACE = 0.003
+_SAME_PLACE = 0.003
 """Largest distance from the middle of a position, relative to the largest value of the stand."""
-LEAST_RELATED = 0.9
+_LEAST_RELATED = 0.9
 """Least correlation of the output rate with the specific force along an axis that is taken for the input axis."""
 
 
@@ -108,7 +108,7 @@ def _counter_bits(x: Array) -> tuple[int, str] | None:
         return None
     d = np.diff(x)
     size, low, high = float(np.abs(d).max()), float(x.min()), float(x.max())
-    for bits in WIDTHS:
+    for bits in _WIDTHS:
         span = 2.0**bits
         usual = float(np.quantile(np.abs(np.remainder(d + 0.5 * span, span) - 0.5 * span), 0.9))
         signed = low < 0.0
@@ -133,24 +133,24 @@ def _fold(x: Array, unit: str) -> tuple[str, str] | None:
     return None
 
 
-def from_input_axis(
+def _from_input_axis(
     draft: RunFileDraft, log: LogDescription, output: ColumnGuess, names: list[str]
 ) -> tuple[list[str], list[str]]:
     """The columns of the specific force from the input axis on, and why. The output turns with the force along X0."""
     related = [_related(draft, log, output, name) for name in names]
     first = int(np.argmax(np.abs(related)))
-    if abs(related[first]) < LEAST_RELATED:
+    if abs(related[first]) < _LEAST_RELATED:
         if all(np.isfinite(related)) and max(map(abs, related)) > 0.0:
             size = abs(related[0])
             return names, [f"CHECK: the output does not follow {names[0]} (correlation {size:.2f})"]
         return names, []
     words = []
-    if first and abs(related[0]) < LEAST_RELATED:
+    if first and abs(related[0]) < _LEAST_RELATED:
         words.append(
             f"CHECK: the output turns with {names[first]}, so this is X0; Y0 and Z0 follow in the sense of rotation"
         )
         names = [*names[first:], *names[:first]]
-    if related[first] < 0.0 and abs(related[first]) >= LEAST_RELATED:
+    if related[first] < 0.0 and abs(related[first]) >= _LEAST_RELATED:
         _falls(draft, f"the output falls where {names[0]} is positive")
     return names, words
 
@@ -220,7 +220,7 @@ def put_instrument(draft: RunFileDraft, log: LogDescription, output: ColumnGuess
     speed = log.of("stand-speed")[:1]
     if draft.document.get("stand", {}).get("kind") == "centrifuge" and speed:
         read = _rate_and_level(draft, log, output, log.numbers[speed[0].name] ** 2)
-        if read is not None and _correlation(*read) < -LEAST_RELATED:
+        if read is not None and _correlation(*read) < -_LEAST_RELATED:
             _falls(draft, "the output falls where the arm is fast")
     slope = _slope(draft, log, output)
     if slope is None:
@@ -256,8 +256,8 @@ def _counts_of(draft: RunFileDraft, slope: float) -> None:
             remedy="use a positive value; where the output falls with the force, change its sign in the log",
         )
     value = 2.0 * math.pi * slope / scale
-    near = min(USUAL_COUNTS, key=lambda usual: abs(math.log(usual / value)))
-    if abs(near / value - 1.0) <= ROUND_COUNTS:
+    near = min(_USUAL_COUNTS, key=lambda usual: abs(math.log(usual / value)))
+    if abs(near / value - 1.0) <= _ROUND_COUNTS:
         draft.put(
             "instrument.counts_per_revolution",
             int(near),
@@ -300,7 +300,7 @@ EARTH = (
     "CHECK: no rate of the base is logged. The rotation of the Earth stays in the coefficients (up to 82 ppm of the "
     "scale factor, 82 ug of k0): give [data] base_rate, or a [stand] table with the latitude in place of the reference"
 )
-LEAST_SWING = 0.01
+_LEAST_SWING = 0.01
 """Transverse specific force [g] from which on ``tan_beta`` is asked for."""
 
 
@@ -313,7 +313,7 @@ def put_reference(
         names = [column.name for column in group]
         others = [f"  or: {other}" for other in group[0].alternatives]
         if output is not None and output.name in log.numbers:
-            names, why = from_input_axis(draft, log, output, names)
+            names, why = _from_input_axis(draft, log, output, names)
             others = [*why, *others]
         more = [one.name for one in log.of("force") if one not in group]
         others += [f"  or: column {name}" for name in more]
@@ -373,7 +373,7 @@ def _holds(draft: RunFileDraft, log: LogDescription, column: ColumnGuess) -> lis
 def _moves_within(x: Array, change: NDArray[np.int64]) -> bool:
     """True if the stand moves in more than a few rows of the parts of a column that begin at ``change``."""
     parts = [part for part in np.split(x, change) if np.isfinite(part).any()]
-    limit = SAME_PLACE * max((float(np.nanmax(np.abs(part))) for part in parts), default=0.0)
+    limit = _SAME_PLACE * max((float(np.nanmax(np.abs(part))) for part in parts), default=0.0)
     return (
         sum(int(np.count_nonzero(np.abs(part - np.nanmedian(part)) > limit)) for part in parts)
         > MOVING * x.size
@@ -437,15 +437,15 @@ def put_terms(draft: RunFileDraft, log: LogDescription) -> None:
         return
     a_x, a_y, a_z = force.T
     terms = ["scale_factor"]
-    if np.hypot(a_y, a_z).max() > LEAST_SWING:
+    if np.hypot(a_y, a_z).max() > _LEAST_SWING:
         terms.append("tan_beta")
     columns = [a_x]
     for name, column in (("k0", np.ones_like(a_x)), ("m_Y", a_y), ("m_Z", a_z)):
         trial = np.column_stack([*columns, column])
         size = np.linalg.norm(trial, axis=0)
-        if (size > LEAST_SWING * math.sqrt(a_x.size)).all() and np.linalg.svd(trial / size, compute_uv=False)[
+        if (size > _LEAST_SWING * math.sqrt(a_x.size)).all() and np.linalg.svd(trial / size, compute_uv=False)[
             -1
-        ] > LEAST_SWING:
+        ] > _LEAST_SWING:
             terms.append(name)
             columns.append(column)
     draft.put("model.terms", terms, f"terms that the {a_x.size} levels of this log can tell; more: piga terms")

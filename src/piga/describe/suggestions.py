@@ -22,7 +22,7 @@ _STUCK = re.compile(r"column '([^']*)' stays at its (largest|smallest) value (\S
 
 
 @dataclass(frozen=True)
-class SuggestionSettings:
+class _SuggestionSettings:
     """Settings of the suggested lines (own choices)."""
 
     problems: int = 8
@@ -33,12 +33,12 @@ class SuggestionSettings:
     """Largest ratio of the output to that of the nominal scale factor."""
 
 
-SUGGESTION = SuggestionSettings()
+_SUGGESTION = _SuggestionSettings()
 
 FORCE_UNITS = ("g", "m/s^2", "mg", "ug")
-ANGLE_UNITS = ("deg", "rad", "arcmin", "arcsec", "rev", "mrad")
-RATE_UNITS = ("deg/s", "rad/s", "deg/h", "rpm", "rev/s")
-TRIED: dict[str, tuple[Any, ...]] = {
+_ANGLE_UNITS = ("deg", "rad", "arcmin", "arcsec", "rev", "mrad")
+_RATE_UNITS = ("deg/s", "rad/s", "deg/h", "rpm", "rev/s")
+_TRIED: dict[str, tuple[Any, ...]] = {
     "encoding": ("cp1252", "gb18030", "big5", "shift_jis", "utf-16-le", "utf-16-be"),
     "counter_bits": (16, 24, 32),
 }
@@ -71,7 +71,7 @@ def suggestions(path: Path) -> list[Suggestion]:
     except PigaError:
         return []
     kept: list[Change] = []
-    for _ in range(SUGGESTION.problems):
+    for _ in range(_SUGGESTION.problems):
         outcome = _read(path, document)
         working = _working(path, document, outcome)
         new = [change for change in working if change[:3] not in [known[:3] for known in kept]]
@@ -146,7 +146,7 @@ def _settles(change: Change, before: Run, after: Run) -> bool:
 
 def _plausible(run: Run) -> bool:
     """True if the output turns about as fast as the nominal scale factor says, or the reference is of the size of g."""
-    some = slice(0, min(run.size, SUGGESTION.rows))
+    some = slice(0, min(run.size, _SUGGESTION.rows))
     a_x, t = run.f[some, 0], run.t[some]
     if run.kind == "rate":
         turned, force = run.output[some], a_x
@@ -157,7 +157,7 @@ def _plausible(run: Run) -> bool:
     if not strong.any():
         return False
     ratio = float(np.median(np.abs(turned[strong] / (run.scale_factor * force[strong]))))
-    return 1.0 / SUGGESTION.ratio < ratio < SUGGESTION.ratio
+    return 1.0 / _SUGGESTION.ratio < ratio < _SUGGESTION.ratio
 
 
 def _changed(document: Document, change: Change) -> dict[str, Any]:
@@ -172,7 +172,7 @@ def _of_error(error: PigaError, document: Document) -> list[Change]:
     changes = [
         (fix.table, fix.key, value, reasons.get(fix.key, first))
         for fix in error.fixes
-        for value in (TRIED.get(fix.key, ()) if fix.value is None else (fix.value,))
+        for value in (_TRIED.get(fix.key, ()) if fix.value is None else (fix.value,))
     ]
     if error.columns and error.where is not None:
         changes += _of_names(error.where.columns, error.columns, document)
@@ -181,7 +181,7 @@ def _of_error(error: PigaError, document: Document) -> list[Change]:
 
 def _of_names(missing: Sequence[str], columns: Sequence[str], document: Document) -> list[Change]:
     """Keys of ``[data]`` with a similar name in place of each that is not there, all at once."""
-    near = {name: similar for name in missing if (similar := similar_name(name, columns)) is not None}
+    near = {name: similar for name in missing if (similar := _similar_name(name, columns)) is not None}
     data = document.get("data", {})
     changes: list[Change] = []
     for key, value in data.items():
@@ -225,9 +225,9 @@ def _of_run(run: Run, document: Document) -> list[Change]:
                 units = (
                     FORCE_UNITS
                     if key == "reference"
-                    else RATE_UNITS
+                    else _RATE_UNITS
                     if table.get("kind") == "rate"
-                    else ANGLE_UNITS
+                    else _ANGLE_UNITS
                 )
                 changes += [
                     ("data", key, {**table, "unit": unit}, event.detail)
@@ -237,7 +237,7 @@ def _of_run(run: Run, document: Document) -> list[Change]:
     return changes
 
 
-def similar_name(name: str, columns: Sequence[str]) -> str | None:
+def _similar_name(name: str, columns: Sequence[str]) -> str | None:
     """The most probable column: equal apart from character width and case, of the same kind, or nearly equal."""
     plain = {_plain(column): column for column in columns}
     if _plain(name) in plain:

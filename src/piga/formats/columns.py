@@ -16,7 +16,7 @@ from piga.records.calibration import Event
 
 CHUNK_ROWS = 1 << 16
 """Rows per chunk of a Parquet file or a container."""
-MOST_LISTED = 60
+_MOST_LISTED = 60
 """Most columns that a message lists."""
 REMEDIES = ("correct the column name in [data]", "store it as double or integer")
 """Remedies for a column that is not there, and for one that holds no numbers."""
@@ -127,7 +127,7 @@ class RecordStream:
         coded = pa.types.is_dictionary(column.type)
         encoded = column if coded else column.cast(pa.string()).dictionary_encode()
         indices = encoded.indices.cast(pa.int32())
-        index, words = plain_values(indices, np.int32), encoded.dictionary.cast(pa.string())
+        index, words = _plain_values(indices, np.int32), encoded.dictionary.cast(pa.string())
         index[nulls_of(indices)] = len(words)
         table = np.full(len(words) + 1, -1, dtype=np.int32)
         first = np.sort(np.unique(index, return_index=True)[1])
@@ -142,7 +142,7 @@ class RecordStream:
         import pyarrow as pa
 
         per_second = _PER_SECOND[column.type.unit]
-        ticks = plain_values(column, np.int32 if column.type.bit_width == 32 else np.int64).astype(np.int64)
+        ticks = _plain_values(column, np.int32 if column.type.bit_width == 32 else np.int64).astype(np.int64)
         empty = nulls_of(column)
         if pa.types.is_timestamp(column.type) and not empty.all():
             day = 86400 * per_second
@@ -205,7 +205,7 @@ def column_letter(index: int) -> str:
     return letters
 
 
-def plain_values(column: Any, kind: type[np.generic]) -> NDArray[Any]:
+def _plain_values(column: Any, kind: type[np.generic]) -> NDArray[Any]:
     """Copy of the memory of an Arrow array. Null entries have arbitrary values.
 
     Arrow's ``to_numpy`` and ``fill_null`` would load pandas, if it is installed, and take 40 MB.
@@ -222,7 +222,7 @@ def numbers_of(column: Any) -> NDArray[np.float64]:
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
         column = column.cast(pa.float64(), safe=False)
     # NumPy converts plain numbers: Arrow's cast loads its compute functions, which takes a tenth of a second.
-    values = plain_values(column, column.type.to_pandas_dtype()).astype(np.float64, copy=False)
+    values = _plain_values(column, column.type.to_pandas_dtype()).astype(np.float64, copy=False)
     if column.null_count:
         values[nulls_of(column)] = np.nan
     return values
@@ -273,8 +273,8 @@ def no_column(
 ) -> DataError:
     """The error for columns that are not in the file. It lists the columns of the file, whose names stand in ``row``."""
     names, missing = tuple(present), (name,) if isinstance(name, str) else tuple(name)
-    more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
-    shown = ", ".join(names[:MOST_LISTED]) + more
+    more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
+    shown = ", ".join(names[:_MOST_LISTED]) + more
     listed = ", ".join(f"'{one}'" for one in missing)
     place = "" if row is None else f"row {row}: "
     return DataError(
@@ -298,7 +298,7 @@ def split_name(name: str) -> tuple[str, int | None]:
 
 def matrix_columns(name: str, shape: tuple[int, ...]) -> list[str]:
     """Names of the columns of an array: its own, or ``f(:,1)`` and so on for a matrix with few columns."""
-    if len(shape) == 2 and 1 < shape[1] <= MOST_LISTED and shape[0] > 1:
+    if len(shape) == 2 and 1 < shape[1] <= _MOST_LISTED and shape[0] > 1:
         return [f"{name}(:,{k + 1})" for k in range(shape[1])]
     return [name]
 

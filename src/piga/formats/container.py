@@ -29,18 +29,18 @@ from piga.records.limits import check_regular, check_unpacked, first_line, open_
 
 # -- HDF5 ----------------------------------------------------------------------------------------------
 
-HDF5_MARK = b"\x89HDF\r\n\x1a\n"
-PLAIN_FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}
+_HDF5_MARK = b"\x89HDF\r\n\x1a\n"
+_PLAIN_FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}
 """Filters built into the HDF5 library."""
-MAX_NAMES, MAX_LEVELS = 200, 8
+_MAX_NAMES, _MAX_LEVELS = 200, 8
 """Most names that are listed, and most groups inside each other of which they are listed."""
-MAX_CELL = 4096
+_MAX_CELL = 4096
 """Most characters of one text cell."""
-UNIT_KEYS = ("unit", "units", "Unit", "Units", "unit_string", "NI_UnitDescription")
+_UNIT_KEYS = ("unit", "units", "Unit", "Units", "unit_string", "NI_UnitDescription")
 """Attributes of an HDF5 dataset or a TDMS channel that state its unit."""
 
 
-def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
+def _read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
     """Read the named datasets.
 
     Parameters
@@ -64,7 +64,7 @@ def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> TableS
 
 
 def _unit(attributes: Any) -> str:
-    return next((_text(attributes[key]) for key in UNIT_KEYS if key in attributes), "")
+    return next((_text(attributes[key]) for key in _UNIT_KEYS if key in attributes), "")
 
 
 def _dataset(source: Any, path: Path, name: str) -> NDArray:
@@ -106,7 +106,7 @@ def _cell_array(source: Any, path: Path, name: str, item: Any) -> NDArray:
     cells: list[str] = []
     for reference in item[...].T.reshape(-1):
         cell = source[reference] if reference else None
-        if not isinstance(cell, h5py.Dataset) or cell.dtype.kind not in "uif" or cell.size > MAX_CELL:
+        if not isinstance(cell, h5py.Dataset) or cell.dtype.kind not in "uif" or cell.size > _MAX_CELL:
             raise DataError(
                 f"{path}: '{name}', cell {len(cells) + 1} holds no text and no number",
                 remedy="store one label for each sample",
@@ -152,11 +152,11 @@ def _dataset_names(source: Any) -> list[str]:
     names: list[str] = []
 
     def visit(name: str, item: Any) -> bool | None:
-        if isinstance(item, h5py.Dataset) and not name.startswith("#") and name.count("/") <= MAX_LEVELS:
+        if isinstance(item, h5py.Dataset) and not name.startswith("#") and name.count("/") <= _MAX_LEVELS:
             shape = item.shape[::-1] if _text(item.attrs.get("MATLAB_class")) else item.shape
             fields = [f"{name}/{part}" for part in item.dtype.names or ()]
             names.extend(fields or matrix_columns(name, shape or ()))
-        return len(names) >= MAX_NAMES or None
+        return len(names) >= _MAX_NAMES or None
 
     source.visititems(visit)
     return names
@@ -171,9 +171,9 @@ def _check_storage(item: Any, path: Path, name: str) -> None:
     plan = item.id.get_create_plist()
     for index in range(plan.get_nfilters()):
         code = plan.get_filter(index)[0]
-        if code not in PLAIN_FILTERS:
+        if code not in _PLAIN_FILTERS:
             raise DataError(
-                f"{path}: '{name}' is packed with filter {code}; only {', '.join(PLAIN_FILTERS.values())} are read",
+                f"{path}: '{name}' is packed with filter {code}; only {', '.join(_PLAIN_FILTERS.values())} are read",
                 remedy="repack it: h5repack -f GZIP=4",
             )
 
@@ -186,7 +186,7 @@ def _text(value: object) -> str:
 
 # -- MATLAB --------------------------------------------------------------------------------------------
 
-MAX_STRUCTS = 4
+_MAX_STRUCTS = 4
 """Most structs inside each other."""
 
 
@@ -207,8 +207,8 @@ def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> TableSt
     """
     with open_regular(path) as stream:
         head = stream.read(520)
-    if HDF5_MARK in (head[:8], head[512:520]):
-        return read_hdf5(path, numeric, label)
+    if _HDF5_MARK in (head[:8], head[512:520]):
+        return _read_hdf5(path, numeric, label)
     wanted = [*numeric, *([label] if label else [])]
     variables = _variables(path, [split_name(name)[0].split(".")[0] for name in wanted])
     return make_table(path, numeric, label, partial(_variable, path, variables), {})
@@ -229,7 +229,7 @@ def _variable(path: Path, variables: dict[str, Any], name: str) -> NDArray:
     plain, column = split_name(name)
     first, *fields = plain.split(".")
     item = variables.get(first)
-    for field in fields[:MAX_STRUCTS]:
+    for field in fields[:_MAX_STRUCTS]:
         names = getattr(getattr(item, "dtype", None), "names", None)
         if not names or field not in names or item is None or item.size != 1:
             raise no_column(path, name, _variable_names(path))
@@ -248,7 +248,7 @@ def _variable_names(path: Path) -> list[str]:
 
 def _variable_names_below(name: str, item: object, depth: int) -> list[str]:
     fields = getattr(getattr(item, "dtype", None), "names", None)
-    if fields and isinstance(item, np.ndarray) and item.size == 1 and depth < MAX_STRUCTS:
+    if fields and isinstance(item, np.ndarray) and item.size == 1 and depth < _MAX_STRUCTS:
         inside = ((f"{name}.{field}", item[field].reshape(-1)[0]) for field in fields)
         return [one for path, part in inside for one in _variable_names_below(path, part, depth + 1)]
     return matrix_columns(name, item.shape) if isinstance(item, np.ndarray) else [name]
@@ -256,11 +256,11 @@ def _variable_names_below(name: str, item: object, depth: int) -> list[str]:
 
 # -- TDMS ----------------------------------------------------------------------------------------------
 
-WAVEFORM_TIME = "waveform time"
+_WAVEFORM_TIME = "waveform time"
 """Name of the time of a waveform: its channels state the interval between samples, and no channel holds the time."""
 
 
-def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
+def _read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
     """Read the named channels: ``channel`` if only one group has it, else ``group/channel``.
 
     Raises
@@ -280,7 +280,7 @@ def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> TableS
 
 
 def _is_time(name: str) -> bool:
-    return name.rpartition("/")[2] == WAVEFORM_TIME
+    return name.rpartition("/")[2] == _WAVEFORM_TIME
 
 
 def _samples(path: Path, channels: list[Any], name: str) -> NDArray:
@@ -312,7 +312,7 @@ def _waveform_time(path: Path, channels: list[Any], name: str) -> NDArray:
 
 
 def _channel_names(channels: list[Any]) -> list[str]:
-    times = [f"{group}/{WAVEFORM_TIME}" for group in _waveforms(channels)]
+    times = [f"{group}/{_WAVEFORM_TIME}" for group in _waveforms(channels)]
     return [*(f"{channel.group_name}/{channel.name}" for channel in channels), *times]
 
 
@@ -345,13 +345,13 @@ class Container(NamedTuple):
     remedy: str
 
 
-_HDF5 = Container("HDF5", read_hdf5, "was it closed by the logger? copy or export it again")
+_HDF5 = Container("HDF5", _read_hdf5, "was it closed by the logger? copy or export it again")
 CONTAINERS = {
     ".h5": _HDF5,
     ".hdf5": _HDF5,
     ".hdf": _HDF5,
     ".mat": Container("MATLAB", read_mat, "save it again with -v7 or -v7.3"),
-    ".tdms": Container("TDMS", read_tdms, "was the logger stopped? copy it again"),
+    ".tdms": Container("TDMS", _read_tdms, "was the logger stopped? copy it again"),
     ".xlsx": Container("XLSX", read_xlsx, "save it again as .xlsx, without a password"),
 }
 """Kinds of containers by the ending of the file name."""

@@ -105,7 +105,7 @@ def write_run_parquet(run: Run, path: Path) -> None:
         "quality": json.dumps(msgspec.to_builtins(run.quality)),
     }
     schema = arrow_table(run.table_columns(slice(0, 0)), metadata).schema
-    with parquet_writer(path, schema) as out:
+    with _parquet_writer(path, schema) as out:
         for start in range(0, run.size, GROUP_ROWS):
             out.write_table(arrow_table(run.table_columns(slice(start, start + GROUP_ROWS)), metadata))
 
@@ -127,7 +127,7 @@ def _array(column: Column) -> pa.Array:
     return number_column(column.values)
 
 
-def parquet_writer(path: Any, schema: pa.Schema, **options: Any) -> Any:
+def _parquet_writer(path: Any, schema: pa.Schema, **options: Any) -> Any:
     """The ``pyarrow.parquet.ParquetWriter`` of every Parquet file of piga: packed, with a checksum for each page.
 
     Only texts repeat few values: a dictionary of measured numbers would take time and space.
@@ -175,5 +175,5 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
         columns["run"] = columns["run"]._replace(labels=[run.name for run in calibration.runs])
     metadata = {"serial": calibration.serial, "software": calibration.provenance.software}
     table = arrow_table(columns, metadata)
-    with parquet_writer(path, table.schema) as out:
+    with _parquet_writer(path, table.schema) as out:
         out.write_table(table)

@@ -20,7 +20,7 @@ from piga.results import Column, Tabular
 
 WHERE = Path("table")
 """Name of a table in memory, in messages."""
-LIBRARIES = ("uncertainties", "GTC")
+_LIBRARIES = ("uncertainties", "GTC")
 """Packages whose numbers know what they are correlated with."""
 REMEDIES = ("name a column of the table", "turn it into numbers first, e.g. with astype(float)")
 """Remedies for a column that is not there, and for one that holds no numbers."""
@@ -83,9 +83,9 @@ def _plain(column: Column) -> NDArray[Any]:
 
 def correlated(calibration: Calibration, library: str | None, *, si: bool) -> dict[str, Any]:
     """The coefficients by key: :meth:`piga.Calibration.correlated`."""
-    if library is not None and library not in LIBRARIES:
-        raise ArgumentError(f"correlated: library '{library}'", remedy=f"one of {', '.join(LIBRARIES)}")
-    chosen = library or next((name for name in LIBRARIES if find_spec(name) is not None), LIBRARIES[0])
+    if library is not None and library not in _LIBRARIES:
+        raise ArgumentError(f"correlated: library '{library}'", remedy=f"one of {', '.join(_LIBRARIES)}")
+    chosen = library or next((name for name in _LIBRARIES if find_spec(name) is not None), _LIBRARIES[0])
     needed(chosen)
     scale = np.array([si_factor(c.name) if si else 1.0 for c in calibration.coefficients])
     values = scale * np.array([c.value for c in calibration.coefficients])

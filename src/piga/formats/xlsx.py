@@ -37,7 +37,7 @@ from piga.formats.text.faults import Fault, Faults
 from piga.records.calibration import Event
 from piga.records.limits import check_unpacked, open_regular
 
-MOST_HEAD = 100
+_MOST_HEAD = 100
 """Rows of a sheet within which the column names must stand."""
 _FORMULA = re.compile(rb"<f[ />]")
 _HIDDEN = re.compile(rb"<row\b[^>]*\bhidden=\"(?:1|true)\"")
@@ -127,7 +127,7 @@ class _Sheet:
 
     def read(self, rows: Iterator[tuple[Any, ...]]) -> TableStream:
         filled = ((at, row) for at, row in enumerate(rows, 1) if any(cell is not None for cell in row))
-        head = list(islice(filled, MOST_HEAD))
+        head = list(islice(filled, _MOST_HEAD))
         if not head:
             raise DataError(f"{self.path}: the sheet is empty", remedy="check [data] sheet")
         at, header = self._header(head)

@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
 Convention = Literal["upper", "lower"]
-MULTIPLES = tuple(float(k) for k in range(2, 11))
+_MULTIPLES = tuple(float(k) for k in range(2, 11))
 """Thresholds of the scan, as multiples of the variance of the quietest windows ([Tedaldi2014])."""
 QUIET = 0.1
 """Share of the windows that is quiet: its largest variance is that of the instrument at rest (own choice)."""
-ALIKE = 0.9
+_ALIKE = 0.9
 """Correlation above which a remark says that the attitudes hardly tell two terms apart (own choice)."""
-FLAT = 0.02
+_FLAT = 0.02
 """Distance of the attitudes from one plane [g, root mean square] below which they are refused (own choice)."""
-SINGULAR = 1e-3
+_SINGULAR = 1e-3
 """Share of the largest singular value below which the attitudes do not tell a combination of terms (own choice)."""
 
 
@@ -219,7 +219,7 @@ def calibrate_set(
     model, y = _Model(y.shape[1], convention, gravity), y / size
     best: tuple[float, float, tuple[Spell, ...], Array, OptimizeResult] | None = None
     most = 0
-    for multiple in MULTIPLES:
+    for multiple in _MULTIPLES:
         spells = _spells(t, activity, half, multiple)
         most = max(most, len(spells))
         freedom = len(spells) * (y.shape[1] - 2) - model.size
@@ -350,7 +350,7 @@ class _Model:
 def _check_spread(directions: Array) -> None:
     """Refuse attitudes in one plane: an ellipse of outputs is a section of many ellipsoids."""
     around = directions - directions.mean(axis=0)
-    if np.linalg.svd(around, compute_uv=False)[-1] < FLAT * math.sqrt(len(around)):
+    if np.linalg.svd(around, compute_uv=False)[-1] < _FLAT * math.sqrt(len(around)):
         raise IdentifiabilityError(
             "these attitudes lie in one plane: they cannot tell the sensitivities across it",
             remedy="turn the set about a second axis, too: each axis up and down, and each pair at 45 degrees",
@@ -367,7 +367,7 @@ def _told(jacobian: Array, keys: tuple[str, ...]) -> tuple[Array, tuple[str, ...
     """
     scaled = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     _, singular, right = np.linalg.svd(scaled, full_matrices=False)
-    if singular[-1] < SINGULAR * singular[0]:
+    if singular[-1] < _SINGULAR * singular[0]:
         mixed = [key for key, share in zip(keys, np.abs(right[-1]), strict=True) if share > 0.1]
         raise IdentifiabilityError(
             f"these attitudes cannot tell {', '.join(mixed)}",
@@ -381,6 +381,6 @@ def _told(jacobian: Array, keys: tuple[str, ...]) -> tuple[Array, tuple[str, ...
         f"these attitudes hardly tell {keys[i]} from {keys[j]}: correlation {correlation[i, j]:.3f}"
         for i in range(len(keys))
         for j in range(i)
-        if abs(correlation[i, j]) > ALIKE
+        if abs(correlation[i, j]) > _ALIKE
     ]
     return correlation, tuple(remarks)

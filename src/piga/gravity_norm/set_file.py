@@ -27,7 +27,7 @@ from piga.records.run_file import (
 )
 from piga.records.text_files import read_toml, toml_bytes, toml_document
 
-MARK = "gravity-norm"
+_MARK = "gravity-norm"
 """Value of ``[data] reference`` that makes a run file one of a set."""
 
 
@@ -88,7 +88,7 @@ def is_set_file(path: Path) -> bool:
     if path.suffix != ".toml":
         return False
     data = toml_document(path).get("data")
-    return isinstance(data, dict) and data.get("reference") == MARK
+    return isinstance(data, dict) and data.get("reference") == _MARK
 
 
 def calibrate_set_file(path: str | Path) -> SetCalibration:

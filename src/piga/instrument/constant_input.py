@@ -27,7 +27,7 @@ from piga.instrument.regimes import effective_rates, require_finite
 from piga.results import Array
 
 
-def exact_rates(
+def _exact_rates(
     inst: Instrument, a_x: float, a_Y: float, a_Z: float, base_rate: ArrayLike | None = None
 ) -> Array:
     """``a``, ``y``, ``z`` [rad/s] as three double-doubles, shape (3, 2), from the float64 inputs."""
@@ -61,7 +61,7 @@ def closed_form_turns(
     require_finite("t", times.ravel())
     result = np.empty((3, times.size))
     turns, rest = split_turns(inst.alpha0)
-    constant_motion_at(exact_rates(inst, a_x, a_Y, a_Z, base_rate), times.ravel(), turns, rest, result)
+    constant_motion_at(_exact_rates(inst, a_x, a_Y, a_Z, base_rate), times.ravel(), turns, rest, result)
     shaped = result.reshape((3, *times.shape))
     return shaped[0], shaped[1], shaped[2]
 

@@ -68,7 +68,7 @@ def _error_rates(
     return at_samples, (2.0 / 3.0) * (middle - 0.5 * (at_samples[1:] + at_samples[:-1]))
 
 
-def sampled_input(
+def _sampled_input(
     inst: Instrument,
     t: ArrayLike,
     f: ArrayLike,
@@ -117,13 +117,13 @@ def sampled_input(
     )
 
 
-def initial_state(alpha0: float) -> Array:
+def _initial_state(alpha0: float) -> Array:
     """Turns and half-angle pair of ``alpha0`` [rad], shape (3,)."""
     turns, rest = split_turns(alpha0)
     return np.array([turns, math.sin(0.5 * rest), math.cos(0.5 * rest)])
 
 
-def run_samples(record: MotionSamples, alpha0: float, alpha: Array, rate: Array) -> None:
+def _run_samples(record: MotionSamples, alpha0: float, alpha: Array, rate: Array) -> None:
     """Fill ``alpha`` and ``rate`` (each (n,) or empty).
 
     Raises
@@ -132,7 +132,7 @@ def run_samples(record: MotionSamples, alpha0: float, alpha: Array, rate: Array)
         If a sample is not finite or a time does not increase.
     """
     with np.errstate(all="ignore"):
-        status = propagate_samples(initial_state(alpha0), alpha, rate, record)
+        status = propagate_samples(_initial_state(alpha0), alpha, rate, record)
     _require(record, status)
 
 
@@ -227,10 +227,10 @@ def propagate(
     >>> round(float(alpha[-1]), 9)
     9.707147027
     """
-    record = sampled_input(inst, t, f, base_rate, error_model, temperature, between)
+    record = _sampled_input(inst, t, f, base_rate, error_model, temperature, between)
     alpha = np.empty(record.t.size)
     rate = np.empty(record.t.size if with_rate else 0)
-    run_samples(record, inst.alpha0, alpha, rate)
+    _run_samples(record, inst.alpha0, alpha, rate)
     alpha[0] = inst.alpha0
     return (alpha, rate) if with_rate else alpha
 
@@ -249,9 +249,9 @@ def propagate_rate(
 
     Arguments and errors as in :func:`propagate`. It is faster, because no angle is computed.
     """
-    record = sampled_input(inst, t, f, base_rate, error_model, temperature, between)
+    record = _sampled_input(inst, t, f, base_rate, error_model, temperature, between)
     rate = np.empty(record.t.size)
-    run_samples(record, inst.alpha0, _NO_OUTPUT, rate)
+    _run_samples(record, inst.alpha0, _NO_OUTPUT, rate)
     return rate
 
 
@@ -293,7 +293,7 @@ def propagate_increments(
     alpha = np.empty(times.size)
     with np.errstate(all="ignore"):
         status = run_increments(
-            times, force, turning, inst.scale_factor, inst.tan_beta, initial_state(inst.alpha0), alpha
+            times, force, turning, inst.scale_factor, inst.tan_beta, _initial_state(inst.alpha0), alpha
         )
     if status != GOOD:
         explain(times, status, dv=force, base_angle=turning)
@@ -398,14 +398,14 @@ def sensitivities(
     ArgumentError
         As in :func:`piga.propagate`; also if a single step turns the gimbal by more than 1e5 rad.
     """
-    record = sampled_input(inst, t, f, base_rate)
+    record = _sampled_input(inst, t, f, base_rate)
     n = record.t.size
     omega = record.base_rate if record.base_rate.size else float_array("base_rate", np.zeros((n, 3)))
     alpha, rate = np.empty(n), np.empty(n)
     d_alpha, d_rate = np.empty((n, PARAMETERS)), np.empty((n, PARAMETERS))
     with np.errstate(all="ignore"):
         status = propagate_sensitivities(
-            record._replace(base_rate=omega), initial_state(inst.alpha0), alpha, rate, d_alpha, d_rate
+            record._replace(base_rate=omega), _initial_state(inst.alpha0), alpha, rate, d_alpha, d_rate
         )
     _require(record, status)
     alpha[0] = inst.alpha0
@@ -477,10 +477,10 @@ def propagate_fleet(
         rates = omega[i] if omega is not None and omega.ndim == 3 else omega
         with _named(i):
             motions.append(
-                sampled_input(inst, times, force[i] if force.ndim == 3 else force, rates, between=between)
+                _sampled_input(inst, times, force[i] if force.ndim == 3 else force, rates, between=between)
             )
     starts = np.array([fleet[i if len(fleet) > 1 else 0].alpha0 for i in range(m)])
-    states = np.array([initial_state(alpha0) for alpha0 in starts])
+    states = np.array([_initial_state(alpha0) for alpha0 in starts])
     result, status = np.empty((m, times.size)), np.empty(m)
     inputs = FleetInput(
         t=times,

@@ -3,7 +3,7 @@
 The same software on the same platform must give the same bits. Another platform, or another version of a library, may round
 otherwise. Then every coefficient, standard uncertainty and covariance has to agree within :data:`ROUNDING` of its standard
 uncertainty.
-A record of piga 0.1 or 0.2 was computed by another estimator. Its values have to agree within :data:`ESTIMATOR` of their standard
+A record of piga 0.1 or 0.2 was computed by another estimator. Its values have to agree within :data:`_ESTIMATOR` of their standard
 uncertainty. The uncertainties are not compared.
 """
 
@@ -34,12 +34,12 @@ from piga.units import numbers_are_si
 
 ROUNDING = 1e-6
 """Difference allowed where the arithmetic differs, as a share of the standard uncertainty (own choice)."""
-ESTIMATOR = 0.3
+_ESTIMATOR = 0.3
 """Difference allowed from the estimator of piga 0.1 and 0.2, as a share of the standard uncertainty (own choice)."""
-OTHER_ESTIMATOR = ("piga 0.1", "piga 0.2")
+_OTHER_ESTIMATOR = ("piga 0.1", "piga 0.2")
 """Beginning of the software of calibrations that another estimator made."""
 
-UNCOMPARED = ("created", "software", "source")
+_UNCOMPARED = ("created", "software", "source")
 """Provenance entries that are not compared: time, software and folder."""
 
 
@@ -99,7 +99,7 @@ def compare_calibrations(stored: Calibration, recomputed: Calibration) -> Compar
 
 
 def _is_other(stored: Calibration) -> bool:
-    return stored.provenance.software.startswith(OTHER_ESTIMATOR)
+    return stored.provenance.software.startswith(_OTHER_ESTIMATOR)
 
 
 def _of_the_same_inputs(stored: Calibration, recomputed: Calibration) -> Calibration:
@@ -110,10 +110,10 @@ def _of_the_same_inputs(stored: Calibration, recomputed: Calibration) -> Calibra
 
 
 def _numbers(calibration: Calibration) -> dict[str, Any]:
-    """The content of ``calibration.json`` without :data:`UNCOMPARED`."""
+    """The content of ``calibration.json`` without :data:`_UNCOMPARED`."""
     document = to_document(calibration)
-    provenance = {key: value for key, value in document["provenance"].items() if key not in UNCOMPARED}
-    options = {key: value for key, value in provenance["options"].items() if key not in UNCOMPARED}
+    provenance = {key: value for key, value in document["provenance"].items() if key not in _UNCOMPARED}
+    options = {key: value for key, value in provenance["options"].items() if key not in _UNCOMPARED}
     numbers: dict[str, Any] = {**document, "provenance": {**provenance, "options": options}}
     return json.loads(json.dumps(numbers))
 
@@ -130,7 +130,7 @@ def _facts(a: Calibration, b: Calibration) -> dict[str, tuple[Any, Any]]:
 
 def _other_estimator(a: Calibration, b: Calibration) -> list[Compared]:
     return [
-        Compared(c.key, c.value, _near(c, d), ESTIMATOR * c.std)
+        Compared(c.key, c.value, _near(c, d), _ESTIMATOR * c.std)
         for c, d in zip(a.coefficients, b.coefficients, strict=True)
     ]
 

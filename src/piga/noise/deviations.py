@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 Kind = Literal["allan", "modified", "hadamard"]
 ORDERS: dict[Kind, int] = {"allan": 2, "modified": 2, "hadamard": 3}
 """Each kind of deviation, and the order of its differences of the angle."""
-PER_DECADE = 8
+_PER_DECADE = 8
 """Averaging times per decade."""
-UNEVEN = 0.01
+_UNEVEN = 0.01
 """Distance of a sample from an even grid [steps] above which a stretch is interpolated to that grid."""
 ONE_SIGMA = 0.682689492137
 """Probability of the bands."""
@@ -115,10 +115,10 @@ def allan_deviation(
     ArgumentError
         If the arrays differ in length.
     """
-    stretches, step = even_stretches(np.asarray(angle, float), np.asarray(t, float), begins)
+    stretches, step = _even_stretches(np.asarray(angle, float), np.asarray(t, float), begins)
     most = (max((x.size for x in stretches), default=0) - 1) // 3
     if factors is None:
-        count = int(PER_DECADE * math.log10(most)) + 1 if most >= 1 else 0
+        count = int(_PER_DECADE * math.log10(most)) + 1 if most >= 1 else 0
         factors = np.unique(np.round(np.geomspace(1, max(most, 1), count)).astype(int)).tolist()
     from scipy.special import chdtri
 
@@ -142,7 +142,7 @@ def allan_deviation(
     )
 
 
-def even_stretches(angle: Array, t: Array, begins: NDArray[np.bool_]) -> tuple[list[Array], float]:
+def _even_stretches(angle: Array, t: Array, begins: NDArray[np.bool_]) -> tuple[list[Array], float]:
     """The stretches of an angle at even steps, each without the line through its ends, and the step [s].
 
     Raises
@@ -236,8 +236,8 @@ def _even(angle: Array, t: Array, step: float) -> Array:
     """Angles of a stretch at even steps, without the line through its ends. An uneven one is interpolated linearly."""
     time = t - t[0]
     even: Array = step * np.arange(time.size, dtype=float)
-    if np.abs(time - even).max() > UNEVEN * step:
-        even = step * np.arange(int(time[-1] / step + UNEVEN) + 1, dtype=float)
+    if np.abs(time - even).max() > _UNEVEN * step:
+        even = step * np.arange(int(time[-1] / step + _UNEVEN) + 1, dtype=float)
         angle = np.interp(even, time, angle)
     return angle - np.linspace(angle[0], angle[-1], angle.size)
 

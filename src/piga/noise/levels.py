@@ -19,7 +19,7 @@ SOURCES = ("quantisation", "random_walk", "bias_instability", "rate_random_walk"
 """Noises with a spectrum, in the order of the columns of the model. The drift is a line."""
 FEWEST = 16
 """Rates of the shortest stretch whose spectrum is taken."""
-FALL = 0.5 * 3.841458820694124
+_FALL = 0.5 * 3.841458820694124
 """Fall of the log-likelihood at the ends of an interval of 95 %: half the quantile of chi-square with one degree of freedom."""
 APART = 40
 """Frequencies that are kept apart; higher ones are put together where they differ by less than one in so many."""
@@ -248,7 +248,7 @@ class _Fit:
 
     def interval(self, k: int, squares: Array) -> tuple[float, float]:
         """Squared ends of the interval of a level, by its profile likelihood."""
-        top = self.likelihood(squares) - FALL
+        top = self.likelihood(squares) - _FALL
         unit = float(squares[k]) or self.scale[k] * float(np.min(self.square / self.columns[:, k]))
 
         def above(value: float) -> float:
@@ -262,7 +262,7 @@ class _Fit:
     def moved(self, cross: Array, bends: Array, drift: float) -> float:
         """Fall of the likelihood for a drift that is off by this much, above that of the interval."""
         off = _Fit(self.columns / self.scale, self.square - 2.0 * drift * cross + drift**2 * bends, self.count)
-        return off.likelihood(off.best()) - self.likelihood(self.best()) + FALL
+        return off.likelihood(off.best()) - self.likelihood(self.best()) + _FALL
 
 
 def _misfit(frequency: Array, ratio: Array, count: Array) -> tuple[float, float, float] | None:

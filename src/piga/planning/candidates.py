@@ -55,9 +55,9 @@ from piga.stand.scenario import (
 )
 from piga.stand.write_run import given_values
 
-COUNTED_RECORDS = 24
+_COUNTED_RECORDS = 24
 """Records with counts and noise whose stated uncertainties are those of a plan (own choice)."""
-STARTS = 4
+_STARTS = 4
 """Number of evenly spaced starting angles of the gimbal for the average of the information."""
 
 
@@ -123,7 +123,7 @@ def candidate_of(request: PlanRequest, label: str, table: SimpleStand) -> Candid
     return Candidate(label, table, (x, y, z), margin, revolution)
 
 
-def noise_of(request: PlanRequest) -> Noise:
+def _noise_of(request: PlanRequest) -> Noise:
     """Noise of the output as the estimator models it: quantisation and angle noise, random walk.
 
     Raises
@@ -181,11 +181,11 @@ def coefficient_names(request: PlanRequest) -> tuple[str, ...]:
 
 def _table(request: PlanRequest, candidate: Candidate) -> Array:
     design = _segments(request, candidate)
-    noise, mode = noise_of(request), weighting_mode(design, "information")
+    noise, mode = _noise_of(request), weighting_mode(design, "information")
     per_step = round(request.dwell_step / request.scenario.electronics.interval)
     steps = round(request.longest_dwell / request.dwell_step)
     m = len(design.names)
-    parts: list[list[Array]] = [[] for _ in range(STARTS)]
+    parts: list[list[Array]] = [[] for _ in range(_STARTS)]
     for block, columns in weighted_blocks(design, mode, noise):
         parts[block.segment].append(columns[:m, -_rows(block.start, block.stop, design) :])
     jacobian = _jacobian(request, design)
@@ -193,7 +193,7 @@ def _table(request: PlanRequest, candidate: Candidate) -> Array:
     for part in parts:
         rows = np.hstack(part)[:, -steps * per_step :].reshape(m, steps, per_step).swapaxes(0, 1)
         linear = np.cumsum(rows @ rows.swapaxes(1, 2), axis=0)
-        information += jacobian.T @ linear @ jacobian / STARTS
+        information += jacobian.T @ linear @ jacobian / _STARTS
     return _without_phase(information, request, design)
 
 
@@ -208,16 +208,16 @@ def _segments(request: PlanRequest, candidate: Candidate) -> Design:
     count = round(request.longest_dwell / interval)
     t = np.arange(count + 1, dtype=np.float64) * interval
     force, rate = candidate.stand(request.longest_dwell, request).motion(t, NONE)
-    outputs = [t] * STARTS if specimen.direct else []  # its regressors do not depend on its output
-    for start in () if specimen.direct else range(STARTS):
-        turned = Instrument(own.scale_factor, own.beta, own.alpha0 + 2.0 * math.pi * start / STARTS)
+    outputs = [t] * _STARTS if specimen.direct else []  # its regressors do not depend on its output
+    for start in () if specimen.direct else range(_STARTS):
+        turned = Instrument(own.scale_factor, own.beta, own.alpha0 + 2.0 * math.pi * start / _STARTS)
         alpha, speed = propagate(
             turned, t, force, rate, with_rate=True, error_model=specimen.error_model, between="linear"
         )
         outputs.append(speed if request.scenario.electronics.kind == "rate" else alpha)
-    times = np.concatenate([t + k * (t[-1] + 2.0 * interval) for k in range(STARTS)])
-    segment = np.repeat(np.arange(STARTS, dtype=np.int32), t.size)
-    many = (STARTS, 1)
+    times = np.concatenate([t + k * (t[-1] + 2.0 * interval) for k in range(_STARTS)])
+    segment = np.repeat(np.arange(_STARTS, dtype=np.int32), t.size)
+    many = (_STARTS, 1)
     run = run_of(request, times, np.concatenate(outputs), np.tile(force, many), np.tile(rate, many), segment)
     design = Design(run, request_of(request.model), run.scale_factor)
     if "tan_beta" not in design.request.terms:
@@ -229,7 +229,7 @@ def _servo_state(request: PlanRequest, design: Design) -> ServoState:
     """State of the servo columns: phase zero, expected coefficients."""
     truth, K = _truth(request), design.run.scale_factor
     return ServoState(
-        (0.0,) * STARTS,
+        (0.0,) * _STARTS,
         K * truth.get("servo", 0.0),
         K * truth.get("servo_damping", 0.0),
         1.0 / (K * truth["tan_beta"]),
@@ -346,7 +346,7 @@ class Prediction(Result):
         return coverage_factor(self.degrees(name) * ratio**4) * whole
 
 
-def duration_of(visits: tuple[Visit, ...], move: float) -> float:
+def _duration_of(visits: tuple[Visit, ...], move: float) -> float:
     """Time of a test with a move between visits [s]."""
     return sum(visit.dwell for visit in visits) + move * (len(visits) - 1)
 
@@ -362,8 +362,8 @@ def predict(
         With ``refuse``, if the test cannot determine the terms; otherwise the result holds the reason.
     """
     run = noiseless_run(request, visits)
-    duration = duration_of(visits, request.move)
-    noise, wish = noise_of(request), request_of(request.model)
+    duration = _duration_of(visits, request.move)
+    noise, wish = _noise_of(request), request_of(request.model)
     design = Design(run, wish, run.scale_factor)
     mode = weighting_mode(design, "information")
     try:
@@ -407,18 +407,18 @@ def _stated_with_counts(request: PlanRequest, design: Design, mode: str, noise: 
     rng, count = np.random.default_rng(0), 2.0 * math.pi / e.counts_per_revolution
     walk = e.angle_random_walk * math.sqrt(whole.median_step)
     rows, changes = design.means, []
-    for _ in range(COUNTED_RECORDS):
+    for _ in range(_COUNTED_RECORDS):
         noisy = whole.output + rng.uniform(0.0, count) + walk * np.cumsum(rng.standard_normal(whole.size))
         noisy += e.angle_noise * rng.standard_normal(whole.size)
         added = np.round(noisy / count) * count - whole.output
         changes.append(np.diff(rows.means_of(added), prepend=0.0))
     columns = np.where(rows.run.begins, 0.0, changes)
-    names = tuple(f"record {k}" for k in range(COUNTED_RECORDS))
+    names = tuple(f"record {k}" for k in range(_COUNTED_RECORDS))
     extra = Extra(names, lambda block: columns[:, block.start : block.stop])
     parts, stated = reduce_positions(design, mode, noise, positions, extra), []
     model = (*design.names, RATE)
-    for k in range(COUNTED_RECORDS):
-        matrix = np.zeros((len(model) + COUNTED_RECORDS + 1, len(model) + 1))
+    for k in range(_COUNTED_RECORDS):
+        matrix = np.zeros((len(model) + _COUNTED_RECORDS + 1, len(model) + 1))
         matrix[: len(model), : len(model)] = np.eye(len(model))
         matrix[[len(model) + k, -1], -1] = 1.0
         record = [part.mixed(model, matrix) for part in parts]

@@ -25,7 +25,7 @@ Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class CriterionSettings:
+class _CriterionSettings:
     """Settings of the search for the best plan (own choices)."""
 
     gap: float = 1e-6
@@ -46,7 +46,7 @@ class CriterionSettings:
     """Dwell steps moved from one visit to another at a time."""
 
 
-SEARCH = CriterionSettings()
+SEARCH = _CriterionSettings()
 
 
 @dataclass(frozen=True)

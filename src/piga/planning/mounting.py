@@ -21,7 +21,7 @@ from piga.stand.machines import angles_of_range
 from piga.threads import one_thread
 from piga.units import to_si
 
-ROWS_AT_ONCE = 20000
+_ROWS_AT_ONCE = 20000
 """Profile rows compared at a time."""
 
 
@@ -138,10 +138,10 @@ def _margins(u: Array, skews: Array, clocks: Array, tangent: float, limit: float
     inside = np.zeros((skews.size, clocks.size))
     for k, skew in enumerate(skews):
         axes = _axes(float(skew), clocks)
-        for start in range(0, u.shape[0], ROWS_AT_ONCE):
-            ratios = _ratios(u[max(start - 1, 0) : start + ROWS_AT_ONCE], axes, tangent)
+        for start in range(0, u.shape[0], _ROWS_AT_ONCE):
+            ratios = _ratios(u[max(start - 1, 0) : start + _ROWS_AT_ONCE], axes, tangent)
             margins[k] = np.minimum(margins[k], ratios.min(axis=0))
-            inside[k] += np.count_nonzero(ratios[-min(ROWS_AT_ONCE, u.shape[0] - start) :] < limit, axis=0)
+            inside[k] += np.count_nonzero(ratios[-min(_ROWS_AT_ONCE, u.shape[0] - start) :] < limit, axis=0)
     return margins, inside / u.shape[0]
 
 

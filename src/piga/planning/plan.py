@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class StandardPlanSettings:
+class _StandardPlanSettings:
     """Settings of a plan (own choices)."""
 
     standard: tuple[int, ...] = (4, 6, 12, 24)
@@ -71,11 +71,11 @@ class StandardPlanSettings:
     """Most durations tried to reach a wanted uncertainty."""
 
 
-STANDARD_PLANS = StandardPlanSettings()
+_STANDARD_PLANS = _StandardPlanSettings()
 
 
 @dataclass(frozen=True)
-class Excluded:
+class _Excluded:
     """An excluded candidate and the reason."""
 
     candidate: Candidate
@@ -83,7 +83,7 @@ class Excluded:
 
 
 @dataclass(frozen=True)
-class Cheapest:
+class _Cheapest:
     """The shortest test found that reaches the wanted uncertainties.
 
     ``bound`` [s] is a lower bound of the duration for these candidates and dwells. ``plan`` is None if the
@@ -110,7 +110,7 @@ class Plan(Result, Plotted, Reported):
     request: PlanRequest
     candidates: tuple[Candidate, ...]
     usable: tuple[Candidate, ...]
-    excluded: tuple[Excluded, ...]
+    excluded: tuple[_Excluded, ...]
     names: tuple[str, ...]
     shares: Array
     largest_derivative: float
@@ -118,7 +118,7 @@ class Plan(Result, Plotted, Reported):
     best: Prediction
     standard: tuple[Prediction, ...]
     stretched: tuple[tuple[float, Prediction, Prediction], ...]
-    cheapest: Cheapest | None
+    cheapest: _Cheapest | None
 
     @property
     def reference(self) -> Prediction:
@@ -238,7 +238,7 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
     )
 
 
-def _excluded(request: PlanRequest, candidates: tuple[Candidate, ...]) -> list[Excluded]:
+def _excluded(request: PlanRequest, candidates: tuple[Candidate, ...]) -> list[_Excluded]:
     """Candidates in the lock zone or near it."""
     limit = request.settings.margin
     excluded = []
@@ -246,7 +246,7 @@ def _excluded(request: PlanRequest, candidates: tuple[Candidate, ...]) -> list[E
         if candidate.margin < limit:
             word = "locked" if candidate.margin < 1.0 else f"within {limit:g} times the lock zone"
             reason = f"{word}: |a_x| is {candidate.margin:.2g} of a_t tan(beta)"
-            excluded.append(Excluded(candidate, reason))
+            excluded.append(_Excluded(candidate, reason))
     return excluded
 
 
@@ -294,7 +294,7 @@ def _standard(
     if head is None:
         places: list[tuple[str, tuple[Candidate, ...]]] = [("all levels", usable)]
     else:
-        places = [(f"{n} positions", _evenly(request, head, n)) for n in STANDARD_PLANS.standard]
+        places = [(f"{n} positions", _evenly(request, head, n)) for n in _STANDARD_PLANS.standard]
     plans = []
     for name, chosen in places:
         dwell = _whole_samples(request, (duration + request.move) / len(chosen) - request.move)
@@ -426,7 +426,7 @@ def _ordered(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Visit, ..
     ordered: list[Visit] = []
     for _, group in groupby(visits, key=lambda visit: type(visit.candidate.table)):
         part = list(group)
-        step = max(round(STANDARD_PLANS.stride * len(part)), 1)
+        step = max(round(_STANDARD_PLANS.stride * len(part)), 1)
         while math.gcd(step, len(part)) > 1:
             step += 1
         ordered += [part[(step * k) % len(part)] for k in range(len(part))]
@@ -438,7 +438,7 @@ def _stretched(
 ) -> tuple[tuple[float, Prediction, Prediction], ...]:
     """The planned and the last standard plan for other durations; ``here`` is the row of the planned duration."""
     rows = []
-    for factor in STANDARD_PLANS.stretches:
+    for factor in _STANDARD_PLANS.stretches:
         if factor == 1.0:
             rows.append(here)
             continue
@@ -453,14 +453,14 @@ def _stretched(
     return tuple(rows)
 
 
-def _cheapest(search: _Search, best: Prediction) -> Cheapest:
+def _cheapest(search: _Search, best: Prediction) -> _Cheapest:
     """The shortest test that reaches the wanted standard uncertainties, including Type B of the stand."""
     request = search.request
     targets = {}
     for name, wanted in request.wanted.items():
         fixed = best.type_b[[c.name for c in best.coefficients].index(name)] if best.type_b is not None else 0.0
         if fixed >= wanted:
-            return Cheapest(
+            return _Cheapest(
                 math.inf,
                 None,
                 f"the stand alone adds {fixed:.2g} {unit_of(name, request.unit)} to {name}: {wanted:.2g} cannot be reached in "
@@ -473,16 +473,16 @@ def _cheapest(search: _Search, best: Prediction) -> Cheapest:
     bound = math.exp(mixture.value) - request.move
     begin = best_mixture(search.per_second(), criterion.guarded())
     duration = max(bound, request.minimum_dwell)
-    for _ in range(STANDARD_PLANS.attempts):
+    for _ in range(_STANDARD_PLANS.attempts):
         plan = _search_visits(search, criterion, begin, "cheapest", duration)
         ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())
         if ratio <= 1.0:
-            return Cheapest(max(bound, 0.0), plan)
+            return _Cheapest(max(bound, 0.0), plan)
         duration *= min(max(ratio**2, 1.005), 2.0)
-    return Cheapest(bound, None, "no test was found that reaches it: add positions or allow longer dwells")
+    return _Cheapest(bound, None, "no test was found that reaches it: add positions or allow longer dwells")
 
 
-PLAN_SCHEMA = "piga.plan/1"
+_PLAN_SCHEMA = "piga.plan/1"
 _TABLES = (
     "instrument", "truth", "electronics", "run", "temperature", "imperfections", "model", "estimation",
     "uncertainty",
@@ -507,14 +507,14 @@ def scenario_text(plan: Plan) -> str:
     return comment + toml_text(tables)
 
 
-CSV_COLUMNS = ("step", "begin_s", "hold_s", "stand", "position", "a_x_g", "a_Y_g", "a_Z_g", "revolutions")
+_CSV_COLUMNS = ("step", "begin_s", "hold_s", "stand", "position", "a_x_g", "a_Y_g", "a_Z_g", "revolutions")
 """Columns of the program of the stand; a direct instrument has no revolutions."""
 
 
 def program_csv(plan: Plan) -> str:
     """The program of the stand as CSV: one row a visit, in order, with the move before the next one left as a gap in time."""
     last = -1 if plan.request.direct else None
-    begin, rows = 0.0, [",".join(CSV_COLUMNS[:last])]
+    begin, rows = 0.0, [",".join(_CSV_COLUMNS[:last])]
     for step, visit in enumerate(plan.best.visits, start=1):
         candidate = visit.candidate
         kind = str(msgspec.to_builtins(candidate.table)["kind"])
@@ -531,7 +531,7 @@ def plan_document(plan: Plan, mounting: Mounting | None) -> dict[str, Any]:
     """The plan as one JSON document (schema ``piga.plan/1``); standard uncertainties in file units."""
     best = plan.best
     document: dict[str, Any] = {
-        "schema": PLAN_SCHEMA,
+        "schema": _PLAN_SCHEMA,
         "criterion": plan.request.settings.criterion,
         "duration_s": best.duration,
         "recorded_s": best.recorded,
@@ -582,7 +582,7 @@ def _prediction_document(plan: Plan, prediction: Prediction) -> dict[str, Any]:
     return entry
 
 
-def _cheapest_document(plan: Plan, cheapest: Cheapest) -> dict[str, Any]:
+def _cheapest_document(plan: Plan, cheapest: _Cheapest) -> dict[str, Any]:
     entry: dict[str, Any] = {"wanted": plan.request.wanted, "bound_s": _finite(cheapest.bound)}
     if cheapest.plan is None:
         return entry | {"refusal": cheapest.refusal}

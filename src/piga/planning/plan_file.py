@@ -36,9 +36,9 @@ from piga.units import to_si
 
 T = TypeVar("T", bound=msgspec.Struct)
 
-PlannedStand = DividingHeadTable | CentrifugeTable | RateTableTable
+_PlannedStand = DividingHeadTable | CentrifugeTable | RateTableTable
 """Stands whose positions or levels can be chosen one by one."""
-TIMELY = ("k0_t", *LOGGED_TERMS)
+_TIMELY = ("k0_t", *LOGGED_TERMS)
 """Terms whose information depends on the time of a visit, not only on its duration."""
 
 
@@ -67,7 +67,7 @@ class PlanSettings(TomlTable, frozen=True):
 class MountingTable(TomlTable, frozen=True):
     """``[mounting]``: a profile of the platform, and the skew angles to try."""
 
-    profile: ProfileTable | PlannedStand
+    profile: ProfileTable | _PlannedStand
     skew: str = "0:91:1 deg"
     clock: str = "0:360:15 deg"
     step: Quantity = "0.1 s"
@@ -167,7 +167,7 @@ def request_of(model: ModelTable) -> Request:
 def _check(table: PlanTable, model: ModelTable) -> None:
     """Refuse requests that the information of single positions cannot answer."""
     for name in model.terms:
-        if name in TIMELY:
+        if name in _TIMELY:
             raise RunFileError(
                 f"[model] terms: '{name}' depends on when a position is taken and cannot be planned",
                 remedy="leave it out of the plan; it can still be estimated from the test",
@@ -190,7 +190,7 @@ def _check(table: PlanTable, model: ModelTable) -> None:
         )
     stands = table.stand.parts if isinstance(table.stand, CompositeTable) else (table.stand,)
     for stand in stands:
-        if not isinstance(stand, PlannedStand):
+        if not isinstance(stand, _PlannedStand):
             raise RunFileError(
                 f"[stand] kind '{stand.__struct_config__.tag}' has no positions or levels to choose from",
                 remedy="plan with a dividing head, centrifuge, rate table, or a composite of these",

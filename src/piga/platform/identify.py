@@ -218,9 +218,9 @@ def _parameters(vector: Array, covariance: Array, orders: int, with_eta: bool) -
         step = np.zeros(len(vector))
         step[k] = max(1e-4 * np.sqrt(covariance[k, k]), 1e-13)
         difference = converted(vector + step) - converted(vector - step)
-        jacobian[:, k] = np.where(labels_are_angles(labels), wrapped(difference), difference) / (2.0 * step[k])
+        jacobian[:, k] = np.where(_labels_are_angles(labels), wrapped(difference), difference) / (2.0 * step[k])
     stds = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance[:tips, :tips], jacobian))
-    stds = np.where(labels_are_angles(labels), np.minimum(stds, UNKNOWN_PHASE), stds)
+    stds = np.where(_labels_are_angles(labels), np.minimum(stds, UNKNOWN_PHASE), stds)
     parameters = [Parameter(n, float(v), float(s), "rad") for n, v, s in zip(labels, values, stds, strict=True)]
     if with_eta:
         std = np.sqrt(np.diag(covariance))
@@ -239,7 +239,7 @@ def _labels(orders: int) -> list[str]:
     return labels
 
 
-def labels_are_angles(labels: Sequence[str]) -> NDArray[np.bool_]:
+def _labels_are_angles(labels: Sequence[str]) -> NDArray[np.bool_]:
     """True for parameter names that are phases (compared modulo a turn)."""
     return np.array([name.endswith("phase") for name in labels])
 
@@ -297,10 +297,10 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
         20 samples a turn.
     """
     record = ObservedRecord.checked(readouts, sources, orders)
-    return result(record, *gauss_newton(record, place, iterations, progress))
+    return result(record, *_gauss_newton(record, place, iterations, progress))
 
 
-def gauss_newton(
+def _gauss_newton(
     record: ObservedRecord, place: Place, iterations: int = 6, progress: Progress | None = None
 ) -> tuple[Unknowns, list[Reduced], LeastSquares]:
     """Converged unknowns, the rows about the last ones but one, and the last step with its covariance."""

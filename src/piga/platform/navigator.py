@@ -100,13 +100,13 @@ def compensator(
     elif redundancy == "drift-model":
         eta = knowledge.eta0 + knowledge.eta_rate * readouts.times
     else:
-        eta = follow_redundancy(readouts, small_angles(p, e, c1, c2, 0.0)[1], knowledge)
+        eta = _follow_redundancy(readouts, small_angles(p, e, c1, c2, 0.0)[1], knowledge)
     nodes, _ = small_angles(p, e, c1, c2, eta)
     middles, _ = small_angles(p, e, _between(c1), _between(c2), _between(eta))
     return CaseCompensator(model, nodes, middles, eta)
 
 
-def follow_redundancy(readouts: Readouts, expected: Array, knowledge: Knowledge) -> Array:
+def _follow_redundancy(readouts: Readouts, expected: Array, knowledge: Knowledge) -> Array:
     """Redundancy angle (n + 1,) [rad] from the pick-off minus ``expected = m2 cos c2 - m1 sin c1``, smoothed without lag.
 
     The filter is a critically damped second-order tracker. Its time constant is four case turns (eight minutes
@@ -285,7 +285,7 @@ def errors(navigation: Navigation, truth: Truth, readouts: Readouts) -> Errors:
     node = slice(every, every * len(navigation.times) + 1, every)
     place, velocity = _cut(truth.motion.place, node), _cut(truth.motion.velocity, node)
     attitude, shown = _cut(truth.motion.attitude, node), navigation.table
-    radii = earth_radii(place[:, 0])
+    radii = _earth_radii(place[:, 0])
     turn = wrapped(shown[:, 6:9] - attitude)
     longitude = wrapped(shown[:, 1] - place[:, 1])
     return Errors(
@@ -298,7 +298,7 @@ def errors(navigation: Navigation, truth: Truth, readouts: Readouts) -> Errors:
     )
 
 
-def earth_radii(latitude: Array) -> tuple[Array, Array]:
+def _earth_radii(latitude: Array) -> tuple[Array, Array]:
     """Meridian and prime-vertical radii of curvature [m] at geodetic latitude [rad]."""
     root = np.sqrt(1.0 - earth.ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
     prime = earth.SEMI_MAJOR_AXIS / root

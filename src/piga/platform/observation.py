@@ -149,19 +149,19 @@ def misalignment_regressors(x: Unknowns, times: Array, encoder1: Array, encoder2
     return e, pick
 
 
-def exact_platform(x: Unknowns, times: Array, encoder1: Array, encoder2: Array) -> tuple[Array, Array]:
+def _exact_platform(x: Unknowns, times: Array, encoder1: Array, encoder2: Array) -> tuple[Array, Array]:
     """Exact ``C_G^P`` (n, 3, 3) and pick-off (n,) for the unknowns."""
     polar, equatorial = over_case_angle(x.polar.gyro()), over_case_angle(x.equatorial.gyro())
     c1, c2 = encoder1 + x.polar.phase, encoder2 + x.equatorial.phase
     return exact_attitude(polar, c1, equatorial, c2, x.eta0 + x.eta_rate * times)
 
 
-def earth_to_inertial(times: Array) -> Array:
+def _earth_to_inertial(times: Array) -> Array:
     """``C_e^i`` (n, 3, 3) at ``times`` [s]."""
     return axis_turn(2, -earth.EARTH_RATE * times)
 
 
-def triad_at(x: Unknowns, times: Array) -> Array:
+def _triad_at(x: Unknowns, times: Array) -> Array:
     """``C_i^G`` (n, 3, 3), including the rotation by drift."""
     return rotation_vector_to_matrix(-times[:, None] * x.drift) @ x.triad
 
@@ -169,8 +169,8 @@ def triad_at(x: Unknowns, times: Array) -> Array:
 def gimbal_rows(x: Unknowns, readouts: Readouts) -> tuple[Array, Array]:
     """Residuals (n, 3) and regressors (n, 3, p) of the gimbal angles."""
     t = readouts.times
-    attitude, _ = exact_platform(x, t, readouts.encoder1, readouts.encoder2)
-    to_platform = attitude @ triad_at(x, t) @ earth_to_inertial(t)
+    attitude, _ = _exact_platform(x, t, readouts.encoder1, readouts.encoder2)
+    to_platform = attitude @ _triad_at(x, t) @ _earth_to_inertial(t)
     e, _ = misalignment_regressors(x, t, readouts.encoder1, readouts.encoder2)
     turn = np.concatenate([e, attitude, attitude * t[:, None, None], -to_platform[:, :, :2]], axis=2)
     residual = wrapped(readouts.gimbals - gimbals_of(to_platform @ x.base))
@@ -211,8 +211,8 @@ def _felt(
     x: Unknowns, times: Array, encoder1: Array, encoder2: Array, force_earth: Array
 ) -> tuple[Array, Array]:
     """``C_G^P`` and the specific force in platform axes at ``times``."""
-    attitude, _ = exact_platform(x, times, encoder1, encoder2)
-    return attitude, (attitude @ triad_at(x, times) @ earth_to_inertial(times)) @ force_earth
+    attitude, _ = _exact_platform(x, times, encoder1, encoder2)
+    return attitude, (attitude @ _triad_at(x, times) @ _earth_to_inertial(times)) @ force_earth
 
 
 def coarse_unknowns(readouts: Readouts, force_earth: Array, orders: int) -> Unknowns:
@@ -225,7 +225,7 @@ def coarse_unknowns(readouts: Readouts, force_earth: Array, orders: int) -> Unkn
     ends = [slice(0, max(1, n // 20)), slice(n - max(1, n // 20), n)]
     t = 0.5 * (readouts.times[1:] + readouts.times[:-1])
     seen = [readouts.increments[part].mean(axis=0) for part in ends]
-    expected = [(earth_to_inertial(t[part]) @ force_earth).mean(axis=0) for part in ends]
+    expected = [(_earth_to_inertial(t[part]) @ force_earth).mean(axis=0) for part in ends]
     triad = _triad(seen) @ _triad(expected).T
     zero = Tip(0.0, 0.0, np.zeros(orders), np.zeros(orders))
     base = triad.T @ gimbal_attitude(readouts.gimbals[0])
@@ -260,7 +260,7 @@ FORCE_FILTER = ForceFilter()
 
 
 @dataclass(frozen=True)
-class ObservedStretch:
+class _ObservedStretch:
     """Part of a record, with what smoothing, whitening and the slow force need; nothing of the unknowns.
 
     ``readouts`` of the stretch alone; ``window`` weights over samples, a row every ``stride`` samples;
@@ -333,7 +333,7 @@ class ObservedStretch:
         """
         r = self.readouts
         half = [_halved(v) for v in (r.times, r.encoder1, r.encoder2)]
-        attitude, _ = exact_platform(x, *half)
+        attitude, _ = _exact_platform(x, *half)
         force = r.increments / r.step
         undone = np.einsum("nji,nj->ni", attitude[1::2], force)
         orthonormal, triangle = self._basis
@@ -358,7 +358,7 @@ class ObservedStretch:
         return (flat - self.slow @ (self.slow.T @ flat)).reshape(white.shape)
 
 
-def stretches(readouts: Readouts, turns: tuple[float, float]) -> tuple[ObservedStretch, ...]:
+def stretches(readouts: Readouts, turns: tuple[float, float]) -> tuple[_ObservedStretch, ...]:
     """Cut a record; ``turns`` (2,) are the periods [s] of the faster and the slower case."""
     fast, slow = turns
     samples = fast / readouts.step
@@ -370,7 +370,7 @@ def stretches(readouts: Readouts, turns: tuple[float, float]) -> tuple[ObservedS
     count = max(1, round(n * readouts.step / slow / FORCE_FILTER.turns))
     edges = np.linspace(0, n, count + 1).astype(np.int64)
     return tuple(
-        ObservedStretch(readouts.between(int(a), int(b)), window, stride, every, slow)
+        _ObservedStretch(readouts.between(int(a), int(b)), window, stride, every, slow)
         for a, b in pairwise(edges)
     )
 
@@ -486,7 +486,7 @@ class ObservedRecord:
         return tuple(every[k] for k in self.seen)
 
     @cached_property
-    def stretches(self) -> tuple[ObservedStretch, ...]:
+    def stretches(self) -> tuple[_ObservedStretch, ...]:
         """Parts of the record for the specific force; none if it is not a source."""
         return stretches(self.readouts, self.periods) if "force" in self.sources else ()
 
@@ -501,7 +501,7 @@ class ObservedRecord:
         if "pick-off" in self.sources:
             return x
         r = self.readouts
-        _, ring = exact_platform(x, r.times, r.encoder1, r.encoder2)
+        _, ring = _exact_platform(x, r.times, r.encoder1, r.encoder2)
         rate, start = np.polyfit(r.times, r.pickoff - ring, 1)
         return replace(x, eta0=x.eta0 + float(start), eta_rate=x.eta_rate + float(rate))
 
@@ -512,7 +512,7 @@ class ObservedRecord:
             residual, regressors = gimbal_rows(x, r)
             groups.append(Reduced.of("gimbals", residual.ravel(), self._cut(regressors)))
         if "pick-off" in self.sources:
-            _, ring = exact_platform(x, r.times, r.encoder1, r.encoder2)
+            _, ring = _exact_platform(x, r.times, r.encoder1, r.encoder2)
             _, pick = misalignment_regressors(x, r.times, r.encoder1, r.encoder2)
             groups.append(Reduced.of("pick-off", r.pickoff - ring, self._cut(pick)))
         if self.stretches:

@@ -19,9 +19,9 @@ from piga.records.text_files import convert_toml, toml_document
 from piga.units import ARCSEC, G0, to_si
 
 Model = Literal["none", "A", "B", "C"]
-MODELS: tuple[Model, ...] = ("none", "A", "B", "C")
+_MODELS: tuple[Model, ...] = ("none", "A", "B", "C")
 Angle = Annotated[float, in_unit("rad")]
-TurnRate = Annotated[float, in_unit("rad/s")]
+_TurnRate = Annotated[float, in_unit("rad/s")]
 Length = Annotated[float, in_unit("m")]
 Acceleration = Annotated[float, in_unit("m/s^2")]
 Time = Annotated[float, Meta(gt=0, extra={"unit": "s"})]
@@ -35,7 +35,7 @@ class Place(TomlTable, frozen=True):
     height: Length = 0.0
 
 
-class AngularSway(NamedTuple):
+class _AngularSway(NamedTuple):
     """``amplitude sin(2 pi t / period)`` of an angle: amplitude [rad], period [s]."""
 
     amplitude: Angle = 0.0
@@ -56,10 +56,10 @@ class MotionPlan(TomlTable, frozen=True):
     roll: Angle = 0.0
     pitch: Angle = 0.0
     heading: Angle = 0.0
-    turn_rate: TurnRate = 0.0
-    roll_sway: AngularSway = AngularSway()
-    pitch_sway: AngularSway = AngularSway()
-    heading_sway: AngularSway = AngularSway()
+    turn_rate: _TurnRate = 0.0
+    roll_sway: _AngularSway = _AngularSway()
+    pitch_sway: _AngularSway = _AngularSway()
+    heading_sway: _AngularSway = _AngularSway()
     north_sway: LinearSway = LinearSway()
     east_sway: LinearSway = LinearSway()
     down_sway: LinearSway = LinearSway()
@@ -97,8 +97,8 @@ class Gyro(TomlTable, frozen=True):
     misalignment: Angle = 0.0
     phase: Angle = 0.0
     harmonics: tuple[Harmonic, ...] = ()
-    drift: tuple[TurnRate, TurnRate] = (0.0, 0.0)
-    case_drift: tuple[TurnRate, TurnRate] = (0.0, 0.0)
+    drift: tuple[_TurnRate, _TurnRate] = (0.0, 0.0)
+    case_drift: tuple[_TurnRate, _TurnRate] = (0.0, 0.0)
 
 
 class PigaSensors(TomlTable, frozen=True):
@@ -155,7 +155,7 @@ class Compensation(TomlTable, frozen=True):
     model C; ``drift`` none | aligned | true: the gyro drift taken out; ``attitude`` aligned | true, None: by the motion.
     """
 
-    models: tuple[Model, ...] = MODELS
+    models: tuple[Model, ...] = _MODELS
     misalignment: Literal["identified", "true"] = "identified"
     redundancy: Literal["pick-off", "drift-model"] = "pick-off"
     orders: Annotated[int, Meta(ge=1, le=8)] = msgspec.field(default=3, name="harmonics")

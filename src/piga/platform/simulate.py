@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from piga.reports.render.figure import Figure
 
-TRACK_COLUMNS = (
+_TRACK_COLUMNS = (
     "time_s", "latitude_deg", "longitude_deg", "height_m", "roll_deg", "pitch_deg", "heading_deg",
 )  # fmt: skip
 """Columns of the file of a track."""
@@ -147,21 +147,21 @@ def _read_track(path: Path) -> tuple[Array, Array, Array]:
     from piga.formats.text.reader import TextStream
 
     try:
-        chunks = list(TextStream(path, TRACK_COLUMNS, None).chunks())
+        chunks = list(TextStream(path, _TRACK_COLUMNS, None).chunks())
     except DataError as error:
-        columns = ", ".join(TRACK_COLUMNS)
+        columns = ", ".join(_TRACK_COLUMNS)
         raise DataError(
             f"[motion] file {error.message}", remedy=f"give these columns, a number in each row: {columns}"
         ) from None
     rows = np.concatenate([chunk.rows for chunk in chunks])
     table = np.concatenate(
-        [np.column_stack([chunk.numbers[name] for name in TRACK_COLUMNS]) for chunk in chunks]
+        [np.column_stack([chunk.numbers[name] for name in _TRACK_COLUMNS]) for chunk in chunks]
     )
     if len(table) < 4:
         raise DataError(f"[motion] file {path}: {len(table)} rows", remedy="give a header and 4 rows or more")
     for row, column in np.argwhere(~np.isfinite(table)):
         raise DataError(
-            f"[motion] file {path}: row {rows[row]}, column '{TRACK_COLUMNS[column]}': no number",
+            f"[motion] file {path}: row {rows[row]}, column '{_TRACK_COLUMNS[column]}': no number",
             remedy="correct the row",
         )
     still = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)

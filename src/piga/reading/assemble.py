@@ -43,13 +43,13 @@ from piga.records.text_files import toml_bytes
 from piga.results import Array
 from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
 
-StandReference = Callable[
+_StandReference = Callable[
     [dict[str, Any], Path, Array, NDArray[np.int32], tuple[str, ...]], tuple[Array, Array]
 ]
 """Specific force and base rate of a ``[stand]`` table: (table, folder, t, segment, labels) to (n, 3) each."""
-LOST_ANGLE, LOST_SHARE = 0.1, 0.01
+_LOST_ANGLE, _LOST_SHARE = 0.1, 0.01
 """Angle [rad] and share of the turn in a gap by which the output may differ from the rates on both sides (coupling, noise)."""
-LEAST_TURN = 0.5
+_LEAST_TURN = 0.5
 """Angle [rad] by which the output turns beside a short gap, so that its rate there is known (own choice)."""
 WHOLE = 1e-9
 """Tolerance [rev] of the test for whole turns. A range in units such as mrad is never exactly whole."""
@@ -57,7 +57,7 @@ WHOLE = 1e-9
 
 def read_record(
     path: str | Path,
-    stand_reference: StandReference,
+    stand_reference: _StandReference,
     *,
     need_reference: bool = True,
     content: bytes | None = None,
@@ -83,7 +83,7 @@ def read_record(
     return run
 
 
-def read_stream(path: Path, run_file: RunFile, stream: RecordStream, stand_reference: StandReference) -> Run:
+def read_stream(path: Path, run_file: RunFile, stream: RecordStream, stand_reference: _StandReference) -> Run:
     """A run from a stream of rows in memory. ``path`` names the stream in messages, and is the source of the run.
 
     Raises
@@ -105,7 +105,7 @@ def _check_reference(path: Path, run_file: RunFile) -> None:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: StandReference) -> Run:
+def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: _StandReference) -> Run:
     """Make a run of the columns of a data file: leave rows out, find gaps, convert, check. ``path`` is the run file.
 
     Raises
@@ -289,7 +289,7 @@ def _check_enough(path: Path, raw: RawColumns, data: DataTable, base: TimeBase, 
 
 
 def _reference(
-    path: Path, run_file: RunFile, raw: RawColumns, t: Array, stand_reference: StandReference
+    path: Path, run_file: RunFile, raw: RawColumns, t: Array, stand_reference: _StandReference
 ) -> tuple[Array, Array | None]:
     """Specific force and base rate from the columns; without such columns from the stand."""
     data, stand = run_file.data, run_file.stand
@@ -407,9 +407,9 @@ def _lost_in_gaps(
     turns = np.array([psi[at - 1] - psi[before], psi[after - 1] - psi[at]])
     comparable = (raw.segment[at] == raw.segment[at - 1]) & ~lost[at] & (gap > 0.0) & (times.min(axis=0) > 0.0)
     turned = np.abs(turns).min(axis=0)
-    comparable &= (turned >= 2.0 * np.pi) | ((turned >= LEAST_TURN) & (times.min(axis=0) >= gap))
+    comparable &= (turned >= 2.0 * np.pi) | ((turned >= _LEAST_TURN) & (times.min(axis=0) >= gap))
     first, second = np.divide(turns, times, out=np.zeros_like(turns), where=comparable)
-    allowed = LOST_ANGLE + (np.abs(first - second) + LOST_SHARE * np.abs(first)) * gap
+    allowed = _LOST_ANGLE + (np.abs(first - second) + _LOST_SHARE * np.abs(first)) * gap
     missed = psi[at] - psi[at - 1] - 0.5 * (first + second) * gap
     missed -= np.round(missed / fold) * fold if math.isfinite(fold) else 0.0
     gone = at[comparable & (np.abs(missed) > allowed)]

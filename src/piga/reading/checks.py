@@ -21,9 +21,9 @@ from piga.records.run_file import LeftOutTable
 from piga.results import Array
 from piga.units import G0, UNIT_FACTORS
 
-STUCK = 8
+_STUCK = 8
 """Fewest equal extreme values in a row that are reported (own choice)."""
-RESTING = 2.0
+_RESTING = 2.0
 """Steps that a run of equal extreme values may hide because of rounding (own choice)."""
 SAMPLED = 1 << 17
 """Rows of a long record that are examined for wrong units (own choice)."""
@@ -34,7 +34,7 @@ def largest_size(values: Array) -> float:
     return float(np.maximum(values.max(), -values.min()))
 
 
-def longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
+def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
     """Start and length of the longest run of True."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     if not edges.size:
@@ -100,14 +100,14 @@ def stuck_extremes(
     """
     finite = np.isfinite(values)
     good = values if finite.all() else values[finite]  # a long column is not copied for nothing
-    if good.size < 4 * STUCK or np.count_nonzero(good[1:] != good[:-1]) < 0.5 * good.size:
+    if good.size < 4 * _STUCK or np.count_nonzero(good[1:] != good[:-1]) < 0.5 * good.size:
         return []
     events = []
     for word, extreme in (("largest", float(good.max())), ("smallest", float(good.min()))):
         if not declared[0] < extreme < declared[1]:
             continue
-        start, length = longest_run(values == extreme)
-        if length >= STUCK and _hidden_steps(values, segment, start, length) > RESTING:
+        start, length = _longest_run(values == extreme)
+        if length >= _STUCK and _hidden_steps(values, segment, start, length) > _RESTING:
             detail = f"column '{name}' stays at its {word} value {extreme:g}: saturated? give its limits in [data] range"
             events.append(Event("stuck-value", length, int(rows[start]), detail))
     return events
@@ -157,8 +157,8 @@ def stopped_output(
     still = np.zeros(t.size, np.bool_)
     still[1:] = (output[1:] == output[:-1]) & ~begins[1:]
     still &= np.abs(a_x) > 0.05 * largest_size(a_x)
-    start, length = longest_run(still)
-    if length < STUCK:
+    start, length = _longest_run(still)
+    if length < _STUCK:
         return []
     run = slice(start, start + length)
     expected = abs(per_step) * float(np.abs(a_x[run]) @ (t[run] - t[start - 1 : start + length - 1]))
@@ -208,7 +208,7 @@ def mistaken_rate(
     """Report a mean output rate [rad/s, or the unit of a direct instrument] that differs from K a_x by a factor between units."""
     wanted = scale_factor * a_x
     strong = np.abs(wanted) > 0.2 * np.abs(wanted).max(initial=0.0)
-    if strong.sum() < STUCK:
+    if strong.sum() < _STUCK:
         return []
     words = _unit_factor(abs(float(np.median(rate[strong] / wanted[strong]))), 0.05)
     if not words:
@@ -421,9 +421,9 @@ SAME = 1e-4
 """Share of the range of the column within which it stands still, whatever its noise."""
 SHORT = 0.05
 """Positions shorter than this share of the longest one are parts of a move."""
-LEAST_STILL = 0.2
+_LEAST_STILL = 0.2
 """Least share of the rows in positions; below it the stand is taken to move all the time."""
-LEAST_ROWS = 16
+_LEAST_ROWS = 16
 """Fewest rows of a position."""
 _QUARTILE = 0.3186 * 6.0**0.5
 """Lower quartile of the second difference of three values of a normal distribution, in its standard deviations."""
@@ -438,17 +438,17 @@ def positions(x: Array) -> list[tuple[int, int]]:
     The list is empty if the column nowhere stands still.
     """
     rows = np.flatnonzero(np.isfinite(x))
-    if rows.size < 2 * LEAST_ROWS:
+    if rows.size < 2 * _LEAST_ROWS:
         return []
     width = max(rows.size // BLOCKS, 1)
     count = rows.size // width
     means = x[rows[: count * width]].reshape(count, width).mean(axis=1)
     tolerance = _tolerance(means, x[rows])
     runs = _runs(means, tolerance)
-    still = [(a, b) for a, b in runs if (b - a) * width >= LEAST_ROWS and not _drifts(means[a:b], tolerance)]
+    still = [(a, b) for a, b in runs if (b - a) * width >= _LEAST_ROWS and not _drifts(means[a:b], tolerance)]
     longest = max((b - a for a, b in still), default=0)
     kept = [_trimmed(means, a, b) for a, b in still if b - a >= SHORT * longest]
-    if sum(b - a for a, b in kept) < LEAST_STILL * count:
+    if sum(b - a for a, b in kept) < _LEAST_STILL * count:
         return []
     return [(int(rows[a * width]), int(rows[b * width - 1]) + 1) for a, b in kept if b > a]
 

@@ -141,7 +141,7 @@ def file_kind(path: Path) -> str:
     return (suffixes[-1:] or [""])[0]
 
 
-MAX_SIDECAR = 1 << 16
+_MAX_SIDECAR = 1 << 16
 """Largest ``.sha256`` file [bytes]. It holds one line: 64 digits and a file name."""
 
 
@@ -319,6 +319,6 @@ def _sidecar(path: Path) -> tuple[str, str] | None:
     sidecar = path.with_name(path.name + ".sha256")
     if not os.path.lexists(sidecar):
         return None
-    raw = read_whole(sidecar, MAX_SIDECAR, "a line with the SHA-256")
+    raw = read_whole(sidecar, _MAX_SIDECAR, "a line with the SHA-256")
     words = raw.decode("ascii", errors="replace").split()
     return words[0].lower() if words else "", hashlib.sha256(raw).hexdigest()

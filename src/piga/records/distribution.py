@@ -13,7 +13,7 @@ from piga.units import to_si
 
 Shape = Literal["normal", "rectangular", "triangular", "arcsine", "t"]
 
-DIVISORS = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "arcsine": math.sqrt(2.0)}
+_DIVISORS = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "arcsine": math.sqrt(2.0)}
 """Half-width divided by standard uncertainty (JCGM 100, 4.3.7 and 4.3.9; JCGM 101, 6.4.6)."""
 
 
@@ -86,7 +86,7 @@ def standard_uncertainty(given: Spread | str | float, like: str, what: str) -> f
     """
     spread = given if isinstance(given, Spread) else Spread(standard=given)
     named = [n for n in ("value", "standard", "half_width") if getattr(spread, n) is not None]
-    bounded = spread.distribution in DIVISORS
+    bounded = spread.distribution in _DIVISORS
     if len(named) != 1:
         raise RunFileError(f"{what}: give either standard or half_width", remedy="write exactly one of them")
     if named == ["value"] and bounded:
@@ -109,7 +109,7 @@ def standard_uncertainty(given: Spread | str | float, like: str, what: str) -> f
         raise RunFileError(
             f"{what}: '{getattr(spread, named[0])}' is negative", remedy="give a standard uncertainty"
         )
-    return size / DIVISORS[spread.distribution] if named == ["half_width"] else size
+    return size / _DIVISORS[spread.distribution] if named == ["half_width"] else size
 
 
 def shape_of(given: Spread | str | float) -> tuple[str, float]:

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from piga.errors import DataError, PigaError, Where
 
-MAX_UNPACKED = 2 << 30
+_MAX_UNPACKED = 2 << 30
 """Largest unpacked size of the wanted part of a container [bytes]."""
 MAX_RATIO = 100
-"""Largest ratio of unpacked to packed size, applied above :data:`FREE_UNPACKED`."""
-FREE_UNPACKED = 32 << 20
+"""Largest ratio of unpacked to packed size, applied above :data:`_FREE_UNPACKED`."""
+_FREE_UNPACKED = 32 << 20
 """Unpacked size [bytes] up to which any ratio is accepted, because constant columns pack very well."""
 LARGEST_SAMPLE = 1e30
 """Largest absolute value of a sample in any unit. A larger value is damage. Squares of smaller values stay finite."""
@@ -133,11 +133,11 @@ def check_unpacked(path: Path, unpacked: int, packed: int) -> None:
     DataError
         If a limit is exceeded. The message states the limit.
     """
-    if unpacked > MAX_UNPACKED:
+    if unpacked > _MAX_UNPACKED:
         raise DataError(
-            f"{path}: unpacks to more than {MAX_UNPACKED >> 20} MiB", remedy="export as Parquet, or in parts"
+            f"{path}: unpacks to more than {_MAX_UNPACKED >> 20} MiB", remedy="export as Parquet, or in parts"
         )
-    if unpacked > FREE_UNPACKED and unpacked > MAX_RATIO * packed:
+    if unpacked > _FREE_UNPACKED and unpacked > MAX_RATIO * packed:
         raise DataError(
             f"{path}: unpacks to more than {MAX_RATIO} times its size",
             remedy="if the file is trusted, export it as Parquet",

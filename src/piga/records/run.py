@@ -287,7 +287,7 @@ class Run(Result, Plotted, Reported, Tabular):
             base_rate = np.ascontiguousarray(rate) if base_rate is None and unit == GYRO else base_rate
         else:
             f = _in_si("f", f, told, "m/s^2")
-        check_arrays(t, output, f, base_rate, temperature, places, kind, vibration)
+        _check_arrays(t, output, f, base_rate, temperature, places, kind, vibration)
         row = np.arange(1, t.size + 1, dtype=np.int64)
         base = examine_time(t, places, row)
         asked = _table("model", model, ModelTable).of(unit, "model terms")
@@ -584,7 +584,7 @@ def _gaps(gaps: ArrayLike | None, size: int) -> NDArray[np.bool_]:
     return marks
 
 
-def check_arrays(
+def _check_arrays(
     t: Array,
     output: Array,
     f: Array,
@@ -630,7 +630,7 @@ def check_arrays(
         raise ArgumentError(f"t[{index}] = {t[index]!r} is not after t[{index - 1}]", remedy="sort by time")
 
 
-LONG_INTERVAL = 1.5
+_LONG_INTERVAL = 1.5
 """A step longer than this many nominal steps is a gap."""
 
 
@@ -640,7 +640,7 @@ def begins_stretch(step: Array, nominal: float) -> NDArray[np.bool_]:
     ``step`` (n,) [s] is the time since the sample before. ``nominal`` [s] is the nominal interval. Files, arrays in
     memory and live streams all use this rule.
     """
-    return np.asarray((step <= 0.0) | (step > LONG_INTERVAL * nominal))
+    return np.asarray((step <= 0.0) | (step > _LONG_INTERVAL * nominal))
 
 
 @dataclass(frozen=True)
@@ -708,7 +708,7 @@ def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64]) 
     np.subtract(t[1:], t[:-1], out=step[1:])
     nominal = median(step[same & (step > 0.0)])
     begins = ~same | begins_stretch(step, nominal)
-    backs, gaps = (np.flatnonzero(same & where) for where in (step <= 0.0, step > LONG_INTERVAL * nominal))
+    backs, gaps = (np.flatnonzero(same & where) for where in (step <= 0.0, step > _LONG_INTERVAL * nominal))
     longest = float(step[gaps].max(initial=0.0))
     missing = int(np.round(step[gaps] / nominal - 1.0).sum()) if nominal > 0.0 else 0
     none = "no increment is formed across it"

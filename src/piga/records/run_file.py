@@ -36,7 +36,7 @@ MOST_HEAD_ROWS = 10_000
 """Largest row number of the header or the units in a text file."""
 HeadRow = Annotated[int, msgspec.Meta(ge=1, le=MOST_HEAD_ROWS)]
 HeadPair = Annotated[tuple[HeadRow, ...], msgspec.Meta(min_length=2, max_length=2)]
-LEAST_COUNTS, MOST_COUNTS = 1e-6, 1e15
+_LEAST_COUNTS, _MOST_COUNTS = 1e-6, 1e15
 """Allowed range of counts per revolution."""
 
 Phases = Literal["shared", "per-segment"]
@@ -121,7 +121,7 @@ class ServoTable(TomlTable, frozen=True):
         """
         given_ones = tuple(
             given_parameter(name, given, like, f"[instrument] servo.{name}")
-            for name, like in SERVO_UNITS.items()
+            for name, like in _SERVO_UNITS.items()
             if (given := getattr(self, name)) is not None
         )
         for entry in given_ones:
@@ -264,7 +264,7 @@ class DataTable(TomlTable, frozen=True):
         return self.segment if isinstance(self.segment, str) else None
 
 
-DEFAULT_TERMS = ("scale_factor", "tan_beta", "k0")
+_DEFAULT_TERMS = ("scale_factor", "tan_beta", "k0")
 """Terms of a gyro accelerometer for which nobody asks; a direct instrument has no ``tan_beta``."""
 
 
@@ -275,7 +275,7 @@ class ModelTable(TomlTable, frozen=True):
     than ``scale_factor_tolerance`` (``"2 %"``; 1 % by default) is marked "do not use".
     """
 
-    terms: tuple[str, ...] = DEFAULT_TERMS
+    terms: tuple[str, ...] = _DEFAULT_TERMS
     compare: tuple[tuple[str, ...], ...] = ()
     phases: Phases = "shared"
     phase_source: PhaseSource = "output"
@@ -296,7 +296,7 @@ class ModelTable(TomlTable, frozen=True):
             If a term does not exist, or belongs to the other kind.
         """
         table = self
-        if output != GYRO and self.terms is DEFAULT_TERMS:
+        if output != GYRO and self.terms is _DEFAULT_TERMS:
             table = msgspec.structs.replace(self, terms=("scale_factor", "k0"))
         check_terms(table.terms, where=where, output=output)
         return table
@@ -381,7 +381,7 @@ class RunFile(TomlTable, frozen=True):
         return "count/s" if self.data.output.counted else str(self.data.output.unit)
 
 
-SERVO_UNITS = {
+_SERVO_UNITS = {
     "integral_gain": "N m/(rad s)",
     "proportional_gain": "N m/rad",
     "rate_gain": "N m s/rad",
@@ -595,9 +595,9 @@ def _check_revolution(counts: float | None) -> None:
         raise RunFileError(
             "[instrument] counts_per_revolution is missing, but [data] output is in counts", remedy="add it"
         )
-    if not LEAST_COUNTS <= counts <= MOST_COUNTS:
+    if not _LEAST_COUNTS <= counts <= _MOST_COUNTS:
         raise RunFileError(
-            f"[instrument] counts_per_revolution: must be positive, {LEAST_COUNTS:g} to {MOST_COUNTS:g}",
+            f"[instrument] counts_per_revolution: must be positive, {_LEAST_COUNTS:g} to {_MOST_COUNTS:g}",
             remedy="correct it",
         )
 

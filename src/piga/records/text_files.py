@@ -20,7 +20,7 @@ from piga.units import LARGEST
 
 T = TypeVar("T", bound=msgspec.Struct)
 
-MOST_TOML_BYTES = 1 << 20
+_MOST_TOML_BYTES = 1 << 20
 """Largest TOML file that is read [bytes]. Run files have a few kilobytes."""
 
 KINDS = {
@@ -49,7 +49,7 @@ def toml_bytes(path: Path) -> bytes:
     RunFileError
         If the file cannot be read or is larger than such files are.
     """
-    return read_whole(path, MOST_TOML_BYTES, "the TOML file, not the data file", RunFileError)
+    return read_whole(path, _MOST_TOML_BYTES, "the TOML file, not the data file", RunFileError)
 
 
 def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
@@ -88,7 +88,7 @@ def _wrong_file(path: Path) -> str:
 RENAMED = {("model", "phase"): "phases"}
 """Keys that had another name before: the new name by table and old name. Files with the old name are read."""
 
-REMOVED = {
+_REMOVED = {
     ("run", "earth_tide"): (
         "is not simulated any more", "leave it out; state the tide as an uncertainty: [uncertainty] gravity = '0.07 ug'"
     )
@@ -104,7 +104,7 @@ def written_key(raw: bytes, table: str, key: str) -> str:
 
 
 def _with_new_names(path: Path, document: dict[str, Any]) -> dict[str, Any]:
-    for (table, key), (reason, remedy) in REMOVED.items():
+    for (table, key), (reason, remedy) in _REMOVED.items():
         if isinstance(document.get(table), dict) and key in document[table]:
             raise RunFileError(f"{path}: [{table}] {key} {reason}", remedy=remedy)
     for (table, old), new in RENAMED.items():

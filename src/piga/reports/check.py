@@ -93,7 +93,7 @@ def page(run: Run, prospects: Sequence[TermProspect] = ()) -> Page:
         Tile("Recorded", f"{run.duration:.6g}", "s", f"{int(run.begins.sum())} stretches, {rate(run):.6g} Hz"),
         Tile("Segments", f"{len(run.labels)}", "", "" if run.direct else f"phase {kept}"),
         Tile("Reference", f"{size.min():.6g} to {size.max():.6g}", "g", "specific force |f|"),
-        Tile("Calibration", run.estimation.method, "", calibration_words(run)),
+        Tile("Calibration", run.estimation.method, "", _calibration_words(run)),
     )
     table = (
         TableOf(quality.events)
@@ -149,8 +149,8 @@ def check_document(record: Run, prospects: Sequence[TermProspect] = ()) -> dict[
         "rate_hz": rate(record),
         "force_g": [float(size.min()) / G0, float(size.max()) / G0],
         "phase_kept": phase_kept(record),
-        "calibration": f"{record.estimation.method}, {calibration_words(record)}",
-        "calibration_possible": calibration_possible(record),
+        "calibration": f"{record.estimation.method}, {_calibration_words(record)}",
+        "calibration_possible": _calibration_possible(record),
         "input_sha256": record.input_sha256,
         **({"terms": [prospect.document() for prospect in prospects]} if prospects else {}),
     }
@@ -166,13 +166,13 @@ def phase_kept(run: Run) -> bool:
     return len(set(run.phase_group)) == 1
 
 
-def calibration_words(run: Run) -> str:
+def _calibration_words(run: Run) -> str:
     """Description of a calibration with this run file."""
-    possible = "" if calibration_possible(run) else " (not possible: the phase was lost)"
+    possible = "" if _calibration_possible(run) else " (not possible: the phase was lost)"
     phases = "" if run.direct else f", phases {run.model.phases}"
     return f"{len(run.model.terms)} terms{phases}{possible}"
 
 
-def calibration_possible(run: Run) -> bool:
+def _calibration_possible(run: Run) -> bool:
     """False if one phase is asked for and the record has lost it."""
     return lost_phase(run, run.model.terms, run.model.phases, run.estimation.method) is None

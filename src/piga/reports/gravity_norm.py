@@ -47,7 +47,7 @@ def residual_figure(cal: SetCalibration) -> Figure:
     )
 
 
-def terms_table(cal: SetCalibration) -> Table:
+def _terms_table(cal: SetCalibration) -> Table:
     """All terms with u, U and degrees of freedom."""
     return (
         TableOf(cal.terms)
@@ -90,7 +90,7 @@ def page(cal: SetCalibration) -> Page:
             Tile("Residual", short(cal.residual_rms / MICRO_G), "µg", "root mean square by degrees of freedom"),
         ),
         (
-            Section("Terms", "terms", (Text(_words(cal)), terms_table(cal), *notices)),
+            Section("Terms", "terms", (Text(_words(cal)), _terms_table(cal), *notices)),
             Section("Residuals", "of-spells", (FigureBlock(partial(residual_figure, cal)),)),
             Section("Static spells", "spells", (spells,)),
             origin(cal.input_sha256),

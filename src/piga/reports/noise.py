@@ -40,7 +40,7 @@ _ROLES: dict[str, Role] = {"allan": "after", "modified": "x", "hadamard": "warni
 
 def figures(noise: NoiseAnalysis) -> dict[str, Callable[[], Figure]]:
     """The figures by name."""
-    return {"deviations": partial(deviations_figure, noise), "spectrum": partial(spectrum_figure, noise)}
+    return {"deviations": partial(_deviations_figure, noise), "spectrum": partial(spectrum_figure, noise)}
 
 
 def deviation_figure(deviation: AllanDeviation) -> Figure:
@@ -54,7 +54,7 @@ def deviation_figure(deviation: AllanDeviation) -> Figure:
     return plot.caption("Overlapping deviation with its 68 % band. Stretches are pooled, not joined.")
 
 
-def deviations_figure(noise: NoiseAnalysis) -> Figure:
+def _deviations_figure(noise: NoiseAnalysis) -> Figure:
     """The three deviations, the band of the Allan deviation, and the levels."""
     one, unit = shown_output(noise.unit)
     allan = noise.deviations[0]
@@ -104,7 +104,7 @@ def remarks(noise: NoiseAnalysis) -> tuple[str, ...]:
     return (words,)
 
 
-def levels_table(noise: NoiseAnalysis) -> Table:
+def _levels_table(noise: NoiseAnalysis) -> Table:
     """The levels with their intervals, and as accelerations where the scale factor is known."""
     one, unit = shown_output(noise.unit)
 
@@ -130,7 +130,7 @@ def levels_table(noise: NoiseAnalysis) -> Table:
     return table.table()
 
 
-def deviations_table(noise: NoiseAnalysis) -> Table:
+def _deviations_table(noise: NoiseAnalysis) -> Table:
     """The Allan deviation with its band, and the two others."""
     one, unit = shown_output(noise.unit)
     allan, *others = noise.deviations
@@ -158,15 +158,15 @@ def page(noise: NoiseAnalysis) -> Page:
         lead=True,
     )
     notices = [Notice("warning", remark) for remark in remarks(noise)]
-    drawn = FigureBlock(partial(deviations_figure, noise))
+    drawn = FigureBlock(partial(_deviations_figure, noise))
     stretches = "one stretch" if noise.stretches == 1 else f"{noise.stretches} stretches"
     return Page(
         f"Noise of {noise.source}",
         f"{count(noise.samples)} samples at {1.0 / noise.step:.6g} Hz, {noise.duration:.6g} s in {stretches}.",
         _tiles(noise),
         (
-            Section("Levels", "levels", (lead, levels_table(noise), *notices, drawn)),
-            Section("Deviations", "all-deviations", (deviations_table(noise),)),
+            Section("Levels", "levels", (lead, _levels_table(noise), *notices, drawn)),
+            Section("Deviations", "all-deviations", (_deviations_table(noise),)),
             Section("Spectrum", "the-spectrum", (FigureBlock(partial(spectrum_figure, noise)),)),
             origin(noise.input_sha256),
         ),

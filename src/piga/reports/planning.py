@@ -47,14 +47,14 @@ def _forces(candidates: tuple[Candidate, ...]) -> tuple[Array, Array]:
 def figures(plan: Plan) -> dict[str, Callable[[], Figure]]:
     """The figures of a plan by name."""
     drawn: dict[str, Callable[[], Figure]] = {
-        "positions": partial(dwell_figure, plan),
-        "uncertainty": partial(uncertainty_figure, plan),
-        "duration": partial(duration_figure, plan),
+        "positions": partial(_dwell_figure, plan),
+        "uncertainty": partial(_uncertainty_figure, plan),
+        "duration": partial(_duration_figure, plan),
     }
-    return drawn if plan.request.direct else drawn | {"lock": partial(lock_figure, plan)}
+    return drawn if plan.request.direct else drawn | {"lock": partial(_lock_figure, plan)}
 
 
-def dwell_figure(plan: Plan) -> Figure:
+def _dwell_figure(plan: Plan) -> Figure:
     """Chosen positions in the plane of the forces, and the time in each."""
     chosen = tuple(visit.candidate for visit in plan.best.visits)
     named = tuple(f"{v.candidate.label}: {short(v.dwell)} s" for v in plan.best.visits)
@@ -79,7 +79,7 @@ def dwell_figure(plan: Plan) -> Figure:
     )
 
 
-def uncertainty_figure(plan: Plan) -> Figure:
+def _uncertainty_figure(plan: Plan) -> Figure:
     """Predicted standard uncertainty of each coefficient over that of the plan, for the standard plans."""
     number = np.arange(1, len(plan.names) + 1)
     roles: tuple[Role, ...] = ("z", "y", "x", "before")
@@ -101,7 +101,7 @@ def uncertainty_figure(plan: Plan) -> Figure:
     )
 
 
-def duration_figure(plan: Plan) -> Figure:
+def _duration_figure(plan: Plan) -> Figure:
     """Uncertainty against duration, relative to the plan, per coefficient."""
     hours = np.array([duration for duration, _, _ in plan.stretched]) / 60.0
     plot = Plot("plan-duration", "Uncertainty against duration", columns=2, height=2.6)
@@ -121,7 +121,7 @@ def duration_figure(plan: Plan) -> Figure:
     )
 
 
-def lock_figure(plan: Plan) -> Figure:
+def _lock_figure(plan: Plan) -> Figure:
     """Distance of every candidate from the lock zone, and its gain per second."""
     number = np.arange(1, len(plan.candidates) + 1)
     margin = np.array([min(c.margin, SHOWN) for c in plan.candidates])
@@ -140,7 +140,7 @@ def lock_figure(plan: Plan) -> Figure:
     )
 
 
-def mounting_figure(mounting: Mounting) -> Figure:
+def _mounting_figure(mounting: Mounting) -> Figure:
     """Margin against skew, and along the profile for the best mounting."""
     degrees = np.degrees(mounting.skews)
     plot = Plot("plan-mounting", "Skew of the instrument on the platform")
@@ -172,17 +172,17 @@ _CRITERIA = {
 def page(plan: Plan, mounting: Mounting | None = None) -> Page:
     """The page of a planned test; ``mounting`` adds how to mount the instrument."""
     lead = Text(f"Least is {_CRITERIA[plan.request.settings.criterion]}.", lead=True)
-    places, spread = FigureBlock(partial(dwell_figure, plan)), FigureBlock(partial(uncertainty_figure, plan))
+    places, spread = FigureBlock(partial(_dwell_figure, plan)), FigureBlock(partial(_uncertainty_figure, plan))
     sections = [
-        Section("The test", "the-test", (lead, places, visit_table(plan))),
-        Section("What it will give", "what-it-gives", (uncertainty_table(plan), spread)),
-        Section("Time", "time", (*_cheapest_blocks(plan), FigureBlock(partial(duration_figure, plan)))),
+        Section("The test", "the-test", (lead, places, _visit_table(plan))),
+        Section("What it will give", "what-it-gives", (_uncertainty_table(plan), spread)),
+        Section("Time", "time", (*_cheapest_blocks(plan), FigureBlock(partial(_duration_figure, plan)))),
     ]
     if not plan.request.direct:
-        lock = (FigureBlock(partial(lock_figure, plan)), *_excluded_blocks(plan))
+        lock = (FigureBlock(partial(_lock_figure, plan)), *_excluded_blocks(plan))
         sections.append(Section("Lock zone", "lock-zone", lock))
     if mounting is not None:
-        blocks = (_mounting_notice(mounting), FigureBlock(partial(mounting_figure, mounting)))
+        blocks = (_mounting_notice(mounting), FigureBlock(partial(_mounting_figure, mounting)))
         sections.append(Section("Mounting", "mounting", blocks))
     return Page(
         title=f"Planned test of {plan.request.table.instrument.serial}",
@@ -194,7 +194,7 @@ def page(plan: Plan, mounting: Mounting | None = None) -> Page:
     )
 
 
-def relative_uncertainty(plan: Plan, prediction: Prediction) -> float:
+def _relative_uncertainty(plan: Plan, prediction: Prediction) -> float:
     """Geometric mean of the uncertainties of the plan over those of another test (coefficients alike)."""
     ratios = [plan.best.std(name) / prediction.std(name) for name in plan.names]
     return math.exp(sum(math.log(r) for r in ratios) / len(ratios)) if min(ratios) > 0.0 else 0.0
@@ -207,7 +207,7 @@ def _tiles(plan: Plan) -> tuple[Tile, ...]:
         Tile("Recorded", short(plan.best.recorded), "s", f"of {short(plan.best.duration)} s"),
     ]
     if not reference.refusal:
-        gain = relative_uncertainty(plan, reference)
+        gain = _relative_uncertainty(plan, reference)
         tiles.append(
             Tile(
                 "Uncertainty",
@@ -223,7 +223,7 @@ def _tiles(plan: Plan) -> tuple[Tile, ...]:
     return tuple(tiles)
 
 
-def visit_table(plan: Plan) -> Table:
+def _visit_table(plan: Plan) -> Table:
     """Visits of the plan in the order of the test."""
     table = TableOf(plan.best.visits)
     table.text("position or level", lambda visit: visit.candidate.label)
@@ -234,7 +234,7 @@ def visit_table(plan: Plan) -> Table:
     return table.table("Visits in the order of the test.")
 
 
-def uncertainty_table(plan: Plan) -> Table:
+def _uncertainty_table(plan: Plan) -> Table:
     """Predicted uncertainties, and those of the standard plans as multiples."""
     shown = [(name, *shown_unit(name, unit_of(name, plan.request.unit))) for name in plan.names]
     table = (
@@ -303,10 +303,10 @@ def _excluded_blocks(plan: Plan) -> tuple[Block, ...]:
 
 
 def _mounting_notice(mounting: Mounting) -> Notice:
-    return Notice("good" if mounting.margin >= mounting.limit else "problem", mounting_text(mounting) + ".")
+    return Notice("good" if mounting.margin >= mounting.limit else "problem", _mounting_text(mounting) + ".")
 
 
-def mounting_text(mounting: Mounting) -> str:
+def _mounting_text(mounting: Mounting) -> str:
     """The answer to the mounting question in one sentence."""
     kept = [math.degrees(float(s)) for s in mounting.acceptable]
     text = (

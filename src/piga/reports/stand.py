@@ -102,12 +102,12 @@ Drawn = dict[str, Callable[[], Figure]]
 
 def figures(test: SimulatedTest) -> Drawn:
     """All figures of a simulated test by name, in reading order."""
-    drawn: Drawn = {"stand": partial(stand_figure, test)}
+    drawn: Drawn = {"stand": partial(_stand_figure, test)}
     if np.any(test.profile.force - test.profile.reference):
-        drawn["imperfections"] = partial(imperfection_figure, test)
-    drawn["output"] = partial(output_figure, test)
+        drawn["imperfections"] = partial(_imperfection_figure, test)
+    drawn["output"] = partial(_output_figure, test)
     if test.specimen.instrument.tan_beta:
-        drawn["locking"] = partial(lock_zone_figure, test)
+        drawn["locking"] = partial(_lock_zone_figure, test)
     if test.motion is not None:
         drawn["servo"] = partial(servo_figure, test, test.motion)
         design = test.specimen.design
@@ -129,7 +129,7 @@ def _components(plot: Plot, t: Array, values: Array) -> Plot:
     return plot
 
 
-def stand_figure(test: SimulatedTest) -> Figure:
+def _stand_figure(test: SimulatedTest) -> Figure:
     """Specific force and base rate of the reference."""
     t, time = _time(test)
     plot = Plot("stand", "The stand", height=4.6)
@@ -141,7 +141,7 @@ def stand_figure(test: SimulatedTest) -> Figure:
     )
 
 
-def imperfection_figure(test: SimulatedTest) -> Figure:
+def _imperfection_figure(test: SimulatedTest) -> Figure:
     """Specific force that the instrument feels, less the reference."""
     t, time = _time(test)
     plot = Plot("imperfections", "Imperfections of the stand", time, "true less reference [µg]")
@@ -149,13 +149,13 @@ def imperfection_figure(test: SimulatedTest) -> Figure:
     return plot.caption("What the imperfections change: the instrument feels it, the log does not show it.")
 
 
-def lock_zone_figure(test: SimulatedTest) -> Figure:
+def _lock_zone_figure(test: SimulatedTest) -> Figure:
     """Mean rate against specific force at the largest transverse force that is recorded."""
     across = np.hypot(*test.profile.force[test.profile.recorded, 1:].T)
     return locking_figure(test.specimen.instrument, (float(across.max()),))
 
 
-def output_figure(test: SimulatedTest) -> Figure:
+def _output_figure(test: SimulatedTest) -> Figure:
     """Output angle, and the indicated specific force less the true one."""
     t, time = _time(test)
     p = test.profile

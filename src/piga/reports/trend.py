@@ -35,7 +35,7 @@ _GRID = 80
 
 
 @dataclass(frozen=True)
-class TrendScale:
+class _TrendScale:
     """How values of a coefficient are drawn: ``(value - origin) * factor`` in ``unit``, named ``quantity``."""
 
     origin: float
@@ -48,18 +48,18 @@ class TrendScale:
         return (np.asarray(values, dtype=float) - self.origin) * self.factor
 
 
-def scale_of(trend: CoefficientTrend) -> TrendScale:
+def scale_of(trend: CoefficientTrend) -> _TrendScale:
     """A round origin near the values, and micro-units (ppm of it for the scale factor)."""
     values = np.array([point.value for point in trend.points])
     spread = max(float(np.ptp(values)), *(point.own for point in trend.points)) or abs(float(values[0])) or 1.0
     place = -math.floor(math.log10(spread))
     origin = round(float(np.median(values)), place)
     if trend.key == "scale_factor" and origin:
-        return TrendScale(origin, 1e6 / origin, f"scale_factor / {fixed(origin, max(place, 0))} − 1", "ppm")
+        return _TrendScale(origin, 1e6 / origin, f"scale_factor / {fixed(origin, max(place, 0))} − 1", "ppm")
     unit = {"1": "10⁻⁶", "1/K": "10⁻⁶/K"}.get(trend.unit) or pretty_unit(f"u{trend.unit}")
     shown = fixed(origin * 1e6, max(place - 6, 0)).replace("-", "−")
     quantity = f"{trend.key} − {shown}" if origin > 0 else f"{trend.key} + {shown.lstrip('−')}"
-    return TrendScale(origin, 1e6, quantity if origin else trend.key, unit)
+    return _TrendScale(origin, 1e6, quantity if origin else trend.key, unit)
 
 
 DATE = Axis("date", "", dates=True)
@@ -147,7 +147,7 @@ def page(drifts: Trend, at: dt.datetime | None = None) -> Page:
     blocks += [Notice("warning", remark) for remark in drifts.remarks]
     sections = [
         Section("Judgement", "judgement", tuple(blocks)),
-        Section("Stability and drift", "stability", (Text(_LEAD, lead=True), summary_table(drifts, at))),
+        Section("Stability and drift", "stability", (Text(_LEAD, lead=True), _summary_table(drifts, at))),
     ]
     sections += [_section(drifts, trend, ahead) for trend in drifts.coefficients]
     return Page(
@@ -192,7 +192,7 @@ def _tiles(drifts: Trend, span: float) -> tuple[Tile, ...]:
     )
 
 
-def summary_table(drifts: Trend, at: dt.datetime | None = None) -> Table:
+def _summary_table(drifts: Trend, at: dt.datetime | None = None) -> Table:
     """One row per coefficient: value on the last day, stability, drift, forecast."""
     table = (
         TableOf(drifts.coefficients)
@@ -253,10 +253,10 @@ def _section(drifts: Trend, trend: CoefficientTrend, ahead: float | None) -> Sec
     figure = FigureBlock(partial(trend_figure, drifts, trend, ahead))
     lead = Text(f"{meaning_of(trend.key)[:1].upper()}{meaning_of(trend.key)[1:]}.", lead=True)
     anchor = f"coefficient-{trend.key.replace('_', '-')}"
-    return Section(trend.key, anchor, (lead, figure, record_table(drifts, trend)))
+    return Section(trend.key, anchor, (lead, figure, _record_table(drifts, trend)))
 
 
-def record_table(drifts: Trend, trend: CoefficientTrend) -> Table:
+def _record_table(drifts: Trend, trend: CoefficientTrend) -> Table:
     """Table of the records, each with its forecast from earlier records."""
     scale, unit = shown_unit(trend.key, trend.unit)
     shown = pretty_unit(unit)

@@ -26,7 +26,7 @@ def turned(vector: Array, angle: Array) -> Array:
     return np.column_stack([c * x + s * y, c * y - s * x, np.full(angle.shape, z)])
 
 
-def in_axes(matrix: Array, vectors: Array) -> Array:
+def _in_axes(matrix: Array, vectors: Array) -> Array:
     """Each row of ``vectors`` (n, 3) multiplied by ``matrix`` (3, 3).
 
     The product is written out, because the rounding of a matrix product may depend on the number of rows. The
@@ -36,19 +36,19 @@ def in_axes(matrix: Array, vectors: Array) -> Array:
     return np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in matrix])
 
 
-def small_turn(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:
+def _small_turn(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:
     """Matrix to axes turned by the small rotation vector ``(x, y, z)`` [rad], (3, 3)."""
     return rotation_vector_to_matrix(np.array([x, y, z])).T
 
 
-def horizontal_axis_frame(site: Site, azimuth: float) -> tuple[Array, Array]:
+def _horizontal_axis_frame(site: Site, azimuth: float) -> tuple[Array, Array]:
     """Up and Earth rate [rad/s] in axes (up, z x up, z) with z horizontal at ``azimuth`` [rad] from north."""
     north, up = EARTH_RATE * math.cos(site.latitude), EARTH_RATE * math.sin(site.latitude)
     rate = np.array([up, -math.sin(azimuth) * north, math.cos(azimuth) * north])
     return np.array([1.0, 0.0, 0.0]), rate
 
 
-def vertical_axis_frame(site: Site) -> tuple[Array, Array]:
+def _vertical_axis_frame(site: Site) -> tuple[Array, Array]:
     """Up and Earth rate [rad/s] in axes (north, west, up)."""
     rate = EARTH_RATE * np.array([math.cos(site.latitude), 0.0, math.sin(site.latitude)])
     return np.array([0.0, 0.0, 1.0]), rate
@@ -78,7 +78,7 @@ def mount(axis: str, what: str = "mount") -> Array:
     return _ALONG_Z[name] @ flip
 
 
-def smooth_step(u: Array) -> tuple[Array, Array, Array]:
+def _smooth_step(u: Array) -> tuple[Array, Array, Array]:
     """Cycloid from 0 to 1 over ``u`` in [0, 1], with its first two derivatives with respect to ``u``."""
     w = 2.0 * math.pi * np.clip(u, 0.0, 1.0)
     return (w - np.sin(w)) / (2.0 * math.pi), 1.0 - np.cos(w), 2.0 * math.pi * np.sin(w)
@@ -147,7 +147,7 @@ class DividingHead:
         following = np.minimum(k + 1, x.size - 1)
         start = x[k] + decay
         way = x[following] + residue[following] - start
-        s, ds, _ = smooth_step((inside - self.dwell) / self.move)
+        s, ds, _ = _smooth_step((inside - self.dwell) / self.move)
         moving = (inside > self.dwell) & (following > k)
         angle = np.where(moving, start + way * s, start)
         rate = np.where(moving, way * ds / self.move, -decay / self.settling_time)
@@ -156,13 +156,13 @@ class DividingHead:
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
         angle, rate = self.angle(t, errors)
-        up, earth = horizontal_axis_frame(self.site, self.azimuth)
-        tilt = small_turn(0.0, errors.levelling[1], errors.levelling[0])
+        up, earth = _horizontal_axis_frame(self.site, self.azimuth)
+        tilt = _small_turn(0.0, errors.levelling[1], errors.levelling[0])
         roll = axis_turn(0, self.roll)
         force = (self.site.local_gravity + errors.gravity) * turned(tilt @ up, angle)
         base_rate = turned(tilt @ earth, angle)
         base_rate[:, 2] += rate
-        return in_axes(roll, force), in_axes(roll, base_rate)
+        return _in_axes(roll, force), _in_axes(roll, base_rate)
 
 
 def angles_of_range(text: str, what: str, example: str) -> tuple[float, ...]:
@@ -241,7 +241,7 @@ class SpinPlan:
         return Spin(angle + ripple * np.sin(angle), rate * swing, acceleration)
 
 
-class Spinning:
+class _Spinning:
     """Base of stands that turn by a :class:`SpinPlan`."""
 
     spin: SpinPlan
@@ -257,7 +257,7 @@ class Spinning:
 
 
 @dataclass(frozen=True)
-class Centrifuge(Spinning):
+class Centrifuge(_Spinning):
     """A vertical spindle with an arm; the input axis points to the spindle (or away from it).
 
     On the arm (``counter_rotating`` false): ``X0`` inward, ``Z0`` up, ``Y0`` against the motion for
@@ -301,7 +301,7 @@ class Centrifuge(Spinning):
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
         spin = self.spin.true(t, errors)
-        up, earth = (small_turn(*errors.levelling) @ v for v in vertical_axis_frame(self.site))
+        up, earth = (_small_turn(*errors.levelling) @ v for v in _vertical_axis_frame(self.site))
         squared = spin.rate**2
         radius = (self.radius + errors.arm_radius) * (1.0 + (self.stretch + errors.arm_stretch) * squared)
         earth_on_arm = turned(earth, spin.angle)
@@ -316,7 +316,7 @@ class Centrifuge(Spinning):
         if self.counter_rotating:
             force, rate = turned(force.T, -spin.angle), np.tile(earth, (t.size, 1))
         turn = axis_turn(0, self.roll) @ axis_turn(2, math.pi if self.outward else 0.0)
-        return in_axes(turn, force), in_axes(turn, rate)
+        return _in_axes(turn, force), _in_axes(turn, rate)
 
 
 def rates_for_levels(levels: tuple[float, ...], radius: float, stretch: float = 0.0) -> tuple[float, ...]:
@@ -338,7 +338,7 @@ def rates_for_levels(levels: tuple[float, ...], radius: float, stretch: float = 
 
 
 @dataclass(frozen=True)
-class RateTable(Spinning):
+class RateTable(_Spinning):
     """A table turning about one axis.
 
     With a vertical axis, gravity is constant in the base and the rate adds to it: the term ``-Omega_x`` of the
@@ -377,12 +377,12 @@ class RateTable(Spinning):
         """Specific force and base rate in base axes, (n, 3) each."""
         spin = self.spin.true(t, errors)
         frame = (
-            horizontal_axis_frame(self.site, self.azimuth)
+            _horizontal_axis_frame(self.site, self.azimuth)
             if self.horizontal
-            else vertical_axis_frame(self.site)
+            else _vertical_axis_frame(self.site)
         )
         tilt = (
-            small_turn(*errors.levelling) if not self.horizontal else small_turn(0.0, *errors.levelling[::-1])
+            _small_turn(*errors.levelling) if not self.horizontal else _small_turn(0.0, *errors.levelling[::-1])
         )
         up, earth = (tilt @ v for v in frame)
         arm = self.offset + errors.arm_radius
@@ -392,7 +392,7 @@ class RateTable(Spinning):
         rate = turned(earth, spin.angle)
         rate[:, 2] += spin.rate
         turn = mount(self.along)
-        return in_axes(turn, force), in_axes(turn, rate)
+        return _in_axes(turn, force), _in_axes(turn, rate)
 
 
 # -- vibration table: sine dwells, sweeps and random vibration along one axis ------------------------------
@@ -555,8 +555,8 @@ class VibrationTable:
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
         wave, wave_rate, peak = self._drive(t)
-        local_up, local_rate = horizontal_axis_frame(self.site, 0.0)
-        to_base = mount(self.up) @ _UP_FIRST @ small_turn(0.0, *errors.levelling)
+        local_up, local_rate = _horizontal_axis_frame(self.site, 0.0)
+        to_base = mount(self.up) @ _UP_FIRST @ _small_turn(0.0, *errors.levelling)
         up, earth = to_base @ local_up, to_base @ local_rate
         along, across = mount(self.axis)[:, 2], mount(self.axis)[:, 0]
         gravity = (self.site.local_gravity + errors.gravity) * up

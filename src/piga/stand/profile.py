@@ -116,7 +116,7 @@ def segment_index(t: Array, segments: tuple[Segment, ...]) -> NDArray[np.int32]:
     return np.where(keep_before, before, index).astype(np.int32)
 
 
-def check_step(segments: tuple[Segment, ...], step: float) -> None:
+def _check_step(segments: tuple[Segment, ...], step: float) -> None:
     """Refuse a sample interval that does not divide every segment.
 
     Raises
@@ -150,7 +150,7 @@ def sample_stand(
     segments = stand.segments()
     if not segments:
         raise ArgumentError(f"the {stand.kind} has no segment: it lasts 0 s", remedy="give it a duration")
-    check_step(segments, step)
+    _check_step(segments, step)
     end = round((segments[-1].stop - segments[0].start) / step) * oversample
     t = segments[0].start + np.arange(end + extra + 1) * step / oversample
     force, rate = stand.motion(t, errors)

@@ -40,9 +40,9 @@ from piga.stand.profile import Segment, Stand, force_change
 from piga.stand.scenario import CompositeTable, SimpleStand
 from piga.units import from_si
 
-MOST_NAMED = 24
+_MOST_NAMED = 24
 """Most segments that a message names."""
-TIMED = ("vibration-table", "profile", "composite")
+_TIMED = ("vibration-table", "profile", "composite")
 """Stands that are matched to a record by time."""
 
 
@@ -193,7 +193,7 @@ def plan_times(
 
     ``names`` are the labels of the positions, if they have names. A stand that is matched by time has the times ``t`` itself.
     """
-    if stand.kind in TIMED:
+    if stand.kind in _TIMED:
         return t
     planned = [part for part in stand.segments() if part.recorded]
     by_name = dict(zip(names or tuple(part.label for part in planned), planned, strict=True))
@@ -221,10 +221,10 @@ def _in_order(
         order = dict(zip(used.tolist(), planned, strict=True))
         return [order.get(k, planned[0]) for k in range(len(labels))]
     if len(planned) != len(labels):
-        more = ", ..." if len(labels) > MOST_NAMED else ""
+        more = ", ..." if len(labels) > _MOST_NAMED else ""
         raise ArgumentError(
             f"[stand] has {len(planned)} positions or levels, the record has {len(labels)} segments "
-            f"({', '.join(labels[:MOST_NAMED])}{more})",
+            f"({', '.join(labels[:_MOST_NAMED])}{more})",
             remedy="give them in order, positions = ['0 deg', ...], or by name, positions = { 'label' = 'angle', ... }",
         )
     return list(planned)

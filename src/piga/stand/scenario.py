@@ -56,10 +56,10 @@ from piga.stand.profile import Composite, Stand, read_profile
 from piga.stand.simulate import Harmonics, Model, SimulatedTest, Specimen, simulate_test
 from piga.units import to_si
 
-Metres = Annotated[Quantity, in_unit("m")]
+_Metres = Annotated[Quantity, in_unit("m")]
 Acceleration = Annotated[Quantity, in_unit("m/s^2")]
-Kelvins = Annotated[Quantity, in_unit("K")]
-Gravities = Annotated[Quantity, in_unit("g")]
+_Kelvins = Annotated[Quantity, in_unit("K")]
+_Gravities = Annotated[Quantity, in_unit("g")]
 
 
 class SpecimenTable(InstrumentTable, frozen=True):
@@ -89,17 +89,17 @@ class NoiseTable(TomlTable, frozen=True):
     first-order Markov process with the correlation time ``markov_time``.
     """
 
-    flicker: Gravities = 0.0
-    markov: Gravities = 0.0
+    flicker: _Gravities = 0.0
+    markov: _Gravities = 0.0
     markov_time: Seconds = 0.0
 
 
 class TemperatureTable(TomlTable, frozen=True):
     """``[temperature]`` of the instrument; constant 20 degC without this table."""
 
-    start: Kelvins = "20 degC"
+    start: _Kelvins = "20 degC"
     drift: Annotated[Quantity, in_unit("K/s")] = 0.0
-    swing: Kelvins = "0 K"
+    swing: _Kelvins = "0 K"
     period: Seconds = "1 d"
 
 
@@ -120,7 +120,7 @@ class SiteTable(TomlTable, frozen=True):
 
     latitude: Radians
     longitude: Radians = 0.0
-    height: Metres = 0.0
+    height: _Metres = 0.0
     gravity: Acceleration | None = None
 
     def at_site(self) -> tuple[Site, dict[str, float]]:
@@ -159,7 +159,7 @@ def head_positions(value: str | Sequence[Quantity]) -> tuple[float, ...]:
 class CentrifugeTable(SiteTable, frozen=True, tag_field="kind", tag="centrifuge"):
     """``[stand] kind = "centrifuge"``: ``levels`` of specific force, or ``rates``."""
 
-    radius: Metres = "1 m"
+    radius: _Metres = "1 m"
     levels: tuple[Quantity, ...] | None = None
     rates: tuple[Quantity, ...] | None = None
     down: bool = True
@@ -196,7 +196,7 @@ class RateTableTable(SiteTable, frozen=True, tag_field="kind", tag="rate-table")
     along: str = "X0"
     axis: Literal["vertical", "horizontal"] = "vertical"
     azimuth: Radians = 0.0
-    offset: Metres = 0.0
+    offset: _Metres = 0.0
 
     def build(self, _folder: Path) -> Stand:
         """The stand."""

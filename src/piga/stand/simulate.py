@@ -226,7 +226,7 @@ def simulate_test(
     kelvin = temperature.at(profile.t)
     recorded = np.array([part.recorded for part in profile.segments])
     number = np.where(recorded, np.cumsum(recorded) - 1, -1).astype(np.int32)
-    shaking = vibration_of(number[profile.segment], vibration)
+    shaking = _vibration_of(number[profile.segment], vibration)
     if specimen.direct:
         if model == "twin":
             raise ArgumentError(
@@ -244,7 +244,7 @@ def simulate_test(
     steps("reading the output")
     log, phases = _read(electronics, profile, alpha, rate, kelvin, oversample, imperfections, streams[3])
     if vibration:
-        log = replace(log, vibration=vibration_of(log.segment, vibration))
+        log = replace(log, vibration=_vibration_of(log.segment, vibration))
     return SimulatedTest(
         model=model,
         specimen=specimen,
@@ -339,7 +339,7 @@ def _quasi_steady(
     )
 
 
-def vibration_of(segment: NDArray[np.int32], levels: Sequence[float]) -> Array:
+def _vibration_of(segment: NDArray[np.int32], levels: Sequence[float]) -> Array:
     """Root mean square of the vibration [m/s^2] in each row: the levels by segment, again and again; 0 outside of segments."""
     if not levels:
         return np.zeros(segment.size)
@@ -392,7 +392,7 @@ def straightened(values: Array) -> Array:
 
 def _forces_of_angle(specimen: Specimen, alpha: Array, force: Array, base_rate: Array) -> Array:
     """Specific force [m/s^2] of harmonics and servo at gimbal angle ``alpha`` [rad], (n,)."""
-    total = harmonic_force(specimen.harmonics, alpha)
+    total = _harmonic_force(specimen.harmonics, alpha)
     if specimen.servo or specimen.servo_damping:
         K = specimen.instrument.scale_factor
         total += servo_force(specimen.servo, specimen.servo_damping, K, alpha, force, base_rate)
@@ -406,7 +406,7 @@ def _walked(vectors: Array, angle: Array) -> Array:
     return np.column_stack([x, c * y + s * z, c * z - s * y])
 
 
-def harmonic_force(harmonics: Harmonics, alpha: Array) -> Array:
+def _harmonic_force(harmonics: Harmonics, alpha: Array) -> Array:
     """Specific force [m/s^2] that the harmonics add at gimbal angle ``alpha`` [rad], (n,)."""
     total = np.zeros(alpha.size)
     for order, (sine, cosine) in harmonics.items():

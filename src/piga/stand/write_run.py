@@ -100,12 +100,12 @@ def _phases(test: SimulatedTest) -> tuple[TrueValue, ...]:
     """``phi``: one value if all segments share it, else one per segment."""
     turn = math.pi if test.specimen.instrument.beta < 0.0 else 0.0
     phases = [math.remainder(phase + turn, 2.0 * math.pi) for phase in test.phases]
-    if shares_phase(test):
+    if _shares_phase(test):
         return (TrueValue("phi", phases[0], "rad"),)
     return tuple(TrueValue("phi", p, "rad", name) for p, name in zip(phases, test.log.labels, strict=True))
 
 
-def shares_phase(test: SimulatedTest) -> bool:
+def _shares_phase(test: SimulatedTest) -> bool:
     """Whether the counter keeps its zero through the whole test."""
     e = test.electronics
     if e.counter_bits is None or float(1 << e.counter_bits) % e.counts_per_revolution == 0.0:
@@ -161,7 +161,7 @@ def predictions(test: SimulatedTest) -> tuple[TrueValue, ...]:
     )
 
 
-TRUTH_SCHEMA = "piga.truth/1"
+_TRUTH_SCHEMA = "piga.truth/1"
 _AXES = "xyz"
 _OUTPUT = {"counts": "counts", "angle": "psi_rad", "rate": "rate_rad_s"}
 
@@ -252,7 +252,7 @@ def _model(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
         names = [value.name for value in coefficients(test) if value.name not in ("phi", "k1", *known)]
         model["terms"] = names
     if not test.specimen.direct:
-        model.setdefault("phases", "shared" if shares_phase(test) else "per-segment")
+        model.setdefault("phases", "shared" if _shares_phase(test) else "per-segment")
     return model
 
 
@@ -282,7 +282,7 @@ def _uncertainty(scenario: Scenario) -> dict[str, Any]:
 def truth_document(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
     """The truth as one JSON document (schema ``piga.truth/1``)."""
     document: dict[str, Any] = {
-        "schema": TRUTH_SCHEMA,
+        "schema": _TRUTH_SCHEMA,
         "instrument": {"serial": scenario.table.instrument.serial},
         "simulation": {"model": test.model, "stand": test.stand.kind, "seed": test.seed},
         "coefficients": [_entry(value) for value in coefficients(test)],

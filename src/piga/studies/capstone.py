@@ -44,7 +44,7 @@ from piga.units import DAY
 
 
 @dataclass(frozen=True)
-class TriadReading:
+class _TriadReading:
     """One way to mount and read the instruments: ``sensors`` None is the ideal accelerometer."""
 
     name: str
@@ -56,7 +56,7 @@ class TriadReading:
 class CapstoneOutcome(Result):
     """Errors of one reading: largest horizontal position [m], velocity [m/s]; locked time [s/day]."""
 
-    reading: TriadReading
+    reading: _TriadReading
     errors: Errors
     position: float
     velocity: float
@@ -101,7 +101,7 @@ class Capstone(Result):
         ]
 
 
-def readings(sensors: PigaSensors) -> tuple[TriadReading, ...]:
+def readings(sensors: PigaSensors) -> tuple[_TriadReading, ...]:
     """The readings compared: from the ideal instrument to the locked one, and back."""
     tripod = msgspec.structs.replace(
         sensors, mounting="skewed", cone=TRIPOD, tan_beta_error=0.0, phase_error=0.0
@@ -112,26 +112,26 @@ def readings(sensors: PigaSensors) -> tuple[TriadReading, ...]:
         tan_beta_error, phase_error = sensors.tan_beta_error, sensors.phase_error
     cone = np.degrees(sensors.cone)
     return (
-        TriadReading("ideal", None, "ideal accelerometers: the platform and the navigator alone"),
-        TriadReading(
+        _TriadReading("ideal", None, "ideal accelerometers: the platform and the navigator alone"),
+        _TriadReading(
             "raw tripod",
             msgspec.structs.replace(tripod, output="raw"),
             "three axes at right angles, output taken as alpha'/K",
         ),
-        TriadReading(
+        _TriadReading(
             "raw skewed",
             msgspec.structs.replace(skewed, output="raw"),
             f"axes within {cone:.0f} deg of the pole: never locked, still pulled",
         ),
-        TriadReading(
+        _TriadReading(
             "triad",
             msgspec.structs.replace(tripod, output="triad"),
             "right angles, effective axes solved per sample",
         ),
-        TriadReading(
+        _TriadReading(
             "triad skewed", msgspec.structs.replace(skewed, output="triad"), "skewed and solved per sample"
         ),
-        TriadReading(
+        _TriadReading(
             "triad, calibrated",
             msgspec.structs.replace(
                 tripod, output="triad", tan_beta_error=tan_beta_error, phase_error=phase_error
@@ -181,7 +181,7 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
     return Capstone(scenario, outcomes, _passage(ideal, tripod), (times[one_day], along))
 
 
-def _outcome(run: PlatformRun, reading: TriadReading, preparation: Preparation) -> CapstoneOutcome:
+def _outcome(run: PlatformRun, reading: _TriadReading, preparation: Preparation) -> CapstoneOutcome:
     s = run.scenario
     made = compensator("B", preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
     every = max(1, round(10.0 / s.step))
@@ -248,7 +248,7 @@ def _passage(run: PlatformRun, sensors: PigaSensors) -> Passage | None:
     )
 
 
-def force_day_figure(capstone: Capstone) -> Figure:
+def _force_day_figure(capstone: Capstone) -> Figure:
     """Specific force along each input axis over a sidereal day, with the locked zone marked."""
     times, along = capstone.day
     sensors = capstone.scenario.sensors.pigas
@@ -264,7 +264,7 @@ def force_day_figure(capstone: Capstone) -> Figure:
     )
 
 
-def passage_figure(capstone: Capstone) -> Figure | None:
+def _passage_figure(capstone: Capstone) -> Figure | None:
     """One passage through the locked zone: true force, raw output, solved output."""
     p = capstone.passage
     if p is None:
@@ -324,7 +324,7 @@ def capstone_page(capstone: Capstone) -> Page:
         f"instruments give the force back in any mounting: {short(solved.position)} m, against "
         f"{short(capstone.outcomes['ideal'].position)} m with ideal ones."
     )
-    day = (force_day_figure(capstone), passage_figure(capstone))
+    day = (_force_day_figure(capstone), _passage_figure(capstone))
     sections = (
         Section(
             "What happens",

@@ -268,7 +268,7 @@ def closed_form_phase() -> tuple[float, float]:
 
 START = (4.5e-3, 0.4)
 """First guess of the published run: tan_beta, phi [rad]."""
-VARIANCE = 1e10
+_VARIANCE = 1e10
 """Diagonal of the first covariance of the published run."""
 POINTS = 400
 """Points of the history."""
@@ -279,7 +279,7 @@ def published_recursion(
     terms: tuple[str, ...] = ("tan_beta",),
     *,
     start: tuple[float, ...] = START,
-    variance: float = VARIANCE,
+    variance: float = _VARIANCE,
 ) -> Calibration:
     """Calibrate a record by the published recursion [Wei2024, eq. 12-18, 22-24], with its history.
 

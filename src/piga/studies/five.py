@@ -38,7 +38,7 @@ def profile(t: Array) -> Array:
 
 
 @cache
-def real_record() -> Run:
+def _real_record() -> Run:
     """Output angle of the exact motion of an instrument with these errors, with noise."""
     fine = np.linspace(0.0, _END, round(_END / _STEP) * _FINE + 1)
     t = fine[::_FINE]
@@ -51,13 +51,13 @@ def real_record() -> Run:
 
 
 @cache
-def model_record() -> Run:
+def _model_record() -> Run:
     """Output rate [rad/s] of the published model, without noise. Its phase is the integral of K a_x."""
-    t = real_record().t
+    t = _real_record().t
     f = profile(t)
     K = _INSTRUMENT.scale_factor
     a_x, a_Y = f[:, 0] / G0, f[:, 1] / G0
-    phase = model_phase(real_record()) + TRUTH["phi"]
+    phase = model_phase(_real_record()) + TRUTH["phi"]
     error = TRUTH["tan_beta"] * a_Y * np.sin(phase) + TRUTH["k0"] + TRUTH["k1"] * a_x + TRUTH["k2"] * a_x**2
     return Run.from_arrays(
         t, K * G0 * (a_x + error), f, scale_factor=SCALE, kind="rate", serial="five", units="SI"
@@ -65,14 +65,14 @@ def model_record() -> Run:
 
 
 @cache
-def noisy_successes() -> tuple[int, int]:
+def _noisy_successes() -> tuple[int, int]:
     """Number of ``_TRIALS`` noisy records in which the published method, and piga's, recovers the truth.
 
     The records come from the published model, with the random walk of the real record as noise. The published method
     succeeds if all five coefficients are within half of their printed digits. piga's method takes the phase from the
     input and succeeds if all five are within four standard uncertainties.
     """
-    clean, successes = model_record(), [0, 0]
+    clean, successes = _model_record(), [0, 0]
     for seed in range(_TRIALS):
         noise = _WALK / math.sqrt(_STEP) * np.random.default_rng(seed).standard_normal(clean.size)
         noisy = replace(clean, output=clean.output + noise)
@@ -86,13 +86,13 @@ def noisy_successes() -> tuple[int, int]:
 @cache
 def own() -> Calibration:
     """Calibration of the real record by piga, with history."""
-    return calibrate(real_record(), terms=TERMS, method="recursive")
+    return calibrate(_real_record(), terms=TERMS, method="recursive")
 
 
 @cache
 def published(*, real: bool) -> Calibration:
     """The published recursion from its first guess, on the real record or on a record of the published model."""
-    run = real_record() if real else model_record()
+    run = _real_record() if real else _model_record()
     return published_recursion(run, TERMS)
 
 
@@ -104,7 +104,7 @@ def chapter() -> Chapter:
         values[name] = Value(ours.value, tolerance=3.0 * ours.std, words={"std": ours.std})
         values[f"{name}-published"] = published(real=False)[name].value
         values[f"{name}-real"] = published(real=True)[name].value
-    old, new = noisy_successes()
+    old, new = _noisy_successes()
     values |= {"successes-published": float(old), "successes": float(new)}
     return chapter_of("five-coefficients", values, (_record_figure(), _fit_figure(), _history_figure()))
 
@@ -125,7 +125,7 @@ def _model_error(calibration: Calibration, force: Array, psi: Array) -> Array:
 
 
 def _record_figure() -> Figure:
-    run = real_record()
+    run = _real_record()
     t, error, _ = _indicated_error(run)
     plot = Plot("five-record", "The 257 s record: input and error", height=2.1)
     plot.panel("time [s]", "specific force [g]")
@@ -138,7 +138,7 @@ def _record_figure() -> Figure:
 
 
 def _fit_figure() -> Figure:
-    run = real_record()
+    run = _real_record()
     t, error, psi = _indicated_error(run)
     force = profile(t)
     fit = _model_error(own(), force, psi)
@@ -170,7 +170,7 @@ _SHOWN = (
 
 
 def _history_figure() -> Figure:
-    t = real_record().t
+    t = _real_record().t
     plot = Plot("five-history", "The five coefficients as the record comes in", columns=2, height=2.0)
 
     def late(calibration: Calibration, name: str) -> tuple[Array, Array]:

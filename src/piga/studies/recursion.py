@@ -38,7 +38,7 @@ from piga.units import ARCMIN
 
 Array = NDArray[np.float64]
 
-PUBLISHED_TAN_BETA, PUBLISHED_PHASE = 4.848e-3, 0.802
+_PUBLISHED_TAN_BETA, _PUBLISHED_PHASE = 4.848e-3, 0.802
 _LATE = 20.0
 
 
@@ -88,8 +88,8 @@ def _history_figure(key: str, title: str, profile: ForceHistory, caption: str) -
     )
     plot = Plot(key, title, columns=2, height=2.3)
     for name, scale, y, true, printed in (
-        ("tan_beta", 1e3, "tan(beta) [1e-3]", INSTRUMENT.tan_beta, PUBLISHED_TAN_BETA),
-        ("phi", 1.0, "phi [rad]", INSTRUMENT.alpha0, PUBLISHED_PHASE),
+        ("tan_beta", 1e3, "tan(beta) [1e-3]", INSTRUMENT.tan_beta, _PUBLISHED_TAN_BETA),
+        ("phi", 1.0, "phi [rad]", INSTRUMENT.alpha0, _PUBLISHED_PHASE),
     ):
         for begin in (0.0, _LATE):
             above = "Whole run" if begin == 0.0 else f"From {_LATE:g} s on"
@@ -109,7 +109,7 @@ def compensation() -> Chapter:
     log = record("ramp")
     published, ours = published_calibration("ramp"), own_calibration("ramp")
     before, model = raw_error(log), model_residual(log, published)
-    formula = compensated_error(log, with_phase(published, PUBLISHED_PHASE), "published")
+    formula = compensated_error(log, _with_phase(published, _PUBLISHED_PHASE), "published")
     exact = compensated_error(log, ours, "exact")
     largest = [float(np.abs(error).max()) for error in (before, model, formula, exact)]
     values = {
@@ -122,7 +122,7 @@ def compensation() -> Chapter:
     return chapter_of("compensation", values, (_compensation_figure(before, model, formula, exact),))
 
 
-def with_phase(calibration: Calibration, phi: float) -> Calibration:
+def _with_phase(calibration: Calibration, phi: float) -> Calibration:
     """The calibration with another phase [rad], as the phase of the output."""
     changed = tuple(replace(c, value=phi) if c.name == "phi" else c for c in calibration.coefficients)
     return replace(calibration, coefficients=changed, phase_source="output")
@@ -146,7 +146,7 @@ def _compensation_figure(before: Array, model: Array, formula: Array, exact: Arr
     )
 
 
-def phase_walk() -> tuple[Array, Array, Array]:
+def _phase_walk() -> tuple[Array, Array, Array]:
     """Time [s], phase of the published model minus the true phase [rad] on the ramp, and K V r^2/2 [rad]."""
     log = record("ramp")
     alpha = propagate(INSTRUMENT, log.t, log.f, between="linear")
@@ -155,9 +155,9 @@ def phase_walk() -> tuple[Array, Array, Array]:
     return log.t, predicted + constant - lead - alpha, 0.5 * RATIO**2 * predicted
 
 
-def misread_phase_error() -> float:
+def _misread_phase_error() -> float:
     """Largest remaining error [g] if the printed 0.802 is taken as degrees."""
-    degrees = with_phase(published_calibration("ramp"), math.radians(PUBLISHED_PHASE))
+    degrees = _with_phase(published_calibration("ramp"), math.radians(_PUBLISHED_PHASE))
     return float(np.abs(compensated_error(record("ramp"), degrees, "published")).max())
 
 
@@ -221,22 +221,22 @@ def _critical_rates() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _phase() -> dict[str, float | Value]:
     """The phase of the published model, and the phase printed in degrees."""
-    _, walk, predicted = phase_walk()
+    _, walk, predicted = _phase_walk()
     calibration, (constant, lead) = published_calibration("ramp"), closed_form_phase()
-    bound = TRANSVERSE * RAMP_TOP * INSTRUMENT.tan_beta * float(np.abs(model_phase_error()).max())
+    bound = TRANSVERSE * RAMP_TOP * INSTRUMENT.tan_beta * float(np.abs(_model_phase_error()).max())
     left = float(np.abs(model_residual(record("ramp"), calibration)).max())
     return {
         "phase-walk": float(np.polyfit(predicted, walk, 1)[0]),
         "phase-shift": raw_state(calibration)[1] - (constant - lead),
         "phase-residual": Value(left, words={"bound": bound}),
         "degrees": math.degrees(constant - lead),
-        "degrees-effect": misread_phase_error(),
+        "degrees-effect": _misread_phase_error(),
     }
 
 
-def model_phase_error() -> np.ndarray:
+def _model_phase_error() -> np.ndarray:
     """Phase of the published model, with its estimated phi, minus the true angle [rad]."""
-    _, walk, _ = phase_walk()
+    _, walk, _ = _phase_walk()
     constant, lead = closed_form_phase()
     return walk - (constant - lead) + raw_state(published_calibration("ramp"))[1]
 
@@ -280,8 +280,10 @@ def _square_figure() -> Figure:
 
 def _phase_figure() -> Figure:
     residual = model_residual(record("ramp"), published_calibration("ramp"))[::20]
-    t, walk, predicted = (values[::20] for values in phase_walk())
-    envelope = 1e3 * TRANSVERSE * INSTRUMENT.tan_beta * RAMP_TOP * t / t[-1] * np.abs(model_phase_error()[::20])
+    t, walk, predicted = (values[::20] for values in _phase_walk())
+    envelope = (
+        1e3 * TRANSVERSE * INSTRUMENT.tan_beta * RAMP_TOP * t / t[-1] * np.abs(_model_phase_error()[::20])
+    )
     plot = Plot("errata-phase", "The phase of the published model drifts", height=2.3)
     plot.panel("time [s]", "phase error [mrad]")
     plot.line(t, 1e3 * walk, "model less motion", "before").dashed(t, 1e3 * predicted, "K V r^2 / 2")

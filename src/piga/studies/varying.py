@@ -44,7 +44,7 @@ _EVERY = 20
 
 
 @dataclass(frozen=True)
-class ForceForm:
+class _ForceForm:
     """A run at a constant ratio of components: number of the form, a_x at the mean of the swing [g], a_Y and a_Z [g]."""
 
     number: FormNumber
@@ -53,10 +53,10 @@ class ForceForm:
 
 
 FORMS = (
-    ForceForm(1, "a_x = 0, a_Y and a_Z vary", (0.0, 3.0, 4.0)),
-    ForceForm(2, "a_x = a_t tan(beta)", (RATIO, TRANSVERSE, 0.0)),
-    ForceForm(3, "a_x = 0.4 a_t tan(beta)", (0.4 * RATIO, TRANSVERSE, 0.0)),
-    ForceForm(4, "a_x = 0.2 a_t", (0.2 * TRANSVERSE, TRANSVERSE, 0.0)),
+    _ForceForm(1, "a_x = 0, a_Y and a_Z vary", (0.0, 3.0, 4.0)),
+    _ForceForm(2, "a_x = a_t tan(beta)", (RATIO, TRANSVERSE, 0.0)),
+    _ForceForm(3, "a_x = 0.4 a_t tan(beta)", (0.4 * RATIO, TRANSVERSE, 0.0)),
+    _ForceForm(4, "a_x = 0.2 a_t", (0.2 * TRANSVERSE, TRANSVERSE, 0.0)),
 )
 
 
@@ -65,18 +65,18 @@ def swing(t: ArrayLike) -> Array:
     return np.asarray(1.0 + _SWING * np.sin(2.0 * np.pi * np.asarray(t) / _PERIOD))
 
 
-def swung(t: Array) -> Array:
+def _swung(t: Array) -> Array:
     """Integral of :func:`swing` from 0 [s]. The published forms hold if it replaces the time."""
     slope = 2.0 * np.pi / _PERIOD
     return np.asarray(t + _SWING / slope * (1.0 - np.cos(slope * np.asarray(t))))
 
 
 @cache
-def solved(form: ForceForm) -> tuple[Array, Array, Array]:
+def solved(form: _ForceForm) -> tuple[Array, Array, Array]:
     """Time [s], rate by the published form and by SciPy's DOP853 to 1e-11 rad [rad/s]."""
     t = np.linspace(0.0, DURATION, 601)
     force = G0 * np.array(form.force)
-    _, per_second = published_closed_form(form.number, INSTRUMENT, swung(t), *(float(v) for v in force))
+    _, per_second = published_closed_form(form.number, INSTRUMENT, _swung(t), *(float(v) for v in force))
 
     def rate(time: float | Array, alpha: Array) -> Array:
         a_x, a_Y, a_Z = np.multiply.outer(force, swing(time))

@@ -223,7 +223,7 @@ def find_trend(history: Iterable[HistoryEntry], *, common: Common = 1.0) -> Tren
         records.names,
         tuple(times),
         trends,
-        alarms_in_words(trends, records.names, times),
+        _alarms_in_words(trends, records.names, times),
         remarks_in_words(trends, records.calibrations, days, float(years[-1])),
     )
 
@@ -278,7 +278,7 @@ class _Records:
         """Trend of one coefficient."""
         coefficients = [one[key] for one in self.by_key]
         values, stds = np.array([(c.value, c.std) for c in coefficients]).T
-        shared = common_contributions(key, self.calibrations, self.common)
+        shared = _common_contributions(key, self.calibrations, self.common)
         own = np.sqrt(np.maximum(stds**2 - np.sum(shared**2, axis=0), (1e-3 * stds) ** 2))
         last = shared[:, -1].copy()
         model = trend_model(self.years, values, own**2, self.days, shared)
@@ -361,7 +361,7 @@ def _type_b(calibration: Calibration) -> list[BudgetEntry]:
     return [row for row in calibration.budget if row.type == "B"]
 
 
-def common_contributions(key: str, calibrations: Sequence[Calibration], common: Common) -> Array:
+def _common_contributions(key: str, calibrations: Sequence[Calibration], common: Common) -> Array:
     """Contribution of each Type B source that is common to all records, (sources, records), from their budgets."""
     sources = sorted({row.source for one in calibrations for row in _type_b(one)})
     places = {source: i for i, source in enumerate(sources)}
@@ -373,7 +373,7 @@ def common_contributions(key: str, calibrations: Sequence[Calibration], common: 
     return table * np.sqrt(parts).reshape(-1, 1)
 
 
-def alarms_in_words(
+def _alarms_in_words(
     trends: Sequence[CoefficientTrend], names: Sequence[str], times: Sequence[dt.datetime]
 ) -> tuple[str, ...]:
     """Alarms: records outside their forecast, steps of the level, and shifts in the moving average."""

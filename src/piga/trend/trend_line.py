@@ -22,7 +22,7 @@ from piga.results import Array, Result
 
 
 @dataclass(frozen=True)
-class TrendSettings:
+class _TrendSettings:
     """Limits of the trend line (own choices)."""
 
     low_sum: float = 0.2
@@ -43,7 +43,7 @@ class TrendSettings:
     """Fewest days before and after a step."""
 
 
-TREND = TrendSettings()
+TREND = _TrendSettings()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -88,7 +88,7 @@ def merge_by_day(time: Array, values: Array, variances: Array, days: NDArray[np.
         weight, _, mean = means(excess)
         return float(weight @ (y - mean[days]) ** 2)
 
-    within = excess_variance(residual_sum, freedom, float(v.mean())) if freedom else 0.0
+    within = _excess_variance(residual_sum, freedom, float(v.mean())) if freedom else 0.0
     weight, total, mean = means(within)
     count = np.diff(first, append=y.size)
     return Days(
@@ -101,7 +101,7 @@ def merge_by_day(time: Array, values: Array, variances: Array, days: NDArray[np.
     )
 
 
-def excess_variance(residual_sum: Callable[[float], float], freedom: int, scale: float) -> float:
+def _excess_variance(residual_sum: Callable[[float], float], freedom: int, scale: float) -> float:
     """The variance at which the weighted ``residual_sum`` equals its degrees of freedom; zero if it is below them at zero.
 
     ``scale`` is a variance of the size that is to be expected.
@@ -188,7 +188,7 @@ def line_through(days: Days, step: int | None = None) -> Line:
         return estimate, float(np.sum((root * (since - design @ (estimate @ since))) ** 2))
 
     chi2 = weights(0.0)[1]
-    excess = excess_variance(lambda variance: weights(variance)[1], freedom, float(v.mean()))
+    excess = _excess_variance(lambda variance: weights(variance)[1], freedom, float(v.mean()))
     estimate, residual_sum = weights(excess)
     scale = max(residual_sum, float(chdtri(freedom, 1.0 - TREND.low_sum))) / freedom
     coefficients = estimate @ since
@@ -293,7 +293,7 @@ class TrendModel(Result):
         """
         line = self.line
         if line is None:
-            raise TOO_FEW
+            raise _TOO_FEW
         value, variance, common = line.at(time)
         doubt = 0.5 * line.excess_std * max(0.0, 1.0 - day / line.stated)
         parts = (
@@ -304,7 +304,7 @@ class TrendModel(Result):
         return _combined(time, value, parts)
 
 
-TOO_FEW = ArgumentError("a forecast needs records of at least three days", remedy="wait for more records")
+_TOO_FEW = ArgumentError("a forecast needs records of at least three days", remedy="wait for more records")
 
 
 def _combined(time: float, value: float, parts: tuple[tuple[float, float], ...]) -> Forecast:
@@ -343,7 +343,7 @@ def moving_average(scores: Array, weight: float = TREND.smoothing) -> tuple[Arra
 
 SIZES = np.concatenate([[0.0], 4.0 ** np.arange(-2.0, 3.5, 0.5)])
 """Variances of the scatter that are tried, relative to that about the line (or the mean stated variance)."""
-SHARES = (0.3, 0.7, 1.0)
+_SHARES = (0.3, 0.7, 1.0)
 """Shares of the scatter that walk."""
 _LEAST_WEIGHT = 1e-6
 
@@ -353,7 +353,7 @@ def walk(a: Array, b: Array) -> Array:
     return np.minimum.outer(a, b)
 
 
-def walking_drift(a: Array, b: Array) -> Array:
+def _walking_drift(a: Array, b: Array) -> Array:
     """Covariance of the integral of a walk."""
     first, last = np.minimum.outer(a, b), np.maximum.outer(a, b)
     return first**2 * (3.0 * last - first) / 6.0
@@ -364,7 +364,7 @@ def independent(a: Array, b: Array) -> Array:
     return np.zeros((a.size, b.size))
 
 
-CAUSES = (independent, walk, walking_drift)
+CAUSES = (independent, walk, _walking_drift)
 
 
 @dataclass(frozen=True)
@@ -426,7 +426,7 @@ def outlook(days: Days) -> Outlook:
     """
     n = days.time.size
     if n < TREND.least_days:
-        raise TOO_FEW
+        raise _TOO_FEW
     since, design = days.time - days.time[0], _design(days.time)
     q, _ = np.linalg.qr(design)
     about_line = np.eye(n) - q @ q.T
@@ -436,7 +436,7 @@ def outlook(days: Days) -> Outlook:
     for cause, covariance in enumerate(CAUSES):
         shape = covariance(since, since)
         unit = float(np.sum(about_line * shape)) / (n - 2) or 1.0
-        shares = SHARES if cause else (0.0,)
+        shares = _SHARES if cause else (0.0,)
         for share in shares:
             for part in SIZES * size:
                 still, moving = part * (1.0 - share), part * share / unit

@@ -27,13 +27,13 @@ from piga.workbench.security import LOOPBACK, Door, Guard
 
 ROUTES = [route for page in (common, describe, record, later, text, explore, jobs) for route in page.ROUTES]
 """The routes of all pages, and of the files that they load."""
-MOST_CONNECTIONS = 300
+_MOST_CONNECTIONS = 300
 """Connections at a time; a request beyond is answered with 503. Each may hold a socket and a file, and a process usually
 may have 1024 of them."""
-MOST_PORT = 65535
-GRACE = 1
+_MOST_PORT = 65535
+_GRACE = 1
 """Time [s] that open requests have when the server ends."""
-LAST = 4.5
+_LAST = 4.5
 """Time [s] after which the server ends whatever a page still does."""
 
 
@@ -93,8 +93,8 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> No
             access_log=False,
             server_header=False,
             proxy_headers=False,
-            timeout_graceful_shutdown=GRACE,
-            limit_concurrency=MOST_CONNECTIONS,
+            timeout_graceful_shutdown=_GRACE,
+            limit_concurrency=_MOST_CONNECTIONS,
             http="h11",
             lifespan="on",
             loop="asyncio",
@@ -110,7 +110,7 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> No
         server.run(sockets=[listener])
     if any(thread.name.startswith("AnyIO") for thread in threading.enumerate()):
         timer = threading.Timer(
-            LAST - GRACE - 2.0, os._exit, (0,)
+            _LAST - _GRACE - 2.0, os._exit, (0,)
         )  # a page that still reads a file is not waited for
         timer.daemon = True
         timer.start()
@@ -118,8 +118,8 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> No
 
 def _listening(port: int) -> socket.socket:
     """A socket on the loopback address."""
-    if not 0 <= port <= MOST_PORT:
-        raise ArgumentError(f"port {port}: is not between 0 and {MOST_PORT}", remedy="choose another, or 0")
+    if not 0 <= port <= _MOST_PORT:
+        raise ArgumentError(f"port {port}: is not between 0 and {_MOST_PORT}", remedy="choose another, or 0")
     try:
         return socket.create_server((LOOPBACK, port))
     except OSError as error:

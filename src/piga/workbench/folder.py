@@ -26,17 +26,17 @@ from piga.reading.columns import TEXT_SUFFIXES, file_kind
 from piga.records.run_file import read_run_file
 from piga.records.text_files import MAX_NAME, files_named_in, texts_of, toml_document
 
-LOG_SUFFIXES = (*TEXT_SUFFIXES, *CONTAINERS, ".parquet", ".pq")
+_LOG_SUFFIXES = (*TEXT_SUFFIXES, *CONTAINERS, ".parquet", ".pq")
 STATE_FOLDER = ".piga-ui"
-MOST_FILES = 5000
+_MOST_FILES = 5000
 """Most files that are listed. A folder with more is not a folder of records."""
-DEPTH = 4
+_DEPTH = 4
 """Levels of folders that are listed."""
-MOST_TOML = 1 << 20
+_MOST_TOML = 1 << 20
 """Largest TOML file [bytes] that is listed and edited."""
-MOST_RESULT = 200 << 20
+_MOST_RESULT = 200 << 20
 """Largest result file [bytes] that is read."""
-LONGEST_NAME = 100
+_LONGEST_NAME = 100
 """Most bytes of the name of a dropped file. The names of its results are longer; a file system takes 255."""
 CALIBRATION = "calibration.json"
 _UPLOAD_NAME = re.compile(r"[^\w.-]+")
@@ -159,7 +159,7 @@ class Folder:
         OutsideError
             If it is hidden, begins as an option does, passes a link, or is neither a regular file nor a folder.
         """
-        if not is_plain(name):
+        if not _is_plain(name):
             remedy = "rename it" if PurePosixPath(name).name.startswith("-") else "choose a listed file"
             raise OutsideError(
                 f"{name[:200]!r}: is not a file of this folder that can be opened", remedy=remedy
@@ -189,7 +189,7 @@ class Folder:
             raise OutsideError(f"{name}: there is no such file", remedy="choose a listed file")
         return path
 
-    def read(self, path: Path, most: int = MOST_RESULT) -> bytes:
+    def read(self, path: Path, most: int = _MOST_RESULT) -> bytes:
         """All bytes of a regular file below the folder. No part of its path may be a link, now or meanwhile.
 
         Raises
@@ -227,7 +227,7 @@ class Folder:
 
     def text(self, name: str) -> str:
         """The text of a TOML file of the folder."""
-        return self.read(self.file(name), MOST_TOML).decode("utf-8", "replace")
+        return self.read(self.file(name), _MOST_TOML).decode("utf-8", "replace")
 
     def name(self, path: Path) -> str:
         """The path below the folder, with ``/``."""
@@ -242,11 +242,11 @@ class Folder:
             Naming the file.
         """
         path = self.file(name)
-        if path.suffix != ".toml" or path.stat().st_size > MOST_TOML:
+        if path.suffix != ".toml" or path.stat().st_size > _MOST_TOML:
             raise OutsideError(
-                f"{name}: is no TOML file of at most {MOST_TOML >> 20} MiB", remedy="choose a run file"
+                f"{name}: is no TOML file of at most {_MOST_TOML >> 20} MiB", remedy="choose a run file"
             )
-        for named in [*files_named_in(path), *_data_file(path, toml_or_nothing(path))]:
+        for named in [*files_named_in(path), *_data_file(path, _toml_or_nothing(path))]:
             self._named(path, named)
         return path
 
@@ -267,8 +267,8 @@ class Folder:
             If the text is refused. The file is then unchanged.
         """
         raw = text.replace("\r\n", "\n").encode("utf-8")
-        if len(raw) > MOST_TOML:
-            raise OutsideError(f"{path.name}: is larger than {MOST_TOML >> 20} MiB", remedy="shorten it")
+        if len(raw) > _MOST_TOML:
+            raise OutsideError(f"{path.name}: is larger than {_MOST_TOML >> 20} MiB", remedy="shorten it")
         document = toml_document(path, raw)
         if kind == "run":
             read_run_file(path, raw)
@@ -285,12 +285,12 @@ class Folder:
         for folder, folders, names in os.walk(self.root):
             here = Path(folder)
             level = len(here.relative_to(self.root).parts)
-            folders[:] = sorted(n for n in folders if n[0] not in ".-") if level < DEPTH else []
+            folders[:] = sorted(n for n in folders if n[0] not in ".-") if level < _DEPTH else []
             for name in sorted(names):
                 count += 1
-                if count > MOST_FILES:
+                if count > _MOST_FILES:
                     return
-                if is_plain(self.name(here / name)) and _is_regular(here / name):
+                if _is_plain(self.name(here / name)) and _is_regular(here / name):
                     yield here / name
 
     def listed(self, *endings: str) -> list[str]:
@@ -306,14 +306,14 @@ class Folder:
         described: set[Path] = set()
         entries = []
         for path in (path for path in files if path.suffix == ".toml"):
-            document = self._once(path, lambda path=path: toml_or_nothing(path))
+            document = self._once(path, lambda path=path: _toml_or_nothing(path))
             if document is None or "data" in document:
                 data = _data_file(path, document)
                 described.update(data)
                 entry = self._once(path, lambda path=path, data=data: self._run_entry(path, data), *data)
                 entries.append(_with_kept(entry, kept, self.name(results_of(path))))
         for path in files:
-            if file_kind(path) in LOG_SUFFIXES and path not in described:
+            if file_kind(path) in _LOG_SUFFIXES and path not in described:
                 status = path.stat()
                 entries.append(Entry(self.name(path), "log", "", path.name, status.st_size, status.st_mtime))
         return sorted(entries, key=lambda entry: (-entry.changed, entry.name))
@@ -335,7 +335,7 @@ class Folder:
             document = msgspec.json.decode(self.read(folder / CALIBRATION), type=_Kept)
             nominal = float(document.instrument["scale_factor_nominal"]["value"])
             values = {one.name: one for one in document.coefficients}
-            K = values.get("scale_factor") or replace_k1(values["k1"], nominal)
+            K = values.get("scale_factor") or _replace_k1(values["k1"], nominal)
             created = str(document.provenance.get("created", ""))[:19]
             return Kept(
                 self.name(folder), str(document.instrument["serial"]), created, K.value, K.std, K.unit, nominal
@@ -374,19 +374,19 @@ class Folder:
         """
         plain = _UPLOAD_NAME.sub("-", PurePosixPath(wanted.replace("\\", "/")).name).strip(".-")
         kind = file_kind(Path(plain or "x"))
-        if kind not in (*LOG_SUFFIXES, ".toml"):
+        if kind not in (*_LOG_SUFFIXES, ".toml"):
             raise OutsideError(
                 f"{wanted[:200]!r}: files of this kind are not accepted",
-                remedy=f"use one of these kinds: {', '.join(LOG_SUFFIXES)}",
+                remedy=f"use one of these kinds: {', '.join(_LOG_SUFFIXES)}",
             )
-        stem = plain[: -len(kind)].encode()[:LONGEST_NAME].decode("utf-8", "ignore") or "log"
+        stem = plain[: -len(kind)].encode()[:_LONGEST_NAME].decode("utf-8", "ignore") or "log"
         path = self.root / f"{stem}{kind}"
         while os.path.lexists(path):
             path = self.root / f"{stem}-{secrets.token_hex(2)}{kind}"
         return path
 
 
-def replace_k1(k1: _Coefficient, nominal: float) -> _Coefficient:
+def _replace_k1(k1: _Coefficient, nominal: float) -> _Coefficient:
     """K of a calibration that has the relative term k1 instead [rad/s/g]."""
     return _Coefficient("scale_factor", nominal * (1.0 + k1.value), nominal * k1.std, "rad/s/g")
 
@@ -396,7 +396,7 @@ def results_of(run: Path) -> Path:
     return run.with_name(f"{run.stem}-calibration")
 
 
-def is_plain(name: str) -> bool:
+def _is_plain(name: str) -> bool:
     """True for a path below the folder that is not hidden and does not begin as an option does."""
     pure = PurePosixPath(name)
     wrong = "\\" in name or "\0" in name or len(name) > 4 * MAX_NAME or pure.is_absolute() or not pure.parts
@@ -429,9 +429,9 @@ def _is_regular(path: Path) -> bool:
         return False
 
 
-def toml_or_nothing(path: Path) -> dict[str, Any] | None:
+def _toml_or_nothing(path: Path) -> dict[str, Any] | None:
     """The tables of a TOML file; None if it cannot be read."""
-    if path.stat().st_size > MOST_TOML:
+    if path.stat().st_size > _MOST_TOML:
         return {}
     try:
         return toml_document(path)

@@ -16,8 +16,8 @@ from pathlib import Path
 from piga.errors import ArgumentError
 from piga.workbench.folder import Folder
 
-MOST_STEPS = 100
-MOST_TEXTS = 300
+_MOST_STEPS = 100
+_MOST_TEXTS = 300
 """Texts that are remembered to say what changed meanwhile."""
 
 
@@ -53,7 +53,7 @@ class History:
 
     def note(self, words: str, *steps: tuple[Path, Path | None]) -> None:
         """A change was made."""
-        self._changes = [*self._changes[-MOST_STEPS + 1 :], Change(words, steps)]
+        self._changes = [*self._changes[-_MOST_STEPS + 1 :], Change(words, steps)]
 
     def put_away(self, path: Path) -> Path | None:
         """Move a file or folder to the trash; None if there is none."""
@@ -95,7 +95,7 @@ class History:
         mark = hashlib.sha256(text.encode()).hexdigest()[:24]
         self._texts[mark] = text
         self._texts.move_to_end(mark)
-        while len(self._texts) > MOST_TEXTS:
+        while len(self._texts) > _MOST_TEXTS:
             self._texts.popitem(last=False)
         return mark
 

@@ -32,7 +32,7 @@ MOST_KEPT = 200
 """Jobs that are remembered. The oldest that have ended are forgotten."""
 PATIENCE = 2.0
 """Time [s] that a stopped job has to end by itself."""
-MOST_DOCUMENT = 20_000_000
+_MOST_DOCUMENT = 20_000_000
 """Bytes of printed JSON that are read."""
 MOST_TEXT = 200_000
 """Bytes of printed text that a page shows."""
@@ -214,7 +214,7 @@ class Jobs:
             If it printed none, or far too much.
         """
         path = self._folder / job.key / "out"
-        if path.stat().st_size > MOST_DOCUMENT:
+        if path.stat().st_size > _MOST_DOCUMENT:
             raise ValueError("too much was printed")
         document = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(document, dict):

@@ -29,20 +29,20 @@ from piga.errors import PigaError
 from piga.records.limits import read_whole
 
 Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+_Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
+App = Callable[[Scope, _Receive, Send], Awaitable[None]]
 
 SESSION_AGE = 12 * 3600.0
 """Age [s] at which a session ends. A new one starts with the address of a new ``piga ui``."""
-MOST_SESSIONS = 64
+_MOST_SESSIONS = 64
 """Most sessions of a server. One more ends the oldest."""
-MOST_STORE = 1 << 16
+_MOST_STORE = 1 << 16
 """Largest file of sessions [bytes]."""
-SAFE_METHODS = frozenset({"GET", "HEAD"})
+_SAFE_METHODS = frozenset({"GET", "HEAD"})
 LOOPBACK = "127.0.0.1"
 """Address of this machine that no other one can reach."""
-PAGE_POLICY = (
+_PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; style-src-attr 'unsafe-inline'; img-src 'self' data:; "
     "connect-src 'self'; "
     "frame-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
@@ -54,7 +54,7 @@ REPORT_POLICY = (
     "style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'; base-uri 'none'; form-action 'none'"
 )
 """Policy of a report from the folder. Its scripts run in an origin of their own and reach no part of the workbench."""
-HEADERS = (
+_HEADERS = (
     (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"same-origin"),
     (b"cross-origin-opener-policy", b"same-origin"),
@@ -84,7 +84,7 @@ class Door:
 
     def __post_init__(self) -> None:
         with suppress(PigaError, OSError, ValueError, TypeError, AttributeError):
-            raw = read_whole(self._store(), MOST_STORE, "another port")
+            raw = read_whole(self._store(), _MOST_STORE, "another port")
             self._sessions = {str(mark): float(began) for mark, began in json.loads(raw).items()}
 
     def _store(self) -> Path:
@@ -128,7 +128,7 @@ class Door:
         if not self.token or not secrets.compare_digest(token.encode(), self.token.encode()):
             return None
         self.token = ""
-        if len(self._sessions) >= MOST_SESSIONS:
+        if len(self._sessions) >= _MOST_SESSIONS:
             del self._sessions[next(iter(self._sessions))]
         session = secrets.token_urlsafe(24)
         self._sessions[_mark(session)] = self.clock()
@@ -156,7 +156,7 @@ class Guard:
     def __init__(self, app: App, door: Door) -> None:
         self._app, self._door = app, door
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def __call__(self, scope: Scope, receive: _Receive, send: Send) -> None:
         """Pass the request on, or refuse it."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
@@ -178,9 +178,9 @@ class Guard:
         if not self._comes_from_us(scope, headers):
             return 403, "This request comes from another site.", ()
         path, method = scope["path"], scope.get("method")
-        if path == "/healthz" and method in SAFE_METHODS:
+        if path == "/healthz" and method in _SAFE_METHODS:
             return None
-        has_session = door.has_session(cookie_value(headers.get("cookie", ""), door.cookie))
+        has_session = door.has_session(_cookie_value(headers.get("cookie", ""), door.cookie))
         query = parse_qs(scope["query_string"].decode("latin-1"))
         if path == "/" and "token" in query and method == "GET":
             session = door.open_session(query["token"][0])
@@ -200,7 +200,7 @@ class Guard:
         origin = headers.get("origin")
         if origin is not None:
             return self._door.knows_origin(origin)
-        changes = scope["type"] == "websocket" or scope["method"] not in SAFE_METHODS
+        changes = scope["type"] == "websocket" or scope["method"] not in _SAFE_METHODS
         site = headers.get("sec-fetch-site", "none")
         navigation = headers.get("sec-fetch-mode") == "navigate" and scope["path"] == "/"
         return not changes and (site in ("none", "same-origin") or navigation)
@@ -217,7 +217,7 @@ def _headers(scope: Scope) -> dict[str, str] | None:
     return result
 
 
-def cookie_value(text: str, name: str) -> str:
+def _cookie_value(text: str, name: str) -> str:
     """Value of one cookie. Other cookies of this machine may have any form and are skipped."""
     for part in text.split(";"):
         key, _, value = part.strip().partition("=")
@@ -227,15 +227,15 @@ def cookie_value(text: str, name: str) -> str:
 
 
 def _with_headers(send: Send) -> Send:
-    """A ``send`` that adds :data:`HEADERS`, and the policy of pages where the answer has none."""
+    """A ``send`` that adds :data:`_HEADERS`, and the policy of pages where the answer has none."""
 
     async def sent(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
             headers = list(message.get("headers", ()))
             names = {name.lower() for name, _ in headers}
-            headers += [item for item in HEADERS if item[0] not in names]
+            headers += [item for item in _HEADERS if item[0] not in names]
             if b"content-security-policy" not in names:
-                headers.append((b"content-security-policy", PAGE_POLICY.encode()))
+                headers.append((b"content-security-policy", _PAGE_POLICY.encode()))
             if b"cache-control" not in names:
                 headers.append((b"cache-control", b"no-store"))
             message = {**message, "headers": headers}

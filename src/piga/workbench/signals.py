@@ -33,9 +33,9 @@ BLOCK = 256
 """Samples per block of the envelope."""
 DRAWN = 1 << 18
 """Samples of a span that is drawn from the samples themselves."""
-MOST_STRETCHES = 20_000
+_MOST_STRETCHES = 20_000
 """Longest breaks that are drawn as gaps. More of them would not be seen."""
-MOST_WIDTH = 4096
+_MOST_WIDTH = 4096
 """Largest width of a picture [pixels]."""
 LONG, THINNED = 1_000_000, 100_000
 """Samples of a record of which a thinned copy is made, and about the samples of the copy."""
@@ -257,7 +257,7 @@ def picture(folder: Path, key: str, first: float, last: float, width: int) -> Ar
     outline = read_outline(folder)
     if outline is None or key not in {signal.key for signal in outline.signals}:
         raise ArgumentError(f"{key!r}: there is no such signal", remedy="choose a signal of the page")
-    if not (np.isfinite(first) and np.isfinite(last) and first < last and 0 < width <= MOST_WIDTH):
+    if not (np.isfinite(first) and np.isfinite(last) and first < last and 0 < width <= _MOST_WIDTH):
         raise ArgumentError("the span of the picture is not valid", remedy="reload the page")
     t = np.load(folder / "t.npy", mmap_mode="r")
     low = max(int(np.searchsorted(t, first)) - 1, 0)
@@ -306,9 +306,9 @@ def _breaks(run: Run) -> NDArray[np.int64]:
     """First samples of the stretches that follow the longest breaks, and sample 0."""
     rows = np.flatnonzero(run.begins)
     rows = rows[rows > 0]
-    if rows.size > MOST_STRETCHES:
+    if rows.size > _MOST_STRETCHES:
         size = np.abs(run.t[rows] - run.t[rows - 1])
-        rows = np.sort(rows[np.argsort(size)[-MOST_STRETCHES:]])
+        rows = np.sort(rows[np.argsort(size)[-_MOST_STRETCHES:]])
     return np.concatenate(([0], rows)).astype(np.int64)
 
 

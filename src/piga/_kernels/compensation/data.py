@@ -145,7 +145,7 @@ INSTRUMENT = np.dtype([(name, np.float64) for name in Instrument.__annotations__
 PAST = np.dtype([(name, np.float64) for name in Past.__annotations__])
 
 
-class PlainRecord(SimpleNamespace):
+class _PlainRecord(SimpleNamespace):
     """A record without the compiler."""
 
     def __getitem__(self, name: str) -> float:
@@ -155,7 +155,7 @@ class PlainRecord(SimpleNamespace):
 class PlainRecords:
     """An array of records without the compiler: the fields of NumPy's records take ten times as long to read."""
 
-    def __init__(self, rows: list[PlainRecord]) -> None:
+    def __init__(self, rows: list[_PlainRecord]) -> None:
         self.rows, self.size = rows, len(rows)
 
     def __getitem__(self, key: Any) -> Any:
@@ -172,13 +172,13 @@ class PlainRecords:
 
     def copy(self) -> PlainRecords:
         """Records of their own."""
-        return PlainRecords([PlainRecord(**vars(row)) for row in self.rows])
+        return PlainRecords([_PlainRecord(**vars(row)) for row in self.rows])
 
 
 def records(count: int, fields: np.dtype[Any]) -> Any:
     """``count`` records, all zero."""
     if config.DISABLE_JIT:
-        return PlainRecords([PlainRecord(**dict.fromkeys(fields.names or (), 0.0)) for _ in range(count)])
+        return PlainRecords([_PlainRecord(**dict.fromkeys(fields.names or (), 0.0)) for _ in range(count)])
     return np.zeros(count, fields)
 
 

@@ -49,19 +49,19 @@ from piga._kernels.compensation.vibration import rectified
 from piga._kernels.jit import Array, exact, inline_exact
 from piga._kernels.motion.step import advance, magnus_increments, unwrapped
 
-FAR_TURN = 0.25
+_FAR_TURN = 0.25
 """Largest half turn in an interval [rad] for the series of the exact inverse."""
-FAR_PRODUCT = 1e-9
+_FAR_PRODUCT = 1e-9
 """Largest ``(Y^2 + Z^2) delta^2`` for which two corrections reach rounding."""
-NEWTON = 60
+_NEWTON = 60
 EVEN = 1e-4
 """Half the relative change of the interval up to which a series replaces a division (error 1e-8 of the rise)."""
-LIMITED, NEXT_ORDER = 0.5, 0.15
+LIMITED, _NEXT_ORDER = 0.5, 0.15
 """Standard uncertainty of a second derivative, as shares of the part that the limit cut off and of its last term. For
 oscillations at seven samples a period and more the mean square of error over uncertainty is 0.1 to 1.1."""
-SERIES = 9.0
+_SERIES = 9.0
 """Largest square of half the angle turned for which a bow is weighted with the angle."""
-BEGUN, TURNED = 1.0, 7e-4
+_BEGUN, TURNED = 1.0, 7e-4
 """Standard uncertainty of a second derivative times ``h^2`` in the first interval of a stretch. Two samples give no second
 derivative. The uncertainty is a share of the change (as if the input began to move at the first sample) and of the mean. The
 share of the mean is for a turning point of an oscillation with 170 samples a period, where the change is small: there twice
@@ -159,7 +159,7 @@ def solve_far(delta: float, square: float, coupling: float) -> float:
     """``e = A - 2 delta`` for any turn and any regime: Newton's method on the equation times ``sin q / q``."""
     sine, cosine = math.sin(delta), math.cos(delta)
     A = 2.0 * delta - coupling * (sine / delta if abs(delta) > 1e-8 else 1.0)
-    for _ in range(NEWTON):
+    for _ in range(_NEWTON):
         x = 0.25 * (square - A * A)
         if abs(x) < 1e-3:
             C = 1.0 + x * (1 / 2 + x * (1 / 24 + x * (1 / 720 + x / 40320)))
@@ -186,7 +186,7 @@ def solve_far(delta: float, square: float, coupling: float) -> float:
 def constant_input(delta: float, Y: float, Z: float, s: float, c: float) -> tuple[float, float]:
     """Integral A of ``u_x`` [rad] over an interval with constant input, and ``sin(delta)/delta``; ``s``, ``c`` in the middle."""
     square, coupling = Y * Y + Z * Z, Y * s - Z * c
-    if abs(delta) > FAR_TURN or square * delta * delta > FAR_PRODUCT:
+    if abs(delta) > _FAR_TURN or square * delta * delta > _FAR_PRODUCT:
         gain = math.sin(delta) / delta if delta != 0.0 else 1.0
         return 2.0 * delta + solve_far(delta, square, coupling), gain
     e, gain = solve_small(delta, square, coupling)
@@ -194,7 +194,7 @@ def constant_input(delta: float, Y: float, Z: float, s: float, c: float) -> tupl
 
 
 @inline_exact
-def mean_along(
+def _mean_along(
     past: Past, gap: Spacing, turn: float, y: float, z: float, s: float, c: float
 ) -> tuple[float, float, float]:
     """Mean ``u_x`` of an interval, its change, and the mean for constant input [rad/s]; ``s``, ``c`` in the middle.
@@ -221,19 +221,19 @@ def bow(gap: Spacing, x0: float, x1: float, x2: float, bend_before: float) -> tu
     ``x0, x1, x2`` are the last samples, latest first.
     """
     if gap.weight == 0.0:
-        started = BEGUN * abs(x0 - x1) + (0.5 * TURNED * abs(x0 + x1) if x0 != x1 else 0.0)
+        started = _BEGUN * abs(x0 - x1) + (0.5 * TURNED * abs(x0 + x1) if x0 != x1 else 0.0)
         return 0.0, started / 12.0, 0.0
     bend = ((x0 - x1) * gap.per - (x1 - x2) * gap.per_before) * gap.weight
     value = bend + (bend - bend_before) * gap.ahead
     taken = limited(value, bend, bend_before)
-    size = LIMITED * abs(value - taken) + NEXT_ORDER * abs(bend - bend_before)
+    size = LIMITED * abs(value - taken) + _NEXT_ORDER * abs(bend - bend_before)
     return bow_of(gap.h, taken), gap.h * gap.h * size * (1.0 / 12.0), bend
 
 
 @inline_exact
-def bow_share(half: float) -> float:
+def _bow_share(half: float) -> float:
     """Weight of a parabola over the angle: ``3 j_1(x)/x`` with ``x`` half the angle turned (its series, 3e-4 at x = 3)."""
-    x = min(half * half, SERIES)
+    x = min(half * half, _SERIES)
     return 1.0 - x * (1 / 10 - x * (1 / 280 - x * (1 / 15120 - x / 1330560)))
 
 
@@ -263,7 +263,7 @@ def doubt_of_interval(
 
 
 @inline_exact
-def begin_stretch(p: Instrument, past: Past, now: Sample) -> None:
+def _begin_stretch(p: Instrument, past: Past, now: Sample) -> None:
     """A sample of the angle with no interval before it: only its inputs are kept."""
     y, z = transverse(p, now)
     keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
@@ -271,7 +271,7 @@ def begin_stretch(p: Instrument, past: Past, now: Sample) -> None:
 
 
 @inline_exact
-def indicate_interval(p: Instrument, past: Past, now: Sample, h: float) -> Indication:
+def _indicate_interval(p: Instrument, past: Past, now: Sample, h: float) -> Indication:
     """Indicated mean force over the interval that ends at a sample of the angle; the past is updated but for the force."""
     y, z = transverse(p, now)
     turn, middle = now.psi - past.psi, p.phi - past.start + 0.5 * (past.psi + now.psi)
@@ -281,7 +281,7 @@ def indicate_interval(p: Instrument, past: Past, now: Sample, h: float) -> Indic
     if p.published != 0.0:
         u_x, rise, u = rate - 0.5 * ((past.y + y) * s - (past.z + z) * c), 0.0, rate
     else:
-        u_x, rise, u = mean_along(past, gap, turn, y, z, s, c)
+        u_x, rise, u = _mean_along(past, gap, turn, y, z, s, c)
     slope = rise * per_K
     bow_y, left_y, bend_y = bow(gap, y, past.y, past.y_before, past.bend_y)
     bow_z, left_z, bend_z = bow(gap, z, past.z, past.z_before, past.bend_z)
@@ -292,7 +292,7 @@ def indicate_interval(p: Instrument, past: Past, now: Sample, h: float) -> Indic
     if p.published != 0.0:
         bow_y = bow_z = 0.0  # the published formula takes the transverse reference as straight between samples
     base = 0.5 * (past.Omega_x + now.Omega_x) + bow_x
-    force = (u_x + base - bow_share(0.5 * turn) * (bow_y * s - bow_z * c)) * per_K
+    force = (u_x + base - _bow_share(0.5 * turn) * (bow_y * s - bow_z * c)) * per_K
     bend = h * (u_x - past.u_x) if past.h1 != 0.0 else 0.0
     inputs = Inputs(
         h, gap.per, turn, 0.5 * turn, middle, s, c, rate * per_K,
@@ -334,7 +334,7 @@ def keep_sample(past: Past, now: Sample, psi: float, phi: float, a_x: float) -> 
 
 
 @exact
-def follow_rate(p: Instrument, past: Past, now: Sample, h: float) -> tuple[float, float]:
+def _follow_rate(p: Instrument, past: Past, now: Sample, h: float) -> tuple[float, float]:
     """Turns and rest of the angle of a rate log, by the exact motion over the interval that ends at a sample.
 
     The input that the rate and the transverse force give at both ends of an interval drives the motion over
@@ -357,11 +357,11 @@ def follow_rate(p: Instrument, past: Past, now: Sample, h: float) -> tuple[float
 
 
 @inline_exact
-def indicate_sample(p: Instrument, past: Past, now: Sample, h: float, recorded: bool) -> Indication:
+def _indicate_sample(p: Instrument, past: Past, now: Sample, h: float, recorded: bool) -> Indication:
     """Indicated force at a sample of the rate; ``recorded``: its angle is recorded, too. The past is updated but for the force."""
     angle = p.phi + now.psi
     if not recorded:
-        past.turns, past.rest = follow_rate(p, past, now, h)
+        past.turns, past.rest = _follow_rate(p, past, now, h)
         angle = past.rest
     psi = now.psi if recorded else unwrapped(past.turns, past.rest)
     y, z = transverse(p, now)
@@ -378,7 +378,7 @@ def indicate_sample(p: Instrument, past: Past, now: Sample, h: float, recorded: 
 
 
 @inline_exact
-def compensate_sample(
+def _compensate_sample(
     p: Instrument,
     more: Covariance,
     past: Past,
@@ -400,7 +400,7 @@ def compensate_sample(
     now, h:
         The sample, and the interval since the last one [s]; 0 where a stretch begins.
     kind:
-        ``ANGLE``, ``RATE``, or ``BOTH``: a rate with its recorded angle.
+        ``ANGLE``, ``RATE``, or ``_BOTH``: a rate with its recorded angle.
     warm:
         The temperature is recorded.
     work:
@@ -419,11 +419,11 @@ def compensate_sample(
         past.rest += p.phi - past.phi  # a new segment of the same stretch has its own zero
     before = past.a_x
     if kind != ANGLE:
-        seen = indicate_sample(p, past, now, h, kind == BOTH)
+        seen = _indicate_sample(p, past, now, h, kind == _BOTH)
     elif h != 0.0:
-        seen = indicate_interval(p, past, now, h)
+        seen = _indicate_interval(p, past, now, h)
     else:
-        begin_stretch(p, past, now)
+        _begin_stretch(p, past, now)
         keep_sample(past, now, now.psi, p.phi, 0.0)
         sums[STRETCHES] += 1.0
         return math.nan, 0.0, math.nan, at.NO_INCREMENT
@@ -446,7 +446,7 @@ def compensate_sample(
     return a, 0.5 * h * (before + a) if h != 0.0 else 0.0, u, flags | (at.NO_INCREMENT if h == 0.0 else 0)
 
 
-ANGLE, RATE, BOTH = 0, 1, 2
+ANGLE, RATE, _BOTH = 0, 1, 2
 
 
 class Samples(NamedTuple):
@@ -490,7 +490,7 @@ def compensate_record(
     p, last = instrument[0], past[0]
     turning, warm = samples.base_rate.shape[0] > 0, samples.temperature.size > 0
     shaken = samples.vibration.size > 0
-    kind = ANGLE if samples.rate.size == 0 else (BOTH if samples.psi.size else RATE)
+    kind = ANGLE if samples.rate.size == 0 else (_BOTH if samples.psi.size else RATE)
     work = np.empty(at.MOST_TERMS if rows.u.size else 0)
     for j in range(samples.t.size):
         now = Sample(
@@ -506,7 +506,7 @@ def compensate_record(
             samples.vibration[j] if shaken else 0.0,
         )
         h = 0.0 if samples.begins[j] or last.seen == 0.0 else now.t - last.t
-        ax, dv, u, flags = compensate_sample(p, more, last, now, h, kind, warm, work, rows.sums)
+        ax, dv, u, flags = _compensate_sample(p, more, last, now, h, kind, warm, work, rows.sums)
         rows.ax[j], rows.dv[j] = ax, dv
         if rows.u.size:
             rows.u[j] = u

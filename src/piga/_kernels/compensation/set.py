@@ -45,16 +45,16 @@ from piga._kernels.compensation.terms import (
 from piga._kernels.compensation.vibration import rectified
 from piga._kernels.jit import Array, exact
 
-EXACT_ROUNDS = 4
+_EXACT_ROUNDS = 4
 """Rounds of intervals, the linear one first; each reduces the misfit by more than 1e4."""
-TERM_ROUNDS = 8
+_TERM_ROUNDS = 8
 """The same with an error model; each round leaves about ``2 k2 a_x`` of the misfit (0.4 % for 2e-3 per g at 1 g)."""
-SAMPLE_ROUNDS = 2
-PLAIN, WEIGHTED = 0, 1
+_SAMPLE_ROUNDS = 2
+PLAIN, _WEIGHTED = 0, 1
 """The solution with equal weights, from which the weights follow, and the one with weights."""
 
 
-class Member(Protocol):
+class _Member(Protocol):
     """What one instrument says of the row that is solved.
 
     ``angle``, ``s``, ``c``: angle in the middle. ``turn``, ``delta``: angle turned and half of it [rad]. ``gain``:
@@ -107,7 +107,7 @@ class Member(Protocol):
     Omega_Z: float
 
 
-MEMBER = np.dtype([(name, np.float64) for name in Member.__annotations__])
+MEMBER = np.dtype([(name, np.float64) for name in _Member.__annotations__])
 
 
 class SetSamples(NamedTuple):
@@ -179,7 +179,7 @@ class Solution(NamedTuple):
 
 @exact
 def read_member(
-    p: Instrument, more: Covariance, axes: Array, past: Past, now: Sample, h: float, sampled: bool, m: Member
+    p: Instrument, more: Covariance, axes: Array, past: Past, now: Sample, h: float, sampled: bool, m: _Member
 ) -> None:
     """Angle, base rate, effective axis and harmonics of an instrument in the row that is solved."""
     y, z = transverse(p, now)
@@ -215,11 +215,11 @@ def read_member(
     m.axis_x = x * axes[0, 0] + y * axes[1, 0] + z * axes[2, 0]
     m.axis_y = x * axes[0, 1] + y * axes[1, 1] + z * axes[2, 1]
     m.axis_z = x * axes[0, 2] + y * axes[1, 2] + z * axes[2, 2]
-    m.harmonics = harmonics(more, inputs_of(p, m, h, 0.0), 0.0) if more.orders.size else 0.0
+    m.harmonics = harmonics(more, _inputs_of(p, m, h, 0.0), 0.0) if more.orders.size else 0.0
 
 
 @exact
-def inputs_of(p: Instrument, m: Member, h: float, doubt: float) -> Inputs:
+def _inputs_of(p: Instrument, m: _Member, h: float, doubt: float) -> Inputs:
     """The inputs of the row, with all of the transverse input, for error model and uncertainty."""
     coupling = p.K * p.tan_beta
     per = 1.0 / (h if h != 0.0 else p.typical)
@@ -231,7 +231,7 @@ def inputs_of(p: Instrument, m: Member, h: float, doubt: float) -> Inputs:
 
 
 @exact
-def turn_force(axes: Array, solution: Solution, m: Member) -> None:
+def _turn_force(axes: Array, solution: Solution, m: _Member) -> None:
     """Force and its change over the interval in the axes of an instrument."""
     f, d = solution.f, solution.df
     m.a_x = axes[0, 0] * f[0] + axes[0, 1] * f[1] + axes[0, 2] * f[2]
@@ -243,7 +243,7 @@ def turn_force(axes: Array, solution: Solution, m: Member) -> None:
 
 
 @exact
-def model_error(p: Instrument, m: Member, h: float) -> None:
+def model_error(p: Instrument, m: _Member, h: float) -> None:
     """Error model at the force, the difference of the indicated force and ``a_x``, and its change over the interval."""
     m.error, m.derror = m.harmonics, 0.0
     if p.has_terms == 0.0:
@@ -265,18 +265,18 @@ def model_error(p: Instrument, m: Member, h: float) -> None:
     rise += p.k0_t * h + (p.k0_T + p.k1_T * a) * m.dT + p.k1_T * m.temperature * da
     m.derror = rise
     if p.servo != 0.0 or p.servo_damping != 0.0:
-        m.error += servo_error(p, inputs_of(p, m, h, 0.0))
+        m.error += servo_error(p, _inputs_of(p, m, h, 0.0))
 
 
 @exact
-def misfit_of_sample(p: Instrument, m: Member) -> float:
+def _misfit_of_sample(p: Instrument, m: _Member) -> float:
     """Misfit of the effective-axis equation at a sample [m/s^2]."""
     y, z = p.tan_beta * m.a_Y + m.base_y / p.K, p.tan_beta * m.a_Z + m.base_z / p.K
     return (m.rate + m.base_x) / p.K - (y * m.s - z * m.c) - (m.a_x + m.error)
 
 
 @exact
-def misfit_of_interval(p: Instrument, m: Member, h: float) -> float:
+def _misfit_of_interval(p: Instrument, m: _Member, h: float) -> float:
     """Misfit of the exact equation of an interval [m/s^2]."""
     coupling = p.K * p.tan_beta
     a = p.K * (m.a_x + m.error) - m.base_x
@@ -290,13 +290,13 @@ def misfit_of_interval(p: Instrument, m: Member, h: float) -> float:
 
 
 @exact
-def misfit_at_zero(p: Instrument, m: Member) -> float:
+def _misfit_at_zero(p: Instrument, m: _Member) -> float:
     """Linear misfit of an interval at zero force [m/s^2]: the first round."""
     return (m.rate + m.base_x - m.gain * (m.base_y * m.s - m.base_z * m.c)) / p.K - p.k0
 
 
 @exact
-def invert_normal(members: Any, solution: Solution) -> None:
+def _invert_normal(members: Any, solution: Solution) -> None:
     """The inverse of the weighted normal matrix of the effective axes."""
     xx = xy = xz = yy = yz = zz = 0.0
     for i in range(members.size):
@@ -317,7 +317,7 @@ def invert_normal(members: Any, solution: Solution) -> None:
 
 
 @exact
-def change_of_force(h: float, past: Past, f: float, early: Array, axis: int) -> tuple[float, float]:
+def _change_of_force(h: float, past: Past, f: float, early: Array, axis: int) -> tuple[float, float]:
     """Change of a component of the force over an interval and its possible error, from its estimates there and before.
 
     ``d + d^2/2 + d^3/4`` of backward differences ``d``, as for one instrument (:func:`.sample.change_of_mean`). Near the
@@ -339,7 +339,7 @@ def change_of_force(h: float, past: Past, f: float, early: Array, axis: int) -> 
 
 
 @exact
-def solve_row(
+def _solve_row(
     instruments: Any,
     axes: Array,
     members: Any,
@@ -350,11 +350,11 @@ def solve_row(
     solution: Solution,
 ) -> None:
     """Force of the row by rounds of least squares on the exact equations. ``early`` (3, 3) is updated."""
-    invert_normal(members, solution)
-    rounds = SAMPLE_ROUNDS if sampled else EXACT_ROUNDS
+    _invert_normal(members, solution)
+    rounds = _SAMPLE_ROUNDS if sampled else _EXACT_ROUNDS
     for i in range(instruments.size):
         if instruments[i].has_terms != 0.0:
-            rounds = TERM_ROUNDS
+            rounds = _TERM_ROUNDS
     solution.f[:] = 0.0
     solution.df[:] = 0.0
     n = solution.inverse
@@ -362,12 +362,12 @@ def solve_row(
         x = y = z = solution.sums[0] = solution.sums[1] = 0.0
         for i in range(members.size):
             p, m = instruments[i], members[i]
-            turn_force(axes[i], solution, m)
+            _turn_force(axes[i], solution, m)
             model_error(p, m, h)
             if sampled:
-                m.misfit = misfit_of_sample(p, m)
+                m.misfit = _misfit_of_sample(p, m)
             else:
-                m.misfit = misfit_at_zero(p, m) if k == 0 else misfit_of_interval(p, m, h)
+                m.misfit = _misfit_at_zero(p, m) if k == 0 else _misfit_of_interval(p, m, h)
             pull = m.weight * m.misfit
             x, y, z = x + pull * m.axis_x, y + pull * m.axis_y, z + pull * m.axis_z
             solution.sums[0] += m.misfit * m.misfit
@@ -377,12 +377,12 @@ def solve_row(
         if k == rounds // 2 - 1 and not sampled:  # the estimate for a change of zero
             for axis in range(3):
                 f = solution.f[axis]
-                solution.df[axis], solution.bend[axis] = change_of_force(h, past, f, early, axis)
+                solution.df[axis], solution.bend[axis] = _change_of_force(h, past, f, early, axis)
                 early[2, axis], early[1, axis], early[0, axis] = early[1, axis], early[0, axis], f
 
 
 @exact
-def doubt_of_member(p: Instrument, axes: Array, past: Past, h: float, solution: Solution, m: Member) -> float:
+def _doubt_of_member(p: Instrument, axes: Array, past: Past, h: float, solution: Solution, m: _Member) -> float:
     """Uncertainty of an instrument's equation by the motion between samples [m/s^2], as :func:`.sample.doubt_of_interval`.
 
     The transverse force is an unknown of the solution. The bend of the solution (3,) is the possible error of the change of the
@@ -390,7 +390,7 @@ def doubt_of_member(p: Instrument, axes: Array, past: Past, h: float, solution: 
     as large as the force itself, in any direction. In the second interval the sizes of the parts of the bend are added.
     """
     left = m.left_x + m.left_y * abs(m.s) + m.left_z * abs(m.c)
-    x = inputs_of(p, m, h, 0.0)
+    x = _inputs_of(p, m, h, 0.0)
     across, turn = x.y * m.c + x.z * m.s, p.tan_beta * m.turn
     bend = solution.bend
     bend_x = axes[0, 0] * bend[0] + axes[0, 1] * bend[1] + axes[0, 2] * bend[2]
@@ -408,7 +408,7 @@ def doubt_of_member(p: Instrument, axes: Array, past: Past, h: float, solution: 
 
 
 @exact
-def weigh(p: Instrument, more: Covariance, x: Inputs, m: Member, work: Array) -> float:
+def weigh(p: Instrument, more: Covariance, x: Inputs, m: _Member, work: Array) -> float:
     """Weight ``1/u^2`` of an instrument from the uncertainty of its indication, dead zone included."""
     variance = variance_by_coefficients(more, p, x, m.a_x, work) + m.hidden * m.hidden
     u = uncertainty(p, x, variance, 1.0, dead_zone(p, x.a_Y, x.a_Z, m.a_x))
@@ -442,31 +442,31 @@ def compensate_set(
                 samples.temperature[i, j] - p.T_0 if warm else 0.0, 0.0,
             )  # fmt: skip
             if solved:
-                read_member(p, covariance_of(all_of, i), axes[i], past, now, h, sampled, members[i])
+                read_member(p, _covariance_of(all_of, i), axes[i], past, now, h, sampled, members[i])
             else:
                 y, z = transverse(p, now)
                 keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
             keep_sample(past, now, now.psi, p.phi, 0.0)
         if solved:
-            solve_row(instruments, axes, members, first, h, sampled, last.early[PLAIN], solution)
+            _solve_row(instruments, axes, members, first, h, sampled, last.early[PLAIN], solution)
             for i in range(count):
                 p, past, m = instruments[i], last.past[i], members[i]
-                turn_force(axes[i], solution, m)
+                _turn_force(axes[i], solution, m)
                 steady, force = h * past.h1 * past.h2 != 0.0, (m.a_x, m.a_Y, m.a_Z)
                 m.hidden, shaken = rectified(p, past, force, h, steady, sampled)
                 m.shaken = 1.0 if shaken else 0.0
                 if wanted or count > 3:
                     if not sampled:
-                        doubts[i] = doubt_of_member(p, axes[i], last.past[i], h, solution, m)
-                    m.weight = weigh(p, covariance_of(all_of, i), inputs_of(p, m, h, doubts[i]), m, work[i])
+                        doubts[i] = _doubt_of_member(p, axes[i], last.past[i], h, solution, m)
+                    m.weight = weigh(p, _covariance_of(all_of, i), _inputs_of(p, m, h, doubts[i]), m, work[i])
             if count > 3:
-                solve_row(instruments, axes, members, first, h, sampled, last.early[WEIGHTED], solution)
+                _solve_row(instruments, axes, members, first, h, sampled, last.early[_WEIGHTED], solution)
             elif wanted:
-                invert_normal(members, solution)
+                _invert_normal(members, solution)
             if wanted:
-                add_velocities(instruments, all_of, members, h, doubts, work, solution.inverse, rows.sums)
-        write_row(j, h, sampled, solution, last.force, rows)
-        flag_row(
+                _add_velocities(instruments, all_of, members, h, doubts, work, solution.inverse, rows.sums)
+        _write_row(j, h, sampled, solution, last.force, rows)
+        _flag_row(
             j, h, sampled, base_flag, warm, instruments, axes, members, solution, threshold, detailed, rows
         )
         for i in range(count):
@@ -475,7 +475,7 @@ def compensate_set(
 
 
 @exact
-def add_velocities(
+def _add_velocities(
     instruments: Any,
     all_of: SetCovariance,
     members: Any,
@@ -498,13 +498,13 @@ def add_velocities(
 
 
 @exact
-def covariance_of(all_of: SetCovariance, i: int) -> Covariance:
+def _covariance_of(all_of: SetCovariance, i: int) -> Covariance:
     """Harmonics and covariance factor of one instrument."""
     return Covariance(all_of.orders[i], all_of.sines[i], all_of.cosines[i], all_of.codes[i], all_of.factors[i])
 
 
 @exact
-def write_row(j: int, h: float, sampled: bool, solution: Solution, before: Array, rows: SetRows) -> None:
+def _write_row(j: int, h: float, sampled: bool, solution: Solution, before: Array, rows: SetRows) -> None:
     """Force, increment, uncertainty and residual; ``before`` is the force of the last row, updated."""
     solved = sampled or h != 0.0
     for axis in range(3):
@@ -519,7 +519,7 @@ def write_row(j: int, h: float, sampled: bool, solution: Solution, before: Array
 
 
 @exact
-def flag_row(
+def _flag_row(
     j: int, h: float, sampled: bool, base_flag: int, warm: bool, instruments: Any, axes: Array, members: Any,
     solution: Solution, threshold: float, detailed: bool, rows: SetRows,
 ) -> None:  # fmt: skip
@@ -531,8 +531,8 @@ def flag_row(
     for i in range(instruments.size):
         p, m, flag = instruments[i], members[i], 0
         if solved:
-            turn_force(axes[i], solution, m)
-            flag = base_flag | flags_of(p, inputs_of(p, m, h, 0.0), m.a_x, warm)
+            _turn_force(axes[i], solution, m)
+            flag = base_flag | flags_of(p, _inputs_of(p, m, h, 0.0), m.a_x, warm)
             flag |= at.VIBRATION if m.shaken != 0.0 else 0
         together |= flag
         if detailed:

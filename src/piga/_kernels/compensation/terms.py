@@ -15,11 +15,12 @@ from piga._kernels.jit import Array, exact, inline_exact
 
 NEAR = 1.25
 """Near-critical: ``|a_x|`` below this multiple of ``a_t tan(beta)``."""
-ITERATIONS = 4
+_ITERATIONS = 4
 """Newton steps: the error model is nearly linear, each step squares a relative error below 1e-2."""
 TWELFTH = 1.0 / 12.0
 (
-    K0, K1, K2, K3, K2O, K1A, M_Y, M_Z, K_XY, K_XZ, K_YY, K_ZZ, K_YZ, K0_TIME, K0_TEMP, K1_TEMP, K2_VIBRATION, SERVO, SERVO_DAMPING,
+    K0, K1, K2, K3, _K2O, _K1A, M_Y, _M_Z, _K_XY, _K_XZ, _K_YY, _K_ZZ, _K_YZ, _K0_TIME, _K0_TEMP, _K1_TEMP,
+    _K2_VIBRATION, SERVO, _SERVO_DAMPING,
 ) = range(len(at.TERMS))  # fmt: skip
 
 
@@ -40,7 +41,7 @@ def harmonics(more: Covariance, x: Inputs, bend: float) -> float:
 
 
 @exact
-def odd_square_mean(a: float, change: float) -> float:
+def _odd_square_mean(a: float, change: float) -> float:
     """Mean of ``a|a|`` while a goes linearly from ``a - change/2`` to ``a + change/2``."""
     start, end = a - 0.5 * change, a + 0.5 * change
     if start * end >= 0.0:
@@ -77,7 +78,7 @@ def invert_terms(p: Instrument, x: Inputs, indicated: float) -> tuple[float, flo
     a = right * inverse
     if p.k2 != 0.0 or p.k3 != 0.0:
         spread = da * da * TWELFTH
-        for _ in range(ITERATIONS):
+        for _ in range(_ITERATIONS):
             square = a * a
             value = a * gain + p.k2 * (square + spread) + p.k3 * a * (square + 3.0 * spread)
             derivative = 1.0 + gain + 2.0 * p.k2 * a + 3.0 * p.k3 * (square + spread)
@@ -86,12 +87,12 @@ def invert_terms(p: Instrument, x: Inputs, indicated: float) -> tuple[float, flo
     if p.k2o != 0.0 or p.k1a != 0.0:
         start, first = a, 1.0 / inverse
         derivative = first
-        for _ in range(ITERATIONS + 1):
+        for _ in range(_ITERATIONS + 1):
             step = a - start
             smooth = step * first + p.k2 * step * step + p.k3 * step * step * (3.0 * start + step)
             derivative = first + 2.0 * p.k2 * step + 3.0 * p.k3 * step * (2.0 * start + step)
             derivative += 2.0 * p.k2o * abs(a) + math.copysign(p.k1a, a)
-            a -= (smooth + p.k2o * odd_square_mean(a, da) + p.k1a * size_mean(a, da)) / derivative
+            a -= (smooth + p.k2o * _odd_square_mean(a, da) + p.k1a * size_mean(a, da)) / derivative
         inverse = 1.0 / derivative
     return a, inverse
 
@@ -112,32 +113,32 @@ def servo_error(p: Instrument, x: Inputs) -> float:
 
 
 @inline_exact
-def power_regressor(code: int, a: float) -> float:
+def _power_regressor(code: int, a: float) -> float:
     """Derivative by ``k0``, ``k1``, ``k2``, ``k3``, ``k2o`` or ``k1a``."""
     if code == K0:
         return 1.0
     if code == K1:
         return a
-    if code == K2O:
+    if code == _K2O:
         return a * abs(a)
-    if code == K1A:
+    if code == _K1A:
         return abs(a)
     return a * a if code == K2 else a * a * a
 
 
 @inline_exact
-def product_regressor(code: int, p: Instrument, x: Inputs, a: float) -> float:
+def _product_regressor(code: int, p: Instrument, x: Inputs, a: float) -> float:
     """Derivative by a term that is a product with the transverse force, time or temperature."""
-    if code <= K_XZ:
-        across = x.a_Y if code in (M_Y, K_XY) else x.a_Z
-        return across if code in (M_Y, M_Z) else a * across
-    if code == K_YY:
+    if code <= _K_XZ:
+        across = x.a_Y if code in (M_Y, _K_XY) else x.a_Z
+        return across if code in (M_Y, _M_Z) else a * across
+    if code == _K_YY:
         return x.a_Y * x.a_Y
-    if code <= K_YZ:
-        return (x.a_Z if code == K_ZZ else x.a_Y) * x.a_Z
-    if code == K0_TIME:
+    if code <= _K_YZ:
+        return (x.a_Z if code == _K_ZZ else x.a_Y) * x.a_Z
+    if code == _K0_TIME:
         return x.t - p.t_0
-    return x.T if code == K0_TEMP else a * x.T
+    return x.T if code == _K0_TEMP else a * x.T
 
 
 @inline_exact
@@ -153,12 +154,12 @@ def regressor(code: int, p: Instrument, x: Inputs, a: float) -> float:
     if code >= at.HARMONIC:
         angle = ((code - at.HARMONIC) // 2) * x.angle
         return math.sin(angle) if code % 2 == 0 else math.cos(angle)
-    if code <= K1A:
-        return power_regressor(code, a)
-    if code == K2_VIBRATION:
+    if code <= _K1A:
+        return _power_regressor(code, a)
+    if code == _K2_VIBRATION:
         return x.vibration
-    if code <= K1_TEMP:
-        return product_regressor(code, p, x, a)
+    if code <= _K1_TEMP:
+        return _product_regressor(code, p, x, a)
     across, along = x.a_Y * x.s - x.a_Z * x.c, x.a_Y * x.c + x.a_Z * x.s
     return -2.0 * x.v * across * across if code == SERVO else -x.v * x.v * along
 

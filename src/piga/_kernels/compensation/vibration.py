@@ -12,21 +12,21 @@ import math
 from piga._kernels.compensation.data import Instrument, Past
 from piga._kernels.jit import inline_exact
 
-SHARE = 1.0 / 32.0
+_SHARE = 1.0 / 32.0
 """Share of a row in the running mean squares."""
 FAST = 1.0
 """Mean square of second over that of first differences of an oscillation of six samples a period (half of Nyquist: 2, white: 3)."""
 FULL = 3.0
 """The same from which all of the variance counts: that of white samples."""
-ABOVE_NOISE = 4.0
+_ABOVE_NOISE = 4.0
 """Least mean square of the second differences, over that of the noise that the calibration states."""
 WHITE = 1.0 / 6.0
 """Variance of white samples over the mean square of their second differences."""
-BEYOND = 3.0
+_BEYOND = 3.0
 """Standard uncertainty of the hidden variance over the variance seen (docs/theory/compensation)."""
 SAMPLED = 0.5
 """The same for a reference: its samples show all of the variance, and a third or two thirds of it is hidden."""
-ORDINARY = 1e-6
+_ORDINARY = 1e-6
 """Quadratic coefficient at which a vibration is flagged where the calibration has a smaller one or none [s^2/m]."""
 LEAST = 1e-6
 """Change of the mean from which a vibration is flagged [m/s^2]."""
@@ -38,7 +38,7 @@ def near_nyquist(first: float, second: float, noise: float) -> float:
 
     Of a white vibration all of it counts, of one of six samples a period nothing.
     """
-    if second <= FAST * first or second <= ABOVE_NOISE * noise:
+    if second <= FAST * first or second <= _ABOVE_NOISE * noise:
         return 0.0
     if second >= FULL * first:
         return WHITE * second
@@ -58,10 +58,10 @@ def rectified(
     x, y, z = a_x - past.force_x, a_Y - past.force_Y, a_Z - past.force_Z
     if steady:
         bend_x, bend_y, bend_z = x - past.step_x, y - past.step_Y, z - past.step_Z
-        past.first_x += SHARE * (x * x - past.first_x)
-        past.second_x += SHARE * (bend_x * bend_x - past.second_x)
-        past.first_t += SHARE * (y * y + z * z - past.first_t)
-        past.second_t += SHARE * (bend_y * bend_y + bend_z * bend_z - past.second_t)
+        past.first_x += _SHARE * (x * x - past.first_x)
+        past.second_x += _SHARE * (bend_x * bend_x - past.second_x)
+        past.first_t += _SHARE * (y * y + z * z - past.first_t)
+        past.second_t += _SHARE * (bend_y * bend_y + bend_z * bend_z - past.second_t)
     past.force_x, past.force_Y, past.force_Z = a_x, a_Y, a_Z
     past.step_x, past.step_Y, past.step_Z = x, y, z
     fast = past.second_x > FAST * past.first_x or past.second_t > FAST * past.first_t
@@ -74,11 +74,11 @@ def rectified(
     )
     bent = abs(p.k2 + math.copysign(p.k2o, a_x) + 3.0 * p.k3 * a_x)
     bent_t = max(abs(p.k_YY), abs(p.k_ZZ))
-    if max(bent, ORDINARY) * along + max(bent_t, ORDINARY) * across <= LEAST:
+    if max(bent, _ORDINARY) * along + max(bent_t, _ORDINARY) * across <= LEAST:
         return 0.0, False
     size = 0.0
     if not sampled:
-        size = BEYOND * bent * along + SAMPLED * bent_t * across
+        size = _BEYOND * bent * along + SAMPLED * bent_t * across
         size += max(abs(p.k_XY), abs(p.k_XZ)) * math.sqrt(along * across)
     past.shaken += h
     past.shaken_square += (along + across) * h

@@ -33,7 +33,7 @@ Three = tuple[float, float, float]
 NONE = (0.0, 0.0, 0.0)
 BLOCK = 256
 """Steps of a block. At its end the pair is brought to unit length: a small step lets it grow by less than ``exp(1/2)``."""
-ROWS, ROOM = 20, BLOCK + 8
+ROWS, _ROOM = 20, BLOCK + 8
 prange: Any = numba.prange
 
 
@@ -94,7 +94,7 @@ class Rates(NamedTuple):
 
 
 @inline
-def steps_in(room: Array) -> Steps:
+def _steps_in(room: Array) -> Steps:
     """The steps of a block, in ``room`` (ROWS, ROOM). It is made by each kernel: its shape is known to the compiler there."""
     return Steps(
         room[0], room[1], room[2], room[3], room[4], room[5], room[6], room[7], room[8], room[9], room[10]
@@ -102,13 +102,13 @@ def steps_in(room: Array) -> Steps:
 
 
 @inline
-def rates_in(room: Array) -> Rates:
+def _rates_in(room: Array) -> Rates:
     """The rates of a block, in the same ``room``."""
     return Rates(room[11], room[12], room[13], room[14], room[15], room[16], room[17])
 
 
 @inline
-def read_rates(samples: MotionSamples, first: int, stop: int, r: Rates) -> None:
+def _read_rates(samples: MotionSamples, first: int, stop: int, r: Rates) -> None:
     """Effective rates at the samples from ``first`` to ``stop``."""
     f, K, coupling, count = samples.f[first:stop], samples.K, samples.K * samples.tan_beta, stop - first
     for i in range(count):
@@ -128,7 +128,7 @@ def read_rates(samples: MotionSamples, first: int, stop: int, r: Rates) -> None:
 
 
 @inline
-def weigh_neighbours(t: Array, count: int, r: Rates) -> None:
+def _weigh_neighbours(t: Array, count: int, r: Rates) -> None:
     """Weights of the second derivatives at ``count`` samples."""
     for i in range(count - 2):
         h0, h1 = t[i + 1] - t[i], t[i + 2] - t[i + 1]
@@ -140,7 +140,7 @@ def weigh_neighbours(t: Array, count: int, r: Rates) -> None:
 
 
 @inline
-def smooth_bow(h: float, share: float, near: float, far: float) -> float:
+def _smooth_bow(h: float, share: float, near: float, far: float) -> float:
     """Mean of a smooth input over an interval ``h`` less the mean of both ends [rad/s].
 
     Its second derivative lies ``share`` of the way from ``near`` to ``far``.
@@ -149,18 +149,18 @@ def smooth_bow(h: float, share: float, near: float, far: float) -> float:
 
 
 @inline
-def end_bow(t: Array, bend: Array, i: int, near: int, step: int) -> float:
+def _end_bow(t: Array, bend: Array, i: int, near: int, step: int) -> float:
     """Turn [rad] by the bow of the first or last interval of a record: the second derivative goes on from the two next to it.
 
     It lies after sample ``i``; ``near`` is the sample at its inner end, ``step`` the direction from there into the record.
     """
     h, near_h = t[i + 1] - t[i], abs(t[near + step] - t[near])
     far_h = abs(t[near + 2 * step] - t[near + step])
-    return h * smooth_bow(h, -(h + 2.0 * near_h) / (2.0 * (h + near_h + far_h)), bend[near], bend[near + step])
+    return h * _smooth_bow(h, -(h + 2.0 * near_h) / (2.0 * (h + near_h + far_h)), bend[near], bend[near + step])
 
 
 @inline
-def add_bows(
+def _add_bows(
     t: Array, x: Array, count: int, skipped: int, ends: tuple[bool, bool], r: Rates, turn: Array
 ) -> None:
     """Add to the increments ``turn`` what a smooth input ``x`` turns more than a straight one.
@@ -174,15 +174,15 @@ def add_bows(
     turns, times, share, bends = turn[first - skipped :], t[first:], r.share[first:], bend[first:]
     for i in range(count - 2 - first):
         h = times[i + 1] - times[i]
-        turns[i] += h * smooth_bow(h, share[i], bends[i], bends[i + 1])
+        turns[i] += h * _smooth_bow(h, share[i], bends[i], bends[i + 1])
     if ends[0]:
-        turn[0] += end_bow(t, bend, 0, 1, 1)
+        turn[0] += _end_bow(t, bend, 0, 1, 1)
     if ends[1]:
-        turn[count - 2 - skipped] += end_bow(t, bend, count - 2, count - 2, -1)
+        turn[count - 2 - skipped] += _end_bow(t, bend, count - 2, count - 2, -1)
 
 
 @inline
-def turn_linear(samples: MotionSamples, first: int, count: int, skipped: int, r: Rates, s: Steps) -> None:
+def _turn_linear(samples: MotionSamples, first: int, count: int, skipped: int, r: Rates, s: Steps) -> None:
     """Increments of ``count`` steps from sample ``first`` on, for input that is linear between samples."""
     t, a, y, z = samples.t[first:], r.a[skipped:], r.y[skipped:], r.z[skipped:]
     for j in range(count):
@@ -195,7 +195,7 @@ def turn_linear(samples: MotionSamples, first: int, count: int, skipped: int, r:
 
 
 @inline
-def make_matrices(t: Array, count: int, s: Steps) -> None:
+def _make_matrices(t: Array, count: int, s: Steps) -> None:
     """Matrices of the steps between times ``t`` (count + 1,) from their increments."""
     for j in range(count):
         A, Y, Z = s.A[j], s.Y[j], s.Z[j]
@@ -204,7 +204,7 @@ def make_matrices(t: Array, count: int, s: Steps) -> None:
 
 
 @inline
-def carry_pair(count: int, s: Steps, turns: float, p: float, q: float) -> tuple[int, float, float, float]:
+def _carry_pair(count: int, s: Steps, turns: float, p: float, q: float) -> tuple[int, float, float, float]:
     """Carry turns and pair through ``count`` steps. Returns the number of steps done (fewer: the next one is unusable)."""
     for j in range(count):
         s.turns[j], s.p[j], s.q[j] = turns, p, q
@@ -225,7 +225,7 @@ def carry_pair(count: int, s: Steps, turns: float, p: float, q: float) -> tuple[
 
 
 @inline
-def read_angles(s: Steps, alpha: Array) -> None:
+def _read_angles(s: Steps, alpha: Array) -> None:
     """Unwrapped angles [rad] of turns and pairs."""
     for j in range(alpha.size):
         alpha[j] = unwrapped(s.turns[j], double_arctangent(s.p[j], s.q[j]))
@@ -239,28 +239,28 @@ def propagate_samples(state: Array, alpha: Array, rate: Array, samples: MotionSa
     which an unusable step begins. A smooth record of less than four samples is linear.
     """
     t, n = samples.t, samples.t.size
-    room = np.empty((ROWS, ROOM))
-    s, r = steps_in(room), rates_in(room)
+    room = np.empty((ROWS, _ROOM))
+    s, r = _steps_in(room), _rates_in(room)
     turns, p, q = state[0], state[1], state[2]
     for first in range(0, n, BLOCK):
         last = min(first + BLOCK, n)  # of the samples of this block
         count = min(last, n - 1) - first  # of its steps
         around, stop = max(first - 2, 0), min(first + count + 2, n)
         skipped, measured = first - around, stop - around
-        read_rates(samples, around, stop, r)
-        turn_linear(samples, first, count, skipped, r, s)
+        _read_rates(samples, around, stop, r)
+        _turn_linear(samples, first, count, skipped, r, s)
         if samples.smooth and n > 3 and count > 0:
             ends, times = (first == 0, first + count == n - 1), t[around:stop]
-            weigh_neighbours(times, measured, r)
-            add_bows(times, r.a, measured, skipped, ends, r, s.A)
-            add_bows(times, r.y, measured, skipped, ends, r, s.Y)
-            add_bows(times, r.z, measured, skipped, ends, r, s.Z)
-        make_matrices(t[first:], count, s)
-        done, turns, p, q = carry_pair(count, s, turns, p, q)
+            _weigh_neighbours(times, measured, r)
+            _add_bows(times, r.a, measured, skipped, ends, r, s.A)
+            _add_bows(times, r.y, measured, skipped, ends, r, s.Y)
+            _add_bows(times, r.z, measured, skipped, ends, r, s.Z)
+        _make_matrices(t[first:], count, s)
+        done, turns, p, q = _carry_pair(count, s, turns, p, q)
         if done < count:
             return first + done
         if alpha.size:
-            read_angles(s, alpha[first:last])
+            _read_angles(s, alpha[first:last])
         if rate.size:
             a, y, z, out = r.a[skipped:], r.y[skipped:], r.z[skipped:], rate[first:last]
             for j in range(out.size):  # a + y sin(alpha) - z cos(alpha)
@@ -285,7 +285,7 @@ class FleetInput(NamedTuple):
 
 
 @kernel
-def propagate_one(fleet: FleetInput, i: int, state: Array, angles: bool, result: Array) -> int:
+def _propagate_one(fleet: FleetInput, i: int, state: Array, angles: bool, result: Array) -> int:
     """Angle or rate of motion ``i``; see :func:`propagate_many`."""
     none = np.empty(0)
     f, base_rate = fleet.f[min(i, fleet.f.shape[0] - 1)], fleet.base_rate[min(i, fleet.base_rate.shape[0] - 1)]
@@ -302,11 +302,11 @@ def propagate_many(fleet: FleetInput, states: Array, angles: bool, result: Array
     """
     for i in prange(result.shape[0]):
         k: Any = np.int64(i)  # prange counts in unsigned integers
-        status[i] = propagate_one(fleet, k, states[i], angles, result[i])
+        status[i] = _propagate_one(fleet, k, states[i], angles, result[i])
 
 
 @inline
-def mean_rates(t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, j: int) -> Three:
+def _mean_rates(t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, j: int) -> Three:
     """Mean rates ``a, y, z`` [rad/s] of an interval, from its increments of velocity and of the base's angle."""
     per = 1.0 / (t[j + 1] - t[j])
     a, y, z = K * dv[j, 0], K * dv[j, 1], K * dv[j, 2]
@@ -316,7 +316,7 @@ def mean_rates(t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, j:
 
 
 @inline
-def slope_inside(before: float, here: float, after: float, h0: float, h1: float, h2: float) -> float:
+def _slope_inside(before: float, here: float, after: float, h0: float, h1: float, h2: float) -> float:
     """Slope in an interval ``h1`` [s] of the parabola with the means of the interval and its neighbours."""
     lever0, lever2 = h1 + 2.0 * h0, h1 + 2.0 * h2
     per_lever = 2.0 / (lever0 + lever2)
@@ -324,7 +324,7 @@ def slope_inside(before: float, here: float, after: float, h0: float, h1: float,
 
 
 @inline
-def slope_at_end(here: float, near: float, far: float, h0: float, h1: float, h2: float) -> float:
+def _slope_at_end(here: float, near: float, far: float, h0: float, h1: float, h2: float) -> float:
     """Slope towards the neighbours in an interval ``h0`` [s] at an end of the record, from the means of the next two."""
     rise = 2.0 * (near - here) / (h0 + h1)
     rise_far = 2.0 * (far - near) / (h1 + h2)
@@ -332,7 +332,7 @@ def slope_at_end(here: float, near: float, far: float, h0: float, h1: float, h2:
 
 
 @inline
-def slopes_of(
+def _slopes_of(
     t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, j: int, around: tuple[Three, Three, Three]
 ) -> Three:
     """Slopes of the rates in interval ``j`` [rad/s^2]; ``around``: means of the interval before, of it and of the one after."""
@@ -343,9 +343,9 @@ def slopes_of(
     if 0 < j < n - 1:
         h0, h2 = t[j] - t[j - 1], t[j + 2] - t[j + 1]
         return (
-            slope_inside(before[0], here[0], after[0], h0, h, h2),
-            slope_inside(before[1], here[1], after[1], h0, h, h2),
-            slope_inside(before[2], here[2], after[2], h0, h, h2),
+            _slope_inside(before[0], here[0], after[0], h0, h, h2),
+            _slope_inside(before[1], here[1], after[1], h0, h, h2),
+            _slope_inside(before[2], here[2], after[2], h0, h, h2),
         )
     side, near = (1.0, after) if j == 0 else (-1.0, before)
     i = 1 if j == 0 else j - 1
@@ -353,11 +353,11 @@ def slopes_of(
         per = side * 2.0 / (t[2] - t[0])
         return per * (near[0] - here[0]), per * (near[1] - here[1]), per * (near[2] - here[2])
     k = 2 if j == 0 else j - 2
-    far, h1, h2 = mean_rates(t, dv, dtheta, K, tan_beta, k), t[i + 1] - t[i], t[k + 1] - t[k]
+    far, h1, h2 = _mean_rates(t, dv, dtheta, K, tan_beta, k), t[i + 1] - t[i], t[k + 1] - t[k]
     return (
-        side * slope_at_end(here[0], near[0], far[0], h, h1, h2),
-        side * slope_at_end(here[1], near[1], far[1], h, h1, h2),
-        side * slope_at_end(here[2], near[2], far[2], h, h1, h2),
+        side * _slope_at_end(here[0], near[0], far[0], h, h1, h2),
+        side * _slope_at_end(here[1], near[1], far[1], h, h1, h2),
+        side * _slope_at_end(here[2], near[2], far[2], h, h1, h2),
     )
 
 
@@ -372,26 +372,26 @@ def propagate_increments(
     """
     turns, p, q = state[0], state[1], state[2]
     n, before = dv.shape[0], NONE
-    room = np.empty((ROWS, ROOM))
-    s = steps_in(room)
-    here = mean_rates(t, dv, dtheta, K, tan_beta, 0)
+    room = np.empty((ROWS, _ROOM))
+    s = _steps_in(room)
+    here = _mean_rates(t, dv, dtheta, K, tan_beta, 0)
     for first in range(0, n + 1, BLOCK):
         last = min(first + BLOCK, n + 1)
         count = min(last, n) - first
         for i in range(count):
             j = first + i
             h = t[j + 1] - t[j]
-            after = mean_rates(t, dv, dtheta, K, tan_beta, j + 1) if j < n - 1 else NONE
-            (a, y, z), (sa, sy, sz) = here, slopes_of(t, dv, dtheta, K, tan_beta, j, (before, here, after))
+            after = _mean_rates(t, dv, dtheta, K, tan_beta, j + 1) if j < n - 1 else NONE
+            (a, y, z), (sa, sy, sz) = here, _slopes_of(t, dv, dtheta, K, tan_beta, j, (before, here, after))
             cross = h * h * h * (1.0 / 12.0)
             s.A[i] = h * a + cross * (y * sz - z * sy)
             s.Y[i], s.Z[i] = h * y + cross * (a * sz - z * sa), h * z - cross * (a * sy - y * sa)
             before, here = here, after
-        make_matrices(t[first:], count, s)
-        done, turns, p, q = carry_pair(count, s, turns, p, q)
+        _make_matrices(t[first:], count, s)
+        done, turns, p, q = _carry_pair(count, s, turns, p, q)
         if done < count:
             return first + done
-        read_angles(s, alpha[first:last])
+        _read_angles(s, alpha[first:last])
     state[0], state[1], state[2] = turns, p, q
     return GOOD
 
@@ -420,7 +420,7 @@ _TAYLOR = np.array([1.0 / math.factorial(k) for k in range(22)])
 
 
 @inline
-def sample_rates(f: Array, omega: Array, k: int, K: float, tan_beta: float, r: Array, d: Array) -> None:
+def _sample_rates(f: Array, omega: Array, k: int, K: float, tan_beta: float, r: Array, d: Array) -> None:
     """Effective rates ``r = (a, y, z)`` at sample ``k`` and their derivatives ``d`` (3, PARAMETERS)."""
     secant2 = 1.0 + tan_beta * tan_beta
     for axis in range(3):
@@ -433,26 +433,26 @@ def sample_rates(f: Array, omega: Array, k: int, K: float, tan_beta: float, r: A
 
 
 @inline
-def cross_term(i: int, j: int, r0: Array, r1: Array) -> float:
+def _cross_term(i: int, j: int, r0: Array, r1: Array) -> float:
     """``r0_i r1_j - r0_j r1_i``."""
     return r0[i] * r1[j] - r0[j] * r1[i]
 
 
 @kernel
-def step_increments(h: float, r0: Array, r1: Array, d0: Array, d1: Array, step: Array, ds: Array) -> None:
+def _step_increments(h: float, r0: Array, r1: Array, d0: Array, d1: Array, step: Array, ds: Array) -> None:
     """Magnus increments ``step`` (3,) and their derivatives ``ds`` (3, PARAMETERS)."""
     mean, cross = 0.5 * h, h * h / 12.0
     for axis in range(3):
         i, j = (1, 2) if axis == 0 else ((0, 2) if axis == 1 else (0, 1))
         sign = -cross if axis == 2 else cross
-        step[axis] = mean * (r0[axis] + r1[axis]) + sign * cross_term(i, j, r0, r1)
+        step[axis] = mean * (r0[axis] + r1[axis]) + sign * _cross_term(i, j, r0, r1)
         for n in range(PARAMETERS):
             change = d0[i, n] * r1[j] - d0[j, n] * r1[i] + r0[i] * d1[j, n] - r0[j] * d1[i, n]
             ds[axis, n] = mean * (d0[axis, n] + d1[axis, n]) + sign * change
 
 
 @kernel
-def advance_derivatives(p: float, q: float, step: Array, ds: Array, d_alpha: Array) -> None:
+def _advance_derivatives(p: float, q: float, step: Array, ds: Array, d_alpha: Array) -> None:
     """Carry ``d_alpha`` (PARAMETERS,) over one step from the unit pair ``(p, q)``."""
     A, Y, Z = step[0], step[1], step[2]
     c, s, slope = unimodular_functions(0.25 * (Y * Y + Z * Z - A * A))
@@ -482,13 +482,13 @@ def propagate_sensitivities(
     d0, d1, ds = np.zeros((3, PARAMETERS)), np.zeros((3, PARAMETERS)), np.zeros((3, PARAMETERS))
     carried[2] = 1.0
     for k in range(t.size):
-        sample_rates(f, omega, k, K, tan_beta, r1, d1)
+        _sample_rates(f, omega, k, K, tan_beta, r1, d1)
         if k:
             h = t[k] - t[k - 1]
-            step_increments(h, r0, r1, d0, d1, step, ds)
+            _step_increments(h, r0, r1, d0, d1, step, ds)
             if not (h > 0.0 and abs(step[0]) + abs(step[1]) + abs(step[2]) < _NO_OVERFLOW):
                 return k - 1
-            advance_derivatives(p, q, step, ds, carried)
+            _advance_derivatives(p, q, step, ds, carried)
             turns, rest, p, q = advance(turns, rest, p, q, step[0], step[1], step[2])
         sine, cosine = 2.0 * p * q, q * q - p * p
         alpha[k] = unwrapped(turns, rest)

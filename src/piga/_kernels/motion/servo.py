@@ -18,8 +18,8 @@ import numpy as np
 from piga._kernels.jit import Array, kernel
 
 STATES = 5
-STAGES = 12
-MAX_TRIES = 100_000
+_STAGES = 12
+_MAX_TRIES = 100_000
 
 
 class ServoConstants(NamedTuple):
@@ -72,7 +72,7 @@ def wheel(p: ServoConstants, t: float) -> tuple[float, float]:
 
 
 @kernel
-def pick_off(p: ServoConstants, beta: float, noise: float) -> float:
+def _pick_off(p: ServoConstants, beta: float, noise: float) -> float:
     """Pick-off signal [rad]: tilt from null with noise, limited to its range."""
     return min(max(beta - p.beta_null + noise, -p.e_max), p.e_max)
 
@@ -90,7 +90,7 @@ def friction(p: ServoConstants, w: float) -> float:
 
 
 @kernel
-def stop_torque(p: ServoConstants, beta: float, v: float) -> float:
+def _stop_torque(p: ServoConstants, beta: float, v: float) -> float:
     """Torque of the stops on the float [N m]: continuous at contact, more when going in, never pulling."""
     if beta > p.beta_stop:
         return -p.k_stop * (beta - p.beta_stop) * max(0.0, 1.0 + p.c_stop * v)
@@ -154,7 +154,7 @@ def derivative(p: ServoConstants, t: float, x: Array, inputs: Inputs, out: Array
     E_tilt = (p.C - p.A) * (cb * cb - sb * sb) + 4.0 * p.D * sb * cb
     L_Z1 = turn * E + r * (p.A * sb * sb + p.C * cb * cb + 2.0 * p.D * sb * cb) + H * cb
     # servo
-    e = pick_off(p, beta, n_e)
+    e = _pick_off(p, beta, n_e)
     asked = command(p, e, v, z)
     motor = min(max(asked, -p.M_max), p.M_max)
     winding = asked != motor and e * asked < 0.0
@@ -165,7 +165,7 @@ def derivative(p: ServoConstants, t: float, x: Array, inputs: Inputs, out: Array
     )
     # inner axis
     along = a_x * cb + sb * (a_Y * sa - a_Z * ca)
-    torque_y = -p.ml * along - p.c * v - p.k_r * (beta - p.beta_r) + stop_torque(p, beta, v) + p.M_y + n_y
+    torque_y = -p.ml * along - p.c * v - p.k_r * (beta - p.beta_r) + _stop_torque(p, beta, v) + p.M_y + n_y
     gyro_y = H * spin_x + (p.C - p.A) * spin_x * spin_z + p.D * (spin_z * spin_z - spin_x * spin_x)
     out[0] = w
     out[1] = v
@@ -198,12 +198,12 @@ def at(
 
 
 @kernel
-def error_ratio(K: Array, E3: Array, E5: Array, h: float, tolerance: Array) -> tuple[float, float]:
+def _error_ratio(K: Array, E3: Array, E5: Array, h: float, tolerance: Array) -> tuple[float, float]:
     """Local error over tolerance (largest of the states), and local error of alpha [rad]."""
     worst, alpha_error = 0.0, 0.0
     for j in range(STATES):
         low, high = 0.0, 0.0
-        for s in range(STAGES + 1):
+        for s in range(_STAGES + 1):
             low += E3[s] * K[s, j]
             high += E5[s] * K[s, j]
         scale = math.sqrt(high * high + 0.01 * low * low)
@@ -218,7 +218,7 @@ def error_ratio(K: Array, E3: Array, E5: Array, h: float, tolerance: Array) -> t
 
 
 @kernel
-def try_step(
+def _try_step(
     p: ServoConstants,
     x: Array,
     drive: Nodes,
@@ -232,13 +232,13 @@ def try_step(
     ``place``: node, time done after it, step and interval [s].
     """
     i, done, step, span = place
-    for s in range(1, STAGES + 1):
+    for s in range(1, _STAGES + 1):
         for j in range(STATES):
             total = 0.0
             for m in range(s):
-                total += (method.tableau[s, m] if s < STAGES else method.weights[m]) * K[m, j]
+                total += (method.tableau[s, m] if s < _STAGES else method.weights[m]) * K[m, j]
             y[j] = x[j] + step * total
-        now = done + (method.nodes[s] if s < STAGES else 1.0) * step
+        now = done + (method.nodes[s] if s < _STAGES else 1.0) * step
         at(p, y, drive, i, now, now / span, span, K[s])
 
 
@@ -249,11 +249,11 @@ def integrate(
     """Integrate from node to node; ``out[i]`` is the state at ``t[i]``; ``x`` is start and end state.
 
     Returns the sum of the local errors of alpha [rad], the number of steps
-    taken, and the node after which the step became smaller than 1e-13 of the interval or ``MAX_TRIES``
+    taken, and the node after which the step became smaller than 1e-13 of the interval or ``_MAX_TRIES``
     steps did not reach the next node (else -1).
     """
     t = drive.t
-    K = np.empty((STAGES + 1, STATES))
+    K = np.empty((_STAGES + 1, STATES))
     y = np.empty(STATES)
     total_error, steps = 0.0, 0
     for j in range(STATES):
@@ -265,20 +265,20 @@ def integrate(
             rest = span - done
             step = rest if h >= rest else (0.5 * rest if 2.0 * h > rest else h)
             tries += 1
-            try_step(p, x, drive, (i, done, step, span), method, K, y)
-            ratio, alpha_error = error_ratio(K, method.E3, method.E5, step, tolerance)
+            _try_step(p, x, drive, (i, done, step, span), method, K, y)
+            ratio, alpha_error = _error_ratio(K, method.E3, method.E5, step, tolerance)
             factor = 5.0 if ratio < 1e-7 else min(5.0, max(0.2, 0.9 * ratio ** (-0.125)))
             if ratio <= 1.0:
                 for j in range(STATES):
                     x[j] = y[j]
-                    K[0, j] = K[STAGES, j]
+                    K[0, j] = K[_STAGES, j]
                 done = span if step == rest else done + step
                 total_error += alpha_error
                 steps += 1
                 h = max(h, step * factor) if step < h else step * factor
             else:
                 h = step * min(factor, 0.9) if math.isfinite(ratio) else step * 0.1
-            if h < 1e-13 * span or tries == MAX_TRIES:
+            if h < 1e-13 * span or tries == _MAX_TRIES:
                 return total_error, steps, i
         for j in range(STATES):
             out[i + 1, j] = x[j]

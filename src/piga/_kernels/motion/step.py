@@ -50,7 +50,7 @@ def unit_pair(p: float, q: float) -> tuple[float, float]:
     return p * scale, q * scale
 
 
-TWO_PI = 2.0 * math.pi
+_TWO_PI = 2.0 * math.pi
 TWO_PI_HIGH = 6.283185303211212  # the leading 27 bits of 2 pi: exact times any turn count below 2^26
 TWO_PI_LOW = 3.968374318722162e-09
 
@@ -89,7 +89,7 @@ def step_functions(x: float) -> tuple[float, float]:
 
 
 @kernel
-def half_turns(x: float, increment: float) -> float:
+def _half_turns(x: float, increment: float) -> float:
     """Whole turns of alpha that :func:`step_functions` takes out, with the sign of ``increment``."""
     if x > -1.0:
         return 0.0
@@ -128,12 +128,12 @@ def advance(
         scale = -scale
     p1, q1 = p1 * scale, q1 * scale
     rest1 = double_arctangent(p1, q1)
-    turns1 = turns + half_turns(x, A) + np.rint((rest + increment - rest1) / TWO_PI)
+    turns1 = turns + _half_turns(x, A) + np.rint((rest + increment - rest1) / _TWO_PI)
     return turns1, rest1, p1, q1
 
 
 @exact
-def constant_motion(
+def _constant_motion(
     a: tuple[float, float],
     y: tuple[float, float],
     z: tuple[float, float],
@@ -170,7 +170,7 @@ def constant_motion(
     norm = growth * math.hypot(numerator, denominator)
     rate = rate0 / norm / norm if norm > 0.0 else rate0
     total = rest + increment
-    carry = np.rint(total / TWO_PI)
+    carry = np.rint(total / _TWO_PI)
     return turns + whole + carry, (total - carry * TWO_PI_HIGH) - carry * TWO_PI_LOW, rate
 
 
@@ -182,7 +182,7 @@ def constant_motion_at(rates: Array, t: Array, turns: float, rest: float, result
     """
     a, y, z = (rates[0, 0], rates[0, 1]), (rates[1, 0], rates[1, 1]), (rates[2, 0], rates[2, 1])
     for k in range(t.size):
-        result[0, k], result[1, k], result[2, k] = constant_motion(a, y, z, t[k], turns, rest)
+        result[0, k], result[1, k], result[2, k] = _constant_motion(a, y, z, t[k], turns, rest)
 
 
 @exact
@@ -198,5 +198,5 @@ def segment_motion(
         y = dd.add(dd.two_product(K, f[k, 1]), (-base_rate[k, 1], 0.0))
         z = dd.add(dd.two_product(K, f[k, 2]), (-base_rate[k, 2], 0.0))
         y, z = dd.multiply(y, (tan_beta, 0.0)), dd.multiply(z, (tan_beta, 0.0))
-        turns, rest, rate = constant_motion(a, y, z, t[k], turns, rest)
+        turns, rest, rate = _constant_motion(a, y, z, t[k], turns, rest)
         ends[0, k], ends[1, k], ends[2, k] = turns, rest, rate

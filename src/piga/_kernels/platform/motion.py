@@ -20,7 +20,7 @@ class Misalignment(NamedTuple):
 
 
 @inline
-def misalignment_at(m: Misalignment, c: float, s: float) -> float:
+def _misalignment_at(m: Misalignment, c: float, s: float) -> float:
     """Misalignment [rad] from cosine and sine of the case angle."""
     total = m.constant
     ck, sk = 1.0, 0.0
@@ -31,7 +31,7 @@ def misalignment_at(m: Misalignment, c: float, s: float) -> float:
 
 
 @inline
-def nulled_platform(
+def _nulled_platform(
     m1: float, s1: float, c1: float, m2: float, s2: float, c2: float, eta: float, out: Array
 ) -> float:
     """Exact attitude ``C_G^P`` (into ``out`` (3, 3)) and redundancy-ring angle Y [rad], both pick-offs nulled.
@@ -67,7 +67,7 @@ def multiply(a: Array, b: Array, out: Array) -> None:
 
 
 @inline
-def turn_about_pole(c: float, s: float, m: Array, out: Array) -> None:
+def _turn_about_pole(c: float, s: float, m: Array, out: Array) -> None:
     """``out = C_e^i @ m``: Earth axes turned by the angle with cosine ``c`` and sine ``s`` about z."""
     for j in range(3):
         out[0, j] = c * m[0, j] - s * m[1, j]
@@ -76,7 +76,7 @@ def turn_about_pole(c: float, s: float, m: Array, out: Array) -> None:
 
 
 @inline
-def body_to_earth(
+def _body_to_earth(
     roll: float, pitch: float, heading: float, latitude: float, longitude: float, work: Array, out: Array
 ) -> None:
     """``C_b^e`` from attitude and place [rad]; ``work`` (3, 3) is overwritten with ``C_b^n``."""
@@ -102,7 +102,7 @@ def gimbal_angles(c_bp: Array, out: Array) -> None:
 
 
 @inline
-def case_angle(t: float, rate: float, turns: float) -> float:
+def _case_angle(t: float, rate: float, turns: float) -> float:
     """Case angle from its start [rad]: ``rate t``, or back and forth when ``turns`` > 0 (reversal)."""
     angle = rate * t
     if turns <= 0:
@@ -119,8 +119,8 @@ def exact_geometry_series(
     """Exact ``C_G^P`` (n, 3, 3) and ring angle (n,) for case angles ``c1, c2`` (n,) and ``eta`` (n,)."""
     for i in range(c1.shape[0]):
         s1, k1, s2, k2 = math.sin(c1[i]), math.cos(c1[i]), math.sin(c2[i]), math.cos(c2[i])
-        p, q = misalignment_at(first, k1, s1), misalignment_at(second, k2, s2)
-        ring[i] = nulled_platform(p, s1, k1, q, s2, k2, eta[i], attitude[i])
+        p, q = _misalignment_at(first, k1, s1), _misalignment_at(second, k2, s2)
+        ring[i] = _nulled_platform(p, s1, k1, q, s2, k2, eta[i], attitude[i])
 
 
 @kernel
@@ -145,7 +145,7 @@ def follow(
         out[i] = value
 
 
-Phasors = tuple[float, float, float, float]
+_Phasors = tuple[float, float, float, float]
 
 
 class Gyros(NamedTuple):
@@ -217,25 +217,25 @@ def drift_triad(
 
 
 @inline
-def platform_at(at: Phasors, gyros: Gyros, eta: float, c_ig: Array, c_gp: Array, c_ip: Array) -> float:
+def _platform_at(at: _Phasors, gyros: Gyros, eta: float, c_ig: Array, c_gp: Array, c_ip: Array) -> float:
     """Exact ``C_i^P`` at one instant, from sine and cosine of both case angles; returns the ring angle."""
     s1, k1, s2, k2 = at
-    m1, m2 = misalignment_at(gyros.first, k1, s1), misalignment_at(gyros.second, k2, s2)
-    ring = nulled_platform(m1, s1, k1, m2, s2, k2, eta, c_gp)
+    m1, m2 = _misalignment_at(gyros.first, k1, s1), _misalignment_at(gyros.second, k2, s2)
+    ring = _nulled_platform(m1, s1, k1, m2, s2, k2, eta, c_gp)
     multiply(c_gp, c_ig, c_ip)
     return ring
 
 
 @inline
-def case_phasors(t: float, gyros: Gyros) -> tuple[float, float, float, float]:
+def _case_phasors(t: float, gyros: Gyros) -> tuple[float, float, float, float]:
     """Sine and cosine of the polar, then of the equatorial case angle, phases included."""
-    first = case_angle(t, gyros.case[0], gyros.case[1]) + gyros.phase1
-    second = case_angle(t, gyros.case[2], gyros.case[3]) + gyros.phase2
+    first = _case_angle(t, gyros.case[0], gyros.case[1]) + gyros.phase1
+    second = _case_angle(t, gyros.case[2], gyros.case[3]) + gyros.phase2
     return math.sin(first), math.cos(first), math.sin(second), math.cos(second)
 
 
 @inline
-def force_in_platform(
+def _force_in_platform(
     t: float, earth_rate: float, c_ip: Array, f_e: Array, row: int
 ) -> tuple[float, float, float]:
     """Specific force in P axes from its Earth-axes components."""
@@ -264,13 +264,13 @@ def simulate_platform(
     moving = attitude.shape[0] > 1
     want_spin = spin.shape[0] > 0
     c_gp, c_ip, c_be, c_bi, c_bp, before = work[0], work[1], work[2], work[3], work[4], work[5]
-    body_to_earth(attitude[0, 0], attitude[0, 1], attitude[0, 2], place[0, 0], place[0, 1], c_bi, c_be)
+    _body_to_earth(attitude[0, 0], attitude[0, 1], attitude[0, 2], place[0, 0], place[0, 1], c_bi, c_be)
     gx = gy = gz = mx = my = mz = 0.0
-    s1, k1, s2, k2 = case_phasors(start, gyros)
+    s1, k1, s2, k2 = _case_phasors(start, gyros)
     for i in range(n + 1):
         t = start + i * h
-        ring_angle = platform_at((s1, k1, s2, k2), gyros, eta, c_ig, c_gp, c_ip)
-        fx, fy, fz = force_in_platform(t, earth_rate, c_ip, f_e, 2 * i * force_stride)
+        ring_angle = _platform_at((s1, k1, s2, k2), gyros, eta, c_ig, c_gp, c_ip)
+        fx, fy, fz = _force_in_platform(t, earth_rate, c_ip, f_e, 2 * i * force_stride)
         if i > 0:
             dv[i - 1, 0] = h / 6.0 * (gx + 4.0 * mx + fx)
             dv[i - 1, 1] = h / 6.0 * (gy + 4.0 * my + fy)
@@ -284,8 +284,8 @@ def simulate_platform(
                     )  # fmt: skip
         if moving:
             k = i if place.shape[0] > 1 else 0
-            body_to_earth(attitude[i, 0], attitude[i, 1], attitude[i, 2], place[k, 0], place[k, 1], c_bi, c_be)
-        turn_about_pole(math.cos(earth_rate * t), math.sin(earth_rate * t), c_be, c_bi)
+            _body_to_earth(attitude[i, 0], attitude[i, 1], attitude[i, 2], place[k, 0], place[k, 1], c_bi, c_be)
+        _turn_about_pole(math.cos(earth_rate * t), math.sin(earth_rate * t), c_be, c_bi)
         multiply(c_ip, c_bi, c_bp)
         gimbal_angles(c_bp, rows.gimbals[i])
         force[i, 0], force[i, 1], force[i, 2] = fx, fy, fz
@@ -296,13 +296,13 @@ def simulate_platform(
             before[:, :] = c_ip
         gx, gy, gz = fx, fy, fz
         middle = t + 0.5 * h
-        p1, q1, p2, q2 = case_phasors(middle, gyros)
+        p1, q1, p2, q2 = _case_phasors(middle, gyros)
         eta = drift_triad(
             c_ig, rates, eta, 0.5 * (s1 + p1), 0.5 * (k1 + q1), 0.5 * (s2 + p2), 0.5 * (k2 + q2), 0.5 * h
         )
-        platform_at((p1, q1, p2, q2), gyros, eta, c_ig, c_gp, c_ip)
-        mx, my, mz = force_in_platform(middle, earth_rate, c_ip, f_e, (2 * i + 1) * force_stride)
-        s1, k1, s2, k2 = case_phasors(t + h, gyros)
+        _platform_at((p1, q1, p2, q2), gyros, eta, c_ig, c_gp, c_ip)
+        mx, my, mz = _force_in_platform(middle, earth_rate, c_ip, f_e, (2 * i + 1) * force_stride)
+        s1, k1, s2, k2 = _case_phasors(t + h, gyros)
         eta = drift_triad(
             c_ig, rates, eta, 0.5 * (s1 + p1), 0.5 * (k1 + q1), 0.5 * (s2 + p2), 0.5 * (k2 + q2), 0.5 * h
         )
@@ -310,7 +310,7 @@ def simulate_platform(
 
 
 @inline
-def gimbal_step(p: float, q: float, a: float, y: float, z: float) -> float:
+def _gimbal_step(p: float, q: float, a: float, y: float, z: float) -> float:
     """Increment of the gimbal angle [rad], below half a turn, for increments ``a, y, z`` of the input [rad]."""
     c, s = step_functions(0.25 * (y * y + z * z - a * a))
     s *= 0.5
@@ -320,7 +320,7 @@ def gimbal_step(p: float, q: float, a: float, y: float, z: float) -> float:
 
 
 @inline
-def mean_sine_cosine(
+def _mean_sine_cosine(
     sine0: float, cosine0: float, sine1: float, cosine1: float, turned: float
 ) -> tuple[float, float]:
     """Means of sine and cosine over an angle that runs evenly from one end to the other (Filon's rule)."""
@@ -353,14 +353,16 @@ def solve_triad(
             for i in range(3):
                 start, end = alpha[i, k], alpha[i, k + 1]
                 s0, c0, s1, c1 = math.sin(start), math.cos(start), math.sin(end), math.cos(end)
-                sine, cosine = mean_sine_cosine(s0, c0, s1, c1, end - start)
+                sine, cosine = _mean_sine_cosine(s0, c0, s1, c1, end - start)
                 t, gain = tan_beta[i], scale[i] * step
                 for j in range(3):
                     work[i, j] = gain * (axes[i, 0, j] + t * (sine * axes[i, 1, j] - cosine * axes[i, 2, j]))
                 ax = gain * (axes[i, 0, 0] * fx + axes[i, 0, 1] * fy + axes[i, 0, 2] * fz)
                 ay = gain * (axes[i, 1, 0] * fx + axes[i, 1, 1] * fy + axes[i, 1, 2] * fz) * t
                 az = gain * (axes[i, 2, 0] * fx + axes[i, 2, 1] * fy + axes[i, 2, 2] * fz) * t
-                work[i, 3] = end - start - gimbal_step(math.sin(0.5 * start), math.cos(0.5 * start), ax, ay, az)
+                work[i, 3] = (
+                    end - start - _gimbal_step(math.sin(0.5 * start), math.cos(0.5 * start), ax, ay, az)
+                )
             m00, m01, m02 = work[0, 0], work[0, 1], work[0, 2]
             m10, m11, m12 = work[1, 0], work[1, 1], work[1, 2]
             m20, m21, m22 = work[2, 0], work[2, 1], work[2, 2]

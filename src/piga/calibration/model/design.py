@@ -42,8 +42,8 @@ from piga.terms import PRODUCTS
 Names = tuple[str, ...]
 
 STIFFNESS_COLUMNS = ("servo_mean", "servo_cosine", "servo_sine")
-DAMPING_COLUMNS = ("damping_cosine", "damping_sine")
-PHASELESS = (*STIFFNESS_COLUMNS, *DAMPING_COLUMNS)
+_DAMPING_COLUMNS = ("damping_cosine", "damping_sine")
+PHASELESS = (*STIFFNESS_COLUMNS, *_DAMPING_COLUMNS)
 """Servo columns without a phase, in the order of the kernel."""
 
 
@@ -88,7 +88,7 @@ class ServoState:
 def phaseless_columns(terms: Sequence[str]) -> Names:
     """Columns without a phase for the requested servo terms."""
     held = STIFFNESS_COLUMNS if "servo" in terms else ()
-    return held + (DAMPING_COLUMNS if "servo_damping" in terms else ())
+    return held + (_DAMPING_COLUMNS if "servo_damping" in terms else ())
 
 
 def given_servo(run: Run) -> dict[str, float]:
@@ -110,7 +110,7 @@ def given_servo(run: Run) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class DesignSettings:
+class _DesignSettings:
     """Settings of the columns of a record (own choices)."""
 
     chunk: int = 1 << 16
@@ -136,7 +136,7 @@ class DesignSettings:
     """Fewest means in a segment, and half the fewest in a stretch of usual length."""
 
 
-DESIGN = DesignSettings()
+DESIGN = _DesignSettings()
 
 
 @dataclass(frozen=True)

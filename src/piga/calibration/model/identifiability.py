@@ -20,7 +20,7 @@ from piga.units import G0
 
 
 @dataclass(frozen=True)
-class SeparationSettings:
+class _SeparationSettings:
     """Limits for separated and determined coefficients (own choices)."""
 
     rank: float = 1e-9
@@ -35,11 +35,11 @@ class SeparationSettings:
     """Correlation above which coefficients are reported as hard to tell apart."""
 
 
-SEPARATION = SeparationSettings()
+SEPARATION = _SeparationSettings()
 
 
 @dataclass(frozen=True)
-class OneWaySettings:
+class _OneWaySettings:
     """Limits for the remark on a head that turned one way only (own choices)."""
 
     positions: int = 4
@@ -50,7 +50,7 @@ class OneWaySettings:
     """Least turn between positions that counts as a move [rad]."""
 
 
-ONE_WAY = OneWaySettings()
+_ONE_WAY = _OneWaySettings()
 
 
 _LEVEL = frozenset({"scale_factor", "k0"})
@@ -315,17 +315,17 @@ def one_way_in_words(run: Run, terms: tuple[str, ...]) -> tuple[str, ...]:
     """
     held = [name for name in ("m_Y", "m_Z") if name in terms]
     count = np.bincount(run.segment_index, minlength=len(run.labels))
-    if not held or np.count_nonzero(count) < ONE_WAY.positions:
+    if not held or np.count_nonzero(count) < _ONE_WAY.positions:
         return ()
     sums = np.stack([np.bincount(run.segment_index, run.f[:, axis], len(run.labels)) for axis in range(3)])
     mean = (sums[:, count > 0] / count[count > 0]).T
     size = np.linalg.norm(mean, axis=1)
-    if np.ptp(size) > ONE_WAY.same_size * size.max():
+    if np.ptp(size) > _ONE_WAY.same_size * size.max():
         return ()
     plane = np.linalg.svd(mean - mean.mean(axis=0))[2][:2]
     steps = short_way(np.diff(np.arctan2(*(mean @ plane.T).T)))
-    moves = steps[np.abs(steps) > ONE_WAY.move]
-    if moves.size < ONE_WAY.positions - 1 or abs(np.sign(moves).sum()) < moves.size:
+    moves = steps[np.abs(steps) > _ONE_WAY.move]
+    if moves.size < _ONE_WAY.positions - 1 or abs(np.sign(moves).sum()) < moves.size:
         return ()
     words = (
         f"the stand turned one way only: a lag of the head or of the instrument after each move looks like {held[0]} "

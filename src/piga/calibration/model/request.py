@@ -195,7 +195,7 @@ def check_servo(request: Request) -> None:
 
 
 @dataclass(frozen=True)
-class SpikeSettings:
+class _SpikeSettings:
     """Limits for spikes of a recorded rate (own choices)."""
 
     plausible: float = 0.3
@@ -204,7 +204,7 @@ class SpikeSettings:
     """Multiple of the median difference above which a rate is a spike."""
 
 
-SPIKES = SpikeSettings()
+_SPIKES = _SpikeSettings()
 
 
 def phase_angle(run: Run, request: Request, scale_factor: float) -> Array:
@@ -215,25 +215,25 @@ def phase_angle(run: Run, request: Request, scale_factor: float) -> Array:
     if not predicted and run.kind != "rate":
         return run.output
     if not predicted:
-        return integrated_rate(run.t, steady_rates(run), run.begins)
+        return integrated_rate(run.t, _steady_rates(run), run.begins)
     h = changes(run.t)
     h[run.begins] = 0.0
     increments = scale_factor * h * middles(run.f[:, 0])
     return stored(np.cumsum(increments, out=increments))
 
 
-def steady_rates(run: Run) -> Array:
+def _steady_rates(run: Run) -> Array:
     """Rates of a log; rates that no motion explains are replaced by ``K a_x - Omega_x``. The log itself without such rates.
 
     A spike in the rate would shift the integrated phase of all later samples.
     """
     expected = run.scale_factor * run.f[:, 0]  # K nominal
-    plausible = SPIKES.plausible * abs(run.scale_factor) * norms(run.f)
+    plausible = _SPIKES.plausible * abs(run.scale_factor) * norms(run.f)
     if run.base_rate is not None:
         expected -= run.base_rate[:, 0]
         plausible += norms(run.base_rate)
     surplus = np.abs(run.output - expected)
     if not (surplus > plausible).any():
         return run.output
-    spikes = surplus > np.maximum(plausible, SPIKES.gross * float(np.median(surplus)))
+    spikes = surplus > np.maximum(plausible, _SPIKES.gross * float(np.median(surplus)))
     return stored(np.where(spikes, expected, run.output))

@@ -24,7 +24,7 @@ from piga.results import Array
 
 
 @dataclass(frozen=True)
-class SolutionSettings:
+class _SolutionSettings:
     """Settings of the solution (own choices)."""
 
     unseen: float = 1e-12
@@ -41,7 +41,7 @@ class SolutionSettings:
     """Newton steps from each of these minima; four are enough unless two of them lie close together."""
 
 
-SOLUTION = SolutionSettings()
+_SOLUTION = _SolutionSettings()
 
 
 @dataclass(frozen=True)
@@ -291,10 +291,10 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
         return np.vstack([f[:-1, :-1] @ d for f, d in zip(factors, derivatives, strict=True)])
 
     best, cost = np.zeros(0), math.inf
-    for _ in range(SOLUTION.starts):
+    for _ in range(_SOLUTION.starts):
         phases = _best_phases(layout, amplitudes, factors)
         first = np.concatenate([_amplitudes_given(layout, phases, factors), phases])
-        if float(np.sum(missed(first) ** 2)) >= cost * (1.0 - SOLUTION.deeper):
+        if float(np.sum(missed(first) ** 2)) >= cost * (1.0 - _SOLUTION.deeper):
             break
         best = least_squares_from(missed, first, rows, x_scale="jac", ftol=1e-15, xtol=1e-12, gtol=1e-15).x
         amplitudes, cost = best[:size], float(np.sum(missed(best) ** 2))
@@ -333,7 +333,7 @@ def _fitted_noise(fitted: float, curvatures: Array, covariance: Array, variance:
         return np.zeros(len(covariance))
     known = np.maximum(curvatures, 0.0) / variance / abs(fitted)
     coupling, square = abs(fitted), float(covariance[0, 0]) * variance
-    for _ in range(SOLUTION.integrations):
+    for _ in range(_SOLUTION.integrations):
         coupling = max(
             abs(fitted) - square * float(known @ (1.0 - i1e(known * coupling) / i0e(known * coupling))), 0.0
         )
@@ -385,13 +385,13 @@ def _best_phases(layout: Layout, amplitudes: Array, factors: list[Array]) -> Arr
     def modelled(phases: Array, derivative: int = 0) -> Array:
         return np.einsum("gij,gkj->gki", top, layout.turned(amplitudes, phases, derivative))
 
-    spacing = 2.0 * np.pi / SOLUTION.scan
-    trial = np.tile(spacing * np.arange(SOLUTION.scan) - np.pi, (len(factors), 1))
+    spacing = 2.0 * np.pi / _SOLUTION.scan
+    trial = np.tile(spacing * np.arange(_SOLUTION.scan) - np.pi, (len(factors), 1))
     cost = np.sum((right[:, None] - modelled(trial)) ** 2, axis=2)
     lowest = (cost <= np.roll(cost, 1, axis=1)) & (cost <= np.roll(cost, -1, axis=1))
     order = np.argsort(np.where(lowest, cost, np.inf), axis=1)[:, : 2 * max((1, *layout.orders))]
     first = phases = np.take_along_axis(trial, order, axis=1)
-    for _ in range(SOLUTION.refinements):
+    for _ in range(_SOLUTION.refinements):
         slope, missed = modelled(phases, 1), right[:, None] - modelled(phases)
         square = np.sum(slope**2, axis=2)
         curvature = square - np.sum(modelled(phases, 2) * missed, axis=2)
@@ -430,7 +430,7 @@ def _inverse_information(R: Array, first_phase: int) -> Array:
     """
     scale = np.linalg.norm(R, axis=0)
     seen = np.ones(scale.size, np.bool_)
-    seen[first_phase:] = scale[first_phase:] > SOLUTION.unseen * scale.max()
+    seen[first_phase:] = scale[first_phase:] > _SOLUTION.unseen * scale.max()
     scale = scale[seen]
     scale[scale == 0.0] = 1.0
     _, r = np.linalg.qr(R[:, seen] / scale)
@@ -536,10 +536,10 @@ def _make_tangent_positive(layout: Layout, values: Array, jacobian: Array) -> No
         for index, (name, _) in enumerate(layout.keys, start=layout.head):
             if name == "servo_damping":
                 values[index], jacobian[index] = -values[index], -jacobian[index]
-    values[layout.size :] = principal(values[layout.size :])
+    values[layout.size :] = _principal(values[layout.size :])
 
 
-def principal(phase: ArrayLike) -> Array:
+def _principal(phase: ArrayLike) -> Array:
     """Phases [rad] in (-pi, pi]."""
     return np.pi - np.mod(np.pi - np.asarray(phase), 2.0 * np.pi)
 

@@ -29,7 +29,7 @@ from piga.units import UNIT_FACTORS, UnitFactor
 
 
 @dataclass(frozen=True)
-class AdviceSettings:
+class _AdviceSettings:
     """Limits for advice on another reading of the data, and the samples used (own choices)."""
 
     far_better: float = 3.0
@@ -50,7 +50,7 @@ class AdviceSettings:
     """Most samples of the record from one used sample to the next."""
 
 
-ADVICE = AdviceSettings()
+_ADVICE = _AdviceSettings()
 
 
 AXES = ("X0", "Y0", "Z0")
@@ -60,7 +60,7 @@ _PLACES = ("first", "second", "third")
 
 
 @dataclass(frozen=True)
-class AdviceReading:
+class _AdviceReading:
     """Another reading of the data: axis of the record behind each base axis, signs, divisor of the output."""
 
     axes: tuple[int, int, int] = (0, 1, 2)
@@ -113,19 +113,19 @@ class AdviceReading:
         return " and ".join(parts)
 
 
-OF_COUNTS = (4.0, 10.0)
+_OF_COUNTS = (4.0, 10.0)
 """Factors by which counts per revolution are wrong: edges of a quadrature encoder, a slip of the decimal point."""
 
 
-def factor_near(ratio: float, *, counted: bool = False) -> UnitFactor | None:
+def _factor_near(ratio: float, *, counted: bool = False) -> UnitFactor | None:
     """The factor close to a ratio or to its inverse; None if no factor is close. Ten is one of counts alone."""
     ratio = max(ratio, 1.0 / ratio)
     factors = [factor for factor in UNIT_FACTORS if counted or factor.value != 10.0]
     near = min(factors, key=lambda factor: abs(ratio / factor.value - 1.0))
-    return near if abs(ratio / near.value - 1.0) < ADVICE.snap else None
+    return near if abs(ratio / near.value - 1.0) < _ADVICE.snap else None
 
 
-def better_words(ratio: float, reading: AdviceReading, alike: list[AdviceReading], run: Run) -> str:
+def _better_words(ratio: float, reading: _AdviceReading, alike: list[_AdviceReading], run: Run) -> str:
     """Advice for a reading that fits far better; ``alike`` are readings that the record cannot separate from it."""
     others = "; ".join(other.words() for other in alike)
     equal = f" (this record cannot tell it from: {others})" if others else ""
@@ -135,7 +135,7 @@ def better_words(ratio: float, reading: AdviceReading, alike: list[AdviceReading
     )
 
 
-def sign_words(*, output: bool) -> str:
+def _sign_words(*, output: bool) -> str:
     """Advice for a negative scale factor; ``output``: the sign of the output may be wrong."""
     what = "X0 of the reference or the output has" if output else "X0 of the reference has"
     return (
@@ -143,14 +143,14 @@ def sign_words(*, output: bool) -> str:
     )
 
 
-def unit_words(ratio: float, factor: UnitFactor, run: Run, *, output: bool) -> str:
+def _unit_words(ratio: float, factor: UnitFactor, run: Run, *, output: bool) -> str:
     """Advice for a scale factor of ``ratio`` times the nominal one; ``output``: the output's unit may be wrong."""
     larger, size = ratio > 1.0, f"{factor.value:.6g}"
     mixed = [(key, factor.mixed[key]) for key in ("reference", "time") if key in factor.mixed]
     times = f"{'multiplied' if larger else 'divided'} by {size}"
     if run.source:
         places = [_change(key, units, larger=larger, rate=False) for key, units in mixed]
-        if output and ("output" in factor.mixed or factor.value in OF_COUNTS):
+        if output and ("output" in factor.mixed or factor.value in _OF_COUNTS):
             places.append(_output_unit(run, factor.value, larger=not larger))
         places.append(f"[instrument] scale_factor {times}")
     else:
@@ -169,7 +169,7 @@ def _output_unit(run: Run, value: float, *, larger: bool) -> str:
     """Change of the output's unit by a factor."""
     if run.resolution > 0.0:
         return f"[instrument] counts_per_revolution {'divided' if larger else 'multiplied'} by {value:.6g}"
-    factor = factor_near(value)
+    factor = _factor_near(value)
     if factor is None or "output" not in factor.mixed:
         return f"[data] output a unit {value:.6g} times {'larger' if larger else 'smaller'}"
     return _change("output", factor.mixed["output"], larger=larger, rate=run.kind == "rate")
@@ -185,7 +185,7 @@ def _change(key: str, units: tuple[str, str], *, larger: bool, rate: bool) -> st
 class Trial:
     """A reading with the residual of its fit and its scale factor over the nominal one."""
 
-    reading: AdviceReading
+    reading: _AdviceReading
     residual: float
     scale: float
 
@@ -200,7 +200,7 @@ def looks_wrong(result: Calibration) -> bool:
 
 
 def _likely(scale: float) -> bool:
-    return 1.0 / ADVICE.off < scale < ADVICE.off
+    return 1.0 / _ADVICE.off < scale < _ADVICE.off
 
 
 def advise(run: Run, request: Request, scale: float | None = None) -> tuple[str, ...]:
@@ -219,18 +219,18 @@ def advise(run: Run, request: Request, scale: float | None = None) -> tuple[str,
         At most one sentence on axes, signs and the output, and one on a unit.
     """
     trials = [t for t in _trials(run, request) if math.isfinite(t.residual)]
-    plain = next((t for t in trials if t.reading == AdviceReading()), None)
+    plain = next((t for t in trials if t.reading == _AdviceReading()), None)
     if plain is None:
         return ()
     likely = [t for t in trials if t is plain or _likely(abs(t.scale))]
     least = min(t.residual for t in likely)
-    if plain.residual <= ADVICE.far_better * least:
+    if plain.residual <= _ADVICE.far_better * least:
         return () if scale is not None and _likely(scale) else _scale_words(plain, trials, run)
-    near = [t for t in likely if t.residual <= ADVICE.as_good * least]
+    near = [t for t in likely if t.residual <= _ADVICE.as_good * least]
     upright = [t for t in near if t.scale > 0.0] or near
     best, *others = sorted(upright, key=lambda t: (t.reading.changes, t.residual))
-    alike = [t.reading for t in others[: ADVICE.most_alike]]
-    words = better_words(plain.residual / best.residual, best.reading, alike, run)
+    alike = [t.reading for t in others[: _ADVICE.most_alike]]
+    words = _better_words(plain.residual / best.residual, best.reading, alike, run)
     return (words, *_scale_words(best, trials, run))
 
 
@@ -243,22 +243,22 @@ def with_advice(error: PigaError, words: tuple[str, ...]) -> PigaError:
 
 def _scale_words(trial: Trial, trials: list[Trial], run: Run) -> tuple[str, ...]:
     """Advice for a scale factor that is negative or off by the factor of a unit."""
-    as_good = [t.reading.output for t in trials if t.residual <= ADVICE.as_good * trial.residual]
-    sentences = (sign_words(output=-1.0 in as_good),) if trial.scale < 0.0 else ()
+    as_good = [t.reading.output for t in trials if t.residual <= _ADVICE.as_good * trial.residual]
+    sentences = (_sign_words(output=-1.0 in as_good),) if trial.scale < 0.0 else ()
     ratio = abs(trial.scale)
-    factor = factor_near(ratio, counted=run.resolution > 0.0) if ratio > 0.0 else None
+    factor = _factor_near(ratio, counted=run.resolution > 0.0) if ratio > 0.0 else None
     if factor is None:
         return sentences
-    return (*sentences, unit_words(ratio, factor, run, output=any(abs(output) != 1.0 for output in as_good)))
+    return (*sentences, _unit_words(ratio, factor, run, output=any(abs(output) != 1.0 for output in as_good)))
 
 
 def _trials(run: Run, request: Request) -> Iterator[Trial]:
     """Fits of all permutations and of the factors that their scale factors suggest."""
-    sample, base = sample_of(run, request), AdviceReading()
+    sample, base = _sample_of(run, request), _AdviceReading()
     plain = _fit(sample, base)
     for x, y, z in permutations(range(3)):
         for second, third in product((1, -1), repeat=2):
-            reading = AdviceReading((x, y, z), (1, second, third))
+            reading = _AdviceReading((x, y, z), (1, second, third))
             trial = plain if reading == base else _fit(sample, reading)
             if trial.scale < 0.0 and reading != base:
                 turned = replace(reading, signs=(-1, second, third))
@@ -267,7 +267,7 @@ def _trials(run: Run, request: Request) -> Iterator[Trial]:
     yield _fit(sample, replace(base, output=-1.0))
     for factor in () if run.direct else UNIT_FACTORS:  # K alone takes up a factor where nothing turns
         for known in (factor.value, 1.0 / factor.value):
-            if abs(abs(plain.scale) / known - 1.0) < ADVICE.snap:
+            if abs(abs(plain.scale) / known - 1.0) < _ADVICE.snap:
                 yield _fit(sample, replace(base, output=known))
 
 
@@ -280,7 +280,7 @@ class Sample:
     phase: Array
 
 
-def sample_of(run: Run, request: Request) -> Sample:
+def _sample_of(run: Run, request: Request) -> Sample:
     """Windows spread over the record. Samples are skipped while the output turns little."""
     request = replace(
         request,
@@ -292,10 +292,10 @@ def sample_of(run: Run, request: Request) -> Sample:
     most = float(np.quantile(turned, 0.95)) if turned.size else 0.0
     starts = np.flatnonzero(run.begins)
     edges = list(pairwise([*starts.tolist(), run.size]))
-    longest = min(ADVICE.longest_step, int(np.median(np.diff([*starts, run.size]))) // 12)
-    skip = 1 if run.kind == "rate" else int(max(1, min(ADVICE.turn / max(most, 1e-300), longest)))
-    edges = edges[:: max(1, math.ceil(len(edges) * 12 / ADVICE.samples))]
-    length = max(ADVICE.samples // len(edges), 12) * skip
+    longest = min(_ADVICE.longest_step, int(np.median(np.diff([*starts, run.size]))) // 12)
+    skip = 1 if run.kind == "rate" else int(max(1, min(_ADVICE.turn / max(most, 1e-300), longest)))
+    edges = edges[:: max(1, math.ceil(len(edges) * 12 / _ADVICE.samples))]
+    length = max(_ADVICE.samples // len(edges), 12) * skip
     rows, begins = [], []
     for start, stop in edges:
         count = max(1, min(3, (stop - start) // (2 * length)))
@@ -323,7 +323,7 @@ def sample_of(run: Run, request: Request) -> Sample:
     return Sample(thin, request, np.ascontiguousarray(phase[index]))
 
 
-def _fit(sample: Sample, reading: AdviceReading) -> Trial:
+def _fit(sample: Sample, reading: _AdviceReading) -> Trial:
     """Root-mean-square residual of the angle for a reading; with one phase per segment if the request has it."""
     run, request = sample.run, sample.request
     f = np.ascontiguousarray(run.f[:, list(reading.axes)] * np.array(reading.signs, dtype=float))

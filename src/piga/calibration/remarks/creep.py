@@ -33,7 +33,7 @@ from piga.units import G0
 
 
 @dataclass(frozen=True)
-class CreepSettings:
+class _CreepSettings:
     """Settings of the test for creep after a move (own choices)."""
 
     fewest: int = 5
@@ -50,11 +50,11 @@ class CreepSettings:
     """Largest shift of a coefficient, in its standard uncertainties, that is left after the time advised for ``settle``."""
 
 
-CREEP = CreepSettings()
+_CREEP = _CreepSettings()
 
 
 @dataclass(frozen=True)
-class FittedRun:
+class _FittedRun:
     """A record under a fit: its columns, its weights, and the column coefficients ``values`` (segments, m).
 
     ``jacobians`` are the derivatives of these by the parameters of the fit, for each segment, ``inverse`` is the inverse
@@ -92,8 +92,8 @@ def creep_of_run(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Creep | Non
     design, solution = fit.design, fit.solution
     jacobians = [solution.jacobians[group] for group in design.groups]
     moved = partial(moved_values, design, solution)
-    own = FittedRun(design, fit.mode, fit.noise, solution.values, jacobians, solution.inverse, moved)
-    return find_creep(own, coefficients)
+    own = _FittedRun(design, fit.mode, fit.noise, solution.values, jacobians, solution.inverse, moved)
+    return _find_creep(own, coefficients)
 
 
 def creep_of_runs(fit: JointFit, coefficients: tuple[Coefficient, ...]) -> tuple[LiveRun, Creep] | None:
@@ -113,8 +113,8 @@ def creep_of_runs(fit: JointFit, coefficients: tuple[Coefficient, ...]) -> tuple
         design, values = fit.design_of(index, live)
         groups = [fit.first_group(index) + group for group in design.groups]
         jacobians = [fit.layout.jacobian(estimate.amplitudes, estimate.phases, group) for group in groups]
-        own = FittedRun(design, live.fit.mode, live.fit.noise, values, jacobians, estimate.inverse, moved)
-        creep = find_creep(own, coefficients)
+        own = _FittedRun(design, live.fit.mode, live.fit.noise, values, jacobians, estimate.inverse, moved)
+        creep = _find_creep(own, coefficients)
         if creep is not None:
             creeps.append((live, creep))
     if not creeps:
@@ -123,13 +123,13 @@ def creep_of_runs(fit: JointFit, coefficients: tuple[Coefficient, ...]) -> tuple
     return live, replace(best, probability=min(1.0, len(creeps) * best.probability))
 
 
-def find_creep(fit: FittedRun, coefficients: tuple[Coefficient, ...]) -> Creep | None:
+def _find_creep(fit: _FittedRun, coefficients: tuple[Coefficient, ...]) -> Creep | None:
     """The likeliest creep, seen or not; None if a record has too few positions, or no position long enough."""
     run, positions = fit.design.run, Positions.of(fit.design.run)
     begin, end = positions.times(run)
     length = float(np.median(end - begin))
-    times = [part * length for part in CREEP.times if part * length >= CREEP.samples * run.median_step]
-    if positions.continuous or positions.count < CREEP.fewest or not times:
+    times = [part * length for part in _CREEP.times if part * length >= _CREEP.samples * run.median_step]
+    if positions.continuous or positions.count < _CREEP.fewest or not times:
         return None
     tries = _tests(fit, positions, times)
     if not tries:
@@ -139,7 +139,7 @@ def find_creep(fit: FittedRun, coefficients: tuple[Coefficient, ...]) -> Creep |
     chance = min(1.0, best.chance * len(tries))
     if clear:
         best = max(clear, key=lambda test: test.fall)
-        near = _tests(fit, positions, [best.time * part for part in CREEP.near])
+        near = _tests(fit, positions, [best.time * part for part in _CREEP.near])
         best = max((test for test in near if test.by_move == best.by_move), key=lambda test: test.fall)
     scale = fit.design.scale_factor * (1.0 if best.by_move else G0)
     shifts = zip(coefficients, fit.moved(-best.size * fit.effect(best.rows)), strict=True)
@@ -154,7 +154,7 @@ def find_creep(fit: FittedRun, coefficients: tuple[Coefficient, ...]) -> Creep |
     )
 
 
-def _decays(fit: FittedRun, positions: Positions, block: Block, times: list[float]) -> Array:
+def _decays(fit: _FittedRun, positions: Positions, block: Block, times: list[float]) -> Array:
     """Rows ``[times | rows]`` of a block: the integral of ``exp(-age/time)`` over each interval; for a rate log its value."""
     design, run = fit.design.means, fit.design.means.run
     samples = slice(block.start - (not design.point), block.stop)
@@ -196,7 +196,7 @@ class _Test:
     fall: float
 
 
-def _tests(fit: FittedRun, positions: Positions, times: list[float]) -> list[_Test]:
+def _tests(fit: _FittedRun, positions: Positions, times: list[float]) -> list[_Test]:
     """The tests of all time constants [s], of the same size at each position and by the move; without those that are nowhere."""
     from scipy.special import stdtr
 
@@ -221,18 +221,18 @@ def _tests(fit: FittedRun, positions: Positions, times: list[float]) -> list[_Te
     return tests
 
 
-def _stacked(fit: FittedRun, positions: Positions, length: float) -> tuple[tuple[float, ...], ...]:
+def _stacked(fit: _FittedRun, positions: Positions, length: float) -> tuple[tuple[float, ...], ...]:
     """Time since the start of the position [s], mean residual rate over K [g] over the positions, and its 95 % half width."""
     from scipy.special import stdtrit
 
     run = fit.design.run
     visit = np.repeat(np.arange(positions.count), np.diff(positions.edges))
-    place = np.floor((run.t - run.t[positions.edges[:-1]][visit]) / length * CREEP.bins).astype(np.int64)
+    place = np.floor((run.t - run.t[positions.edges[:-1]][visit]) / length * _CREEP.bins).astype(np.int64)
     missed, interval = residual_increments(fit.design, fit.values)
-    inside = (place >= 0) & (place < CREEP.bins)
-    shape = (positions.count, CREEP.bins)
+    inside = (place >= 0) & (place < _CREEP.bins)
+    shape = (positions.count, _CREEP.bins)
     d, h = (
-        np.bincount((visit * CREEP.bins + place)[inside], values[inside], math.prod(shape)).reshape(shape)
+        np.bincount((visit * _CREEP.bins + place)[inside], values[inside], math.prod(shape)).reshape(shape)
         for values in (missed, np.maximum(interval, 0.0))
     )
     mean = d.sum(axis=1) / np.maximum(h.sum(axis=1), 1e-300)
@@ -243,7 +243,7 @@ def _stacked(fit: FittedRun, positions: Positions, length: float) -> tuple[tuple
     spread = (np.where(full, rate - middle, 0.0) ** 2).sum(axis=0) / np.maximum(count - 1, 1)
     band = stdtrit(np.maximum(count - 1, 1), 0.975) * np.sqrt(spread / np.maximum(count, 1))
     kept = count > 1
-    time = (np.arange(CREEP.bins) + 0.5) * length / CREEP.bins
+    time = (np.arange(_CREEP.bins) + 0.5) * length / _CREEP.bins
     return tuple(tuple(values[kept].tolist()) for values in (time, middle, band))
 
 
@@ -254,7 +254,7 @@ def creep_in_words(run: Run, creep: Creep) -> str:
     moved = sorted(creep.shift.items(), key=lambda item: -abs(item[1]))[:3]
     shifts = ", ".join(f"{key} by {abs(shift):.2g} u" for key, shift in moved)
     begin, end = Positions.of(run).times(run)
-    wait = math.ceil(creep.time_constant * math.log(max(creep.largest_shift / CREEP.rest, math.e)))
+    wait = math.ceil(creep.time_constant * math.log(max(creep.largest_shift / _CREEP.rest, math.e)))
     more = "more " if any(event.kind == "settling" for event in run.quality.events) else ""
     key = f' ([data] settle = "{wait} s")' if run.source and not more else ""
     remedy = (

@@ -49,7 +49,7 @@ from piga.results import Array
 
 
 @dataclass(frozen=True)
-class LeftOutSettings:
+class _LeftOutSettings:
     """Limits for servo effects that enter the budget (own choices)."""
 
     clear: float = 0.01
@@ -62,14 +62,14 @@ class LeftOutSettings:
     """Softest servo that is assumed [g/g^3]: its rotor axis tilts by 1e-4 rad at 45 degrees in 1 g (2 s a_x a_t)."""
 
 
-LEFT_OUT = LeftOutSettings()
+_LEFT_OUT = _LeftOutSettings()
 
 
 CUBIC_SOURCE = "meaning of the cubic signature: servo or k3"
 DAMPING_SOURCE = "servo damping that the model lacks"
-UNNAMED_SOURCE = "servo that is not named"
+_UNNAMED_SOURCE = "servo that is not named"
 """Names in the budget. They begin as :data:`piga.records.calibration.coefficient.OF_THE_MODEL` requires."""
-ONE_SIDED = 1.645
+_ONE_SIDED = 1.645
 """Standard uncertainties up to a one-sided 95 % limit."""
 TURNED = ("phi", "tan_beta")
 """Coefficients that take up most of a missing ``servo_damping``."""
@@ -125,7 +125,7 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
     if "tan_beta" not in held:
         return unnamed
     settled = square is None or design.turning_servo or "servo" in design.run.uncertainty.waived
-    asked = () if square is None or settled else asked_cube(coefficients, square)
+    asked = () if square is None or settled else _asked_cube(coefficients, square)
     damping = "servo_damping" not in held and not design.has_phases
     if not cube and not damping:
         return asked
@@ -134,15 +134,15 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
     doubts: list[LeftOut] = []
     if square is not None and cube:
         test = tested(pieces, order, ("k3",), rows)
-        if test is not None and test.probability <= LEFT_OUT.clear:
+        if test is not None and test.probability <= _LEFT_OUT.clear:
             after = after_change(plain, test.change)
             k3 = float(test.columns[0]) / design.scale_factor
             cube_with = {"servo": after["scale_factor"] * (1.0 + k3 * square), "k3": after["scale_factor"]}
-            doubts.append(cubic_doubt(coefficients, before, after, cube_with, k3 / si_factor("k3")))
+            doubts.append(_cubic_doubt(coefficients, before, after, cube_with, k3 / si_factor("k3")))
             pieces = [with_term(piece, order, ("k3",)) for piece in pieces]
             order = [name for name in order if name != "k3"]
     test = tested(pieces, order, ("servo_damping",), rows) if damping else None
-    if test is not None and (doubts or asked or test.probability <= LEFT_OUT.clear):
+    if test is not None and (doubts or asked or test.probability <= _LEFT_OUT.clear):
         beside = ("k3", "servo_damping") if doubts else ("servo_damping",)
         whole = _with_terms(plain, beside)
         if whole is not None:
@@ -165,17 +165,17 @@ def _unnamed(
     if "servo" in run.uncertainty.waived:
         return ()
     along, across = run.f[:, 0] ** 2, across_squared(run, slice(None))
-    part = LEFT_OUT.softest * unit * float(along @ across / max(float(along.sum()), 1e-300))
-    if part < LEFT_OUT.negligible:
+    part = _LEFT_OUT.softest * unit * float(along @ across / max(float(along.sum()), 1e-300))
+    if part < _LEFT_OUT.negligible:
         return ()
     pieces, rows = candidates.pieces
     names = ("servo",) if "servo" in candidates.order else ("k3",)
     if names == ("k3",) and square is None:
-        return (LeftOut(UNNAMED_SOURCE, np.zeros(len(coefficients)), "", unstated_servo(plain)),)
+        return (LeftOut(_UNNAMED_SOURCE, np.zeros(len(coefficients)), "", unstated_servo(plain)),)
     test = tested(pieces, candidates.order, names, rows)
     if test is None:
         moved = [c.value * part if c.name == "scale_factor" else 0.0 for c in coefficients]
-        return (unnamed_servo(np.array(moved), LEFT_OUT.softest, math.inf),)
+        return (_unnamed_servo(np.array(moved), _LEFT_OUT.softest, math.inf),)
     before, after = (after_change(plain, change) for change in (np.zeros(1), test.change))
     size, std, spread = (
         float(values[0]) / plain.design.scale_factor / unit for values in (test.columns, test.std, test.spread)
@@ -184,17 +184,17 @@ def _unnamed(
         after["scale_factor"] *= 1.0 + size * unit * square
     std = max(std, spread * coverage_factor(test.freedom) / coverage_factor(math.inf))
     shift = _difference(coefficients, before, after | {name: before[name] for name in TURNED if name in before})
-    return (unnamed_servo(shift, size, std),)
+    return (_unnamed_servo(shift, size, std),)
 
 
-def unnamed_servo(shift: Array, size: float, std: float) -> LeftOut:
+def _unnamed_servo(shift: Array, size: float, std: float) -> LeftOut:
     """The servo that is not named. A record, or several, give it as ``size``, with ``std`` [g/g^3].
 
     ``shift`` is the change of the coefficients by ``size``. The half-width is that of the 95 % limit, one-sided because a
     stiffness is not negative, but at most that of the softest servo.
     """
-    softest = LEFT_OUT.softest
-    limit = max(size, 0.0) + ONE_SIDED * std
+    softest = _LEFT_OUT.softest
+    limit = max(size, 0.0) + _ONE_SIDED * std
     told = limit < softest
     words = (
         f"not named: the record excludes more than {1e6 * limit:.2g} ug/g^3"
@@ -202,7 +202,7 @@ def unnamed_servo(shift: Array, size: float, std: float) -> LeftOut:
         else f"not named, and the record hardly tells it from K: up to {1e6 * softest:.0f} ug/g^3 are assumed"
     )
     listed = StandSource("servo", "bounded" if told else "assumed", reason=words)
-    return LeftOut(UNNAMED_SOURCE, shift * (min(limit, softest) / size), "", listed)
+    return LeftOut(_UNNAMED_SOURCE, shift * (min(limit, softest) / size), "", listed)
 
 
 def _with_terms(plain: Fit, extra: tuple[str, ...]) -> dict[str, float] | None:
@@ -221,7 +221,7 @@ def _with_terms(plain: Fit, extra: tuple[str, ...]) -> dict[str, float] | None:
     return {c.key: c.value for c in named}
 
 
-def cubic_doubt(
+def _cubic_doubt(
     coefficients: tuple[Coefficient, ...],
     before: dict[str, float],
     after: dict[str, float],
@@ -246,17 +246,17 @@ def cubic_doubt(
     return LeftOut(CUBIC_SOURCE, change, words)
 
 
-def asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[LeftOut, ...]:
+def _asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[LeftOut, ...]:
     """The other meaning of a requested ``k3``, if ``a_x^2 + a_t^2`` is constant: ``square`` [m^2/s^4]."""
     named = {c.name: c for c in coefficients}
     scale, k3 = named.get("scale_factor"), named.get("k3")
     if scale is None or k3 is None:
         return ()
     shift = scale.value * k3.value * si_factor("k3") * square
-    if abs(k3.value) > LEFT_OUT.seen * k3.std:
+    if abs(k3.value) > _LEFT_OUT.seen * k3.std:
         return (_other_meaning(coefficients, scale, shift),)
     moved = np.array([shift if c is scale else 0.0 for c in coefficients])
-    return (unnamed_servo(moved, k3.value, k3.std),)
+    return (_unnamed_servo(moved, k3.value, k3.std),)
 
 
 def _other_meaning(coefficients: tuple[Coefficient, ...], scale: Coefficient, shift: float) -> LeftOut:
@@ -299,7 +299,7 @@ def damped(
         "cover this. Add 'servo_damping' to [model] terms to take it out"
     )
     return LeftOut(
-        DAMPING_SOURCE, change * (1.0 + std / size), words if test.probability <= LEFT_OUT.clear else ""
+        DAMPING_SOURCE, change * (1.0 + std / size), words if test.probability <= _LEFT_OUT.clear else ""
     )
 
 
@@ -313,12 +313,12 @@ def _difference(
 
 EXTRA = ("k3", *SERVO_TERMS)
 """Terms that are tried."""
-LACKING = {"servo": "servo terms that the model lacks", "k3": "k3 that the model lacks"}
+_LACKING = {"servo": "servo terms that the model lacks", "k3": "k3 that the model lacks"}
 """Names in the budget where the runs tell servo from k3."""
 
 
 @dataclass(frozen=True)
-class LeftOutRows:
+class _LeftOutRows:
     """The runs with the columns of ``EXTRA``, weighted without slow noise.
 
     ``pieces`` hold, for each run, the phase group within the run and the reduction of each segment. A run with only a
@@ -339,7 +339,7 @@ class LeftOutRows:
 
 
 @dataclass(frozen=True)
-class Wider:
+class _Wider:
     """The runs with more terms: ``test`` is that of the terms added, ``before`` and ``after`` the fits."""
 
     before: JointFit
@@ -377,9 +377,9 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
         if by_k3 and by_servo:
             after = _values(by_k3.after)
             under = {"servo": _values(by_servo)["scale_factor"], "k3": after["scale_factor"]}
-            doubts.append(cubic_doubt(fit.coefficients, _values(base), after, under, after["k3"]))
+            doubts.append(_cubic_doubt(fit.coefficients, _values(base), after, under, after["k3"]))
             base = by_k3.after
-    limit = 1.0 if any(doubt.source == CUBIC_SOURCE for doubt in doubts) else LEFT_OUT.clear
+    limit = 1.0 if any(doubt.source == CUBIC_SOURCE for doubt in doubts) else _LEFT_OUT.clear
     wave = _clear(rows, base, ("servo_damping",), limit) if "servo_damping" not in held else None
     if wave:
         scale_factor = fit.summaries[0].scale_factor
@@ -388,7 +388,7 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
     return (*doubts, *(() if covered else unnamed))
 
 
-def _unnamed_of_runs(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
+def _unnamed_of_runs(rows: _LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     """The servo that the runs do not exclude; empty if one of them waives it, or if they cannot tell it."""
     sources = (source for summary in rows.fit.summaries for source in summary.stand_sources)
     wider = rows.refit((*base.wish.terms, "servo"))
@@ -399,10 +399,10 @@ def _unnamed_of_runs(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     after |= {key: before[key] for key in before if key.startswith(TURNED)}
     shift = _difference(rows.fit.coefficients, before, after)
     std = servo.std * servo.coverage_factor / coverage_factor(math.inf)
-    return (unnamed_servo(shift, servo.value, std),)
+    return (_unnamed_servo(shift, servo.value, std),)
 
 
-def _clear(rows: LeftOutRows, base: JointFit, names: Names, limit: float = LEFT_OUT.clear) -> Wider | None:
+def _clear(rows: _LeftOutRows, base: JointFit, names: Names, limit: float = _LEFT_OUT.clear) -> _Wider | None:
     """The runs with additional terms; None if they cannot separate them, or if the effect may be chance."""
     after = rows.refit((*base.wish.terms, *names))
     if after is None:
@@ -411,7 +411,7 @@ def _clear(rows: LeftOutRows, base: JointFit, names: Names, limit: float = LEFT_
     test = tested(_pieces(rows, after, names), list(names), names, count)
     if test is None or test.probability > limit or _chance_by_scatter(after, names) > limit:
         return None
-    return Wider(base, after, test)
+    return _Wider(base, after, test)
 
 
 def _chance_by_scatter(fit: JointFit, names: Names) -> float:
@@ -429,7 +429,7 @@ def _values(fit: JointFit) -> dict[str, float]:
     return {c.key: c.value for c in fit.coefficients}
 
 
-def _rows(fit: JointFit) -> LeftOutRows:
+def _rows(fit: JointFit) -> _LeftOutRows:
     """The runs with the columns of all terms that are tried."""
     summaries, pieces = [], []
     for index, (summary, live) in enumerate(zip(fit.summaries, fit.live, strict=True)):
@@ -440,7 +440,7 @@ def _rows(fit: JointFit) -> LeftOutRows:
         wider, own = _with_columns(fit, index, summary, live)
         summaries.append(wider)
         pieces.append(own)
-    return LeftOutRows(fit, tuple(summaries), tuple(pieces))
+    return _LeftOutRows(fit, tuple(summaries), tuple(pieces))
 
 
 def _with_columns(
@@ -457,7 +457,7 @@ def _with_columns(
     return wider, tuple(zip(design.groups, segments, strict=True))
 
 
-def _pieces(rows: LeftOutRows, fit: JointFit, names: Names) -> list[Array]:
+def _pieces(rows: _LeftOutRows, fit: JointFit, names: Names) -> list[Array]:
     """Factors ``[parameters | names | residual without them]`` of all segments, linear about a fit with them."""
     layout = fit.layout
     amplitudes, phases = fit.estimate.amplitudes, fit.estimate.phases
@@ -480,7 +480,7 @@ def _pieces(rows: LeftOutRows, fit: JointFit, names: Names) -> list[Array]:
     return factors
 
 
-def _asked(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
+def _asked(rows: _LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     """The other meaning of a requested ``k3``, if the runs cannot separate it from the servo."""
     terms, coefficients = base.wish.terms, rows.fit.coefficients
     named = {c.key: c for c in coefficients}
@@ -489,13 +489,13 @@ def _asked(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     if swapped is None or rows.refit((*terms, "servo")):
         return ()
     shift = _values(swapped)["scale_factor"] - _values(base)["scale_factor"]
-    if abs(k3.value) > LEFT_OUT.seen * k3.std:
+    if abs(k3.value) > _LEFT_OUT.seen * k3.std:
         return (_other_meaning(coefficients, scale, shift),)
     moved = np.array([shift if c is scale else 0.0 for c in coefficients])
-    return (unnamed_servo(moved, k3.value, k3.std),)
+    return (_unnamed_servo(moved, k3.value, k3.std),)
 
 
-def _lacking(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
+def _lacking(rows: _LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     """Missing terms that the runs can separate: those of the servo, or ``k3``."""
     servo = tuple(name for name in SERVO_TERMS if name not in base.wish.terms)
     tried = [_clear(rows, base, names) for names in dict.fromkeys((servo, ("servo",), ("k3",)))]
@@ -506,7 +506,7 @@ def _lacking(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     coefficients, after = rows.fit.coefficients, _values(best.after)
     change = _difference(coefficients, {c.key: c.value for c in coefficients}, after)
     words = _lacking_words(best.test.names, best.after.coefficients, coefficients, after)
-    return (LeftOut(LACKING[best.test.names[0]], change, words),)
+    return (LeftOut(_LACKING[best.test.names[0]], change, words),)
 
 
 def _lacking_words(

@@ -30,7 +30,7 @@ from piga.records.calibration.coefficient import short_way
 
 
 @dataclass(frozen=True)
-class LeverageSettings:
+class _LeverageSettings:
     """Limits for naming a segment (own choices)."""
 
     determines: float = 0.9
@@ -45,11 +45,11 @@ class LeverageSettings:
     """Most sentences of a kind."""
 
 
-LEVERAGE = LeverageSettings()
+_LEVERAGE = _LeverageSettings()
 
 
 @dataclass(frozen=True)
-class JackknifeFit:
+class _JackknifeFit:
     """Coefficients (values and Type A standard uncertainties) without one segment; names of those lost."""
 
     values: dict[str, float]
@@ -85,7 +85,7 @@ def find_leverage(
         ``1 - (u/u_without)^2``. Empty for one segment, and beyond ``most_segments``.
     """
     labels = fit.design.run.labels
-    if not 1 < len(labels) <= LEVERAGE.most_segments:
+    if not 1 < len(labels) <= _LEVERAGE.most_segments:
         return {}, (), ()
     layout, linear = layout_of(fit.design), fit.design.has_phases
     parts = _amplitude_parts(layout, fit) if linear else fit.summaries
@@ -95,7 +95,7 @@ def find_leverage(
     for label, traced, rest in zip(labels, leverages(parts), all_but_one(parts), strict=True):
         left = _named(fit, layout, rest, linear)
         table[label] = SegmentLeverage(traced + (1.0 if linear else 0.0), *_influence(common, whole, left))
-    alone, named = _sole_words(table, common), odd_segments(fit) if slow else labels
+    alone, named = _sole_words(table, common), _odd_segments(fit) if slow else labels
     unit = "standard uncertainties" + (f" by the noise of the {fit.design.run.quantity}" if slow else "")
     moved = _shift_words({k: table[k] for k in named}, common, whole, unit, reported)
     for row in table.values():
@@ -106,7 +106,7 @@ def find_leverage(
     return table, alone, moved
 
 
-def odd_segments(fit: Fit) -> tuple[str, ...]:
+def _odd_segments(fit: Fit) -> tuple[str, ...]:
     """Labels of the segments whose residual rate is far from the others, in terms of their median deviation."""
     m, size = len(fit.design.names), len(fit.design.run.labels)
     product, square = np.zeros(size), np.zeros(size)
@@ -116,7 +116,7 @@ def odd_segments(fit: Fit) -> tuple[str, ...]:
         square[segment] += part.factor[:, m] @ part.factor[:, m]
     rate = np.divide(product, square, out=np.zeros(size), where=square > 0.0)
     away = np.abs(rate - np.median(rate))
-    odd = away > LEVERAGE.unlikely * np.median(away) / NORMAL_MEDIAN
+    odd = away > _LEVERAGE.unlikely * np.median(away) / NORMAL_MEDIAN
     return tuple(label for label, far in zip(fit.design.run.labels, odd, strict=True) if far)
 
 
@@ -166,11 +166,11 @@ def _lost(total: Reduction) -> frozenset[str]:
     return frozenset(lost | ({"phi"} if "tan_beta" in lost else set()))
 
 
-def _named(fit: Fit, layout: Layout, total: Reduction, linear: bool) -> JackknifeFit:
+def _named(fit: Fit, layout: Layout, total: Reduction, linear: bool) -> _JackknifeFit:
     """Coefficients of a merger; ``linear``: the merger contains corrections of the amplitudes."""
     lost = _lost(total)
     if lost:
-        return JackknifeFit({}, {}, lost)
+        return _JackknifeFit({}, {}, lost)
     if linear:
         change, covariance, _ = total.solve()
         padded = np.zeros_like(fit.solution.covariance)
@@ -182,11 +182,11 @@ def _named(fit: Fit, layout: Layout, total: Reduction, linear: bool) -> Jackknif
         estimate = solve_parts(replace(layout, tails=layout.tails[:1]), [total])
     named, _ = name_coefficients(fit.design, estimate, estimate.covariance)
     common = [c for c in named if c.segment is None]
-    return JackknifeFit({c.name: c.value for c in common}, {c.name: c.std for c in common}, lost)
+    return _JackknifeFit({c.name: c.value for c in common}, {c.name: c.std for c in common}, lost)
 
 
 def _influence(
-    common: list[Coefficient], whole: JackknifeFit, left: JackknifeFit
+    common: list[Coefficient], whole: _JackknifeFit, left: _JackknifeFit
 ) -> tuple[dict[str, float], dict[str, float | None]]:
     """Share and shift of each coefficient."""
     share: dict[str, float] = {}
@@ -208,12 +208,12 @@ def _sole_words(table: dict[str, SegmentLeverage], common: list[Coefficient]) ->
     """Segments that determine a coefficient alone."""
     sentences = []
     for label, row in table.items():
-        sole = [c.name for c in common if row.share[c.name] > LEVERAGE.determines]
+        sole = [c.name for c in common if row.share[c.name] > _LEVERAGE.determines]
         if sole:
             verb = "rests" if len(sole) == 1 else "rest"
             sentences.append(
                 f"{', '.join(sole)} {verb} on segment '{label}' alone (more than "
-                f"{100.0 * LEVERAGE.determines:.0f} % of the information): no residual shows an error there; "
+                f"{100.0 * _LEVERAGE.determines:.0f} % of the information): no residual shows an error there; "
                 "add a position or level like it"
             )
     return _few(sentences)
@@ -222,7 +222,7 @@ def _sole_words(table: dict[str, SegmentLeverage], common: list[Coefficient]) ->
 def _shift_words(
     table: dict[str, SegmentLeverage],
     common: list[Coefficient],
-    whole: JackknifeFit,
+    whole: _JackknifeFit,
     unit: str,
     reported: dict[str, float],
 ) -> tuple[tuple[float, str], ...]:
@@ -231,10 +231,10 @@ def _shift_words(
     for label, row in table.items():
         for c in common:
             share, shift = row.share[c.name], row.shift[c.name]
-            if shift is None or share > LEVERAGE.determines or abs(shift) <= LEVERAGE.influential:
+            if shift is None or share > _LEVERAGE.determines or abs(shift) <= _LEVERAGE.influential:
                 continue
             usual = whole.std[c.name] * math.sqrt(share / (1.0 - share)) / c.std
-            if abs(shift) > LEVERAGE.unlikely * usual:
+            if abs(shift) > _LEVERAGE.unlikely * usual:
                 words = (
                     f"without segment '{label}' {c.name} changes by {shift:+.1f} {unit} (noise would "
                     f"explain {usual:.1g}): look at that segment"
@@ -243,12 +243,12 @@ def _shift_words(
     sentences.sort(key=lambda item: -item[0])
     largest = max((shift for _, shift, _ in sentences), default=0.0)
     few = _few([words for *_, words in sentences])
-    shifts = [shift for _, shift, _ in sentences[: LEVERAGE.sentences]] + [largest]
+    shifts = [shift for _, shift, _ in sentences[: _LEVERAGE.sentences]] + [largest]
     return tuple(zip(shifts, few, strict=False))
 
 
 def _few(sentences: list[str]) -> tuple[str, ...]:
     """The first sentences, and the number of those left out."""
-    more = len(sentences) - LEVERAGE.sentences
+    more = len(sentences) - _LEVERAGE.sentences
     rest = (f"{more} more such remarks: see the leverage of the segments",) if more > 0 else ()
-    return (*sentences[: LEVERAGE.sentences], *rest)
+    return (*sentences[: _LEVERAGE.sentences], *rest)

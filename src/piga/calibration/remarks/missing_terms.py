@@ -31,7 +31,7 @@ Names = tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class CandidateSettings:
+class _CandidateSettings:
     """Limits for suggesting a missing term, and rows used for the test (own choices)."""
 
     false_alarms: float = 0.002
@@ -59,16 +59,16 @@ class CandidateSettings:
     """Samples used for this."""
 
 
-CANDIDATES = CandidateSettings()
+_CANDIDATES = _CandidateSettings()
 
 
 CUBIC = ("servo", "k3", "k2o")
 """Terms that take up an odd signature of a_x, most plausible first."""
-PAIRS = (("tan_beta", ("p", "q")), ("s1", ("s1", "c1")), ("s2", ("s2", "c2")))
+_PAIRS = (("tan_beta", ("p", "q")), ("s1", ("s1", "c1")), ("s2", ("s2", "c2")))
 """Candidates that turn with the output: their term and columns."""
 
 
-def candidate_terms(design: Design) -> list[tuple[str, ...]]:
+def _candidate_terms(design: Design) -> list[tuple[str, ...]]:
     """Columns of every candidate that is missing in the model and that the record can determine.
 
     A gyro accelerometer has no known cause of ``k1a``: ask for it by name. Candidates that turn with the output are skipped
@@ -77,16 +77,16 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
     terms, run = design.request.terms, design.run
     left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
     left_out |= {name for name in LOGGED_TERMS if not run.shows(name)}
-    left_out |= servo_out_of_reach(design) | (set() if run.direct else {"k1a"})
+    left_out |= _servo_out_of_reach(design) | (set() if run.direct else {"k1a"})
     candidates: list[tuple[str, ...]] = [(name,) for name in ERROR_TERMS if name not in left_out]
     if run.direct:
         return candidates
     if design.request.phases == "shared" or "tan_beta" in terms:
-        candidates += [columns for name, columns in PAIRS if name not in terms]
+        candidates += [columns for name, columns in _PAIRS if name not in terms]
     return candidates
 
 
-def servo_out_of_reach(design: Design) -> set[str]:
+def _servo_out_of_reach(design: Design) -> set[str]:
     """Terms that a record cannot separate from the servo terms of the model, and servo terms that it cannot determine."""
     total, across = constant_squares(design.run)
     terms = design.request.terms
@@ -102,11 +102,11 @@ def servo_out_of_reach(design: Design) -> set[str]:
 
 def constant_squares(run: Run) -> tuple[float | None, float | None]:
     """``a_x^2 + a_t^2`` and ``(u_t/K)^2`` [m^2/s^4] of a record; None for one that changes."""
-    at = np.unique(np.linspace(0, run.size - 1, CANDIDATES.force_samples).astype(np.int64))
+    at = np.unique(np.linspace(0, run.size - 1, _CANDIDATES.force_samples).astype(np.int64))
     squares: list[float | None] = []
     for square in ((run.f[at] ** 2).sum(axis=1), across_squared(run, at)):
         low, middle, high = np.quantile(square, (0.005, 0.5, 0.995))
-        squares.append(float(middle) if high - low <= CANDIDATES.constant * middle else None)
+        squares.append(float(middle) if high - low <= _CANDIDATES.constant * middle else None)
     return squares[0], squares[1]
 
 
@@ -143,7 +143,7 @@ class Candidates:
     def order(self) -> list[str]:
         """Names of the columns: candidates for a suggestion, and signatures of the servo."""
         design = self.fit.design
-        names = [name for names in candidate_terms(design) for name in names]
+        names = [name for names in _candidate_terms(design) for name in names]
         if "k3" not in (*names, *design.names):
             names.append("k3")
         if "p" in design.names and "servo_damping" not in (*names, *design.turning_servo):
@@ -167,26 +167,26 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
         The result, with combined standard uncertainties.
     """
     fit = candidates.fit
-    left = candidate_terms(fit.design)
+    left = _candidate_terms(fit.design)
     if fit.design.request.phase_source != "output" or not left:
         return ()
     order = candidates.order
     pieces, rows = candidates.pieces
     suggestions: list[MissingTerm] = []
-    limit = CANDIDATES.false_alarms / len(left)
+    limit = _CANDIDATES.false_alarms / len(left)
     square = None if fit.design.run.direct else constant_squares(fit.design.run)[0]
-    for _ in range(CANDIDATES.suggestions):
+    for _ in range(_CANDIDATES.suggestions):
         tests = [
             t
             for names in left
             if (t := tested(pieces, order, names, rows))
-            and t.probability < (CANDIDATES.thermal_alarms if names == ("k0_T",) else limit)
+            and t.probability < (_CANDIDATES.thermal_alarms if names == ("k0_T",) else limit)
         ]
         shifts = [_largest_shift(fit, coefficients, t) for t in tests]
         worth = [
             (test, shift)
             for test, shift in zip(tests, shifts, strict=True)
-            if shift[0] > 1.0 or test.fall > CANDIDATES.notable
+            if shift[0] > 1.0 or test.fall > _CANDIDATES.notable
         ]
         if not worth:
             break
@@ -195,14 +195,14 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
             warm = [
                 item
                 for item in worth
-                if item[0].names == ("k0_T",) and item[0].fall > CANDIDATES.alike * best.fall
+                if item[0].names == ("k0_T",) and item[0].fall > _CANDIDATES.alike * best.fall
             ]
             best, shift = (warm or [(best, shift)])[0]
         best, shift = _servo_first(best, shift, worth, square)
         alike = [
             ", ".join(terms_of(t.names))
             for t in tests
-            if t is not best and t.fall > CANDIDATES.alike * best.fall
+            if t is not best and t.fall > _CANDIDATES.alike * best.fall
         ]
         entry = _suggestion(best, shift, alike, fit.design.scale_factor)
         if square is not None and best.names[0] in ("servo", "k3"):
@@ -226,7 +226,7 @@ def _servo_first(
     """The servo's stiffness in place of a cube of a_x with a similar fit, if the record cannot separate them."""
     if square is None or best.names[0] not in CUBIC:
         return best, shift
-    servo = [(t, s) for t, s in worth if t.names == ("servo",) and t.fall > CANDIDATES.like_a_cube * best.fall]
+    servo = [(t, s) for t, s in worth if t.names == ("servo",) and t.fall > _CANDIDATES.like_a_cube * best.fall]
     return servo[0] if servo else (best, shift)
 
 
@@ -251,8 +251,8 @@ def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
     design, layout = fit.design, layout_of(fit.design)
     edges, segments, m = design.run.segment_edges(), len(design.run.labels), len(design.names)
     parts = 1
-    if segments < len(layout.columns) + len(extra[:2]) + CANDIDATES.spare:
-        parts = math.ceil(CANDIDATES.pieces / segments)
+    if segments < len(layout.columns) + len(extra[:2]) + _CANDIDATES.spare:
+        parts = math.ceil(_CANDIDATES.pieces / segments)
     cuts = np.linspace(edges[:-1], edges[1:], parts, endpoint=False).T.astype(np.int64).ravel()
     reduced, _ = reduce_between(
         design, fit.mode, fit.noise, np.append(cuts, edges[-1]), _columns_of(fit, extra)
@@ -308,7 +308,7 @@ def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Ca
         return None
     R: Array = np.asarray(np.linalg.qr(stacked / np.append(scale, 1.0), mode="r"))
     own = R[m : m + q, m : m + q]
-    if np.linalg.svd(own, compute_uv=False)[-1] < CANDIDATES.confounded or np.abs(np.diag(R)[:m]).min() == 0.0:
+    if np.linalg.svd(own, compute_uv=False)[-1] < _CANDIDATES.confounded or np.abs(np.diag(R)[:m]).min() == 0.0:
         return None
     z = R[m : m + q, -1]
     fall, rest = float(z @ z), float(R[m + q, -1] ** 2)

@@ -43,9 +43,9 @@ from urllib.parse import quote
 
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 NAMES = {"dcc": DCC, "si": SI}
-RECORD, DATA, BEFORE = "piga_calibrationRecord", "piga_certificateData", "piga_calibrationBefore"
+RECORD, DATA, _BEFORE = "piga_calibrationRecord", "piga_certificateData", "piga_calibrationBefore"
 """``refType`` of the attached calibration, of the data of the certificate, and of the calibration before adjustment."""
-AGAIN = "do not use the file; get it again from the issuer"
+_AGAIN = "do not use the file; get it again from the issuer"
 MOST_TEXT = 9_900_000
 """Most characters of one text in the XML. libxml2, and programs built on it, refuse more than 10 million."""
 _ROUNDED = ("valueExpandedMU", "coverageFactor", "coverageFactorXMLList")
@@ -147,7 +147,7 @@ def _days(data: CertificateFile) -> list[tuple[str, dt.date | None]]:
 
 def _digit_of(c: Coefficient) -> int:
     """Power of ten of the last significant digit of a coefficient in SI."""
-    return significant_digit(Decimal(to_dsi(c.coverage.half_width, c.unit)), Decimal(to_dsi(c.value, c.unit)))
+    return _significant_digit(Decimal(to_dsi(c.coverage.half_width, c.unit)), Decimal(to_dsi(c.value, c.unit)))
 
 
 def _columns(calibration: Calibration) -> list[tuple[list[tuple[float, Coefficient]], Coefficient]]:
@@ -191,7 +191,7 @@ def _attachments(
     parts = [("Calibration record", RECORD, words, "calibration.json", calibration_to_bytes(calibration))]
     if before is not None:
         words = "Calibration record of piga before adjustment"
-        parts.append(("Record before adjustment", BEFORE, words, "before.json", calibration_to_bytes(before)))
+        parts.append(("Record before adjustment", _BEFORE, words, "before.json", calibration_to_bytes(before)))
     parts.append(
         (
             "Data of the certificate",
@@ -244,18 +244,18 @@ def calibration_of(root: etree._Element, path: Path) -> Calibration:
         file = msgspec.json.decode(data, type=CertificateFile)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise DataError(
-            f"{path}: the attached data of the certificate are damaged ({error})", remedy=AGAIN
+            f"{path}: the attached data of the certificate are damaged ({error})", remedy=_AGAIN
         ) from None
     release = root.findtext("dcc:administrativeData/dcc:dccSoftware/dcc:software/dcc:release", "", NAMES)
-    before = _attached(root, BEFORE, path)
+    before = _attached(root, _BEFORE, path)
     former = None if before is None else calibration_from_bytes(before, path)
     try:
         again = _write(file, calibration, former, release)
     except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise DataError(
-            f"{path}: the attached data do not fit the attached calibration ({error})", remedy=AGAIN
+            f"{path}: the attached data do not fit the attached calibration ({error})", remedy=_AGAIN
         ) from None
-    compare_trees(root, again, path, words=release == _own_release())
+    _compare_trees(root, again, path, words=release == _own_release())
     return calibration
 
 
@@ -277,10 +277,10 @@ def _attached(root: etree._Element, kind: str, path: Path) -> bytes | None:
         return None
     try:
         if len(attachments) > 1:
-            raise DataError(f"{path}: holds {len(attachments)} attachments {kind}", remedy=AGAIN)
+            raise DataError(f"{path}: holds {len(attachments)} attachments {kind}", remedy=_AGAIN)
         return base64.b64decode("".join((attachments[0].text or "").split()), validate=True)
     except (binascii.Error, ValueError):
-        raise DataError(f"{path}: the attached record is damaged", remedy=AGAIN) from None
+        raise DataError(f"{path}: the attached record is damaged", remedy=_AGAIN) from None
 
 
 def _compare_results(root: etree._Element, calibration: Calibration, path: Path) -> None:
@@ -292,11 +292,11 @@ def _compare_results(root: etree._Element, calibration: Calibration, path: Path)
         place = query.replace("dcc:result/", f"dcc:result{kind}/")
         stated, ours = root.findall(f"{place}/{part}", NAMES), again.findall(f"{place}/{part}", NAMES)
         if len(stated) != len(ours):
-            raise DataError(f"{path}: holds other results than piga writes", remedy=AGAIN)
+            raise DataError(f"{path}: holds other results than piga writes", remedy=_AGAIN)
         for one, other in zip(stated, ours, strict=True):
             for mark in one.findall(".//dcc:measurementMetaData", NAMES):
                 mark.getparent().remove(mark)
-            compare_trees(one, other, path)
+            _compare_trees(one, other, path)
     warnings.warn(
         f"{path}: made by piga 0.2 or earlier: its results agree with the attached record; laboratory, dates and statements "
         "were not compared",
@@ -322,10 +322,10 @@ def date_of_issue(root: etree._Element, path: Path) -> dt.date:
     try:
         return dt.date.fromisoformat(text)
     except ValueError:
-        raise DataError(f"{path}: issueDate '{text[:40]}' is not a date", remedy=AGAIN) from None
+        raise DataError(f"{path}: issueDate '{text[:40]}' is not a date", remedy=_AGAIN) from None
 
 
-def compare_trees(stated: etree._Element, again: etree._Element, path: Path, *, words: bool = True) -> None:
+def _compare_trees(stated: etree._Element, again: etree._Element, path: Path, *, words: bool = True) -> None:
     """Refuse a certificate that differs from what piga writes. The first difference is named.
 
     Parameters
@@ -346,7 +346,7 @@ def compare_trees(stated: etree._Element, again: etree._Element, path: Path, *, 
     """
     for one in (*stated.itersiblings(preceding=True), *stated.itersiblings(), *stated.iter()):
         if not isinstance(one.tag, str):
-            raise DataError(f"{path}: holds comments or instructions, which piga does not write", remedy=AGAIN)
+            raise DataError(f"{path}: holds comments or instructions, which piga does not write", remedy=_AGAIN)
     for one, other in zip(stated.iter(), again.iter(), strict=False):
         if one.tag != other.tag or dict(one.attrib) != dict(other.attrib):
             raise _contradiction(path, one, f"stands where '{_place(other)}' is expected")
@@ -442,6 +442,6 @@ def to_dsi(value: float, *units: str) -> str:
     return str(_SHOWN.plus(_EXACT.multiply(Decimal(value), factor)))
 
 
-def significant_digit(half_width: Decimal, value: Decimal) -> int:
+def _significant_digit(half_width: Decimal, value: Decimal) -> int:
     """Power of ten of the last significant digit. U has two significant digits. Without U (a given value) all digits count."""
     return half_width.adjusted() - 1 if half_width else value.adjusted() - (DIGITS - 1)

@@ -81,7 +81,7 @@ _XADES = "{http://uri.etsi.org/01903/v1.3.2#}QualifyingProperties"
 
 
 @dataclass(frozen=True)
-class VerifiedSignature:
+class _VerifiedSignature:
     """A valid signature.
 
     Attributes
@@ -140,7 +140,7 @@ def sign_xml(
     return signer.sign(root, key=private, cert=[public])
 
 
-def verify_signature(path: Path, certificate: Path) -> VerifiedSignature:
+def verify_signature(path: Path, certificate: Path) -> _VerifiedSignature:
     """Verify the signature of a file against the expected X.509 certificate.
 
     Raises
@@ -164,7 +164,7 @@ def verify_signature(path: Path, certificate: Path) -> VerifiedSignature:
             "the file",
             remedy="do not use the file, and ask the laboratory",
         )
-    return VerifiedSignature(
+    return _VerifiedSignature(
         document,
         expected.subject.rfc4514_string(),
         expected.not_valid_before_utc,

@@ -133,9 +133,9 @@ def _named_columns(
     lines: list[str], at: int, sample: list[str], separator: str, rows: HeadRows, path: Path
 ) -> tuple[tuple[str, ...], dict[str, str]]:
     """Names of the columns from the header, and the units that stand beside them."""
-    names = head_cells(lines[at] if rows.header is None else COMMENT.sub("", lines[at]), separator)
+    names = _head_cells(lines[at] if rows.header is None else COMMENT.sub("", lines[at]), separator)
     if isinstance(rows.header, tuple):
-        names = joined_names(head_cells(COMMENT.sub("", lines[rows.header[0] - 1]), separator), names)
+        names = joined_names(_head_cells(COMMENT.sub("", lines[rows.header[0] - 1]), separator), names)
     if all(_NUMBER_POINT.match(name) for name in names):
         raise DataError(
             f"{path}: row {at + 1}: the first row holds numbers, not column names",
@@ -147,7 +147,7 @@ def _named_columns(
     return units_in_names(single_names(_as_wide_as_data(names, sample, separator)))
 
 
-def head_cells(line: str, separator: str) -> tuple[str, ...]:
+def _head_cells(line: str, separator: str) -> tuple[str, ...]:
     """Cells of a row of names."""
     return tuple(cell.strip().strip('"').strip() for cell in split_line(line, separator))
 

@@ -18,7 +18,7 @@ from piga.records.calibration import Event
 
 MAX_LISTED = 100
 """Most faults that one message lists all. A file that has more is refused there; only a masked one is examined to its end."""
-FIRST_LISTED = 20
+_FIRST_LISTED = 20
 """Faults listed of a file that has more: most often one cause, such as the decimal mark."""
 _NUMBER = re.compile(r"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|inf|infinity|nan)", re.IGNORECASE | re.ASCII)
 
@@ -76,7 +76,7 @@ class Faults:
         """All faults in words, or the first of many."""
         if self.total <= MAX_LISTED:
             return "; ".join(self.listed)
-        return f"{'; '.join(self.listed[:FIRST_LISTED])}; and more"
+        return f"{'; '.join(self.listed[:_FIRST_LISTED])}; and more"
 
     def error(self, path: Path) -> DataError:
         """All faults as one error."""

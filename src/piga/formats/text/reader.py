@@ -33,11 +33,11 @@ from piga.records.calibration import Event
 _BLANKS = re.compile(rb"[ \t]+")
 _EDGES = re.compile(rb"^ | (?=\r?$)", re.MULTILINE)
 _ODD_QUOTES = re.compile(rb'^[^"\n]*"(?:[^"\n]*"[^"\n]*")*[^"\n]*$', re.MULTILINE)
-PART_BYTES = 1 << 16
+_PART_BYTES = 1 << 16
 """Size of the parts in which a piece with damage is read again [bytes]. A part with damage is read line by line."""
-BLOCK_BYTES = 1 << 20
+_BLOCK_BYTES = 1 << 20
 """Bytes per block that PyArrow tokenizes on one thread."""
-MOST_SEARCHED = 200
+_MOST_SEARCHED = 200
 """Rows among which the names are looked for, if the header lacks them."""
 
 
@@ -165,8 +165,8 @@ class TextStream(RecordStream):
                 pa.BufferReader(pa.py_buffer(raw)),
                 read_options=csv.ReadOptions(
                     column_names=list(form.names),
-                    block_size=BLOCK_BYTES,
-                    use_threads=len(raw) > BLOCK_BYTES,
+                    block_size=_BLOCK_BYTES,
+                    use_threads=len(raw) > _BLOCK_BYTES,
                 ),
                 parse_options=csv.ParseOptions(delimiter=form.separator),
                 convert_options=csv.ConvertOptions(
@@ -219,7 +219,7 @@ def _parts(raw: bytes) -> Iterator[bytes]:
     """Parts of complete lines."""
     start = 0
     while start < len(raw):
-        end = raw.find(b"\n", min(start + PART_BYTES, len(raw)) - 1) + 1 or len(raw)
+        end = raw.find(b"\n", min(start + _PART_BYTES, len(raw)) - 1) + 1 or len(raw)
         yield raw[start:end]
         start = end
 
@@ -248,7 +248,7 @@ def _check_columns(form: TextFormat, wanted: list[str], head: str, path: Path) -
 
 def _row_of(wanted: list[str], head: str, after: int) -> int | None:
     """The first row after ``after`` whose cells hold all wanted names, whatever its separator."""
-    for number, line in enumerate(lines_of(head)[:MOST_SEARCHED], start=1):
+    for number, line in enumerate(lines_of(head)[:_MOST_SEARCHED], start=1):
         for separator in f"{SEPARATORS} " if number > after else "":
             names = tuple(cell.strip().strip('"').strip() for cell in split_line(line, separator))
             if set(wanted) <= {*names, *units_in_names(names)[0]}:

@@ -109,7 +109,7 @@ def _shown(head: bytes, encoding: str, names: list[str]) -> int:
     return sum(name in text for name in names)
 
 
-MAX_EXPANSION = 200
+_MAX_EXPANSION = 200
 """Largest ratio of unpacked to packed size accepted for .gz files."""
 PIECE_BYTES = 4 << 20
 """Bytes read at a time."""
@@ -117,7 +117,7 @@ MAX_LINE = 16 << 20
 """Longest line [bytes]."""
 MAX_HEAD = 1 << 20
 """Bytes within which header, units and first data row must lie."""
-LINE_END = re.compile(rb"\r\n|\n|\r")
+_LINE_END = re.compile(rb"\r\n|\n|\r")
 _PLAIN = ("utf-8", "utf-8-sig", "ascii")
 """Encodings that need no conversion."""
 
@@ -176,7 +176,7 @@ class TextSource:
 
     def header_bytes(self, skip: int) -> int:
         """Size of the first ``skip`` lines [bytes]."""
-        ends = [match.end() for _, match in zip(range(skip), LINE_END.finditer(self.head), strict=False)]
+        ends = [match.end() for _, match in zip(range(skip), _LINE_END.finditer(self.head), strict=False)]
         return 0 if skip == 0 else ends[-1] if len(ends) == skip else len(self.head)
 
     def pieces(self, skip: int) -> Iterator[bytes]:
@@ -206,13 +206,13 @@ class TextSource:
         packed, total = self.path.suffix.lower() == ".gz", 0
         try:
             with open_regular(self.path, wanted="the data file in [data] file") as file:
-                limit = os.fstat(file.fileno()).st_size * MAX_EXPANSION
+                limit = os.fstat(file.fileno()).st_size * _MAX_EXPANSION
                 stream: Any = gzip.GzipFile(fileobj=file) if packed else file
                 while block := stream.read(size):
                     total += len(block)
                     if packed and total > limit:
                         raise DataError(
-                            f"{self.path}: unpacks to more than {MAX_EXPANSION} times its size",
+                            f"{self.path}: unpacks to more than {_MAX_EXPANSION} times its size",
                             remedy="unpack it by hand",
                             where=Where(self.path),
                         )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from piga.errors import RunFileError
 from piga.units import DAY
 
-HALF_DAY = 43200.0
+_HALF_DAY = 43200.0
 """A time of day that falls by more passed midnight [s]."""
 ISO = (
     r"(?P<Y>\d{4})-(?P<M>\d{2})-(?P<D>\d{2})[T ](?P<h>\d{2}):(?P<m>\d{2})(?::(?P<s>\d{2})(?:[.,](?P<f>\d{1,12}))?)?"
@@ -158,7 +158,7 @@ class StampClock:
             return DAY * (days - self._first_day) + values
         steps = np.diff(values[valid], prepend=self._last)
         steps[np.isnan(steps)] = 0.0
-        turns = np.cumsum((steps < -HALF_DAY).astype(float) - (steps > HALF_DAY).astype(float))
+        turns = np.cumsum((steps < -_HALF_DAY).astype(float) - (steps > _HALF_DAY).astype(float))
         result = values.copy()
         result[valid] += self._added + DAY * turns
         self._last, self._added = float(values[valid[-1]]), self._added + DAY * float(turns[-1])

@@ -26,7 +26,7 @@ from piga.errors import ArgumentError, PigaError
 from piga.instrument.twin.parameters import TwinParameters
 from piga.results import Array, Result
 
-Complex = NDArray[np.complex128]
+_Complex = NDArray[np.complex128]
 Polynomial = NDArray[np.floating]
 
 
@@ -35,7 +35,7 @@ class UnstableDesignError(PigaError):
 
 
 @dataclass(frozen=True)
-class LoopAnalysis:
+class _LoopAnalysis:
     """Linear figures of a design.
 
     ``poles`` [1/s] of the closed loop; ``nutation`` [rad/s] and ``nutation_damping`` [1] of the
@@ -44,7 +44,7 @@ class LoopAnalysis:
     response of the rate to specific force falls by 3 dB.
     """
 
-    poles: Complex
+    poles: _Complex
     nutation: float
     nutation_damping: float
     gain_margin: float
@@ -76,18 +76,18 @@ def _closed(p: TwinParameters) -> Polynomial:
     return poly.polyadd(poly.polymul(plant_d, servo_d), poly.polymul(plant_n, servo_n))
 
 
-def loop_poles(p: TwinParameters) -> Complex:
+def loop_poles(p: TwinParameters) -> _Complex:
     """Poles of the closed loop [1/s] (the gimbal angle's own pole at zero left out)."""
     return np.asarray(poly.polyroots(poly.polytrim(_closed(p))), dtype=complex)
 
 
-def open_loop(p: TwinParameters, frequency: ArrayLike) -> Complex:
+def open_loop(p: TwinParameters, frequency: ArrayLike) -> _Complex:
     """Open-loop response ``C P`` at ``frequency`` [rad/s]."""
     (plant_n, plant_d), (servo_n, servo_d) = _plant(p), _controller(p)
     return _response(poly.polymul(plant_n, servo_n)[::-1], poly.polymul(plant_d, servo_d)[::-1], frequency)
 
 
-def _response(numerator: Polynomial, denominator: Polynomial, frequency: ArrayLike) -> Complex:
+def _response(numerator: Polynomial, denominator: Polynomial, frequency: ArrayLike) -> _Complex:
     """Response of polynomials in descending powers of s."""
     from scipy import signal
 
@@ -95,12 +95,12 @@ def _response(numerator: Polynomial, denominator: Polynomial, frequency: ArrayLi
     return np.asarray(response)
 
 
-def tilt_compliance(p: TwinParameters, frequency: ArrayLike) -> Complex:
+def tilt_compliance(p: TwinParameters, frequency: ArrayLike) -> _Complex:
     """Closed-loop tilt per outer-axis torque [rad/(N m)] at ``frequency`` [rad/s]."""
-    return _response(*tilt_transfer(p)[0], frequency)
+    return _response(*_tilt_transfer(p)[0], frequency)
 
 
-def tilt_transfer(p: TwinParameters) -> tuple[tuple[Polynomial, Polynomial], tuple[Polynomial, Polynomial]]:
+def _tilt_transfer(p: TwinParameters) -> tuple[tuple[Polynomial, Polynomial], tuple[Polynomial, Polynomial]]:
     """Closed loop from outer-axis torque to tilt, and to ``(B s^2 + c s + k_r)`` times tilt.
 
     Numerator and denominator each, descending powers of s.
@@ -118,7 +118,7 @@ def _rate_response(p: TwinParameters) -> tuple[Polynomial, Polynomial]:
     return numerator[::-1], _closed(p)[::-1]
 
 
-def rate_response(p: TwinParameters, frequency: ArrayLike) -> Complex:
+def rate_response(p: TwinParameters, frequency: ArrayLike) -> _Complex:
     """Response of the output rate to specific force, over ``K`` [1], at ``frequency`` [rad/s]."""
     return _response(*_rate_response(p), frequency)
 
@@ -168,7 +168,7 @@ def _bandwidth(p: TwinParameters) -> float:
     return float(np.exp(places[0])) if places.size else math.inf
 
 
-def analyse_loop(p: TwinParameters) -> LoopAnalysis:
+def analyse_loop(p: TwinParameters) -> _LoopAnalysis:
     """Poles, nutation, margins and bandwidth of the design ``p``."""
     poles = loop_poles(p)
     oscillating = poles[poles.imag > 0.0]
@@ -177,10 +177,10 @@ def analyse_loop(p: TwinParameters) -> LoopAnalysis:
         pole = oscillating[np.argmin(np.abs(np.abs(oscillating) - p.nutation))]
         nutation, damping = float(abs(pole)), float(-pole.real / abs(pole))
     gain_margin, phase_margin, crossover = _margins(p)
-    return LoopAnalysis(poles, nutation, damping, gain_margin, phase_margin, crossover, _bandwidth(p))
+    return _LoopAnalysis(poles, nutation, damping, gain_margin, phase_margin, crossover, _bandwidth(p))
 
 
-def require_stable(p: TwinParameters) -> LoopAnalysis:
+def require_stable(p: TwinParameters) -> _LoopAnalysis:
     """Analysis of a stable design.
 
     Raises
@@ -391,7 +391,7 @@ def _through_loop(
     past = (load * (np.exp(1j * rate * before) - 1.0)).real + torque[0]
     whole = np.concatenate([past, torque])
     results = []
-    for numerator, denominator in tilt_transfer(p):
+    for numerator, denominator in _tilt_transfer(p):
         b, a, _ = signal.cont2discrete((numerator, denominator), step, method="foh")
         results.append(signal.lfilter(np.atleast_1d(np.squeeze(b)), a, whole)[count:])
     return results[0], results[1]

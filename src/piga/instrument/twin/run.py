@@ -17,7 +17,7 @@ from piga.results import Array, Result
 
 Start = Literal["slow-manifold", "transient"]
 
-ACCURACY = 1e-12
+_ACCURACY = 1e-12
 """Default local error per step in alpha and beta [rad]."""
 
 
@@ -86,7 +86,13 @@ def quasi_steady_state(p: TwinParameters, t: float, alpha: float, f: ArrayLike, 
 
 
 def slow_manifold(
-    p: TwinParameters, t: float, alpha: float, f: ArrayLike, base_rate: ArrayLike, *, accuracy: float = ACCURACY
+    p: TwinParameters,
+    t: float,
+    alpha: float,
+    f: ArrayLike,
+    base_rate: ArrayLike,
+    *,
+    accuracy: float = _ACCURACY,
 ) -> Array:
     """State at ``t`` on the slow manifold: no nutation and no servo transient, shape (5,).
 
@@ -142,7 +148,7 @@ def run_twin(
     *,
     noise: ArrayLike | None = None,
     start: Start | ArrayLike = "slow-manifold",
-    accuracy: float = ACCURACY,
+    accuracy: float = _ACCURACY,
 ) -> TwinMotion:
     """Integrate the twin through sampled inputs.
 

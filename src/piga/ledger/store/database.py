@@ -27,7 +27,7 @@ APPLICATION_ID = 0x70696761
 """The letters ``piga`` in the header of the SQLite file."""
 SCHEMA = 1
 """Version of the tables that this piga reads and writes."""
-BUSY = 60.0
+_BUSY = 60.0
 """Longest time that a writer waits for another writer [s]."""
 _ADVISORY_LOCK = 0x7069676172656300
 _MAGIC = b"SQLite format 3\x00"
@@ -176,7 +176,7 @@ def _check_file(path: Path) -> None:
 
 def connect_sqlite(uri: str) -> sqlite3.Connection:
     """A SQLite connection with the settings of a store."""
-    connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY, check_same_thread=False)
+    connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=_BUSY, check_same_thread=False)
     for setting in ("foreign_keys=ON", "synchronous=EXTRA", "trusted_schema=OFF", "cell_size_check=ON"):
         connection.execute(f"PRAGMA {setting}")
     return connection

@@ -77,9 +77,9 @@ def write_new(path: Path, parts: Iterator[bytes]) -> None:
 
 
 IDENTITY, RECORD, LINK = "piga.store/1", "piga.record/1", "piga.link/1"
-MAX_TEXT = 2000
+_MAX_TEXT = 2000
 """Most characters of operator and reason."""
-MAX_FILES = 1000
+_MAX_FILES = 1000
 """Most files of a record."""
 PART = 1 << 20
 """Bytes of a file in one row."""
@@ -259,14 +259,14 @@ def checked_text(name: str, text: str) -> str:
         Naming the argument.
     """
     text = text.strip()
-    if not text or len(text) > MAX_TEXT or _CONTROL.search(text):
+    if not text or len(text) > _MAX_TEXT or _CONTROL.search(text):
         raise ArgumentError(
-            f"{name}: must be one line of 1 to {MAX_TEXT} letters", remedy=f"say in words: {name} = '...'"
+            f"{name}: must be one line of 1 to {_MAX_TEXT} letters", remedy=f"say in words: {name} = '...'"
         )
     return text
 
 
-def checked_moment(name: str, text: str) -> str:
+def _checked_moment(name: str, text: str) -> str:
     """Check a date or time in ISO form and return it unchanged.
 
     Raises
@@ -303,17 +303,17 @@ def check_record(document: RecordDocument) -> None:
             f"supersedes: '{document.supersedes[:40]}' is not the name of a record", remedy="e.g. 7K3QP-9XW2M"
         )
     check_label(document.serial, "the serial")
-    checked_moment("created", document.created)
+    _checked_moment("created", document.created)
     if document.measured is not None:
-        checked_moment("measured", document.measured)
+        _checked_moment("measured", document.measured)
     for name in ("operator", "reason"):
         if checked_text(name, getattr(document, name)) != getattr(document, name):
             raise ArgumentError(f"{name}: begins or ends with a space", remedy="leave it out")
     for name, value in (("request", document.request), ("software", document.software)):
         _check_plain(name, value)
-    if len(document.files) > MAX_FILES:
+    if len(document.files) > _MAX_FILES:
         raise ArgumentError(
-            f"files: {len(document.files)}, more than {MAX_FILES}", remedy="pack them into one archive"
+            f"files: {len(document.files)}, more than {_MAX_FILES}", remedy="pack them into one archive"
         )
     for file in document.files:
         safe_name(file.name)
@@ -336,9 +336,9 @@ def _check_plain(name: str, value: Any, depth: int = 8) -> None:
         if isinstance(value, list)
         else ()
     )
-    if isinstance(value, str) and (len(value) > MAX_TEXT or _CONTROL.search(value)):
+    if isinstance(value, str) and (len(value) > _MAX_TEXT or _CONTROL.search(value)):
         raise ArgumentError(
-            f"{name}: a text is longer than {MAX_TEXT} letters or holds a control character",
+            f"{name}: a text is longer than {_MAX_TEXT} letters or holds a control character",
             remedy="write a shorter text on one line",
         )
     if parts and not depth:

@@ -31,12 +31,12 @@ from piga.records.text_files import JsonError, json_object
 
 SCHEMA = "piga.export/1"
 SEAL = b"piga.export sha256:"
-MAX_MEMBERS = 1_000_000
+_MAX_MEMBERS = 1_000_000
 MAX_DOCUMENT = 16 << 20
 """Largest link or record document [bytes]."""
-MAX_SUMS = 160 * MAX_MEMBERS
+_MAX_SUMS = 160 * _MAX_MEMBERS
 """Largest ``SHA256SUMS`` [bytes]: at most 137 bytes for each member."""
-MAX_FILE = 16 << 30
+_MAX_FILE = 16 << 30
 """Largest file [bytes]."""
 MAX_RATIO = 200
 """Largest accepted ratio of unpacked to packed size. The writer stores files with a higher ratio unpacked."""
@@ -256,10 +256,10 @@ class Export:
         members: dict[str, zipfile.ZipInfo] = {}
         for member in self.zip.infolist():
             name = member.filename
-            if not _MEMBER.fullmatch(name) or name in members or len(members) >= MAX_MEMBERS:
+            if not _MEMBER.fullmatch(name) or name in members or len(members) >= _MAX_MEMBERS:
                 raise self._damaged(f"member '{name[:80]}' does not belong into an export")
             limit = (
-                MAX_FILE if name.startswith("files/") else MAX_SUMS if name == "SHA256SUMS" else MAX_DOCUMENT
+                _MAX_FILE if name.startswith("files/") else _MAX_SUMS if name == "SHA256SUMS" else MAX_DOCUMENT
             )
             dense = member.file_size > (1 << 20) + MAX_RATIO * member.compress_size
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):

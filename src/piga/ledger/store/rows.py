@@ -158,7 +158,7 @@ def read_blob(connection: sa.Connection, name: str) -> Iterator[bytes]:
         raise _damaged(name)
 
 
-BATCH_FILES, BATCH_BYTES = 200, 32 << 20
+_BATCH_FILES, _BATCH_BYTES = 200, 32 << 20
 """Most files, and most bytes, that are read in one query."""
 
 
@@ -215,7 +215,7 @@ def _in_batches(
     for name, size in wanted:
         batch.append((name, size))
         size_of_batch += size
-        if len(batch) == BATCH_FILES or size_of_batch > BATCH_BYTES:
+        if len(batch) == _BATCH_FILES or size_of_batch > _BATCH_BYTES:
             yield from _read_batch(connection, batch)
             batch, size_of_batch = [], 0
     yield from _read_batch(connection, batch)

@@ -54,7 +54,7 @@ from piga.records.calibration.document import MOST_BYTES, calibration_from_bytes
 ROWS = 500
 """Records fetched in one query."""
 
-INPUT_ROLES = ("run", "data", "sidecar", "stand")
+_INPUT_ROLES = ("run", "data", "sidecar", "stand")
 """Roles of the files that a calibration is computed from."""
 
 
@@ -184,7 +184,7 @@ class Store:
             If a name would lead out of the folder, or a file exists already.
         """
         record = self.record(name)
-        kept = [file for file in record.document.files if not inputs_only or file.role in INPUT_ROLES]
+        kept = [file for file in record.document.files if not inputs_only or file.role in _INPUT_ROLES]
         run = folder
         with self.database.reading() as connection:
             for file in kept:

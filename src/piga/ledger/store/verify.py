@@ -43,7 +43,7 @@ from piga.ledger.store.rows import (
 from piga.ledger.store.store import Store
 from piga.progress import Progress, report
 
-MAX_PROBLEMS = 100
+_MAX_PROBLEMS = 100
 
 
 class VerifiedSource(Protocol):
@@ -83,7 +83,7 @@ class Verification:
 
     def problem(self, text: str) -> None:
         """Add a problem. Only the first hundred are kept."""
-        if len(self.problems) < MAX_PROBLEMS:
+        if len(self.problems) < _MAX_PROBLEMS:
             self.problems.append(text)
 
 

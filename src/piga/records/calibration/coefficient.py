@@ -25,7 +25,7 @@ TYPE_A_ONLY = "Type A only; the reference's uncertainty was not given"
 """Remark beside every uncertainty of a calibration whose budget has no source of Type B."""
 OF_THE_MODEL = ("servo ", "k3 ", "meaning of ", "earth_rate", "height")
 """Prefixes of the names of Type B sources that belong to the model, or whose size nobody stated."""
-ALMOST_KNOWN = 1e9
+_ALMOST_KNOWN = 1e9
 """From this number of degrees of freedom on, F(n, nu) equals F(n, infinity) to every printed digit."""
 
 
@@ -34,7 +34,7 @@ Number = Annotated[float, Meta(ge=-1e100, le=1e100)]
 Level = Annotated[float, Meta(ge=0.0, le=1e100)]
 """A non-negative number, such as a standard uncertainty, a noise level or a largest residual."""
 
-SourceStatus = Literal["stated", "bounded", "waived", "assumed", "unstated"]
+_SourceStatus = Literal["stated", "bounded", "waived", "assumed", "unstated"]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class StandSource:
     """
 
     name: str
-    status: SourceStatus
+    status: _SourceStatus
     unit: str = "1"
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
     reason: str = ""
@@ -143,7 +143,7 @@ def joint_factor(coefficients: Iterable[Coefficient]) -> float:
 
     degrees = [coefficient.degrees_of_freedom for coefficient in coefficients]
     count, fewest = len(degrees), min(degrees)
-    if fewest > ALMOST_KNOWN:
+    if fewest > _ALMOST_KNOWN:
         return math.sqrt(float(chdtri(count, 1.0 - PROBABILITY)))
     return math.sqrt(count * float(fdtri(count, fewest, PROBABILITY)))
 

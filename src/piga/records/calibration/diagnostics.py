@@ -52,11 +52,11 @@ class Quality:
     def lost(self) -> float:
         """Share of the rows of the positions that were not used; moves and the time to settle are no part of them."""
         unused = self.rows - self.used
-        between = min(sum(e.count for e in self.events if e.kind in BETWEEN_POSITIONS), unused)
+        between = min(sum(e.count for e in self.events if e.kind in _BETWEEN_POSITIONS), unused)
         return (unused - between) / max(self.rows - between, 1)
 
 
-BETWEEN_POSITIONS = ("moving", "settling")
+_BETWEEN_POSITIONS = ("moving", "settling")
 """Events whose rows lie between the positions of the stand."""
 
 

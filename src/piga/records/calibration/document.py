@@ -47,7 +47,7 @@ ROUNDING = 1e-9
 """Largest rounding error of a correlation (own choice). The smallest eigenvalue may be this, times the matrix size, below zero."""
 SAME = 1e-6
 """Largest relative difference between a standard uncertainty and the square root of its variance (own choice)."""
-MOST_OUTLIERS = 10_000
+_MOST_OUTLIERS = 10_000
 """Most outliers that are listed one by one. The events of the quality section count all of them."""
 
 
@@ -167,7 +167,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     if c.runs:
         document["runs"] = [_renamed(msgspec.to_builtins(run), "phases", "phase") for run in c.runs]
     if c.outliers:
-        document["outliers"] = c.outliers[:MOST_OUTLIERS]
+        document["outliers"] = c.outliers[:_MOST_OUTLIERS]
     plain = cast("dict[str, Any]", msgspec.to_builtins(document, enc_hook=float))
     if c.direct:  # nothing turns
         for table, keys in (

@@ -62,7 +62,7 @@ class Thresholds:
 
 THRESHOLDS = Thresholds()
 
-NOISE_WORDS = ("drift", "scatter", "not white")
+_NOISE_WORDS = ("drift", "scatter", "not white")
 """A doubt with one of these words warns of the noise of the record."""
 EXAMPLES = 3
 """Most effects of sources that are not stated which the verdict names."""
@@ -117,7 +117,7 @@ class Verdict:
     @property
     def warns_of_noise(self) -> bool:
         """True if a doubt is about the noise of the record."""
-        return any(word in doubt.what for doubt in self.doubts for word in NOISE_WORDS)
+        return any(word in doubt.what for doubt in self.doubts for word in _NOISE_WORDS)
 
     @property
     def headline(self) -> str:

@@ -31,13 +31,13 @@ from piga.units import ARCSEC, G0, MICRO_G
 
 Array = NDArray[np.float64]
 
-LAGS = 40
+_LAGS = 40
 """Lags of the autocorrelation."""
-MOST_SOURCES = 6
+_MOST_SOURCES = 6
 """Sources of the budget that the figure shows."""
 BEAT = "the beat of whole counts with the sampling makes it, not the instrument"
 """Why a line stands in the spectrum of a counted output."""
-COUNTED_NOTE = (
+_COUNTED_NOTE = (
     "The output is read in whole counts: the distribution is flat, and lags outside the band correlate as whole counts make "
     "them. The verdict has the test."
 )
@@ -53,21 +53,21 @@ def calibration_figures(cal: Calibration) -> dict[str, Figure]:
     if cal.residuals is not None and cal.residuals.t.size:
         part = leading_part(cal.residuals)
         if cal.runs:
-            figures |= run_figures(cal)
+            figures |= _run_figures(cal)
         else:
             figures["residuals"] = residual_figure(cal.residuals, residual_quantity(cal))
         verdict = cal.diagnostics.verdict
-        figures["whiteness"] = whiteness_figure(part, verdict) if np.isfinite(part.innovation).any() else None
+        figures["whiteness"] = _whiteness_figure(part, verdict) if np.isfinite(part.innovation).any() else None
         angles = residual_angles(part, cal.diagnostics.residual_kind)
         noise, single = (cal.angle_rms, cal.angle_random_walk), shown_segments(cal)
-        figures["allan"] = None if cal.runs else allan_figure(angles, noise, single, cal.unit)
+        figures["allan"] = None if cal.runs else _allan_figure(angles, noise, single, cal.unit)
     if cal.residuals is not None and cal.residuals.t.size and not cal.direct:
         spectrum, turned = order_spectrum(angles, scale_factor(cal), noise), ripple(angles, scale_factor(cal))
         figures["orders"] = spectrum_figure(spectrum, cal, single) if spectrum.segments else None
-        figures["ripple"] = ripple_figure(turned) if turned.segments else None
+        figures["ripple"] = _ripple_figure(turned) if turned.segments else None
     figures["segments"] = segment_figure(cal) if len(cal.segments) > 1 else None
     figures["creep"] = creep_figure(cal)
-    figures["outliers"] = outlier_figure(cal)
+    figures["outliers"] = _outlier_figure(cal)
     figures["convergence"] = convergence_figure(cal)
     return {name: figure for name, figure in figures.items() if figure is not None}
 
@@ -106,7 +106,7 @@ def residual_figure(
     )
 
 
-def run_figures(cal: Calibration) -> dict[str, Figure]:
+def _run_figures(cal: Calibration) -> dict[str, Figure]:
     """Residuals against time of every run, each with its own clock and scales."""
     residuals = cal.residuals
     if residuals is None or residuals.run is None:
@@ -175,12 +175,12 @@ def spectrum_figure(
         "Specific-force ripple that would leave these residuals, by how often it repeats in one turn of the output. Good: "
         "after calibration no line stands out of what is expected. A line at a whole order is a harmonic that the model "
         "lacks (order 1: cross-coupling; 2: servo stiffness, unequal inertia; others: encoder and bearings).",
-        *order_lines(spectrum, cal),
+        *_order_lines(spectrum, cal),
         f"From {_segments_that_turn(spectrum.segments)}.",
     )
 
 
-def order_lines(spectrum: OrderSpectrum, cal: Calibration | None) -> list[str]:
+def _order_lines(spectrum: OrderSpectrum, cal: Calibration | None) -> list[str]:
     """Lines that stand out of the noise, each in one sentence."""
     lines = []
     for order, index, explained in spectrum.lines():
@@ -192,7 +192,7 @@ def order_lines(spectrum: OrderSpectrum, cal: Calibration | None) -> list[str]:
     return lines
 
 
-def ripple_figure(turned: Ripple) -> Figure:
+def _ripple_figure(turned: Ripple) -> Figure:
     """Ripple against output angle, before and after, each on its own scale."""
     plot = Plot("ripple", "Ripple in one turn of the output.", columns=2, height=2.7)
     angle = Axis("output angle ψ", "deg", limits=(0.0, 360.0))
@@ -219,7 +219,7 @@ def _segments_that_turn(number: int) -> str:
 # -- noise ---------------------------------------------------------------------------------------------
 
 
-def allan_figure(
+def _allan_figure(
     residuals: Residuals, noise: tuple[float, float], single: Sequence[int] = (), unit: str = GYRO
 ) -> Figure | None:
     """Overlapping Allan deviation with its 68 % band, the noise found, and the slope of a bias drift for comparison.
@@ -275,14 +275,14 @@ def _begins(residuals: Residuals) -> NDArray[np.bool_]:
     return begins
 
 
-def whiteness_figure(residuals: Residuals, verdict: str | None = None) -> Figure:
+def _whiteness_figure(residuals: Residuals, verdict: str | None = None) -> Figure:
     """Distribution and autocorrelation of the whitened residuals; ``verdict``: that of the tests of them."""
     innovation = np.asarray(residuals.innovation, dtype=float)
     innovation = innovation[np.isfinite(innovation)]
     density, edges = np.histogram(innovation, bins=50, range=(-5.0, 5.0), density=True)
     centre = 0.5 * (edges[1:] + edges[:-1])
     normal = np.exp(-0.5 * centre**2) / math.sqrt(2.0 * math.pi)
-    lags, correlation = autocorrelation(innovation, LAGS)
+    lags, correlation = _autocorrelation(innovation, _LAGS)
     bound = np.full(lags.size, 1.96 / math.sqrt(max(innovation.size, 1)))
     plot = Plot("whiteness", "Whitened residuals.", columns=2, height=2.6)
     plot.panel("whitened residual", "density", "Distribution")
@@ -295,11 +295,11 @@ def whiteness_figure(residuals: Residuals, verdict: str | None = None) -> Figure
     return plot.caption(
         "Each residual divided by what the noise model expects of it. Good: the found distribution lies on the expected "
         "one, and the autocorrelation stays inside its band.",
-        *((COUNTED_NOTE,) if verdict == COUNTED else ()),
+        *((_COUNTED_NOTE,) if verdict == COUNTED else ()),
     )
 
 
-def autocorrelation(values: Array, lags: int) -> tuple[Array, Array]:
+def _autocorrelation(values: Array, lags: int) -> tuple[Array, Array]:
     """Autocorrelation of ``values`` at lags 1 to ``lags``."""
     lags = min(lags, max(values.size - 2, 0))
     centred = values - values.mean() if values.size else values
@@ -356,7 +356,7 @@ def budget_figure(cal: Calibration) -> Figure | None:
     if not keys:
         return None
     number = np.arange(1, len(keys) + 1)
-    largest = sorted(shares, key=lambda source: -max(shares[source]))[:MOST_SOURCES]
+    largest = sorted(shares, key=lambda source: -max(shares[source]))[:_MOST_SOURCES]
     roles: tuple[Role, ...] = ("after", "before", "model", "reference", "warning", "muted")
     y = Axis("share of the variance", "%", limits=(-3.0, 103.0))
     plot = Plot(
@@ -372,7 +372,7 @@ def budget_figure(cal: Calibration) -> Figure | None:
     )
 
 
-def outlier_figure(cal: Calibration) -> Figure | None:
+def _outlier_figure(cal: Calibration) -> Figure | None:
     """Size of every outlier, against time."""
     runs = list(dict.fromkeys(outlier.run for outlier in cal.outliers))
     if not runs:

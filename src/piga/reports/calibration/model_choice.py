@@ -11,7 +11,7 @@ from piga.reports.render.numbers import count, pretty_unit, printed, rounded, sh
 from piga.reports.render.page import Block, Cell, FigureBlock, Section, Table, TableOf, Text
 from piga.units import MICRO_G
 
-NUMBERED = tuple[int, dict[str, Any]]
+_NUMBERED = tuple[int, dict[str, Any]]
 """A set with its number in the table."""
 
 
@@ -27,7 +27,7 @@ def comparison_sections(cal: Calibration) -> tuple[Section, ...]:
     )
     words = Text(comparison_words(document))
     blocks: list[Block] = [Text(lead, lead=True), words, comparison_table(document)]
-    figure, shifts = comparison_figure(document), shift_table(document)
+    figure, shifts = _comparison_figure(document), _shift_table(document)
     blocks += [] if figure is None else [FigureBlock(figure)]
     blocks += [] if shifts is None else [shifts]
     return (Section("Model choice", "model-choice", tuple(blocks)),)
@@ -51,7 +51,7 @@ def comparison_words(document: dict[str, Any]) -> str:
 
 def comparison_table(document: dict[str, Any]) -> Table:
     """One row per set, the least BIC first."""
-    numbered: list[NUMBERED] = sorted(
+    numbered: list[_NUMBERED] = sorted(
         enumerate(document["sets"], start=1), key=lambda item: (item[1].get("bic", float("inf")), item[0])
     )
 
@@ -99,7 +99,7 @@ def _remark(candidate: dict[str, Any], document: dict[str, Any]) -> str | Cell:
     return Cell(", ".join(remarks), "good") if remarks else ""
 
 
-def comparison_figure(document: dict[str, Any]) -> Figure | None:
+def _comparison_figure(document: dict[str, Any]) -> Figure | None:
     """BIC and error of prediction of every set."""
     sets = _determined(document)
     if not sets:
@@ -120,16 +120,16 @@ def comparison_figure(document: dict[str, Any]) -> Figure | None:
     )
 
 
-def _names(sets: list[NUMBERED]) -> tuple[str, ...]:
+def _names(sets: list[_NUMBERED]) -> tuple[str, ...]:
     return tuple(", ".join(one["terms"]) for _, one in sets)
 
 
-def _determined(document: dict[str, Any]) -> list[NUMBERED]:
+def _determined(document: dict[str, Any]) -> list[_NUMBERED]:
     """The sets that the record determines, with their numbers in the table."""
     return [(number, one) for number, one in enumerate(document["sets"], start=1) if "bic" in one]
 
 
-def shift_table(document: dict[str, Any]) -> Table | None:
+def _shift_table(document: dict[str, Any]) -> Table | None:
     """Every coefficient in every set that is determined."""
     sets = _determined(document)
     if len(sets) < 2:

@@ -63,7 +63,7 @@ from piga.reports.render.page import (
 from piga.units import G0
 
 
-def files_in_words(cal: Calibration) -> str:
+def _files_in_words(cal: Calibration) -> str:
     """The data files, or the runs."""
     if cal.runs:
         return ", ".join(run.name for run in cal.runs)
@@ -72,7 +72,7 @@ def files_in_words(cal: Calibration) -> str:
     return ", ".join(data) or "a record in memory"
 
 
-def total_duration(cal: Calibration) -> float:
+def _total_duration(cal: Calibration) -> float:
     """Duration of all segments [s]."""
     if cal.segments:
         return math.fsum(segment.duration for segment in cal.segments)
@@ -83,7 +83,7 @@ def total_duration(cal: Calibration) -> float:
     )
 
 
-def period_in_words(seconds: float) -> str:
+def _period_in_words(seconds: float) -> str:
     """A duration in seconds, minutes or hours."""
     if seconds < 120.0:
         return f"{significant(seconds, 3)} s"
@@ -92,7 +92,7 @@ def period_in_words(seconds: float) -> str:
     )
 
 
-def segments_in_words(cal: Calibration) -> str:
+def _segments_in_words(cal: Calibration) -> str:
     """Numbers of runs and segments, in words."""
     runs = f"{len(cal.runs)} runs, " if cal.runs else ""
     return runs + ("one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments")
@@ -123,7 +123,7 @@ def figures(cal: Calibration) -> dict[str, Callable[[], Figure]]:
     return {name: partial(figure, cal, name) for name in names}
 
 
-NO_FIGURE = {
+_NO_FIGURE = {
     "creep": "calibrate a record of five positions or more",
     "segments": "calibrate a record: these coefficients have no segments",
     "budget": "calibrate a record, or read a calibration.json that has a budget",
@@ -148,10 +148,10 @@ def figure(cal: Calibration, name: str) -> Figure:
         drawn = next((f for key, f in calibration_figures(cal).items() if key.startswith(name)), None)
     if drawn is None:
         other = "calibrate a record that has what the figure shows"
-        if name not in NO_FIGURE and cal.residuals is None and not cal.given:
+        if name not in _NO_FIGURE and cal.residuals is None and not cal.given:
             other = "calibrate the record in this process: calibration.json holds no residuals"
         raise CalibrationError(
-            f"plot.{name}: this calibration has no data for the figure", remedy=NO_FIGURE.get(name, other)
+            f"plot.{name}: this calibration has no data for the figure", remedy=_NO_FIGURE.get(name, other)
         )
     return drawn
 
@@ -232,10 +232,10 @@ def _title(cal: Calibration) -> str:
 def _subtitle(cal: Calibration) -> str:
     if cal.given:
         return "The coefficients were given, not estimated from a record."
-    extent = f"{segments_in_words(cal)}, {period_in_words(total_duration(cal))}"
+    extent = f"{_segments_in_words(cal)}, {_period_in_words(_total_duration(cal))}"
     phases = "" if cal.direct else f", phases {cal.phases}"
     model = f"Method {cal.method}{phases}, terms {', '.join(cal.terms)}."
-    return f"{files_in_words(cal)}: {extent}, {count(cal.quality.used)} samples used. {model}"
+    return f"{_files_in_words(cal)}: {extent}, {count(cal.quality.used)} samples used. {model}"
 
 
 def _improvement(before: float, after: float) -> str:
@@ -334,8 +334,8 @@ def _tested(cal: Calibration) -> Section:
         phase = "; ".join(f"run {run.name}: {run.phases}" for run in cal.runs)
     rows = [
         ("Instrument", cal.serial),
-        ("Data", files_in_words(cal)),
-        ("Duration", f"{period_in_words(total_duration(cal))} in {segments_in_words(cal)}"),
+        ("Data", _files_in_words(cal)),
+        ("Duration", f"{_period_in_words(_total_duration(cal))} in {_segments_in_words(cal)}"),
         ("Rows", f"{count(seen.rows)} read, {count(seen.used)} used, {count(seen.masked)} masked"),
         ("Model terms", terms),
         *(() if cal.direct else (("Phase of the output", f"{phase}; source: {cal.phase_source}"),)),

@@ -19,7 +19,7 @@ from piga.units import ARCSEC, G0
 
 
 @dataclass(frozen=True)
-class TableSettings:
+class _TableSettings:
     """What the tables of a calibration show (own choices)."""
 
     segments: int = 60
@@ -45,7 +45,7 @@ class TableSettings:
     """Most segments of a page on which the reader can select one."""
 
 
-TABLES = TableSettings()
+TABLES = _TableSettings()
 
 
 TONES: dict[Grade, Tone] = {"clear": "good", "doubt": "doubtful", "do not use": "bad"}
@@ -254,7 +254,7 @@ def segment_table(cal: Calibration) -> Table:
         .number("Largest after", lambda segment: short(segment.max_after / per), unit)
     )
     if phases:
-        table.number("Phase φ", lambda segment: phase_shown(phases.get(segment.label)), "rad")
+        table.number("Phase φ", lambda segment: _phase_shown(phases.get(segment.label)), "rad")
     return table.table(notes=notes, segments=tuple(chosen))
 
 
@@ -262,7 +262,7 @@ def _rms_after(rms: float, typical: float) -> Cell:
     return Cell(short(rms), "doubtful" if rms > 3.0 * typical else "")
 
 
-def phase_shown(phase: Coefficient | None) -> str:
+def _phase_shown(phase: Coefficient | None) -> str:
     """The phase of a segment with its standard uncertainty in brackets, or that it is not determined; a dash for none."""
     if phase is None:
         return "–"
@@ -323,7 +323,7 @@ def facts_table(rows: list[tuple[str, str]], *, code: bool = False) -> Table:
     return named_values("Item", "Value", rows, code=code)
 
 
-LABELS = {
+_LABELS = {
     "residual_kind": "Residuals are those of the",
     "samples": "Whitened residuals",
     "variance": "Variance of the whitened residuals",
@@ -360,7 +360,7 @@ def scalars(document: dict[str, Any]) -> list[tuple[str, str]]:
     """Plain entries of a free-form dictionary, for a facts table; nested entries get dotted names."""
     rows: list[tuple[str, str]] = []
     for name, value in document.items():
-        key = LABELS.get(name, name)
+        key = _LABELS.get(name, name)
         if name == "range" and isinstance(value, dict):
             rows += [_range_row(what, ends) for what, ends in value.items()]
         elif isinstance(value, dict):

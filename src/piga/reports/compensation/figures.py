@@ -19,7 +19,7 @@ from piga.units import G0, MICRO_G
 
 Array = NDArray[np.float64]
 
-WINDOW = 16
+_WINDOW = 16
 """Turns of the output that a spectrum looks at together."""
 TIME = "time since the first row [s]"
 _FLAG_ROLES: dict[str, Role] = {"no_increment": "muted", "near_critical": "model", "age": "reference"}
@@ -42,7 +42,7 @@ def error_figures(
     errors = compensation_errors(record, result, scale_factor)
     if record.direct:
         return (error_figure(errors),)
-    return error_figure(errors), error_spectrum_figure(leading_part(errors), scale_factor, noise)
+    return error_figure(errors), _error_spectrum_figure(leading_part(errors), scale_factor, noise)
 
 
 def compensation_errors(record: Run, result: Compensated, scale_factor: float) -> Residuals:
@@ -69,14 +69,14 @@ def compensation_errors(record: Run, result: Compensated, scale_factor: float) -
 
 
 def in_windows(residuals: Residuals) -> Residuals:
-    """The residuals with every segment cut into windows of ``WINDOW`` turns: where the force changes, so does the drift.
+    """The residuals with every segment cut into windows of ``_WINDOW`` turns: where the force changes, so does the drift.
 
     A spectrum of revolution orders takes out one drift per segment; over a moving record that is not enough.
     """
     psi = residuals.psi
     change = np.diff(residuals.segment, prepend=-1) != 0
     starts = psi[change][np.cumsum(change) - 1]
-    window = np.floor((psi - starts) / (2.0 * np.pi * WINDOW))
+    window = np.floor((psi - starts) / (2.0 * np.pi * _WINDOW))
     segment = np.cumsum(change | (np.diff(window, prepend=0.0) != 0.0))
     return replace(residuals, segment=segment.astype(np.int32))
 
@@ -100,7 +100,7 @@ def error_figure(errors: Residuals) -> Figure:
     )
 
 
-def error_spectrum_figure(errors: Residuals, scale_factor: float, noise: tuple[float, float]) -> Figure:
+def _error_spectrum_figure(errors: Residuals, scale_factor: float, noise: tuple[float, float]) -> Figure:
     """Amplitude of the error in revolution order; a line at an order is a missed term."""
     spectrum = order_spectrum(in_windows(errors), scale_factor, noise)
     plot = Plot(
@@ -199,7 +199,7 @@ def correction_spectrum(instrument: Indication) -> tuple[Array, Array]:
     """Revolution orders, and the amplitude of the correction [m/s^2] at each, from the leading rows.
 
     The correction holds no noise to speak of, so it is demodulated by the output angle as it is: windows of at most
-    ``WINDOW`` turns, each less its mean and under a raised cosine, combined as root mean square over time. Windows
+    ``_WINDOW`` turns, each less its mean and under a raised cosine, combined as root mean square over time. Windows
     that turn less than half as far as the farthest, or show less than two cycles of an order, are left out.
     Changes of attitude leak as the inverse of the order only. Own derivation.
     """

@@ -38,7 +38,7 @@ class Marks:
     last: float
 
 
-def marks_of(t: Array) -> Marks:
+def _marks_of(t: Array) -> Marks:
     """The marks of rows at these times."""
     first, last = (float(t[0]), float(t[-1])) if t.size else (math.nan, math.nan)
     return Marks(t[:: math.ceil(t.size / MARKS) or 1], t.size, first, last)
@@ -64,7 +64,7 @@ class Indication:
     leading: Residuals
 
 
-def indication_of(
+def _indication_of(
     record: Run, calibration: Calibration, begins: NDArray[np.bool_], ax: Array, dv: Array, flags: Flags
 ) -> tuple[Indication, Array]:
     """An instrument with its compensation, and the indicated specific force [m/s^2]."""
@@ -108,7 +108,7 @@ class CompensationOutline:
         self.size, self.start = result.size, float(result.t[0])
         self.flagged = int(np.count_nonzero(result.flags & ~FLAGS["no_increment"]))
         self.velocity = np.atleast_1d(result.dv.sum(axis=0))
-        self.marks = {name: marks_of(result.t[result.flagged(name)]) for name in FLAGS}
+        self.marks = {name: _marks_of(result.t[result.flagged(name)]) for name in FLAGS}
         self._t = result.t
         self._curves: dict[str, tuple[Array, Array]] = {}
         self._rms: dict[str, float] = {}
@@ -150,7 +150,7 @@ class CompensationOutline:
 def of_record(record: Run, calibration: Calibration, result: Compensated) -> CompensationOutline:
     """Outline of a single instrument."""
     outline = CompensationOutline(record.kind, result)
-    one, indicated = indication_of(record, calibration, record.begins, result.ax, result.dv, result.flags)
+    one, indicated = _indication_of(record, calibration, record.begins, result.ax, result.dv, result.flags)
     outline.instruments.append(one)
     outline.add_component("a_x", indicated, result.ax, result.u_ax)
     return outline
@@ -167,7 +167,7 @@ def of_set(records: Sequence[Run], mounted: Sequence[Mounted], result: Compensat
             np.asarray(item.axes[0], dtype=float),
             result.each[i] if result.each.size else result.flags,
         )
-        one, along = indication_of(record, item.calibration, begins, result.f @ axis, result.dv @ axis, flags)
+        one, along = _indication_of(record, item.calibration, begins, result.f @ axis, result.dv @ axis, flags)
         outline.instruments.append(one)
         for k, share in enumerate(from_axes[:, i]):
             indicated[k] += share * along

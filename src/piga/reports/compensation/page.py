@@ -101,7 +101,7 @@ def page(result: Compensated) -> Page:
     return compensation_page(outline, facts, (run, result))
 
 
-def coefficient_words(c: Coefficient) -> tuple[str, str]:
+def _coefficient_words(c: Coefficient) -> tuple[str, str]:
     """A coefficient with its standard uncertainty in brackets, and its unit, as the calibration's own report has them."""
     scale, unit = shown_unit(c.name, c.unit)
     return printed(rounded(c.value * scale, c.std * scale).concise), pretty_unit(unit)
@@ -303,8 +303,8 @@ def _provenance(outline: CompensationOutline, facts: CompensationFacts) -> Secti
     if many:
         table.text("instrument", lambda row: row[0])
     table.text("coefficient", lambda row: row[1].key)
-    table.number("value", lambda row: coefficient_words(row[1])[0])
-    table.text("unit", lambda row: coefficient_words(row[1])[1])
+    table.number("value", lambda row: _coefficient_words(row[1])[0])
+    table.text("unit", lambda row: _coefficient_words(row[1])[1])
     how = named_values("", "", options, "How it was compensated.")
     read = named_values("file", "SHA-256", facts.files, "Files as they were read.", code=True)
     used = table.table("Coefficients of the calibration, standard uncertainty in brackets.")

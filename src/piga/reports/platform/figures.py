@@ -137,7 +137,7 @@ def cone_figure(run: PlatformRun, aligned: Alignment) -> Figure:
     )
 
 
-MODEL_ROLES: dict[str, Role] = {"none": "muted", "A": "before", "B": "after", "C": "model"}
+_MODEL_ROLES: dict[str, Role] = {"none": "muted", "A": "before", "B": "after", "C": "model"}
 _LABELS = {
     "east_velocity": ("east velocity line", "m/s", 1.0),
     "north_velocity": ("north velocity line", "m/s", 1.0),
@@ -173,7 +173,7 @@ def lines_figure(comparison: ModelComparisonRun, which: Case = "amplitude") -> F
         plot.panel("day", f"log {quantity} [{unit}]")
         for model, run in comparison.models.items():
             label, amplitude = model_name(model), getattr(run.lines, which)[name]
-            plot.marked(run.lines.day, amplitude / scale, label, MODEL_ROLES[model])
+            plot.marked(run.lines.day, amplitude / scale, label, _MODEL_ROLES[model])
             if model in WITH_THEORY[which] and run.theory is not None:
                 theory = getattr(run.theory, which)[name]
                 plot.dashed(run.theory.day, theory / scale, f"theory, {label}")
@@ -246,7 +246,7 @@ def _channels(
             values = (e.velocity[:, 1], e.attitude[:, 2], e.attitude[:, 0])[k][part] / scale
             values = averaged(values - values.mean() if origin else values, width)
             times = averaged(e.times[part] - origin, width) / unit
-            plot.line(times, values, model_name(model), MODEL_ROLES[model])
+            plot.line(times, values, model_name(model), _MODEL_ROLES[model])
     return plot.caption(caption)
 
 
@@ -270,7 +270,7 @@ def position_figure(comparison: ModelComparisonRun) -> Figure:
     log = "log " if largest > 30.0 * least else ""
     plot = Plot("fig-position", "Horizontal position error", axis, f"{log}horizontal position error [m]")
     for m, peak in peaks.items():
-        plot.line(times / unit, peak, model_name(m), MODEL_ROLES[m])
+        plot.line(times / unit, peak, model_name(m), _MODEL_ROLES[m])
     return plot.caption(
         "Distance between where the navigator says it is and where it is; largest of 84 minutes."
     )
@@ -291,7 +291,7 @@ def spectrum_figure(comparison: ModelComparisonRun) -> Figure:
         keep = (frequency > 1.0 / (6.0 * HOUR)) & (frequency < 1.0 / 60.0)
         amplitude = np.maximum(amplitude[keep], 1e-9)
         low, high = min(low, float(np.percentile(amplitude, 10))), max(high, float(amplitude.max()))
-        plot.line(1.0 / frequency[keep] / MINUTE, amplitude, model_name(model), MODEL_ROLES[model])
+        plot.line(1.0 / frequency[keep] / MINUTE, amplitude, model_name(model), _MODEL_ROLES[model])
     if s.polar_rotation.rate > 0.0 or s.equatorial_rotation.rate > 0.0:
         rates = case_rates(s)
         labels = ("case rotation",) if len(rates) == 1 else ("polar case", "equatorial case")

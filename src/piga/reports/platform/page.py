@@ -62,7 +62,7 @@ def page(title: str, s: PlatformScenario, tiles: tuple[Tile, ...], sections: tup
     return Page(title, where, tiles, sections, "piga platform", _FOOTER)
 
 
-def parameter_table(identification: Identification, s: PlatformScenario) -> Table:
+def _parameter_table(identification: Identification, s: PlatformScenario) -> Table:
     """Identified amplitudes and phases with their uncertainties, beside the truth."""
     truth = _truth_by_name(
         apparent_gyro(s.polar, s.polar_rotation), apparent_gyro(s.equatorial, s.equatorial_rotation)
@@ -141,7 +141,7 @@ def identification_page(
         spread = f"± {short(m.std / ARCSEC)} arcsec"
         tiles.append(Tile(f"{gyro} misalignment", f"{m.value / ARCMIN:.5f}", "arcmin", spread))
     tiles.append(Tile("condition", short(identification.condition), "", " + ".join(identification.sources)))
-    blocks: list[Block] = [parameter_table(identification, s)]
+    blocks: list[Block] = [_parameter_table(identification, s)]
     blocks += [Notice("info", note) for note in identification.notes]
     sections = (
         Section("Misalignments, phases and harmonics", "parameters", tuple(blocks)),
@@ -354,7 +354,7 @@ def _preparation_section(s: PlatformScenario, p: Preparation) -> tuple[Section, 
     notes = tuple(Notice("info", f"note: {note}") for note in p.notes)
     blocks: list[Block] = []
     if p.identification is not None:
-        blocks.append(parameter_table(p.identification, s))
+        blocks.append(_parameter_table(p.identification, s))
     else:
         blocks.append(Text("The true misalignments were used."))
     given = Section("What the models were given", "given", tuple(blocks))

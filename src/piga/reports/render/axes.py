@@ -33,7 +33,7 @@ WIDTH = 7.2
 """Width of a figure [inch]: two columns of a journal."""
 SMALL = 8.5
 """Size of letters [point]."""
-LETTERS = 16.0
+_LETTERS = 16.0
 """Letters of a label in an inch."""
 STYLE: dict[str, Any] = {
     "font.family": ["DejaVu Sans"],
@@ -44,7 +44,7 @@ STYLE: dict[str, Any] = {
     "pdf.fonttype": 42,
 }
 """Settings of a file: text stays text, and the same figure gives the same bytes."""
-NO_METADATA: dict[str, dict[str, None]] = {
+_NO_METADATA: dict[str, dict[str, None]] = {
     "svg": {"Date": None, "Creator": None},
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
     "png": {"Software": None},
@@ -75,7 +75,7 @@ def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
     """
     if ax is None:
         drawing = _new(figure, legend="outside lower left")  # the title is above
-        drawing.suptitle(_words(figure.title, WIDTH * LETTERS), fontsize=SMALL + 1.5, color=INK)
+        drawing.suptitle(_words(figure.title, WIDTH * _LETTERS), fontsize=SMALL + 1.5, color=INK)
         return drawing
     chosen = [ax] if isinstance(ax, Axes) else list(np.ravel(np.asarray(ax, dtype=object)))
     needed = len(figure.panels)
@@ -108,7 +108,7 @@ def write_figure(figure: Figure, path: Path, *, width: float = WIDTH, dpi: int =
         If the file name ends otherwise.
     """
     kind = path.suffix.lower().removeprefix(".")
-    if kind not in NO_METADATA:
+    if kind not in _NO_METADATA:
         raise ArgumentError(
             f"{path}: figures are written as .svg, .pdf or .png", remedy="choose one of these endings"
         )
@@ -125,7 +125,7 @@ def figure_svg(figure: Figure, *, width: float = WIDTH) -> str:
 def _saved(figure: Figure, kind: str, width: float, dpi: int) -> bytes:
     buffer = io.BytesIO()
     with mpl.rc_context(STYLE):  # type: ignore[arg-type]
-        _new(figure, width).savefig(buffer, format=kind, dpi=dpi, metadata=NO_METADATA[kind])
+        _new(figure, width).savefig(buffer, format=kind, dpi=dpi, metadata=_NO_METADATA[kind])
     return buffer.getvalue()
 
 
@@ -140,7 +140,7 @@ def _new(figure: Figure, width: float = WIDTH, legend: _Place = "outside upper l
         axes = drawing.add_subplot(rows, columns, number, sharex=first if figure.shares_x else None)
         first = first or axes
         inside = figure.shares_x and number < len(figure.panels)
-        _panel(panel, axes, inside=inside, letters=(width / columns * LETTERS, figure.height * LETTERS))
+        _panel(panel, axes, inside=inside, letters=(width / columns * _LETTERS, figure.height * _LETTERS))
         handles, names = axes.get_legend_handles_labels()
         drawn = dict(zip(names, handles, strict=True))
         order = [_words(series.name) for series in panel.series if series.name]
@@ -148,7 +148,7 @@ def _new(figure: Figure, width: float = WIDTH, legend: _Place = "outside upper l
     if named:
         drawing.set_figheight(drawing.get_figheight() + 0.18)
         letters = max(len(name) for name in named) + 3
-        across = max(1, min(len(named), int(width * LETTERS / letters)))
+        across = max(1, min(len(named), int(width * _LETTERS / letters)))
         drawing.legend(
             list(named.values()),
             list(named),

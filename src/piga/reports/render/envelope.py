@@ -20,7 +20,7 @@ POINTS = 2000
 """Points that a drawn curve keeps at most."""
 SHOWN = 1 << 20
 """Samples that figures work on at most."""
-OUTLINE = 50_000
+_OUTLINE = 50_000
 """Points of the residuals of a very long record."""
 
 
@@ -67,7 +67,7 @@ def outline(residuals: Residuals) -> Residuals:
         return residuals
     edges = _edges(residuals.segment)
     ends = np.unique(np.concatenate((edges[:-1], edges[1:] - 1)))
-    drawn = [envelope_rows(values, OUTLINE) for values in (residuals.before, residuals.after)]
+    drawn = [envelope_rows(values, _OUTLINE) for values in (residuals.before, residuals.after)]
     return rows_of(residuals, np.unique(np.concatenate([ends, *drawn])))
 
 

@@ -289,7 +289,7 @@ LIGHT: Final[dict[Role, str]] = {
 }
 """Colour of each role on white paper."""
 
-DARK: Final[dict[Role, str]] = {
+_DARK: Final[dict[Role, str]] = {
     "data": "#b4c3d3",
     "model": "#4fcaa6",
     "before": "#f0995c",
@@ -315,5 +315,5 @@ def css_names() -> dict[str, str]:
 def css_variables(*, dark: bool) -> str:
     """Declarations of all colours, for the light or the dark theme of a page."""
     chrome = {f"--{name}": pair[dark] for name, pair in _CHROME.items()}
-    roles = {f"--role-{role}": colour for role, colour in (DARK if dark else LIGHT).items()}
+    roles = {f"--role-{role}": colour for role, colour in (_DARK if dark else LIGHT).items()}
     return " ".join(f"{name}: {colour};" for name, colour in (chrome | roles).items())

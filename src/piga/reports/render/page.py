@@ -330,7 +330,7 @@ def page_html(page: Page) -> str:
     )
 
 
-MOST_COLUMNS, FEWEST_COLUMNS = 100, 40
+_MOST_COLUMNS, _FEWEST_COLUMNS = 100, 40
 """Widest and narrowest text of a page [letters]."""
 
 
@@ -340,7 +340,7 @@ def page_text(page: Page, *, width: int | None = None, plain: bool = True) -> st
     Without a width it is that of the terminal, at most 100; 100 if there is none.
     """
     if width is None:
-        width = min(max(get_terminal_size((MOST_COLUMNS, 24)).columns, FEWEST_COLUMNS), MOST_COLUMNS)
+        width = min(max(get_terminal_size((_MOST_COLUMNS, 24)).columns, _FEWEST_COLUMNS), _MOST_COLUMNS)
     told = ascii_text if plain else str
     lines = []
     if page.judgement is not None:

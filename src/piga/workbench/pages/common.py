@@ -26,10 +26,10 @@ from piga.workbench.history import ChangedError, History
 from piga.workbench.jobs import BusyError, Jobs
 from piga.workbench.security import REPORT_POLICY, Door
 
-MOST_FORM = 2 << 20
+_MOST_FORM = 2 << 20
 """Largest form [bytes]."""
-MOST_FIELDS = 2000
-ASSETS = {
+_MOST_FIELDS = 2000
+_ASSETS = {
     "bench.css": "text/css",
     "uplot.min.css": "text/css",
     "bench.js": "text/javascript",
@@ -45,7 +45,7 @@ class TooLargeError(ArgumentError):
     """More was sent than is taken."""
 
 
-STATUSES: dict[type[Exception], int] = {OutsideError: 404, BusyError: 429, TooLargeError: 413}
+_STATUSES: dict[type[Exception], int] = {OutsideError: 404, BusyError: 429, TooLargeError: 413}
 """Status of the answer by kind of error; that of all other errors of a user is 422."""
 
 
@@ -66,7 +66,7 @@ def bench_of(request: Request) -> Bench:
     return bench
 
 
-def in_bytes(size: float) -> str:
+def _in_bytes(size: float) -> str:
     """A size in words."""
     for unit in ("bytes", "kB", "MB"):
         if size < 1000.0:
@@ -112,7 +112,7 @@ def environment() -> Any:
         loader=jinja2.FunctionLoader(text), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    filters = {"bytes": in_bytes, "unit": pretty_unit, "count": count, "number": number_text, "moment": moment}
+    filters = {"bytes": _in_bytes, "unit": pretty_unit, "count": count, "number": number_text, "moment": moment}
     made.filters |= filters | {"path": lambda name: quote(name, safe="/")}
     made.globals |= {"concise": concise, "value_text": value_text, "u_text": u_text, "version": __version__}
     return made
@@ -141,11 +141,11 @@ async def sent_form(request: Request) -> dict[str, list[str]]:
     body = bytearray()
     async for part in request.stream():
         body += part
-        if len(body) > MOST_FORM:
-            raise ArgumentError("the form is too large", remedy=f"send at most {in_bytes(MOST_FORM)}")
+        if len(body) > _MOST_FORM:
+            raise ArgumentError("the form is too large", remedy=f"send at most {_in_bytes(_MOST_FORM)}")
     try:
         pairs = parse_qsl(
-            body.decode("utf-8"), keep_blank_values=True, strict_parsing=bool(body), max_num_fields=MOST_FIELDS,
+            body.decode("utf-8"), keep_blank_values=True, strict_parsing=bool(body), max_num_fields=_MOST_FIELDS,
             errors="strict",
         )  # fmt: skip
     except ValueError:
@@ -187,7 +187,7 @@ def quantity(written: str, unit: str, like: str, what: str) -> str:
 
 def error_page(request: Request, error: Exception) -> Response:
     """The page of an error: what is wrong, and the remedy."""
-    status = next((code for kind, code in STATUSES.items() if isinstance(error, kind)), 422)
+    status = next((code for kind, code in _STATUSES.items() if isinstance(error, kind)), 422)
     text, remedy = str(error), ""
     if isinstance(error, HTTPException):
         status = error.status_code
@@ -231,13 +231,13 @@ def result_file(bench: Bench, path: Path, *, draft: bool = False) -> Response:
     return Response(raw, media_type="application/octet-stream", headers=headers)
 
 
-def asset(request: Request) -> Response:
+def _asset(request: Request) -> Response:
     """A script or style sheet of the bench."""
     name = request.path_params["name"]
-    if name not in ASSETS:
+    if name not in _ASSETS:
         raise HTTPException(404)
     text = resources.files("piga.workbench").joinpath("assets", name).read_text(encoding="utf-8")
-    return Response(text, media_type=ASSETS[name], headers={"cache-control": "max-age=3600"})
+    return Response(text, media_type=_ASSETS[name], headers={"cache-control": "max-age=3600"})
 
 
 def health(_request: Request) -> Response:
@@ -245,4 +245,4 @@ def health(_request: Request) -> Response:
     return PlainTextResponse("ok\n")
 
 
-ROUTES = [Route("/healthz", health), Route("/assets/{name}", asset)]
+ROUTES = [Route("/healthz", health), Route("/assets/{name}", _asset)]

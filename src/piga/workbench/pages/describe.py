@@ -35,7 +35,7 @@ UNITS = {
     "instrument.counts_per_revolution": ("1", ()),
 }
 """A unit of the kind that a question asks for, and the units of its menu."""
-COLUMN_UNITS = {
+_COLUMN_UNITS = {
     "time": ("s", "ms", "us", "min", "h"),
     "counts": (),
     "angle": ("deg", "rad", "rev", "arcmin", "arcsec", "mrad"),
@@ -48,12 +48,12 @@ COLUMN_UNITS = {
 }
 """Units of the menu of a column, by its kind."""
 AXES = ("force", "base-rate")
-TAKEN_OVER = ("instrument", "stand", "uncertainty")
+_TAKEN_OVER = ("instrument", "stand", "uncertainty")
 """Tables that an earlier run file can give."""
 
 
 @dataclass(frozen=True)
-class Field:
+class _Field:
     """A question: key, words, what was typed, the chosen unit and the menu, and why the entry is refused."""
 
     key: str
@@ -66,12 +66,12 @@ class Field:
 
 
 @dataclass
-class Sheet:
+class _Sheet:
     """The page of a log: its description with corrected columns, the draft of its run file, and the questions."""
 
     described: LogDescription
     draft: RunFileDraft
-    fields: list[Field]
+    fields: list[_Field]
     message: str = ""
 
     @property
@@ -95,7 +95,7 @@ def role(column: ColumnGuess) -> str:
     return f"{column.kind}:{column.axis}" if column.kind in AXES and column.axis is not None else column.kind
 
 
-def sheet(folder: Folder, name: str, fields: dict[str, list[str]]) -> Sheet:
+def sheet(folder: Folder, name: str, fields: dict[str, list[str]]) -> _Sheet:
     """Describe a log with the corrections and answers of a form."""
     log = folder.file(name)
     described = describe_log(log)
@@ -106,17 +106,17 @@ def sheet(folder: Folder, name: str, fields: dict[str, list[str]]) -> Sheet:
         unit = only(fields, f"unit:{index}", column.unit)
         if kind in WORDS and (kind, axis) != tuple(role(column).partition(":")[::2]):
             column = replace(column, kind=kind, axis=int(axis) if axis in "012" and axis else None, reason=TOLD)
-            unit = unit if unit in COLUMN_UNITS.get(kind, ()) else ""
+            unit = unit if unit in _COLUMN_UNITS.get(kind, ()) else ""
         columns.append(replace(column, unit=unit))
     described = replace(described, columns=tuple(columns))
     taken = only(fields, "take")
     settings: dict[str, Any] = _taken(folder, taken) if taken else {}
-    asked: dict[str, Field] = {}
+    asked: dict[str, _Field] = {}
     message = ""
     for key in [one.removeprefix("q:") for one in fields if one.startswith("q:")]:
         typed, unit = only(fields, f"q:{key}").strip(), only(fields, f"u:{key}")
         like, units = UNITS.get(key, ("1", ()))
-        asked[key] = Field(key, "", "", typed, unit, units)
+        asked[key] = _Field(key, "", "", typed, unit, units)
         if typed:
             try:
                 settings[key] = _value(key, quantity(typed, unit, like, key))
@@ -140,10 +140,10 @@ def sheet(folder: Folder, name: str, fields: dict[str, list[str]]) -> Sheet:
         questions |= {one.key: one for one in draft.optional}
     shown = []
     for key in dict.fromkeys((*asked, *questions)):
-        field = asked.get(key, Field(key, "", ""))
+        field = asked.get(key, _Field(key, "", ""))
         words, example = _words(key)
         shown.append(replace(field, words=words, example=example, units=UNITS.get(key, ("1", ()))[1]))
-    return Sheet(described, draft, shown, message)
+    return _Sheet(described, draft, shown, message)
 
 
 def _value(key: str, text: str) -> Any:
@@ -166,7 +166,7 @@ def _taken(folder: Folder, name: str) -> dict[str, Any]:
     document = toml_document(folder.toml(name))
     return {
         f"{table}.{key}": value
-        for table in TAKEN_OVER
+        for table in _TAKEN_OVER
         for key, value in document.get(table, {}).items()
         if isinstance(document.get(table), dict)
     }
@@ -193,12 +193,12 @@ def _page(
     notes = [line for lines in made.draft.comments.values() for line in lines if line.startswith("CHECK")]
     part = "log-part.html.jinja" if request.headers.get("hx-request") else "log.html.jinja"
     return render(
-        request, part, code, **values, sheet=made, roles=roles(), role=role, column_units=COLUMN_UNITS, rows=_preview(made),
+        request, part, code, **values, sheet=made, roles=roles(), role=role, column_units=_COLUMN_UNITS, rows=_preview(made),
         others=others, message=message or made.message, open_columns=open_columns, notes=notes, took=only(fields, "take"),
     )  # fmt: skip
 
 
-def _preview(made: Sheet) -> list[list[str]]:
+def _preview(made: _Sheet) -> list[list[str]]:
     """The first values of each column, as they were read."""
     layout, numbers = made.described.layout, made.described.numbers
     columns = []

@@ -31,7 +31,7 @@ DEG = 180.0 / math.pi
 
 
 @dataclass(frozen=True)
-class Slider:
+class _Slider:
     """A quantity that the page lets move: name, words, unit, range, step and first value."""
 
     key: str
@@ -43,19 +43,19 @@ class Slider:
     first: float
 
 
-SLIDERS = (
-    Slider("a_x", "Specific force along the input axis a_x", "g", -2.0, 2.0, 0.001, 0.02),
-    Slider("a_t", "Transverse specific force a_t", "g", 0.0, 10.0, 0.01, 5.0),
-    Slider("beta", "Non-orthogonality \u03b2", "arcsec", -3600.0, 3600.0, 1.0, 1000.0),
-    Slider("K", "Scale factor K", "rad/s/g", 0.1, 3.0, 0.0001, 0.8884),
-    Slider("time", "Time shown", "s", 1.0, 2000.0, 1.0, 200.0),
+_SLIDERS = (
+    _Slider("a_x", "Specific force along the input axis a_x", "g", -2.0, 2.0, 0.001, 0.02),
+    _Slider("a_t", "Transverse specific force a_t", "g", 0.0, 10.0, 0.01, 5.0),
+    _Slider("beta", "Non-orthogonality \u03b2", "arcsec", -3600.0, 3600.0, 1.0, 1000.0),
+    _Slider("K", "Scale factor K", "rad/s/g", 0.1, 3.0, 0.0001, 0.8884),
+    _Slider("time", "Time shown", "s", 1.0, 2000.0, 1.0, 200.0),
 )
 
 
 def show(request: Request) -> Response:
     """The page; after a moved slider the figures and numbers alone."""
     values = {}
-    for slider in SLIDERS:
+    for slider in _SLIDERS:
         try:
             value = float(request.query_params.get(slider.key, slider.first))
         except ValueError:
@@ -69,7 +69,7 @@ def show(request: Request) -> Response:
     figures = [_portrait(inst, forces), _rates(inst, forces), _motion(inst, forces, values["time"])]
     part = "explore-part.html.jinja" if request.headers.get("hx-request") else "explore.html.jinja"
     drawn = [(figure, json.dumps(figure)) for figure in figures]
-    return render(request, part, sliders=SLIDERS, values=values, figures=drawn, numbers=_numbers(inst, forces))
+    return render(request, part, sliders=_SLIDERS, values=values, figures=drawn, numbers=_numbers(inst, forces))
 
 
 def _numbers(inst: Instrument, forces: tuple[float, float, float]) -> list[tuple[str, str]]:

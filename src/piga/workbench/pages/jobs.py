@@ -14,7 +14,7 @@ from piga.workbench.jobs import Job
 from piga.workbench.pages.common import Bench, bench_of, redirect, render, result_file
 
 
-def job_of(request: Request) -> tuple[Bench, Job]:
+def _job_of(request: Request) -> tuple[Bench, Job]:
     """The job that the address names."""
     bench = bench_of(request)
     job = bench.jobs.get(request.path_params["key"])
@@ -23,7 +23,7 @@ def job_of(request: Request) -> tuple[Bench, Job]:
     return bench, job
 
 
-def show_all(request: Request) -> Response:
+def _show_all(request: Request) -> Response:
     """The list of jobs."""
     jobs = bench_of(request).jobs
     return render(request, "jobs.html.jinja", jobs=[(job, jobs.status(job)) for job in jobs.all()])
@@ -31,13 +31,13 @@ def show_all(request: Request) -> Response:
 
 def show(request: Request) -> Response:
     """One job: its state, what it printed, its files. The page asks for it again while the job runs."""
-    bench, job = job_of(request)
+    bench, job = _job_of(request)
     part = request.headers.get("hx-request") is not None
     status = bench.jobs.status(job)
     response = render(
         request, "job-part.html.jinja" if part else "job.html.jinja", job=job, status=status,
         line=f"piga {shlex.join(job.command)}", out=bench.jobs.text(job, "out"), err=bench.jobs.text(job, "err"),
-        files=[path.name for path in result_files(bench, job)] if status.state == "done" else [],
+        files=[path.name for path in _result_files(bench, job)] if status.state == "done" else [],
     )  # fmt: skip
     if part and status.state != "running":
         response.headers["hx-refresh"] = "true"
@@ -46,22 +46,22 @@ def show(request: Request) -> Response:
 
 def stop(request: Request) -> Response:
     """End a job."""
-    bench, job = job_of(request)
+    bench, job = _job_of(request)
     bench.jobs.stop(job)
     return redirect(request, request.headers.get("referer") or f"/jobs/{job.key}")
 
 
 def file(request: Request) -> Response:
     """A result file of a job."""
-    bench, job = job_of(request)
+    bench, job = _job_of(request)
     name = request.path_params["file"]
-    path = next((item for item in result_files(bench, job) if item.name == name), None)
+    path = next((item for item in _result_files(bench, job) if item.name == name), None)
     if path is None:
         raise OutsideError(f"{name}: is not a result of this job", remedy="choose a listed file")
     return result_file(bench, path, draft=job.title.startswith("DRAFT"))
 
 
-def result_files(bench: Bench, job: Job) -> list[Path]:
+def _result_files(bench: Bench, job: Job) -> list[Path]:
     """The files that a job wrote: those of its folder, or its file and the page beside it."""
     if not job.result or job.result.startswith(("signals/", "check/")):
         return []
@@ -76,7 +76,7 @@ def result_files(bench: Bench, job: Job) -> list[Path]:
 
 
 ROUTES = [
-    Route("/jobs", show_all),
+    Route("/jobs", _show_all),
     Route("/jobs/{key}", show),
     Route("/jobs/{key}/stop", stop, methods=["POST"]),
     Route("/jobs/{key}/file/{file}", file),

@@ -29,10 +29,10 @@ from piga.workbench.signals import cache_key
 
 CERTIFICATE = "certificate.toml"
 """File of the laboratory's own entries."""
-LARGEST_PEM = 1 << 20
-STORES = (".sqlite", ".db")
+_LARGEST_PEM = 1 << 20
+_STORES = (".sqlite", ".db")
 """Endings of ledgers."""
-USUAL = (
+_USUAL = (
     "calibration.place", "method.deviations", "method.sampling", "method.external_results", "adjustment.performed",
     "item.description",
 )  # fmt: skip
@@ -130,13 +130,13 @@ def _own(bench: Bench, kept: Kept | None) -> dict[str, str]:
     """What is known already: the laboratory's own entries, and those of the calibration."""
     example = _example()
     flat = _flat(example)
-    entries = {key: _shown(flat[key]) for key in USUAL if key in flat}
+    entries = {key: _shown(flat[key]) for key in _USUAL if key in flat}
     try:
         mine = toml_document(Path(CERTIFICATE), bench.folder.text(CERTIFICATE).encode())
     except PigaError:
         mine = {}
     entries |= {
-        key: _shown(value) for key, value in _flat(mine).items() if key in USUAL or value != flat.get(key)
+        key: _shown(value) for key, value in _flat(mine).items() if key in _USUAL or value != flat.get(key)
     }
     tables = {key: _table_text(mine, key) for key in TABLES}
     entries |= {key: text for key, text in tables.items() if text != _table_text(example, key)}
@@ -280,7 +280,7 @@ def pem_files(bench: Bench) -> tuple[list[str], list[str]]:
     for name in bench.folder.listed(".pem", ".crt", ".cer"):
         text = b""
         with contextlib.suppress(PigaError):  # others cannot read the key of a careful person
-            text = bench.folder.read(bench.folder.file(name), LARGEST_PEM)
+            text = bench.folder.read(bench.folder.file(name), _LARGEST_PEM)
         is_key = b"PRIVATE KEY-----" in text
         keys += [name] if is_key else []
         certificates += [name] if not is_key or b"BEGIN CERTIFICATE-----" in text else []
@@ -397,18 +397,18 @@ async def trend(request: Request) -> Response:
     return await start(request, [*command, *([f"--at={at}"] if at else [])], "Trend", serial, out)
 
 
-def ledger_page(request: Request) -> Response:
+def _ledger_page(request: Request) -> Response:
     """Ledgers of the folder."""
     bench = bench_of(request)
     runs = [entry for entry in bench.folder.entries() if entry.kept]
-    return render(request, "ledger.html.jinja", **left(bench), stores=bench.folder.listed(*STORES), runs=runs)
+    return render(request, "ledger.html.jinja", **left(bench), stores=bench.folder.listed(*_STORES), runs=runs)
 
 
 async def ledger(request: Request) -> Response:
     """Keep a result in a ledger; list, verify or export it."""
     bench, fields = bench_of(request), await sent_form(request)
     word, store = only(fields, "do"), bench.folder.path(only(fields, "store"))
-    if store.parent != bench.folder.root or store.suffix not in STORES:
+    if store.parent != bench.folder.root or store.suffix not in _STORES:
         raise ArgumentError(f"{store.name[:80]!r}: cannot be the name of a ledger", remedy="e.g. lab.sqlite")
     if word == "add":
         run = bench.folder.toml(only(fields, "run"))
@@ -464,7 +464,7 @@ ROUTES = [
     Route("/plan", plan, methods=["GET"]),
     Route("/plan", make_plan, methods=["POST"]),
     Route("/trend", trend, methods=["POST"]),
-    Route("/ledger", ledger_page, methods=["GET"]),
+    Route("/ledger", _ledger_page, methods=["GET"]),
     Route("/ledger", ledger, methods=["POST"]),
     Route("/prospects/{name:path}", prospects),
 ]

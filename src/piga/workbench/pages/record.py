@@ -49,11 +49,11 @@ MOST_UPLOAD = 4 << 30
 """Largest file [bytes] that may be dropped in. Larger ones are copied into the folder."""
 SMALL = 20_000_000
 """Size of a log [bytes] up to which a faulty run file is answered with lines that repair it. They are tried on the log."""
-ALWAYS = "scale_factor"
+_ALWAYS = "scale_factor"
 TERMS = tuple(term for term in UNITS if term not in ("phi", "k1"))
 """Terms that have a box of their own."""
-MOST_TAGS = 200
-ENDED = ("failed", "stopped")
+_MOST_TAGS = 200
+_ENDED = ("failed", "stopped")
 KEY = r"[0-9a-f]{16}"
 """Names of answers."""
 
@@ -61,7 +61,7 @@ KEY = r"[0-9a-f]{16}"
 # --- the left side --------------------------------------------------------------------------------
 
 
-def tags_of(bench: Bench) -> dict[str, list[str]]:
+def _tags_of(bench: Bench) -> dict[str, list[str]]:
     """The tags of records."""
     with contextlib.suppress(PigaError, msgspec.MsgspecError):
         return msgspec.json.decode(
@@ -79,14 +79,14 @@ def left(bench: Bench, name: str = "") -> dict[str, Any]:
     mine = [entry for entry in entries if entry.serial in (serial, "") or entry.name == name]
     kept = sorted((one for entry in mine for one in entry.kept), key=lambda one: one.created)
     firsts = {one: next((e.name for e in reversed(entries) if e.serial == one), "") for one in serials}
-    tags = tags_of(bench)
+    tags = _tags_of(bench)
     return {
-        "entries": mine, "serial": serial, "serials": firsts, "kept": kept, "line": time_line(kept), "name": name,
+        "entries": mine, "serial": serial, "serials": firsts, "kept": kept, "line": _time_line(kept), "name": name,
         "tags": {entry.name: tags.get(entry.name, []) for entry in mine},
     }  # fmt: skip
 
 
-def time_line(kept: list[Kept]) -> list[dict[str, Any]]:
+def _time_line(kept: list[Kept]) -> list[dict[str, Any]]:
     """Kept calibrations as points: percent of the width and height of the picture, and the length of the bar of u."""
     if not kept:
         return []
@@ -108,10 +108,10 @@ def home(request: Request) -> Response:
     if not shown["entries"]:
         return render(request, "first.html.jinja")
     entry = next((entry for entry in shown["entries"] if entry.state != "log"), shown["entries"][0])
-    return redirect(request, address_of(entry))
+    return redirect(request, _address_of(entry))
 
 
-def address_of(entry: Entry) -> str:
+def _address_of(entry: Entry) -> str:
     """The page of a record or log."""
     return f"/{'log' if entry.state == 'log' else 'record'}/{quote(entry.name)}"
 
@@ -163,8 +163,8 @@ async def tag(request: Request) -> Response:
     name, words = only(fields, "name"), only(fields, "tags").replace(",", " ").split()
     bench.folder.path(name)
     with bench.history.lock:
-        tags = tags_of(bench) | {name: [word[:30] for word in words[:8]]}
-        raw = msgspec.json.encode(dict(list(tags.items())[-MOST_TAGS * 10 :]))
+        tags = _tags_of(bench) | {name: [word[:30] for word in words[:8]]}
+        raw = msgspec.json.encode(dict(list(tags.items())[-_MOST_TAGS * 10 :]))
         write_whole(bench.folder.state_room() / "tags.json", lambda part: part.write_bytes(raw))
     return redirect(request, f"/record/{quote(name)}")
 
@@ -172,7 +172,7 @@ async def tag(request: Request) -> Response:
 # --- the picture ----------------------------------------------------------------------------------
 
 
-def cache_of(bench: Bench, name: str) -> Path:
+def _cache_of(bench: Bench, name: str) -> Path:
     """Folder of the envelopes of a record, whether they exist or not."""
     record = hashlib.sha256(name.encode()).hexdigest()[:12]
     return bench.folder.state_room("signals") / f"{record}-{cache_key(files_named_in(bench.folder.toml(name)))}"
@@ -180,7 +180,7 @@ def cache_of(bench: Bench, name: str) -> Path:
 
 def reading(bench: Bench, name: str, *, again: bool = False) -> tuple[Outline | None, Job | None]:
     """The outline of a record. If it is not read yet: the job that reads it, or that failed."""
-    cache = cache_of(bench, name)
+    cache = _cache_of(bench, name)
     outline = read_outline(cache)
     if outline is not None:
         return outline, None
@@ -191,7 +191,7 @@ def reading(bench: Bench, name: str, *, again: bool = False) -> tuple[Outline | 
         outline = read_outline(cache)  # the job may have ended meanwhile
         if outline is not None:
             return outline, None
-        if state == "running" or (state in ENDED and not again):
+        if state == "running" or (state in _ENDED and not again):
             return None, last
     return None, bench.jobs.start(("envelopes", name, str(cache)), "Read the record", name, mark)
 
@@ -201,12 +201,12 @@ def show(request: Request) -> Response:
     bench, name = bench_of(request), request.path_params["name"]
     entry = bench.folder.entry(name)
     if entry.state == "log":
-        return redirect(request, address_of(entry))
+        return redirect(request, _address_of(entry))
     values = left(bench, name) | {"entry": entry, "query": request.url.query}
     return render(request, "record.html.jinja", **values, **_picture(request, entry))
 
 
-def show_picture(request: Request) -> Response:
+def _show_picture(request: Request) -> Response:
     """The picture alone; the page asks for it while the record is read."""
     bench, name = bench_of(request), request.path_params["name"]
     entry = bench.folder.entry(name)
@@ -236,7 +236,7 @@ def _picture(request: Request, entry: Entry) -> dict[str, Any]:
         return values | {"outline": outline, "drawn": json.dumps(drawn)}
     assert job is not None  # noqa: S101  a record is read, or a job reads it
     status = bench.jobs.status(job)
-    if status.state in ENDED:
+    if status.state in _ENDED:
         message = bench.jobs.text(job, "err").removeprefix("piga: ") or "The reading was stopped."
         return values | {"message": message, "repairs": _repairs(bench, entry)}
     return values | {"job": job, "status": status}
@@ -257,7 +257,7 @@ def _repairs(bench: Bench, entry: Entry) -> list[Any]:
 def data(request: Request) -> Response:
     """Rows of time, then least and largest value of each asked signal, as 64-bit floats."""
     bench, name = bench_of(request), request.path_params["name"]
-    cache = cache_of(bench, name)
+    cache = _cache_of(bench, name)
     outline = read_outline(cache)
     query = request.query_params
     try:
@@ -335,7 +335,7 @@ def _leave_out(bench: Bench, name: str, table: Any, fields: dict[str, list[str]]
     """Add entries to ``[data] leave_out``; what was done, in words."""
     import tomlkit
 
-    outline = read_outline(cache_of(bench, name))
+    outline = read_outline(_cache_of(bench, name))
     if outline is None:
         raise ArgumentError(f"{name}: is not read yet", remedy="reload the page")
     if word == "moves":
@@ -348,7 +348,7 @@ def _leave_out(bench: Bench, name: str, table: Any, fields: dict[str, list[str]]
         reason = " ".join(only(fields, "reason").split())
         if not reason:
             raise ArgumentError("a reason is needed", remedy="say why these rows are left out")
-        spans = [rows_between(cache_of(bench, name), *ends)]
+        spans = [rows_between(_cache_of(bench, name), *ends)]
     if sum(last - first + 1 for first, last in spans) >= outline.rows:
         raise ArgumentError("these are all rows of the record", remedy="mark a part of it")
     if "leave_out" not in table:
@@ -424,7 +424,7 @@ def _answer(bench: Bench, name: str, terms: tuple[str, ...], outline: Outline) -
     if outline.thinned > 1:
         first = replace(_made(bench, f"{key}-first"), every=outline.thinned)
         if first.calibration is None and bench.jobs.latest(name, _trial(first.key)) is None:
-            thinned = bench.folder.name(cache_of(bench, name) / "thinned.toml")
+            thinned = bench.folder.name(_cache_of(bench, name) / "thinned.toml")
             _fit(bench, name, thinned, first.key, terms)
         return replace(first, key=key), job
     return whole, job
@@ -459,7 +459,7 @@ def _made(bench: Bench, key: str) -> Answer:
         return Answer(key, place)
 
 
-def show_answer(request: Request) -> Response:
+def _show_answer(request: Request) -> Response:
     """The answer for a choice of terms. The page asks again while a better one is computed."""
     bench, name = bench_of(request), request.path_params["name"]
     entry = bench.folder.entry(name)
@@ -475,7 +475,7 @@ def show_answer(request: Request) -> Response:
     run_file = read_run_file(bench.folder.toml(name))
     terms = _asked(run_file, text)
     if asked and "again" not in request.query_params:
-        terms = tuple(dict.fromkeys((ALWAYS, *terms)))
+        terms = tuple(dict.fromkeys((_ALWAYS, *terms)))
     text = ",".join(terms)
     if "again" in request.query_params:
         for old in bench.jobs.all():
@@ -491,7 +491,7 @@ def show_answer(request: Request) -> Response:
     former = next((_made(bench, key) for key in last if key != answer.key), None)
     status = None if job is None else bench.jobs.status(job)
     message = (
-        bench.jobs.text(job, "err") if job is not None and status is not None and status.state in ENDED else ""
+        bench.jobs.text(job, "err") if job is not None and status is not None and status.state in _ENDED else ""
     )
     response = render(
         request, "answer.html.jinja", entry=entry, answer=answer, job=job, status=status, message=message, former=former,
@@ -576,7 +576,7 @@ def kept_of(bench: Bench, name: str) -> Kept:
     return kept
 
 
-def show_kept(request: Request) -> Response:
+def _show_kept(request: Request) -> Response:
     """A kept calibration: its report and files."""
     bench, name = bench_of(request), request.path_params["name"]
     kept = kept_of(bench, name)
@@ -587,14 +587,14 @@ def show_kept(request: Request) -> Response:
     return render(request, "kept.html.jinja", **values, one=kept, entry=entry, files=names)
 
 
-def kept_file(request: Request) -> Response:
+def _kept_file(request: Request) -> Response:
     """A file of a kept calibration."""
     bench = bench_of(request)
     kept = kept_of(bench, request.path_params["name"])
     return result_file(bench, bench.folder.file(f"{kept.name}/{request.path_params['file']}"))
 
 
-def trial_report(request: Request) -> Response:
+def _trial_report(request: Request) -> Response:
     """The report of an answer."""
     bench, key = bench_of(request), request.path_params["key"]
     if not re.fullmatch(KEY, key):
@@ -660,13 +660,13 @@ ROUTES = [
     Route("/undo", undo, methods=["POST"]),
     Route("/record/{name:path}", show, methods=["GET"]),
     Route("/record/{name:path}", change, methods=["POST"]),
-    Route("/picture/{name:path}", show_picture),
+    Route("/picture/{name:path}", _show_picture),
     Route("/signal-data/{name:path}", data),
-    Route("/answer/{name:path}", show_answer),
+    Route("/answer/{name:path}", _show_answer),
     Route("/keep/{name:path}", keep, methods=["POST"]),
-    Route("/trial/{key:str}/report.html", trial_report),
+    Route("/trial/{key:str}/report.html", _trial_report),
     Route("/compare", compare),
-    Route("/kept/{name:path}/file/{file}", kept_file),
+    Route("/kept/{name:path}/file/{file}", _kept_file),
     Route("/kept/{name:path}/discard", discard, methods=["POST"]),
-    Route("/kept/{name:path}", show_kept),
+    Route("/kept/{name:path}", _show_kept),
 ]

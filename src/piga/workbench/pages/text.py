@@ -30,7 +30,7 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
 """Commands by kind of file."""
 
 
-def kind_of(document: dict[str, Any]) -> str:
+def _kind_of(document: dict[str, Any]) -> str:
     """Kind of a file by its tables."""
     if "data" in document:
         return "run file"
@@ -60,7 +60,7 @@ def _page(
 
     bench = bench_of(request)
     try:
-        kind = kind_of(toml_document(Path(name or "the text"), text.encode()))
+        kind = _kind_of(toml_document(Path(name or "the text"), text.encode()))
     except PigaError:
         kind = "other file"
     seen = bench.history.seen(bench.folder.text(name)) if name and bench.folder.path(name).is_file() else ""
@@ -79,7 +79,7 @@ async def save(request: Request) -> Response:
     name = name if name.endswith(".toml") else f"{name}.toml"
     path = bench.folder.path(name)
     try:
-        kind = kind_of(toml_document(path, text.encode()))
+        kind = _kind_of(toml_document(path, text.encode()))
         check = "run" if kind == "run file" else kind
         seen = only(fields, "seen") if name == only(fields, "was") else ""
         await run_in_threadpool(bench.history.write, name, seen, text, f"save {name}", check)
