@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -57,7 +57,7 @@ class Chunk(Result):
     base_rate: Array
     temperature: Array
     angle: Array
-    vibration: Array
+    vibration: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def init_state() -> Any:
