@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import pkgutil
+from collections.abc import Iterator
 from inspect import cleandoc
 from pathlib import Path
 from types import UnionType
@@ -314,7 +315,7 @@ def schema_page() -> str:
     for path in sorted(folder.glob("*.json")):
         schema = json.loads(path.read_text(encoding="utf-8"))
         rows = ["| member | type | meaning |", "|---|---|---|"]
-        rows += schema_rows(schema, schema, "")
+        rows += [f"| `{where}` | {kind} | {words} |" for where, kind, words in schema_rows(schema, schema, "")]
         parts.append(
             f"## {path.name}\n\n{schema.get('description', schema.get('title', ''))}\n\n"
             + "\n".join(rows)
@@ -326,29 +327,27 @@ def schema_page() -> str:
 def json_page() -> str:
     """What every command prints with ``--json``."""
     parts = [JSON_HEAD]
-    for path in sorted(JSON_SCHEMAS.glob("*.json")):
+    for path in sorted(JSON_SCHEMAS.glob("*.json"), key=lambda path: path.stem):
         schema = json.loads(path.read_text(encoding="utf-8"))
         top, start = (schema["items"], "[].") if schema["type"] == "array" else (schema, "")
-        rows = ["| member | type | meaning |", "|---|---|---|", *schema_rows(top, top, start)]
+        rows = ["| member | type |", "|---|---|"]
+        rows += [f"| `{where}` | {words or kind} |" for where, kind, words in schema_rows(top, top, start)]
         parts.append(f"## {path.stem.replace('-', ' ')}\n\n" + "\n".join(rows) + "\n")
     return "\n".join(parts)
 
 
-def schema_rows(node: dict[str, Any], root: dict[str, Any], path: str) -> list[str]:
-    """Rows for the members of an object, its arrays' members behind ``[]``."""
-    rows = []
+def schema_rows(node: dict[str, Any], root: dict[str, Any], path: str) -> Iterator[tuple[str, str, str]]:
+    """Name, type and meaning of the members of an object; members of arrays behind ``[]``, of names from the data behind ``*``."""
     for name, one in node.get("properties", {}).items():
         member, where = resolve(one, root), f"{path}{name}"
         kind = member.get("type", "value")
         kind = " or ".join(kind) if isinstance(kind, list) else kind
-        value = f"`{member['const']}`" if "const" in member else cell(member.get("description", ""))
-        rows.append(f"| `{where}` | {kind} | {value} |")
-        rows += schema_rows(member, root, f"{where}.")
+        yield where, kind, f"`{member['const']}`" if "const" in member else cell(member.get("description", ""))
+        yield from schema_rows(member, root, f"{where}.")
         if isinstance(member.get("additionalProperties"), dict):
-            rows += schema_rows(member["additionalProperties"], root, f"{where}.*.")
+            yield from schema_rows(member["additionalProperties"], root, f"{where}.*.")
         if "items" in member:
-            rows += schema_rows(resolve(member["items"], root), root, f"{where}[].")
-    return rows
+            yield from schema_rows(resolve(member["items"], root), root, f"{where}[].")
 
 
 def resolve(node: dict[str, Any], root: dict[str, Any]) -> dict[str, Any]:
