@@ -311,7 +311,10 @@ def test_words_of_the_command_that_do_not_fit(
 ) -> None:
     run, cal = write(tmp_path), tmp_path / "run.json"
     for words, message in (
-        ((run, "--calibration", cal, "--out", tmp_path / "o.txt"), "piga does not write files of kind '.txt'"),
+        (
+            (run, "--calibration", cal, "--out", tmp_path / "o.txt"),
+            f"piga: {tmp_path / 'o.txt'}: piga does not write",
+        ),
         ((run, "--calibration", cal, "--calibration", cal, "--out", tmp_path / "o.csv"), "is given 2 times"),
         ((run, run, "--calibration", cal, "--out", tmp_path / "o.csv"), "2 runs and 1 calibrations"),
     ):

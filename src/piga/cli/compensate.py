@@ -79,6 +79,7 @@ def compensate(
     One run gives the columns t, ax, dv, u_ax, flags. Several instruments are solved together.
     """
     from piga.compensation.model import Phase
+    from piga.compensation.result import format_of
     from piga.records.calibration.document import read_with_digest
     from piga.units import to_si
 
@@ -99,6 +100,7 @@ def compensate(
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
+    format_of(out)
     if report is not None and report.suffix != ".html":
         raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
     inputs = [path for one in run for path in files_named_in(one)] + (calibration or [])
@@ -241,10 +243,10 @@ def _single(
     from piga.compensation.compensator import compensate
     from piga.compensation.files import summary_of
     from piga.compensation.model import check_method
-    from piga.compensation.result import format_of, write_rows
+    from piga.compensation.result import write_rows
     from piga.stand import read_run
 
-    calibration, kind = _one(calibrations), format_of(out)
+    calibration = _one(calibrations)
     with progress("reading"):
         record = read_run(runs[0])
     inputs = [*record.input_sha256.items(), *sources]
@@ -261,7 +263,7 @@ def _single(
             progress=advance,
             **options.arguments(),
         )
-        written = write_rows(result, out, kind, period=options.period, inputs=inputs, progress=advance)
+        written = write_rows(result, out, period=options.period, inputs=inputs, progress=advance)
     document = summary_of(result, [record], written, inputs)
     if page is not None:
         from piga.reports.compensation.outline import of_record
@@ -283,14 +285,13 @@ def _together(
 ) -> tuple[dict[str, Any], list[Calibration]]:  # fmt: skip
     """Summary and the calibrations used: those given, or those that the triad file names."""
     from piga.compensation.files import compensate_set, orthogonal_triad, read_member, read_triad, summary_of
-    from piga.compensation.result import format_of, write_rows
+    from piga.compensation.result import write_rows
 
     if options.method == "published":
         raise ArgumentError(
             "--method published is not for several instruments",
             remedy="leave it out: a set is solved exactly",
         )
-    kind = format_of(out)
     if len(runs) == 1:
         paths, mounted, inputs = read_triad(runs[0])
     elif len(runs) == len(calibrations) == 3:
@@ -310,7 +311,7 @@ def _together(
         result = compensate_set(
             records, mounted, details=page is not None, progress=advance, **options.arguments()
         )
-        written = write_rows(result, out, kind, period=options.period, inputs=inputs, progress=advance)
+        written = write_rows(result, out, period=options.period, inputs=inputs, progress=advance)
     summary = summary_of(result, records, written, inputs)
     if page is not None:
         from piga.reports.compensation.outline import of_set
