@@ -100,7 +100,6 @@ def compensate(
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
-    format_of(out)
     if report is not None and report.suffix != ".html":
         raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
     inputs = [path for one in run for path in files_named_in(one)] + (calibration or [])
@@ -112,6 +111,7 @@ def compensate(
     ]
     command = f"compensate-{out.stem[:40]}"
     with deliver(out.parent, command, names, inputs, force=force, as_json=json) as to:
+        format_of(out)
         with _page_folder(report, None if same_folder else command, to.stage, inputs, force) as (
             folder,
             elsewhere,
