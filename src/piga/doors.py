@@ -60,13 +60,6 @@ def shown_trend() -> ModuleType:
     return trend
 
 
-def residual_figures() -> ModuleType:
-    """Figures of the residuals of a calibration."""
-    from piga.reports.calibration import figures
-
-    return figures
-
-
 def shown_noise() -> ModuleType:
     """Shows the noise of a static record."""
     from piga.reports import noise
@@ -93,13 +86,6 @@ def drawing() -> ModuleType:
     from piga.reports.render import axes
 
     return axes
-
-
-def tables() -> ModuleType:
-    """Tables for other tools."""
-    from piga.formats import tables
-
-    return tables
 
 
 def parameters() -> ModuleType:

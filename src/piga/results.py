@@ -7,6 +7,7 @@ functions: ``page(result)`` for the report, ``brief(result)`` for terminal and n
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga import doors
-from piga.errors import ArgumentError
+from piga.errors import ArgumentError, needed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -239,7 +240,9 @@ class Tabular:
 
     def to_arrow(self) -> pa.Table:
         """The table as a ``pyarrow.Table``. The metadata of each field hold its unit."""
-        return doors.tables().arrow(self)
+        needed("pyarrow")
+        notes = self.table_notes()
+        return arrow_table(self.table_columns(), {"piga.notes": json.dumps(notes)} if notes else None)
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
         """The table as an Arrow stream (PyCapsule interface), e.g. for ``polars.DataFrame(run)``.
@@ -256,14 +259,79 @@ class Tabular:
         MissingPackageError
             If pandas is not installed.
         """
-        return doors.tables().dataframe(self)
+        pandas = needed("pandas")
+        columns = self.table_columns()
+        frame = pandas.DataFrame({name: _plain_column(column) for name, column in columns.items()})
+        for name, column in columns.items():
+            if column.labels is not None:
+                frame[name] = pandas.Categorical.from_codes(np.asarray(column.values), list(column.labels))
+        frame.attrs["units"] = {name: column.unit for name, column in columns.items()}
+        if self.table_notes():
+            frame.attrs["notes"] = list(self.table_notes())
+        return frame
 
     def to_xarray(self) -> xr.Dataset:
-        """The table as an xarray data set. Each variable has its unit in ``attrs["units"]``.
+        """The table as an xarray data set. Each variable has its unit in ``attrs["units"]``; time is a coordinate.
 
         Raises
         ------
         MissingPackageError
             If xarray is not installed.
         """
-        return doors.tables().dataset(self)
+        variables = {
+            name: (("row",), _plain_column(column), {"units": column.unit})
+            for name, column in self.table_columns().items()
+        }
+        times = {name: variables.pop(name) for name in ("t",) if name in variables}
+        return needed("xarray").Dataset(variables, times, {"notes": list(self.table_notes())})
+
+
+def _plain_column(column: Column) -> NDArray[Any]:
+    """Values of a column; labels as text."""
+    if column.labels is None:
+        return np.asarray(column.values)
+    return np.array(column.labels, dtype=object)[np.asarray(column.values)]
+
+
+def arrow_table(columns: dict[str, Column], metadata: dict[str, str] | None = None) -> pa.Table:
+    """Columns as an Arrow table. The field of each has its ``unit``. Numbers share their memory."""
+    import pyarrow as pa
+
+    arrays = {name: _array(column) for name, column in columns.items()}
+    fields = [pa.field(name, arrays[name].type, metadata={"unit": columns[name].unit}) for name in columns]
+    return pa.Table.from_arrays(list(arrays.values()), schema=pa.schema(fields, metadata=metadata))
+
+
+def _array(column: Column) -> pa.Array:
+    if column.labels is not None:
+        return label_column(column.values.astype(np.int32), column.labels)
+    if column.values.dtype.kind in "OU":
+        return text_column([str(value) for value in column.values])
+    return number_column(column.values)
+
+
+def number_column(values: NDArray, empty_cells: bool = False) -> Any:
+    """Arrow array that shares the memory of numbers (n,). With ``empty_cells``, nan becomes null."""
+    import pyarrow as pa
+
+    contiguous = np.ascontiguousarray(values)
+    validity = pa.py_buffer(np.packbits(~np.isnan(contiguous), bitorder="little")) if empty_cells else None
+    return pa.Array.from_buffers(
+        pa.from_numpy_dtype(contiguous.dtype), contiguous.size, [validity, pa.py_buffer(contiguous)]
+    )
+
+
+def text_column(values: Sequence[str]) -> Any:
+    """Arrow array of texts."""
+    import pyarrow as pa
+
+    encoded = [value.encode() for value in values]
+    ends = np.cumsum([0, *(len(value) for value in encoded)], dtype=np.int32)
+    return pa.StringArray.from_buffers(len(encoded), pa.py_buffer(ends), pa.py_buffer(b"".join(encoded)))
+
+
+def label_column(codes: NDArray, labels: Sequence[str]) -> Any:
+    """Arrow array of texts, given by indices (n,) into ``labels``."""
+    import pyarrow as pa
+
+    return pa.DictionaryArray.from_arrays(number_column(codes), text_column(labels))

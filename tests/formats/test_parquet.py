@@ -12,8 +12,8 @@ import pytest
 from pyarrow import parquet
 
 import piga
-from piga.formats.columns import label_column, number_column, text_column
 from piga.formats.parquet import ParquetStream, write_residuals, write_run_parquet
+from piga.results import label_column, number_column, text_column
 from tests.records.calibration.test_verdict import TERMS, rate_log
 
 
@@ -56,7 +56,7 @@ def test_labels() -> None:
 def test_pandas_is_not_loaded() -> None:
     """Half a second of every command that writes a table, where pandas is installed."""
     code = (
-        "import sys, numpy as np; from piga.formats.columns import label_column, number_column;"
+        "import sys, numpy as np; from piga.results import label_column, number_column;"
         "label_column(np.zeros(2, np.int32), ['a']); number_column(np.zeros(2));"
         "sys.exit('pandas' in sys.modules)"
     )

@@ -16,8 +16,9 @@ import numpy as np
 from piga.compensation.compensator import Compensator
 from piga.compensation.result import Compensated, schema_of
 from piga.errors import ArgumentError, DataError
-from piga.formats.columns import number_column, numbers_of
+from piga.formats.columns import numbers_of
 from piga.records.limits import first_line
+from piga.results import number_column
 
 FORCE = ("fx", "fy", "fz")
 RATE = ("wx", "wy", "wz")

@@ -16,12 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from piga import doors
 from piga.compensation.model import FLAGS, MEANING
 from piga.errors import ArgumentError
-from piga.formats.columns import number_column
 from piga.progress import Progress, report
 from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.run import Run
-from piga.results import Array, Column, Plotted, Reported, Result, Tabular
+from piga.results import Array, Column, Plotted, Reported, Result, Tabular, number_column
 from piga.units import G0, MICRO_G
 
 if TYPE_CHECKING:

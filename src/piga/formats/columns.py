@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError, Where
 from piga.records.calibration import Event
+from piga.results import number_column, text_column
 
 CHUNK_ROWS = 1 << 16
 """Rows per chunk of a Parquet file or a container."""
@@ -235,33 +236,6 @@ def nulls_of(column: Any) -> NDArray[np.bool_]:
         return np.zeros(len(column), dtype=np.bool_)
     bits = np.unpackbits(np.frombuffer(bitmap, dtype=np.uint8), bitorder="little")
     return bits[column.offset : column.offset + len(column)] == 0
-
-
-def number_column(values: NDArray, empty_cells: bool = False) -> Any:
-    """Arrow array that shares the memory of numbers (n,). With ``empty_cells``, nan becomes null."""
-    import pyarrow as pa
-
-    contiguous = np.ascontiguousarray(values)
-    validity = pa.py_buffer(np.packbits(~np.isnan(contiguous), bitorder="little")) if empty_cells else None
-    return pa.Array.from_buffers(
-        pa.from_numpy_dtype(contiguous.dtype), contiguous.size, [validity, pa.py_buffer(contiguous)]
-    )
-
-
-def text_column(values: Sequence[str]) -> Any:
-    """Arrow array of texts."""
-    import pyarrow as pa
-
-    encoded = [value.encode() for value in values]
-    ends = np.cumsum([0, *(len(value) for value in encoded)], dtype=np.int32)
-    return pa.StringArray.from_buffers(len(encoded), pa.py_buffer(ends), pa.py_buffer(b"".join(encoded)))
-
-
-def label_column(codes: NDArray, labels: Sequence[str]) -> Any:
-    """Arrow array of texts, given by indices (n,) into ``labels``."""
-    import pyarrow as pa
-
-    return pa.DictionaryArray.from_arrays(number_column(codes), text_column(labels))
 
 
 def no_column(

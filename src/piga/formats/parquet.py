@@ -15,18 +15,11 @@ import msgspec
 import numpy as np
 
 from piga.errors import CalibrationError, DataError, Where
-from piga.formats.columns import (
-    CHUNK_ROWS,
-    FileChunk,
-    RecordStream,
-    label_column,
-    number_column,
-    text_column,
-)
+from piga.formats.columns import CHUNK_ROWS, FileChunk, RecordStream
 from piga.records.calibration import Calibration
 from piga.records.limits import first_line, open_regular
 from piga.records.run import Run
-from piga.results import Column
+from piga.results import arrow_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -108,23 +101,6 @@ def write_run_parquet(run: Run, path: Path) -> None:
     with _parquet_writer(path, schema) as out:
         for start in range(0, run.size, GROUP_ROWS):
             out.write_table(arrow_table(run.table_columns(slice(start, start + GROUP_ROWS)), metadata))
-
-
-def arrow_table(columns: dict[str, Column], metadata: dict[str, str] | None = None) -> pa.Table:
-    """Columns as an Arrow table. The field of each has its ``unit``. Numbers share their memory."""
-    import pyarrow as pa
-
-    arrays = {name: _array(column) for name, column in columns.items()}
-    fields = [pa.field(name, arrays[name].type, metadata={"unit": columns[name].unit}) for name in columns]
-    return pa.Table.from_arrays(list(arrays.values()), schema=pa.schema(fields, metadata=metadata))
-
-
-def _array(column: Column) -> pa.Array:
-    if column.labels is not None:
-        return label_column(column.values.astype(np.int32), column.labels)
-    if column.values.dtype.kind in "OU":
-        return text_column([str(value) for value in column.values])
-    return number_column(column.values)
 
 
 def _parquet_writer(path: Any, schema: pa.Schema, **options: Any) -> Any:

@@ -18,9 +18,7 @@ from piga.formats.columns import (
     TableStream,
     column_letter,
     label_text,
-    number_column,
     table_of,
-    text_column,
 )
 from piga.formats.text.convention import (
     INFINITE,
@@ -36,6 +34,7 @@ from piga.formats.text.convention import (
 from piga.formats.text.faults import Fault, Faults
 from piga.records.calibration import Event
 from piga.records.limits import check_unpacked, open_regular
+from piga.results import number_column, text_column
 
 _MOST_HEAD = 100
 """Rows of a sheet within which the column names must stand."""

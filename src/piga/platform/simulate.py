@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from piga import doors, earth
 from piga._kernels.platform.motion import Base, Gyros, TrueRows, simulate_platform, solve_triad
 from piga.errors import ArgumentError, DataError
-from piga.formats.columns import number_column
 from piga.frames import rotation_vector_to_matrix
 from piga.instrument import Instrument, propagate
 from piga.platform.geometry import (
@@ -28,7 +27,7 @@ from piga.platform.geometry import (
     specific_force_at_rest,
 )
 from piga.platform.scenario import MotionPlan, PigaSensors, PlatformScenario, Sensors
-from piga.results import Array, Plotted, Result
+from piga.results import Array, Plotted, Result, number_column
 
 if TYPE_CHECKING:
     import pyarrow as pa

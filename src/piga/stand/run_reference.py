@@ -11,7 +11,7 @@ A table in memory becomes a run here, too: with the same reading, checks and sta
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -23,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.data import EXAMPLE, copy_example
-from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
+from piga.errors import ArgumentError, PigaError, RunFileError, UnitError, needed
 from piga.formats.columns import TableStream, is_time
-from piga.formats.tables import REMEDIES, WHERE, as_arrow, stated_units
 from piga.reading.assemble import read_record, read_stream
 from piga.reading.columns import file_digest, stand_files
 from piga.records.arrays import empty, spans
@@ -268,6 +267,10 @@ def _components(name: str, written: Any) -> Iterator[tuple[tuple[str, str], Impe
         yield ("", str(written)), imperfections({error: written}, where=where)
 
 
+WHERE = Path("table")
+"""Name of a table in memory, in messages."""
+REMEDIES = ("name a column of the table", "turn it into numbers first, e.g. with astype(float)")
+"""Remedies for a column that is not there, and for one that holds no numbers."""
 SI = {
     "time": "s",
     "angle": "rad",
@@ -277,6 +280,31 @@ SI = {
     "temperature": "K",
 }
 """SI unit of a column, by what it holds."""
+
+
+def _stated_units(table: object, arrow: Any) -> dict[str, str]:
+    """Units by column: of the fields of ``arrow``, and in the ``attrs`` of a pandas data frame (:meth:`to_dataframe`)."""
+    fields = {field.name: (field.metadata or {}).get(b"unit") for field in arrow.schema}
+    attributes = getattr(table, "attrs", {})
+    units = attributes.get("units", {}) if isinstance(attributes, dict) else {}
+    attached = {str(name): str(unit) for name, unit in units.items()} if isinstance(units, dict) else {}
+    return {name: unit.decode() for name, unit in fields.items() if unit} | attached
+
+
+def _as_arrow(table: object) -> Any:
+    """Any table as a ``pyarrow.Table``."""
+    pa = needed("pyarrow")
+    try:
+        if isinstance(table, np.ndarray) and table.dtype.names:
+            table = {name: table[name] for name in table.dtype.names}
+        if isinstance(table, Mapping):
+            return pa.table({name: np.asarray(column) for name, column in table.items()})
+        return pa.table(table)
+    except (TypeError, ValueError, pa.ArrowException) as error:
+        raise ArgumentError(
+            f"table: a {type(table).__name__} does not give Arrow columns ({str(error).splitlines()[0]})",
+            remedy="pass a table of pandas, polars (a lazy one after collect()) or pyarrow, or a dict of arrays",
+        ) from None
 
 
 def run_from_table(
@@ -294,8 +322,8 @@ def run_from_table(
     DataError
         If the columns do not hold what the description says.
     """
-    arrow = as_arrow(table)
-    units_of_table = stated_units(table, arrow)
+    arrow = _as_arrow(table)
+    units_of_table = _stated_units(table, arrow)
     at = arrow.schema.get_field_index(columns["time"] or "")
     timed = at >= 0 and is_time(arrow.schema.field(at).type)
     unknown = [name for name in units if name not in arrow.schema.names]

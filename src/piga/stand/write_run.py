@@ -15,7 +15,6 @@ import msgspec
 import numpy as np
 
 from piga._version import __version__
-from piga.formats.columns import label_column, number_column
 from piga.instrument.twin.linear import (
     predicted_k2,
     predicted_rate_error,
@@ -26,7 +25,7 @@ from piga.instrument.twin.linear import (
 from piga.instrument.twin.parameters import TwinParameters
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 from piga.records.text_files import toml_text
-from piga.results import Array
+from piga.results import Array, label_column, number_column
 from piga.stand.imperfections import Imperfections
 from piga.stand.scenario import Scenario
 from piga.stand.simulate import SimulatedTest

@@ -5,8 +5,10 @@ JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piga import doors
+from piga.errors import ArgumentError, CalibrationError, needed
 from piga.records.calibration.coefficient import (
     TYPE_A_ONLY,
     BudgetTable,
@@ -30,7 +33,7 @@ from piga.records.calibration.diagnostics import (
     SegmentSummary,
 )
 from piga.records.calibration.verdict import Verdict, verdict
-from piga.records.terms import GYRO, integral_unit
+from piga.records.terms import GYRO, integral_unit, si_factor
 from piga.results import (
     Array,
     ByValue,
@@ -47,12 +50,15 @@ from piga.results import (
 if TYPE_CHECKING:
     from types import ModuleType
 
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from piga.instrument.parameters import ErrorModel, Instrument
 
 
+_LIBRARIES = ("uncertainties", "GTC")
+"""Packages whose numbers know what they are correlated with."""
 _SHOWN, _DOUBTS = 5, 3
 """Lines of ``repr`` for coefficients and for doubts. With heading and verdict it has ten lines at most."""
 
@@ -309,7 +315,30 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         MissingPackageError
             If the library is not installed.
         """
-        return doors.tables().correlated(self, library, si=si)
+        if library is not None and library not in _LIBRARIES:
+            raise ArgumentError(f"correlated: library '{library}'", remedy=f"one of {', '.join(_LIBRARIES)}")
+        chosen: str = library or next(
+            (name for name in _LIBRARIES if find_spec(name) is not None), _LIBRARIES[0]
+        )
+        needed(chosen)
+        scale = np.array([si_factor(c.name) if si else 1.0 for c in self.coefficients])
+        values = scale * np.array([c.value for c in self.coefficients])
+        covariance = np.outer(scale, scale) * self.covariance
+        numbers = _uncertainties if chosen == "uncertainties" else _gtc
+        return dict(zip(self, numbers(self, values, covariance), strict=True))
+
+    def to_xarray(self) -> xr.Dataset:
+        """The coefficients and their covariance as an xarray data set. Each variable has its unit in ``attrs["units"]``.
+
+        Raises
+        ------
+        MissingPackageError
+            If xarray is not installed.
+        """
+        keys, units = list(self), {"units": "product of the units of both coefficients"}
+        made = super().to_xarray().drop_vars("coefficient").rename_dims(row="coefficient")
+        made["covariance"] = ("coefficient", "with_coefficient"), np.array(self.covariance), units
+        return made.assign_coords(coefficient=keys, with_coefficient=keys)
 
     def __getitem__(self, key: str) -> Coefficient:
         for coefficient in self.coefficients:
@@ -395,8 +424,6 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         CalibrationError
             The message begins with ``what``.
         """
-        from piga.errors import CalibrationError
-
         if self.direct:
             raise CalibrationError(
                 f"{what}: only for a gyro accelerometer, and the output of '{self.serial}' is in {self.unit}",
@@ -411,8 +438,6 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         CalibrationError
             If there is no such run.
         """
-        from piga.errors import CalibrationError
-
         record = next((run for run in self.runs if run.name == name), None)
         if record is None:
             known = ", ".join(run.name for run in self.runs) or "none: it is a calibration of one run"
@@ -449,6 +474,40 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         from piga.records.calibration.document import read_calibration
 
         return read_calibration(Path(path))
+
+
+def _uncertainties(calibration: Calibration, values: np.ndarray, covariance: np.ndarray) -> list[Any]:
+    from uncertainties import correlated_values_norm
+
+    std = np.sqrt(np.diag(covariance))
+    pairs = list(zip(values.tolist(), std.tolist(), strict=True))
+    return list(correlated_values_norm(pairs, correlation(covariance), tags=list(calibration)))
+
+
+def _gtc(calibration: Calibration, values: np.ndarray, covariance: np.ndarray) -> list[Any]:
+    """Numbers of GTC, one ensemble. It has one number of degrees of freedom: the fewest of all coefficients."""
+    import GTC
+
+    std, matrix = np.sqrt(np.diag(covariance)), correlation(covariance)
+    uncertain = [i for i, u in enumerate(std) if u > 0.0]
+    keys = list(calibration)
+    fewest = min((calibration.coefficients[i].degrees_of_freedom for i in uncertain), default=math.inf)
+    made: list[Any] = [GTC.constant(value, label=key) for value, key in zip(values.tolist(), keys, strict=True)]
+    numbers = GTC.multiple_ureal(values[uncertain], std[uncertain], fewest, [keys[i] for i in uncertain])
+    for i, number in zip(uncertain, numbers, strict=True):
+        for j in (other for other in uncertain if other < i):
+            GTC.set_correlation(float(matrix[i, j]), number, made[j])
+        made[i] = number
+    return made
+
+
+def correlation(covariance: np.ndarray) -> np.ndarray:
+    """Correlation matrix; a coefficient without uncertainty correlates with none."""
+    std = np.sqrt(np.diag(covariance))
+    size = np.where(std > 0.0, std, 1.0)
+    matrix: np.ndarray = covariance / np.outer(size, size)
+    np.fill_diagonal(matrix, 1.0)
+    return matrix
 
 
 Given = float | str | tuple[float | str, float | str] | Coefficient

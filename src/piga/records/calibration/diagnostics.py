@@ -121,7 +121,7 @@ class Residuals(Result, Plotted, Tabular):
 
     def figure(self) -> Figure:
         """Residuals against time, before and after."""
-        return doors.residual_figures().residual_figure(self)
+        return doors.shown_calibration().residual_figure(self)
 
     def table_columns(self) -> dict[str, Column]:
         """One row for each used sample. ``segment`` and ``run`` are indices."""
