@@ -11,6 +11,7 @@ import pytest
 from typer.core import TyperGroup
 from typer.main import get_command
 
+from piga.cli.common import note
 from piga.cli.main import app
 
 HEAVY = {
@@ -80,6 +81,27 @@ def test_help_names_values_as_users_do(said: subprocess.CompletedProcess[str]) -
     assert not re.findall(r".*(?:list\[|\bPath\b|\[\[|\.\.\.[\]}]).*", said.stdout)
     assert "--reason WORDS" in said.stdout
     assert re.search(r"--out DIR +Folder for run\.toml", said.stdout)
+
+
+def test_no_name_is_broken_on_a_narrow_terminal(
+    every: list[tuple[str, ...]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    text = run("-c", EACH.replace("{commands}", repr(every))).stdout
+    assert "piga-demo" in text
+    assert not re.findall(r".*\w-$", text, re.MULTILINE)
+    assert max(map(len, text.splitlines())) <= 60
+
+
+def test_lines_are_as_wide_as_the_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = "piga: run.toml: no such file or folder: look-at-this"
+    note(words)
+    monkeypatch.setenv("COLUMNS", "30")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    note(words)
+    assert capsys.readouterr().err == f"{words}\npiga: run.toml: no such file\n    or folder: look-at-this\n"
 
 
 @pytest.mark.parametrize(("arguments", "code", "words"), [(["--version"], 0, "piga "), (["chekc"], 2, "chekc")])

@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import json
 import re
+import shutil
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -116,13 +118,25 @@ def counted(count: int, noun: str) -> str:
 
 def say(text: str) -> None:
     """Print a line for people on stdout."""
-    _write_out(clean(text) + "\n", needed=False)
+    _write_out(_fitted(text, sys.stdout) + "\n", needed=False)
+
+
+def _fitted(text: str, stream: Any) -> str:
+    """Clean text, on a terminal in lines as wide as it; a name or a number is never broken."""
+    lines = clean(text).split("\n")
+    if getattr(stream, "isatty", bool)():
+        width = shutil.get_terminal_size().columns
+        form = textwrap.TextWrapper(
+            width, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False
+        )
+        lines = [form.fill(line) if len(line) > width else line for line in lines]
+    return "\n".join(lines)
 
 
 def note(text: str) -> None:
     """Print a line for people on stderr (warnings, progress summaries)."""
     with suppress(OSError):  # stderr is closed: nobody reads the message
-        sys.stderr.write(clean(text) + "\n")
+        sys.stderr.write(_fitted(text, sys.stderr) + "\n")
         sys.stderr.flush()
 
 
@@ -350,8 +364,22 @@ def without_types(words: str, named: bool) -> str:
     return _TYPE.sub(word, words)
 
 
+_HYPHEN = "\u2011"
+"""Stands for a hyphen while help is wrapped, so that no name is broken at one."""
+
+
 class PlainCommand(TyperCommand):
-    """A command whose help names values as its user does, not by their Python types."""
+    """A command whose help names values as its user does, not by their Python types, and breaks no name."""
+
+    def get_help(self, ctx: Any) -> str:
+        """The whole help."""
+        return super().get_help(ctx).replace(_HYPHEN, "-")
+
+    def format_help_text(self, ctx: Any, formatter: Any) -> None:
+        """Write what the command does."""
+        kept, self.help = self.help, (self.help or "").replace("-", _HYPHEN)
+        super().format_help_text(ctx, formatter)
+        self.help = kept
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the sections of arguments and options."""
@@ -360,7 +388,8 @@ class PlainCommand(TyperCommand):
             record = param.get_help_record(ctx)
             if record is not None:
                 named = getattr(param, "metavar", None) is not None
-                sections[param.param_type_name].append((without_types(record[0], named), record[1]))
+                words = record[1].replace("-", _HYPHEN)
+                sections[param.param_type_name].append((without_types(record[0], named), words))
         for title, name in (("Arguments", "argument"), ("Options", "option")):
             if sections[name]:
                 with formatter.section(title):

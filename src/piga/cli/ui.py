@@ -17,9 +17,12 @@ _Gone = typer.Option(hidden=True, metavar="...")
 
 def ui(
     folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="Folder of records [default: this one].")
+        Path,
+        typer.Argument(metavar="FOLDER", help="Folder of records [default: this one].", show_default=False),
     ] = Path(),
-    port: Annotated[int, typer.Option(metavar="N", help="Port on this machine [default: a free one].")] = 0,
+    port: Annotated[
+        int, typer.Option(metavar="N", help="Port on this machine [default: a free one].", show_default=False)
+    ] = 0,
     browser: Annotated[bool, typer.Option(help="Open the browser.")] = True,
     host: Annotated[str | None, _Gone] = None,
     tls: Annotated[tuple[str, str] | None, _Gone] = None,

@@ -193,9 +193,11 @@ def _rate_and_level(
     seconds = _seconds(draft, log, x.size)
     if seconds is None:
         return None
-    x = np.cumsum(np.nan_to_num(x)) if output.kind == "pulses" else x
+    steps = x[1:] if output.kind == "pulses" else np.diff(x)
+    if bits := draft.document["instrument"].get("counter_bits"):
+        steps = np.remainder(steps + 2.0 ** (bits - 1), 2.0**bits) - 2.0 ** (bits - 1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        rate = np.diff(x) / np.diff(seconds)
+        rate = steps / np.diff(seconds)
     return np.where(np.isfinite(rate), rate, np.nan), 0.5 * (force[1:] + force[:-1])
 
 
