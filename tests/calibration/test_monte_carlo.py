@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,7 +71,7 @@ def test_limits_far_above_the_noise_are_the_normal_ones():
 
 @pytest.mark.only_compiled
 def test_an_instrument_without_coupling_may_have_none(monkeypatch):
-    monkeypatch.setattr(monte_carlo, "MONTE_CARLO", replace(monte_carlo.MONTE_CARLO, trials=20_000))
+    monkeypatch.setattr(monte_carlo, "_TRIALS", 20_000)
     calibration = piga.calibrate(bench(0.0).record(3), TERMS)
     assert calibration["tan_beta"].limits[0] == 0.0
     assert calibration["tan_beta"].limits[1] < 6.0 * calibration["tan_beta"].std
@@ -85,7 +84,7 @@ def test_an_instrument_without_coupling_may_have_none(monkeypatch):
 @pytest.mark.parametrize("multiple", [0.0, 1.0, 3.0, 6.0])
 def test_intervals_of_a_weak_coupling_hold(multiple, monkeypatch):
     """200 records each, integrated by SciPy."""
-    monkeypatch.setattr(monte_carlo, "MONTE_CARLO", replace(monte_carlo.MONTE_CARLO, trials=20_000))
+    monkeypatch.setattr(monte_carlo, "_TRIALS", 20_000)
     test, held, turned = bench(multiple), 0, 0
     for seed in range(200):
         calibration = piga.calibrate(test.record(seed), TERMS)

@@ -54,7 +54,7 @@ def test_joining_the_samples_of_a_long_record_keeps_the_lines(order, monkeypatch
     after = K * 20.0 * MICRO_G * ripple_integral(psi, t, order, 1.1)
     result = Residuals(none, t, psi, none, 3.0 * after, after, none, none.astype(np.int32))
     joined = order_spectrum(result, K)
-    monkeypatch.setattr(orders, "ORDERS", dataclasses.replace(orders.ORDERS, samples=psi.size + 1))
+    monkeypatch.setattr(orders, "_SAMPLES", psi.size + 1)
     whole = order_spectrum(result, K)
     line = whole.after[at(whole, order)]
     assert line == pytest.approx(20.0 * MICRO_G, rel=1e-3)

@@ -11,8 +11,9 @@ from benchmarks.scatter_rule import record as simulated
 
 import piga
 from piga.calibration.residuals import (
+    DRAWS,
     LAG_PART,
-    WHITENESS,
+    LAGS,
     add_lagged_products,
     counting_probability,
     with_slow_counts,
@@ -72,12 +73,12 @@ def test_several_runs() -> None:
 def test_the_probability_is_even_where_counting_is_all() -> None:
     """Correlations of one kind, with means of their own: the data are one of them."""
     rng = np.random.default_rng(35)
-    middle = 0.1 * rng.standard_normal(WHITENESS.lags)
+    middle = 0.1 * rng.standard_normal(LAGS)
 
     def products(shift: float) -> np.ndarray:
-        correlation = middle + 0.006 * rng.standard_normal((1 + WHITENESS.draws, WHITENESS.lags))
+        correlation = middle + 0.006 * rng.standard_normal((1 + DRAWS, LAGS))
         correlation[0] += shift
-        return 28_800 * np.hstack([np.ones((1 + WHITENESS.draws, 1)), correlation])
+        return 28_800 * np.hstack([np.ones((1 + DRAWS, 1)), correlation])
 
     result = np.array([counting_probability((lambda: products(0.0),)) for _ in range(400)])
     assert np.mean(result < 0.05) == pytest.approx(0.05, abs=0.035)

@@ -1,4 +1,7 @@
-"""Coefficients with uncertainty from a recorded run. The entry point is ``piga.calibrate``."""
+"""Coefficients with uncertainty from a recorded run. The entry point is ``piga.calibrate``.
+
+Limits are constants at the top of each module. Those without a source are own choices.
+"""
 
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model_choice import ModelComparison, TermSet, compare_models

@@ -46,18 +46,10 @@ from piga.records.calibration import Outlier
 from piga.records.run import Run
 from piga.results import Array
 
-
-@dataclass(frozen=True)
-class _FitSettings:
-    """Settings of the fit of one run (own choices)."""
-
-    refits: int = 4
-    """Most fits; the weights are usually stable after two."""
-    rounds: int = 5
-    """Most rounds of leaving samples out and fitting again; two or three are usual."""
-
-
-_FIT = _FitSettings()
+_REFITS = 4
+"""Most fits; the weights are usually stable after two."""
+_ROUNDS = 5
+"""Most rounds of leaving samples out and fitting again; two or three are usual."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +85,7 @@ def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
     Raises
     ------
     DataError
-        If more than ``OUTLIERS.largest_share`` of the samples are bad.
+        If more than two in five of the samples are bad.
     """
     fit = plain = _fit(run, request, stated)
     parameters = fit.solution.parameters
@@ -109,7 +101,7 @@ def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
     raw.forget()
     noise = first_noise(misses, parameters)
     flags = find_flags(misses, noise, resolution, parameters)
-    for _ in range(_FIT.rounds):
+    for _ in range(_ROUNDS):
         if not flags.any() or is_misfit(run, misses, flags) or is_too_many(flags):
             return plain
         cleaned, outliers = leave_out(run, misses, flags, free=request.phases == "per-segment")
@@ -139,7 +131,7 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
     positions, given = Positions.of(run), _given_noise(request)
     own = () if positions.continuous or not stated else stated
     noise = replace(given or starting_noise(run.resolution, run.median_step), stated=own)
-    for refit in range(_FIT.refits):
+    for refit in range(_REFITS):
         design, parts = reduce_settled(raw, mode, noise)
         summaries = of_segments([part.select(design.names) for part in parts], positions)
         examination = examine(design, summaries)
@@ -150,7 +142,7 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
         levels = given or find_noise(design, d, h, solution.parameters, mode, noise if refit else None)
         step = run.median_step
         settled = refined is raw and levels.close_to(noise, step, design.rows // len(run.labels))
-        if settled or refit == _FIT.refits - 1:
+        if settled or refit == _REFITS - 1:
             break
         noise, raw = replace(levels, stated=own), refined
     if given is None and mode != "rates" and not positions.continuous:

@@ -23,28 +23,20 @@ from piga.calibration.model.solution import Estimate, Layout
 from piga.errors import IdentifiabilityError
 from piga.results import Array
 
-
-@dataclass(frozen=True)
-class _IntervalSettings:
-    """Limits of the rule (own choices)."""
-
-    alone: float = 1e-3
-    """Largest remainder ``1 - leverage`` of a position that counts as determining a combination alone."""
-    concerned: float = 1e-2
-    """Share of a coefficient's variance in such a combination from which on the coefficient is refused."""
-    share: float = 1e-3
-    """Addition to the variance of a position in its weight, relative to the mean."""
-    excess: float = 0.05
-    """Probability of the F test below which the positions scatter more than noise within them predicts."""
-    spacing: float = 0.5
-    """Distance of the correlation times that make 1/f noise [decades]."""
-    between: float = 0.01
-    """Probability of the F test below which runs scatter more than the positions within them."""
-    shortest: float = 6.0
-    """Positions per shortest of these times."""
-
-
-_INTERVALS = _IntervalSettings()
+_ALONE = 1e-3
+"""Largest remainder ``1 - leverage`` of a position that counts as determining a combination alone."""
+_CONCERNED = 1e-2
+"""Share of a coefficient's variance in such a combination from which on the coefficient is refused."""
+_SHARE = 1e-3
+"""Addition to the variance of a position in its weight, relative to the mean."""
+_EXCESS = 0.05
+"""Probability of the F test below which the positions scatter more than noise within them predicts."""
+_SPACING = 0.5
+"""Distance of the correlation times that make 1/f noise [decades]."""
+_BETWEEN = 0.01
+"""Probability of the F test below which runs scatter more than the positions within them."""
+_SHORTEST = 6.0
+"""Positions per shortest of these times."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +110,7 @@ def find_interval(
     u, degrees = sandwich(scattered, repetitions, words)
     excess, probability, slow = _order(rows, repetitions)
     growth = np.ones(u.size)
-    if slow is not None and probability < _INTERVALS.excess:
+    if slow is not None and probability < _EXCESS:
         growth = np.sqrt(1.0 + (slow**2 - 1.0) * (1.0 - 1.0 / excess))
     wide, few = _between_runs(scattered, repetitions, u, degrees)
     u, degrees = np.maximum(u * growth, wide), np.where(wide > u * growth, few, degrees)
@@ -184,12 +176,12 @@ def sandwich(
     g = np.einsum("jka,jk->ja", x, missed - x @ moved)
     value, vector = np.linalg.eigh(B)
     known = (inverse**2).sum(axis=1)
-    alone = value > 1.0 - _INTERVALS.alone
+    alone = value > 1.0 - _ALONE
     if alone.any():
         if repetitions is not None:
             share = np.einsum("ca,jab->jcb", inverse, vector) ** 2 / known[None, :, None]
             _refuse_alone(alone, share, repetitions, names)
-        value = np.minimum(value, 1.0 - _INTERVALS.alone)
+        value = np.minimum(value, 1.0 - _ALONE)
     root = np.einsum("jab,jb,jcb->jac", vector, (1.0 - value) ** -0.5, vector)
     d = np.einsum("ca,jab->cjb", inverse, root)
     z = np.einsum("cja,ja->cj", d, g)
@@ -198,7 +190,7 @@ def sandwich(
     at = np.arange(len(parts))
     P[:, at, at] += np.einsum("cja,cja->cj", d, dB)
     variance = P[:, at, at]
-    weight = np.maximum(variance + _INTERVALS.share * variance.mean(axis=1, keepdims=True), 1e-300) ** -0.5
+    weight = np.maximum(variance + _SHARE * variance.mean(axis=1, keepdims=True), 1e-300) ** -0.5
     trace = (weight * variance).sum(axis=1)
     u = np.sqrt(known * (weight * z**2).sum(axis=1) / trace)
     degrees = trace**2 / np.einsum("cj,cjk,ck,cjk->c", weight, P, weight, P)
@@ -220,9 +212,7 @@ def _refuse_alone(
     """Raise if a direction that one position alone determines is a part of a coefficient; ``share`` (j, c, direction)."""
     for j, repetition in enumerate(repetitions):
         concerned = [
-            name
-            for name, own in zip(names, share[j][:, alone[j]].sum(axis=1), strict=True)
-            if own > _INTERVALS.concerned
+            name for name, own in zip(names, share[j][:, alone[j]].sum(axis=1), strict=True) if own > _CONCERNED
         ]
         if concerned:
             listed = ", ".join(dict.fromkeys(concerned))
@@ -262,10 +252,10 @@ def _between_runs(
     x = np.array([part[:, :p] @ inverse for part in together])
     value, vector = np.linalg.eigh(np.einsum("jka,jkb->jab", x, x))
     share = np.einsum("ca,jab->jcb", inverse, vector) ** 2 / (inverse**2).sum(axis=1)[None, :, None]
-    alone = np.where((value > 1.0 - _INTERVALS.alone)[:, None, :], share, 0.0).sum(axis=2).max(axis=0)
+    alone = np.where((value > 1.0 - _ALONE)[:, None, :], share, 0.0).sum(axis=2).max(axis=0)
     wide, few = sandwich(together, None, [])
     chance = fdtrc(few, degrees, (wide / np.maximum(u, 1e-300)) ** 2)
-    taken = (alone < _INTERVALS.concerned) & (wide > u) & (chance < _INTERVALS.between)
+    taken = (alone < _CONCERNED) & (wide > u) & (chance < _BETWEEN)
     return np.where(taken, wide, 0.0), few
 
 
@@ -311,8 +301,8 @@ def _slow_factor(repetitions: Sequence[Repetition], hat: Array, effect: Array, f
     longest = max(float(end[run == k].max() - begin[run == k].min()) for k in set(run.tolist()))
     usual = float(np.median(end - begin))
     covariance = np.zeros_like(hat)
-    for exponent in np.arange(0.0, np.log10(_INTERVALS.shortest * longest / usual), _INTERVALS.spacing):
-        covariance += _mean_covariance(begin, end, usual / _INTERVALS.shortest * 10.0**exponent)
+    for exponent in np.arange(0.0, np.log10(_SHORTEST * longest / usual), _SPACING):
+        covariance += _mean_covariance(begin, end, usual / _SHORTEST * 10.0**exponent)
     covariance *= run[:, None] == run[None, :]
     rest = np.eye(len(hat)) - hat
     shown = float(np.trace(rest @ covariance @ rest.T)) / freedom

@@ -39,18 +39,10 @@ from piga.records.terms import SERVO_TERMS, check_terms
 from piga.results import Array
 from piga.terms import THERMAL_TERMS
 
-
-@dataclass(frozen=True)
-class _JointSettings:
-    """Limits and steps of a joint fit (own choices)."""
-
-    inner_change: float = 1e-6
-    """Relative change of K above which the regressors of runs with base rotation are computed again."""
-    same_servo: float = 0.02
-    """Largest relative difference of a servo coefficient between runs that is accepted; different rates cause it."""
-
-
-_JOINT = _JointSettings()
+_INNER_CHANGE = 1e-6
+"""Relative change of K above which the regressors of runs with base rotation are computed again."""
+_SAME_SERVO = 0.02
+"""Largest relative difference of a servo coefficient between runs that is accepted; different rates cause it."""
 
 
 _SERVO_SOURCE = "servo "
@@ -163,7 +155,7 @@ class MergedRuns:
             return None
         for index, given in enumerate(known):
             alike = given.keys() == known[0].keys() and all(
-                abs(size - known[0][name]) <= _JOINT.same_servo * abs(size) for name, size in given.items()
+                abs(size - known[0][name]) <= _SAME_SERVO * abs(size) for name, size in given.items()
             )
             if not alike:
                 first, other = self.summaries[0].name, self.summaries[index].name
@@ -307,7 +299,7 @@ def fit_jointly(
     stale = [
         i
         for i, summary in enumerate(summaries)
-        if summary.turning and abs(scale_factor / summary.inner_scale_factor - 1.0) > _JOINT.inner_change
+        if summary.turning and abs(scale_factor / summary.inner_scale_factor - 1.0) > _INNER_CHANGE
     ]
     for i in stale:
         prepared_again = live[i]

@@ -35,22 +35,14 @@ from piga.records.terms import SERVO_TERMS, check_terms, term_names
 from piga.results import Array, Result
 from piga.threads import one_thread
 
-
-@dataclass(frozen=True)
-class _FoldSettings:
-    """Parts that cross-validation leaves out (own choices)."""
-
-    fewest_segments: int = 4
-    """Fewest segments for leaving out segments. A record with fewer segments is cut into blocks."""
-    blocks: int = 10
-    """Number of blocks for a record of fewer segments; each has about the same number of rows."""
-    most: int = 50
-    """Most parts that are left out one by one. With more parts, neighbours are left out together."""
-    dependent: float = 1e-9
-    """Largest independent share of a column's length for which the column counts as dependent on the others."""
-
-
-_FOLDS = _FoldSettings()
+_FEWEST_SEGMENTS = 4
+"""Fewest segments for leaving out segments. A record with fewer segments is cut into blocks."""
+_BLOCKS = 10
+"""Number of blocks for a record of fewer segments; each has about the same number of rows."""
+_MOST = 50
+"""Most parts that are left out one by one. With more parts, neighbours are left out together."""
+_DEPENDENT = 1e-9
+"""Largest independent share of a column's length for which the column counts as dependent on the others."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,16 +91,16 @@ class HeldOutPrediction(Result):
 def parts_of(run: Run, per_segment: bool) -> tuple[Positions, str]:
     """The parts of a record that are left out and predicted, and their kind: segments or blocks."""
     edges = run.segment_edges().astype(np.int64)
-    if per_segment or edges.size > _FOLDS.fewest_segments:
+    if per_segment or edges.size > _FEWEST_SEGMENTS:
         return Positions(edges, np.arange(edges.size - 1)), "segment"
-    blocks = np.linspace(0, run.size, min(_FOLDS.blocks, run.size) + 1).astype(np.int64)
+    blocks = np.linspace(0, run.size, min(_BLOCKS, run.size) + 1).astype(np.int64)
     edges = np.unique(np.concatenate((edges, blocks)))
     return Positions(edges, run.segment_index[edges[:-1]].astype(np.int64)), "block"
 
 
 def fold_of(parts: int) -> NDArray[np.int64]:
     """Fold of each part: one per part, or one for several neighbours if there are many parts."""
-    return np.arange(parts) * min(parts, _FOLDS.most) // parts
+    return np.arange(parts) * min(parts, _MOST) // parts
 
 
 def predict(parts: Sequence[Reduction], scale_factor: float) -> HeldOutPrediction | None:
@@ -150,7 +142,7 @@ def _least_squares(rows: Array) -> Array | None:
         return None
     triangle: Array = np.linalg.qr(rows / np.append(size, 1.0))[1]
     m = size.size
-    if np.abs(np.diag(triangle)[:m]).min() <= _FOLDS.dependent:
+    if np.abs(np.diag(triangle)[:m]).min() <= _DEPENDENT:
         return None
     return solve_upper(triangle[:m, :m], triangle[:m, m]) / size
 

@@ -22,24 +22,16 @@ from piga.records.calibration.coefficient import coverage_factor, short_way
 from piga.records.terms import si_factor
 from piga.results import Array
 
-
-@dataclass(frozen=True)
-class _MonteCarloSettings:
-    """Settings of the Monte Carlo propagation (JCGM 101; else own choices)."""
-
-    trials: int = 200_000
-    """Trials. They give an end of a 95 % interval to 0.6 % of u."""
-    resolved: float = 0.02
-    """Least tolerance [u]: three standard deviations of such an end."""
-    quantiles: int = 4000
-    """Quantiles of the scatter between which the trials are interpolated."""
-    seed: int = 101
-    """Fixed seed: the same record gives the same digits."""
-    doubtful: float = 6.0
-    """Ratio of tan_beta to its standard uncertainty below which its interval is not linear (Rice-like)."""
-
-
-MONTE_CARLO = _MonteCarloSettings()
+_TRIALS = 200_000
+"""Trials. They give an end of a 95 % interval to 0.6 % of u."""
+_RESOLVED = 0.02
+"""Least tolerance [u]: three standard deviations of such an end."""
+_QUANTILES = 4000
+"""Quantiles of the scatter between which the trials are interpolated."""
+_SEED = 101
+"""Fixed seed: the same record gives the same digits."""
+_DOUBTFUL = 6.0
+"""Ratio of tan_beta to its standard uncertainty below which its interval is not linear (Rice-like)."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +109,7 @@ def propagate_distributions(
     results: Callable[[Array], Array],
     first_order: Array,
 ) -> _Propagated:
-    """Propagate distributions through ``results`` by ``MONTE_CARLO.trials`` trials.
+    """Propagate distributions through ``results`` by ``_TRIALS`` trials.
 
     Parameters
     ----------
@@ -133,11 +125,11 @@ def propagate_distributions(
     """
     from scipy.special import chdtri
 
-    rng, trials = np.random.default_rng(MONTE_CARLO.seed), MONTE_CARLO.trials
+    rng, trials = np.random.default_rng(_SEED), _TRIALS
     values, vectors = np.linalg.eigh(covariance)
     factor = vectors * np.sqrt(np.maximum(values, 0.0))
     draws = rng.standard_normal((trials, base.size)) @ factor.T
-    quantile, grid = rng.uniform(size=trials), np.linspace(0.0, 1.0, MONTE_CARLO.quantiles + 2)[1:-1]
+    quantile, grid = rng.uniform(size=trials), np.linspace(0.0, 1.0, _QUANTILES + 2)[1:-1]
     for column, own in enumerate(np.broadcast_to(degrees, base.size)):
         if math.isfinite(own):
             draws[:, column] *= np.interp(quantile, grid, np.sqrt(own / chdtri(own, 1.0 - grid)))
@@ -149,7 +141,7 @@ def propagate_distributions(
     size = np.minimum(
         std, 0.5 * np.ptp(symmetric, axis=0)
     )  # the standard deviation of few degrees of freedom is unbounded
-    delta = np.maximum(tolerance(size), MONTE_CARLO.resolved * size)
+    delta = np.maximum(tolerance(size), _RESOLVED * size)
     agrees = np.max(np.abs(first_order - symmetric), axis=0) <= delta
     return _Propagated(trials, ordered.mean(axis=0), std, symmetric, _shortest_interval(ordered), delta, agrees)
 
@@ -169,7 +161,7 @@ def monte_carlo_intervals(
     several phases, and methods other than whitened least squares, always use the first order.
     """
     coupling = [c for c in coefficients if c.name == "tan_beta"]
-    weak = any(c.value < MONTE_CARLO.doubtful * c.std for c in coupling)
+    weak = any(c.value < _DOUBTFUL * c.std for c in coupling)
     able = fit.mode == "increments" and len(fit.solution.jacobians) == 1
     if wanted == "gum" or not able or (wanted == "auto" and not weak):
         return coefficients, None

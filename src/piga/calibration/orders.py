@@ -28,27 +28,22 @@ from piga.results import Result
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class _OrderSettings:
-    """Settings of the spectrum and of the ripple (own choices)."""
-
-    step: float = 0.125
-    """Spacing of the revolution orders of a spectrum [cycles/rev]."""
-    highest: float = 6.0
-    """Last revolution order [cycles/rev]."""
-    turns: float = 2.0
-    """Fewest cycles of a ripple in a segment: fewer cannot be told from drift or from other orders."""
-    samples: int = 1 << 16
-    """Samples of a segment above which neighbours are averaged."""
-    averaged: float = 0.6
-    """Largest turn of the highest order over the samples of an average [rad]: it loses 1.5 % there."""
-    bins: int = 36
-    """Most bins of one revolution."""
-    line: float = 3.0
-    """An order is a line above this multiple of the expected noise: chance reaches it in one spectrum of a hundred."""
+_STEP = 0.125
+"""Spacing of the revolution orders of a spectrum [cycles/rev]."""
+_HIGHEST = 6.0
+"""Last revolution order [cycles/rev]."""
+TURNS = 2.0
+"""Fewest cycles of a ripple in a segment: fewer cannot be told from drift or from other orders."""
+_SAMPLES = 1 << 16
+"""Samples of a segment above which neighbours are averaged."""
+_AVERAGED = 0.6
+"""Largest turn of the highest order over the samples of an average [rad]: it loses 1.5 % there."""
+_BINS = 36
+"""Most bins of one revolution."""
+_LINE = 3.0
+"""An order is a line above this multiple of the expected noise: chance reaches it in one spectrum of a hundred."""
 
 
-ORDERS = _OrderSettings()
 _TAPER = 1.5  # variance of an amplitude under the raised cosine, against equal weights
 _STANDING = 1e-7  # turn between samples below which the output stands [rad]
 _LEAST = 8
@@ -78,9 +73,7 @@ class OrderSpectrum(Result):
         Counts explain a line if they make at least half of its amplitude.
         """
         ratio = np.nan_to_num(self.after / np.where(self.noise > 0.0, self.noise, np.inf))
-        peaks = [
-            k for k in np.flatnonzero(ratio > ORDERS.line) if ratio[k] == ratio[max(k - 2, 0) : k + 3].max()
-        ]
+        peaks = [k for k in np.flatnonzero(ratio > _LINE) if ratio[k] == ratio[max(k - 2, 0) : k + 3].max()]
         return [
             (
                 float(self.order[k]),
@@ -140,7 +133,7 @@ def residual_angles(residuals: Residuals, kind: str) -> Residuals:
 
 def order_grid() -> Array:
     """Revolution orders of a spectrum [cycles/rev]; whole orders are among them."""
-    return np.arange(1.0, round(ORDERS.highest / ORDERS.step) + 1.0) * ORDERS.step
+    return np.arange(1.0, round(_HIGHEST / _STEP) + 1.0) * _STEP
 
 
 def count_size(psi: Array) -> float:
@@ -184,7 +177,7 @@ def order_spectrum(
     segments = _segments(residuals, count)
     enough = 0.499 * max((segment.turns for segment in segments), default=0.0)
     for segment in segments:
-        shown = (order * segment.turns >= ORDERS.turns) & (segment.turns >= enough)
+        shown = (order * segment.turns >= TURNS) & (segment.turns >= enough)
         if not shown.any():
             continue
         square, information = _segment_power(_averaged(segment), order, scale_factor)
@@ -224,11 +217,11 @@ def _dither(white: float, count: float) -> float:
 
 def _averaged(segment: _Segment) -> _Segment:
     """Means of the residuals over an odd number of samples, about the one in the middle."""
-    if segment.t.size < ORDERS.samples:
+    if segment.t.size < _SAMPLES:
         return segment
-    turn = ORDERS.highest * float(np.quantile(np.abs(np.diff(segment.psi)), 0.99))
-    half = int((ORDERS.averaged / turn - 1.0) / 2.0) if turn > 0.0 else 0
-    width = min(2 * max(half, 0) + 1, 2 * (segment.t.size // ORDERS.samples) + 1)
+    turn = _HIGHEST * float(np.quantile(np.abs(np.diff(segment.psi)), 0.99))
+    half = int((_AVERAGED / turn - 1.0) / 2.0) if turn > 0.0 else 0
+    width = min(2 * max(half, 0) + 1, 2 * (segment.t.size // _SAMPLES) + 1)
     stop = segment.t.size // width * width
     means = segment.residual[:, :stop].reshape(3, -1, width).mean(axis=2)
     middle = slice(width // 2, stop, width)
@@ -278,7 +271,7 @@ def _integrals(t: Array, psi: Array, order: Array) -> Iterator[NDArray[np.comple
     standing = np.abs(turned) < _STANDING
     rate = np.where(standing, 0.0, step / np.where(standing, 1.0, 1j * turned))
     still = np.where(standing, step, 0.0)
-    phasor, turn = np.ones(t.size, complex), np.exp(1j * ORDERS.step * psi)
+    phasor, turn = np.ones(t.size, complex), np.exp(1j * _STEP * psi)
     for n in order:
         phasor *= turn
         pieces = np.diff(phasor) * (rate / n)
@@ -294,8 +287,8 @@ def ripple(residuals: Residuals, scale_factor: float) -> Ripple:
     different transverse force add up instead of cancelling; ``after`` is turned alike. Segments of less than two turns
     cannot show a ripple and are left out. A revolution has fewer bins where the output turns further between samples.
     """
-    segments = [segment for segment in _segments(residuals) if segment.turns >= ORDERS.turns]
-    bins = ORDERS.bins
+    segments = [segment for segment in _segments(residuals) if segment.turns >= TURNS]
+    bins = _BINS
     if segments:
         stride = max(float(np.median(np.abs(np.diff(segment.psi)))) for segment in segments)
         bins = min(bins, max(12, int(2.0 * math.pi / stride) if stride > 0.0 else bins))

@@ -33,54 +33,47 @@ _NORMAL_QUARTER = 0.3186
 """Size below which a quarter of normal deviates lie."""
 
 
-@dataclass(frozen=True)
-class _OutlierSettings:
-    """Limits for bad samples of the output, and settings of their search (own choices)."""
-
-    false_alarms: float = 0.05
-    """Expected number of good samples left out per record."""
-    largest_share: float = 0.4
-    """Share of bad samples above which a record is refused."""
-    least_refused: int = 100
-    """Fewest samples of a record that is refused. In a shorter one nothing is left out instead: there the robust fit
-    follows half of the samples too easily."""
-    robust_rows: int = 30_000
-    """Increments used by the robust fit."""
-    absolute_fits: int = 20
-    """Steps towards the least absolute residuals, before Tukey's weights."""
-    tukey_fits: int = 10
-    """Steps with Tukey's weights."""
-    tukey: float = 4.685
-    """Residual in standard deviations from which on Tukey's weight is zero."""
-    narrow_core: float = 0.6
-    """Ratio of core to spread of the residual increments below which bad samples are suspected; 1 for normal noise."""
-    least_miss: float = 1e-7
-    """Smallest error [rad, or rad/s] of a bad sample: 0.02 arcsec, finer than any readout."""
-    least_counts: float = 1.5
-    """Smallest error of a bad sample in counts. A sample that toggles on a path known to half a count is not bad."""
-    misfit_pairs: int = 100
-    """Neighbouring bad increments above which the model is checked for misfit, in a long record."""
-    misfit_part: float = 0.1
-    """The same as a part of the samples, in a short record."""
-    misfit_least: int = 20
-    """Fewest of these pairs."""
-    misfit_share: float = 0.8
-    """Share of these pairs with errors of the same sign, above which the model is at fault."""
-    moved_counts: float = 3.0
-    """Least motion of the reading within an increment of the robust fit [counts]."""
-    parts_of_a_stretch: int = 8
-    """Fewest such increments in a stretch."""
-    median_samples: int = 500_000
-    """Most increments used for a median."""
-    stuck: int = 4
-    """Equal readings in a row, off the path, that count as stuck."""
-    listed: int = 200_000
-    """Most outliers listed one by one; all are counted."""
-    named: int = 6
-    """Most times named in an event."""
-
-
-OUTLIERS = _OutlierSettings()
+_FALSE_ALARMS = 0.05
+"""Expected number of good samples left out per record."""
+_LARGEST_SHARE = 0.4
+"""Share of bad samples above which a record is refused."""
+_LEAST_REFUSED = 100
+"""Fewest samples of a record that is refused. In a shorter one nothing is left out instead: there the robust fit
+follows half of the samples too easily."""
+_ROBUST_ROWS = 30_000
+"""Increments used by the robust fit."""
+_ABSOLUTE_FITS = 20
+"""Steps towards the least absolute residuals, before Tukey's weights."""
+_TUKEY_FITS = 10
+"""Steps with Tukey's weights."""
+_TUKEY = 4.685
+"""Residual in standard deviations from which on Tukey's weight is zero."""
+_NARROW_CORE = 0.6
+"""Ratio of core to spread of the residual increments below which bad samples are suspected; 1 for normal noise."""
+_LEAST_MISS = 1e-7
+"""Smallest error [rad, or rad/s] of a bad sample: 0.02 arcsec, finer than any readout."""
+_LEAST_COUNTS = 1.5
+"""Smallest error of a bad sample in counts. A sample that toggles on a path known to half a count is not bad."""
+_MISFIT_PAIRS = 100
+"""Neighbouring bad increments above which the model is checked for misfit, in a long record."""
+_MISFIT_PART = 0.1
+"""The same as a part of the samples, in a short record."""
+_MISFIT_LEAST = 20
+"""Fewest of these pairs."""
+_MISFIT_SHARE = 0.8
+"""Share of these pairs with errors of the same sign, above which the model is at fault."""
+_MOVED_COUNTS = 3.0
+"""Least motion of the reading within an increment of the robust fit [counts]."""
+_PARTS_OF_A_STRETCH = 8
+"""Fewest such increments in a stretch."""
+_MEDIAN_SAMPLES = 500_000
+"""Most increments used for a median."""
+_STUCK = 4
+"""Equal readings in a row, off the path, that count as stuck."""
+_LISTED = 200_000
+"""Most outliers listed one by one; all are counted."""
+_NAMED = 6
+"""Most times named in an event."""
 
 
 @dataclass(frozen=True)
@@ -110,18 +103,18 @@ class Misses:
 
 
 def _thinned(values: Array) -> Array:
-    """About ``median_samples`` of the values at most."""
-    return values[:: max(1, values.size // OUTLIERS.median_samples)]
+    """About ``_MEDIAN_SAMPLES`` of the values at most."""
+    return values[:: max(1, values.size // _MEDIAN_SAMPLES)]
 
 
 def limit(count: int, parameters: int) -> float:
-    """Standard deviations above which a sample is bad. Of ``count`` good samples ``false_alarms`` exceed it.
+    """Standard deviations above which a sample is bad. Of ``count`` good samples ``_FALSE_ALARMS`` exceed it.
 
     Student's t: the noise level of few samples is itself uncertain.
     """
     from scipy.special import stdtrit
 
-    share = 0.5 * OUTLIERS.false_alarms / max(count, 100)
+    share = 0.5 * _FALSE_ALARMS / max(count, 100)
     return float(-stdtrit(max(count - parameters, 1), share))
 
 
@@ -139,12 +132,9 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run, parameters
     size, shown = np.abs(d[looked]), np.abs(white[looked])
     biggest, largest = largest_size(d), largest_size(white)
     spread = float(np.sqrt(np.mean(size**2))) if size.size else 0.0
-    if biggest <= OUTLIERS.least_miss or spread == 0.0:
+    if biggest <= _LEAST_MISS or spread == 0.0:
         return False
-    narrow = (
-        float(np.median(size)) / NORMAL_MEDIAN < OUTLIERS.narrow_core * spread
-        and spread > 10.0 * OUTLIERS.least_miss
-    )
+    narrow = float(np.median(size)) / NORMAL_MEDIAN < _NARROW_CORE * spread and spread > 10.0 * _LEAST_MISS
     if narrow and spread > 1.5 * resolution_of(run):
         return True
     unit = spread if mode == "samples" else 1.0
@@ -161,13 +151,13 @@ def robust_values(design: Design) -> Array:
     """
     parts = _parts(design)
     values = _weighted(design, parts, [np.ones(columns.shape[1]) for _, columns in parts])
-    for step in range(OUTLIERS.absolute_fits + OUTLIERS.tukey_fits):
+    for step in range(_ABSOLUTE_FITS + _TUKEY_FITS):
         sizes = [np.abs(columns[-1] - values[s] @ columns[:-1]) for s, columns in parts]
         spread = max(float(np.quantile(np.concatenate(sizes), 0.25)) / _NORMAL_QUARTER, 1e-300)
-        if step < OUTLIERS.absolute_fits:
+        if step < _ABSOLUTE_FITS:
             weights = [1.0 / np.sqrt(np.maximum(size, 0.1 * spread) / spread) for size in sizes]
         else:
-            weights = [1.0 - np.minimum(size / (OUTLIERS.tukey * spread), 1.0) ** 2 for size in sizes]
+            weights = [1.0 - np.minimum(size / (_TUKEY * spread), 1.0) ** 2 for size in sizes]
         try:
             values = _weighted(design, parts, weights)
         except np.linalg.LinAlgError:
@@ -176,12 +166,12 @@ def robust_values(design: Design) -> Array:
 
 
 def _parts(design: Design) -> list[tuple[int, Array]]:
-    """Columns of about ``robust_rows`` increments at most, each divided by the root of its interval; with segments.
+    """Columns of about ``_ROBUST_ROWS`` increments at most, each divided by the root of its interval; with segments.
 
     If a reading mostly stays constant, its increments are joined first. Otherwise their median would be zero.
     """
     count = 1 if design.point else _joined(design.run)
-    every = max(1, design.rows // count // OUTLIERS.robust_rows)
+    every = max(1, design.rows // count // _ROBUST_ROWS)
     parts = []
     for block in design.blocks():
         starts, h = block.joins(count)
@@ -192,9 +182,9 @@ def _parts(design: Design) -> list[tuple[int, Array]]:
 
 
 def _joined(run: Run) -> int:
-    """Number of increments to join so that half of them move by ``moved_counts``; within a stretch."""
-    least, starts = OUTLIERS.moved_counts * resolution_of(run), np.flatnonzero(run.begins)
-    longest = int(np.median(np.diff(np.append(starts, run.size)))) // OUTLIERS.parts_of_a_stretch
+    """Number of increments to join so that half of them move by ``_MOVED_COUNTS``; within a stretch."""
+    least, starts = _MOVED_COUNTS * resolution_of(run), np.flatnonzero(run.begins)
+    longest = int(np.median(np.diff(np.append(starts, run.size)))) // _PARTS_OF_A_STRETCH
     count, home = 1, np.cumsum(run.begins)
     while least > 0.0 and 2 * count <= longest:
         inside = home[count:] == home[:-count]
@@ -231,7 +221,7 @@ def without_rates(misses: Misses, edges: NDArray[np.int64], resolution: float) -
             continue
         away = d[formed] - h[formed] * np.median(d[formed] / h[formed])
         spread = float(np.quantile(np.abs(away), 0.25)) / _NORMAL_QUARTER
-        near = formed[np.abs(away) <= max(OUTLIERS.tukey * spread, 2.0 * resolution)]
+        near = formed[np.abs(away) <= max(_TUKEY * spread, 2.0 * resolution)]
         d[start:stop] -= d[near].sum() / h[near].sum() * np.maximum(h[start:stop], 0.0)
     return replace(misses, d=d)
 
@@ -242,7 +232,7 @@ def first_noise(misses: Misses, parameters: int) -> Noise:
     If equal readings give a core of no width, the smallest error of a bad sample replaces it.
     """
     core = float(np.quantile(misses.sizes(), 0.25)) / _NORMAL_QUARTER * misses.small_sample(parameters)
-    sigma = max(core, OUTLIERS.least_miss)
+    sigma = max(core, _LEAST_MISS)
     if misses.point:
         return Noise(0.0, sigma**2)
     return Noise(sigma**2 / 3.0, sigma**2 / (3.0 * misses.step))
@@ -267,10 +257,10 @@ def find_flags(misses: Misses, noise: Noise, resolution: float, parameters: int)
     """0 good, 1 left out, 2 first after a jump, for every sample."""
     bound = limit(misses.d.size, parameters)
     if misses.point:
-        largest = max(bound * float(np.sqrt(noise.walk)), OUTLIERS.least_miss)
+        largest = max(bound * float(np.sqrt(noise.walk)), _LEAST_MISS)
         return (np.abs(misses.d) > largest).astype(np.int8)
     flags: Flags = np.zeros(misses.d.size, np.int8)
-    floor = max(OUTLIERS.least_counts * resolution, OUTLIERS.least_miss)
+    floor = max(_LEAST_COUNTS * resolution, _LEAST_MISS)
     scan_samples(misses.d, misses.h, noise.white, noise.walk, bound, floor, flags)
     return flags
 
@@ -284,8 +274,8 @@ def is_misfit(run: Run, misses: Misses, flags: Flags) -> bool:
     moves = (np.diff(run.output, prepend=run.output[0]) != 0.0) & (flags == 1) & (misses.h > 0.0)
     pairs, sign = moves[1:] & moves[:-1], np.sign(misses.d)
     count, alike = int(pairs.sum()), int(np.count_nonzero((sign[1:] == sign[:-1]) & pairs))
-    fewest = max(OUTLIERS.misfit_least, int(OUTLIERS.misfit_part * flags.size))
-    return count > min(OUTLIERS.misfit_pairs, fewest) and alike > OUTLIERS.misfit_share * count
+    fewest = max(_MISFIT_LEAST, int(_MISFIT_PART * flags.size))
+    return count > min(_MISFIT_PAIRS, fewest) and alike > _MISFIT_SHARE * count
 
 
 def is_too_many(flags: Flags) -> bool:
@@ -297,14 +287,14 @@ def is_too_many(flags: Flags) -> bool:
         For a longer record. Gives the share.
     """
     share = float(np.mean(flags == 1))
-    if share > OUTLIERS.largest_share and flags.size >= OUTLIERS.least_refused:
+    if share > _LARGEST_SHARE and flags.size >= _LEAST_REFUSED:
         raise DataError(
             f"{100.0 * share:.0f} % of the samples contradict the reference; at most "
-            f"{100.0 * OUTLIERS.largest_share:.0f} % can be left out",
+            f"{100.0 * _LARGEST_SHARE:.0f} % can be left out",
             remedy="check the wiring of the output, its unit and the reference, or calibrate a sound part of "
             "the record",
         )
-    return share > OUTLIERS.largest_share
+    return share > _LARGEST_SHARE
 
 
 def resolution_of(run: Run) -> float:
@@ -376,7 +366,7 @@ def errors_of_readings(d: Array, begins: NDArray[np.bool_], flags: Flags, anew: 
 def _findings(
     run: Run, flags: Flags, wrong: Array
 ) -> tuple[tuple[Outlier, ...], dict[str, int], tuple[Outlier, ...]]:
-    """Runs of bad samples and jumps in order of time (at most ``listed``), and the number of jumps and samples by kind.
+    """Runs of bad samples and jumps in order of time (at most ``_LISTED``), and the number of jumps and samples by kind.
 
     The last result lists the runs at a gap, with readings on its other side. A slip of the counter looks the same.
     """
@@ -388,7 +378,7 @@ def _findings(
         if kind == "jump" and size == 0.0:
             continue
         counts[kind] = counts.get(kind, 0) + (1 if kind == "jump" else stop - start)
-        if len(outliers) < OUTLIERS.listed:
+        if len(outliers) < _LISTED:
             samples = 0 if kind == "jump" else stop - start
             outliers.append(Outlier(kind, float(run.t[start]), int(run.row[start]), samples, size))
             ends, starts = stop < flags.size and run.begins[stop], start > 0 and run.begins[start]
@@ -412,7 +402,7 @@ def _judge(run: Run, flags: Flags, wrong: Array, start: int, stop: int) -> tuple
         before = float(wrong[max(0, start - 1000) + good[-1]]) if good.size else 0.0
         return "jump", float(abs(wrong[start] - before))
     size = float(np.abs(wrong[start:stop] - wrong[max(start - 1, 0)]).max())
-    if stop - start < OUTLIERS.stuck:
+    if stop - start < _STUCK:
         return "spike", size
     still = float((np.diff(run.output[max(start - 1, 0) : stop]) == 0.0).mean())
     return "stuck" if still > 0.5 else "spike", size
@@ -434,8 +424,8 @@ def _events(
     for kind, text in _WORDS.items():
         those = [outlier for outlier in outliers if outlier.kind == kind]
         if those:
-            times = ", ".join(f"{outlier.time:.6g}" for outlier in those[: OUTLIERS.named])
-            more = " and more" if counts[kind] > sum(max(o.samples, 1) for o in those[: OUTLIERS.named]) else ""
+            times = ", ".join(f"{outlier.time:.6g}" for outlier in those[:_NAMED])
+            more = " and more" if counts[kind] > sum(max(o.samples, 1) for o in those[:_NAMED]) else ""
             words = text.partition(". If")[0] if direct else text
             also = _perhaps_a_slip(at_gap) if kind == "spike" and not direct else ""
             events.append(
@@ -448,8 +438,8 @@ def _perhaps_a_slip(at_gap: tuple[Outlier, ...]) -> str:
     """Remark on spikes at a gap."""
     if not at_gap:
         return ""
-    listed = ", ".join(f"{one.samples} from t = {one.time:.6g} s" for one in at_gap[: OUTLIERS.named])
-    more = " and more" if len(at_gap) > OUTLIERS.named else ""
+    listed = ", ".join(f"{one.samples} from t = {one.time:.6g} s" for one in at_gap[:_NAMED])
+    more = " and more" if len(at_gap) > _NAMED else ""
     return (
         f". The readings at a gap ({listed}{more}) are too few to separate wrong readings "
         "from a slip of the counter. If the counter slipped, the phase after it is another one: "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -26,23 +26,16 @@ LAG_PART = 8192
 """Samples per step when lagged products are summed: 64 KiB."""
 
 
-@dataclass(frozen=True)
-class _WhitenessSettings:
-    """Settings of the tests for white residuals (own choices)."""
-
-    lags: int = 20
-    """Lags of the portmanteau test."""
-    white: float = 1e-3
-    """Probability below which whitened residuals are called not white."""
-    draws: int = 32
-    """Simulated countings for the correlations of a coarsely counted record."""
-    beat: float = 0.05
-    """Largest distance of the counts per sample from a whole number at which the error of the counts changes slowly."""
-    drawn_rows: int = 1 << 16
-    """First rows of the record used for this simulation: 0.2 s of processor time."""
-
-
-WHITENESS = _WhitenessSettings()
+LAGS = 20
+"""Lags of the portmanteau test."""
+_WHITE = 1e-3
+"""Probability below which whitened residuals are called not white."""
+DRAWS = 32
+"""Simulated countings for the correlations of a coarsely counted record."""
+_BEAT = 0.05
+"""Largest distance of the counts per sample from a whole number at which the error of the counts changes slowly."""
+_DRAWN_ROWS = 1 << 16
+"""First rows of the record used for this simulation: 0.2 s of processor time."""
 
 
 Products = Callable[[], "Array | None"]
@@ -208,13 +201,13 @@ def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...
     square = x * x
     sums = float(square.sum()), float(square @ x), float(square @ square)
     variance = sums[0] / n
-    lags = min(WHITENESS.lags, n // 5)
+    lags = min(LAGS, n // 5)
     products = np.zeros(lags + 1)
     add_lagged_products(x, products)
     correlation = products[1:] / products[0]
     statistic = float(n * (n + 2) * np.sum(correlation**2 / (n - np.arange(1, lags + 1))))
     probability = float(gammaincc(0.5 * lags, 0.5 * statistic))
-    white = probability > WHITENESS.white
+    white = probability > _WHITE
     counting = math.nan if white else counting_probability(runs)
     return replace(
         plain,
@@ -230,7 +223,7 @@ def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...
         verdict="white"
         if white
         else COUNTED
-        if counting > WHITENESS.white
+        if counting > _WHITE
         else "not white: the model or the noise description is incomplete",
     )
 
@@ -261,7 +254,7 @@ def with_slow_counts(tests: Diagnostics, run: Run) -> Diagnostics:
     size = np.bincount(run.segment_index[1:][formed], minlength=len(run.labels))
     turned = np.bincount(run.segment_index[1:][formed], np.diff(run.output)[formed] / count, len(run.labels))
     steps = turned[size > 0] / size[size > 0]
-    slow = np.abs(steps - np.round(steps)) < WHITENESS.beat
+    slow = np.abs(steps - np.round(steps)) < _BEAT
     return replace(tests, verdict=SLOW_COUNTS) if 3 * np.count_nonzero(slow) >= slow.size else tests
 
 
@@ -275,7 +268,7 @@ def counted_products(design: Design, noise: Noise, mode: str, residuals: Residua
     run, count = design.run, count_of(design.run)
     if count == 0.0 or mode != "increments":
         return None
-    size = min(run.size, WHITENESS.drawn_rows)
+    size = min(run.size, _DRAWN_ROWS)
     h = np.zeros(size)
     for block in design.blocks():
         if block.start >= size:
@@ -288,9 +281,9 @@ def counted_products(design: Design, noise: Noise, mode: str, residuals: Residua
     formed = innovation != 0.0
     rng = np.random.default_rng(0)
     besides = math.sqrt(max(noise.white - count**2 / 12.0, 0.0))
-    correlated = np.zeros((1 + WHITENESS.draws, WHITENESS.lags + 1))
+    correlated = np.zeros((1 + DRAWS, LAGS + 1))
     rows = [innovation]
-    for _ in range(WHITENESS.draws):
+    for _ in range(DRAWS):
         place = rng.uniform(0.0, count, int(stretch[-1]) + 1)[stretch]
         walk = np.cumsum(np.sqrt(max(noise.walk, 0.0) * np.where(h > 0.0, h, 0.0)) * rng.standard_normal(size))
         noisy = path + place + walk + besides * rng.standard_normal(size)
@@ -319,7 +312,7 @@ def counting_probability(runs: tuple[Products, ...]) -> float:
     total = np.sum(counted, axis=0)
     correlation = total[:, 1:] / total[:, :1]
     data, draws = correlation[0], correlation[1:]
-    others = (draws.sum(axis=0) - draws) / (WHITENESS.draws - 1)
+    others = (draws.sum(axis=0) - draws) / (DRAWS - 1)
     own = np.sum((draws - others) ** 2, axis=1)
     distance = float(np.sum((data - draws.mean(axis=0)) ** 2))
     middle, spread = float(own.mean()), float(own.var(ddof=1))

@@ -23,22 +23,15 @@ from piga.results import Array
 _FULL_TURN = 2.0 * np.pi
 
 
-@dataclass(frozen=True)
-class _RevolutionSettings:
-    """Settings of the method of whole turns (own choices)."""
-
-    steady: float = 2e-3
-    """Largest change of the specific force in a position, relative to its size."""
-    parts: int = 32
-    """Parts of a turn whose durations give the ripple."""
-    locking: float = 0.85
-    """Ratio of the lock zone to the drive above which a position is left out: a small disturbance changes the time of a
-    turn much there."""
-    fewest_turns: int = 3
-    """Fewest turns beyond one for each position."""
-
-
-_REVOLUTIONS = _RevolutionSettings()
+_STEADY = 2e-3
+"""Largest change of the specific force in a position, relative to its size."""
+_PARTS = 32
+"""Parts of a turn whose durations give the ripple."""
+_LOCKING = 0.85
+"""Ratio of the lock zone to the drive above which a position is left out: a small disturbance changes the time of a
+turn much there."""
+_FEWEST_TURNS = 3
+"""Fewest turns beyond one for each position."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +79,7 @@ def whole_turns(run: Run, request: Request) -> _WholeTurns:
         else:
             positions.append((index, stretch, *position))
     turns = sum(at.size - 1 for *_, at, _ in positions)
-    if turns < len(positions) + _REVOLUTIONS.fewest_turns:
+    if turns < len(positions) + _FEWEST_TURNS:
         short = left_out["no-whole-revolution"]
         raise CalibrationError(
             f"method 'revolutions' finds {turns} whole turns of the output in {len(positions)} positions"
@@ -124,12 +117,12 @@ def _position(run: Run, stretch: slice) -> tuple[Array, float] | str:
     count = int(x[-1] / _FULL_TURN)
     if count < 1:
         return "no-whole-revolution"
-    if np.ptp(force, axis=0).max() > _REVOLUTIONS.steady * np.linalg.norm(force, axis=1).max():
+    if np.ptp(force, axis=0).max() > _STEADY * np.linalg.norm(force, axis=1).max():
         return "force-not-constant"
-    parts = _REVOLUTIONS.parts
+    parts = _PARTS
     inner = np.interp(_FULL_TURN / parts * np.arange(parts * count + 1), x, t)
     ratio = ripple(np.diff(inner).reshape(count, parts).mean(axis=0))
-    if ratio > _REVOLUTIONS.locking:
+    if ratio > _LOCKING:
         return "near-lock"
     sign = float(np.sign(output[-1] - output[0]))
     return inner[::parts], sign * _FULL_TURN / float(np.sqrt(1.0 - ratio**2))
@@ -178,7 +171,7 @@ def _events(left_out: dict[str, list[str]]) -> list[Event]:
     words = {
         "no-whole-revolution": "the output does not turn once",
         "force-not-constant": "the specific force changes while the output turns",
-        "near-lock": f"the lock zone is above {_REVOLUTIONS.locking:g} of the drive",
+        "near-lock": f"the lock zone is above {_LOCKING:g} of the drive",
     }
     return [
         Event(

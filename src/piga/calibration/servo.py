@@ -10,7 +10,7 @@ tan_beta sin(phi)`` determine the phase. The phase does not depend on their comm
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,26 +24,18 @@ from piga.records.calibration.coefficient import short_way
 from piga.records.terms import SERVO_TERMS
 from piga.results import Array
 
-
-@dataclass(frozen=True)
-class _ServoFitSettings:
-    """Settings of the search for the phase of the servo terms (own choices)."""
-
-    iterations: int = 40
-    """Most steps about the phase; four are usual."""
-    settled: float = 1e-10
-    """Change of the phase [rad] that ends the iteration."""
-    scan: int = 72
-    """Trial phases before the first step, if one phase serves the whole record."""
-    seen: float = 4.0
-    """Least ratio of tan_beta to its uncertainty for a phase that depends on the coupling; below it the phase is fixed."""
-    separate: float = 1e-3
-    """Smallest independent part of a term's column, relative to its size, for the term to be determined."""
-    named_share: float = 0.05
-    """Least share of that column for which another term is named."""
-
-
-_SERVO_FIT = _ServoFitSettings()
+_ITERATIONS = 40
+"""Most steps about the phase; four are usual."""
+_SETTLED = 1e-10
+"""Change of the phase [rad] that ends the iteration."""
+_SCAN = 72
+"""Trial phases before the first step, if one phase serves the whole record."""
+_SEEN = 4.0
+"""Least ratio of tan_beta to its uncertainty for a phase that depends on the coupling; below it the phase is fixed."""
+_SEPARATE = 1e-3
+"""Smallest independent part of a term's column, relative to its size, for the term to be determined."""
+_NAMED_SHARE = 0.05
+"""Least share of that column for which another term is named."""
 
 
 def at_state(
@@ -105,7 +97,7 @@ def find_state(
     """
     state = ServoState((0.0,) * len(parts), known.get("servo", 0.0), known.get("servo_damping", 0.0), 0.0)
     state = replace(state, phases=_first_phases(layout, parts, wanted, state, known))
-    for _ in range(_SERVO_FIT.iterations):
+    for _ in range(_ITERATIONS):
         chosen = [
             at_state(part, names, state, g, known)
             for g, (part, names) in enumerate(zip(parts, wanted, strict=True))
@@ -113,7 +105,7 @@ def find_state(
         estimate = solve_parts(layout, chosen)
         moved = _moved_state(layout, estimate, known, sum(part.count for part in parts))
         change = short_way(np.array(moved.phases) - np.array(state.phases))
-        settled = np.abs(change).max() < _SERVO_FIT.settled and (moved.inverse == 0.0) == (state.inverse == 0.0)
+        settled = np.abs(change).max() < _SETTLED and (moved.inverse == 0.0) == (state.inverse == 0.0)
         sizes = np.array([state.stiffness, state.damping]), np.array([moved.stiffness, moved.damping])
         settled = settled and bool(np.all(np.abs(sizes[1] - sizes[0]) <= 1e-9 * np.abs(sizes[1])))
         state = moved
@@ -133,7 +125,7 @@ def _moved_state(layout: Layout, estimate: Estimate, known: dict[str, float], ro
     coupling = float(estimate.amplitudes[0])
     freedom = max(rows - estimate.covariance.shape[0], 1)
     deviation = np.sqrt(max(estimate.covariance[0, 0] * estimate.cost / freedom, 0.0))
-    inverse = 1.0 / coupling if abs(coupling) > _SERVO_FIT.seen * deviation else 0.0
+    inverse = 1.0 / coupling if abs(coupling) > _SEEN * deviation else 0.0
     phases = tuple(float(phase) for phase in estimate.phases)
     return ServoState(phases, sizes["servo"], sizes["servo_damping"], inverse)
 
@@ -152,7 +144,7 @@ def _first_phases(
 def _scanned(part: Reduction, wanted: Names, known: dict[str, float]) -> float:
     """Phase of least sum of squares; the coupling is bound to it."""
     best, chosen = np.inf, 0.0
-    for phase in 2.0 * np.pi * np.arange(_SERVO_FIT.scan) / _SERVO_FIT.scan - np.pi:
+    for phase in 2.0 * np.pi * np.arange(_SCAN) / _SCAN - np.pi:
         state = ServoState((float(phase),), 0.0, 0.0, 0.0)
         factor = at_state(part, wanted, state, 0, known).factor
         bound = np.column_stack([factor[:, :2] @ [np.cos(phase), np.sin(phase)], factor[:, 2:]])
@@ -313,12 +305,10 @@ def _made_of(rows: Array, size: float, names: list[str]) -> Names:
     columns = rows[:, :-1] / scale
     share = np.linalg.lstsq(columns, rows[:, -1], rcond=1e-9)[0]
     left = float(np.linalg.norm(rows[:, -1] - columns @ share))
-    if left > _SERVO_FIT.separate * size:
+    if left > _SEPARATE * size:
         return ()
     named = tuple(
-        dict.fromkeys(
-            n for n, part in zip(names, share, strict=True) if abs(part) > _SERVO_FIT.named_share * size
-        )
+        dict.fromkeys(n for n, part in zip(names, share, strict=True) if abs(part) > _NAMED_SHARE * size)
     )
     return named or ("tan_beta",)
 

@@ -270,23 +270,16 @@ def find_noise(design: Design, d: Array, h: Array, fitted: int, mode: str, near:
     return likeliest_levels(d, h, edges, step, fitted, rounding(design.run), near)
 
 
-@dataclass(frozen=True)
-class _LevelSettings:
-    """Settings of the search for the levels (own choices)."""
-
-    spacing: float = 1.5
-    """Distance of the ratios of walk to white noise in the first search [natural logarithm]."""
-    largest_ratio: float = 1e6
-    """Largest ratio of walk to white noise in an increment."""
-    first_rows: int = 1 << 16
-    """Rows of a search without a first guess; of a longer record neighbouring increments are joined."""
-    tolerance: float = 0.1
-    """Tolerance of the ratio [natural logarithm]."""
-    scatter_range: tuple[float, float] = (-5.0, 14.0)
-    """Range of the scatter over the noise of a mean rate [natural logarithm of the variance]."""
-
-
-LEVELS = _LevelSettings()
+_SPACING = 1.5
+"""Distance of the ratios of walk to white noise in the first search [natural logarithm]."""
+_LARGEST_RATIO = 1e6
+"""Largest ratio of walk to white noise in an increment."""
+_FIRST_ROWS = 1 << 16
+"""Rows of a search without a first guess; of a longer record neighbouring increments are joined."""
+_TOLERANCE = 0.1
+"""Tolerance of the ratio [natural logarithm]."""
+_SCATTER_RANGE = (-5.0, 14.0)
+"""Range of the scatter over the noise of a mean rate [natural logarithm of the variance]."""
 
 
 def likeliest_levels(
@@ -316,20 +309,20 @@ def likeliest_levels(
         square = max(float((dd - hd**2 / hh).sum()), freedom * floor**2)
         return freedom * math.log(square / freedom) + logarithm + float(np.log(hh).sum()), square / freedom
 
-    low, high = math.log((math.pi / longest) ** 2 / longest) - 4.0, math.log(LEVELS.largest_ratio)
-    grid = np.arange(low, high + LEVELS.spacing, LEVELS.spacing)
+    low, high = math.log((math.pi / longest) ** 2 / longest) - 4.0, math.log(_LARGEST_RATIO)
+    grid = np.arange(low, high + _SPACING, _SPACING)
     rows, searched, few = (d, h, edges), (d, h, edges), count
     if near is None or near.walk == 0.0 or near.white == 0.0:
-        searched = joined(d, h, edges, max(1, d.size // LEVELS.first_rows))
+        searched = joined(d, h, edges, max(1, d.size // _FIRST_ROWS))
         few = int(np.count_nonzero(searched[1] > 0.0))
         best = float(grid[int(np.argmin([deviance(math.exp(x), searched, few)[0] for x in grid]))])
     else:
         best = float(grid[int(np.argmin(np.abs(grid - math.log(near.walk * step / near.white))))])
     found = minimize_scalar(
         lambda x: deviance(math.exp(x), searched, few)[0],
-        bounds=(best - LEVELS.spacing, best + LEVELS.spacing),
+        bounds=(best - _SPACING, best + _SPACING),
         method="bounded",
-        options={"xatol": LEVELS.tolerance},
+        options={"xatol": _TOLERANCE},
     )
     ratio = math.exp(float(found.x))
     (none, white), (least, beside) = deviance(0.0, rows, count), deviance(ratio, rows, count)
@@ -401,7 +394,7 @@ def find_scatter(parts: Sequence[Reduction], noise: Noise, local: tuple[str, ...
     unit = 1.0 / float(np.median(s[s > 0.0])) if (s > 0.0).any() else 0.0
     found = minimize_scalar(
         lambda x: deviance(unit * math.exp(x)),
-        bounds=LEVELS.scatter_range,
+        bounds=_SCATTER_RANGE,
         method="bounded",
         options={"xatol": 0.1},
     )

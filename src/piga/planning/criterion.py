@@ -24,29 +24,22 @@ from piga.results import Array
 Index = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class _CriterionSettings:
-    """Settings of the search for the best plan (own choices)."""
-
-    gap: float = 1e-6
-    """Excess of the largest directional derivative over its value at the optimum that ends the search."""
-    rounds: int = 60
-    """Most rounds of the search."""
-    mixed: float = 1e-6
-    """Share of the equal mixture in every candidate. It keeps the mixture regular if the optimum is singular."""
-    ridge: float = 1e-13
-    """Information added to each scaled parameter, so that a singular plan has a finite, useless value."""
-    guard: float = 0.02
-    """Share of the D-criterion of all parameters in a guarded criterion."""
-    largest_power: float = 64.0
-    """Power that approximates the largest variance, within a factor r^(1/64)."""
-    improvement: float = 1e-7
-    """Smallest improvement of the criterion that counts."""
-    jumps: tuple[int, ...] = (1, 5)
-    """Dwell steps moved from one visit to another at a time."""
-
-
-SEARCH = _CriterionSettings()
+_GAP = 1e-6
+"""Excess of the largest directional derivative over its value at the optimum that ends the search."""
+_ROUNDS = 60
+"""Most rounds of the search."""
+_MIXED = 1e-6
+"""Share of the equal mixture in every candidate. It keeps the mixture regular if the optimum is singular."""
+_RIDGE = 1e-13
+"""Information added to each scaled parameter, so that a singular plan has a finite, useless value."""
+_GUARD = 0.02
+"""Share of the D-criterion of all parameters in a guarded criterion."""
+LARGEST_POWER = 64.0
+"""Power that approximates the largest variance, within a factor r^(1/64)."""
+_IMPROVEMENT = 1e-7
+"""Smallest improvement of the criterion that counts."""
+_JUMPS = (1, 5)
+"""Dwell steps moved from one visit to another at a time."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +57,7 @@ class Criterion:
     def guarded(self) -> Criterion:
         """The criterion with the guard, if the rows do not cover all parameters."""
         left_out = self.rows.shape[0] < self.rows.shape[1]
-        return replace(self, guard=SEARCH.guard) if left_out else self
+        return replace(self, guard=_GUARD) if left_out else self
 
     def _all(self) -> Criterion:
         return Criterion(np.eye(self.rows.shape[1]), 0.0)
@@ -75,7 +68,7 @@ class Criterion:
             own = replace(self, guard=0.0).values(information)
             return (1.0 - self.guard) * own + self.guard * self._all().values(information)
         m = information.shape[-1]
-        covariance = np.linalg.inv(information + SEARCH.ridge * np.eye(m))
+        covariance = np.linalg.inv(information + _RIDGE * np.eye(m))
         reduced = self.rows @ covariance @ self.rows.T
         if self.power == 0.0:
             return np.linalg.slogdet(reduced)[1] / self.rows.shape[0]
@@ -90,7 +83,7 @@ class Criterion:
             own = replace(self, guard=0.0).sensitivity(information)
             return (1.0 - self.guard) * own + self.guard * self._all().sensitivity(information)
         m = information.shape[-1]
-        covariance = np.linalg.inv(information + SEARCH.ridge * np.eye(m))
+        covariance = np.linalg.inv(information + _RIDGE * np.eye(m))
         crossed = covariance @ self.rows.T
         reduced = self.rows @ crossed
         if self.power == 0.0:
@@ -125,16 +118,16 @@ def best_mixture(candidates: Array, criterion: Criterion) -> Mixture:
     CalibrationError
         If the certificate is not reached.
     """
-    matrices = (1.0 - SEARCH.mixed) * candidates + SEARCH.mixed * candidates.mean(axis=0)
+    matrices = (1.0 - _MIXED) * candidates + _MIXED * candidates.mean(axis=0)
     active = np.unique(np.argmax(np.einsum("njj->nj", matrices), axis=0))
     derivatives = _derivatives(matrices, criterion, matrices.mean(axis=0))
     active = np.union1d(active, np.argsort(-derivatives)[:30])
     weights = np.full(active.size, 1.0 / active.size)
-    for _ in range(SEARCH.rounds):
+    for _ in range(_ROUNDS):
         weights = _solve(matrices[active], criterion, weights)
         total = np.tensordot(weights, matrices[active], 1)
         derivatives = _derivatives(matrices, criterion, total)
-        if derivatives.max() - 1.0 < SEARCH.gap:
+        if derivatives.max() - 1.0 < _GAP:
             break
         keep = weights > 1e-12
         new = np.setdiff1d(np.argsort(-derivatives)[:10], active[keep])
@@ -142,7 +135,7 @@ def best_mixture(candidates: Array, criterion: Criterion) -> Mixture:
         active = np.concatenate([active[keep], new])
         weights = np.concatenate([(1.0 - share) * weights[keep], np.full(new.size, share / max(new.size, 1))])
         weights /= weights.sum()
-    if derivatives.max() - 1.0 > 1e3 * SEARCH.gap:
+    if derivatives.max() - 1.0 > 1e3 * _GAP:
         raise CalibrationError(
             f"the search for the best times did not converge (directional derivative {derivatives.max() - 1.0:.2g} too large)",
             remedy="use fewer candidates, or criterion 'D'",
@@ -215,7 +208,7 @@ def improve(tables: Array, criterion: Criterion, limits: PlanLimits, places: Ind
         matrices = np.concatenate([change for change, _ in options])
         values = criterion.values(_information(tables, places, dwells) + matrices)
         best = int(np.argmin(values))
-        if not values[best] < value - SEARCH.improvement:
+        if not values[best] < value - _IMPROVEMENT:
             return Schedule(places, dwells, value)
         for change, take in options:
             if best < change.shape[0]:
@@ -224,7 +217,7 @@ def improve(tables: Array, criterion: Criterion, limits: PlanLimits, places: Ind
             best -= change.shape[0]
         better = float(criterion.values(_information(tables, *taken)))
         if (
-            not better < value - SEARCH.improvement
+            not better < value - _IMPROVEMENT
         ):  # rounding of a nearly singular plan: it would go round in circles
             return Schedule(places, dwells, value)
         (places, dwells), value = taken, better
@@ -254,7 +247,7 @@ def _neighbours(tables: Array, limits: PlanLimits, places: Index, dwells: Index)
     for k in range(places.size):
         yield tables[:, dwells[k] - 1] - own[k], lambda i, k=k: (_put(places, k, i), dwells)
     for k in range(places.size):
-        for jump in SEARCH.jumps:
+        for jump in _JUMPS:
             if dwells[k] - jump < limits.shortest:
                 continue
             others = np.flatnonzero((np.arange(places.size) != k) & (dwells + jump <= limits.longest))

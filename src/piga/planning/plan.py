@@ -31,7 +31,7 @@ from piga.planning.candidates import (
     stand_table,
 )
 from piga.planning.criterion import (
-    SEARCH,
+    LARGEST_POWER,
     Criterion,
     Index,
     Mixture,
@@ -57,21 +57,14 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 
-@dataclass(frozen=True)
-class _StandardPlanSettings:
-    """Settings of a plan (own choices)."""
-
-    standard: tuple[int, ...] = (4, 6, 12, 24)
-    """Numbers of evenly spaced positions in the standard plans."""
-    stretches: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0, 4.0)
-    """Durations in the figure, relative to the planned duration."""
-    stride: float = 0.381966
-    """Step from one visit to the next in shuffled order, as a share of the visits (the golden section)."""
-    attempts: int = 12
-    """Most durations tried to reach a wanted uncertainty."""
-
-
-_STANDARD_PLANS = _StandardPlanSettings()
+_STANDARD = (4, 6, 12, 24)
+"""Numbers of evenly spaced positions in the standard plans."""
+_STRETCHES = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""Durations in the figure, relative to the planned duration."""
+_STRIDE = 0.381966
+"""Step from one visit to the next in shuffled order, as a share of the visits (the golden section)."""
+_ATTEMPTS = 12
+"""Most durations tried to reach a wanted uncertainty."""
 
 
 @dataclass(frozen=True)
@@ -175,7 +168,7 @@ class _Search:
         if kind == "wanted":
             wanted = self.request.wanted
             chosen = [names.index(n) for n in wanted]
-            return Criterion(rows[chosen] / np.array(list(wanted.values()))[:, None], SEARCH.largest_power)
+            return Criterion(rows[chosen] / np.array(list(wanted.values()))[:, None], LARGEST_POWER)
         chosen = [names.index(n) for n in plan.coefficients or names]
         sizes = np.array([self.request.wanted.get(n, self.scale[names.index(n)]) for n in names])
         return Criterion((rows / sizes[:, None])[chosen], 0.0 if kind == "D" else 1.0)
@@ -294,7 +287,7 @@ def _standard(
     if head is None:
         places: list[tuple[str, tuple[Candidate, ...]]] = [("all levels", usable)]
     else:
-        places = [(f"{n} positions", _evenly(request, head, n)) for n in _STANDARD_PLANS.standard]
+        places = [(f"{n} positions", _evenly(request, head, n)) for n in _STANDARD]
     plans = []
     for name, chosen in places:
         dwell = _whole_samples(request, (duration + request.move) / len(chosen) - request.move)
@@ -426,7 +419,7 @@ def _ordered(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Visit, ..
     ordered: list[Visit] = []
     for _, group in groupby(visits, key=lambda visit: type(visit.candidate.table)):
         part = list(group)
-        step = max(round(_STANDARD_PLANS.stride * len(part)), 1)
+        step = max(round(_STRIDE * len(part)), 1)
         while math.gcd(step, len(part)) > 1:
             step += 1
         ordered += [part[(step * k) % len(part)] for k in range(len(part))]
@@ -438,7 +431,7 @@ def _stretched(
 ) -> tuple[tuple[float, Prediction, Prediction], ...]:
     """The planned and the last standard plan for other durations; ``here`` is the row of the planned duration."""
     rows = []
-    for factor in _STANDARD_PLANS.stretches:
+    for factor in _STRETCHES:
         if factor == 1.0:
             rows.append(here)
             continue
@@ -473,7 +466,7 @@ def _cheapest(search: _Search, best: Prediction) -> _Cheapest:
     bound = math.exp(mixture.value) - request.move
     begin = best_mixture(search.per_second(), criterion.guarded())
     duration = max(bound, request.minimum_dwell)
-    for _ in range(_STANDARD_PLANS.attempts):
+    for _ in range(_ATTEMPTS):
         plan = _search_visits(search, criterion, begin, "cheapest", duration)
         ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())
         if ratio <= 1.0:

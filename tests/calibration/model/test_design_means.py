@@ -20,7 +20,8 @@ from tests.calibration.made.synthetic import SCALE, TERMS, TRUTH, record
 @pytest.fixture
 def short(monkeypatch):
     """Records above 300 rows count as long."""
-    monkeypatch.setattr(design_module, "DESIGN", replace(design_module.DESIGN, means=300, shared=4))
+    monkeypatch.setattr(design_module, "_MEANS", 300)
+    monkeypatch.setattr(design_module, "_SHARED", 4)
 
 
 def fine(seed: int, **options: float) -> piga.Run:
@@ -44,7 +45,8 @@ def test_nothing_is_approximated(short):
 def test_estimate_and_uncertainty_are_those_of_all_samples(monkeypatch, walk):
     runs = [fine(seed, walk=walk) for seed in range(6)]
     whole = [piga.calibrate(run, TERMS) for run in runs]
-    monkeypatch.setattr(design_module, "DESIGN", replace(design_module.DESIGN, means=300, shared=4))
+    monkeypatch.setattr(design_module, "_MEANS", 300)
+    monkeypatch.setattr(design_module, "_SHARED", 4)
     means = [piga.calibrate(run, TERMS) for run in runs]
     for name in TERMS:
         moved = [abs(a[name].value - b[name].value) / a[name].std for a, b in zip(whole, means, strict=True)]
@@ -131,7 +133,8 @@ def test_the_first_mean_may_hold_the_first_sample_alone(monkeypatch):
     odd = run.without(run.row[:2])  # 401 samples of the first position become 399
     first = np.flatnonzero(odd.begins)[1]
     assert first % 4 == 3
-    monkeypatch.setattr(design_module, "DESIGN", replace(design_module.DESIGN, means=odd.size // 2, shared=4))
+    monkeypatch.setattr(design_module, "_MEANS", odd.size // 2)
+    monkeypatch.setattr(design_module, "_SHARED", 4)
     design = Design(odd, make_request(odd, TERMS, "information"), odd.scale_factor).means
     assert isinstance(design, MeanDesign)
     assert design.firsts[1] == 1

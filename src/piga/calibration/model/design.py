@@ -109,34 +109,27 @@ def given_servo(run: Run) -> dict[str, float]:
     return {"servo": terms.servo} | damping
 
 
-@dataclass(frozen=True)
-class _DesignSettings:
-    """Settings of the columns of a record (own choices)."""
-
-    chunk: int = 1 << 16
-    """Rows per block."""
-    cache_bytes: int = 256 << 20
-    """Memory for blocks that are kept for the next pass [bytes]."""
-    most_bend: float = 0.3
-    """Largest sag of the output angle between samples [rad] that the product integration may correct to first
-    order. Its error is then below ``bend^2/4`` of tan_beta."""
-    most_change: float = 0.5
-    """Largest relative change of K inside the regressors. Above it the model does not fit the record."""
-    means: int = 1 << 15
-    """Rows above which neighbouring samples are averaged (:attr:`Design.means`)."""
-    turn: float = 0.3
-    """Largest turn of the output in a mean [rad]; it loses 0.8 % of the information of a column that turns."""
-    moved: float = 1e-3
-    """Largest mean square of the force about the means, relative to that of the force; more would lose information."""
-    even: float = 0.1
-    """Largest relative difference of the interval of a segment from the usual one, in a record that is averaged."""
-    pieces: float = 0.01
-    """Largest share of the rows of a segment in pieces shorter than two means, in a record that is averaged."""
-    shared: int = 16
-    """Fewest means in a segment, and half the fewest in a stretch of usual length."""
-
-
-DESIGN = _DesignSettings()
+_CHUNK = 1 << 16
+"""Rows per block."""
+_CACHE_BYTES = 256 << 20
+"""Memory for blocks that are kept for the next pass [bytes]."""
+_MOST_BEND = 0.3
+"""Largest sag of the output angle between samples [rad] that the product integration may correct to first
+order. Its error is then below ``bend^2/4`` of tan_beta."""
+_MOST_CHANGE = 0.5
+"""Largest relative change of K inside the regressors. Above it the model does not fit the record."""
+_MEANS = 1 << 15
+"""Rows above which neighbouring samples are averaged (:attr:`Design.means`)."""
+_TURN = 0.3
+"""Largest turn of the output in a mean [rad]; it loses 0.8 % of the information of a column that turns."""
+_MOVED = 1e-3
+"""Largest mean square of the force about the means, relative to that of the force; more would lose information."""
+_EVEN = 0.1
+"""Largest relative difference of the interval of a segment from the usual one, in a record that is averaged."""
+_PIECES = 0.01
+"""Largest share of the rows of a segment in pieces shorter than two means, in a record that is averaged."""
+_SHARED = 16
+"""Fewest means in a segment, and half the fewest in a stretch of usual length."""
 
 
 @dataclass(frozen=True)
@@ -238,7 +231,7 @@ class Design:
     def with_scale_factor(self, scale_factor: float) -> Design:
         """The same model with another K inside the regressors; returns itself if they do not depend on K."""
         relative = abs(scale_factor / self.scale_factor - 1.0)
-        absurd = relative > DESIGN.most_change
+        absurd = relative > _MOST_CHANGE
         if relative < 1e-12 or absurd or (self.run.base_rate is None and relative < 1e-3):
             return self
         return Design(self.run, self.request, scale_factor, self.servo)
@@ -261,7 +254,7 @@ class Design:
 
     def blocks(self, *, keep: bool = True) -> Iterator[Block]:
         """All blocks in order; with ``keep`` a short record keeps them for the next pass."""
-        keep = keep and self.run.size * (len(self.names) + 2) * 8 <= DESIGN.cache_bytes
+        keep = keep and self.run.size * (len(self.names) + 2) * 8 <= _CACHE_BYTES
         for index in range(len(self._ranges)):
             block = self._cache.get(index) or self._build(index)
             if keep:
@@ -280,24 +273,24 @@ class Design:
     @cached_property
     def mean_size(self) -> int:
         """Number of samples of a mean, so that the model changes little in it; 1 for a short record."""
-        run, most = self.run, float(self.run.size // DESIGN.means)
+        run, most = self.run, float(self.run.size // _MEANS)
         if most <= 1.0 or self.request.method != "information":
             return 1
         lengths = np.diff(np.append(np.flatnonzero(run.begins), run.size))
-        most = min(most, np.diff(run.segment_edges()).min() // DESIGN.shared)
-        most = min(most, 2 * np.median(lengths) // DESIGN.shared)
+        most = min(most, np.diff(run.segment_edges()).min() // _SHARED)
+        most = min(most, 2 * np.median(lengths) // _SHARED)
         if self.local_names:
             orders = max((1, *self.request.harmonics))
-            every = run.size // DESIGN.means
+            every = run.size // _MEANS
             turn = float(np.quantile(np.abs(np.diff(self.phase_angle[::every])), 0.9)) / every
-            most = min(most, DESIGN.turn / max(orders * turn, 1e-300))
+            most = min(most, _TURN / max(orders * turn, 1e-300))
         count = max(1, int(most))
         if not self._is_even(lengths, count):
             return 1
         places = np.linspace(0, run.size - count, 1024).astype(np.int64)[:, None] + np.arange(count)
         force = run.f[places[~run.begins[places[:, 1:]].any(axis=1)]]
         about = force - force.mean(axis=1, keepdims=True)
-        return count if np.mean(about**2) <= DESIGN.moved * np.mean(force**2) else 1
+        return count if np.mean(about**2) <= _MOVED * np.mean(force**2) else 1
 
     def _is_even(self, lengths: NDArray[np.int64], count: int) -> bool:
         """True if all segments are sampled alike and none is in pieces (of these ``lengths``) shorter than two means."""
@@ -308,9 +301,7 @@ class Design:
         step = np.bincount(inside, np.diff(run.t)[within], segments) / counts
         short = np.bincount(run.segment_index, np.repeat(lengths < 2 * count, lengths), segments)
         rows = np.bincount(run.segment_index, minlength=segments)
-        return bool(
-            (np.abs(step / run.median_step - 1.0) < DESIGN.even).all() and (short < DESIGN.pieces * rows).all()
-        )
+        return bool((np.abs(step / run.median_step - 1.0) < _EVEN).all() and (short < _PIECES * rows).all())
 
     def means_of(self, values: Array) -> Array:
         """Values of the samples, one for each row of the design."""
@@ -496,8 +487,8 @@ class Design:
         bend[run.begins] = 0.0
         at = int(np.argmax(np.abs(bend, out=bend)))
         worst = self.scale_factor / 8.0 * float(bend[at])
-        if worst > DESIGN.most_bend:
-            rate = np.sqrt(worst / DESIGN.most_bend) / (run.t[at] - run.t[at - 1])
+        if worst > _MOST_BEND:
+            rate = np.sqrt(worst / _MOST_BEND) / (run.t[at] - run.t[at - 1])
             raise DataError(
                 f"row {run.row[at]}: between two samples the output angle bends by {worst:.2g} rad; its "
                 "cross-coupling cannot be integrated",
@@ -572,7 +563,7 @@ class MeanDesign(Design):
 
 
 def _ranges(run: Run) -> list[tuple[int, int, int]]:
-    """Row ranges of the blocks: within one segment, about ``DESIGN.chunk`` rows; (start, stop, segment).
+    """Row ranges of the blocks: within one segment, about ``_CHUNK`` rows; (start, stop, segment).
 
     No block ends at a sample that is left out, because its interval belongs to the next sample.
     """
@@ -582,7 +573,7 @@ def _ranges(run: Run) -> list[tuple[int, int, int]]:
         segment, end = int(run.segment_index[left]), int(right)
         start = int(left)
         while start < end:
-            stop = min(start + DESIGN.chunk, end)
+            stop = min(start + _CHUNK, end)
             while run.left_out is not None and stop < end and run.left_out[stop - 1]:
                 stop += 1
             ranges.append((start, stop, segment))

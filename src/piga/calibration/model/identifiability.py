@@ -18,39 +18,24 @@ from piga.results import Array
 from piga.terms import PRODUCTS
 from piga.units import G0
 
-
-@dataclass(frozen=True)
-class _SeparationSettings:
-    """Limits for separated and determined coefficients (own choices)."""
-
-    rank: float = 1e-9
-    """Smallest singular value of the column-scaled factor, relative to the largest, that counts as information."""
-    named_weight: float = 0.3
-    """Weight in a null direction, relative to the largest, above which a term is named."""
-    useless: float = 0.05
-    """Uncertainty, as a fraction of the record's largest specific force, above which an estimate is no result."""
-    scatter: float = 2.0
-    """Ratio of the scatter of the segments' mean rates to the expected scatter above which it is reported."""
-    alike: float = 0.95
-    """Correlation above which coefficients are reported as hard to tell apart."""
+RANK = 1e-9
+"""Smallest singular value of the column-scaled factor, relative to the largest, that counts as information."""
+NAMED_WEIGHT = 0.3
+"""Weight in a null direction, relative to the largest, above which a term is named."""
+_USELESS = 0.05
+"""Uncertainty, as a fraction of the record's largest specific force, above which an estimate is no result."""
+_SCATTER = 2.0
+"""Ratio of the scatter of the segments' mean rates to the expected scatter above which it is reported."""
+_ALIKE = 0.95
+"""Correlation above which coefficients are reported as hard to tell apart."""
 
 
-SEPARATION = _SeparationSettings()
-
-
-@dataclass(frozen=True)
-class _OneWaySettings:
-    """Limits for the remark on a head that turned one way only (own choices)."""
-
-    positions: int = 4
-    """Fewest positions."""
-    same_size: float = 0.05
-    """Largest relative difference of the specific forces of a head."""
-    move: float = 1e-3
-    """Least turn between positions that counts as a move [rad]."""
-
-
-_ONE_WAY = _OneWaySettings()
+_POSITIONS = 4
+"""Fewest positions."""
+_SAME_SIZE = 0.05
+"""Largest relative difference of the specific forces of a head."""
+_MOVE = 1e-3
+"""Least turn between positions that counts as a move [rad]."""
 
 
 _LEVEL = frozenset({"scale_factor", "k0"})
@@ -142,13 +127,13 @@ def examine_parts(layout: Layout, parts: list[Reduction]) -> Examination:
         return Examination(float("inf"), tuple(dict.fromkeys(zero)), asked)
     _, singular, right = np.linalg.svd(factor / norms)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
-    if singular[-1] > SEPARATION.rank * singular[0]:
+    if singular[-1] > RANK * singular[0]:
         return Examination(condition, (), asked)
-    weights = np.linalg.norm(right[singular <= SEPARATION.rank * singular[0]], axis=0)
+    weights = np.linalg.norm(right[singular <= RANK * singular[0]], axis=0)
     named = [
         term_of(name)
         for name, weight in zip(names, weights, strict=True)
-        if weight > SEPARATION.named_weight * weights.max()
+        if weight > NAMED_WEIGHT * weights.max()
     ]
     return Examination(condition, tuple(dict.fromkeys(named)), asked)
 
@@ -227,7 +212,7 @@ def refuse_useless(
     bad = []
     for coefficient in coefficients:
         share = coefficient.std * _full_scale(coefficient, largest / G0, duration, spread)
-        if coefficient.name != "phi" and not share < SEPARATION.useless:
+        if coefficient.name != "phi" and not share < _USELESS:
             bad.append((coefficient, share))
     if bad:
         listed = "; ".join(
@@ -266,13 +251,13 @@ def scatter_in_words(scatter: SegmentScatter, *, direct: bool = False) -> tuple[
     notes = []
     force, own = scatter.segment_scatter_g or 0.0, "instrument" if direct else "servo"
     ratio, without_it = scatter.segment_scatter_ratio or 0.0, scatter.segment_scatter_ratio_without_it or 0.0
-    if ratio > SEPARATION.scatter:
+    if ratio > _SCATTER:
         notes.append(
             f"the mean rates of the segments scatter {ratio:.1f} times more than the noise explains "
             f"({force * 1e6:.2g} ug rms): the stand or the {own} has an effect that the model lacks; the "
             "standard uncertainties include the scatter, but not what is the same at every visit of a position"
         )
-    elif without_it > SEPARATION.scatter:
+    elif without_it > _SCATTER:
         notes.append(
             f"the mean rates of the segments scatter {without_it:.1f} times more than the noise of the "
             f"{'output' if direct else 'angle'} explains ({force * 1e6:.2g} ug rms): the standard uncertainties include this "
@@ -291,7 +276,7 @@ def alike_in_words(coefficients: tuple[Coefficient, ...], covariance: Array) -> 
     while left:
         group = [left.pop(0)]
         for i in group:
-            group += [j for j in left if correlation[i, j] > SEPARATION.alike]
+            group += [j for j in left if correlation[i, j] > _ALIKE]
             left = [j for j in left if j not in group]
         if len(group) > 1:
             keys = [coefficients[i].key for i in sorted(group)]
@@ -315,17 +300,17 @@ def one_way_in_words(run: Run, terms: tuple[str, ...]) -> tuple[str, ...]:
     """
     held = [name for name in ("m_Y", "m_Z") if name in terms]
     count = np.bincount(run.segment_index, minlength=len(run.labels))
-    if not held or np.count_nonzero(count) < _ONE_WAY.positions:
+    if not held or np.count_nonzero(count) < _POSITIONS:
         return ()
     sums = np.stack([np.bincount(run.segment_index, run.f[:, axis], len(run.labels)) for axis in range(3)])
     mean = (sums[:, count > 0] / count[count > 0]).T
     size = np.linalg.norm(mean, axis=1)
-    if np.ptp(size) > _ONE_WAY.same_size * size.max():
+    if np.ptp(size) > _SAME_SIZE * size.max():
         return ()
     plane = np.linalg.svd(mean - mean.mean(axis=0))[2][:2]
     steps = short_way(np.diff(np.arctan2(*(mean @ plane.T).T)))
-    moves = steps[np.abs(steps) > _ONE_WAY.move]
-    if moves.size < _ONE_WAY.positions - 1 or abs(np.sign(moves).sum()) < moves.size:
+    moves = steps[np.abs(steps) > _MOVE]
+    if moves.size < _POSITIONS - 1 or abs(np.sign(moves).sum()) < moves.size:
         return ()
     words = (
         f"the stand turned one way only: a lag of the head or of the instrument after each move looks like {held[0]} "

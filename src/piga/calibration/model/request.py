@@ -194,17 +194,10 @@ def check_servo(request: Request) -> None:
         )
 
 
-@dataclass(frozen=True)
-class _SpikeSettings:
-    """Limits for spikes of a recorded rate (own choices)."""
-
-    plausible: float = 0.3
-    """Largest difference of a sound rate from ``K a_x - Omega_x``, as a share of ``K |a|``."""
-    gross: float = 10.0
-    """Multiple of the median difference above which a rate is a spike."""
-
-
-_SPIKES = _SpikeSettings()
+_PLAUSIBLE = 0.3
+"""Largest difference of a sound rate from ``K a_x - Omega_x``, as a share of ``K |a|``."""
+_GROSS = 10.0
+"""Multiple of the median difference above which a rate is a spike."""
 
 
 def phase_angle(run: Run, request: Request, scale_factor: float) -> Array:
@@ -228,12 +221,12 @@ def _steady_rates(run: Run) -> Array:
     A spike in the rate would shift the integrated phase of all later samples.
     """
     expected = run.scale_factor * run.f[:, 0]  # K nominal
-    plausible = _SPIKES.plausible * abs(run.scale_factor) * norms(run.f)
+    plausible = _PLAUSIBLE * abs(run.scale_factor) * norms(run.f)
     if run.base_rate is not None:
         expected -= run.base_rate[:, 0]
         plausible += norms(run.base_rate)
     surplus = np.abs(run.output - expected)
     if not (surplus > plausible).any():
         return run.output
-    spikes = surplus > np.maximum(plausible, _SPIKES.gross * float(np.median(surplus)))
+    spikes = surplus > np.maximum(plausible, _GROSS * float(np.median(surplus)))
     return stored(np.where(spikes, expected, run.output))

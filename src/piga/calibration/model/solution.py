@@ -22,26 +22,18 @@ from piga.records.calibration.coefficient import short_way
 from piga.records.terms import GYRO, si_factor, unit_of
 from piga.results import Array
 
-
-@dataclass(frozen=True)
-class _SolutionSettings:
-    """Settings of the solution (own choices)."""
-
-    unseen: float = 1e-12
-    """Size of a phase's column, relative to the largest column, below which no sample shows the phase."""
-    deeper: float = 1e-9
-    """Relative fall of the sum of squares above which another minimum is deeper."""
-    starts: int = 8
-    """Most starts: each from the best phases for the amplitudes before; one is usual."""
-    scan: int = 180
-    """Phases tried for each group before refinement; the cost has at most twice the highest order of minima."""
-    integrations: int = 50
-    """Steps to the coupling with the phases integrated out; few are needed unless it is below its noise."""
-    refinements: int = 8
-    """Newton steps from each of these minima; four are enough unless two of them lie close together."""
-
-
-_SOLUTION = _SolutionSettings()
+_UNSEEN = 1e-12
+"""Size of a phase's column, relative to the largest column, below which no sample shows the phase."""
+_DEEPER = 1e-9
+"""Relative fall of the sum of squares above which another minimum is deeper."""
+_STARTS = 8
+"""Most starts: each from the best phases for the amplitudes before; one is usual."""
+_SCAN = 180
+"""Phases tried for each group before refinement; the cost has at most twice the highest order of minima."""
+_INTEGRATIONS = 50
+"""Steps to the coupling with the phases integrated out; few are needed unless it is below its noise."""
+_REFINEMENTS = 8
+"""Newton steps from each of these minima; four are enough unless two of them lie close together."""
 
 
 @dataclass(frozen=True)
@@ -291,10 +283,10 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
         return np.vstack([f[:-1, :-1] @ d for f, d in zip(factors, derivatives, strict=True)])
 
     best, cost = np.zeros(0), math.inf
-    for _ in range(_SOLUTION.starts):
+    for _ in range(_STARTS):
         phases = _best_phases(layout, amplitudes, factors)
         first = np.concatenate([_amplitudes_given(layout, phases, factors), phases])
-        if float(np.sum(missed(first) ** 2)) >= cost * (1.0 - _SOLUTION.deeper):
+        if float(np.sum(missed(first) ** 2)) >= cost * (1.0 - _DEEPER):
             break
         best = least_squares_from(missed, first, rows, x_scale="jac", ftol=1e-15, xtol=1e-12, gtol=1e-15).x
         amplitudes, cost = best[:size], float(np.sum(missed(best) ** 2))
@@ -333,7 +325,7 @@ def _fitted_noise(fitted: float, curvatures: Array, covariance: Array, variance:
         return np.zeros(len(covariance))
     known = np.maximum(curvatures, 0.0) / variance / abs(fitted)
     coupling, square = abs(fitted), float(covariance[0, 0]) * variance
-    for _ in range(_SOLUTION.integrations):
+    for _ in range(_INTEGRATIONS):
         coupling = max(
             abs(fitted) - square * float(known @ (1.0 - i1e(known * coupling) / i0e(known * coupling))), 0.0
         )
@@ -385,13 +377,13 @@ def _best_phases(layout: Layout, amplitudes: Array, factors: list[Array]) -> Arr
     def modelled(phases: Array, derivative: int = 0) -> Array:
         return np.einsum("gij,gkj->gki", top, layout.turned(amplitudes, phases, derivative))
 
-    spacing = 2.0 * np.pi / _SOLUTION.scan
-    trial = np.tile(spacing * np.arange(_SOLUTION.scan) - np.pi, (len(factors), 1))
+    spacing = 2.0 * np.pi / _SCAN
+    trial = np.tile(spacing * np.arange(_SCAN) - np.pi, (len(factors), 1))
     cost = np.sum((right[:, None] - modelled(trial)) ** 2, axis=2)
     lowest = (cost <= np.roll(cost, 1, axis=1)) & (cost <= np.roll(cost, -1, axis=1))
     order = np.argsort(np.where(lowest, cost, np.inf), axis=1)[:, : 2 * max((1, *layout.orders))]
     first = phases = np.take_along_axis(trial, order, axis=1)
-    for _ in range(_SOLUTION.refinements):
+    for _ in range(_REFINEMENTS):
         slope, missed = modelled(phases, 1), right[:, None] - modelled(phases)
         square = np.sum(slope**2, axis=2)
         curvature = square - np.sum(modelled(phases, 2) * missed, axis=2)
@@ -430,7 +422,7 @@ def _inverse_information(R: Array, first_phase: int) -> Array:
     """
     scale = np.linalg.norm(R, axis=0)
     seen = np.ones(scale.size, np.bool_)
-    seen[first_phase:] = scale[first_phase:] > _SOLUTION.unseen * scale.max()
+    seen[first_phase:] = scale[first_phase:] > _UNSEEN * scale.max()
     scale = scale[seen]
     scale[scale == 0.0] = 1.0
     _, r = np.linalg.qr(R[:, seen] / scale)

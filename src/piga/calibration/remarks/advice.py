@@ -27,30 +27,22 @@ from piga.records.terms import SERVO_TERMS
 from piga.results import Array
 from piga.units import UNIT_FACTORS, UnitFactor
 
-
-@dataclass(frozen=True)
-class _AdviceSettings:
-    """Limits for advice on another reading of the data, and the samples used (own choices)."""
-
-    far_better: float = 3.0
-    """Ratio of residuals above which another reading is advised."""
-    as_good: float = 1.2
-    """Ratio of residuals up to which readings cannot be separated."""
-    off: float = 2.0
-    """Ratio of the scale factor to the nominal one above which an error is reported, even if no reading explains it."""
-    most_alike: int = 3
-    """Most readings named that the record cannot tell from the best one."""
-    snap: float = 0.1
-    """Largest relative distance of the scale factor ratio from a known factor (nominal values are close)."""
-    samples: int = 3000
-    """Samples used, about."""
-    turn: float = 0.25
-    """Most turn of the output between used samples [rad]."""
-    longest_step: int = 64
-    """Most samples of the record from one used sample to the next."""
-
-
-_ADVICE = _AdviceSettings()
+_FAR_BETTER = 3.0
+"""Ratio of residuals above which another reading is advised."""
+_AS_GOOD = 1.2
+"""Ratio of residuals up to which readings cannot be separated."""
+_OFF = 2.0
+"""Ratio of the scale factor to the nominal one above which an error is reported, even if no reading explains it."""
+_MOST_ALIKE = 3
+"""Most readings named that the record cannot tell from the best one."""
+_SNAP = 0.1
+"""Largest relative distance of the scale factor ratio from a known factor (nominal values are close)."""
+_SAMPLES = 3000
+"""Samples used, about."""
+_TURN = 0.25
+"""Most turn of the output between used samples [rad]."""
+_LONGEST_STEP = 64
+"""Most samples of the record from one used sample to the next."""
 
 
 AXES = ("X0", "Y0", "Z0")
@@ -122,7 +114,7 @@ def _factor_near(ratio: float, *, counted: bool = False) -> UnitFactor | None:
     ratio = max(ratio, 1.0 / ratio)
     factors = [factor for factor in UNIT_FACTORS if counted or factor.value != 10.0]
     near = min(factors, key=lambda factor: abs(ratio / factor.value - 1.0))
-    return near if abs(ratio / near.value - 1.0) < _ADVICE.snap else None
+    return near if abs(ratio / near.value - 1.0) < _SNAP else None
 
 
 def _better_words(ratio: float, reading: _AdviceReading, alike: list[_AdviceReading], run: Run) -> str:
@@ -200,7 +192,7 @@ def looks_wrong(result: Calibration) -> bool:
 
 
 def _likely(scale: float) -> bool:
-    return 1.0 / _ADVICE.off < scale < _ADVICE.off
+    return 1.0 / _OFF < scale < _OFF
 
 
 def advise(run: Run, request: Request, scale: float | None = None) -> tuple[str, ...]:
@@ -224,12 +216,12 @@ def advise(run: Run, request: Request, scale: float | None = None) -> tuple[str,
         return ()
     likely = [t for t in trials if t is plain or _likely(abs(t.scale))]
     least = min(t.residual for t in likely)
-    if plain.residual <= _ADVICE.far_better * least:
+    if plain.residual <= _FAR_BETTER * least:
         return () if scale is not None and _likely(scale) else _scale_words(plain, trials, run)
-    near = [t for t in likely if t.residual <= _ADVICE.as_good * least]
+    near = [t for t in likely if t.residual <= _AS_GOOD * least]
     upright = [t for t in near if t.scale > 0.0] or near
     best, *others = sorted(upright, key=lambda t: (t.reading.changes, t.residual))
-    alike = [t.reading for t in others[: _ADVICE.most_alike]]
+    alike = [t.reading for t in others[:_MOST_ALIKE]]
     words = _better_words(plain.residual / best.residual, best.reading, alike, run)
     return (words, *_scale_words(best, trials, run))
 
@@ -243,7 +235,7 @@ def with_advice(error: PigaError, words: tuple[str, ...]) -> PigaError:
 
 def _scale_words(trial: Trial, trials: list[Trial], run: Run) -> tuple[str, ...]:
     """Advice for a scale factor that is negative or off by the factor of a unit."""
-    as_good = [t.reading.output for t in trials if t.residual <= _ADVICE.as_good * trial.residual]
+    as_good = [t.reading.output for t in trials if t.residual <= _AS_GOOD * trial.residual]
     sentences = (_sign_words(output=-1.0 in as_good),) if trial.scale < 0.0 else ()
     ratio = abs(trial.scale)
     factor = _factor_near(ratio, counted=run.resolution > 0.0) if ratio > 0.0 else None
@@ -267,7 +259,7 @@ def _trials(run: Run, request: Request) -> Iterator[Trial]:
     yield _fit(sample, replace(base, output=-1.0))
     for factor in () if run.direct else UNIT_FACTORS:  # K alone takes up a factor where nothing turns
         for known in (factor.value, 1.0 / factor.value):
-            if abs(abs(plain.scale) / known - 1.0) < _ADVICE.snap:
+            if abs(abs(plain.scale) / known - 1.0) < _SNAP:
                 yield _fit(sample, replace(base, output=known))
 
 
@@ -292,10 +284,10 @@ def _sample_of(run: Run, request: Request) -> Sample:
     most = float(np.quantile(turned, 0.95)) if turned.size else 0.0
     starts = np.flatnonzero(run.begins)
     edges = list(pairwise([*starts.tolist(), run.size]))
-    longest = min(_ADVICE.longest_step, int(np.median(np.diff([*starts, run.size]))) // 12)
-    skip = 1 if run.kind == "rate" else int(max(1, min(_ADVICE.turn / max(most, 1e-300), longest)))
-    edges = edges[:: max(1, math.ceil(len(edges) * 12 / _ADVICE.samples))]
-    length = max(_ADVICE.samples // len(edges), 12) * skip
+    longest = min(_LONGEST_STEP, int(np.median(np.diff([*starts, run.size]))) // 12)
+    skip = 1 if run.kind == "rate" else int(max(1, min(_TURN / max(most, 1e-300), longest)))
+    edges = edges[:: max(1, math.ceil(len(edges) * 12 / _SAMPLES))]
+    length = max(_SAMPLES // len(edges), 12) * skip
     rows, begins = [], []
     for start, stop in edges:
         count = max(1, min(3, (stop - start) // (2 * length)))

@@ -31,26 +31,18 @@ from piga.records.run import Run
 from piga.results import Array
 from piga.units import G0
 
-
-@dataclass(frozen=True)
-class _CreepSettings:
-    """Settings of the test for creep after a move (own choices)."""
-
-    fewest: int = 5
-    """Fewest positions that are tested: with fewer their scatter is hardly known."""
-    times: tuple[float, ...] = (1 / 48, 1 / 24, 1 / 12, 1 / 6, 1 / 3)
-    """Time constants over the median length of a position."""
-    near: tuple[float, ...] = (0.7, 0.84, 1.0, 1.2, 1.4)
-    """Time constants beside the best one that are then tried, relative to it."""
-    samples: int = 2
-    """Fewest samples in a time constant."""
-    bins: int = 24
-    """Bins of the figure in a position of median length."""
-    rest: float = 0.1
-    """Largest shift of a coefficient, in its standard uncertainties, that is left after the time advised for ``settle``."""
-
-
-_CREEP = _CreepSettings()
+_FEWEST = 5
+"""Fewest positions that are tested: with fewer their scatter is hardly known."""
+_TIMES = (1 / 48, 1 / 24, 1 / 12, 1 / 6, 1 / 3)
+"""Time constants over the median length of a position."""
+_NEAR = (0.7, 0.84, 1.0, 1.2, 1.4)
+"""Time constants beside the best one that are then tried, relative to it."""
+_SAMPLES = 2
+"""Fewest samples in a time constant."""
+_BINS = 24
+"""Bins of the figure in a position of median length."""
+_REST = 0.1
+"""Largest shift of a coefficient, in its standard uncertainties, that is left after the time advised for ``settle``."""
 
 
 @dataclass(frozen=True)
@@ -128,8 +120,8 @@ def _find_creep(fit: _FittedRun, coefficients: tuple[Coefficient, ...]) -> Creep
     run, positions = fit.design.run, Positions.of(fit.design.run)
     begin, end = positions.times(run)
     length = float(np.median(end - begin))
-    times = [part * length for part in _CREEP.times if part * length >= _CREEP.samples * run.median_step]
-    if positions.continuous or positions.count < _CREEP.fewest or not times:
+    times = [part * length for part in _TIMES if part * length >= _SAMPLES * run.median_step]
+    if positions.continuous or positions.count < _FEWEST or not times:
         return None
     tries = _tests(fit, positions, times)
     if not tries:
@@ -139,7 +131,7 @@ def _find_creep(fit: _FittedRun, coefficients: tuple[Coefficient, ...]) -> Creep
     chance = min(1.0, best.chance * len(tries))
     if clear:
         best = max(clear, key=lambda test: test.fall)
-        near = _tests(fit, positions, [best.time * part for part in _CREEP.near])
+        near = _tests(fit, positions, [best.time * part for part in _NEAR])
         best = max((test for test in near if test.by_move == best.by_move), key=lambda test: test.fall)
     scale = fit.design.scale_factor * (1.0 if best.by_move else G0)
     shifts = zip(coefficients, fit.moved(-best.size * fit.effect(best.rows)), strict=True)
@@ -227,12 +219,12 @@ def _stacked(fit: _FittedRun, positions: Positions, length: float) -> tuple[tupl
 
     run = fit.design.run
     visit = np.repeat(np.arange(positions.count), np.diff(positions.edges))
-    place = np.floor((run.t - run.t[positions.edges[:-1]][visit]) / length * _CREEP.bins).astype(np.int64)
+    place = np.floor((run.t - run.t[positions.edges[:-1]][visit]) / length * _BINS).astype(np.int64)
     missed, interval = residual_increments(fit.design, fit.values)
-    inside = (place >= 0) & (place < _CREEP.bins)
-    shape = (positions.count, _CREEP.bins)
+    inside = (place >= 0) & (place < _BINS)
+    shape = (positions.count, _BINS)
     d, h = (
-        np.bincount((visit * _CREEP.bins + place)[inside], values[inside], math.prod(shape)).reshape(shape)
+        np.bincount((visit * _BINS + place)[inside], values[inside], math.prod(shape)).reshape(shape)
         for values in (missed, np.maximum(interval, 0.0))
     )
     mean = d.sum(axis=1) / np.maximum(h.sum(axis=1), 1e-300)
@@ -243,7 +235,7 @@ def _stacked(fit: _FittedRun, positions: Positions, length: float) -> tuple[tupl
     spread = (np.where(full, rate - middle, 0.0) ** 2).sum(axis=0) / np.maximum(count - 1, 1)
     band = stdtrit(np.maximum(count - 1, 1), 0.975) * np.sqrt(spread / np.maximum(count, 1))
     kept = count > 1
-    time = (np.arange(_CREEP.bins) + 0.5) * length / _CREEP.bins
+    time = (np.arange(_BINS) + 0.5) * length / _BINS
     return tuple(tuple(values[kept].tolist()) for values in (time, middle, band))
 
 
@@ -254,7 +246,7 @@ def creep_in_words(run: Run, creep: Creep) -> str:
     moved = sorted(creep.shift.items(), key=lambda item: -abs(item[1]))[:3]
     shifts = ", ".join(f"{key} by {abs(shift):.2g} u" for key, shift in moved)
     begin, end = Positions.of(run).times(run)
-    wait = math.ceil(creep.time_constant * math.log(max(creep.largest_shift / _CREEP.rest, math.e)))
+    wait = math.ceil(creep.time_constant * math.log(max(creep.largest_shift / _REST, math.e)))
     more = "more " if any(event.kind == "settling" for event in run.quality.events) else ""
     key = f' ([data] settle = "{wait} s")' if run.source and not more else ""
     remedy = (

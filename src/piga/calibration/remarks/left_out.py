@@ -47,22 +47,14 @@ from piga.records.calibration.coefficient import changes, coverage_factor
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 from piga.results import Array
 
-
-@dataclass(frozen=True)
-class _LeftOutSettings:
-    """Limits for servo effects that enter the budget (own choices)."""
-
-    clear: float = 0.01
-    """Probability of such a signature by chance, below which it enters the budget."""
-    seen: float = 2.0
-    """Ratio of a requested k3 to its standard uncertainty above which its other meaning is reported."""
-    negligible: float = 1e-9
-    """Relative change of K by the softest servo below which none is listed."""
-    softest: float = 1e-4
-    """Softest servo that is assumed [g/g^3]: its rotor axis tilts by 1e-4 rad at 45 degrees in 1 g (2 s a_x a_t)."""
-
-
-_LEFT_OUT = _LeftOutSettings()
+_CLEAR = 0.01
+"""Probability of such a signature by chance, below which it enters the budget."""
+_SEEN = 2.0
+"""Ratio of a requested k3 to its standard uncertainty above which its other meaning is reported."""
+_NEGLIGIBLE = 1e-9
+"""Relative change of K by the softest servo below which none is listed."""
+_SOFTEST = 1e-4
+"""Softest servo that is assumed [g/g^3]: its rotor axis tilts by 1e-4 rad at 45 degrees in 1 g (2 s a_x a_t)."""
 
 
 CUBIC_SOURCE = "meaning of the cubic signature: servo or k3"
@@ -80,7 +72,7 @@ class LeftOut:
     """A clear signature of the servo that no term of the model absorbs.
 
     ``change`` is the half-width of its effect on each coefficient of the result (file units). ``words`` are its note;
-    empty if the signature is not clear by itself. ``listed`` is its place among the sources of the stand.
+    empty if the signature is not clear by itself. ``_LISTED`` is its place among the sources of the stand.
     """
 
     source: str
@@ -134,7 +126,7 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
     doubts: list[LeftOut] = []
     if square is not None and cube:
         test = tested(pieces, order, ("k3",), rows)
-        if test is not None and test.probability <= _LEFT_OUT.clear:
+        if test is not None and test.probability <= _CLEAR:
             after = after_change(plain, test.change)
             k3 = float(test.columns[0]) / design.scale_factor
             cube_with = {"servo": after["scale_factor"] * (1.0 + k3 * square), "k3": after["scale_factor"]}
@@ -142,7 +134,7 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
             pieces = [with_term(piece, order, ("k3",)) for piece in pieces]
             order = [name for name in order if name != "k3"]
     test = tested(pieces, order, ("servo_damping",), rows) if damping else None
-    if test is not None and (doubts or asked or test.probability <= _LEFT_OUT.clear):
+    if test is not None and (doubts or asked or test.probability <= _CLEAR):
         beside = ("k3", "servo_damping") if doubts else ("servo_damping",)
         whole = _with_terms(plain, beside)
         if whole is not None:
@@ -165,8 +157,8 @@ def _unnamed(
     if "servo" in run.uncertainty.waived:
         return ()
     along, across = run.f[:, 0] ** 2, across_squared(run, slice(None))
-    part = _LEFT_OUT.softest * unit * float(along @ across / max(float(along.sum()), 1e-300))
-    if part < _LEFT_OUT.negligible:
+    part = _SOFTEST * unit * float(along @ across / max(float(along.sum()), 1e-300))
+    if part < _NEGLIGIBLE:
         return ()
     pieces, rows = candidates.pieces
     names = ("servo",) if "servo" in candidates.order else ("k3",)
@@ -175,7 +167,7 @@ def _unnamed(
     test = tested(pieces, candidates.order, names, rows)
     if test is None:
         moved = [c.value * part if c.name == "scale_factor" else 0.0 for c in coefficients]
-        return (_unnamed_servo(np.array(moved), _LEFT_OUT.softest, math.inf),)
+        return (_unnamed_servo(np.array(moved), _SOFTEST, math.inf),)
     before, after = (after_change(plain, change) for change in (np.zeros(1), test.change))
     size, std, spread = (
         float(values[0]) / plain.design.scale_factor / unit for values in (test.columns, test.std, test.spread)
@@ -193,7 +185,7 @@ def _unnamed_servo(shift: Array, size: float, std: float) -> LeftOut:
     ``shift`` is the change of the coefficients by ``size``. The half-width is that of the 95 % limit, one-sided because a
     stiffness is not negative, but at most that of the softest servo.
     """
-    softest = _LEFT_OUT.softest
+    softest = _SOFTEST
     limit = max(size, 0.0) + _ONE_SIDED * std
     told = limit < softest
     words = (
@@ -253,7 +245,7 @@ def _asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[L
     if scale is None or k3 is None:
         return ()
     shift = scale.value * k3.value * si_factor("k3") * square
-    if abs(k3.value) > _LEFT_OUT.seen * k3.std:
+    if abs(k3.value) > _SEEN * k3.std:
         return (_other_meaning(coefficients, scale, shift),)
     moved = np.array([shift if c is scale else 0.0 for c in coefficients])
     return (_unnamed_servo(moved, k3.value, k3.std),)
@@ -298,9 +290,7 @@ def damped(
         f"(servo_damping = {damping:.3g} g/g^3): its effect turns {turned}, and the uncertainties "
         "cover this. Add 'servo_damping' to [model] terms to take it out"
     )
-    return LeftOut(
-        DAMPING_SOURCE, change * (1.0 + std / size), words if test.probability <= _LEFT_OUT.clear else ""
-    )
+    return LeftOut(DAMPING_SOURCE, change * (1.0 + std / size), words if test.probability <= _CLEAR else "")
 
 
 def _difference(
@@ -379,7 +369,7 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
             under = {"servo": _values(by_servo)["scale_factor"], "k3": after["scale_factor"]}
             doubts.append(_cubic_doubt(fit.coefficients, _values(base), after, under, after["k3"]))
             base = by_k3.after
-    limit = 1.0 if any(doubt.source == CUBIC_SOURCE for doubt in doubts) else _LEFT_OUT.clear
+    limit = 1.0 if any(doubt.source == CUBIC_SOURCE for doubt in doubts) else _CLEAR
     wave = _clear(rows, base, ("servo_damping",), limit) if "servo_damping" not in held else None
     if wave:
         scale_factor = fit.summaries[0].scale_factor
@@ -402,7 +392,7 @@ def _unnamed_of_runs(rows: _LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     return (_unnamed_servo(shift, servo.value, std),)
 
 
-def _clear(rows: _LeftOutRows, base: JointFit, names: Names, limit: float = _LEFT_OUT.clear) -> _Wider | None:
+def _clear(rows: _LeftOutRows, base: JointFit, names: Names, limit: float = _CLEAR) -> _Wider | None:
     """The runs with additional terms; None if they cannot separate them, or if the effect may be chance."""
     after = rows.refit((*base.wish.terms, *names))
     if after is None:
@@ -489,7 +479,7 @@ def _asked(rows: _LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     if swapped is None or rows.refit((*terms, "servo")):
         return ()
     shift = _values(swapped)["scale_factor"] - _values(base)["scale_factor"]
-    if abs(k3.value) > _LEFT_OUT.seen * k3.std:
+    if abs(k3.value) > _SEEN * k3.std:
         return (_other_meaning(coefficients, scale, shift),)
     moved = np.array([shift if c is scale else 0.0 for c in coefficients])
     return (_unnamed_servo(moved, k3.value, k3.std),)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piga.calibration.fit import Fit
-from piga.calibration.model.identifiability import SEPARATION, term_of
+from piga.calibration.model.identifiability import NAMED_WEIGHT, RANK, term_of
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import (
     Estimate,
@@ -28,24 +28,16 @@ from piga.calibration.weights import Positions
 from piga.records.calibration import Coefficient, SegmentLeverage
 from piga.records.calibration.coefficient import short_way
 
-
-@dataclass(frozen=True)
-class _LeverageSettings:
-    """Limits for naming a segment (own choices)."""
-
-    determines: float = 0.9
-    """Share of a coefficient's information above which one segment determines it: without it u is three times larger."""
-    influential: float = 3.0
-    """A segment is influential if it shifts a coefficient by more than this many standard uncertainties."""
-    unlikely: float = 4.5
-    """Least shift in standard deviations of such a shift by noise: 1 in 150 000."""
-    most_segments: int = 500
-    """Most segments for leaving out one at a time."""
-    sentences: int = 4
-    """Most sentences of a kind."""
-
-
-_LEVERAGE = _LeverageSettings()
+_DETERMINES = 0.9
+"""Share of a coefficient's information above which one segment determines it: without it u is three times larger."""
+_INFLUENTIAL = 3.0
+"""A segment is influential if it shifts a coefficient by more than this many standard uncertainties."""
+_UNLIKELY = 4.5
+"""Least shift in standard deviations of such a shift by noise: 1 in 150 000."""
+_MOST_SEGMENTS = 500
+"""Most segments for leaving out one at a time."""
+_SENTENCES = 4
+"""Most sentences of a kind."""
 
 
 @dataclass(frozen=True)
@@ -82,10 +74,10 @@ def find_leverage(
     tuple
         Leverage by label, sentences on segments that alone determine a coefficient, and sentences on segments that move
         one, each with the shift. The leverages are together the number of parameters; a share is
-        ``1 - (u/u_without)^2``. Empty for one segment, and beyond ``most_segments``.
+        ``1 - (u/u_without)^2``. Empty for one segment, and beyond ``_MOST_SEGMENTS``.
     """
     labels = fit.design.run.labels
-    if not 1 < len(labels) <= _LEVERAGE.most_segments:
+    if not 1 < len(labels) <= _MOST_SEGMENTS:
         return {}, (), ()
     layout, linear = layout_of(fit.design), fit.design.has_phases
     parts = _amplitude_parts(layout, fit) if linear else fit.summaries
@@ -116,7 +108,7 @@ def _odd_segments(fit: Fit) -> tuple[str, ...]:
         square[segment] += part.factor[:, m] @ part.factor[:, m]
     rate = np.divide(product, square, out=np.zeros(size), where=square > 0.0)
     away = np.abs(rate - np.median(rate))
-    odd = away > _LEVERAGE.unlikely * np.median(away) / NORMAL_MEDIAN
+    odd = away > _UNLIKELY * np.median(away) / NORMAL_MEDIAN
     return tuple(label for label, far in zip(fit.design.run.labels, odd, strict=True) if far)
 
 
@@ -157,11 +149,11 @@ def _lost(total: Reduction) -> frozenset[str]:
     norms = np.linalg.norm(factor, axis=0)
     lost = {term_of(name) for name, norm in zip(total.names, norms, strict=True) if norm == 0.0}
     _, singular, right = np.linalg.svd(factor / np.where(norms > 0.0, norms, 1.0))
-    for direction in np.abs(right[singular <= SEPARATION.rank * singular[0]]):
+    for direction in np.abs(right[singular <= RANK * singular[0]]):
         lost |= {
             term_of(n)
             for n, w in zip(total.names, direction, strict=True)
-            if w > SEPARATION.named_weight * direction.max()
+            if w > NAMED_WEIGHT * direction.max()
         }
     return frozenset(lost | ({"phi"} if "tan_beta" in lost else set()))
 
@@ -208,12 +200,12 @@ def _sole_words(table: dict[str, SegmentLeverage], common: list[Coefficient]) ->
     """Segments that determine a coefficient alone."""
     sentences = []
     for label, row in table.items():
-        sole = [c.name for c in common if row.share[c.name] > _LEVERAGE.determines]
+        sole = [c.name for c in common if row.share[c.name] > _DETERMINES]
         if sole:
             verb = "rests" if len(sole) == 1 else "rest"
             sentences.append(
                 f"{', '.join(sole)} {verb} on segment '{label}' alone (more than "
-                f"{100.0 * _LEVERAGE.determines:.0f} % of the information): no residual shows an error there; "
+                f"{100.0 * _DETERMINES:.0f} % of the information): no residual shows an error there; "
                 "add a position or level like it"
             )
     return _few(sentences)
@@ -231,10 +223,10 @@ def _shift_words(
     for label, row in table.items():
         for c in common:
             share, shift = row.share[c.name], row.shift[c.name]
-            if shift is None or share > _LEVERAGE.determines or abs(shift) <= _LEVERAGE.influential:
+            if shift is None or share > _DETERMINES or abs(shift) <= _INFLUENTIAL:
                 continue
             usual = whole.std[c.name] * math.sqrt(share / (1.0 - share)) / c.std
-            if abs(shift) > _LEVERAGE.unlikely * usual:
+            if abs(shift) > _UNLIKELY * usual:
                 words = (
                     f"without segment '{label}' {c.name} changes by {shift:+.1f} {unit} (noise would "
                     f"explain {usual:.1g}): look at that segment"
@@ -243,12 +235,12 @@ def _shift_words(
     sentences.sort(key=lambda item: -item[0])
     largest = max((shift for _, shift, _ in sentences), default=0.0)
     few = _few([words for *_, words in sentences])
-    shifts = [shift for _, shift, _ in sentences[: _LEVERAGE.sentences]] + [largest]
+    shifts = [shift for _, shift, _ in sentences[:_SENTENCES]] + [largest]
     return tuple(zip(shifts, few, strict=False))
 
 
 def _few(sentences: list[str]) -> tuple[str, ...]:
     """The first sentences, and the number of those left out."""
-    more = len(sentences) - _LEVERAGE.sentences
+    more = len(sentences) - _SENTENCES
     rest = (f"{more} more such remarks: see the leverage of the segments",) if more > 0 else ()
-    return (*sentences[: _LEVERAGE.sentences], *rest)
+    return (*sentences[:_SENTENCES], *rest)

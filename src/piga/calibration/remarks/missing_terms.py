@@ -30,36 +30,29 @@ from piga.terms import ERROR_TERMS, LOGGED_TERMS
 Names = tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _CandidateSettings:
-    """Limits for suggesting a missing term, and rows used for the test (own choices)."""
-
-    false_alarms: float = 0.002
-    """Probability that a record of a right model gets any suggestion, Bonferroni over the candidates."""
-    thermal_alarms: float = 0.005
-    """The same for a bias that follows a recorded temperature: one candidate, expected in advance."""
-    confounded: float = 1e-3
-    """Smallest independent part of a candidate, relative to its size, for the candidate to be determined."""
-    notable: float = 0.01
-    """Chi-square reduction (relative) above which a term is always reported."""
-    like_a_cube: float = 0.5
-    """Share of the best candidate's decrease above which the servo's stiffness is suggested instead of a cube
-    of a_x."""
-    alike: float = 0.9
-    """Share of the best candidate's decrease above which another candidate is called similar."""
-    suggestions: int = 3
-    """Most terms suggested."""
-    pieces: int = 24
-    """Parts of a record of few segments, for the scatter between parts."""
-    spare: int = 3
-    """Segments beyond the number of parameters above which the scatter between segments is used."""
-    constant: float = 1e-3
-    """Largest relative change of a squared force that counts as constant."""
-    force_samples: int = 4096
-    """Samples used for this."""
-
-
-_CANDIDATES = _CandidateSettings()
+_FALSE_ALARMS = 0.002
+"""Probability that a record of a right model gets any suggestion, Bonferroni over the candidates."""
+_THERMAL_ALARMS = 0.005
+"""The same for a bias that follows a recorded temperature: one candidate, expected in advance."""
+_CONFOUNDED = 1e-3
+"""Smallest independent part of a candidate, relative to its size, for the candidate to be determined."""
+_NOTABLE = 0.01
+"""Chi-square reduction (relative) above which a term is always reported."""
+_LIKE_A_CUBE = 0.5
+"""Share of the best candidate's decrease above which the servo's stiffness is suggested instead of a cube
+of a_x."""
+_ALIKE = 0.9
+"""Share of the best candidate's decrease above which another candidate is called similar."""
+_SUGGESTIONS = 3
+"""Most terms suggested."""
+_PIECES = 24
+"""Parts of a record of few segments, for the scatter between parts."""
+_SPARE = 3
+"""Segments beyond the number of parameters above which the scatter between segments is used."""
+_CONSTANT = 1e-3
+"""Largest relative change of a squared force that counts as constant."""
+_FORCE_SAMPLES = 4096
+"""Samples used for this."""
 
 
 CUBIC = ("servo", "k3", "k2o")
@@ -102,11 +95,11 @@ def _servo_out_of_reach(design: Design) -> set[str]:
 
 def constant_squares(run: Run) -> tuple[float | None, float | None]:
     """``a_x^2 + a_t^2`` and ``(u_t/K)^2`` [m^2/s^4] of a record; None for one that changes."""
-    at = np.unique(np.linspace(0, run.size - 1, _CANDIDATES.force_samples).astype(np.int64))
+    at = np.unique(np.linspace(0, run.size - 1, _FORCE_SAMPLES).astype(np.int64))
     squares: list[float | None] = []
     for square in ((run.f[at] ** 2).sum(axis=1), across_squared(run, at)):
         low, middle, high = np.quantile(square, (0.005, 0.5, 0.995))
-        squares.append(float(middle) if high - low <= _CANDIDATES.constant * middle else None)
+        squares.append(float(middle) if high - low <= _CONSTANT * middle else None)
     return squares[0], squares[1]
 
 
@@ -173,37 +166,29 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
     order = candidates.order
     pieces, rows = candidates.pieces
     suggestions: list[MissingTerm] = []
-    limit = _CANDIDATES.false_alarms / len(left)
+    limit = _FALSE_ALARMS / len(left)
     square = None if fit.design.run.direct else constant_squares(fit.design.run)[0]
-    for _ in range(_CANDIDATES.suggestions):
+    for _ in range(_SUGGESTIONS):
         tests = [
             t
             for names in left
             if (t := tested(pieces, order, names, rows))
-            and t.probability < (_CANDIDATES.thermal_alarms if names == ("k0_T",) else limit)
+            and t.probability < (_THERMAL_ALARMS if names == ("k0_T",) else limit)
         ]
         shifts = [_largest_shift(fit, coefficients, t) for t in tests]
         worth = [
             (test, shift)
             for test, shift in zip(tests, shifts, strict=True)
-            if shift[0] > 1.0 or test.fall > _CANDIDATES.notable
+            if shift[0] > 1.0 or test.fall > _NOTABLE
         ]
         if not worth:
             break
         best, shift = max(worth, key=lambda item: item[0].fall)
         if best.names == ("k0_t",):
-            warm = [
-                item
-                for item in worth
-                if item[0].names == ("k0_T",) and item[0].fall > _CANDIDATES.alike * best.fall
-            ]
+            warm = [item for item in worth if item[0].names == ("k0_T",) and item[0].fall > _ALIKE * best.fall]
             best, shift = (warm or [(best, shift)])[0]
         best, shift = _servo_first(best, shift, worth, square)
-        alike = [
-            ", ".join(terms_of(t.names))
-            for t in tests
-            if t is not best and t.fall > _CANDIDATES.alike * best.fall
-        ]
+        alike = [", ".join(terms_of(t.names)) for t in tests if t is not best and t.fall > _ALIKE * best.fall]
         entry = _suggestion(best, shift, alike, fit.design.scale_factor)
         if square is not None and best.names[0] in ("servo", "k3"):
             after = after_change(fit, best.change)
@@ -226,7 +211,7 @@ def _servo_first(
     """The servo's stiffness in place of a cube of a_x with a similar fit, if the record cannot separate them."""
     if square is None or best.names[0] not in CUBIC:
         return best, shift
-    servo = [(t, s) for t, s in worth if t.names == ("servo",) and t.fall > _CANDIDATES.like_a_cube * best.fall]
+    servo = [(t, s) for t, s in worth if t.names == ("servo",) and t.fall > _LIKE_A_CUBE * best.fall]
     return servo[0] if servo else (best, shift)
 
 
@@ -251,8 +236,8 @@ def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
     design, layout = fit.design, layout_of(fit.design)
     edges, segments, m = design.run.segment_edges(), len(design.run.labels), len(design.names)
     parts = 1
-    if segments < len(layout.columns) + len(extra[:2]) + _CANDIDATES.spare:
-        parts = math.ceil(_CANDIDATES.pieces / segments)
+    if segments < len(layout.columns) + len(extra[:2]) + _SPARE:
+        parts = math.ceil(_PIECES / segments)
     cuts = np.linspace(edges[:-1], edges[1:], parts, endpoint=False).T.astype(np.int64).ravel()
     reduced, _ = reduce_between(
         design, fit.mode, fit.noise, np.append(cuts, edges[-1]), _columns_of(fit, extra)
@@ -308,7 +293,7 @@ def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Ca
         return None
     R: Array = np.asarray(np.linalg.qr(stacked / np.append(scale, 1.0), mode="r"))
     own = R[m : m + q, m : m + q]
-    if np.linalg.svd(own, compute_uv=False)[-1] < _CANDIDATES.confounded or np.abs(np.diag(R)[:m]).min() == 0.0:
+    if np.linalg.svd(own, compute_uv=False)[-1] < _CONFOUNDED or np.abs(np.diag(R)[:m]).min() == 0.0:
         return None
     z = R[m : m + q, -1]
     fall, rest = float(z @ z), float(R[m + q, -1] ** 2)

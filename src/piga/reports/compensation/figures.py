@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.orders import ORDERS, order_grid, order_spectrum, segment_slices
+from piga.calibration.orders import TURNS, order_grid, order_spectrum, segment_slices
 from piga.compensation import FLAGS, Compensated, CompensatedSet
 from piga.records.calibration import Residuals
 from piga.records.run import Run
@@ -208,7 +208,7 @@ def correction_spectrum(instrument: Indication) -> tuple[Array, Array]:
     parts = [part for part in segment_slices(leading.segment) if part.stop - part.start > 8]
     turns = [float(np.ptp(leading.psi[part])) / (2.0 * np.pi) for part in parts]
     for part, some in zip(parts, turns, strict=True):
-        shown = order * some >= ORDERS.turns
+        shown = order * some >= TURNS
         if some < 0.499 * max(turns) or not shown.any():
             continue
         amplitude, duration = _demodulated(leading, part, instrument.scale_factor, order)
