@@ -72,7 +72,7 @@ class LeftOut:
     """A clear signature of the servo that no term of the model absorbs.
 
     ``change`` is the half-width of its effect on each coefficient of the result (file units). ``words`` are its note;
-    empty if the signature is not clear by itself. ``_LISTED`` is its place among the sources of the stand.
+    empty if the signature is not clear by itself. ``listed`` is its place among the sources of the stand.
     """
 
     source: str
