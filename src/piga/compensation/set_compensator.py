@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.compensation import data as at
-from piga._kernels.compensation.set import MEMBER, SetCovariance, SetPast, SetRows, SetSamples
+from piga._kernels.compensation.set import MEMBER, SetCovariance, SetPast, SetRows, SetSamples, empty_solution
 from piga._kernels.compensation.set import compensate_set as set_kernel
 from piga._kernels.compensation.terms import SUMS
 from piga.compensation.compensator import find_begins
@@ -168,7 +168,7 @@ class SetCompensator:
         self._more = stacked([model.more for model in self._models])
         self._threshold = _fault_threshold(self._count - 3)
         self._past = SetPast(at.records(self._count, at.PAST), np.zeros(3), np.zeros((2, 3, 3)))
-        self._members = at.records(self._count, MEMBER)
+        self._members, self._solution = at.records(self._count, MEMBER), empty_solution(self._count)
         self._starts = LockedStarts()
         self._sums = np.zeros((self._count, 3, SUMS))
 
@@ -249,6 +249,7 @@ class SetCompensator:
             SetSamples(time, marks, psi, rates, omega, warm), self._instruments, self._more, self._axes, self._flag,
             self._threshold, self._past, self._members,
             SetRows(result.f, result.dv, result.u_f, result.residual, result.flags, result.misfit, result.each, sums),
+            self._solution,
         )  # fmt: skip
         last = psi[:, -1:].sum() + (result.f if self._sampled else result.dv).sum()
         if not math.isfinite(last):

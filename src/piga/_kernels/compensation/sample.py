@@ -481,34 +481,34 @@ class Rows(NamedTuple):
 
 @exact
 def compensate_record(
-    samples: Samples, instrument: Any, more: Covariance, base_flag: int, past: Any, rows: Rows
+    samples: Samples, instrument: Any, more: Covariance, base_flag: int, past: Any, rows: Rows, work: Array
 ) -> None:
     """Compensate samples one after the other.
 
     ``instrument`` and ``past`` are arrays of one record; the past is updated. ``base_flag``: flags for all rows.
+    ``work``: room for the regressors; empty if no uncertainty is wanted.
     """
     p, last = instrument[0], past[0]
-    turning, warm = samples.base_rate.shape[0] > 0, samples.temperature.size > 0
-    shaken = samples.vibration.size > 0
-    kind = ANGLE if samples.rate.size == 0 else (_BOTH if samples.psi.size else RATE)
-    work = np.empty(at.MOST_TERMS if rows.u.size else 0)
-    for j in range(samples.t.size):
+    t, psi, rate, y, z, begins, base_rate, temperature, vibration = samples
+    ax, dv, u, flags, sums = rows
+    turning, warm, shaken = base_rate.shape[0] > 0, temperature.size > 0, vibration.size > 0
+    kind = ANGLE if rate.size == 0 else (_BOTH if psi.size else RATE)
+    for j in range(t.size):
         now = Sample(
-            samples.t[j],
-            samples.psi[j] if kind != RATE else 0.0,
-            samples.rate[j] if kind != ANGLE else 0.0,
-            samples.y[j],
-            samples.z[j],
-            samples.base_rate[j, 0] if turning else 0.0,
-            samples.base_rate[j, 1] if turning else 0.0,
-            samples.base_rate[j, 2] if turning else 0.0,
-            samples.temperature[j] - p.T_0 if warm else 0.0,
-            samples.vibration[j] if shaken else 0.0,
+            t[j],
+            psi[j] if kind != RATE else 0.0,
+            rate[j] if kind != ANGLE else 0.0,
+            y[j],
+            z[j],
+            base_rate[j, 0] if turning else 0.0,
+            base_rate[j, 1] if turning else 0.0,
+            base_rate[j, 2] if turning else 0.0,
+            temperature[j] - p.T_0 if warm else 0.0,
+            vibration[j] if shaken else 0.0,
         )
-        h = 0.0 if samples.begins[j] or last.seen == 0.0 else now.t - last.t
-        ax, dv, u, flags = _compensate_sample(p, more, last, now, h, kind, warm, work, rows.sums)
-        rows.ax[j], rows.dv[j] = ax, dv
-        if rows.u.size:
-            rows.u[j] = u
-        if rows.flags.size:
-            rows.flags[j] = flags if flags == at.NO_INCREMENT and kind == ANGLE else flags | base_flag
+        h = 0.0 if begins[j] or last.seen == 0.0 else now.t - last.t
+        ax[j], dv[j], doubt, flag = _compensate_sample(p, more, last, now, h, kind, warm, work, sums)
+        if u.size:
+            u[j] = doubt
+        if flags.size:
+            flags[j] = flag if flag == at.NO_INCREMENT and kind == ANGLE else flag | base_flag

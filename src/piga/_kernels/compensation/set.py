@@ -167,7 +167,7 @@ class Solution(NamedTuple):
     """Force ``f``, its change ``df`` over the interval and the change's uncertainty ``bend``, (3,) [m/s^2].
 
     ``inverse`` (3, 3): the inverse normal matrix, with weights ``1/u^2`` the covariance of the force. ``sums`` (2,): sums of
-    squared misfits, plain and weighted.
+    squared misfits, plain and weighted. ``regressors`` (N, MOST_TERMS) and ``doubts`` (N,) [m/s^2] of the instruments.
     """
 
     f: Array
@@ -175,6 +175,14 @@ class Solution(NamedTuple):
     bend: Array
     inverse: Array
     sums: Array
+    regressors: Array
+    doubts: Array
+
+
+def empty_solution(count: int) -> Solution:
+    """Room for the solution of a set of ``count`` instruments."""
+    work = np.empty((count, at.MOST_TERMS))
+    return Solution(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros(2), work, np.zeros(count))
 
 
 @exact
@@ -418,7 +426,7 @@ def weigh(p: Instrument, more: Covariance, x: Inputs, m: _Member, work: Array) -
 @exact
 def compensate_set(
     samples: SetSamples, instruments: Any, all_of: SetCovariance, axes: Array, base_flag: int, threshold: float,
-    last: SetPast, members: Any, rows: SetRows,
+    last: SetPast, members: Any, rows: SetRows, solution: Solution,
 ) -> None:  # fmt: skip
     """Specific force and velocity increments of a set in the common frame, row by row.
 
@@ -427,8 +435,7 @@ def compensate_set(
     """
     count, sampled, warm = instruments.size, samples.rate.shape[1] > 0, samples.temperature.shape[1] > 0
     turning, detailed, wanted = samples.base_rate.shape[1] > 0, rows.each.shape[1] > 0, rows.u.shape[0] > 0
-    solution = Solution(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros(2))
-    work, doubts = np.empty((count, at.MOST_TERMS)), np.zeros(count)
+    work, doubts = solution.regressors, solution.doubts
     for j in range(samples.t.size):
         first = last.past[0]
         h = 0.0 if samples.begins[j] or first.seen == 0.0 else samples.t[j] - first.t
