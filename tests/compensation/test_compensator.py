@@ -15,7 +15,7 @@ from piga._kernels.compensation.data import TERMS
 from piga.calibration.orders import order_spectrum
 from piga.compensation import FLAGS, Mounted, Phase, SetCompensator, compensate_set
 from piga.compensation.result import LockedStarts
-from piga.reports.compensation.figures import compensation_errors, error_figures
+from piga.reports.compensation import compensation_errors, error_figures
 from piga.units import G0
 from tests.compensation.triads import made, orthogonal
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, mean_force, run_of

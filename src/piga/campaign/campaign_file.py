@@ -163,13 +163,7 @@ class CampaignPlan:
         return RecordName(number, group, group.first + design, repeat)
 
     def find(self, case: int, repeat: int) -> RecordName:
-        """A record by case and repeat.
-
-        Raises
-        ------
-        RunFileError
-            If there is no such record.
-        """
+        """A record by case and repeat."""
         for group in self.groups:
             if group.first <= case < group.first + group.designs and 0 <= repeat < group.repeats:
                 return self.record(group.start + (case - group.first) * group.repeats + repeat)
@@ -197,13 +191,7 @@ class CampaignPlan:
 
 
 def _replace_value(document: dict[str, Any], key: str, value: Any) -> None:
-    """Set a value of a TOML document by its dotted key. Missing tables are made. A number selects an entry of a list.
-
-    Raises
-    ------
-    KeyError
-        If the key goes through a value that is not a table.
-    """
+    """Set a value of a TOML document by its dotted key. Missing tables are made. A number selects an entry of a list."""
     *tables, last = key.split(".")
     at: Any = document
     for name in tables:
@@ -249,13 +237,7 @@ def _ends(table: DrawTable) -> tuple[float, float, str]:
 
 
 def _check_draw(table: DrawTable) -> None:
-    """Refuse an invalid distribution.
-
-    Raises
-    ------
-    ValueError
-        Saying what is wrong.
-    """
+    """Refuse an invalid distribution."""
     needed = _NEEDED[table.distribution]
     missing = [name for name in needed if not getattr(table, name) and getattr(table, name) != 0]
     if missing:
@@ -323,13 +305,7 @@ def _check_gone(path: Path, document: Mapping[str, Any]) -> None:
 
 
 def plan_of(path: Path, texts: Mapping[str, bytes]) -> CampaignPlan:
-    """The plan of a campaign whose files were read before.
-
-    Raises
-    ------
-    RunFileError
-        As :func:`read_campaign`.
-    """
+    """The plan of a campaign whose files were read before."""
     file = read_toml(path, CampaignFile, texts[""])
     documents = {n: toml_document(path.parent / n, raw) for n, raw in texts.items() if n}
     plan = CampaignPlan(path, file, texts, tuple(_groups(path, file, documents)), documents)

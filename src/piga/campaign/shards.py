@@ -280,13 +280,7 @@ class ShardReport:
 
 
 def run_shard(folder: str, shard: int) -> ShardReport:
-    """Compute a shard and write its part. If the part is there already, nothing is computed.
-
-    Raises
-    ------
-    PigaError
-        If the worker has other software or does not see the folder, or if the part cannot be written.
-    """
+    """Compute a shard and write its part. If the part is there already, nothing is computed."""
     import numba
 
     campaign = _opened(folder, _stamp(folder))
@@ -393,13 +387,7 @@ def _write_part(campaign: Campaign, shard: int, rows: list[dict[str, Any]]) -> N
 
 
 def read_part(campaign: Campaign, shard: int, path: Path) -> pa.Table:
-    """The rows of a part, as they were written.
-
-    Raises
-    ------
-    DataError
-        If the part was cut short, altered, copied from another shard or campaign, or cannot be read.
-    """
+    """The rows of a part, as they were written."""
     import pyarrow as pa
     from pyarrow import parquet
 

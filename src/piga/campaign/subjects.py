@@ -59,13 +59,7 @@ class Outcome:
 
 
 def built(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> Any:
-    """The scenario of a record, ready to run.
-
-    Raises
-    ------
-    RunFileError
-        If a key is unknown or a value is invalid. The message names it.
-    """
+    """The scenario of a record, ready to run."""
     try:
         return (_stand if record.group.subject == "stand" else _platform)(plan, record, document)
     except (ArgumentError, UnitError) as error:
@@ -99,13 +93,7 @@ def _platform(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) 
 
 
 def compute(plan: CampaignPlan, record: RecordName) -> Outcome:
-    """Compute a record.
-
-    Raises
-    ------
-    PigaError
-        If it cannot be computed. Other errors of the computation are raised, too.
-    """
+    """Compute a record."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PigaWarning)
         made = built(plan, record, plan.document(record))

@@ -41,13 +41,7 @@ class _Nowhere(io.TextIOBase):
 
 
 def check_pipes() -> None:
-    """Refuse a live stream if standard input or output is closed.
-
-    Raises
-    ------
-    PigaError
-        If one is closed. The message names it.
-    """
+    """Refuse a live stream if standard input or output is closed."""
     closed = "input" if sys.stdin is None else "output" if isinstance(sys.stdout, _Nowhere) else ""
     if closed:
         raise PigaError(f"standard {closed} is closed", remedy="connect it: ... | piga compensate - ... > FILE")
@@ -157,26 +151,14 @@ def files_named_in(path: Path) -> list[Path]:
 
 
 def no_folder(path: Path) -> Path:
-    """A path that is not a folder.
-
-    Raises
-    ------
-    ArgumentError
-        If it is one.
-    """
+    """A path that is not a folder."""
     if path.is_dir():
         raise ArgumentError(f"{path}: is a folder", remedy="name a file in it")
     return path
 
 
 def write_by_rename(path: Path, write: Callable[[Path], object], option: str = "--out") -> Path:
-    """Let ``write`` fill a temporary file beside ``path``, then rename it. So no result is half written.
-
-    Raises
-    ------
-    PigaError
-        If the file cannot be written. The message names the ``option`` of the path.
-    """
+    """Let ``write`` fill a temporary file beside ``path``, then rename it. So no result is half written."""
     return write_whole(path, write, remedy=f"choose another {option}")
 
 

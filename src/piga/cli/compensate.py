@@ -21,7 +21,7 @@ from piga.output import results
 if TYPE_CHECKING:
     from piga.compensation import Compensated, Phase
     from piga.records import Calibration, Run
-    from piga.reports.compensation.outline import CompensationOutline
+    from piga.reports.compensation import CompensationOutline
 
 
 def compensate(
@@ -266,7 +266,7 @@ def _single(
         written = write_rows(result, out, period=options.period, inputs=inputs, progress=advance)
     document = summary_of(result, [record], written, inputs)
     if page is not None:
-        from piga.reports.compensation.outline import of_record
+        from piga.reports.compensation import of_record
 
         phase_used = "of the calibration"
         if options.phase is not None:
@@ -314,7 +314,7 @@ def _together(
         written = write_rows(result, out, period=options.period, inputs=inputs, progress=advance)
     summary = summary_of(result, records, written, inputs)
     if page is not None:
-        from piga.reports.compensation.outline import of_set
+        from piga.reports.compensation import of_set
 
         outline = of_set(records, mounted, result)
         names = tuple(
@@ -330,7 +330,7 @@ def _write_page(
     outline: CompensationOutline, names: tuple[str, ...], files: list[tuple[str, str]], options: dict[str, str],
     page: Path, summary: dict[str, Any], whole: tuple[Run, Compensated] | None = None,
 ) -> None:  # fmt: skip
-    from piga.reports.compensation.page import CompensationFacts, compensation_page
+    from piga.reports.compensation import CompensationFacts, compensation_page
     from piga.reports.render.page import write_page
 
     u = summary["u_velocity_m_s"] or ()

@@ -19,13 +19,7 @@ if TYPE_CHECKING:
 
 
 def explain(key: str) -> list[KeyPlace]:
-    """The places of a key in all files: ``terms``, ``data.time.stamp`` or ``[data] time``.
-
-    Raises
-    ------
-    ArgumentError
-        If no file has it. The message names similar keys.
-    """
+    """The places of a key in all files: ``terms``, ``data.time.stamp`` or ``[data] time``."""
     from piga.describe.draft import FILES, places_of
 
     wanted = ".".join(re.sub(r"[\[\]]", " ", key.replace(".", " ")).split())

@@ -234,11 +234,6 @@ def as_told(
     told:
         By column: kind, axis and unit, such as ``"angle"``, ``"force x [g]"``. ``angle`` and ``rate`` are those of the output,
         if no other column is the output and they do not stand still.
-
-    Raises
-    ------
-    ArgumentError
-        If there is no such column or kind, or the unit does not fit.
     """
     for name, text in told.items():
         place = next((k for k, guess in enumerate(guesses) if name in (guess.name, plain(guess.name))), None)

@@ -328,13 +328,7 @@ class RunFileDraft:
 
 
 def setting(text: str) -> tuple[str, Any]:
-    """Key and value of ``instrument.scale_factor="0.8884 rad/s/g"``. A value that is not TOML is text.
-
-    Raises
-    ------
-    ArgumentError
-        If there is no ``table.key=``.
-    """
+    """Key and value of ``instrument.scale_factor="0.8884 rad/s/g"``. A value that is not TOML is text."""
     key, equals, written = text.partition("=")
     key = key.strip()
     if not equals or "." not in key or not all(key.split(".")):

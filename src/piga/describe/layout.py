@@ -67,13 +67,7 @@ class TextLayout:
 
 
 def text_layout(path: Path) -> TextLayout:
-    """Guess the layout of a text log from its first lines.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, or no table of numbers begins in its first lines.
-    """
+    """Guess the layout of a text log from its first lines."""
     source = TextSource(path, None)
     tried = [source.encoding]
     if source.encoding in GUESSED:

@@ -94,13 +94,6 @@ def describe_log(path: str | Path, told: Mapping[str, str] | None = None) -> Log
         The log, in any format that :func:`piga.reading.columns.open_stream` reads.
     told:
         What some columns hold, by name: ``{"CH3": "angle [deg]"}``. The others are guessed.
-
-    Raises
-    ------
-    ArgumentError
-        If ``told`` names no column, no kind or a wrong unit.
-    DataError
-        If the file cannot be read, or holds no table of numbers.
     """
     path = Path(path)
     if not path.is_file():

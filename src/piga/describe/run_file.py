@@ -39,11 +39,6 @@ def draft_run_file(
         Values by ``table.key`` (also ``data.time.unit``). They replace the guesses.
     folder:
         Folder of the run file; that of the log if None.
-
-    Raises
-    ------
-    ArgumentError, UnitError
-        If a setting cannot be used.
     """
     settings = dict(settings or {})
     draft = RunFileDraft({"instrument": {}, "data": {}})
@@ -75,11 +70,6 @@ def try_run_file(draft: RunFileDraft, path: Path) -> Run:
     """Read the log with a draft. ``path``: where the run file will be written.
 
     If the counter may have folded in a gap, the draft gets one phase for each segment, and the log is read again.
-
-    Raises
-    ------
-    PigaError
-        If the log cannot be read with it.
     """
     try:
         run = read_run(path, content=draft.text().encode())

@@ -145,13 +145,7 @@ class Value:
 def chapter_of(
     name: str, values: Mapping[str, float | Value], figures: Sequence[Figure], **words: float
 ) -> Chapter:
-    """The chapter ``name`` with the computed ``values`` of its cases. ``words`` fill its text.
-
-    Raises
-    ------
-    ValueError
-        If ``values`` are not those of the published cases.
-    """
+    """The chapter ``name`` with the computed ``values`` of its cases. ``words`` fill its text."""
     printed = published_chapters()[name]
     if set(values) != set(printed.cases):
         raise ValueError(f"{name}: the cases differ: {sorted(set(values) ^ set(printed.cases))}")

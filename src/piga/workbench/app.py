@@ -77,11 +77,6 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> No
         Port to listen on; 0 takes a free one.
     ready:
         Called with the door and the hidden folder once the server answers.
-
-    Raises
-    ------
-    ArgumentError
-        If ``folder`` is not a folder, or the port cannot be used.
     """
     opened = Folder(folder)
     listener = _listening(port)

@@ -128,13 +128,7 @@ class Folder:
     # --- the hidden folder ------------------------------------------------------------------------
 
     def state_room(self, *names: str) -> Path:
-        """A folder of ``.piga-ui``; it is made when it is first needed.
-
-        Raises
-        ------
-        OutsideError
-            If something else has its name, or another user owns it.
-        """
+        """A folder of ``.piga-ui``; it is made when it is first needed."""
         path = self.root
         for name in (STATE_FOLDER, *names):
             path /= name
@@ -152,13 +146,7 @@ class Folder:
     # --- paths ------------------------------------------------------------------------------------
 
     def path(self, name: str) -> Path:
-        """The path of the file or folder ``name`` below this folder. It need not exist.
-
-        Raises
-        ------
-        OutsideError
-            If it is hidden, begins as an option does, passes a link, or is neither a regular file nor a folder.
-        """
+        """The path of the file or folder ``name`` below this folder. It need not exist."""
         if not _is_plain(name):
             remedy = "rename it" if PurePosixPath(name).name.startswith("-") else "choose a listed file"
             raise OutsideError(
@@ -190,13 +178,7 @@ class Folder:
         return path
 
     def read(self, path: Path, most: int = _MOST_RESULT) -> bytes:
-        """All bytes of a regular file below the folder. No part of its path may be a link, now or meanwhile.
-
-        Raises
-        ------
-        OutsideError
-            If it is another kind of file, or larger than ``most`` bytes.
-        """
+        """All bytes of a regular file below the folder. No part of its path may be a link, now or meanwhile."""
         parts = path.relative_to(self.root).parts
         if ".." in parts or not parts:
             raise OutsideError(f"{path.name}: is no file of this folder", remedy="choose a listed file")
@@ -234,13 +216,7 @@ class Folder:
         return path.relative_to(self.root).as_posix()
 
     def toml(self, name: str) -> Path:
-        """The path of a TOML file all of whose named files lie in this folder.
-
-        Raises
-        ------
-        OutsideError
-            Naming the file.
-        """
+        """The path of a TOML file all of whose named files lie in this folder."""
         path = self.file(name)
         if path.suffix != ".toml" or path.stat().st_size > _MOST_TOML:
             raise OutsideError(
@@ -259,13 +235,7 @@ class Folder:
             ) from None
 
     def write_toml(self, path: Path, text: str, *, kind: str = "run", new: bool = False) -> None:
-        """Write a complete TOML file if it is valid. Every file that it names must be in this folder.
-
-        Raises
-        ------
-        PigaError
-            If the text is refused. The file is then unchanged.
-        """
+        """Write a complete TOML file if it is valid. Every file that it names must be in this folder."""
         raw = text.replace("\r\n", "\n").encode("utf-8")
         if len(raw) > _MOST_TOML:
             raise OutsideError(f"{path.name}: is larger than {_MOST_TOML >> 20} MiB", remedy="shorten it")
@@ -365,13 +335,7 @@ class Folder:
         return self._seen[key][1]
 
     def free_name(self, wanted: str) -> Path:
-        """A path in the folder for an uploaded file: the letters and digits of its name, and no existing file's.
-
-        Raises
-        ------
-        OutsideError
-            If the ending is not that of a log or a TOML file.
-        """
+        """A path in the folder for an uploaded file: the letters and digits of its name, and no existing file's."""
         plain = _UPLOAD_NAME.sub("-", PurePosixPath(wanted.replace("\\", "/")).name).strip(".-")
         kind = file_kind(Path(plain or "x"))
         if kind not in (*_LOG_SUFFIXES, ".toml"):

@@ -100,13 +100,7 @@ class History:
         return mark
 
     def write(self, name: str, seen: str, text: str, words: str, kind: str = "run") -> None:
-        """Write a TOML file of the folder if it is what the page had seen. An empty ``seen`` is that of a new file.
-
-        Raises
-        ------
-        ChangedError
-            If it is not, with the lines that changed.
-        """
+        """Write a TOML file of the folder if it is what the page had seen. An empty ``seen`` is that of a new file."""
         with self.lock:
             path = self._folder.path(name)
             before = self._folder.text(name) if path.exists() else ""

@@ -127,11 +127,6 @@ class Jobs:
         If a job already does the same, no new one is started, and the running one is returned. ``reads`` are the
         files that the command reads: if they are given, a job that began before they changed does something else, and
         one with another place for its results does the same.
-
-        Raises
-        ------
-        BusyError
-            If too many jobs run, or one makes the same results from something else.
         """
         with self._lock:  # many requests may ask at the same time
             return self._start(command, title, subject, result, reads)
@@ -206,13 +201,7 @@ class Jobs:
         return ""
 
     def document(self, job: Job) -> dict[str, Any]:
-        """What the job printed as JSON.
-
-        Raises
-        ------
-        ValueError
-            If it printed none, or far too much.
-        """
+        """What the job printed as JSON."""
         path = self._folder / job.key / "out"
         if path.stat().st_size > _MOST_DOCUMENT:
             raise ValueError("too much was printed")

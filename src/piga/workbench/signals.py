@@ -248,11 +248,6 @@ def picture(folder: Path, key: str, first: float, last: float, width: int) -> Ar
     -------
     Array
         Rows of time, least and largest value in SI, shape (n, 3). A row of NaN separates stretches.
-
-    Raises
-    ------
-    ArgumentError
-        If there is no such signal, or the span is not one.
     """
     outline = read_outline(folder)
     if outline is None or key not in {signal.key for signal in outline.signals}:
@@ -280,13 +275,7 @@ def picture(folder: Path, key: str, first: float, last: float, width: int) -> Ar
 
 
 def rows_between(folder: Path, first: float, last: float) -> tuple[int, int]:
-    """First and last row of the data file whose samples lie in a span of time [s].
-
-    Raises
-    ------
-    ArgumentError
-        If no sample lies there.
-    """
+    """First and last row of the data file whose samples lie in a span of time [s]."""
     t = np.load(folder / "t.npy", mmap_mode="r")
     low, high = int(np.searchsorted(t, first)), int(np.searchsorted(t, last, side="right"))
     if not low < high:

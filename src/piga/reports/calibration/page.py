@@ -133,13 +133,7 @@ _NO_FIGURE = {
 
 
 def figure(cal: Calibration, name: str) -> Figure:
-    """A figure of the report by its name.
-
-    Raises
-    ------
-    CalibrationError
-        If the calibration has no data for it.
-    """
+    """A figure of the report by its name."""
     known = {"segments": segment_figure, "budget": budget_figure, "convergence": convergence_figure}
     lacks = (name == "segments" and not cal.segments) or (name == "budget" and not cal.budget)
     if name in known:

@@ -475,13 +475,7 @@ def write_page(page: Page, path: Path) -> Path:
 
 
 def json_island(document: Any) -> str:
-    """JSON that is safe inside a ``script`` element, with any text.
-
-    Raises
-    ------
-    ValueError
-        If the document holds a number that is not finite.
-    """
+    """JSON that is safe inside a ``script`` element, with any text."""
     text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     for letter in "<>&\u2028\u2029":
         text = text.replace(letter, f"\\u{ord(letter):04x}")

@@ -131,13 +131,7 @@ def render(request: Request, template: str, code: int = 200, **values: Any) -> R
 
 
 async def sent_form(request: Request) -> dict[str, list[str]]:
-    """The fields of a sent form, each with its values.
-
-    Raises
-    ------
-    ArgumentError
-        If the form is too large or is not one.
-    """
+    """The fields of a sent form, each with its values."""
     body = bytearray()
     async for part in request.stream():
         body += part
@@ -162,13 +156,7 @@ def only(fields: Mapping[str, list[str]], name: str, default: str = "") -> str:
 
 
 def quantity(written: str, unit: str, like: str, what: str) -> str:
-    """A typed number with the unit of its menu, as a run file has it. A decimal comma is accepted.
-
-    Raises
-    ------
-    UnitError
-        If there is no unit, or one of another kind; the words are for the field.
-    """
+    """A typed number with the unit of its menu, as a run file has it. A decimal comma is accepted."""
     text = written.strip().replace("\u2212", "-")
     number = re.match(r"[-+\d.,]+(?:[eE][-+]?\d+)?", text)
     if number is None:

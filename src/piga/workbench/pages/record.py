@@ -563,13 +563,7 @@ def _keep(request: Request, name: str, fields: dict[str, list[str]]) -> Response
 
 
 def kept_of(bench: Bench, name: str) -> Kept:
-    """A kept calibration by its folder.
-
-    Raises
-    ------
-    OutsideError
-        If there is none.
-    """
+    """A kept calibration by its folder."""
     kept = bench.folder.kept(bench.folder.path(name))
     if kept is None:
         raise OutsideError(f"{name[:200]}: holds no calibration that can be read", remedy="choose a listed one")

@@ -12,9 +12,15 @@ import pytest
 
 from piga.compensation import FLAGS, SetCompensator, compensate_set
 from piga.records.calibration.coefficient import TYPE_A_ONLY
-from piga.reports.compensation.figures import correction_spectrum, force_figure, misfit_figure, orders_figure
-from piga.reports.compensation.outline import of_set
-from piga.reports.compensation.page import CompensationFacts, compensation_page
+from piga.reports.compensation import (
+    CompensationFacts,
+    compensation_page,
+    correction_spectrum,
+    force_figure,
+    misfit_figure,
+    of_set,
+    orders_figure,
+)
 from piga.reports.render.page import page_html
 from piga.units import G0
 from tests.compensation.run_files import command, small_chunks, write
@@ -130,7 +136,7 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, kind):
             f'[[triad.instrument]]\nrun = "{name}.toml"\ncalibration = "{name}.json"\naxes = {axes.tolist()}\n'
         )
     (tmp_path / "set.toml").write_text("\n".join(lines))
-    module = sys.modules["piga.reports.compensation.page"]
+    module = sys.modules["piga.reports.compensation"]
     real = module.compensation_page
     monkeypatch.setattr(module, "compensation_page", lambda *given: seen.append(given) or real(*given))
     words = (

@@ -1,0 +1,689 @@
+"""Reports of a compensation, for one instrument and for several that were solved together: reduced data, figures, page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._version import __version__
+from piga.calibration.orders import order_spectrum
+from piga.compensation import FLAGS, Compensated, CompensatedSet, Mounted
+from piga.compensation.model import MEANING
+from piga.compensation.result import Inputs
+from piga.errors import CalibrationError
+from piga.records.arrays import changes, middles
+from piga.records.calibration import Calibration, Coefficient, Residuals
+from piga.records.run import Run
+from piga.records.terms import shown_unit
+from piga.reports.calibration.tables import judgement, scale_factor, sentence
+from piga.reports.render.envelope import POINTS, envelope_rows, leading_part
+from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
+from piga.reports.render.numbers import count, pretty_unit, printed, rounded, short
+from piga.reports.render.page import (
+    ALONE,
+    Block,
+    FigureBlock,
+    Judgement,
+    Notice,
+    Page,
+    Section,
+    TableOf,
+    Text,
+    Tile,
+    Tone,
+    named_values,
+)
+from piga.units import G0, MICRO_G
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.int32]
+
+CURVE_POINTS = 1 << 15
+"""Most points of an envelope; fewer rows are kept whole."""
+LEADING_ROWS = 1 << 20
+"""Rows of an instrument that its spectrum uses at most."""
+MARKS = 4096
+"""Most places of one flag that are drawn."""
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Where a flag stands: times of flagged rows, evenly thinned, their count, first and last time."""
+
+    t: Array
+    count: int
+    first: float
+    last: float
+
+
+def _marks_of(t: Array) -> Marks:
+    """The marks of rows at these times."""
+    first, last = (float(t[0]), float(t[-1])) if t.size else (math.nan, math.nan)
+    return Marks(t[:: math.ceil(t.size / MARKS) or 1], t.size, first, last)
+
+
+def rms(values: Array) -> float:
+    """Root mean square of the values that are finite; nan where there is none."""
+    finite = values[np.isfinite(values)]
+    return math.sqrt(float(finite @ finite) / finite.size) if finite.size else math.nan
+
+
+@dataclass(frozen=True)
+class Indication:
+    """One instrument: rms of its correction [m/s^2], rows of each flag, and its first rows for a spectrum.
+
+    In ``leading`` the running correction as angle [rad] is ``before``; ``after`` is 0.
+    """
+
+    calibration: Calibration
+    scale_factor: float
+    correction: float
+    flagged: dict[str, int]
+    leading: Residuals
+
+
+def _indication_of(
+    record: Run, calibration: Calibration, begins: NDArray[np.bool_], ax: Array, dv: Array, flags: Flags
+) -> tuple[Indication, Array]:
+    """An instrument with its compensation, and the indicated specific force [m/s^2]."""
+    K = scale_factor(calibration)
+    h, turn, psi = _turned(record, begins | ((flags & FLAGS["no_increment"]) != 0))
+    if record.kind == "rate":
+        omega = 0.0 if record.base_rate is None else record.base_rate[:, 0]
+        indicated = (record.output + omega) / K
+    else:
+        indicated = turn / (K * np.where(h > 0.0, h, np.nan))
+    rows = slice(0, LEADING_ROWS)
+    angle = np.cumsum((turn - K * dv)[rows])
+    leading = _as_residuals(record, rows, psi, angle, np.broadcast_to(0.0, angle.size))
+    flagged = {name: int(np.count_nonzero(flags & bit)) for name, bit in FLAGS.items()}
+    return Indication(calibration, K, rms(indicated - ax), flagged, leading), indicated
+
+
+def _turned(record: Run, without: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Length of each interval [s] and turn of the output over it, the base added; and the output angle [rad]."""
+    h = np.where(without, 0.0, changes(record.t))
+    if record.kind == "rate":
+        turn = h * middles(record.output)
+        psi = np.cumsum(turn)
+    else:
+        turn, psi = np.where(h > 0.0, changes(record.output), 0.0), record.output
+    if record.base_rate is not None:
+        turn = turn + h * middles(record.base_rate[:, 0])
+    return h, turn, psi
+
+
+def _as_residuals(
+    record: Run, rows: slice, psi: Array, before: Array, after: Array, unit: str = "rad"
+) -> Residuals:
+    """Running errors of some rows as residuals of a calibration, for its spectra."""
+    number, nothing = np.arange(1, before.size + 1, dtype=np.int32), np.broadcast_to(0.0, before.size)
+    segment = record.segment_index[rows] if record.segment_index.size else np.zeros(before.size, np.int32)
+    return Residuals(number, record.t[rows], psi[rows], nothing, before, after, nothing, segment, unit=unit)
+
+
+class CompensationOutline:
+    """Outline of a compensation.
+
+    Curves by name, for each of the ``components`` (``a_x``; or ``f_x``, ``f_y``, ``f_z`` of a set): the component itself,
+    ``indicated``, ``correction`` and ``u`` before its name; of a set also ``residual`` and a ``misfit`` of each instrument.
+    """
+
+    def __init__(
+        self, kind: str, result: Compensated | CompensatedSet, mounted: Sequence[Mounted] = ()
+    ) -> None:
+        self.kind, self.mounted = kind, tuple(mounted)
+        self.components = tuple(f"f_{axis}" for axis in XYZ) if mounted else ("a_x",)
+        self.instruments: list[Indication] = []
+        self.size, self.start = result.size, float(result.t[0])
+        self.flagged = int(np.count_nonzero(result.flags & ~FLAGS["no_increment"]))
+        self.velocity = np.atleast_1d(result.dv.sum(axis=0))
+        self.marks = {name: _marks_of(result.t[result.flagged(name)]) for name in FLAGS}
+        self._t = result.t
+        self._curves: dict[str, tuple[Array, Array]] = {}
+        self._rms: dict[str, float] = {}
+
+    @property
+    def redundant(self) -> bool:
+        """True if there are more instruments than unknowns, so that a misfit exists."""
+        return len(self.mounted) > 3
+
+    def add(self, name: str, values: Array) -> None:
+        """Add a curve of all rows."""
+        rows = envelope_rows(values, CURVE_POINTS)
+        self._curves[name], self._rms[name] = (self._t[rows] - self.start, values[rows]), rms(values)
+
+    def add_component(self, name: str, indicated: Array, force: Array, u: Array) -> None:
+        """Add the curves of a component [m/s^2]; ``u`` may be empty."""
+        for kind, values in (
+            ("", force),
+            ("indicated ", indicated),
+            ("correction ", indicated - force),
+            ("u ", u),
+        ):
+            if values.size:
+                self.add(kind + name, values)
+
+    def curve(self, name: str) -> tuple[Array, Array]:
+        """Times since the first row [s], and the envelope of a curve."""
+        return self._curves[name]
+
+    def has(self, name: str) -> bool:
+        """Whether the curve has a value."""
+        return math.isfinite(self.rms(name))
+
+    def rms(self, name: str) -> float:
+        """Root mean square of all values of a curve; nan where there is none."""
+        return self._rms.get(name, math.nan)
+
+
+def of_record(record: Run, calibration: Calibration, result: Compensated) -> CompensationOutline:
+    """Outline of a single instrument."""
+    outline = CompensationOutline(record.kind, result)
+    one, indicated = _indication_of(record, calibration, record.begins, result.ax, result.dv, result.flags)
+    outline.instruments.append(one)
+    outline.add_component("a_x", indicated, result.ax, result.u_ax)
+    return outline
+
+
+def of_set(records: Sequence[Run], mounted: Sequence[Mounted], result: CompensatedSet) -> CompensationOutline:
+    """Outline of a set; ``result`` with details."""
+    outline = CompensationOutline(records[0].kind, result, mounted)
+    begins = np.logical_or.reduce([record.begins for record in records])
+    from_axes = np.linalg.pinv(np.array([item.axes[0] for item in mounted], dtype=float))
+    indicated = np.zeros((3, result.size))
+    for i, (record, item) in enumerate(zip(records, mounted, strict=True)):
+        axis, flags = (
+            np.asarray(item.axes[0], dtype=float),
+            result.each[i] if result.each.size else result.flags,
+        )
+        one, along = _indication_of(record, item.calibration, begins, result.f @ axis, result.dv @ axis, flags)
+        outline.instruments.append(one)
+        for k, share in enumerate(from_axes[:, i]):
+            indicated[k] += share * along
+        if outline.redundant:
+            outline.add(f"misfit {i}", result.misfit[i])
+    for k, name in enumerate(outline.components):
+        outline.add_component(
+            name, indicated[k], result.f[:, k], result.u_f[:, k] if result.u_f.size else result.u_f
+        )
+    if outline.redundant:
+        outline.add("residual", result.residual)
+    return outline
+
+
+# --- figures --------------------------------------------------------------------------------
+
+_WINDOW = 16
+"""Turns of the output that a spectrum looks at together."""
+TIME = "time since the first row [s]"
+_FLAG_ROLES: dict[str, Role] = {"no_increment": "muted", "near_critical": "model", "age": "reference"}
+
+
+def error_figures(
+    record: Run, result: Compensated, scale_factor: float, noise: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Figure, ...]:
+    """Error figures of a record whose reference holds ``a_x`` too: in time, and in revolution order.
+
+    Parameters
+    ----------
+    record, result:
+        The record and its compensation.
+    scale_factor:
+        K [(rad/s)/(m/s^2)] that turns the output rate into the indicated force.
+    noise:
+        White noise of the angle [rad, rms] and angle random walk [rad/sqrt(s)], as the calibration found them.
+    """
+    errors = compensation_errors(record, result, scale_factor)
+    if record.direct:
+        return (error_figure(errors),)
+    return error_figure(errors), _error_spectrum_figure(leading_part(errors), scale_factor, noise)
+
+
+def compensation_errors(record: Run, result: Compensated, scale_factor: float) -> Residuals:
+    """Error of the velocity as an angle [rad; a direct instrument: m/s], indicated (``before``) and compensated (``after``)."""
+    h, turn, psi = _turned(record, record.begins)
+    force = h * middles(record.f[:, 0])
+    scale = 1.0 if record.direct else scale_factor
+    before, after = (np.cumsum(scale * error) for error in (turn / scale_factor - force, result.dv - force))
+    return _as_residuals(record, slice(None), psi, before, after, "m/s" if record.direct else "rad")
+
+
+def in_windows(residuals: Residuals) -> Residuals:
+    """The residuals with every segment cut into windows of ``_WINDOW`` turns: where the force changes, so does the drift.
+
+    A spectrum of revolution orders takes out one drift per segment; over a moving record that is not enough.
+    """
+    psi = residuals.psi
+    change = np.diff(residuals.segment, prepend=-1) != 0
+    starts = psi[change][np.cumsum(change) - 1]
+    window = np.floor((psi - starts) / (2.0 * np.pi * _WINDOW))
+    segment = np.cumsum(change | (np.diff(window, prepend=0.0) != 0.0))
+    return replace(residuals, segment=segment.astype(np.int32))
+
+
+def error_figure(errors: Residuals) -> Figure:
+    """Error of the velocity against time before and after."""
+    plot = Plot(
+        "compensation-error",
+        "Error before and after compensation.",
+        TIME,
+        "velocity error as output angle [mrad]" if errors.unit == "rad" else "velocity error [mm/s]",
+    )
+    roles: tuple[tuple[Role, str], ...] = (("before", "as indicated"), ("after", "compensated"))
+    for role, name in roles:
+        plot.line(errors.t - errors.t[0], 1e3 * getattr(errors, role), name, role)
+    if errors.unit != "rad":
+        return plot.caption("The running error of the velocity against the reference.")
+    return plot.caption(
+        "The running error of the velocity against the reference, in units of the output angle: the cross-coupling "
+        "ripples once a revolution and drifts; what is left after compensation is the noise of the output."
+    )
+
+
+def _error_spectrum_figure(errors: Residuals, scale_factor: float, noise: tuple[float, float]) -> Figure:
+    """Amplitude of the error in revolution order; a line at an order is a missed term."""
+    spectrum = order_spectrum(in_windows(errors), scale_factor, noise)
+    plot = Plot(
+        "compensation-spectrum",
+        "Error in revolution order.",
+        "revolution order",
+        "log amplitude of the error of a_x [µg]",
+    )
+    plot.line(spectrum.order, spectrum.before / MICRO_G, "as indicated", "before")
+    plot.line(spectrum.order, spectrum.after / MICRO_G, "compensated", "after")
+    if any(noise):
+        plot.dashed(spectrum.order, spectrum.noise / MICRO_G, "noise alone", "muted")
+    return plot.caption(
+        "Lines at whole orders are errors that turn with the output: the cross-coupling at order 1, its pulling and "
+        "the servo at order 2. After a good compensation no order stands out of the noise."
+    )
+
+
+def force_figure(outline: CompensationOutline) -> Figure:
+    """Indicated and compensated specific force, their difference, and the uncertainty, against time."""
+    components = outline.components
+    roles: tuple[Role, ...] = ("data",) if len(components) == 1 else XYZ
+    where = "along the input axis" if len(components) == 1 else "in the common frame"
+    plot = Plot("compensation-force", f"Specific force {where}.", height=2.3)
+    for name in components:
+        plot.panel(TIME, f"specific force {name} [g]")
+        plot.line(*_curve(outline, f"indicated {name}", G0), "indicated", "before")
+        plot.line(*_curve(outline, name, G0), "compensated", "after")
+    plot.panel(TIME, "correction [µg]")
+    for name, role in zip(components, roles, strict=True):
+        plot.line(*_curve(outline, f"correction {name}", MICRO_G), f"correction of {name}", role)
+    if outline.has(f"u {components[0]}"):
+        curves = [_curve(outline, f"u {name}", MICRO_G) for name in components]
+        highest = max(float(np.nanmax(u)) for _, u in curves)
+        plot.panel(TIME, Axis("standard uncertainty", "µg", limits=(0.0, 1.15 * highest or 1.0)))
+        for (t, u), name, role in zip(curves, components, roles, strict=True):
+            plot.line(t, u, f"u({name}) of a row", "model" if role == "data" else role)
+    along = (
+        ""
+        if len(components) == 1
+        else " Several instruments: taken as force along the input axes, by least squares."
+    )
+    note = f"Outlines of at most {POINTS} points; lowest and highest values are kept."
+    return plot.caption(
+        f"Indicated: output rate over the calibrated scale factor, the base rate added where it is recorded.{along} "
+        "The correction, indicated less compensated, is the cross-coupling and the error terms of the calibration; both "
+        "curves carry the same noise, so it does not.",
+        *([] if outline.size <= POINTS else [note]),
+    )
+
+
+def _curve(outline: CompensationOutline, name: str, unit: float) -> tuple[Array, Array]:
+    t, y = outline.curve(name)
+    return t, y / unit
+
+
+def misfit_figure(outline: CompensationOutline, names: Sequence[str]) -> Figure:
+    """Residual of a redundant set, and how far each instrument is from the force that fits all."""
+    plot = Plot("compensation-misfit", "What the instruments say against each other.", height=1.7)
+    plot.panel(TIME, "residual of the set [µg]")
+    plot.line(*_curve(outline, "residual", MICRO_G), "residual: root of the summed squares")
+    for i, name in enumerate(names):
+        plot.panel(TIME, f"misfit of {name} [µg]")
+        plot.line(*_curve(outline, f"misfit {i}", MICRO_G), "misfit", "model")
+    return plot.caption(
+        "Indication of an instrument less the force that fits all, along its effective input axis. Noise is good; a line, "
+        "a step or a drift in one of them points at its calibration, its mounting, its phase or a fault."
+    )
+
+
+def result_figure(result: Compensated | CompensatedSet) -> Figure:
+    """Force, correction and uncertainty; without its record the compensated force alone."""
+    if isinstance(result, Compensated) and result.made_from is not None:
+        run, calibration = result.made_from
+        return force_figure(of_record(run, calibration, result))
+    single = isinstance(result, Compensated)
+    force, u = (
+        (result.ax[:, None], result.u_ax[:, None])
+        if isinstance(result, Compensated)
+        else (result.f, result.u_f)
+    )
+    names: tuple[tuple[str, Role], ...] = (("a_x", "after"),) if single else tuple((f"f{k}", k) for k in XYZ)
+    t = result.t - result.t[0]
+    where = "along the input axis" if single else "in the common frame"
+    plot = Plot("compensation-force", f"Specific force {where}.", TIME, "specific force [g]", height=2.3)
+    for k, (name, role) in enumerate(names):
+        plot.line(t, force[:, k] / G0, name, role)
+    if u.size:
+        plot.panel(TIME, "standard uncertainty [µg]")
+        for k, (name, role) in enumerate(names):
+            plot.line(t, u[:, k] / MICRO_G, f"u({name}) of a row", role)
+    return plot.caption("Compensated specific force, and its standard uncertainty.")
+
+
+def correction_spectrum(instrument: Indication) -> tuple[Array, Array]:
+    """Revolution orders, and the amplitude of the correction [m/s^2] at each, from the leading rows."""
+    spectrum = order_spectrum(in_windows(instrument.leading), instrument.scale_factor)
+    return spectrum.order, spectrum.before
+
+
+def orders_figure(outline: CompensationOutline, names: Sequence[str]) -> Figure | None:
+    """Spectrum of the correction of each instrument in its own revolution order, over at most six decades.
+
+    None if no output turns far enough.
+    """
+    plot = Plot("compensation-orders", "What was taken out, by revolution order.", height=2.8)
+    drawn = False
+    for name, instrument in zip(names, outline.instruments, strict=True):
+        order, amplitude = correction_spectrum(instrument)
+        if (amplitude > 0.0).any():
+            shown = np.maximum(amplitude, 1e-6 * float(np.nanmax(amplitude)))
+            title = name if len(names) > 1 else ""
+            plot.panel("revolution order", "log amplitude of the correction [µg]", title)
+            plot.line(order, shown / MICRO_G, "correction")
+            drawn = True
+    if not drawn:
+        return None
+    return plot.caption(
+        "The cross-coupling turns with the output and stands at order 1, pulling at order 2, harmonics of the "
+        "calibration at theirs."
+    )
+
+
+def flag_figure(outline: CompensationOutline) -> Figure | None:
+    """Times of every raised flag; None if no flag is raised."""
+    raised = {name: marks for name, marks in outline.marks.items() if marks.count}
+    if not raised:
+        return None
+    axis = Axis("bit position of flag", "1", limits=(-0.5, 9.5))
+    plot = Plot("compensation-flags", "Flags against time.", TIME, axis, height=2.8)
+    for name, marks in raised.items():
+        bit = FLAGS[name].bit_length() - 1
+        rows = "1 row" if marks.count == 1 else f"{marks.count} rows"
+        role = _FLAG_ROLES.get(name, "warning")
+        plot.points(marks.t - outline.start, np.full(marks.t.size, float(bit)), f"{bit} {name}: {rows}", role)
+    return plot.caption("One mark per flagged row, or fewer in long records; the counts are of all rows.")
+
+
+# --- page -----------------------------------------------------------------------------------
+
+COMPARED_ROWS = 1 << 18
+"""Most rows of a record that is compared with its reference."""
+
+
+@dataclass(frozen=True)
+class CompensationFacts:
+    """Inputs of a compensation.
+
+    ``names`` of the instruments. ``files`` are all files read, each with the SHA-256 of the bytes read. ``options``: as
+    given, in words. ``repairs``: number of rows by kind, counted while reading. ``notes``: those of the result.
+    ``u_velocity``: standard uncertainty of the velocity along each component [m/s], if it is known.
+    """
+
+    names: tuple[str, ...]
+    files: Inputs
+    options: dict[str, str]
+    repairs: dict[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    u_velocity: tuple[float, ...] = ()
+
+
+def figures(result: Compensated | CompensatedSet) -> dict[str, Callable[[], Figure]]:
+    """The figure of a compensation in memory."""
+    return {"force": partial(result_figure, result)}
+
+
+def brief(result: Compensated | CompensatedSet) -> Page:
+    """What a notebook and the terminal show of a compensation in memory."""
+    facts = named_values("", "", result.in_brief())
+    return Page(
+        result.heading(), sections=(Section("", "result", (facts, FigureBlock(result_figure(result)))),)
+    )
+
+
+def page(result: Compensated) -> Page:
+    """The page of a compensation in memory."""
+    if result.made_from is None:
+        raise CalibrationError(
+            "report: this compensation was read or copied without its record and calibration",
+            remedy="compensate again: piga.compensate(run, cal)",
+        )
+    run, calibration = result.made_from
+    outline = of_record(run, calibration, result)
+    data = Path(run.source).name or "arrays in memory", next(iter(run.input_sha256.values()), "")
+    facts = CompensationFacts(
+        (data[0],), (data,), {"method": result.method}, notes=result.notes, u_velocity=(result.u_velocity,)
+    )
+    return compensation_page(outline, facts, (run, result))
+
+
+def _coefficient_words(c: Coefficient) -> tuple[str, str]:
+    """A coefficient with its standard uncertainty in brackets, and its unit, as the calibration's own report has them."""
+    scale, unit = shown_unit(c.name, c.unit)
+    return printed(rounded(c.value * scale, c.std * scale).concise), pretty_unit(unit)
+
+
+def compensation_page(
+    outline: CompensationOutline, facts: CompensationFacts, whole: tuple[Run, Compensated] | None = None
+) -> Page:
+    """The page of a compensation. ``whole``: record and result of a single instrument, compared with the reference."""
+    single = not outline.mounted
+    serial = outline.instruments[0].calibration.serial
+    sections = [Section("Specific force", "specific-force", (FigureBlock(force_figure(outline)),))]
+    if not single:
+        sections.append(_misfit(outline, facts))
+    direct = outline.instruments[0].calibration.direct
+    sections += [] if direct else [_orders(outline, facts)]
+    if single:
+        sections.append(_reference(outline, whole))
+    sections.append(_flags(outline, facts))
+    if not single:
+        sections.append(_instruments(outline, facts))
+    sections += [*_repairs(facts), _provenance(outline, facts)]
+    return Page(
+        title=f"Compensation of {serial if single else f'{len(outline.mounted)} instruments'}",
+        subtitle=f"{', '.join(facts.names)}; {count(outline.size)} rows; the output is of kind "
+        f"{'count' if direct and outline.kind == 'angle' else outline.kind}.",
+        tiles=_tiles(outline, facts),
+        sections=tuple(sections),
+        judgement=_judgement(outline, facts),
+        kicker="piga · compensation",
+        footer=f"Made by piga {__version__} on {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}. {ALONE}",
+    )
+
+
+def _judgement(outline: CompensationOutline, facts: CompensationFacts) -> Judgement:
+    """The verdicts on all calibrations in one box, the worst on top; each doubt of a set names its instruments."""
+    each = [judgement(instrument.calibration) for instrument in outline.instruments]
+    if len(each) == 1:
+        return judgement(outline.instruments[0].calibration, "The calibration that was used: ")
+    worst = max(each, key=lambda one: _SEVERITY.index(one.tone))
+    named: dict[tuple[str, str], list[str]] = {}
+    for name, instrument in zip(facts.names, outline.instruments, strict=True):
+        for doubt in instrument.calibration.verdict.doubts:
+            named.setdefault((sentence(doubt.what), doubt.remedy), []).append(name)
+    problems = tuple((f"{', '.join(names)}: {what}", remedy) for (what, remedy), names in named.items())
+    tested, open_ones = (
+        tuple(dict.fromkeys(words for one in each for words in getattr(one, name)))
+        for name in ("tested", "not_tested")
+    )
+    headline = f"The calibrations that were used: {worst.headline}"
+    return Judgement(worst.tone, headline, "", problems, tested, open_ones)
+
+
+_SEVERITY: tuple[Tone, ...] = ("", "quiet", "good", "doubtful", "bad")
+
+
+def _micro_g(value: float) -> str:
+    return short(value / MICRO_G) if math.isfinite(value) else "–"
+
+
+def _together(outline: CompensationOutline, kind: str) -> str:
+    """Root mean square of a kind of curve, all components together."""
+    return _micro_g(math.hypot(*(outline.rms(f"{kind} {name}") for name in outline.components)))
+
+
+def _tiles(outline: CompensationOutline, facts: CompensationFacts) -> tuple[Tile, ...]:
+    velocity = ", ".join(printed(short(float(v), 4)) for v in outline.velocity)
+    axes = "" if len(outline.velocity) == 1 else " x, y, z"
+    known = [printed(short(u, 2)) for u in facts.u_velocity if math.isfinite(u)]
+    u = f"standard uncertainty {', '.join(known)} m/s; " if known else ""
+    tiles = [
+        Tile(f"Velocity{axes}", velocity, "m/s", f"{u}sum of dv; time between stretches is not counted"),
+        Tile("Correction, rms", _together(outline, "correction"), "µg", "indicated less compensated"),
+    ]
+    if outline.has(f"u {outline.components[0]}"):
+        tiles.append(Tile("u, rms", _together(outline, "u"), "µg", "standard uncertainty of one row"))
+    if outline.has("residual"):
+        tiles.append(Tile("Residual, rms", _micro_g(outline.rms("residual")), "µg", "of the redundant set"))
+    share = short(100.0 * outline.flagged / max(outline.size, 1))
+    tone: Tone = "good" if outline.flagged == 0 else "doubtful"
+    detail = f"{share} % of the rows, no_increment not counted"
+    return (*tiles, Tile("Rows with a flag", count(outline.flagged), "", detail, tone))
+
+
+def _misfit(outline: CompensationOutline, facts: CompensationFacts) -> Section:
+    title, anchor = "Instruments against each other", "misfit"
+    if not outline.redundant:
+        text = "Three instruments fit any force exactly: nothing is left over that could contradict it."
+        return Section(title, anchor, (Notice("info", text),))
+    faults = outline.marks["fault"].count
+    words = f"{count(faults)} rows contradict themselves beyond the uncertainties (flag fault)."
+    notice = Notice("warning", words)
+    if faults == 0:
+        notice = Notice("good", "No row contradicts itself beyond the uncertainties of the calibrations.")
+    return Section(title, anchor, (notice, FigureBlock(misfit_figure(outline, facts.names))))
+
+
+def _orders(outline: CompensationOutline, facts: CompensationFacts) -> Section:
+    figure = orders_figure(outline, facts.names)
+    nothing = "No part of the record turns far enough, or nothing turns with the output."
+    blocks: list[Block] = [Notice("info", nothing) if figure is None else FigureBlock(figure)]
+    if outline.size > LEADING_ROWS:
+        blocks.append(
+            Text(f"Of the first {count(LEADING_ROWS)} rows. Figures against time show the whole record.")
+        )
+    return Section("Revolution orders", "orders", tuple(blocks))
+
+
+def _reference(outline: CompensationOutline, whole: tuple[Run, Compensated] | None) -> Section:
+    title, anchor = "Against the reference", "reference"
+    if whole is None or outline.size > COMPARED_ROWS:
+        text = f"The error against the reference along the input axis is shown for records of at most {count(COMPARED_ROWS)} rows."
+        return Section(title, anchor, (Notice("info", text),))
+    instrument = outline.instruments[0]
+    noise = (instrument.calibration.angle_rms, instrument.calibration.angle_random_walk)
+    lead = Text(
+        "Where the record holds a reference along the input axis that is worth comparing with (a laboratory does), "
+        "these are the errors against it; they hold the errors of that reference, too.",
+        lead=True,
+    )
+    drawn = error_figures(*whole, instrument.scale_factor, noise)
+    return Section(title, anchor, (lead, *(FigureBlock(figure) for figure in drawn)))
+
+
+def _flags(outline: CompensationOutline, facts: CompensationFacts) -> Section:
+    """The figure of flags, and their table; of a set with the rows of each instrument."""
+    figure = flag_figure(outline)
+    if figure is None:
+        return Section("Flags", "flags", (Notice("good", "No row carries a flag."),))
+    raised = [(name, marks) for name, marks in outline.marks.items() if marks.count]
+    table = (
+        TableOf(raised)
+        .text("flag", lambda row: row[0])
+        .number("bit", lambda row: str(FLAGS[row[0]]))
+        .number("rows", lambda row: count(row[1].count))
+        .number("share", lambda row: short(100.0 * row[1].count / outline.size), "%")
+    )
+    notes: tuple[str, ...] = ()
+    if outline.mounted:
+        instruments = list(zip(facts.names, outline.instruments, strict=True))
+        table.across(instruments, lambda one: one[0], lambda row, one: count(one[1].flagged[row[0]]))
+        notes = ("A row of the set carries the flags of all its instruments. A fault is one of the set.",)
+    table.number("first at", lambda row: short(row[1].first - outline.start, 6), "s")
+    table.number("last at", lambda row: short(row[1].last - outline.start, 6), "s")
+    table.text("meaning", lambda row: MEANING[row[0]])
+    caption = "Flags that were raised; times since the first row."
+    said = [Notice("warning", words) for words in facts.notes]
+    return Section("Flags", "flags", (*said, FigureBlock(figure), table.table(caption, notes)))
+
+
+def _instruments(outline: CompensationOutline, facts: CompensationFacts) -> Section:
+    indices = range(len(outline.instruments))
+    table = (
+        TableOf(indices)
+        .text("instrument", lambda i: facts.names[i])
+        .across(
+            range(3),
+            lambda axis: f"X0 along {XYZ[axis]}",
+            lambda i, axis: printed(short(float(outline.mounted[i].axes[0][axis]), 6)),
+        )
+        .number("correction, rms", lambda i: _micro_g(outline.instruments[i].correction), "µg")
+        .number("misfit, rms", lambda i: _micro_g(outline.rms(f"misfit {i}")), "µg")
+        .table("Input axes in the common frame; what was taken out and what is left.")
+    )
+    return Section("Instruments", "instruments", (table,))
+
+
+def _repairs(facts: CompensationFacts) -> tuple[Section, ...]:
+    if not facts.repairs:
+        return ()
+    table = (
+        TableOf(facts.repairs.items())
+        .text("finding", lambda item: item[0])
+        .number("count", lambda item: count(item[1]))
+        .table("Repairs of the record.")
+    )
+    return (Section("Found while reading", "repairs", (table,)),)
+
+
+def _provenance(outline: CompensationOutline, facts: CompensationFacts) -> Section:
+    many = len(outline.instruments) > 1
+    options = dict(facts.options)
+    coefficients = []
+    for name, instrument in zip(facts.names, outline.instruments, strict=True):
+        calibration, of = instrument.calibration, f" ({name})" if many else ""
+        made = calibration.provenance
+        options[f"calibration of{of}"] = f"{calibration.serial}, by {made.software} on {made.created}"
+        if not calibration.direct:
+            options[f"phases of the calibration{of}"] = calibration.phases
+        options[f"scale factor of the indication{of}"] = (
+            f"{printed(short(instrument.scale_factor, 8))} ({calibration.unit})/(m/s²)"
+        )
+        coefficients += [(name, c) for c in calibration.coefficients]
+    for name, item in zip(facts.names, outline.mounted, strict=False):
+        if item.phase is not None:
+            phase = printed(rounded(item.phase.value, item.phase.std).concise)
+            options[f"phase used ({name})"] = f"{phase} rad, as given"
+    table = TableOf(coefficients)
+    if many:
+        table.text("instrument", lambda row: row[0])
+    table.text("coefficient", lambda row: row[1].key)
+    table.number("value", lambda row: _coefficient_words(row[1])[0])
+    table.text("unit", lambda row: _coefficient_words(row[1])[1])
+    how = named_values("", "", options, "How it was compensated.")
+    read = named_values("file", "SHA-256", facts.files, "Files as they were read.", code=True)
+    used = table.table("Coefficients of the calibration, standard uncertainty in brackets.")
+    return Section("Provenance", "provenance", (how, used, read))
