@@ -13,7 +13,7 @@ from piga.campaign.campaign_file import NUMBER
 from piga.campaign.collect import COLLECT, EDGES, CampaignCoefficient, Collected, GroupResult, Miss
 from piga.records.terms import shown_unit
 from piga.reports.render.figure import Axis, Figure, Plot, Role
-from piga.reports.render.numbers import pretty_unit, printed, short, signed
+from piga.reports.render.numbers import pretty_unit, short, signed
 from piga.reports.render.page import (
     ALONE,
     Block,
@@ -176,7 +176,7 @@ def _interval_table(result: GroupResult) -> Table:
         .number("Coverage", lambda c: Cell(_with_error(c), _tone(c)), "%")
         .number("Spread of errors", lambda c: _number(c, c.spread))
         .number("Mean error", lambda c: _number(c, c.bias))
-        .number("Bias / sigma", lambda c: _or_dash(c.bias_over_sigma, lambda x: printed(signed(x, 3))))
+        .number("Bias / sigma", lambda c: _or_dash(c.bias_over_sigma, lambda x: signed(x, 3)))
         .number("Variance / bound", lambda c: _or_dash(c.variance_over_bound, "{:.2f}".format))
         .number("NEES (expected)", lambda c: _or_dash(c.nees, lambda x: f"{x:.2f} ({c.nees_expected:.2f})"))
         .number("Largest error", lambda c: _or_dash(c.largest_z, "{:.1f}".format), "u")
@@ -217,7 +217,7 @@ def _worst_table(collected: Collected) -> Table:
         TableOf(collected.worst)
         .text("Group", lambda w: w.group)
         .text("Coefficient", lambda w: w.coefficient)
-        .number("Error", lambda w: printed(signed(w.z, 1)), "u")
+        .number("Error", lambda w: signed(w.z, 1), "u")
         .text("Repeat it with", lambda w: w.command)
         .table("The largest errors over their standard uncertainties")
     )
@@ -253,7 +253,7 @@ def _number(c: CampaignCoefficient, value: float | None) -> str:
     """A value of a coefficient in the unit that is shown."""
     if value is None or not math.isfinite(value):
         return "–"
-    return printed(short(value * shown_unit(c.name, c.unit)[0], 3))
+    return short(value * shown_unit(c.name, c.unit)[0], 3)
 
 
 # --- figures -----------------------------------------------------------------------------------------

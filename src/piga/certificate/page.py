@@ -249,10 +249,10 @@ def _result_row(c: Coefficient) -> tuple[str, ...]:
     scale, unit = shown_unit(c.name, c.unit)
     value, wide = c.value * scale, c.expanded * scale
     number = rounded(value, wide)
-    head = (c.name, meaning_of(c.name), printed(number.value))
+    head = (c.name, meaning_of(c.name), number.value)
     if c.std == 0.0:
         return (*head, "given", pretty_unit(unit) or "1", "–", "–", "–")
-    shown = (printed(number.uncertainty), pretty_unit(unit) or "1", relative(value, wide))
+    shown = (number.uncertainty, pretty_unit(unit) or "1", relative(value, wide))
     return (*head, *shown, freedom(c), factor(c))
 
 
@@ -266,10 +266,10 @@ def _conformity_table(conformity: tuple[Conformity, ...]) -> Table:
     return (
         TableOf(conformity)
         .text("Coefficient", lambda one: one.key)
-        .number("Lower limit", lambda one: printed(significant(one.low * scale(one))))
-        .number("Value", lambda one: printed(number(one).value))
-        .number("U (95 %)", lambda one: printed(number(one).uncertainty))
-        .number("Upper limit", lambda one: printed(significant(one.high * scale(one))))
+        .number("Lower limit", lambda one: significant(one.low * scale(one)))
+        .number("Value", lambda one: number(one).value)
+        .number("U (95 %)", lambda one: number(one).uncertainty)
+        .number("Upper limit", lambda one: significant(one.high * scale(one)))
         .text("Unit", lambda one: pretty_unit(shown_unit(one.key, one.unit)[1]) or "1")
         .text("Verdict", lambda one: one.words)
         .table()

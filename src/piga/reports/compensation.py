@@ -25,7 +25,7 @@ from piga.records.terms import shown_unit
 from piga.reports.calibration.tables import judgement, scale_factor, sentence
 from piga.reports.render.envelope import POINTS, envelope_rows, leading_part
 from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
-from piga.reports.render.numbers import count, pretty_unit, printed, rounded, short
+from piga.reports.render.numbers import count, pretty_unit, rounded, short
 from piga.reports.render.page import (
     ALONE,
     Block,
@@ -482,7 +482,7 @@ def page(result: Compensated) -> Page:
 def _coefficient_words(c: Coefficient) -> tuple[str, str]:
     """A coefficient with its standard uncertainty in brackets, and its unit, as the calibration's own report has them."""
     scale, unit = shown_unit(c.name, c.unit)
-    return printed(rounded(c.value * scale, c.std * scale).concise), pretty_unit(unit)
+    return rounded(c.value * scale, c.std * scale).concise, pretty_unit(unit)
 
 
 def compensation_page(
@@ -546,9 +546,9 @@ def _together(outline: CompensationOutline, kind: str) -> str:
 
 
 def _tiles(outline: CompensationOutline, facts: CompensationFacts) -> tuple[Tile, ...]:
-    velocity = ", ".join(printed(short(float(v), 4)) for v in outline.velocity)
+    velocity = ", ".join(short(float(v), 4) for v in outline.velocity)
     axes = "" if len(outline.velocity) == 1 else " x, y, z"
-    known = [printed(short(u, 2)) for u in facts.u_velocity if math.isfinite(u)]
+    known = [short(u, 2) for u in facts.u_velocity if math.isfinite(u)]
     u = f"standard uncertainty {', '.join(known)} m/s; " if known else ""
     tiles = [
         Tile(f"Velocity{axes}", velocity, "m/s", f"{u}sum of dv; time between stretches is not counted"),
@@ -638,7 +638,7 @@ def _instruments(outline: CompensationOutline, facts: CompensationFacts) -> Sect
         .across(
             range(3),
             lambda axis: f"X0 along {XYZ[axis]}",
-            lambda i, axis: printed(short(float(outline.mounted[i].axes[0][axis]), 6)),
+            lambda i, axis: short(float(outline.mounted[i].axes[0][axis]), 6),
         )
         .number("correction, rms", lambda i: _micro_g(outline.instruments[i].correction), "µg")
         .number("misfit, rms", lambda i: _micro_g(outline.rms(f"misfit {i}")), "µg")
@@ -670,12 +670,12 @@ def _provenance(outline: CompensationOutline, facts: CompensationFacts) -> Secti
         if not calibration.direct:
             options[f"phases of the calibration{of}"] = calibration.phases
         options[f"scale factor of the indication{of}"] = (
-            f"{printed(short(instrument.scale_factor, 8))} ({calibration.unit})/(m/s²)"
+            f"{short(instrument.scale_factor, 8)} ({calibration.unit})/(m/s²)"
         )
         coefficients += [(name, c) for c in calibration.coefficients]
     for name, item in zip(facts.names, outline.mounted, strict=False):
         if item.phase is not None:
-            phase = printed(rounded(item.phase.value, item.phase.std).concise)
+            phase = rounded(item.phase.value, item.phase.std).concise
             options[f"phase used ({name})"] = f"{phase} rad, as given"
     table = TableOf(coefficients)
     if many:

@@ -11,7 +11,7 @@ import numpy as np
 from piga._version import __version__
 from piga.gravity_norm.estimate import SetCalibration
 from piga.reports.render.figure import Figure, Plot
-from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, short
+from piga.reports.render.numbers import fixed, pretty_unit, rounded, short
 from piga.reports.render.page import (
     FigureBlock,
     Notice,
@@ -52,9 +52,9 @@ def _terms_table(cal: SetCalibration) -> Table:
     return (
         TableOf(cal.terms)
         .text("term", lambda term: term.key)
-        .number("value", lambda term: printed(rounded(term.value, term.std).value))
-        .number("u", lambda term: printed(rounded(term.value, term.std).uncertainty))
-        .number("U, 95 %", lambda term: printed(rounded(term.value, term.expanded).uncertainty))
+        .number("value", lambda term: rounded(term.value, term.std).value)
+        .number("u", lambda term: rounded(term.value, term.std).uncertainty)
+        .number("U, 95 %", lambda term: rounded(term.value, term.expanded).uncertainty)
         .number("degrees of freedom", lambda term: short(term.degrees_of_freedom))
         .text("unit", lambda term: pretty_unit(term.unit))
         .table()
@@ -74,7 +74,7 @@ def page(cal: SetCalibration) -> Page:
         .number("begin", lambda one: fixed(one.begin, 2), "s")
         .number("end", lambda one: fixed(one.end, 2), "s")
         .number("samples", lambda one: str(one.samples))
-        .number("|f| − g", lambda one: printed(fixed(one.residual / MICRO_G, 1)), "µg")
+        .number("|f| − g", lambda one: fixed(one.residual / MICRO_G, 1), "µg")
         .table()
     )
     return Page(

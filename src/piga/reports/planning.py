@@ -15,7 +15,7 @@ from piga.planning.mounting import Mounting
 from piga.planning.plan import Plan
 from piga.records.terms import meaning_of, shown_unit, unit_of
 from piga.reports.render.figure import Axis, Figure, Plot, Role, named_axis
-from piga.reports.render.numbers import pretty_unit, printed, short, signed, significant
+from piga.reports.render.numbers import pretty_unit, short, signed, significant
 from piga.reports.render.page import (
     Block,
     Cell,
@@ -230,7 +230,7 @@ def _visit_table(plan: Plan) -> Table:
     table.number("dwell", lambda visit: f"{visit.dwell:.2f}", "s")
     if not plan.request.direct:
         table.number("revolutions", lambda visit: f"{visit.dwell / visit.candidate.revolution:.2f}")
-    table.number("force along X0", lambda visit: printed(signed(visit.candidate.force[0] / G0, 4)), "g")
+    table.number("force along X0", lambda visit: signed(visit.candidate.force[0] / G0, 4), "g")
     return table.table("Visits in the order of the test.")
 
 
@@ -241,8 +241,8 @@ def _uncertainty_table(plan: Plan) -> Table:
         TableOf(shown)
         .text("coefficient", lambda row: Cell(row[0], title=meaning_of(row[0])))
         .text("unit", lambda row: pretty_unit(row[2]) or "1")
-        .number("u, Type A", lambda row: printed(significant(plan.best.std(row[0]) * row[1], 3)))
-        .number("u with the stand", lambda row: printed(significant(plan.best.combined(row[0]) * row[1], 3)))
+        .number("u, Type A", lambda row: significant(plan.best.std(row[0]) * row[1], 3))
+        .number("u with the stand", lambda row: significant(plan.best.combined(row[0]) * row[1], 3))
     )
     for one in plan.standard:
         table.number(one.name, _over_planned(plan, one))

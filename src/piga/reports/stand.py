@@ -17,7 +17,7 @@ from piga.instrument.twin.parameters import TwinParameters
 from piga.instrument.twin.run import TwinMotion
 from piga.records.terms import integral_unit, shown_unit
 from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
-from piga.reports.render.numbers import count, pretty_unit, printed, short, significant
+from piga.reports.render.numbers import count, pretty_unit, short, significant
 from piga.reports.render.page import (
     Block,
     FigureBlock,
@@ -353,7 +353,7 @@ def _design_section(p: TwinParameters) -> Section:
 
 
 def _number(value: float) -> str:
-    return "unlimited" if math.isinf(value) else printed(significant(value, 5))
+    return "unlimited" if math.isinf(value) else significant(value, 5)
 
 
 def _truth_section(test: SimulatedTest) -> Section:
@@ -370,7 +370,7 @@ def _values_table(values: tuple[TrueValue, ...], caption: str) -> Table:
     return (
         TableOf(shown)
         .text("name", lambda row: _name(row[0]))
-        .number("value", lambda row: printed(significant(row[0].value * row[1], 8)))
+        .number("value", lambda row: significant(row[0].value * row[1], 8))
         .text("unit", lambda row: pretty_unit(row[2]))
         .text("", lambda row: row[0].note)
         .table(caption)

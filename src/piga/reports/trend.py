@@ -13,7 +13,7 @@ import numpy as np
 
 from piga.records.terms import meaning_of, shown_unit
 from piga.reports.render.figure import Axis, Figure, Plot, Role
-from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, short, signed
+from piga.reports.render.numbers import fixed, pretty_unit, rounded, short, signed
 from piga.reports.render.page import (
     Block,
     Cell,
@@ -57,7 +57,7 @@ def scale_of(trend: CoefficientTrend) -> _TrendScale:
     if trend.key == "scale_factor" and origin:
         return _TrendScale(origin, 1e6 / origin, f"scale_factor / {fixed(origin, max(place, 0))} − 1", "ppm")
     unit = {"1": "10⁻⁶", "1/K": "10⁻⁶/K"}.get(trend.unit) or pretty_unit(f"u{trend.unit}")
-    shown = fixed(origin * 1e6, max(place - 6, 0)).replace("-", "−")
+    shown = fixed(origin * 1e6, max(place - 6, 0))
     quantity = f"{trend.key} − {shown}" if origin > 0 else f"{trend.key} + {shown.lstrip('−')}"
     return _TrendScale(origin, 1e6, quantity if origin else trend.key, unit)
 
@@ -220,7 +220,7 @@ def _at(trend: CoefficientTrend, years: float) -> str:
 
 def _last_day(trend: CoefficientTrend) -> str:
     point, scale = trend.points[-1], _scale(trend)
-    return _at(trend, point.time) or _with_interval(point.value * scale, point.coverage.half_width * scale)
+    return _at(trend, point.time) or rounded(point.value * scale, point.coverage.half_width * scale).interval
 
 
 def _drift(trend: CoefficientTrend) -> str | Cell:
@@ -232,21 +232,11 @@ def _drift(trend: CoefficientTrend) -> str | Cell:
 
 
 def _interval(forecast: Forecast, scale: float) -> str:
-    return _with_interval(forecast.value * scale, forecast.half_width() * scale)
-
-
-def _with_interval(value: float, half: float) -> str:
-    """``value ± half``, a power of ten written once."""
-    number = rounded(value, half)
-    if not number.exponent:
-        return f"{printed(number.value)} ± {printed(number.uncertainty)}"
-    mantissa, spread = (text.partition("e")[0] for text in (number.value, number.uncertainty))
-    power = printed(f"1e{number.exponent}").removeprefix("1")
-    return f"({printed(mantissa)} ± {spread}){power}"
+    return rounded(forecast.value * scale, forecast.half_width() * scale).interval
 
 
 def _spread(value: float) -> str:
-    return "–" if math.isnan(value) else printed(short(value, 2))
+    return "–" if math.isnan(value) else short(value, 2)
 
 
 def _section(drifts: Trend, trend: CoefficientTrend, ahead: float | None) -> Section:
@@ -266,10 +256,10 @@ def _record_table(drifts: Trend, trend: CoefficientTrend) -> Table:
         TableOf(dated)
         .text("Record", lambda row: row[0].record)
         .number("Date", lambda row: f"{row[1]:%Y-%m-%d\u00a0%H:%M}")
-        .number("Value", lambda row: printed(rounded(row[0].value * scale, row[0].std * scale).value), shown)
-        .number("u without the shared part", lambda row: printed(short(row[0].own * scale, 2)), shown)
-        .number("u", lambda row: printed(short(row[0].std * scale, 2)), shown)
-        .number("U (95 %)", lambda row: printed(short(row[0].coverage.half_width * scale, 2)), shown)
+        .number("Value", lambda row: rounded(row[0].value * scale, row[0].std * scale).value, shown)
+        .number("u without the shared part", lambda row: short(row[0].own * scale, 2), shown)
+        .number("u", lambda row: short(row[0].std * scale, 2), shown)
+        .number("U (95 %)", lambda row: short(row[0].coverage.half_width * scale, 2), shown)
         .number("Forecast ± 95 %", lambda row: _expected(row[0].forecast, scale), shown)
         .number("Score", lambda row: _score(row[0]))
         .table(caption)
@@ -281,7 +271,7 @@ def _expected(forecast: Forecast | None, scale: float) -> str:
 
 
 def _score(point: Point) -> Cell:
-    score = "–" if point.forecast is None else printed(signed(point.score, 1))
+    score = "–" if point.forecast is None else signed(point.score, 1)
     return Cell(score, "bad" if point.outside else "")
 
 

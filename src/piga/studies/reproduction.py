@@ -9,7 +9,7 @@ from piga._version import __version__
 from piga.errors import ArgumentError
 from piga.progress import Progress, Steps
 from piga.reports.render.figure import Figure
-from piga.reports.render.numbers import aligned, pretty_unit, printed, significant
+from piga.reports.render.numbers import aligned, pretty_unit, significant
 from piga.reports.render.page import (
     Block,
     Cell,
@@ -180,10 +180,10 @@ def _numbers(chapter: Chapter) -> Table:
         TableOf(chapter.cases)
         .text("case", short_id)
         .text("quantity", lambda case: case.quantity)
-        .number("published", lambda case: printed(number(case.published)))
-        .number("computed", lambda case: printed(number(case.computed)))
-        .number("difference", lambda case: printed(difference(case)))
-        .number("tolerance", lambda case: printed(number(case.tolerance, 2)))
+        .number("published", lambda case: number(case.published))
+        .number("computed", lambda case: number(case.computed))
+        .number("difference", difference)
+        .number("tolerance", lambda case: number(case.tolerance, 2))
         .text("unit", lambda case: pretty_unit(case.unit))
         .text("verdict", lambda case: Cell(case.verdict, TONES[case.verdict]))
         .table("Published, computed, judged.")

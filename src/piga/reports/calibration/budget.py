@@ -8,7 +8,7 @@ from dataclasses import replace
 from piga.records.calibration import BudgetEntry, Calibration, Coefficient
 from piga.records.terms import shown_unit
 from piga.reports.calibration.tables import TABLES, common_coefficients
-from piga.reports.render.numbers import pretty_unit, printed, short
+from piga.reports.render.numbers import pretty_unit, short
 from piga.reports.render.page import Cell, Table, TableOf
 
 DESCRIBED = 5
@@ -51,14 +51,14 @@ def budget_table(cal: Calibration) -> Table:
 
 def _entered(row: BudgetEntry) -> str:
     given = row.standard_uncertainty
-    return f"{printed(short(given.value))} {pretty_unit(given.unit)}".strip() if given else "–"
+    return f"{short(given.value)} {pretty_unit(given.unit)}".strip() if given else "–"
 
 
 def _degrees(row: BudgetEntry) -> str:
     if row.type == "A":
         return "see above"
     degrees = row.degrees_of_freedom
-    return "∞" if degrees is None else printed(short(degrees, 3)) if degrees else ""
+    return "∞" if degrees is None else short(degrees, 3) if degrees else ""
 
 
 def _contribution(part: float, c: Coefficient, whole: float = 0.0) -> Cell:
@@ -67,7 +67,7 @@ def _contribution(part: float, c: Coefficient, whole: float = 0.0) -> Cell:
     if part <= TABLES.negligible * c.std:
         return Cell("–", "quiet")
     share = f" ({100.0 * (part / whole) ** 2:.0f} %)" if whole > 0.0 else ""
-    return Cell(printed(short(part * shown_unit(c.name, c.unit)[0], 2)) + share)
+    return Cell(short(part * shown_unit(c.name, c.unit)[0], 2) + share)
 
 
 def budget_shares(cal: Calibration) -> tuple[list[str], dict[str, list[float]]]:
@@ -187,11 +187,11 @@ def source_tables(cal: Calibration) -> tuple[Table, ...]:
 def _effect(change: float, c: Coefficient) -> str | Cell:
     if abs(change) <= TABLES.negligible * c.std:
         return Cell("–", "quiet")
-    return printed(short(change * shown_unit(c.name, c.unit)[0], 3))
+    return short(change * shown_unit(c.name, c.unit)[0], 3)
 
 
 def _sensitivity(row: BudgetEntry, c: Coefficient) -> str | Cell:
     sensitivity = row.sensitivities.get(c.key)
     if sensitivity is None or abs(row.contribution(c)) <= TABLES.negligible * c.std:
         return Cell("–", "quiet")
-    return printed(short(sensitivity.value * shown_unit(c.name, c.unit)[0], 3))
+    return short(sensitivity.value * shown_unit(c.name, c.unit)[0], 3)

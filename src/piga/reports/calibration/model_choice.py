@@ -7,7 +7,7 @@ from typing import Any
 from piga.records.calibration import Calibration
 from piga.records.terms import shown_unit
 from piga.reports.render.figure import Axis, Figure, Plot
-from piga.reports.render.numbers import count, pretty_unit, printed, rounded, short, signed
+from piga.reports.render.numbers import count, pretty_unit, rounded, short, signed
 from piga.reports.render.page import Block, Cell, FigureBlock, Section, Table, TableOf, Text
 from piga.units import MICRO_G
 
@@ -56,7 +56,7 @@ def comparison_table(document: dict[str, Any]) -> Table:
     )
 
     def number(key: str, scale: float = 1.0, digits: int = 3) -> Any:
-        return lambda item: printed(short(item[1][key] * scale, digits)) if key in item[1] else "–"
+        return lambda item: short(item[1][key] * scale, digits) if key in item[1] else "–"
 
     return (
         TableOf(numbered)
@@ -88,7 +88,7 @@ def _above(candidate: dict[str, Any]) -> str:
     error = candidate["prediction_standard_error"]
     if error <= 1e-6 * candidate["prediction_chi_square"]:
         return "0"
-    return f"{printed(short(candidate['prediction_above_best']))} ± {printed(short(error, 2))}"
+    return f"{short(candidate['prediction_above_best'])} ± {short(error, 2)}"
 
 
 def _remark(candidate: dict[str, Any], document: dict[str, Any]) -> str | Cell:
@@ -151,5 +151,5 @@ def _shift_table(document: dict[str, Any]) -> Table | None:
 def _shifted(c: dict[str, Any] | None, scale: float) -> str:
     if c is None:
         return "–"
-    change = "" if c["change"] in (None, 0.0) else f" ({printed(signed(c['change'], 1))})"
-    return printed(rounded(c["value"] * scale, c["std"] * scale).concise) + change
+    change = "" if c["change"] in (None, 0.0) else f" ({signed(c['change'], 1)})"
+    return rounded(c["value"] * scale, c["std"] * scale).concise + change

@@ -48,7 +48,7 @@ from piga.reports.calibration.tables import (
 )
 from piga.reports.render.envelope import outline
 from piga.reports.render.figure import Figure
-from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, short, significant
+from piga.reports.render.numbers import count, pretty_unit, relative, rounded, short, significant
 from piga.reports.render.page import (
     ALONE,
     Block,
@@ -102,7 +102,7 @@ def _scatter(cal: Calibration) -> str:
     """Scatter of the rates of the positions, in words; empty if there is none."""
     level = cal.segment_scatter
     shown = short(level / cal.scale_factor_nominal / G0 * 1e6)
-    return f"{shown} µg ({printed(short(level))} {cal.unit})" if level else ""
+    return f"{shown} µg ({short(level)} {cal.unit})" if level else ""
 
 
 _METHODS = {
@@ -276,7 +276,7 @@ def _coefficient_tiles(cal: Calibration) -> list[Tile]:
             label = "Scale factor" if coefficient.name == "scale_factor" else "Cross-coupling tan β"
             detail = f"standard uncertainty {relative(value, std)}"
             tone: Tone = "doubtful" if std > 0.3 * abs(value) else ""
-            tiles.append(Tile(label, printed(rounded(value, std).concise), pretty_unit(unit), detail, tone))
+            tiles.append(Tile(label, rounded(value, std).concise, pretty_unit(unit), detail, tone))
     return tiles
 
 
@@ -293,7 +293,7 @@ def _condition_tile(cal: Calibration) -> Tile:
         (math.inf, "the record hardly separates the coefficients", "bad"),
     )
     words, tone = next((words, tone) for limit, words, tone in verdicts if not cal.condition > limit)
-    return Tile("Condition number", printed(short(cal.condition, 2)), "", words, tone)
+    return Tile("Condition number", short(cal.condition, 2), "", words, tone)
 
 
 def _whiteness_tile(cal: Calibration) -> Tile | None:
@@ -439,7 +439,7 @@ def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
     blocks += [Notice("info", f"{sentence(remark)}.") for remark in cal.remarks]
     blocks += [FigureBlock(shown[name]) for name in ("whiteness", "allan") if name in shown]
     rows = [
-        ("Condition number", printed(short(cal.condition))),
+        ("Condition number", short(cal.condition)),
         *_noise(cal),
         *scalars({key: value for key, value in cal.diagnostics.document().items() if key not in OWN_TABLES}),
     ]
@@ -462,7 +462,7 @@ def _noise(cal: Calibration) -> list[tuple[str, str]]:
 
 
 def _raw(value: float, unit: str) -> str:
-    return f" ({printed(short(value))} {unit})"
+    return f" ({short(value)} {unit})"
 
 
 def _quality(cal: Calibration, shown: dict[str, Figure]) -> Section:

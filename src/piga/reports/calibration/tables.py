@@ -13,7 +13,7 @@ from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.verdict import Grade, Verdict
 from piga.records.terms import integral_unit, shown_output, shown_unit, term_words
-from piga.reports.render.numbers import count, fixed, pretty_unit, printed, relative, rounded, short, signed
+from piga.reports.render.numbers import count, fixed, pretty_unit, relative, rounded, short, signed
 from piga.reports.render.page import Cell, Judgement, Table, TableOf, Tone, named_values
 from piga.units import ARCSEC, G0
 
@@ -114,8 +114,8 @@ class Shown:
             self.std = self.wide = self.freedom = self.factor = "–"
             self.relative: str | Cell = "–"
             return
-        self.value, self.std = printed(number.value), printed(number.uncertainty)
-        self.wide, self.freedom, self.factor = printed(wide.uncertainty), freedom(c), factor(c)
+        self.value, self.std = number.value, number.uncertainty
+        self.wide, self.freedom, self.factor = wide.uncertainty, freedom(c), factor(c)
         self.relative = Cell(relative(value, std), "doubtful" if std > abs(value) else "")
 
 
@@ -140,7 +140,7 @@ def monte_carlo_interval(coefficient: Coefficient) -> str:
     covered = coefficient.coverage
     scale, unit = shown_unit(coefficient.name, coefficient.unit)
     ends = [rounded(end * scale, covered.half_width * scale).value for end in (covered.low, covered.high)]
-    return f"{printed(ends[0])} to {printed(ends[1])} {pretty_unit(unit)}".rstrip()
+    return f"{ends[0]} to {ends[1]} {pretty_unit(unit)}".rstrip()
 
 
 def named(coefficient: Coefficient, direct: bool = False) -> Cell:
@@ -168,7 +168,7 @@ def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
     for c in common_coefficients(cal):
         if c.name == "tan_beta":
             beta = rounded(math.atan(c.value) / ARCSEC, c.std / ARCSEC / (1.0 + c.value**2))
-            notes.append(f"tan_beta corresponds to β = {printed(beta.concise)}″.")
+            notes.append(f"tan_beta corresponds to β = {beta.concise}″.")
         if c.interval is not None:
             notes.append(
                 f"{c.name}: shortest 95 % interval {monte_carlo_interval(c)} by Monte Carlo (JCGM 101); {half} is its "
@@ -202,7 +202,7 @@ def correlation_table(cal: Calibration) -> Table | None:
 def _correlation(value: float, diagonal: bool) -> Cell:
     if diagonal:
         return Cell("1", "quiet")
-    return Cell(printed(signed(value, 2)), heat=value) if math.isfinite(value) else Cell("–")
+    return Cell(signed(value, 2), heat=value) if math.isfinite(value) else Cell("–")
 
 
 def residual_quantity(cal: Calibration) -> tuple[str, str]:
@@ -244,10 +244,10 @@ def segment_table(cal: Calibration) -> Table:
         .text("Segment", lambda segment: segment.label)
         .number("Samples", lambda segment: count(segment.rows))
         .number("Duration", lambda segment: f"{segment.duration:.1f}", "s")
-        .number("Mean a_x", lambda segment: printed(fixed(segment.mean_a_x / G0, 5)), "g")
+        .number("Mean a_x", lambda segment: fixed(segment.mean_a_x / G0, 5), "g")
     )
     if not cal.direct:
-        table.number("Turns", lambda segment: printed(fixed(segment.turns or 0.0, 2)), "rev")
+        table.number("Turns", lambda segment: fixed(segment.turns or 0.0, 2), "rev")
     table = (
         table.number("rms before", lambda segment: short(segment.rms_before / per), unit)
         .number("rms after", lambda segment: _rms_after(segment.rms / per, typical / per), unit)
@@ -266,7 +266,7 @@ def _phase_shown(phase: Coefficient | None) -> str:
     """The phase of a segment with its standard uncertainty in brackets, or that it is not determined; a dash for none."""
     if phase is None:
         return "–"
-    return printed(rounded(phase.value, phase.std).concise) if phase.determined else "not determined"
+    return rounded(phase.value, phase.std).concise if phase.determined else "not determined"
 
 
 def runs_table(cal: Calibration) -> Table:
@@ -301,7 +301,7 @@ def outlier_table(cal: Calibration) -> Table:
         .number("Time", lambda outlier: f"{outlier.time:.3f}", "s")
         .number("Row", lambda outlier: count(outlier.row))
         .number("Samples left out", lambda outlier: count(outlier.samples))
-        .number("Miss", lambda outlier: printed(short(outlier.size / per)), unit)
+        .number("Miss", lambda outlier: short(outlier.size / per), unit)
         .table(notes=notes)
     )
 
@@ -352,7 +352,7 @@ _RANGES = {
 def _range_row(name: str, ends: Any) -> tuple[str, str]:
     """A range in which the calibration holds."""
     words, unit = _RANGES.get(name, (name, ""))
-    low, high = (printed(short(float(end), 4)) for end in ends)
+    low, high = (short(float(end), 4) for end in ends)
     return f"Range of the {words}", f"{low} to {high} {unit}".rstrip()
 
 
@@ -366,7 +366,7 @@ def scalars(document: dict[str, Any]) -> list[tuple[str, str]]:
         elif isinstance(value, dict):
             rows += [(f"{key}.{inner}", text) for inner, text in scalars(value)]
         elif isinstance(value, float):
-            rows.append((key, printed(short(value, 4))))
+            rows.append((key, short(value, 4)))
         elif isinstance(value, (str, int)):
             rows.append((key, str(value)))
         elif isinstance(value, (list, tuple)) and len(value) <= TABLES.coefficients:
@@ -413,7 +413,7 @@ def _share(share: float | None, shift: float | None) -> Cell:
     moved = "not determined" if shift is None and share else "" if shift is None else signed(shift, 1)
     bad = share > _ALONE or (shift is not None and abs(shift) > _SHIFT)
     text = f"{100.0 * share:.0f} %" + (f" ({moved})" if moved else "")
-    return Cell(printed(text), "doubtful" if bad else "")
+    return Cell(text, "doubtful" if bad else "")
 
 
 def propagation_tables(cal: Calibration) -> tuple[Table, ...]:
@@ -430,12 +430,12 @@ def propagation_tables(cal: Calibration) -> tuple[Table, ...]:
         TableOf(tried)
         .text("Coefficient", lambda row: row[0].key)
         .text("Unit", lambda row: pretty_unit(row[3]))
-        .number("u, first order", lambda row: printed(short(row[0].std * row[2], 3)))
-        .number("u, Monte Carlo", lambda row: printed(short(row[1].std * row[2], 3)))
+        .number("u, first order", lambda row: short(row[0].std * row[2], 3))
+        .number("u, Monte Carlo", lambda row: short(row[1].std * row[2], 3))
         .number("95 %, first order", lambda row: _interval(row[1].first_order, row[2]))
         .number("95 %, symmetric", lambda row: _interval(row[1].symmetric, row[2]))
         .number("95 %, shortest", lambda row: _interval(row[1].shortest, row[2]))
-        .number("Tolerance", lambda row: printed(short(row[1].tolerance * row[2], 1)))
+        .number("Tolerance", lambda row: short(row[1].tolerance * row[2], 1))
         .text("Agreement", lambda row: _agreement(row[1].validated))
         .table(notes=(f"{monte_carlo.trials} trials.",))
     )
@@ -447,5 +447,5 @@ def _agreement(validated: bool) -> Cell:
 
 
 def _interval(ends: tuple[float, float], scale: float) -> str:
-    low, high = (printed(short(end * scale, 6)) for end in ends)
+    low, high = (short(end * scale, 6) for end in ends)
     return f"{low} … {high}"

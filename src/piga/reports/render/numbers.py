@@ -1,7 +1,8 @@
 """Numbers for people: rounded by their uncertainty, in units that keep them short.
 
 Uncertainties are given with two significant digits and the value to the same decimal place, as the
-GUM (JCGM 100, 7.2.6) recommends; ``3.5876(12)e-4`` puts the uncertainty in units of the last digits.
+GUM (JCGM 100, 7.2.6) recommends; ``3.5876(12) × 10⁻⁴`` puts the uncertainty in units of the last digits. All pages, tables
+and certificates take their numbers from here, with a true minus sign; :func:`ascii_text` turns them into plain text.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ _PRETTY = (("^2", "²"), ("^3", "³"), ("sqrt(s)", "√s"), ("arcsec", "″"), (
 
 @dataclass(frozen=True)
 class Rounded:
-    """Text of a value and of its uncertainty, both to the same decimal place and power of ten."""
+    """Text of a value and of its uncertainty, both to the same decimal place and power of ten; and both in one, two ways."""
 
     value: str
     uncertainty: str
     concise: str
-    exponent: int = 0
+    interval: str
 
 
 def _place(uncertainty: Decimal, digits: int) -> int:
@@ -48,7 +49,7 @@ def _is_plain(leading: int, place: int) -> bool:
 
 
 def rounded(value: float, uncertainty: float, *, digits: int = 2) -> Rounded:
-    """Round a value by its uncertainty.
+    r"""Round a value by its uncertainty.
 
     Parameters
     ----------
@@ -61,14 +62,15 @@ def rounded(value: float, uncertainty: float, *, digits: int = 2) -> Rounded:
     Examples
     --------
     >>> rounded(3.58762e-4, 1.2e-8).concise
-    '3.58762(12)e-4'
+    '3.58762(12)\xa0×\xa010⁻⁴'
     >>> rounded(1600.04, 5.21).value, rounded(1600.04, 5.21).uncertainty
     ('1600.0', '5.2')
     """
     if not math.isfinite(value):
-        return Rounded("not finite", "–", "not finite")
+        return Rounded("not finite", "–", "not finite", "not finite")
     if not (math.isfinite(uncertainty) and uncertainty > 0.0):
-        return Rounded(significant(value), "–", significant(value))
+        text = significant(value)
+        return Rounded(text, "–", text, f"{text} ± –")
     number, spread = Decimal(repr(float(value))), Decimal(repr(float(uncertainty)))
     place = _place(spread, digits)
     number = number.quantize(Decimal(1).scaleb(place), ROUND_HALF_EVEN)
@@ -77,10 +79,12 @@ def rounded(value: float, uncertainty: float, *, digits: int = 2) -> Rounded:
     leading = max(number.adjusted() if number else place, spread.adjusted())
     exponent = 0 if _is_plain(leading, place) else leading
     number, spread, place = number.scaleb(-exponent), spread.scaleb(-exponent), place - exponent
-    power = f"e{exponent}" if exponent else ""
-    value_text, spread_text = _fixed(number, place), _fixed(spread, place)
+    times = _times(exponent)
+    value_text, spread_text = printed(_fixed(number, place)), _fixed(spread, place)
     last = spread_text if spread >= 1 and place < 0 else str(int(spread.scaleb(-place)))
-    return Rounded(value_text + power, spread_text + power, f"{value_text}({last}){power}", exponent)
+    interval = f"{value_text} ± {spread_text}"
+    interval = f"({interval}){times}" if exponent else interval
+    return Rounded(value_text + times, spread_text + times, f"{value_text}({last}){times}", interval)
 
 
 def significant(value: float, digits: int = 6, *, zeros: bool = False) -> str:
@@ -91,12 +95,17 @@ def significant(value: float, digits: int = 6, *, zeros: bool = False) -> str:
     exponent = 0 if _is_plain(number.adjusted(), 0) or not number else number.adjusted()
     text = f"{number.scaleb(-exponent):f}"
     text = text.rstrip("0").rstrip(".") if "." in text and not zeros else text
-    return f"{text}e{exponent}" if exponent else text
+    return printed(text) + _times(exponent)
+
+
+def _times(exponent: int) -> str:
+    """Times a power of ten, as it is printed; nothing for the power 0."""
+    return f"\u00a0×\u00a0{power(exponent)}" if exponent else ""
 
 
 def fixed(value: float, decimals: int) -> str:
     """A number with this many decimals. A number that rounds to zero has no sign."""
-    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+    return printed(f"{round(value, decimals) + 0.0:.{decimals}f}")
 
 
 def signed(value: float, decimals: int) -> str:
@@ -108,16 +117,16 @@ def signed(value: float, decimals: int) -> str:
     ('+0.4', '0.0')
     """
     text = fixed(value, decimals)
-    return f"+{text}" if float(text) > 0.0 else text
+    return f"+{text}" if round(value, decimals) > 0.0 else text
 
 
 def short(value: float, digits: int = 3) -> str:
-    """A number of three significant digits for tables and tiles; powers of ten only when far from 1.
+    r"""A number of three significant digits for tables and tiles; powers of ten only when far from 1.
 
     Examples
     --------
     >>> short(12345.6), short(2.8), short(0.001234), short(1.2e-7)
-    ('12 346', '2.80', '0.00123', '1.20e-7')
+    ('12\u202f346', '2.80', '0.00123', '1.20\xa0×\xa010⁻⁷')
     """
     if not math.isfinite(value):
         return "–"
@@ -130,7 +139,7 @@ def short(value: float, digits: int = 3) -> str:
 
 def count(number: int) -> str:
     """A whole number with thin unbreakable spaces between thousands, from five digits on."""
-    return f"{number:,}".replace(",", " ") if abs(number) >= 10000 else str(number)
+    return printed(f"{number:,}".replace(",", " ") if abs(number) >= 10000 else str(number))
 
 
 def relative(value: float, uncertainty: float) -> str:
@@ -152,7 +161,7 @@ def relative(value: float, uncertainty: float) -> str:
 
 def printed(number: str) -> str:
     """Numbers of a text as they are printed: ``3.5876(12)e-4`` becomes ``3.5876(12) × 10⁻⁴``, with a true minus sign."""
-    return _EXPONENT.sub(lambda found: f"\u00a0×\u00a0{power(found[1])}", _MINUS.sub("−", number))
+    return _EXPONENT.sub(lambda found: _times(int(found[1])), _MINUS.sub("−", number))
 
 
 def ascii_text(text: str) -> str:

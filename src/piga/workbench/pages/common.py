@@ -19,7 +19,7 @@ from starlette.routing import Route
 
 from piga._version import __version__
 from piga.errors import ArgumentError, PigaError, UnitError
-from piga.reports.render.numbers import count, pretty_unit, printed, rounded, significant
+from piga.reports.render.numbers import count, pretty_unit, rounded, significant
 from piga.units import to_si
 from piga.workbench.folder import Folder, OutsideError
 from piga.workbench.history import ChangedError, History
@@ -77,22 +77,22 @@ def _in_bytes(size: float) -> str:
 
 def value_text(value: float, u: float) -> str:
     """A value rounded by its standard uncertainty, in print."""
-    return printed(rounded(value, u).value)
+    return rounded(value, u).value
 
 
 def u_text(value: float, u: float) -> str:
     """The standard uncertainty of a value, in print."""
-    return printed(rounded(value, u).uncertainty)
+    return rounded(value, u).uncertainty
 
 
 def concise(value: float, u: float) -> str:
     """A value with its standard uncertainty in brackets, in units of the last digits."""
-    return printed(rounded(value, u).concise)
+    return rounded(value, u).concise
 
 
 def number_text(value: float, digits: int = 4) -> str:
     """A number in print."""
-    return printed(significant(value, digits))
+    return significant(value, digits)
 
 
 def moment(seconds: float) -> str:
