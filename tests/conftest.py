@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterable
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands have it; read when NumPy is loaded
@@ -15,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import piga
-from piga.cli import certificate, common, records
+from piga.cli import certificate, common
 from tests import json_documents
 from tests.short_record import TERMS, a_run
 
@@ -48,17 +47,11 @@ def cal(run: piga.Run) -> piga.Calibration:
 @pytest.fixture(autouse=True)
 def json_schemas(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every document that a command prints in this process is compared with the schema of its command."""
-    print_json, print_json_list = common.print_json, common.print_json_list
+    print_json = common.print_json
 
     def one(document: Any) -> None:
         json_documents.check(document)
         print_json(document)
 
-    def listed(document: dict[str, Any], name: str, items: Iterable[Any]) -> None:
-        whole = list(items)
-        json_documents.check(document | {name: whole})
-        print_json_list(document, name, whole)
-
     monkeypatch.setattr(common, "print_json", one)
     monkeypatch.setattr(certificate, "print_json", one)
-    monkeypatch.setattr(records, "print_json_list", listed)

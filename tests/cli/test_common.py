@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from piga.cli import common
-from piga.cli.common import without_types
 from piga.errors import PigaError
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
 from tests.records.files import lines, write_log, write_run
@@ -121,15 +120,3 @@ def test_control_sequences_do_not_reach_the_terminal(capsys: pytest.CaptureFixtu
     captured = capsys.readouterr()
     assert captured.out == "a?[31mb\n"
     assert captured.err == "c?d\n"
-
-
-@pytest.mark.parametrize(("words", "named", "wanted"), [
-    ("--out DIR <path>", True, "--out DIR"),
-    ("--seed <int range>", False, "--seed N"),
-    ("--seed INTEGER RANGE", False, "--seed N"),
-    ("--model <quasi-steady|twin>", False, "--model quasi-steady|twin"),
-    ("--reason TEXT", True, "--reason"),
-    ("-h, --help", False, "-h, --help"),
-])  # fmt: skip
-def test_words_of_an_option(words: str, named: bool, wanted: str) -> None:
-    assert without_types(words, named) == wanted

@@ -9,7 +9,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from piga.cli import platform
 from tests.cli.runner import exit_code, invoked
 from tests.platform.conftest import INTERPRETED
 
@@ -168,42 +167,3 @@ def test_every_tenth_row(tmp_path: Path) -> None:
             np.testing.assert_allclose(kept[1:], values[1:].reshape(10, 10).sum(axis=1), rtol=1e-9, atol=1e-12)
         else:
             np.testing.assert_array_equal(kept, values[::10])
-
-
-def test_large_files_are_announced(capsys: pytest.CaptureFixture[str]) -> None:
-    platform._announce(7_000_000, 1, 1, 1)
-    assert (
-        "1 files of 7000000 rows will be written, up to 56 MB together; fewer with --every N"
-        in capsys.readouterr().err
-    )
-    platform._announce(7_000_000, 2, 1, 2)
-    assert "files of 3500000 rows will be written, up to 56 MB together\n" in capsys.readouterr().err
-    platform._announce(100, 1, 1, 1)
-    assert capsys.readouterr().err == ""
-
-
-def test_the_size_is_known_before_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is announced before anything is computed is what the tables hold in the end."""
-    (tmp_path / "s.toml").write_text(
-        SCENARIO.replace('"100 s"', '"100 s"\nstep = "0.5 s"')
-        + '[compensation]\nmisalignment = "true"\nattitude = "true"\n'
-    )
-    told: list[tuple[int, int, int, int]] = []
-    monkeypatch.setattr(platform, "_announce", lambda *what: told.append(what))
-    monkeypatch.setattr(
-        platform, "_simulated", lambda _: pytest.fail("computed first") if not told else SIMULATED(_)
-    )
-    out = tmp_path / "out"
-    done = invoked("platform", "simulate", tmp_path / "s.toml", "--out", out)
-    assert done.exit_code == 0, done.exception
-    tables = [pq.read_table(out / f"{name}.parquet") for name in ("readouts", "truth")]
-    assert told == [(tables[0].num_rows, sum(table.num_columns for table in tables), 2, 1)]
-    told.clear()
-    out = tmp_path / "navigated"
-    done = invoked("platform", "navigate", tmp_path / "s.toml", "--out", out)
-    assert done.exit_code == 0, done.exception
-    tables = [pq.read_table(path) for path in out.glob("navigation-*.parquet")]
-    assert told == [(tables[0].num_rows, sum(table.num_columns for table in tables), len(tables), 1)]
-
-
-SIMULATED = platform._simulated

@@ -93,18 +93,6 @@ def print_json(document: Any) -> None:
     _write_out(as_json(document) + "\n", needed=True)
 
 
-def print_json_list(document: dict[str, Any], name: str, items: Iterable[Any]) -> None:
-    """Write ``document`` with a last entry ``name``: the list of ``items``, written one by one as they come."""
-    start = as_json(document).removesuffix("\n}")
-    _write_out(f"{start},\n {json.dumps(name)}: [", needed=True)
-    between = "\n"
-    for item in items:
-        text = as_json(item)
-        _write_out(between + "\n".join(f"  {line}" for line in text.split("\n")), needed=True)
-        between = ",\n"
-    _write_out("\n ]\n}\n" if between != "\n" else "]\n}\n", needed=True)
-
-
 def counted(count: int, noun: str) -> str:
     """A number and a noun in the singular or plural."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
@@ -319,31 +307,13 @@ PhaseSourceOption = Annotated[
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace existing results.")]
 
 
-_TYPES = {
-    "path": "FILE",
-    "PATH": "FILE",
-    "str": "WORD",
-    "TEXT": "WORD",
-    "float": "X",
-    "FLOAT": "X",
-    "DIRECTORY": "DIR",
-}
-_TYPE = re.compile(r" <([^>]+)>| (TEXT|PATH|FLOAT|INTEGER RANGE|INTEGER)(?![\w.])")
+_TYPE = re.compile(r" <([^>]+)>| (?:TEXT|PATH|FLOAT|INTEGER RANGE|INTEGER)(?![\w.])")
+"""The type that Python has for the value of an option, in help."""
 
 
-def without_types(words: str, named: bool) -> str:
-    """The names of an option in help, without the type that Python has for its value.
-
-    ``named``: the value has a name of its own, such as ``DIR``. Else a short word stands for it; choices stay as they are.
-    """
-
-    def word(match: re.Match[str]) -> str:
-        kind = match.group(1) or match.group(2)
-        if named:
-            return ""
-        return f" {_TYPES.get(kind, 'N' if kind.lower().startswith('int') else kind)}"
-
-    return _TYPE.sub(word, words)
+def _choices(named: bool, match: re.Match[str]) -> str:
+    """The choices of an option whose value has no name; nothing for another type."""
+    return f" {match[1]}" if not named and "|" in (match[1] or "") else ""
 
 
 _HYPHEN = "\u2011"
@@ -370,8 +340,8 @@ class PlainCommand(TyperCommand):
             record = param.get_help_record(ctx)
             if record is not None:
                 named = getattr(param, "metavar", None) is not None
-                words = record[1].replace("-", _HYPHEN)
-                sections[param.param_type_name].append((without_types(record[0], named), words))
+                words = _TYPE.sub(partial(_choices, named), record[0])
+                sections[param.param_type_name].append((words, record[1].replace("-", _HYPHEN)))
         for title, name in (("Arguments", "argument"), ("Options", "option")):
             if sections[name]:
                 with formatter.section(title):

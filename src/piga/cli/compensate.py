@@ -37,7 +37,9 @@ def compensate(
         list[Path] | None,
         typer.Option(metavar="CALIBRATION.json", help="Calibration record; one per run.", show_default=False),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Result, .parquet or .csv; - for a live stream.")] = Path("-"),
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="Result, .parquet or .csv; - for a live stream.")
+    ] = Path("-"),
     method: Annotated[
         Literal["exact", "published"] | None,
         typer.Option(help="Default: what the phase of the calibration needs."),

@@ -14,7 +14,6 @@ from piga.cli.common import (
     ForceOption,
     deliver,
     files_named_in,
-    note,
     progress,
     write_json,
 )
@@ -55,8 +54,6 @@ Every = Annotated[
         "--every", metavar="N", help="Write every N-th row. Increments are summed; results use all rows.", min=1
     ),
 ]
-_LARGE_MB = 50.0
-"""Size above which a file is announced before it is written [MB]."""
 _Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
@@ -69,14 +66,12 @@ def simulate(
     Writes readouts.parquet, truth.parquet, the scenario and a page.
     """
     from piga.platform.scenario import load_scenario
-    from piga.platform.simulate import READOUT_COLUMNS, TRUTH_COLUMNS, readouts_table, truth_table
+    from piga.platform.simulate import readouts_table, truth_table
     from piga.reports.platform.page import simulation_page
 
     files = ("readouts.parquet", "truth.parquet", SCENARIO, "report.html")
     with _results(out, "simulate", scenario, force, json, *files) as to:
-        read = load_scenario(scenario)
-        _announce(read.steps + 1, READOUT_COLUMNS + TRUTH_COLUMNS, 2, every)
-        run = _simulated(read)
+        run = _simulated(load_scenario(scenario))
         for table, name in zip((readouts_table(run.readouts), truth_table(run)), files, strict=False):
             _parquet(_thinned(table, every), to / name)
         (to / SCENARIO).write_bytes(scenario.read_bytes())
@@ -157,15 +152,12 @@ def navigate(
 
     Writes navigation-MODEL.parquet and a page.
     """
-    from piga.platform.chain import NAVIGATION_COLUMNS, navigated_rows, navigation_table
+    from piga.platform.chain import navigation_table
     from piga.platform.scenario import load_scenario
     from piga.reports.platform.page import navigation_page
 
     with _results(out, "navigate", scenario, force, json, "navigation-*.parquet") as to:
-        read = load_scenario(scenario)
-        models = len(read.compensation.models)
-        _announce(navigated_rows(read), models * NAVIGATION_COLUMNS, models, every)
-        comparison = _compared(read)
+        comparison = _compared(load_scenario(scenario))
         tables = {name: _thinned(navigation_table(run), every) for name, run in comparison.models.items()}
         files = {name: f"navigation-{name}.parquet" for name in tables}
         for name, table in tables.items():
@@ -274,18 +266,6 @@ def _thinned(table: Any, every: int) -> Any:
             summed = np.concatenate((values[:1], np.diff(total)))
             thin = thin.set_column(index, field, pa.array(summed))
     return thin
-
-
-def _announce(rows: int, columns: int, files: int, every: int) -> None:
-    """Say before a run how large its files will be, if they are large. Parquet packs them to at most this size.
-
-    ``columns``: those of all files together.
-    """
-    kept = -(-rows // every)
-    size = 8.0 * kept * columns / 1e6
-    if size > _LARGE_MB:
-        more = "" if every > 1 else "; fewer with --every N"
-        note(f"piga: {files} files of {kept} rows will be written, up to {size:.0f} MB together{more}")
 
 
 def _degrees(angle: float) -> float:

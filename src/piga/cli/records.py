@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,9 +20,7 @@ from piga.cli.common import (
     counted,
     names_in,
     note,
-    print_json_list,
     progress,
-    say,
     tell,
 )
 from piga.errors import PigaError
@@ -99,7 +97,7 @@ def _type_a_only(difference: Difference) -> list[str]:
 def _difference_lines(difference: Difference) -> Iterator[str]:
     """The difference of each coefficient with its uncertainty, then the other differences."""
     from piga.records.terms import shown_unit
-    from piga.reports.render.numbers import rounded, signed
+    from piga.reports.render.numbers import ascii_text, rounded, signed
 
     first, second = difference.first.id, difference.second.id
     yield f"{first} -> {second}: second less first, uncertainties taken as independent"
@@ -108,9 +106,8 @@ def _difference_lines(difference: Difference) -> Iterator[str]:
             yield f"  {c.key:<14} only in {first if c.second is None else second}"
         else:
             scale, unit = shown_unit(c.key, c.unit)
-            number = rounded(c.difference * scale, (c.std or 0.0) * scale)
-            shown = f"{number.value} +- {number.uncertainty}"
-            yield f"  {c.key:<14} {shown:>24} {unit:<8} {signed(c.ratio, 2)} u"
+            shown = ascii_text(rounded(c.difference * scale, (c.std or 0.0) * scale).interval)
+            yield f"  {c.key:<14} {shown:>24} {unit:<8} {ascii_text(signed(c.ratio, 2))} u"
     yield from (f"  {line}" for line in _type_a_only(difference))
     yield from (f"  {name}: {old} -> {new}" for name, (old, new) in difference.facts.items())
 
@@ -293,17 +290,20 @@ def list_records(
 ) -> None:
     """List the records."""
     with opened(store) as kept:
-        head = kept.head()
-        if as_json:
-            documents = map(_record_document, kept.each(serial))
-            print_json_list({"store": _store_name(store), "head": head.sha256}, "records", documents)
-            return
-        old = kept.superseded(serial)
-        for r in kept.each(serial):
-            amended = "  superseded" if r.id in old else ""
-            who = f"{r.document.serial}  {r.document.operator}{amended}"
-            say(f"{r.number:5d}  {r.id}  {r.measured:%Y-%m-%d}  {who}")
-        say(_head_line(head.number, head.sha256))
+        head, old, listed = kept.head(), kept.superseded(serial), list(kept.each(serial))
+    place = {"store": _store_name(store), "head": head.sha256}
+    tell(
+        as_json,
+        place | {"records": list(map(_record_document, listed))},
+        chain((_listed_line(one, old) for one in listed), [_head_line(head.number, head.sha256)]),
+    )
+
+
+def _listed_line(record: Record, old: Container[str]) -> str:
+    """A record of the list; ``old``: names of those that another one corrects."""
+    amended = "  superseded" if record.id in old else ""
+    who = f"{record.document.serial}  {record.document.operator}{amended}"
+    return f"{record.number:5d}  {record.id}  {record.measured:%Y-%m-%d}  {who}"
 
 
 @app.command()

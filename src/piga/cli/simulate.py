@@ -77,7 +77,7 @@ def simulate(
         typer.Option(help="Instrument model, instead of the scenario's."),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(help="Seed of the noise, instead of the scenario's.", min=0)
+        int | None, typer.Option(metavar="N", help="Seed of the noise, instead of the scenario's.", min=0)
     ] = None,
     unstable: Annotated[bool, typer.Option("--unstable", help="Also accept an unstable servo loop.")] = False,
     force: ForceOption = False,

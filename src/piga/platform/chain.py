@@ -76,10 +76,6 @@ class ModelRun:
     theory: Lines | None
 
 
-NAVIGATION_COLUMNS = 19
-"""Columns of the table of a navigation, so that its size can be told before it."""
-
-
 def navigation_table(run: ModelRun) -> pa.Table:
     """Output of the navigator, and its errors."""
     t, e = run.navigation.table, run.errors
@@ -197,11 +193,6 @@ def run_model(run: PlatformRun, preparation: Preparation, model: Model, *, every
 def _every(scenario: PlatformScenario) -> int:
     """Steps per row of the navigation: one row a second."""
     return max(1, round(1.0 / scenario.step))
-
-
-def navigated_rows(scenario: PlatformScenario) -> int:
-    """Rows that the navigation of each model has."""
-    return scenario.steps // _every(scenario)
 
 
 def compare(scenario: PlatformScenario, *, progress: Progress | None = None) -> ModelComparisonRun:

@@ -426,9 +426,6 @@ def _pulses(increments: Array, quantum: float) -> Array:
 
 # -- tables of a run --------------------------------------------------------------------------------------
 
-READOUT_COLUMNS, TRUTH_COLUMNS = 11, 14
-"""Columns of the tables of a run, so that their size can be told before it."""
-
 
 def number_table(*columns: tuple[str, str, Array]) -> pa.Table:
     """A table of numbers: names of the columns, their unit (kept in the metadata), values (n,), (n, k) or a single row."""
