@@ -70,7 +70,10 @@ def test_out_writes_page_and_pictures(tmp_path):
 
 
 def test_disagreement_ends_with_exit_code_1(monkeypatch):
-    wrong = Case("mounting.moves", "[Wei2024]", "skew", "arcsec", 1000.0, 900.0, 0.1, "a wrong number")
+    wrong = Case(
+        id="mounting.moves", source="[Wei2024]", quantity="skew", unit="arcsec", published=1000.0, computed=900.0,
+        tolerance=0.1, note="a wrong number",
+    )  # fmt: skip
     monkeypatch.setitem(
         reproduction.CHAPTERS, "mounting", lambda: Chapter("mounting", "Mounting", "", "", (wrong,), ())
     )

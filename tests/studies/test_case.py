@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from piga.studies import CHAPTERS, Case
 from piga.studies.case import Value, chapter_of, published_chapters
 
-CASE = Case("part.one", "[Wei2024]", "error", "g", 0.05, 0.0492, 0.005, "printed to one digit")
+CASE = Case(
+    id="part.one", source="[Wei2024]", quantity="error", unit="g", published=0.05, computed=0.0492, tolerance=0.005,
+    note="printed to one digit",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -16,11 +16,10 @@ import typer
 from piga._version import __version__
 from piga.cli import campaign, certificate, platform, records, trend
 from piga.cli.calibrate import calibrate, demo
-from piga.cli.check import check, convert
+from piga.cli.check import check, convert, noise
 from piga.cli.common import DOING, App, note, prepare_output
 from piga.cli.compensate import compensate
 from piga.cli.init import init
-from piga.cli.noise import noise
 from piga.cli.simulate import plan, reproduce, simulate
 from piga.cli.ui import ui
 from piga.cli.words import completion, examples, methods, terms

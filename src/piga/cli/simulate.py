@@ -116,8 +116,9 @@ def reproduce(
 
     Shows published value, computed value, difference and verdict. Exits with 1 if one disagrees.
     """
+    from piga.reports.render.page import page_text
     from piga.studies import Reproduction, chosen, run_chapters
-    from piga.studies.reproduction import summary
+    from piga.studies.reproduction import brief
 
     names = chosen(only)
     with deliver(out, "reproduce", ("reproduction.html", "figures/*"), (), force=force, as_json=json) as to:
@@ -129,17 +130,9 @@ def reproduce(
         reproduction = Reproduction(tuple(chapters))
         if out is not None:
             _write(reproduction, to.stage)
-        to.tell(reproduction.document, lambda: f"{_table(reproduction)}\n\n{summary(reproduction)}")
+        to.tell(reproduction.document, lambda: page_text(brief(reproduction)))
     if reproduction.failed:
         raise typer.Exit(1)
-
-
-def _table(reproduction: Reproduction) -> str:
-    from piga.studies.reproduction import text_lines
-
-    return "\n".join(
-        line if verdict is None else f"{line}  {verdict}" for verdict, line in text_lines(reproduction)
-    )
 
 
 def _write(reproduction: Reproduction, folder: Path) -> None:

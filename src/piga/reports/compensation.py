@@ -124,7 +124,7 @@ def _as_residuals(
     record: Run, rows: slice, psi: Array, before: Array, after: Array, unit: str = "rad"
 ) -> Residuals:
     """Running errors of some rows as residuals of a calibration, for its spectra."""
-    number, nothing = np.arange(1, before.size + 1, dtype=np.int32), np.broadcast_to(0.0, before.size)
+    number, nothing = np.arange(1, before.size + 1), np.broadcast_to(0.0, before.size)
     segment = record.segment_index[rows] if record.segment_index.size else np.zeros(before.size, np.int32)
     return Residuals(number, record.t[rows], psi[rows], nothing, before, after, nothing, segment, unit=unit)
 

@@ -8,7 +8,7 @@
 
 from piga.studies.capstone import Capstone, capstone, capstone_figure
 from piga.studies.case import Case, Chapter, published_recursion
-from piga.studies.published_forms import published_closed_form
+from piga.studies.constant import published_closed_form
 from piga.studies.reproduction import CHAPTERS, Reproduction, chosen, reproduce, run_chapters
 
 __all__ = [

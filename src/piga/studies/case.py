@@ -11,6 +11,7 @@ from typing import Any, Final, Literal
 
 import msgspec
 import numpy as np
+from msgspec.structs import asdict
 from numpy.typing import NDArray
 
 from piga._kernels.jit import kernel
@@ -27,39 +28,39 @@ from piga.units import G0
 Verdict = Literal["pass", "fail", "info"]
 
 
-@dataclass(frozen=True)
-class Case:
-    """One published number and piga's number.
+class PublishedCase(TomlTable, frozen=True):
+    """A published number, as ``published.toml`` has it.
 
     Attributes
     ----------
-    id:
-        Name of the chapter, a dot, name of the case.
     source:
         Key of the publication with its equation or example, e.g. ``[Wei2024] eq. 12-18``.
     quantity, unit:
-        The compared quantity, and the unit of all four numbers.
-    published:
-        The published number; None if none is printed.
-    computed:
-        piga's number, from a run of the library.
-    tolerance:
-        Largest difference that counts as agreement; None if the numbers are not comparable (verdict ``info``).
+        The compared quantity, and the unit of all numbers.
     note:
         Reason for the tolerance; for ``info`` the reason why there is no verdict.
+    published:
+        The published number; None if none is printed.
+    tolerance:
+        Largest difference that counts as agreement; None if the numbers are not comparable (verdict ``info``).
     limit:
         True: the publication prints an upper limit. Any size from zero up to it agrees.
     """
 
-    id: str
     source: str
     quantity: str
     unit: str
-    published: float | None
-    computed: float
-    tolerance: float | None
     note: str
+    published: float | None = None
+    tolerance: float | None = None
     limit: bool = False
+
+
+class Case(PublishedCase, frozen=True, kw_only=True):
+    """A published number beside that of piga: ``id`` is the name of the chapter, a dot, the name of the case."""
+
+    id: str
+    computed: float
 
     @property
     def difference(self) -> float | None:
@@ -77,19 +78,8 @@ class Case:
 
     def document(self) -> dict[str, Any]:
         """The case in the JSON of ``piga reproduce``. A non-finite number becomes null."""
-        keys = [
-            "id",
-            "source",
-            "quantity",
-            "unit",
-            "published",
-            "computed",
-            "difference",
-            "tolerance",
-            "verdict",
-            "note",
-        ]
-        return {key: finite(value) if isinstance(value := getattr(self, key), float) else value for key in keys}
+        keys = "id source quantity unit published computed difference tolerance verdict note"
+        return {key: finite(getattr(self, key)) for key in keys.split()}
 
 
 @dataclass(frozen=True)
@@ -102,18 +92,6 @@ class Chapter:
     text: str
     cases: tuple[Case, ...]
     figures: tuple[Figure, ...]
-
-
-class PublishedCase(TomlTable, frozen=True):
-    """A case as ``published.toml`` has it: all of :class:`Case` but the computed number."""
-
-    source: str
-    quantity: str
-    unit: str
-    note: str
-    published: float | None = None
-    tolerance: float | None = None
-    limit: bool = False
 
 
 class PublishedChapter(TomlTable, frozen=True):
@@ -153,19 +131,11 @@ def chapter_of(
     for key, case in printed.cases.items():
         given = values[key]
         value = given if isinstance(given, Value) else Value(given)
-        cases.append(
-            Case(
-                id=f"{name}.{key}",
-                source=case.source,
-                quantity=case.quantity.format(**value.words),
-                unit=case.unit,
-                published=case.published if value.published is None else value.published,
-                computed=value.computed,
-                tolerance=case.tolerance if value.tolerance is None else value.tolerance,
-                note=case.note.format(**value.words),
-                limit=case.limit,
-            )
-        )
+        own = {
+            key: getattr(value, key) for key in ("published", "tolerance") if getattr(value, key) is not None
+        }
+        own |= {key: getattr(case, key).format(**value.words) for key in ("quantity", "note")}
+        cases.append(Case(**asdict(case) | own, id=f"{name}.{key}", computed=value.computed))
     text = printed.text.format(**words)
     return Chapter(name, printed.title, printed.source, text, tuple(cases), tuple(figures))
 

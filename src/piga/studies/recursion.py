@@ -31,9 +31,8 @@ from piga.studies.case import (
     raw_state,
     record,
 )
-from piga.studies.constant import EXAMPLES
+from piga.studies.constant import EXAMPLES, published_closed_form
 from piga.studies.platform import CASE_RATE, CHANNELS, GRAVITY_OF_TABLE, compared, formula, last_lines
-from piga.studies.published_forms import published_closed_form
 from piga.units import ARCMIN
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from piga._version import __version__
 from piga.errors import ArgumentError
 from piga.progress import Progress, Steps
 from piga.reports.render.figure import Figure
-from piga.reports.render.numbers import aligned, pretty_unit, significant
+from piga.reports.render.numbers import pretty_unit, significant
 from piga.reports.render.page import (
     Block,
     Cell,
@@ -205,27 +205,12 @@ def _sources() -> Section:
     return Section("Sources", "sources", (named_values("key", "publication", rows),))
 
 
-def text_lines(reproduction: Reproduction) -> list[tuple[Verdict | None, str]]:
-    """Lines of the terminal table, each with its verdict (None: a heading)."""
-    heads = ("case", "published", "computed", "difference", "tolerance", "unit")
-    rows = [
-        (
-            case.id,
-            number(case.published),
-            number(case.computed),
-            difference(case),
-            number(case.tolerance, 2),
-            case.unit,
-        )
-        for case in reproduction.cases
-    ]
-    head, *shown = aligned((heads, *rows), left={0, 5})
-    rest = iter(shown)
-    lines: list[tuple[Verdict | None, str]] = [(None, f"{head}  verdict")]
-    for chapter in reproduction.chapters:
-        lines += [(None, ""), (None, f"{chapter.title}  {chapter.source}")]
-        lines += [(case.verdict, next(rest)) for case in chapter.cases]
-    return lines
+def brief(reproduction: Reproduction) -> Page:
+    """The numbers of every chapter, for the terminal."""
+    sections = (
+        Section(f"{one.title}  {one.source}", one.id, (_numbers(one),)) for one in reproduction.chapters
+    )
+    return Page(summary(reproduction), sections=tuple(sections))
 
 
 def summary(reproduction: Reproduction) -> str:

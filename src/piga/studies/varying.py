@@ -30,8 +30,7 @@ from piga.studies.case import (
     raw_error,
     record,
 )
-from piga.studies.published_forms import Case as FormNumber
-from piga.studies.published_forms import published_closed_form
+from piga.studies.constant import FormNumber, published_closed_form
 from piga.units import ARCSEC, G0
 
 Array = NDArray[np.float64]

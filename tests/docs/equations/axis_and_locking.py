@@ -8,7 +8,7 @@ import numpy as np
 
 import piga
 from piga.instrument import dead_zone, fixed_points, locking_time, mean_rate, revolution_period
-from piga.studies.published_forms import published_closed_form
+from piga.studies.constant import published_closed_form
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, instrument, run_of
 
 from .registry import F0, FORCE, LOCKED, PHI, TURN, K, Pair, T, equation

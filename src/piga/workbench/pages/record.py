@@ -11,7 +11,7 @@ import tempfile
 from dataclasses import asdict, dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import quote, urlencode
 
 import msgspec
@@ -31,7 +31,6 @@ from piga.units import G0
 from piga.workbench.folder import CALIBRATION, STATE_FOLDER, Entry, Kept, OutsideError, results_of
 from piga.workbench.history import ChangedError
 from piga.workbench.jobs import BusyError, Job
-from piga.workbench.light import Light, light
 from piga.workbench.pages.common import (
     Bench,
     TooLargeError,
@@ -362,6 +361,35 @@ def _leave_out(bench: Bench, name: str, table: Any, fields: dict[str, list[str]]
 
 
 # --- the answer -----------------------------------------------------------------------------------
+
+_LIGHTS: dict[str, tuple[Literal["green", "amber", "red"], str]] = {
+    "clear": ("green", "Good"),
+    "doubt": ("amber", "Look first"),
+    "do not use": ("red", "Do not use"),
+}
+"""Colour and words of each grade."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """``grade`` and its words: what to do, the reason, and the other doubts."""
+
+    grade: Literal["green", "amber", "red"]
+    words: str
+    reason: str
+    more: tuple[str, ...] = ()
+
+    @property
+    def may_keep(self) -> bool:
+        """False if the result must not be used."""
+        return self.grade != "red"
+
+
+def light(calibration: Calibration) -> Light:
+    """The light of a calibration."""
+    verdict = calibration.verdict
+    first, *others = [doubt.words for doubt in verdict.doubts] or [verdict.reason]
+    return Light(*_LIGHTS[verdict.grade], first, (*others, *calibration.remarks))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from piga.records.calibration import StandSource
-from piga.workbench.light import light
+from piga.workbench.pages.record import light
 from tests.certificate.certificate_data import budgeted
 from tests.reports.example import calibration
 

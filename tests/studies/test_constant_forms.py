@@ -7,7 +7,7 @@ import pytest
 
 import piga
 from piga.instrument import Instrument, closed_form
-from piga.studies.published_forms import published_closed_form
+from piga.studies.constant import published_closed_form
 from piga.units import G0
 
 PUBLISHED = Instrument("0.8884 rad/s/g", "1000 arcsec", math.pi / 4)
