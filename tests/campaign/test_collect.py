@@ -67,14 +67,6 @@ def test_figures_are_those_of_the_rows(small):
             assert c["variance_over_bound"] == pytest.approx(ratio, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("held", "tests", "error"), [(95, 100, 0.0217945), (100, 100, 0.0070533), (0, 100, 0.0070533)]
-)
-def test_standard_error_of_a_share(held, tests, error):
-    """Where all intervals hold, or none, it is that of half a test and not zero."""
-    assert _share_error(held, tests) == pytest.approx(error, rel=1e-5)
-
-
 @pytest.mark.only_compiled
 @pytest.mark.parametrize(
     ("share", "bias", "named"),
@@ -93,23 +85,6 @@ def test_every_quantity_that_misses_its_target_is_named(small, share, bias, name
     )  # fmt: skip
     misses = {miss.what: miss.standard_errors for miss in _misses((replace(group, coefficients=(c,)),))}
     assert misses == pytest.approx(named, abs=1e-4)
-
-
-@pytest.mark.only_compiled
-def test_worst_case_is_repeated_by_its_command(small, tmp_path, capsys):
-    collection = collect(open_campaign(small))
-    every = rows(small)
-    worst = collection.worst[0]
-    assert abs(worst.z) == max(abs(z) for row in every for z in row["z"])
-    assert [abs(w.z) for w in collection.worst] == sorted((abs(w.z) for w in collection.worst), reverse=True)
-    words = worst.command.replace("small.toml", str(small.parent / "small.toml"))
-    app([*words.replace("DIR", str(tmp_path / "r")).split()[1:], "--json"], standalone_mode=False)
-    again = json.loads(capsys.readouterr().out)
-    assert next(c["z"] for c in again["coefficients"] if c["name"] == worst.coefficient) == worst.z
-    import piga
-
-    calibration = piga.calibrate(piga.read_run(tmp_path / "r" / "run.toml"))
-    assert [c.value for c in calibration.coefficients] == every[worst.record]["value"]
 
 
 @pytest.mark.only_compiled

@@ -1,13 +1,10 @@
 """The page and the text of a campaign."""
 
-from dataclasses import replace
-
 import pytest
 
 from piga.campaign import collect, open_campaign
-from piga.campaign.collect import _misses
 from piga.campaign.page import campaign_page
-from piga.reports.render.page import FigureBlock, Notice, Table, page_html, page_text
+from piga.reports.render.page import FigureBlock, Table, page_html, page_text
 from tests.campaign.small import SMALL, computed, written
 
 GRID = SMALL + '\n[grid]\n"electronics.angle_noise" = ["2 arcsec", "8 arcsec"]\n'
@@ -41,25 +38,3 @@ def test_page_of_a_grid(grid):
     assert "piga campaign repeat small.toml --case" in html
     assert "electronics.angle_noise = 8 arcsec" in html
     assert "Coverage" in page_text(page)
-
-
-@pytest.mark.only_compiled
-@pytest.mark.parametrize(
-    ("share", "tests", "kind", "words"),
-    [
-        (0.95, 1000, "good", "every quantity meets its target"),
-        (0.94, 1000, "good", "every quantity meets its target"),
-        (0.90, 1000, "warning", "more than chance explains: scale_factor of"),
-        (0.90, 200, "good", "more than 1.96 standard errors: scale_factor of"),
-    ],
-)
-def test_what_misses_its_target_is_named(grid, share, tests, kind, words):
-    """90.0 ± 2.1 % of 200 tests is named, and how many of the targets lie so far off by chance."""
-    result = grid.groups[0]
-    c = replace(result.coefficients[0], coverage=share, tests=tests, bias=0.0)
-    groups = (replace(result, coefficients=(c,)),)
-    changed = replace(grid, groups=groups, misses=_misses(groups))
-    notices = [b for b in campaign_page(changed).sections[0].blocks if isinstance(b, Notice)]
-    assert [notice.kind for notice in notices] == [kind]
-    assert words in notices[0].text
-    assert words in page_text(campaign_page(changed), width=1000)

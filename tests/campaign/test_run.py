@@ -17,9 +17,9 @@ import psutil
 import pytest
 
 from piga.campaign import open_campaign, plan_campaign
-from piga.campaign.run import _client, is_local, run_campaign
+from piga.campaign.run import _client, run_campaign
 from piga.errors import CancelledError, PigaError
-from tests.campaign.small import ROOT, SMALL, call, children, collected, computed, start, workers, written
+from tests.campaign.small import ROOT, SMALL, call, collected, computed, start, workers, written
 from tests.certificate.certificate_data import key_pair
 
 pytest.importorskip("distributed")
@@ -55,27 +55,6 @@ def test_two_workers_and_one_process_make_the_same(tmp_path, uninterrupted):
     code, out, err = call("run", path, "--out", tmp_path / "out", "--workers", 1, "--json")
     assert code == 0
     assert json.loads(out)["records_of_this_run"] == 0, "what is done is not computed again"
-
-
-@pytest.mark.only_compiled
-@pytest.mark.parametrize("who", [pytest.param("worker", marks=pytest.mark.slow), "parent"])
-def test_killed(tmp_path, uninterrupted, who):
-    """kill -9 of a worker or of the parent: workers end with their parent, and the next run ends with the same bits."""
-    path, out = written(tmp_path, LONG), tmp_path / "out"
-    process = start("run", path, "--out", out, "--workers", 2)
-    wait_for(process, lambda: list(out.glob("parts/part-*")))
-    left = children(process)
-    victim = psutil.Process(process.pid) if who == "parent" else workers(process)[0]
-    victim.kill()
-    _, err = process.communicate(timeout=600)
-    if who == "parent":
-        assert not psutil.wait_procs(left, timeout=30)[1], "workers end with their parent"
-        assert open_campaign(out).missing()
-        code, _, err = call("run", path, "--out", out, "--workers", 2)
-        assert code == 0, err
-    else:
-        assert process.returncode == 0, err
-    assert collected(out) == uninterrupted
 
 
 @pytest.mark.slow
@@ -180,13 +159,6 @@ def test_a_caller_stops_a_run(tmp_path):
 def test_options(tmp_path, options, words):
     with pytest.raises(PigaError, match=words):
         run_campaign(plan_campaign(written(tmp_path), tmp_path / "o"), **options)
-
-
-@pytest.mark.parametrize(
-    ("host", "local"), [("127.0.0.1", True), ("[::1]", True), ("localhost", True), ("192.0.2.1", False)]
-)
-def test_local_addresses(host, local):
-    assert is_local(host) is local
 
 
 class Cluster:

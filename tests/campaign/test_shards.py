@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from piga.campaign import collect, open_campaign, plan_campaign, read_campaign, run_campaign
-from piga.campaign.shards import probes, read_part, run_shard, shard_size
+from piga.campaign import collect, open_campaign, plan_campaign, run_campaign
+from piga.campaign.shards import read_part, run_shard, shard_size
 from piga.errors import DataError, PigaError
 from tests.campaign.small import ROOT, SMALL, computed, rows, written
 
@@ -32,36 +32,12 @@ def test_cut_is_measured_once_and_kept(tmp_path):
     assert plan_campaign(path, tmp_path / "a").manifest == first.manifest
 
 
-def test_records_that_are_timed_have_no_bound(tmp_path):
-    """A bound takes longer than the record; timed with it, a campaign was announced to take fifty times as long."""
-    for text in (SMALL, SMALL[: SMALL.index("[[case]]", SMALL.index("[[case]]") + 1)]):
-        plan = read_campaign(written(tmp_path, text))
-        timed = probes(plan)
-        assert len(timed) >= len(plan.groups)
-        assert all(plan.record(number).repeat >= 3 for number in timed)
-
-
 @pytest.mark.parametrize(
     ("records", "seconds", "size"),
     [(10_000, 0.05, 500), (1_000_000, 0.05, 2000), (10, 30.0, 1), (5, 500.0, 1), (64, 1.0, 2), (1, 1e-3, 1)],
 )
 def test_shards_last_two_minutes_and_are_not_fewer_than_sixteen(records, seconds, size):
     assert shard_size(records, seconds) == size
-
-
-def test_reading_a_part_leaves_no_thread_behind(tmp_path):
-    """The scanner of data sets reads in threads that outlive the call; a process that then ended was aborted."""
-    folder = computed(written(tmp_path), tmp_path / "out", [0]).folder
-    script = (
-        "import sys; from piga.campaign import open_campaign; from piga.campaign.shards import read_part\n"
-        f"campaign = open_campaign({str(folder)!r}); (shard, path), = campaign.parts().items()\n"
-        "assert read_part(campaign, shard, path).num_rows\n"
-        "assert 'pyarrow.dataset' not in sys.modules"
-    )
-    for _ in range(3):
-        subprocess.run(
-            [sys.executable, "-c", script], env=os.environ | {"PYTHONPATH": str(ROOT / "src")}, check=True
-        )
 
 
 def test_folder_of_another_campaign(tmp_path):

@@ -5,11 +5,9 @@ from __future__ import annotations
 import datetime as dt
 import json
 import re
-from dataclasses import replace
 
 import pytest
 
-from piga.certificate.certificate_file import read_certificate_file
 from piga.records.calibration.document import to_document
 from tests.certificate.certificate_data import EXAMPLE, budgeted, complete, key_pair
 from tests.cli.runner import outcome
@@ -131,27 +129,6 @@ def test_a_number_is_used_once(lab, tmp_path):
     assert "Deputy head of" in (out / "certificate.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.only_compiled
-def test_a_file_without_a_date_is_issued_today(lab, tmp_path):
-    """The shipped example, with a calibration made now: a date in the file would be before its evaluation."""
-    assert read_certificate_file(EXAMPLE).certificate.issued is None
-    before = dt.datetime.now().astimezone().date()
-    now = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
-    cal = budgeted(calibration(serial="tumble-a", with_residuals=False))
-    fresh = tmp_path / "calibration.json"
-    replace(cal, provenance=replace(cal.provenance, created=now)).to_json(fresh)
-    done = piga("certificate", fresh, "--data", EXAMPLE, "--out", tmp_path / "o")
-    assert done.returncode == 0, done.stderr
-    page = (tmp_path / "o" / "certificate.html").read_text(encoding="utf-8")
-    (issued,) = re.findall(r"Issued.{0,40}?(\d{4}-\d\d-\d\d)", page, re.DOTALL)
-    assert before <= dt.date.fromisoformat(issued) <= dt.datetime.now().astimezone().date()
-    dated = tmp_path / "dated.toml"
-    dated.write_text(EXAMPLE.read_text(encoding="utf-8").replace("# issued =", "issued ="), encoding="utf-8")
-    refused = piga("certificate", fresh, "--data", dated, "--out", tmp_path / "p")
-    assert refused.returncode == 2
-    assert "2026-03-09 is before the evaluation" in refused.stderr
-
-
 def test_options_that_belong_together(lab, tmp_path):
     alone = piga(
         "certificate", "calibration.json", "--data", EXAMPLE, "--out", tmp_path, "--key", "lab-key.pem", cwd=lab
@@ -200,18 +177,3 @@ def test_an_expired_signer_stands_in_the_first_line_and_the_exit_code(expired, t
     assert read.returncode == 2
     assert "has expired" in read.stderr
     assert not (tmp_path / "back.json").exists()
-
-
-@pytest.mark.only_compiled
-def test_what_is_not_signed_is_called_so(expired, tmp_path):
-    from piga.certificate.dcc.document import dcc_document
-    from piga.certificate.dcc.xml_signature import written
-
-    root = dcc_document(complete(serial="tumble-a"), calibration(serial="tumble-a", with_residuals=False))
-    (tmp_path / "plain.xml").write_bytes(written(root))
-    plain = piga("certificate", "read", tmp_path / "plain.xml", "--out", tmp_path / "a.json")
-    assert plain.returncode == 0, plain.stderr
-    assert "not signed" in plain.stdout.splitlines()[0]
-    unverified = piga("certificate", "read", expired / "expired.xml", "--out", tmp_path / "b.json")
-    assert unverified.returncode == 0, unverified.stderr
-    assert "signature was not verified" in unverified.stdout.splitlines()[0]

@@ -84,11 +84,3 @@ def test_suggestions(
     done = invoked("check", tmp_path / "run.toml", "--fix-suggestions")
     assert line in done.stdout
     capsys.readouterr()
-
-
-def test_mistaken_units_are_reported(tmp_path: Path) -> None:
-    rows = [row.replace("1.0,0.1,0.0", "9.80665,0.1,0.0") for row in lines()]
-    write_log(tmp_path, rows)
-    text = run_command("check", write_run(tmp_path), "--fix-suggestions")
-    assert "implausible-unit" in text
-    assert "9.80665 (g and m/s^2)" in text

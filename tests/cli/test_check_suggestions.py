@@ -48,30 +48,6 @@ def with_line(path: Path, table: str, line: str) -> Path:
     return changed
 
 
-@pytest.mark.only_compiled
-def test_a_sheet_of_several(tmp_path: Path) -> None:
-    book = write_xlsx(tmp_path / "run.xlsx", columns(), title="log 2")
-    book.create_sheet("notes")
-    book.save(tmp_path / "run.xlsx")
-    path = write_run(tmp_path, "run.xlsx")
-    suggestion = suggested(path)
-    assert suggestion == [("data", "sheet = 'log 2'")]  # the other one does not hold the columns
-    assert piga.read_run(with_line(path, *suggestion[0])).size == 40
-
-
-@pytest.mark.parametrize(("bits", "begin", "which"), [(16, 0, 16), (24, (1 << 24) - 9000, 24)])
-def test_the_width_of_a_counter_that_folds(tmp_path: Path, bits: int, begin: int, which: int) -> None:
-    cells = (row.split(",", maxsplit=2) for row in lines(60, rate=2.0))
-    folded = [f"{t},{(int(n) + begin) % (1 << bits)},{rest}" for t, n, rest in cells]
-    write_log(tmp_path, folded)
-    path = write_run(tmp_path)
-    suggestion = suggested(path)
-    assert suggestion == [("instrument", f"counter_bits = {which}")]
-    run = piga.read_run(with_line(path, *suggestion[0]))
-    assert events(run) == {"counter-roll-over": 4 if bits == 16 else 1}
-    np.testing.assert_allclose(psi_steps(run), 0.5 * 10179.0 * 2.0 * math.pi / 72000.0, atol=1e-4)
-
-
 def saturated(sign: float) -> list[str]:
     """Counts of a record whose component fy runs into the end of its range."""
     t = np.arange(400) / 20.0
@@ -107,38 +83,6 @@ def test_a_phase_that_is_lost(tmp_path: Path) -> None:
     assert ("model", "phase = 'per-segment'") in suggested(former), "the name that the file uses"
 
 
-def test_an_encoding_that_was_found(tmp_path: Path) -> None:
-    (tmp_path / "run.csv").write_bytes(
-        "\n".join(["t,n,fx,fy,fz,备注", *(f"{row},好" for row in lines()), ""]).encode("gb18030")
-    )
-    path = write_run(tmp_path)
-    suggestion = suggested(path)
-    assert suggestion == [("data", "encoding = 'gb18030'")]
-    np.testing.assert_array_equal(
-        piga.read_run(with_line(path, *suggestion[0])).output, piga.read_run(path).output
-    )
-
-
-@pytest.mark.parametrize(
-    ("header", "line"),
-    [
-        ("t,counts,fx,fy,fz", "output = { column = 'counts', kind = 'counts' }"),
-        ("t,脉冲数,fx,fy,fz", "output = { column = '脉冲数', kind = 'counts' }"),
-        ("t,ｎ [1],fx,fy,fz", "output = { column = 'ｎ', kind = 'counts' }"),
-    ],
-)
-def test_another_name_of_the_same_quantity(tmp_path: Path, header: str, line: str) -> None:
-    write_log(tmp_path, lines(), header=header)
-    assert suggested(write_run(tmp_path)) == [("data", line)]
-
-
-def test_a_name_that_is_nearly_right(tmp_path: Path) -> None:
-    write_log(tmp_path, lines(), header="t,n,f_xx,fy,fz")
-    path = write_run(tmp_path)
-    path.write_text(path.read_text().replace('"fx"', '"f_x"'))
-    assert suggested(path) == [("data", "reference = { columns = ['f_xx', 'fy', 'fz'], unit = 'g' }")]
-
-
 def test_nothing_is_suggested_where_nothing_is_near(tmp_path: Path) -> None:
     write_log(tmp_path, lines(), header="t,what,fx,fy,fz")
     path = write_run(tmp_path)
@@ -147,13 +91,6 @@ def test_nothing_is_suggested_where_nothing_is_near(tmp_path: Path) -> None:
     write_log(tmp_path, lines())
     done = invoked("check", path, "--fix-suggestions")
     assert "# no run-file line would change what was found" in done.stdout
-
-
-def test_a_unit_that_is_probably_another(tmp_path: Path) -> None:
-    write_log(tmp_path, [row.replace("1.0,0.1,0.0", "9.80665,0.1,0.0") for row in lines()])
-    assert set(suggested(write_run(tmp_path))) == {
-        ("data", "reference = { columns = ['fx', 'fy', 'fz'], unit = 'm/s^2' }")
-    }
 
 
 def clean_table(text: str) -> str:
@@ -203,13 +140,6 @@ def test_two_problems_one_after_the_other(tmp_path: Path) -> None:
 def test_nothing_is_suggested_that_does_not_help(tmp_path: Path) -> None:
     write_log(tmp_path, ["t,n,fx,fy,what", *lines()], header="Test 12,A")
     assert suggested(write_run(tmp_path)) == []
-
-
-def test_stamps_are_suggested(tmp_path: Path) -> None:
-    write_log(tmp_path, [f"12:00:{k / 20:06.3f},{row.split(',', 1)[1]}" for k, row in enumerate(lines())])
-    path = write_run(tmp_path)
-    assert suggested(path) == [("data", "time = { column = 't', stamp = 'hh:mm:ss.f' }")]
-    assert piga.read_run(with_line(path, *suggested(path)[0])).size == 40
 
 
 def test_a_line_that_only_leads_to_an_open_problem_is_not_suggested(tmp_path: Path) -> None:

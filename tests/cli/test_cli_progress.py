@@ -16,9 +16,7 @@ from rich.console import Console
 import piga._kernels.jit  # noqa: F401
 from piga.cli.bar import Bar
 from piga.cli.common import FIRST_USE, progress
-from piga.cli.main import stopped_words
 from piga.data import copy_example
-from piga.output import results, write_whole
 from tests.cli.runner import ENVIRONMENT, on_terminal
 
 STOPPED = (130, -signal.SIGINT)
@@ -56,26 +54,6 @@ def test_first_use_is_said_once_without_a_terminal(capsys: pytest.CaptureFixture
         for more in (1, 2):
             numba.njit(lambda x, more=more: x + more)(1)
     assert capsys.readouterr().err.splitlines() == [f"calibrating; {FIRST_USE}"]
-
-
-def test_words_of_a_stop(tmp_path: Path) -> None:
-    (tmp_path / "old").mkdir()
-    (tmp_path / "old" / "a.txt").write_text("before")
-    with pytest.raises(KeyboardInterrupt) as caught, results(tmp_path / "old", "x", ("a.txt",), (), force=True):
-        raise KeyboardInterrupt
-    assert (
-        stopped_words(caught.value)
-        == f"piga: stopped\n  on disk: {tmp_path / 'old'}: as before; nothing of this run was kept"
-    )
-    assert (tmp_path / "old" / "a.txt").read_text() == "before"
-
-    def write(_path: Path) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt) as caught:
-        write_whole(tmp_path / "b.txt", write)
-    assert f"on disk: {tmp_path / 'b.txt'}: not written" in stopped_words(caught.value)
-    assert stopped_words(KeyboardInterrupt()) == "piga: stopped\n  on disk: nothing was written"
 
 
 def test_a_bar_follows_the_library(capsys: pytest.CaptureFixture[str]) -> None:

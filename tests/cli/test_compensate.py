@@ -8,9 +8,8 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-import piga
 from piga.units import G0
-from tests.compensation.run_files import CAL, KERNEL, command, small_chunks, to_file, write
+from tests.compensation.run_files import KERNEL, command, small_chunks, write
 from tests.compensation.twin_data import TAN_BETA, calibration_of
 
 
@@ -84,20 +83,6 @@ def test_wrong_serial_and_missing_phase_exit_2_with_remedy(tmp_path, monkeypatch
     )
     assert code == 2
     assert "segment 'all'" in text
-
-
-@pytest.mark.parametrize("name", ["run.parquet", "run.csv"])
-@pytest.mark.parametrize("counts", [False, True])
-def test_streamed_file_is_the_whole_record(tmp_path, monkeypatch, name, counts):
-    small_chunks(monkeypatch, 37)
-    path = write(tmp_path, name, rows=1500, counts=counts)
-    cal = calibration_of(CAL, {"phi": 1e-4}, serial="A", angle_rms=1e-6)
-    summary = to_file(path, cal, tmp_path / "o.parquet")
-    whole = piga.compensate(piga.read_run(path), cal)
-    table = pa.parquet.read_table(tmp_path / "o.parquet")
-    assert summary["rows"] == whole.size
-    for column in ("ax", "dv", "u_ax"):
-        assert table.column(column).to_numpy().tobytes() == getattr(whole, column).tobytes()
 
 
 def test_triad_file(tmp_path, monkeypatch, capsys):

@@ -107,13 +107,6 @@ def test_settings_that_cannot_be_used(log: Path, setting: str, words: str) -> No
     assert not log.with_suffix(".toml").exists()
 
 
-def test_an_older_run_file_is_kept(log: Path) -> None:
-    log.with_suffix(".toml").write_text("mine")
-    _, _, message = run("init", log, "--yes", "--set", SCALE)
-    assert "there already" in message
-    assert log.with_suffix(".toml").read_text() == "mine"
-
-
 @pytest.mark.parametrize("content", [b"", b"hello\nworld\n", b"\x00\x01\x02" * 100, "ä\n".encode("cp1252")])
 def test_files_that_are_no_logs(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "x.csv"
@@ -156,10 +149,3 @@ def test_the_command_that_answers_keeps_what_was_set(tmp_path: Path) -> None:
     line = next(line for line in out.splitlines() if line.startswith("  piga init"))
     assert "--set 'instrument.serial=a b'" in line
     assert f"--set '{SCALE}'" in line
-
-
-def test_a_rate_replaces_the_time(log: Path) -> None:
-    assert run("init", log, "--yes", "--set", SCALE, "--set", "data.sample_rate=8 Hz")[0] == 0
-    text = log.with_suffix(".toml").read_text(encoding="utf-8")
-    assert 'sample_rate = "8 Hz"' in text
-    assert "\ntime = " not in text

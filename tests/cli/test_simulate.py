@@ -25,10 +25,3 @@ def test_command_writes_all_files_and_json(tmp_path):
     names = {p.name for p in (tmp_path / "out").glob("[!.]*")}
     assert names == {"run.toml", "run.parquet", "truth.json", "report.html"}
     assert calibrate(read_run(tmp_path / "out" / "run.toml"))["k0"].value == pytest.approx(3e-4, abs=1e-5)
-
-
-def test_command_says_what_was_simulated(tmp_path):
-    result = invoked("simulate", written(tmp_path), "--out", tmp_path, "--seed", "7")
-    assert result.exit_code == 0
-    assert "tan_beta" in result.stdout
-    assert "seed 7" in (tmp_path / "run.toml").read_text()

@@ -88,13 +88,6 @@ def test_wrong_use_in_words(folder, options, words):
         trend(**used, as_json=True)
 
 
-def test_exit_code_of_wrong_use():
-    done = piga("records", "trend", "none.json")
-    assert done.returncode == 2
-    assert "cannot be read" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
 @pytest.mark.only_compiled
 def test_records_of_a_store(tmp_path):
     pytest.importorskip("sqlalchemy")

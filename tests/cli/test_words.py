@@ -18,7 +18,6 @@ from piga.cli.words import explain
 from piga.data import example_files
 from piga.describe.draft import FILES, key_table, places_of
 from piga.platform.scenario import in_si
-from piga.records.run_file import METHOD_WORDS, METHODS
 from piga.records.terms import TERM_WORDS, UNITS, term_words
 from piga.units import to_si
 from tests.cli.runner import invoked
@@ -100,12 +99,6 @@ def test_terms() -> None:
     assert {row["name"] for row in rows} == set(TERM_WORDS)
 
 
-def test_methods() -> None:
-    assert tuple(METHOD_WORDS) == METHODS
-    out = invoked("methods").stdout
-    assert all(f"{name}: " in out for name in METHODS)
-
-
 def test_every_example_is_toml_and_in_its_unit() -> None:
     """A quantity of an example can be read in the unit that stands beside it."""
     for table, keys in key_table().items():
@@ -181,7 +174,3 @@ def test_bash_completes_with_the_script() -> None:
     code = script + '\nCOMP_WORDS=(piga rec); COMP_CWORD=1; _piga_completion piga; echo "${COMPREPLY[@]}"\n'
     done = subprocess.run([bash, "--norc"], input=code, text=True, capture_output=True, check=True)
     assert done.stdout.split() == ["records"]
-
-
-def test_another_shell_is_refused() -> None:
-    assert invoked("completion", "tcsh").exit_code == 2

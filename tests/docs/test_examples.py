@@ -78,15 +78,3 @@ def test_files_are_read_from_their_text() -> None:
     assert piga.certificate.read_certificate_file("c.toml", content=text).item.description
     with pytest.raises(piga.RunFileError, match=r"nothing\.toml: not valid TOML"):
         piga.read_plan("nothing.toml", content="[")
-
-
-def test_an_import_is_no_example(tmp_path: Path) -> None:
-    page = tmp_path / "index.md"
-    page.write_text("```python\nfrom piga import Run, calibrate\nx: Run\ncalibrate\n```\n", encoding="utf-8")
-    assert {"Run", "calibrate"} <= names_used(page)
-    page.write_text("```python\nfrom piga import Run\n```\n", encoding="utf-8")
-    assert "Run" not in names_used(page)
-
-
-def test_every_page_of_examples_belongs_to_a_room() -> None:
-    assert {page.stem for page in EXAMPLES.glob("*.md")} == {*ROOMS, "errors", "commands"}

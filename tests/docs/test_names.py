@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib
 import re
 from functools import cache
@@ -93,33 +92,6 @@ def test_what_is_named_is_there(path: Path) -> None:
         if words[: 1 + inner] not in commands():
             missing.append(f"piga {one}")
     assert not missing, f"{relative(path)} names what is not there: {sorted(missing)}"
-
-
-def imported(path: Path) -> list[tuple[str, str]]:
-    """Module and name of everything that a script takes from piga and from the tests."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    return [
-        (node.module, alias.name)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in ("piga", "tests")
-        for alias in node.names
-    ]
-
-
-SCRIPTS = [path for place in ("builders", "benchmarks", "examples") for path in (ROOT / place).rglob("*.py")]
-
-
-@pytest.mark.parametrize("path", SCRIPTS, ids=relative)
-def test_what_a_script_imports_is_there(path: Path) -> None:
-    """Scripts run rarely. They break unseen when a name moves."""
-    missing = []
-    for module, name in imported(path):
-        if not hasattr(importlib.import_module(module), name):
-            try:
-                importlib.import_module(f"{module}.{name}")
-            except ModuleNotFoundError:
-                missing.append(f"{module}.{name}")
-    assert not missing, f"{relative(path)} imports what is not there: {missing}"
 
 
 @cache

@@ -90,10 +90,6 @@ def test_a_marked_block_is_not_run(runner: Runner, tmp_path: Path) -> None:
         runner.run(Block("sh", marked.text, 2))
 
 
-def test_preparations_belong_to_pages() -> None:
-    assert set(PREPARATIONS) <= {name_of(page) for page in PAGES}
-
-
 def test_a_wrong_output_is_noticed(runner: Runner) -> None:
     runner.run(Block("python", "print('a  1.25 s')\nprint('b')", 1))
     runner.run(Block("text", "a 1... s\nb", 4))

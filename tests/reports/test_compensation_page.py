@@ -149,14 +149,6 @@ def test_extremes_and_flags_are_kept():
     assert 500 < drawn_marks[1] <= warm.t.size
 
 
-def test_the_spectrum_is_of_the_first_rows(monkeypatch):
-    monkeypatch.setattr(compensation_module, "LEADING_ROWS", 300)
-    t = 0.01 * np.arange(1000)
-    record, cal = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3), calibration_of({"scale_factor": K_G})
-    leading = of_record(record, cal, piga.compensate(record, cal)).instruments[0].leading
-    assert leading.t.size == leading.before.size == 300
-
-
 @pytest.mark.parametrize("option", ["--report", "--out"])
 def test_a_path_that_cannot_be_written_is_told_by_its_option(tmp_path, monkeypatch, capsys, option):
     """Before anything is computed: a file stands where the folder would be."""

@@ -44,21 +44,6 @@ def test_locking_figure_has_the_plateau_and_the_mean_rate():
     assert np.degrees(alpha) == pytest.approx(360.0 * whole_turns, abs=1e-7)
 
 
-def test_one_beta_serves_all_curves_and_none_means_the_instrument():
-    assert len(locking_figure(COUPLED, (G0, 2 * G0)).panels[0].series) == 3
-    assert locking_figure(Instrument(0.09), (G0,)).panels[0].series[1].arrays()[1][-1] > 0.0
-    with pytest.raises(ValueError, match="zip"):
-        locking_figure(COUPLED, (G0, G0, G0), (1e-3, 2e-3))
-
-
-@pytest.mark.parametrize("reach", [2.0, 3.0])
-def test_the_axis_reaches_over_the_zone(reach):
-    (panel,) = locking_figure(COUPLED, (5 * G0,), reach=reach).panels
-    assert panel.series[1].arrays()[0][[0, -1]] == pytest.approx(
-        [-reach * 5e3 * COUPLED.tan_beta, reach * 5e3 * COUPLED.tan_beta]
-    )
-
-
 @pytest.mark.compiled
 @pytest.mark.only_compiled
 def test_page_shows_stand_output_servo_and_truth():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
 import re
 
 import numpy as np
@@ -16,7 +15,7 @@ from piga.reports.trend import brief as trend_brief
 from piga.reports.trend import page as trend_page
 from piga.reports.trend import scale_of, trend_document, trend_figure
 from piga.trend.history import find_trend
-from tests.trend.history import START, history, record
+from tests.trend.history import START, record
 
 AT = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
 
@@ -83,16 +82,6 @@ def test_time_is_shown_as_dates(days, step, form):
     drawn.canvas.draw()
     ticks = [label.get_text() for label in drawn.axes[1].get_xticklabels()]
     assert sum(bool(re.fullmatch(form, tick)) for tick in ticks) >= 3, ticks
-
-
-@pytest.mark.parametrize("days", [1, 2, 3])
-def test_few_days(days):
-    result = instrument(days=days) if days > 1 else find_trend(history([0, 0.0003], [1.0, 1.1], 0.1))
-    assert page_html(trend_page(result, at=AT))
-    text = page_text(trend_brief(result, at=AT))
-    assert "No record is out of control." in text
-    assert text.isascii()
-    json.dumps(trend_document(result, at=AT), allow_nan=False)
 
 
 def test_text_and_document():

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from piga.errors import ArgumentError
 from piga.workbench.jobs import BusyError, Job, Jobs, Status
 from tests.workbench.conftest import entered, shipped_record, wait_until
 
@@ -127,31 +126,6 @@ def test_progress_is_a_small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert json.loads((tmp_path / "progress").read_text())["share"] == 0.5
     note.show(3, 4, "draws")
     assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading: draws", "share": 0.75}
-
-
-@pytest.mark.only_compiled
-def test_only_so_many_run_and_only_so_many_are_kept(jobs: Jobs, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("piga.workbench.jobs.MOST_RUNNING", 1)
-    monkeypatch.setattr("piga.workbench.jobs.MOST_KEPT", 1)
-    job = jobs.start(("calibrate", "tumble-a.toml", "--out", "out"), "Calibrate", "tumble-a.toml", "out")
-    with pytest.raises(ArgumentError, match="running"):
-        jobs.start(("check", "tumble-a.toml"), "Check", "tumble-a.toml")
-    jobs.stop(job)
-    after = jobs.start(("check", "tumble-a.toml"), "Check", "tumble-a.toml")
-    assert jobs.all() == [after]
-    ended(jobs, after)
-
-
-def test_many_pages_may_ask_at_the_same_time(jobs: Jobs) -> None:
-    from concurrent.futures import ThreadPoolExecutor
-
-    job = jobs.start(("check", "none.toml"), "Check", "none.toml")
-    with ThreadPoolExecutor(8) as pool:
-        while True:
-            states = list(pool.map(lambda _: jobs.status(job).state, range(64)))
-            if states[-1] != "running":
-                break
-    assert set(states) <= {"running", "failed"}
 
 
 @pytest.mark.only_compiled

@@ -195,43 +195,6 @@ def test_wrong_questions(tmp_path: Path, key: str, first: float, last: float, wi
         picture(tmp_path / "a-1", key, first, last, width)
 
 
-def test_an_outline_is_read_as_it_was_written(tmp_path: Path) -> None:
-    outline = write(record(100, [50]), tmp_path / "a-1")
-    assert isinstance(outline, Outline)
-    assert read_outline(tmp_path / "a-1") == outline
-
-
-@pytest.mark.slow
-def test_a_hundred_million_rows(tmp_path: Path) -> None:
-    size = 100_000_000
-    folder = tmp_path / "a-1"
-    folder.mkdir()
-    t = np.lib.format.open_memmap(folder / "t.npy", mode="w+", dtype=np.float64, shape=(size,))
-    values = np.lib.format.open_memmap(tmp_path / "v.npy", mode="w+", dtype=np.float64, shape=(size,))
-    for start in range(0, size, 1 << 20):
-        part = slice(start, min(start + (1 << 20), size))
-        t[part] = 0.005 * np.arange(part.start, part.stop)
-        values[part] = np.sin(1e-4 * t[part])
-    breaks = np.zeros(1, np.int64)
-    np.save(folder / "breaks.npy", breaks[1:])
-    blocks = signals._blocks(size, breaks)
-    np.save(folder / "blocks.npy", blocks)
-    signals._write_column(folder, "output", values, blocks)
-    shown = (signals.Signal("output", "", "rev", 1.0, "output"),)
-    outline = Outline(shown, float(t[-1]), size, size, 200.0, (), (), (), (), phase_kept=True)
-    import json
-    from dataclasses import asdict
-
-    (folder / "outline.json").write_text(json.dumps(asdict(outline)), encoding="utf-8")
-    longest = 0.0
-    for share in (1.0, 0.3, 0.01, 1e-3, 1e-5):
-        started = time.process_time()
-        rows = picture(folder, "output", 0.1, 0.1 + share * 0.99 * outline.duration, 2000)
-        longest = max(longest, time.process_time() - started)
-        assert len(rows) > 300
-    assert longest < 0.1
-
-
 def test_temperature_is_shown_in_the_unit_of_the_record(tmp_path: Path) -> None:
     t = 0.01 * np.arange(100)
     kelvin = 293.15 + t

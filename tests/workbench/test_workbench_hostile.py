@@ -6,18 +6,15 @@ import json
 import os
 import socket
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from urllib.parse import quote
 
 import pytest
 
 from piga.workbench.folder import Folder, OutsideError
-from piga.workbench.jobs import MOST_RUNNING
 from tests.reports.example import calibration
 from tests.workbench.conftest import Client, Server, entered, shipped_record, wait_until
 from tests.workbench.size import memory
-from tests.workbench.test_jobs import jobs_in
 
 EVIL = "\"'><img src=x onerror=alert(1)></textarea><script>alert(1)</script>{{7*7}}"
 RAW = ("<img src=x", "<script>alert", "</textarea><s", ">49<")
@@ -72,26 +69,6 @@ def test_half_requests_keep_nobody_out(client: Client, server: Server) -> None:
     wait_until(lambda: not list((server.folder / ".piga-ui" / "parts").iterdir()))
     assert not list(server.folder.glob("*slow*"))
     assert "tumble-a" in client.page("/record/tumble-a.toml")
-
-
-def test_fifty_answers_at_once(tmp_path: Path) -> None:
-    """So many run as may run. The others are told so, and the server goes on answering."""
-    shipped_record(tmp_path)
-    running = entered(tmp_path)
-    try:
-        running.client.until("/picture/tumble-a.toml", lambda text: "data-drawn" in text)
-        with ThreadPoolExecutor(50) as pool:
-            paths = [f"/text?file=tumble-a.toml&n={n}" for n in range(20)]
-            paths += [f"/answer/tumble-a.toml?terms=scale_factor,s{n},c{n}" for n in range(1, 31)]
-            sent = [pool.submit(running.client.ask, path) for path in paths]
-            while not all(answer.done() for answer in sent):
-                started = time.monotonic()
-                assert running.client.page("/healthz") == "ok\n"
-                assert time.monotonic() - started < 5.0
-        assert {answer.result()[0] for answer in sent} <= {200, 429}
-        assert len(jobs_in(tmp_path)) <= MOST_RUNNING + 1
-    finally:
-        assert running.end() == (0, "")
 
 
 SMALL = "from piga.workbench.pages import record; record.MOST_UPLOAD = 4 << 20; from piga.cli.main import main; main()"

@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.workbench.conftest import Browser, both, wait_until
+from tests.workbench.conftest import Browser, wait_until
 
 pytestmark = pytest.mark.only_compiled
 SELECTED = """key => document.getElementById(key).querySelector('.live').data
     .filter(trace => trace.uid.endsWith('-selected'))
     .map(trace => ({ name: trace.name, x: trace.x.filter((_, k) => trace.y[k] !== null), y: trace.y.filter(y => y !== null) }))"""
-
-HEIGHTS = "[...document.querySelectorAll('figure.figure')].map(figure => figure.getBoundingClientRect().height)"
 
 
 def selected(frame: Any, key: str, count: int) -> list[dict[str, Any]]:
@@ -107,19 +105,6 @@ def test_a_segment_is_selected_everywhere(browser: Browser, report: tuple[str, A
     assert frame.locator("#chosen").input_value() == ""
 
 
-@both
-def test_no_figure_moves_the_page_when_it_is_drawn(browser: Browser, report: tuple[str, Any]) -> None:
-    page = browser.page
-    browser.open(_alone(report[0]))
-    before = page.evaluate(HEIGHTS)
-    for figure in page.locator("figure.figure").all():
-        figure.scroll_into_view_if_needed()
-        figure.locator(".main-svg").first.wait_for()
-    assert page.evaluate(HEIGHTS) == before
-    assert len(before) > 5
-    assert "points of" in page.locator("p.shown").first.inner_text()
-
-
 def test_what_the_reader_zoomed_stays(browser: Browser, report: tuple[str, Any]) -> None:
     browser.open(_alone(report[0]))
     frame = browser.page.main_frame
@@ -131,15 +116,6 @@ def test_what_the_reader_zoomed_stays(browser: Browser, report: tuple[str, Any])
     selected(frame, "residual-time", 2)
     shown = frame.evaluate("document.querySelector('#residual-time .live')._fullLayout.xaxis2.range")
     assert shown == pytest.approx([100.0, 300.0])
-
-
-@both
-def test_the_report_alone_does_the_same_and_is_accessible(browser: Browser, report: tuple[str, Any]) -> None:
-    browser.open(_alone(report[0]))
-    browser.is_accessible()
-    browser.page.locator("#segments ~ .table tr[data-segment='2'] td").first.click()
-    selected(browser.page.main_frame, "residual-time", 2)
-    browser.is_accessible()
 
 
 def _alone(path: str) -> str:

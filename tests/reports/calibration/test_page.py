@@ -9,7 +9,6 @@ import pytest
 from piga.calibration.orders import residual_angles
 from piga.records.calibration import Amount, Outlier, Residuals, RunRecord, SegmentLeverage
 from piga.records.run_file import ASSUMED_SOURCES, UncertaintyTable
-from piga.records.terms import shown_unit
 from piga.reports.calibration.budget import SOURCES, budget_tables, source_in_words
 from piga.reports.calibration.figures import (
     budget_figure,
@@ -20,16 +19,13 @@ from piga.reports.calibration.figures import (
 )
 from piga.reports.calibration.page import page as calibration_page
 from piga.reports.calibration.tables import (
-    coefficient_table,
-    freedom,
     leverage_tables,
     residual_quantity,
-    scalars,
 )
 from piga.reports.render.figure import LIGHT
 from piga.reports.render.interactive import figure_spec
 from piga.reports.render.numbers import ascii_text
-from piga.reports.render.page import Notice, Table, page_html
+from piga.reports.render.page import Table, page_html
 from tests.reports.example import calibration
 from tests.reports.render.test_page import Checker
 
@@ -128,24 +124,6 @@ def test_the_budget_on_the_terminal_is_that_of_the_page(cal):
         for row in table.cells:
             words = [ascii_text(cell.text) for cell in row if cell.text]
             assert any(all(word in line for word in words) for line in budget), words
-
-
-def test_no_table_of_the_budget_is_wider_than_the_page(cal):
-    """Fourteen coefficients: each table holds so many as fit A4, and all of them together hold all."""
-    many = tuple(dataclasses.replace(cal["k0"], name=f"k{i}") for i in range(14))
-    contributions = [dataclasses.replace(row, contributions={c.key: 1e-6 for c in many}) for row in cal.budget]
-    wide = dataclasses.replace(
-        cal, coefficients=many, covariance=np.eye(14) * cal["k0"].std ** 2, budget=tuple(contributions)
-    )
-    _, *parts = budget_tables(wide)
-    assert max(len(part.columns) for part in parts) <= 5
-    assert [column.heading for part in parts for column in part.columns[1:]] == [c.key for c in many]
-
-
-def test_missing_type_b_is_said():
-    page = calibration_page(calibration(budget=False, with_residuals=False))
-    budget = next(section for section in page.sections if section.anchor == "budget")
-    assert any(isinstance(block, Notice) and "Type A only" in block.text for block in budget.blocks)
 
 
 def test_report_without_residuals_still_stands():
@@ -284,65 +262,11 @@ def test_joint_and_contaminated_runs_have_their_sections(cal):
     assert "spun (summary)" in joint.summary()
 
 
-def with_bias(cal, value):
-    """Rows of the coefficient table where ``k0`` is of this size [g]."""
-    changed = (dataclasses.replace(c, value=value) if c.name == "k0" else c for c in cal.coefficients)
-    return coefficient_table(dataclasses.replace(cal, coefficients=tuple(changed))).cells
-
-
-def test_one_unit_for_one_coefficient(cal):
-    """A phase is in rad whatever its size, and the terminal's budget has the units of the coefficients."""
-    assert shown_unit("phi", "rad") == (1.0, "rad")
-    assert {
-        row[4].text for value in (0.0099, 0.0123) for row in with_bias(cal, value) if row[0].text == "k0"
-    } == {"µg"}
-    text = cal.summary()
-    assert "k0 [ug]" in text
-    assert "k0 [g]" not in text
-
-
-def test_diagnostics_have_words_and_no_digits_that_say_nothing():
-    rows = dict(
-        scalars({"segment_scatter_ratio_without_it": 3.25, "range": {"a_x": [-9.801660000002705, 9.8]}})
-    )
-    assert rows["Range of the axial specific force"] == "−9.802 to 9.800 m/s²"
-    assert "Scatter of the segments over what the noise of the output explains" in rows
-
-
 def test_every_source_of_a_run_file_has_words():
     entries = {field for field in UncertaintyTable.__struct_fields__ if field not in ("reference_id", "waived")}
     assert entries | set(ASSUMED_SOURCES) == set(SOURCES)
     assert source_in_words("levelling axis 1") == "levelling of the stand (levelling axis 1)"
     assert source_in_words("fit residuals (repeatability)") == "fit residuals (repeatability)"
-
-
-def test_the_budget_names_sources_in_words(cal):
-    row = dataclasses.replace(cal.budget[0], source="reference_scale")
-    sources = budget_tables(dataclasses.replace(cal, budget=(row, *cal.budget[1:])))[0]
-    assert "scale of the reference (reference_scale)" in {cells[0] for cells in sources.rows}
-
-
-def test_degrees_of_freedom_beyond_a_thousand_are_not_counted_out(cal):
-    shown = {
-        nu: freedom(dataclasses.replace(cal.coefficients[0], degrees_of_freedom=nu))
-        for nu in (3.77, 342.4, 1000.0, 173_678.0, math.inf, math.nan)
-    }
-    assert list(shown.values()) == ["3.77", "342", "1000", "> 1000", "∞", "–"]
-
-
-def test_the_leverage_of_eight_coefficients_fits_the_page(cal):
-    """Nine and more columns were 1034 px wide on a page of 964."""
-    some = cal.coefficients[0]
-    keys = [f"k{i}" for i in range(8)]
-    many = tuple(dataclasses.replace(some, name=key, segment=None) for key in keys)
-    row = SegmentLeverage(0.5, dict.fromkeys(keys, 0.1), dict.fromkeys(keys, 0.2))
-    diagnostics = dataclasses.replace(cal.diagnostics, leverage={"a": row, "b": row})
-    tables = leverage_tables(dataclasses.replace(cal, coefficients=many, diagnostics=diagnostics))
-    assert [[column.heading for column in table.columns] for table in tables] == [
-        ["Segment", "Leverage", *keys[:4]],
-        ["Segment", "Leverage", *keys[4:]],
-    ]
-    assert tables[1].rows[1][:2] == ("b", "0.50")
 
 
 def test_an_outline_says_how_many_rows_it_shows() -> None:
@@ -387,20 +311,6 @@ def test_every_point_of_a_segment_knows_its_segment(cal):
         assert [cal.segments[k].label for k in panel.segments] == [row[0] for row in panel.rows]
 
 
-def test_of_very_many_segments_each_point_still_has_its_row_and_segment(cal):
-    """With 400 segments the curve is reduced twice; rows and segments were not, so they belonged to other points."""
-    count, each = 400, 30
-    t = np.arange(count * each) * 0.05
-    noise = np.random.default_rng(4).normal(size=t.size)
-    segment = np.repeat(np.arange(count, dtype=np.int32), each)
-    residuals = Residuals(np.arange(1, t.size + 1), t, t, t, noise, noise, noise, segment)
-    for trace in figure_spec(residual_figure(residuals))["data"]:
-        assert len(trace["x"]) == len(trace["customdata"]) == len(trace["meta"])
-        rows = np.array(trace["customdata"]) - 1
-        np.testing.assert_allclose(trace["x"], t[rows], atol=0.01)
-        np.testing.assert_array_equal(trace["meta"], segment[rows])
-
-
 def test_the_allan_deviation_of_one_segment_is_from_its_own_samples(cal):
     """By the definition of [Riley2008], eq. 11, from the samples of segment 7 alone."""
     (panel,) = figure_of(cal, "allan").panels
@@ -422,25 +332,6 @@ def test_leverage_rows_name_their_segments_and_a_name_that_is_there_twice_names_
     assert leverage_tables(with_rows)[0].segments == (5, 3)
     twice = tuple(dataclasses.replace(s, label="3") if s.label == "9" else s for s in cal.segments)
     assert leverage_tables(dataclasses.replace(with_rows, segments=twice))[0].segments == (5, None)
-
-
-def test_of_too_many_segments_none_can_be_selected(cal):
-    many = dataclasses.replace(cal, segments=cal.segments * 50, residuals=None)
-    assert calibration_page(many).segments == ()
-    assert 'id="chosen"' not in page_html(calibration_page(many))
-    assert calibration_page(cal).segments == tuple(map(str, range(24)))
-
-
-def test_the_reason_of_a_verdict_stands_once(cal):
-    """With its remedy; the list below holds the other doubts only."""
-    doubtful = dataclasses.replace(cal, notes=("segment 3 moves k0 by 4 u", "the residuals drift"))
-    page = calibration_page(doubtful)
-    for text in (re.sub(r"\s+", " ", page_html(page)), re.sub(r"\s+", " ", doubtful.summary())):
-        assert text.lower().count("segment 3 moves k0 by 4 u") == 1
-        assert "drift" in text
-    first = doubtful.verdict.doubts[0]
-    assert page.judgement.remedy == first.remedy
-    assert len(page.judgement.problems) == len(doubtful.verdict.doubts) - 1 >= 1
 
 
 def test_sources_of_the_budget_have_colours_of_their_own(cal):

@@ -8,7 +8,7 @@ import pytest
 
 from piga.errors import ArgumentError
 from piga.reports.render.axes import draw, figure_svg, write_figure
-from piga.reports.render.figure import LIGHT, Axis, Figure, Panel, Plot, Series, named_axis
+from piga.reports.render.figure import Axis, Figure, Panel, Plot, Series
 from piga.reports.render.interactive import figure_spec
 from piga.reports.render.page import json_island
 
@@ -36,18 +36,6 @@ def test_a_page_and_a_file_show_the_same_series(cal):
             assert len(axes.containers) + bands == len(panel.series)
             assert axes.get_ylabel().replace("\n", " ") == panel.y.label
         assert len(traces) == sum(len(panel.series) for panel in figure.panels)
-
-
-def test_names_stand_on_the_axis():
-    figure = Plot("share", "Share.", named_axis("coefficient", ("k0", "k2")), "share [%]").points(
-        [1, 2], [3, 4]
-    )
-    figure = figure.caption("Good: small.")
-    axis = figure_spec(figure)["layout"]["xaxis"]
-    assert axis["tickvals"] == [1, 2]
-    assert axis["ticktext"] == ["k0", "k2"]
-    assert figure_spec(figure)["data"][0]["text"] == ["k0", "k2"]
-    assert [label.get_text() for label in draw(figure).axes[0].get_xticklabels()] == ["k0", "k2"]
 
 
 def test_interactive_numbers_are_those_of_the_figure():
@@ -97,29 +85,6 @@ def test_figure_files_are_written_and_repeat(tmp_path, ending):
     assert len(first) > 5000
 
 
-def test_pictures_leave_no_global_style(tmp_path):
-    import matplotlib as mpl
-
-    before = dict(mpl.rcParams)
-    write_figure(every_mark(), tmp_path / "a.png", dpi=50)
-    assert dict(mpl.rcParams) == before
-
-
-def test_a_picture_shows_the_colours_of_the_figure(tmp_path):
-    from matplotlib.image import imread
-
-    bars = Series(np.arange(4.0), np.array([1.0, 2.0, 3.0, 4.0]), mark="bars", role="before")
-    figure = Figure("bars", "Bars.", (Panel(Axis("number", "1"), Axis("size", "1"), (bars,)),))
-    picture = imread(write_figure(figure, tmp_path / "a.png", dpi=144))
-    assert picture.shape[1] == pytest.approx(7.2 * 144, abs=1.0)
-    colour = [int(LIGHT["before"][i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
-    here = np.abs(picture[:, :, :3] - colour).max(axis=2) < 0.01
-    columns = here.sum(axis=0)
-    heights = np.unique(columns[columns > 20])
-    assert heights.max() / heights.min() == pytest.approx(4.0, rel=0.03)
-    assert np.argmax(columns == heights.max()) > np.argmax(columns == heights.min())
-
-
 def test_only_files_and_notebooks_need_matplotlib(tmp_path):
     code = (
         "import sys; sys.modules['matplotlib'] = None;"
@@ -134,16 +99,6 @@ def test_only_files_and_notebooks_need_matplotlib(tmp_path):
         "try:\n import piga.reports.render.axes\n"
         "except MissingPackageError as error:\n assert 'piga[report]' in error.remedy\n"
         "else:\n raise AssertionError"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
-
-
-def test_a_page_loads_no_matplotlib():
-    code = (
-        "import sys; from piga.reports import Axis, Figure, FigureBlock, Page, Panel, Section, Series, page_html;"
-        "figure = Figure('a', 'A.', (Panel(Axis('t', 's'), Axis('y', 'm'), (Series([0, 1], [1, 2]),)),));"
-        "page_html(Page('Marks', sections=(Section('Marks', 'part', (FigureBlock(figure),)),)));"
-        "assert not {name for name in sys.modules if name.startswith('matplotlib')}"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 

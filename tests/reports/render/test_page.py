@@ -140,14 +140,6 @@ def test_policy_admits_exactly_the_scripts_of_the_page():
     assert "http" not in policy
 
 
-def test_a_page_without_figures_has_no_script():
-    text = page_html(Page("Plain", sections=(Section("One", "one", (Text("Only text."),)),)))
-    assert "<script" not in text
-    policy = next(attrs["content"] for attrs in Checker(text).all("meta") if "http-equiv" in attrs)
-    assert "script-src 'none'" in policy
-    assert len(text) < 20_000
-
-
 def test_figures_say_what_they_show_and_that_they_need_scripts():
     text = page_html(page())
     holder = text[text.index('<figure id="curve"') : text.index("</figure>")]
@@ -166,18 +158,6 @@ def test_anchors_are_names_and_unique(anchors, message):
 def test_a_row_of_the_wrong_length_is_refused():
     with pytest.raises(ValueError, match="a row of 1 cells for 2 columns"):
         Table((TableColumn("a"), TableColumn("b")), (("1",),))
-
-
-@pytest.mark.parametrize(("count", "widths"), [(0, [0]), (3, [3]), (4, [4]), (8, [4, 4]), (9, [3, 3, 3])])
-def test_a_wide_table_comes_in_parts(count: int, widths: list[int]) -> None:
-    columns = (TableColumn("Source", align="text"), *(TableColumn(f"c{i}") for i in range(count)))
-    table = Table(columns, (("s", *(str(i) for i in range(count))),), "caption", ("note",))
-    parts = table.parts(1, 4)
-    assert [len(part.columns) - 1 for part in parts] == widths
-    assert [text for part in parts for text in part.rows[0][1:]] == [str(i) for i in range(count)]
-    assert all(part.columns[0].heading == "Source" and part.rows[0][0] == "s" for part in parts)
-    assert [part.caption for part in parts] == ["caption"] + [""] * (len(parts) - 1)
-    assert [part.notes for part in parts] == [()] * (len(parts) - 1) + [("note",)]
 
 
 def test_numbers_of_a_table_have_one_notation():
