@@ -94,10 +94,10 @@ def reproduction_page(result: Reproduction) -> list[str]:
 def errata_page(result: Reproduction) -> list[str]:
     (chapter,) = [chapter for chapter in result.chapters if chapter.id == "errata"]
     text = (
-        "This page lists the errors in the publications. Its numbers come from the same run as "
-        "[the reproduction](reproduction.md). `piga reproduce --only errata` computes them again."
+        "Errors in the [publications](references.md), with numbers from the run of [the reproduction](reproduction.md). "
+        "`piga reproduce --only errata` computes them again."
     )
-    return [*head("Errata of the publications", text), *chapter_lines(chapter), *sources()]
+    return [*head("Errata of the publications", text), *chapter_lines(chapter)]
 
 
 def main() -> None:
