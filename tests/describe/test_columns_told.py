@@ -11,7 +11,7 @@ import openpyxl
 import pytest
 
 import piga
-from piga.describe import describe_log, draft_run_file
+from piga.describe import describe_log, draft_run_file, try_run_file
 from piga.errors import ArgumentError
 from tests.cli.runner import invoked
 
@@ -133,6 +133,28 @@ def test_names_over_two_rows_are_joined(tmp_path: Path, kind: str) -> None:
         assert run.f[:, 0] == pytest.approx(rows[:, 2] * 9.80665, rel=1e-5, abs=1e-5)
     if kind == "csv":
         assert "header_row = [2, 3]" in path.with_suffix(".toml").read_text()
+
+
+@pytest.mark.parametrize("kind", ["csv", "xlsx"])
+def test_a_row_with_a_word_among_numbers_is_left_out(tmp_path: Path, kind: str) -> None:
+    path = log(tmp_path / f"log.{kind}", ["Zeit", "Zähler", "fx [g]", "Notiz"])
+    if kind == "csv":
+        lines = path.read_text(encoding="utf-8").split("\n")
+        lines[50] = lines[50].split(";")[0] + ";five;" + lines[50].split(";", 2)[2]
+        path.write_text("\n".join(lines), encoding="utf-8")
+    else:
+        book = openpyxl.load_workbook(path)
+        book.active["B51"] = "five"
+        for row in range(2, 3602):
+            book.active[f"D{row}"] = "ok"
+        book.save(path)
+        with pytest.raises(ArgumentError, match="--column Notiz=temperature: its cells are not numbers"):
+            describe_log(path, {"Notiz": "temperature"})
+    settings = SETTINGS | {"data.reference": {"columns": ["fx", "fx", "fx"], "unit": "g"}}
+    draft = draft_run_file(describe_log(path), settings)
+    run = try_run_file(draft, path.with_suffix(".toml"))
+    assert draft.document["data"]["missing"] == ["five"]
+    assert (run.quality.rows, run.size) == (3600, 3599)
 
 
 def test_a_word_among_the_numbers_of_the_positions_is_a_label(tmp_path: Path) -> None:

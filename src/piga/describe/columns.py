@@ -242,7 +242,17 @@ def as_told(
                 f"--column {name}: there is no such column",
                 remedy=f"the columns are: {', '.join(guess.name for guess in guesses)}",
             )
-        guesses = [*guesses[:place], _told(guesses[place], text), *guesses[place + 1 :]]
+        before = guesses[place]
+        guesses = [*guesses[:place], _told(before, text), *guesses[place + 1 :]]
+        if (
+            before.name not in numbers
+            and not before.stamp
+            and guesses[place].kind in (*_LIKE, "counts", "pulses")
+        ):
+            raise ArgumentError(
+                f"--column {name}={text}: {before.reason}",
+                remedy="name a column of numbers, or repair its cells",
+            )
         kinds = {guess.kind for guess in guesses if guess is not guesses[place] and guess.name in numbers}
         if text.split("[")[0].strip() in ("angle", "rate"):
             output = bool(kinds & {"counts", "pulses", "angle", "rate"})

@@ -215,7 +215,8 @@ def _describe_container(path: Path, told: Mapping[str, str]) -> LogDescription:
     codes = None
     labels: tuple[str, ...] = ()
     if label is not None and numbers:
-        other = known[next(iter(numbers))]
+        whole = (short for short, column in numbers.items() if np.isfinite(column).all())
+        other = known[next(whole, next(iter(numbers)))]
         with_label = DataTable(path.name, OutputColumn(other, "counts"), segment=known[label], sheet=sheet)
         stream = open_stream(path.parent, with_label)
         codes, labels = _collected(stream, (other,))[1], tuple(stream.label_names)
@@ -259,18 +260,27 @@ def _short_names(names: tuple[str, ...], kind: str) -> dict[str, str]:
     return max(groups.values(), key=known_names)
 
 
-def _numbers_of(path: Path, sheet: str | None, names: list[str]) -> tuple[dict[str, Array], dict[str, str]]:
-    """Values and units of the columns that hold numbers: all at once, or one by one where one of them does not."""
+def _numbers_of(
+    path: Path, sheet: str | None, names: list[str], missing: tuple[str, ...] = ()
+) -> tuple[dict[str, Array], dict[str, str]]:
+    """Values and units of the columns that hold numbers: all at once, or one by one where one of them does not.
+
+    One word in some cells of a sheet marks a missing value.
+    """
     if not names:
         return {}, {}
     try:
-        stream = columns_stream(path, tuple(names), sheet=sheet)
+        stream = columns_stream(path, tuple(names), sheet=sheet, missing=missing)
         return _collected(stream, tuple(names))[0], dict(stream.units)
-    except PigaError:
+    except PigaError as error:
         if len(names) == 1:
-            return {}, {}
-    numbers: dict[str, Array] = {}
-    units: dict[str, str] = {}
+            word = next((fix.value for fix in error.fixes if fix.key == "missing"), None)
+            if word is None or missing:
+                return {}, {}
+            numbers, units = _numbers_of(path, sheet, names, tuple(word))
+            empty = [np.mean(np.isnan(column)) for column in numbers.values()]
+            return (numbers, units) if empty and empty[0] <= _MOST_WORDS else ({}, {})
+    numbers, units = {}, {}
     for name in names:
         one, unit = _numbers_of(path, sheet, [name])
         numbers |= one

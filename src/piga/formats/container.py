@@ -358,7 +358,12 @@ CONTAINERS = {
 
 
 def read_container(
-    path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None
+    path: Path,
+    kind: str,
+    numeric: tuple[str, ...],
+    label: str | None,
+    sheet: str | None = None,
+    missing: tuple[str, ...] = (),
 ) -> TableStream:
     """Read the named columns of a container.
 
@@ -370,8 +375,8 @@ def read_container(
         One of :data:`CONTAINERS`.
     numeric, label:
         Names of the number columns and of the segment column, as the reader of that format takes them.
-    sheet:
-        Name of the sheet in an ``.xlsx`` file.
+    sheet, missing:
+        Name of the sheet, and words that mean a missing value, in an ``.xlsx`` file.
 
     Raises
     ------
@@ -384,7 +389,7 @@ def read_container(
         raise DataError(f"{path}: is open in a spreadsheet program", remedy="close it there, then try again")
     try:
         if kind == ".xlsx":
-            return read_xlsx(path, numeric, label, sheet)
+            return read_xlsx(path, numeric, label, sheet, missing)
         return container.read(path, numeric, label)
     except PigaError:
         raise

@@ -31,7 +31,7 @@ from piga.formats.text.convention import (
     unit_text,
     units_in_names,
 )
-from piga.formats.text.faults import Fault, Faults
+from piga.formats.text.faults import Fault, Faults, missing_hint
 from piga.records.calibration import Event
 from piga.records.limits import check_unpacked, open_regular
 from piga.results import number_column, text_column
@@ -42,7 +42,13 @@ _FORMULA = re.compile(rb"<f[ />]")
 _HIDDEN = re.compile(rb"<row\b[^>]*\bhidden=\"(?:1|true)\"")
 
 
-def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: str | None = None) -> TableStream:
+def read_xlsx(
+    path: Path,
+    numeric: tuple[str, ...],
+    label: str | None,
+    sheet: str | None = None,
+    missing: tuple[str, ...] = (),
+) -> TableStream:
     """Read the named columns of a sheet. The names stand in the first row that holds all of them. Dates become seconds.
 
     Parameters
@@ -53,6 +59,8 @@ def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: st
         Names of the number columns and of the segment column.
     sheet:
         Name of the sheet; may be None if there is only one.
+    missing:
+        Further words that mean a missing value.
 
     Raises
     ------
@@ -66,7 +74,7 @@ def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: st
         events = _formulas_and_hidden_rows(path, stream)
         book = openpyxl.load_workbook(stream, read_only=True, data_only=True, keep_links=False)
         rows = _sheet(path, book, sheet).iter_rows(values_only=True)
-        return _Sheet(path, numeric, label, events).read(rows)
+        return _Sheet(path, numeric, label, events, missing).read(rows)
 
 
 def _formulas_and_hidden_rows(path: Path, stream: Any) -> list[Event]:
@@ -116,7 +124,15 @@ def _texts(row: tuple[Any, ...]) -> tuple[str, ...]:
 class _Sheet:
     """Converts rows of a sheet to columns. Bad cells are collected and reported together."""
 
-    def __init__(self, path: Path, numeric: tuple[str, ...], label: str | None, events: list[Event]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        numeric: tuple[str, ...],
+        label: str | None,
+        events: list[Event],
+        missing: tuple[str, ...],
+    ) -> None:
+        self.empty = {*MISSING, *INFINITE, *missing}
         self.path, self.numeric, self.label, self.events = path, tuple(dict.fromkeys(numeric)), label, events
         self.faults = Faults()
         self.values: dict[str, list[float]] = {name: [] for name in self.numeric}
@@ -185,14 +201,17 @@ class _Sheet:
         if isinstance(cell, (datetime, time, timedelta)):
             return self._seconds(cell)
         text = "" if cell is None else str(cell).strip()
-        if cell is None or (isinstance(cell, str) and (text in MISSING or text in INFINITE)):
+        if cell is None or (isinstance(cell, str) and text in self.empty):
             return float("nan")
         with suppress(ValueError):  # a date and a time as text
             return self._seconds(datetime.fromisoformat(text if ":" in text else ""))
         kind = "text" if isinstance(cell, str) else type(cell).__name__
         where = f"row {number}, column '{name}' ({column_letter(place)})"
         words = f"{where}: '{text[:40]}' is {kind}, not a number"
-        self.faults.add(number, Fault("not-a-number", words, column=name))
+        hint, fixes = "", ()
+        if isinstance(cell, str) and not text[0].isdigit():
+            hint, fixes = missing_hint(text)
+        self.faults.add(number, Fault("not-a-number", words, hint, fixes, column=name))
         return float("nan")
 
     def _seconds(self, cell: datetime | time | timedelta) -> float:
@@ -209,8 +228,9 @@ class _Sheet:
         if self.faults.total:
             raise DataError(
                 f"{self.path}: {self.faults.words}",
-                remedy="set the format of these cells to number and enter them again; dates: export seconds",
+                remedy=f"set the format of these cells to number and enter them again; dates: export seconds{self.faults.hint}",
                 where=Where(self.path, self.faults.first_row, tuple(self.faults.columns)),
+                fixes=self.faults.fixes,
             )
         if not self.numbers:
             raise DataError(f"{self.path}: a header but no data", remedy="check that the logger wrote data")

@@ -60,7 +60,7 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
         raise DataError(f"{path}: [data] sheet is for .xlsx files", remedy="leave it out")
     if kind not in TEXT_SUFFIXES:
         _only_text(path, data)
-        return columns_stream(path, numeric, segment, data.sheet)
+        return columns_stream(path, numeric, segment, data.sheet, data.missing)
     from piga.formats.text.convention import HeadRows
 
     return columns_stream(
@@ -78,7 +78,12 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
 
 
 def columns_stream(
-    path: Path, numeric: tuple[str, ...], segment: str | None = None, sheet: str | None = None, **text: Any
+    path: Path,
+    numeric: tuple[str, ...],
+    segment: str | None = None,
+    sheet: str | None = None,
+    missing: tuple[str, ...] = (),
+    **text: Any,
 ) -> RecordStream:
     """Open some columns of a data file.
 
@@ -90,6 +95,8 @@ def columns_stream(
         Names of the number columns and of the segment column.
     sheet:
         Name of the sheet of a spreadsheet.
+    missing:
+        Further words that mean a missing value, in text and spreadsheets.
     text:
         Options of :class:`piga.formats.text.reader.TextStream`.
 
@@ -102,7 +109,7 @@ def columns_stream(
     if kind in TEXT_SUFFIXES:
         from piga.formats.text.reader import TextStream
 
-        return TextStream(path, numeric, segment, **text)
+        return TextStream(path, numeric, segment, missing=missing, **text)
     if kind in (".parquet", ".pq"):
         from piga.formats.parquet import ParquetStream
 
@@ -110,7 +117,7 @@ def columns_stream(
     from piga.formats.container import CONTAINERS, read_container
 
     if kind in CONTAINERS:
-        return read_container(path, kind, numeric, segment, sheet)
+        return read_container(path, kind, numeric, segment, sheet, missing)
     spreadsheet = kind in (".xls", ".xlsm", ".xlsb", ".ods")
     raise DataError(
         f"{path}: piga does not read files of kind '{kind}'",
