@@ -44,6 +44,7 @@ def test_the_former_name_of_a_key_is_read(tmp_path: Path) -> None:
             r"\[instrument\] has the unknown key 'seriol'.*did you mean 'serial'",
         ),
         ('serial = "T-1"', "serial = 7", r"\[instrument.serial\]: expected text"),
+        ('"T-1"', f'"{"T" * 201}"', r"run.toml: \[instrument\] serial has 201 characters\n  remedy: use 200"),
         ('serial = "T-1"\n', "", r"\[instrument\] lacks the key 'serial'"),
         ('"0.8884 rad/s/g"', '"0.8884 g"', r"\[instrument\] scale_factor: .*quantity in 'rad/s/g'"),
         ('"0.8884 rad/s/g"', '"-1 rad/s/g"', "must be positive"),

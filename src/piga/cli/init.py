@@ -148,9 +148,10 @@ def _column_lines(described: LogDescription) -> Iterator[str]:
     layout = described.layout
     if layout is not None:
         yield f"{described.path}: {layout.encoding.value} text; names in row {layout.header_row.value}"
-    width = max((len(column.name) for column in described.columns), default=0)
-    for column in described.columns:
-        yield f"  {column.name:<{width}}  {column.words}"
+    names = [column.name if len(column.name) < 60 else f"{column.name[:57]}..." for column in described.columns]
+    width = max(map(len, names), default=0)
+    for name, column in zip(names, described.columns, strict=True):
+        yield f"  {name:<{width}}  {column.words}"
 
 
 def _tried(draft: RunFileDraft, target: Path) -> Run | PigaError:

@@ -12,9 +12,10 @@ from typing import Annotated, Any, Literal, get_args
 
 import msgspec
 
-from piga.errors import RunFileError, UnitError
+from piga.errors import DataError, RunFileError, UnitError
 from piga.output import check_results
 from piga.records.distribution import Given, GivenParameter, Spread, given_parameter, standard_uncertainty
+from piga.records.limits import check_label
 from piga.records.terms import GYRO, check_terms, integral_unit, scale_factor_in
 from piga.records.text_files import read_toml
 from piga.units import conversion_factor, parse_unit, to_si
@@ -442,7 +443,7 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
     run_file = read_toml(path, RunFile, raw)
     try:
         check_run_file(run_file)
-    except (UnitError, RunFileError) as error:
+    except (DataError, UnitError, RunFileError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
     return msgspec.structs.replace(run_file, model=run_file.model.of(run_file.unit))
 
@@ -452,9 +453,10 @@ def check_run_file(run_file: RunFile) -> None:
 
     Raises
     ------
-    RunFileError, UnitError
+    DataError, RunFileError, UnitError
         With table, key and value.
     """
+    check_label(run_file.instrument.serial, "[instrument] serial")
     _check_output(run_file)
     _check_units(run_file)
     _check_stand(run_file)
