@@ -208,9 +208,8 @@ class _Sheet:
         kind = "text" if isinstance(cell, str) else type(cell).__name__
         where = f"row {number}, column '{name}' ({column_letter(place)})"
         words = f"{where}: '{text[:40]}' is {kind}, not a number"
-        hint, fixes = "", ()
-        if isinstance(cell, str) and not text[0].isdigit():
-            hint, fixes = missing_hint(text)
+        words_only = isinstance(cell, str) and not text[0].isdigit()
+        hint, fixes = missing_hint(text) if words_only else ("", ())
         self.faults.add(number, Fault("not-a-number", words, hint, fixes, column=name))
         return float("nan")
 
