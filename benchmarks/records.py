@@ -24,8 +24,8 @@ import measured as figures
 import piga
 from piga.data import copy_example
 from piga.ledger.store import Draft, DraftFile, open_store
+from piga.ledger.store.database import read_head, read_identity
 from piga.ledger.store.documents import IDENTITY, Identity, Position, decode, encode, new_id
-from piga.ledger.store.rows import read_head, read_identity
 from piga.records.calibration.document import to_document
 
 MOST = 3000

@@ -16,7 +16,7 @@ from piga.errors import PigaError
 from piga.ledger import compare_calibrations, keep, prepare_results, prepare_run, reproduce
 from piga.ledger import reproduce as reproduce_function
 from piga.ledger.keep import input_files
-from piga.ledger.store.verify import verify
+from piga.ledger.store.transfer import verify
 from piga.output import results
 from piga.records.limits import read_whole
 from piga.stand.run_reference import _check_unchanged

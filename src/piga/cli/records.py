@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from piga.ledger.reproduce import Difference
     from piga.ledger.store import Record
     from piga.ledger.store.store import Store
-    from piga.ledger.store.verify import Verification
+    from piga.ledger.store.transfer import Verification
 
 
 def _store_name(where: str) -> str:
@@ -381,7 +381,7 @@ def verify(
     If something is wrong it says what, and exits with 2.
     """
     from piga.ledger.store import open_store  # noqa: F401 - says so when the extra is missing
-    from piga.ledger.store.verify import verify as check
+    from piga.ledger.store.transfer import verify as check
 
     where = str(archive) if archive is not None else store
     if where is None:

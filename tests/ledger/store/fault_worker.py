@@ -17,8 +17,7 @@ from pathlib import Path
 from piga.errors import StoreError
 from piga.ledger.reproduce import source_digest
 from piga.ledger.store import open_store
-from piga.ledger.store.transfer import backup, export_records, import_records, restore
-from piga.ledger.store.verify import verify
+from piga.ledger.store.transfer import backup, export_records, import_records, restore, verify
 from tests.ledger.store.drafts import add, filled
 
 SHIM = ctypes.CDLL(None)

@@ -14,8 +14,7 @@ import pytest
 from piga.errors import StoreError
 from piga.ledger.store import open_store
 from piga.ledger.store.store import Store
-from piga.ledger.store.transfer import backup, export_records, import_records, restore
-from piga.ledger.store.verify import verify
+from piga.ledger.store.transfer import backup, export_records, import_records, restore, verify
 from tests.ledger.store import drafts
 from tests.ledger.store.drafts import add, content, filled
 from tests.ledger.store.postgres_server import missing, server

@@ -18,8 +18,7 @@ from piga.ledger.reproduce import difference
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store import store as store_module
 from piga.ledger.store.documents import PART, encode, safe_name, sha256
-from piga.ledger.store.transfer import backup, export_records, import_records, restore
-from piga.ledger.store.verify import verify
+from piga.ledger.store.transfer import backup, export_records, import_records, restore, verify
 from tests.ledger.store import drafts
 from tests.ledger.store.drafts import add, content, draft, filled
 

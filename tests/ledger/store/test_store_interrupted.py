@@ -17,8 +17,7 @@ from pathlib import Path
 import pytest
 
 from piga.ledger.store import open_store
-from piga.ledger.store.transfer import backup, export_records
-from piga.ledger.store.verify import verify
+from piga.ledger.store.transfer import backup, export_records, verify
 from tests.ledger.store import kill_worker
 from tests.ledger.store.drafts import filled
 

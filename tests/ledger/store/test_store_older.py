@@ -12,8 +12,7 @@ import pytest
 from piga.ledger import reproduce
 from piga.ledger.store import open_store
 from piga.ledger.store.store import Store
-from piga.ledger.store.transfer import restore
-from piga.ledger.store.verify import verify
+from piga.ledger.store.transfer import restore, verify
 from tests.ledger.store.drafts import add
 
 CORPUS = Path(__file__).parent / "corpus"

@@ -21,11 +21,10 @@ from piga.errors import StoreError
 from piga.ledger.reproduce import difference
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store.export import SEAL
-from piga.ledger.store.transfer import backup, export_records, import_records
-from piga.ledger.store.verify import verify
+from piga.ledger.store.transfer import backup, export_records, import_records, verify
 from piga.output import write_whole
 from tests.ledger.store.drafts import add, content, filled
-from tests.ledger.store.test_verify import tamper
+from tests.ledger.store.test_transfer_altered import tamper
 
 LARGE = 200_000
 """Bytes of a file that is stored compressed."""

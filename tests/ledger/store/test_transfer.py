@@ -15,8 +15,7 @@ from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store import documents as documents_module
 from piga.ledger.store.export import Export
 from piga.ledger.store.store import Store
-from piga.ledger.store.transfer import export_records, import_records
-from piga.ledger.store.verify import verify
+from piga.ledger.store.transfer import export_records, import_records, verify
 from piga.records.calibration.document import calibration_to_bytes
 from tests.ledger.store.drafts import draft, filled
 from tests.trend.history import record

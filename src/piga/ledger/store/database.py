@@ -1,27 +1,92 @@
-"""Open, create and recover the database of a store: a SQLite file, or PostgreSQL by URL.
+"""The database of a store: its tables, and a SQLite file or PostgreSQL by URL that holds them.
 
 SQLite: one file, rollback journal, ``synchronous=EXTRA`` (FULL, and the directory too). ``BEGIN IMMEDIATE`` lets one
 writer work at a time. PostgreSQL: an advisory lock lets one writer work at a time; readers see one snapshot.
+Each file is stored once, under its SHA-256, in parts of a megabyte.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sqlite3
-from collections.abc import Callable, Iterator
+import zlib
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
+from sqlalchemy import (
+    BigInteger,
+    CheckConstraint,
+    Column,
+    ForeignKey,
+    Integer,
+    LargeBinary,
+    MetaData,
+    Table,
+    Text,
+)
 from sqlalchemy.exc import ArgumentError, DBAPIError, MultipleResultsFound, NoResultFound
 from sqlalchemy.pool import NullPool, StaticPool
 
 from piga.errors import StoreError, install_command
-from piga.ledger.store.documents import new_identity, sha256
-from piga.ledger.store.rows import HEAD, STORE, VERSION, metadata
+from piga.ledger.store.documents import PART, Entry, Head, new_identity, sha256
 from piga.output import write_whole
 from piga.records.limits import open_regular
+
+metadata = MetaData()
+
+STORE = Table("piga_store", metadata, Column("document", LargeBinary, primary_key=True))
+"""Table with one row: the identity."""
+
+ENTRY = Table(
+    "piga_entry",
+    metadata,
+    Column("number", Integer, CheckConstraint("number > 0"), primary_key=True, autoincrement=False),
+    Column("head", Text, nullable=False, unique=True),
+    Column("id", Text, nullable=False, unique=True),
+    Column("serial", Text, nullable=False, index=True),
+    Column("link", LargeBinary, nullable=False),
+    Column("document", LargeBinary, nullable=False),
+)
+"""The chain: link and record document. Head, id and serial are copied from them for look-ups."""
+
+BLOB = Table(
+    "piga_blob",
+    metadata,
+    Column("sha256", Text, primary_key=True),
+    Column("size", BigInteger, CheckConstraint("size >= 0"), nullable=False),
+)
+"""Files, named by their SHA-256."""
+
+CHUNK = Table(
+    "piga_chunk",
+    metadata,
+    Column("sha256", Text, ForeignKey("piga_blob.sha256"), primary_key=True),
+    Column("part", Integer, primary_key=True),
+    Column("codec", Text, nullable=False),
+    Column("digest", Text, nullable=False),
+    Column("data", LargeBinary, nullable=False),
+)
+"""Parts of files in order: ``plain`` or ``zlib``, with the SHA-256 of the stored bytes."""
+
+HEAD = Table(
+    "piga_head",
+    metadata,
+    Column("one", Integer, CheckConstraint("one = 1"), primary_key=True, autoincrement=False),
+    Column("number", Integer, nullable=False),
+    Column("head", Text, nullable=False),
+)
+"""Table with one row: number and head of the last entry. It shows whether the chain was cut short."""
+
+VERSION = Table("piga_schema_version", metadata, Column("version_num", Text, primary_key=True))
+"""Table with one row: the version of the tables."""
+
+COMPRESS_ABOVE = 1 << 16
+"""Files larger than this are stored compressed [bytes]."""
 
 APPLICATION_ID = 0x70696761
 """The letters ``piga`` in the header of the SQLite file."""
@@ -300,3 +365,169 @@ def _open_postgresql(where: str, create: bool, identity: bytes | None) -> Databa
                 create_tables(connection, identity)
     _check_version(database)
     return database
+
+
+# -- rows ----------------------------------------------------------------------------------------------
+
+_PARTS = 16
+"""Parts fetched at a time."""
+
+
+def as_bytes(value: object, what: str) -> bytes:
+    """The value of a column that must hold bytes.
+
+    Raises
+    ------
+    StoreError
+        If it holds anything else.
+    """
+    if not isinstance(value, bytes | memoryview):
+        raise StoreError(f"{what}: is damaged in the store", remedy="restore a backup")
+    return bytes(value)
+
+
+def insert_blob(connection: sa.Connection, name: str, size: int, parts: Iterable[bytes]) -> None:
+    """Store a file under its announced digest and size. A file that the store already has is not stored again.
+
+    Raises
+    ------
+    StoreError
+        If the content does not have that digest and size.
+    """
+    if connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).first() is not None:
+        return
+    connection.execute(BLOB.insert().values(sha256=name, size=size))
+    digest, length = hashlib.sha256(), 0
+    for number, part in enumerate(_evenly(parts)):
+        digest.update(part)
+        length += len(part)
+        codec, data = ("zlib", zlib.compress(part, 6)) if size > COMPRESS_ABOVE else ("plain", part)
+        connection.execute(
+            CHUNK.insert().values(sha256=name, part=number, codec=codec, digest=sha256(data), data=data)
+        )
+    if (digest.hexdigest(), length) != (name, size):
+        raise StoreError(
+            f"file {name[:12]}: changed while it was stored",
+            remedy="stop the program that writes it, try again",
+        )
+
+
+def _evenly(parts: Iterable[bytes]) -> Iterator[bytes]:
+    """The same bytes in parts of exactly :data:`PART`."""
+    rest = b""
+    for part in parts:
+        rest += part
+        while len(rest) >= PART:
+            yield rest[:PART]
+            rest = rest[PART:]
+    if rest:
+        yield rest
+
+
+def _parts_of_files(connection: sa.Connection, *names: str) -> Iterator[sa.Row]:
+    """Rows of the parts of these files (none named: of all), file by file and in order. A file without content has one row."""
+    wanted = sa.select(BLOB, CHUNK.c.part, CHUNK.c.codec, CHUNK.c.digest, CHUNK.c.data).outerjoin(CHUNK)
+    wanted = wanted.order_by(BLOB.c.sha256, CHUNK.c.part)
+    if names:
+        wanted = wanted.where(BLOB.c.sha256.in_(names))
+    return connection.execute(wanted, execution_options={"yield_per": _PARTS})
+
+
+def _content(name: str, rows: Iterable[sa.Row]) -> Iterator[bytes]:
+    """The bytes of a file from the rows of its parts. Each part is checked, and the whole file at the end."""
+    digest, length, size = hashlib.sha256(), 0, None
+    for number, row in enumerate(rows):
+        size = row.size
+        if row.part is None:  # a file without content
+            break
+        if row.part != number:
+            raise _damaged(name)
+        part = _unpacked(row)
+        digest.update(part)
+        length += len(part)
+        yield part
+    if size is None:
+        raise StoreError(f"file {name[:12]}: is not in the store", remedy="run piga records verify")
+    if (digest.hexdigest(), length) != (name, size):
+        raise _damaged(name)
+
+
+def read_blob(connection: sa.Connection, name: str) -> Iterator[bytes]:
+    """The parts of a stored file.
+
+    Raises
+    ------
+    StoreError
+        If the file is not in the store, or was changed.
+    """
+    return _content(name, _parts_of_files(connection, name))
+
+
+def check_blobs(connection: sa.Connection, wanted: dict[str, int]) -> Iterator[tuple[str, StoreError | None]]:
+    """The fault of each stored file; None if content and size are unchanged. ``wanted`` holds the size [bytes] by name."""
+    for name, rows in groupby(_parts_of_files(connection), key=lambda row: row.sha256):
+        if name not in wanted:
+            continue
+        try:
+            size = sum(map(len, _content(name, rows)))
+        except StoreError as error:
+            yield name, error
+        else:
+            altered = StoreError(f"file {name[:12]}: was altered", remedy="restore a backup")
+            yield name, None if size == wanted[name] else altered
+
+
+def _unpacked(row: sa.Row) -> bytes:
+    data = as_bytes(row.data, f"file {row.sha256[:12]}")
+    if sha256(data) != row.digest or row.codec not in ("plain", "zlib"):
+        raise _damaged(row.sha256)
+    if row.codec == "plain":
+        return data
+    unpacker = zlib.decompressobj()
+    try:
+        part = unpacker.decompress(data, PART)
+    except zlib.error:
+        raise _damaged(row.sha256) from None
+    if not unpacker.eof or unpacker.unused_data:
+        raise _damaged(row.sha256)
+    return part
+
+
+def _damaged(name: str) -> StoreError:
+    return StoreError(f"file {name[:12]}: is damaged in the store", remedy="restore a backup")
+
+
+ROWS = 200
+"""Entries fetched in one query."""
+
+
+def read_identity(connection: sa.Connection) -> bytes:
+    """The identity document."""
+    return as_bytes(connection.execute(sa.select(STORE.c.document)).scalar_one(), "the identity")
+
+
+def read_head(connection: sa.Connection) -> Head:
+    """Number and hash of the last entry."""
+    row = connection.execute(sa.select(HEAD)).one()
+    if not isinstance(row.number, int) or not isinstance(row.head, str):
+        raise StoreError("the head is damaged in the store", remedy="restore a backup")
+    return Head(row.number, row.head)
+
+
+def read_entries(connection: sa.Connection) -> Iterator[Entry]:
+    """The chain in order. Only a few entries are in memory at a time."""
+    wanted = sa.select(ENTRY.c.number, ENTRY.c.link, ENTRY.c.document).order_by(ENTRY.c.number).limit(ROWS)
+    number = 0
+    while rows := connection.execute(wanted.where(ENTRY.c.number > number)).all():
+        for row in rows:
+            number, what = row.number, f"record {row.number}"
+            yield Entry(number, as_bytes(row.link, what), as_bytes(row.document, what))
+
+
+def stored_sizes(connection: sa.Connection) -> dict[str, tuple[int, int]]:
+    """Size of each file, and its size in the store [bytes]."""
+    taken = sa.select(CHUNK.c.sha256, sa.func.sum(sa.func.length(CHUNK.c.data)).label("taken")).group_by(
+        CHUNK.c.sha256
+    )
+    packed = {row.sha256: int(row.taken) for row in connection.execute(taken)}
+    return {row.sha256: (row.size, packed.get(row.sha256, 0)) for row in connection.execute(sa.select(BLOB))}

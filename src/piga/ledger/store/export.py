@@ -22,8 +22,8 @@ import msgspec
 
 from piga._version import __version__
 from piga.errors import StoreError
+from piga.ledger.store.database import read_blob, read_entries, read_identity, stored_sizes
 from piga.ledger.store.documents import PART, RECORD, Entry, RecordDocument, decode, digest_of, sha256
-from piga.ledger.store.rows import read_blob, read_entries, read_identity, stored_sizes
 from piga.ledger.store.store import Store
 from piga.progress import Progress, report
 from piga.records.limits import open_regular
@@ -235,9 +235,9 @@ class Export:
         """The parts of a file; never more bytes than its stated size."""
         return self._parts(f"files/{name}")
 
-    def check_files(self, wanted: Iterable[tuple[str, int]]) -> Iterator[tuple[str, StoreError | None]]:
-        """The fault of each file (name, size); None if it is unchanged."""
-        for name, size in wanted:
+    def check_files(self, wanted: dict[str, int]) -> Iterator[tuple[str, StoreError | None]]:
+        """The fault of each file, whose size is given by name; None if it is unchanged."""
+        for name, size in wanted.items():
             try:
                 whole = digest_of(self.file(name)) == (name, size)
             except StoreError as error:

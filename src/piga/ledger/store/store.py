@@ -12,7 +12,16 @@ from typing import Any, Self
 import sqlalchemy as sa
 
 from piga.errors import ArgumentError, CalibrationError, PigaWarning, StoreError
-from piga.ledger.store.database import Database
+from piga.ledger.store.database import (
+    ENTRY,
+    HEAD,
+    Database,
+    as_bytes,
+    insert_blob,
+    read_blob,
+    read_head,
+    read_identity,
+)
 from piga.ledger.store.documents import (
     IDENTITY,
     LINK,
@@ -37,17 +46,6 @@ from piga.ledger.store.documents import (
     sha256,
     write_new,
 )
-from piga.ledger.store.rows import (
-    COMPRESS_ABOVE,
-    ENTRY,
-    HEAD,
-    as_bytes,
-    insert_blob,
-    read_blob,
-    read_blobs,
-    read_head,
-    read_identity,
-)
 from piga.records.calibration import Calibration
 from piga.records.calibration.document import MOST_BYTES, calibration_from_bytes
 
@@ -61,16 +59,11 @@ _INPUT_ROLES = ("run", "data", "sidecar", "stand")
 class Store:
     """A store of records, opened by :func:`piga.open_store`. Use it in a ``with`` block or close it.
 
-    Parameters
-    ----------
-    database:
-        From :func:`piga.ledger.store.database.open_database`.
-    compress_above:
-        Files larger than this are stored compressed [bytes].
+    ``database`` is from :func:`piga.ledger.store.database.open_database`.
     """
 
-    def __init__(self, database: Database, *, compress_above: int = COMPRESS_ABOVE) -> None:
-        self.database, self.compress_above = database, compress_above
+    def __init__(self, database: Database) -> None:
+        self.database = database
 
     def __enter__(self) -> Self:
         return self
@@ -163,10 +156,9 @@ class Store:
             for record in self._each(connection, serial):
                 old.add(record.document.supersedes)
                 if (file := record.file("calibration")) is not None:
-                    kept.append((record.measured, record.number, record.id, file.sha256, file.size))
-            kept = sorted(entry for entry in kept if entry[2] not in old)
-            files = read_blobs(connection, ((entry[3], entry[4]) for entry in kept))
-            for (measured, _, name, _, _), (_, raw) in zip(kept, files, strict=True):
+                    kept.append((record.measured, record.number, record.id, file.sha256))
+            for measured, _, name, digest in sorted(entry for entry in kept if entry[2] not in old):
+                raw = b"".join(read_blob(connection, digest))
                 try:
                     calibration = calibration_from_bytes(raw, Path(f"record {name}"))
                 except CalibrationError as error:
@@ -249,7 +241,7 @@ class Store:
                     f"{file.name}: changed after it was read (its SHA-256 differs)",
                     remedy="calibrate again, with the files as they are now",
                 )
-            insert_blob(connection, digest, size, file.parts(), self.compress_above)
+            insert_blob(connection, digest, size, file.parts())
             files.append(StoredFile(file.role, file.name, digest, size))
         document = RecordDocument(
             schema=RECORD,

@@ -17,8 +17,7 @@ from pathlib import Path
 import pytest
 
 from piga.ledger.store.export import SEAL, _seal
-from piga.ledger.store.transfer import export_records
-from piga.ledger.store.verify import verify
+from piga.ledger.store.transfer import export_records, verify
 from tests.ledger.store.drafts import filled
 
 TABLES = ("piga_store", "piga_entry", "piga_blob", "piga_chunk", "piga_head", "piga_schema_version")
