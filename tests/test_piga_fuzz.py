@@ -91,9 +91,9 @@ def test_live_streams(kind: str) -> None:
 
 def test_certificates() -> None:
     etree = pytest.importorskip("lxml.etree")
-    from piga.certificate.dcc.document import calibration_of as calibration_in
-    from piga.certificate.dcc.document import dcc_document
-    from piga.certificate.dcc.xml_signature import parse_xml
+    from piga.certificate.dcc import calibration_of as calibration_in
+    from piga.certificate.dcc import dcc_document
+    from piga.certificate.xml_signature import parse_xml
 
     draw = seeded(24)
     cal = budgeted(calibration(serial="G-0417", with_residuals=False))

@@ -11,7 +11,7 @@ import pytest
 
 import piga
 from piga.certificate.certificate_file import ConformityTable
-from piga.certificate.dcc.document import calibration_of, dcc_document
+from piga.certificate.dcc import calibration_of, dcc_document
 from piga.certificate.page import certificate_html
 from tests.calibration.direct import Tumble
 from tests.certificate.certificate_data import changed, complete

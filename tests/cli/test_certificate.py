@@ -146,8 +146,8 @@ def expired(lab):
     from cryptography.x509 import load_pem_x509_certificate
     from signxml.signer import XMLSigner
 
-    from piga.certificate.dcc.document import dcc_document
-    from piga.certificate.dcc.xml_signature import written
+    from piga.certificate.dcc import dcc_document
+    from piga.certificate.xml_signature import written
 
     key, certificate = (path.read_bytes() for path in key_pair(lab, "expired", start=-2000, days=1700))
     root = dcc_document(complete(serial="tumble-a"), calibration(serial="tumble-a", with_residuals=False))

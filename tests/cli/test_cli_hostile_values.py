@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piga.certificate.dcc import document as dcc
+from piga.certificate import dcc
 from piga.compensation import result as compensated
 from piga.compensation.result import Compensated, write_rows
 from piga.errors import DataError, StoreError

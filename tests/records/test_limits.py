@@ -16,7 +16,7 @@ from pyarrow import parquet
 import piga
 from piga.calibration import RunSummary
 from piga.certificate.certificate_file import read_certificate_file
-from piga.certificate.dcc.xml_signature import load_certificate, read_xml
+from piga.certificate.xml_signature import load_certificate, read_xml
 from piga.compensation.files import is_triad_file
 from piga.errors import PigaError
 from piga.formats.text.reader import TextStream

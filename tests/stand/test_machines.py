@@ -22,8 +22,7 @@ from piga.stand import (
     force_change,
     sample_stand,
 )
-from piga.stand.imperfections import NONE
-from piga.stand.profile import read_profile
+from piga.stand.profile import NONE, read_profile
 from piga.units import G0
 from tests.stand.stands import HEAD, SITE, SPIN
 

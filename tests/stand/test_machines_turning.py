@@ -19,8 +19,8 @@ from piga.stand import (
     force_change,
     sample_stand,
 )
-from piga.stand.imperfections import NONE
 from piga.stand.machines import angles_of_range, rates_for_levels
+from piga.stand.profile import NONE
 from piga.units import ARCSEC, G0
 from tests.stand.stands import HEAD, SITE, SPIN, derivative
 

@@ -11,7 +11,7 @@ from piga.stand import (
     VibrationTable,
     force_change,
 )
-from piga.stand.imperfections import NONE
+from piga.stand.profile import NONE
 from tests.stand.stands import SITE, derivative
 
 

@@ -13,7 +13,7 @@ from piga.platform.scenario import load_scenario
 from piga.stand import (
     read_scenario,
 )
-from piga.stand.imperfections import NONE
+from piga.stand.profile import NONE
 from piga.units import G0
 from tests.stand.simulated import SCENARIO, written
 

@@ -190,8 +190,8 @@ def _xml(
     key: Path | None,
     certificate: Path | None,
 ) -> bytes:
-    from piga.certificate.dcc.document import dcc_document
-    from piga.certificate.dcc.xml_signature import sign_xml, written
+    from piga.certificate.dcc import dcc_document
+    from piga.certificate.xml_signature import sign_xml, written
 
     root = dcc_document(file, calibration, before)
     if key is not None and certificate is not None:
@@ -213,8 +213,8 @@ def verify(
     Checks the signature against the laboratory's certificate. For a DCC made by piga it also checks that all
     statements agree. If the certificate is not in force, the exit code is 2.
     """
-    from piga.certificate.dcc.document import calibration_of, date_of_issue, is_ours
-    from piga.certificate.dcc.xml_signature import verify_signature
+    from piga.certificate.dcc import calibration_of, date_of_issue, is_ours
+    from piga.certificate.xml_signature import verify_signature
 
     day = _day(at)
     signed = verify_signature(file, certificate)
@@ -280,8 +280,8 @@ def read(
 
     'piga compensate' takes the result. With --certificate the signature is verified first.
     """
-    from piga.certificate.dcc.document import calibration_of
-    from piga.certificate.dcc.xml_signature import SIGNATURE, read_xml, verify_signature
+    from piga.certificate.dcc import calibration_of
+    from piga.certificate.xml_signature import SIGNATURE, read_xml, verify_signature
 
     check_outputs([out], [file, *([] if certificate is None else [certificate])], force=force)
     day = _day(at)

@@ -22,7 +22,7 @@ from piga.formats.text.convention import (
     unit_text,
     units_in_names,
 )
-from piga.formats.text.faults import split_cells
+from piga.formats.text.reader import split_cells
 from piga.formats.text.source import GUESSED, TextSource
 from piga.formats.text.time_stamp import forms_of
 

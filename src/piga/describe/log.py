@@ -25,8 +25,7 @@ from piga.describe.layout import Guess, TextLayout, text_layout
 from piga.errors import DataError, PigaError
 from piga.formats.columns import RecordStream
 from piga.formats.text.convention import HeadRows, units_in_names
-from piga.formats.text.faults import is_number
-from piga.formats.text.reader import TextStream
+from piga.formats.text.reader import TextStream, is_number
 from piga.formats.text.time_stamp import forms_of
 from piga.reading.columns import TEXT_SUFFIXES, columns_stream, file_kind, open_stream
 from piga.records.run_file import DataTable, OutputColumn

@@ -31,7 +31,7 @@ from piga.formats.text.convention import (
     unit_text,
     units_in_names,
 )
-from piga.formats.text.faults import Fault, Faults, missing_hint
+from piga.formats.text.reader import Fault, Faults, missing_hint
 from piga.records.calibration import Event
 from piga.records.limits import check_unpacked, open_regular
 from piga.results import number_column, text_column

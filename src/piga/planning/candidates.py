@@ -46,8 +46,7 @@ from piga.records.run import Run
 from piga.records.terms import GYRO, SERVO_TERMS, harmonic, si_factor
 from piga.results import Array, Result
 from piga.stand import Composite, simulate_test
-from piga.stand.imperfections import NONE
-from piga.stand.profile import Stand
+from piga.stand.profile import NONE, Stand
 from piga.stand.scenario import (
     CentrifugeTable,
     DividingHeadTable,

@@ -16,8 +16,8 @@ import numpy as np
 from piga.errors import ArgumentError, CalibrationError
 from piga.planning.plan_file import PlanRequest
 from piga.results import Array, Result
-from piga.stand.imperfections import NONE
 from piga.stand.machines import angles_of_range
+from piga.stand.profile import NONE
 from piga.threads import one_thread
 from piga.units import to_si
 

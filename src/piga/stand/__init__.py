@@ -1,8 +1,16 @@
 """Test stands as simulated machines. Each gives specific force and base rate, with its own errors."""
 
-from piga.stand.imperfections import Imperfections
 from piga.stand.machines import Centrifuge, DividingHead, Drive, RateTable, SpinPlan, VibrationTable
-from piga.stand.profile import Composite, LoggedProfile, Profile, Segment, Stand, force_change, sample_stand
+from piga.stand.profile import (
+    Composite,
+    Imperfections,
+    LoggedProfile,
+    Profile,
+    Segment,
+    Stand,
+    force_change,
+    sample_stand,
+)
 from piga.stand.run_reference import example_run, read_run, stand_changes
 from piga.stand.scenario import Scenario, read_scenario, run_scenario
 from piga.stand.simulate import SimulatedTest, Specimen, simulate_test

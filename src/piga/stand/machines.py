@@ -14,8 +14,7 @@ from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.records.arrays import BLOCK_ROWS
 from piga.results import Array, Result
-from piga.stand.imperfections import Imperfections
-from piga.stand.profile import Segment, plan, plan_holds
+from piga.stand.profile import Imperfections, Segment, plan, plan_holds
 from piga.units import to_si
 
 

@@ -34,8 +34,7 @@ from piga.records.run_file import REPEATED, Draw, RunFile, check_run_file, drawn
 from piga.records.terms import GYRO
 from piga.records.text_files import explained
 from piga.results import Array, Result
-from piga.stand.imperfections import GENERAL, NONE, Imperfections, imperfections
-from piga.stand.profile import Segment, Stand, force_change
+from piga.stand.profile import GENERAL, NONE, Imperfections, Segment, Stand, force_change, imperfections
 from piga.stand.scenario import CompositeTable, SimpleStand
 from piga.units import from_si
 

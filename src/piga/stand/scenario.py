@@ -41,7 +41,6 @@ from piga.records.terms import (
     unit_of,
 )
 from piga.records.text_files import read_toml
-from piga.stand.imperfections import Imperfections, imperfections
 from piga.stand.machines import (
     Centrifuge,
     DividingHead,
@@ -52,7 +51,7 @@ from piga.stand.machines import (
     angles_of_range,
     rates_for_levels,
 )
-from piga.stand.profile import Composite, Stand, read_profile
+from piga.stand.profile import Composite, Imperfections, Stand, imperfections, read_profile
 from piga.stand.simulate import Harmonics, Model, SimulatedTest, Specimen, simulate_test
 from piga.units import to_si
 

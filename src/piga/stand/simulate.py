@@ -32,8 +32,7 @@ from piga.records.run import Run
 from piga.records.run_file import ModelTable
 from piga.records.terms import GYRO
 from piga.results import Array, Plotted, Reported, Result
-from piga.stand.imperfections import NONE, Imperfections
-from piga.stand.profile import Profile, Segment, Stand, sample_stand
+from piga.stand.profile import NONE, Imperfections, Profile, Segment, Stand, sample_stand
 from piga.units import G0
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from piga.instrument.twin.parameters import TwinParameters
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 from piga.records.text_files import toml_text
 from piga.results import Array, label_column, number_column
-from piga.stand.imperfections import Imperfections
+from piga.stand.profile import Imperfections
 from piga.stand.scenario import Scenario
 from piga.stand.simulate import SimulatedTest
 from piga.units import G0, parse_unit

@@ -447,7 +447,7 @@ def _content(name: str, rows: Iterable[sa.Row]) -> Iterator[bytes]:
         length += len(part)
         yield part
     if size is None:
-        raise StoreError(f"file {name[:12]}: is not in the store", remedy="run piga records verify")
+        raise _missing(name)
     if (digest.hexdigest(), length) != (name, size):
         raise _damaged(name)
 
@@ -463,6 +463,21 @@ def read_blob(connection: sa.Connection, name: str) -> Iterator[bytes]:
     return _content(name, _parts_of_files(connection, name))
 
 
+def read_blobs(connection: sa.Connection, names: set[str]) -> dict[str, bytes]:
+    """Some small files, whole, by name. Each is checked as in :func:`read_blob`.
+
+    Raises
+    ------
+    StoreError
+        If one is not in the store, or was changed.
+    """
+    stored = groupby(_parts_of_files(connection, *names), key=lambda row: row.sha256)
+    files = {name: b"".join(_content(name, rows)) for name, rows in stored}
+    for name in names - files.keys():
+        raise _missing(name)
+    return files
+
+
 def check_blobs(connection: sa.Connection, wanted: dict[str, int]) -> Iterator[tuple[str, StoreError | None]]:
     """The fault of each stored file; None if content and size are unchanged. ``wanted`` holds the size [bytes] by name."""
     for name, rows in groupby(_parts_of_files(connection), key=lambda row: row.sha256):
@@ -475,6 +490,10 @@ def check_blobs(connection: sa.Connection, wanted: dict[str, int]) -> Iterator[t
         else:
             altered = StoreError(f"file {name[:12]}: was altered", remedy="restore a backup")
             yield name, None if size == wanted[name] else altered
+
+
+def _missing(name: str) -> StoreError:
+    return StoreError(f"file {name[:12]}: is not in the store", remedy="run piga records verify")
 
 
 def _unpacked(row: sa.Row) -> bytes:

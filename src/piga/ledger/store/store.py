@@ -19,6 +19,7 @@ from piga.ledger.store.database import (
     as_bytes,
     insert_blob,
     read_blob,
+    read_blobs,
     read_head,
     read_identity,
 )
@@ -49,8 +50,8 @@ from piga.ledger.store.documents import (
 from piga.records.calibration import Calibration
 from piga.records.calibration.document import MOST_BYTES, calibration_from_bytes
 
-ROWS = 500
-"""Records fetched in one query."""
+ROWS, _FILES = 500, 200
+"""Records, and calibrations, fetched in one query."""
 
 _INPUT_ROLES = ("run", "data", "sidecar", "stand")
 """Roles of the files that a calibration is computed from."""
@@ -157,14 +158,16 @@ class Store:
                 old.add(record.document.supersedes)
                 if (file := record.file("calibration")) is not None:
                     kept.append((record.measured, record.number, record.id, file.sha256))
-            for measured, _, name, digest in sorted(entry for entry in kept if entry[2] not in old):
-                raw = b"".join(read_blob(connection, digest))
-                try:
-                    calibration = calibration_from_bytes(raw, Path(f"record {name}"))
-                except CalibrationError as error:
-                    warnings.warn(f"{self.name}: left out: {error}", PigaWarning, stacklevel=2)
-                    continue
-                calibrations.append((name, measured, calibration))
+            kept = sorted(entry for entry in kept if entry[2] not in old)
+            for first in range(0, len(kept), _FILES):
+                files = read_blobs(connection, {entry[3] for entry in kept[first : first + _FILES]})
+                for measured, _, name, digest in kept[first : first + _FILES]:
+                    try:
+                        calibration = calibration_from_bytes(files[digest], Path(f"record {name}"))
+                    except CalibrationError as error:
+                        warnings.warn(f"{self.name}: left out: {error}", PigaWarning, stacklevel=2)
+                        continue
+                    calibrations.append((name, measured, calibration))
         return calibrations
 
     def extract(self, name: str | int, folder: Path, *, inputs_only: bool = False) -> Path:

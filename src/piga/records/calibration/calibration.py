@@ -412,7 +412,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         >>> cal["tan_beta"].std, list(cal)
         (1e-06, ['scale_factor', 'tan_beta', 'phi'])
         """
-        from piga.records.calibration.given import calibration_of
+        from piga.records.calibration.document import calibration_of
 
         return calibration_of(coefficients, covariance, serial, scale_factor_nominal, phase_source, unit)
 

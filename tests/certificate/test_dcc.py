@@ -19,7 +19,7 @@ from scipy import stats
 import piga
 from piga.calibration.uncertainty import with_given_servo
 from piga.certificate.certificate_file import ConformityTable
-from piga.certificate.dcc.document import DIGITS, G, dsi_unit, label_of, power_of_g, to_dsi
+from piga.certificate.dcc import DIGITS, G, dsi_unit, label_of, power_of_g, to_dsi
 from piga.errors import DataError, PigaError
 from piga.records.calibration import Coefficient, Diagnostics
 from piga.records.calibration.coefficient import joint_factor
@@ -30,8 +30,8 @@ from tests.reports.example import calibration
 
 etree = pytest.importorskip("lxml.etree")
 
-from piga.certificate.dcc.document import calibration_of, dcc_document, read_dcc  # noqa: E402
-from piga.certificate.dcc.xml_signature import written  # noqa: E402
+from piga.certificate.dcc import calibration_of, dcc_document, read_dcc  # noqa: E402
+from piga.certificate.xml_signature import written  # noqa: E402
 
 N = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 needs_schemas = pytest.mark.skipif(
@@ -90,7 +90,7 @@ def problems(raw):
 )
 def test_valid_by_schema_and_schematron(cal, per_segment, kind):
     pytest.importorskip("saxonche")
-    from tests.certificate.dcc.schematron import findings
+    from tests.certificate.schematron import findings
 
     data, used, before = complete(), cal, None
     if kind == "per-segment":
@@ -131,7 +131,7 @@ def test_valid_by_schema_and_schematron(cal, per_segment, kind):
 @needs_schemas
 def test_the_checks_can_fail():
     pytest.importorskip("saxonche")
-    from tests.certificate.dcc.schematron import findings
+    from tests.certificate.schematron import findings
 
     rules = SCHEMAS / "schematron" / "dcc.sch"
     assert problems((SCHEMAS / "example-valid.xml").read_bytes()) == []

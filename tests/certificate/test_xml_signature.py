@@ -16,9 +16,9 @@ from tests.certificate.certificate_data import complete, key_pair
 etree = pytest.importorskip("lxml.etree")
 pytest.importorskip("signxml")
 
-from piga.certificate.dcc import xml_signature  # noqa: E402
-from piga.certificate.dcc.document import calibration_of, dcc_document, read_dcc  # noqa: E402
-from piga.certificate.dcc.xml_signature import sign_xml, verify_signature, written  # noqa: E402
+from piga.certificate import xml_signature  # noqa: E402
+from piga.certificate.dcc import calibration_of, dcc_document, read_dcc  # noqa: E402
+from piga.certificate.xml_signature import sign_xml, verify_signature, written  # noqa: E402
 from tests.reports.example import calibration  # noqa: E402
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piga.records.run_file import REPEATED, UNCERTAINTY_UNITS
-from piga.stand.imperfections import Imperfections, imperfections
+from piga.stand.profile import Imperfections, imperfections
 from piga.units import ARCSEC, G0
 
 

@@ -25,8 +25,8 @@ import msgspec
 
 from piga._version import __version__
 from piga.certificate.certificate_file import CertificateFile, ConditionTable, quantity_text, title_of
-from piga.certificate.dcc.xml_signature import SIGNATURE, read_xml
 from piga.certificate.statements import TRACEABILITY, statements, verdicts
+from piga.certificate.xml_signature import SIGNATURE, read_xml
 from piga.errors import DataError, PigaWarning
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration.coefficient import PROBABILITY, joint_factor

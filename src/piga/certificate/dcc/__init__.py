@@ -1,1 +1,0 @@
-"""The digital calibration certificate: written, read, signed and verified."""
