@@ -265,13 +265,7 @@ def _own_release() -> str:
 
 
 def _attached(root: etree._Element, kind: str, path: Path) -> bytes | None:
-    """The bytes of an attachment; None if there is none.
-
-    Raises
-    ------
-    DataError
-        If there are several, or it is damaged.
-    """
+    """The bytes of an attachment; None if there is none."""
     attachments = root.findall(f"dcc:measurementResults//dcc:byteData[@refType='{kind}']/dcc:dataBase64", NAMES)
     if not attachments:
         return None
@@ -338,11 +332,6 @@ def _compare_trees(stated: etree._Element, again: etree._Element, path: Path, *,
         For messages.
     words:
         Compare sentences, too. Another release of piga may word them otherwise.
-
-    Raises
-    ------
-    DataError
-        At the first difference.
     """
     for one in (*stated.itersiblings(preceding=True), *stated.itersiblings(), *stated.iter()):
         if not isinstance(one.tag, str):

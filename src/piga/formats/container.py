@@ -50,11 +50,6 @@ def _read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> Table
     numeric, label:
         ``name`` or ``group/name`` of a dataset, ``name(:,2)`` for a column of a matrix, or
         ``name/field`` for a field of a table.
-
-    Raises
-    ------
-    DataError
-        If the file lacks a dataset, or a dataset is external, virtual or compressed by a plug-in.
     """
     import h5py
 
@@ -261,13 +256,7 @@ _WAVEFORM_TIME = "waveform time"
 
 
 def _read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
-    """Read the named channels: ``channel`` if only one group has it, else ``group/channel``.
-
-    Raises
-    ------
-    DataError
-        If the file lacks a channel, or several groups have a channel of that name.
-    """
+    """Read the named channels: ``channel`` if only one group has it, else ``group/channel``."""
     import nptdms
 
     with open_regular(path) as stream, nptdms.TdmsFile.open(stream) as source:

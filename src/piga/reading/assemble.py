@@ -200,13 +200,7 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
 
 
 def _find_positions(raw: RawColumns, name: str) -> None:
-    """Segments of a record without a column that numbers them: where the stand stands still.
-
-    Raises
-    ------
-    DataError
-        If it never does.
-    """
+    """Segments of a record without a column that numbers them: where the stand stands still."""
     raw.segment, raw.labels, events = segment_by_positions(raw.numbers[name], raw.rows, name)
     raw.events += events
     if not raw.labels:

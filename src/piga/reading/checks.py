@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError, Fix, Where
-from piga.records.arrays import changes, empty, scaled, spans, stored
+from piga.records.arrays import changes, scaled, stored
 from piga.records.calibration import Event, counted
 from piga.records.run_file import LeftOutTable
 from piga.results import Array
@@ -392,17 +392,10 @@ class Reading:
 
 
 def integrated_rate(t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:
-    """Angle [rad] from a rate: trapezoid with end correction, slopes by central differences. It does not grow across gaps."""
-    angle = empty(t.size)
-    for part in spans(t.size):
-        first = max(part.start - 2, 0)
-        near = slice(first, part.stop + 1)
-        angle[part] = _turns(t[near], rate[near], begins[near])[part.start - first : part.stop - first]
-    return np.cumsum(angle, out=angle)
+    """Angle [rad] from a rate: trapezoid with end correction, slopes by central differences. It does not grow across gaps.
 
-
-def _turns(t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:
-    """Turn of each sample (n,) since the one before. Slopes are one-sided at both ends of a stretch."""
+    Slopes are one-sided at both ends of a stretch.
+    """
     step = np.where(begins, 0.0, changes(t))
     rise = np.where(step > 0.0, changes(rate) / np.where(step > 0.0, step, 1.0), 0.0)
     next_step, next_rise = np.append(step[1:], 0.0), np.append(rise[1:], 0.0)
@@ -410,7 +403,7 @@ def _turns(t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:
     weight = np.where(inner, step + next_step, 1.0)
     slope = np.where(inner, (rise * next_step + next_rise * step) / weight, rise + next_rise)
     before = np.roll(rate, 1)
-    return 0.5 * step * (rate + before) + step**2 / 12.0 * (np.roll(slope, 1) - slope)
+    return stored(np.cumsum(0.5 * step * (rate + before) + step**2 / 12.0 * (np.roll(slope, 1) - slope)))
 
 
 BLOCKS = 4000

@@ -267,27 +267,27 @@ class Run(Result, Plotted, Reported, Tabular):
             raise ArgumentError(
                 "f: its unit is not stated", remedy="units='SI' if it is in m/s^2, or e.g. units={'f': 'g'}"
             )
-        unknown = [
-            name for name in told if name not in ("t", "output", "f", "base_rate", "temperature", "vibration")
-        ]
-        if unknown:
-            raise ArgumentError(f"units: there is no argument '{unknown[0]}'", remedy="name arrays, e.g. 'f'")
-        t = _in_si("t", t, told, "s")
-        output = _in_si("output", output, told, unit if kind == "rate" else integral_unit(unit))
-        base_rate = None if base_rate is None else _in_si("base_rate", base_rate, told, "rad/s")
-        temperature = None if temperature is None else _in_si("temperature", temperature, told, "K")
-        vibration = None if vibration is None else _in_si("vibration", vibration, told, "m/s^2")
+        like = {"t": "s", "output": unit if kind == "rate" else integral_unit(unit)} | _UNITS
+        unknown = next((name for name in told if name not in like), None)
+        if unknown is not None:
+            raise ArgumentError(f"units: there is no argument '{unknown}'", remedy="name arrays, e.g. 'f'")
+        named = {"t": t, "output": output, "f": f, "base_rate": base_rate, "temperature": temperature}
+        arrays = {
+            name: _in_si(name, values, told, like[name])
+            for name, values in (named | {"vibration": vibration}).items()
+            if values is not None
+        }
+        t = arrays["t"]
         places, names = _segments(segment, labels, t.size)
         computed = f is None
         if f is None:
             if stand is None:
                 raise ArgumentError("f: there is neither a reference nor a stand", remedy="give f or stand")
-            f, rate = doors.run_reference().stand_reference(stand, Path(), t, places, names)
-            f = np.ascontiguousarray(f)
-            base_rate = np.ascontiguousarray(rate) if base_rate is None and unit == GYRO else base_rate
-        else:
-            f = _in_si("f", f, told, "m/s^2")
-        _check_arrays(t, output, f, base_rate, temperature, places, kind, vibration)
+            force, rate = doors.run_reference().stand_reference(stand, Path(), t, places, names)
+            arrays["f"] = np.ascontiguousarray(force)
+            if unit == GYRO:
+                arrays.setdefault("base_rate", np.ascontiguousarray(rate))
+        _check_arrays(arrays, places, kind)
         row = np.arange(1, t.size + 1, dtype=np.int64)
         base = examine_time(t, places, row)
         asked = _table("model", model, ModelTable).of(unit, "model terms")
@@ -300,11 +300,11 @@ class Run(Result, Plotted, Reported, Tabular):
             scale_factor=nominal,
             kind=kind,
             t=t,
-            output=output,
-            f=f,
-            base_rate=base_rate,
-            temperature=temperature,
-            vibration=vibration,
+            output=arrays["output"],
+            f=arrays["f"],
+            base_rate=arrays.get("base_rate"),
+            temperature=arrays.get("temperature"),
+            vibration=arrays.get("vibration"),
             segment_index=places,
             labels=names,
             begins=base.begins | _gaps(gaps, t.size),
@@ -508,6 +508,8 @@ class Run(Result, Plotted, Reported, Tabular):
 
 
 T = TypeVar("T")
+_UNITS = {"f": "m/s^2", "base_rate": "rad/s", "temperature": "K", "vibration": "m/s^2"}
+"""SI unit of the arrays beside the output."""
 
 
 def _table(name: str, given: T | dict[str, object] | None, kind: type[T]) -> T:
@@ -584,17 +586,9 @@ def _gaps(gaps: ArrayLike | None, size: int) -> NDArray[np.bool_]:
     return marks
 
 
-def _check_arrays(
-    t: Array,
-    output: Array,
-    f: Array,
-    base_rate: ArrayLike | None,
-    temperature: ArrayLike | None,
-    segment: NDArray[np.int32],
-    kind: str,
-    vibration: ArrayLike | None = None,
-) -> None:
+def _check_arrays(arrays: dict[str, Array], segment: NDArray[np.int32], kind: str) -> None:
     """Refuse arrays that do not fit together. The message names the argument and the first index."""
+    t = arrays["t"]
     if kind not in ("angle", "rate"):
         raise ArgumentError(
             f"kind: '{kind}' is neither 'angle' nor 'rate'", remedy="turn counts into an angle first"
@@ -604,20 +598,12 @@ def _check_arrays(
             f"t: shape {t.shape}, needs at least two samples in one dimension",
             remedy="give two or more times, in one dimension",
         )
-    shapes: dict[str, tuple[NDArray[Any], tuple[int, ...]]]
-    shapes = {"output": (output, (t.size,)), "f": (f, (t.size, 3)), "segment": (segment, (t.size,))}
-    if base_rate is not None:
-        shapes["base_rate"] = (np.asarray(base_rate), (t.size, 3))
-    if temperature is not None:
-        shapes["temperature"] = (np.asarray(temperature), (t.size,))
-    if vibration is not None:
-        shapes["vibration"] = (np.asarray(vibration), (t.size,))
-    for name, (array, shape) in shapes.items():
+    for name, array in (arrays | {"segment": segment}).items():
+        shape = (t.size, 3) if name in ("f", "base_rate") else (t.size,)
         if array.shape != shape:
             raise ArgumentError(
                 f"{name}: shape {array.shape}, but t has {t.size} samples", remedy=f"give shape {shape}"
             )
-    arrays: dict[str, NDArray[Any]] = {"t": t} | {name: pair[0] for name, pair in shapes.items()}
     for name, array in arrays.items():
         finite = np.isfinite(array)
         if not finite.all():

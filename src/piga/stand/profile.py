@@ -262,13 +262,7 @@ def segment_index(t: Array, segments: tuple[Segment, ...]) -> NDArray[np.int32]:
 
 
 def _check_step(segments: tuple[Segment, ...], step: float) -> None:
-    """Refuse a sample interval that does not divide every segment.
-
-    Raises
-    ------
-    ArgumentError
-        If it does not. The message names the segment.
-    """
+    """Refuse a sample interval that does not divide every segment."""
     for segment in segments:
         ratio = segment.duration / step
         if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:

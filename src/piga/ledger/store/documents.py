@@ -267,13 +267,7 @@ def checked_text(name: str, text: str) -> str:
 
 
 def _checked_moment(name: str, text: str) -> str:
-    """Check a date or time in ISO form and return it unchanged.
-
-    Raises
-    ------
-    ArgumentError
-        If the text is not a date, or its year is not in 1900 to 2199. The message names the argument.
-    """
+    """Check a date or time in ISO form and return it unchanged."""
     try:
         year = moment(text).year
     except (ValueError, OverflowError):

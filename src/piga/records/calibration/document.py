@@ -354,13 +354,7 @@ def _in_si(quantity: Amount | _Level, like: str, path: Path) -> float:
 
 
 def _check(path: Path, document: _Document) -> Array:
-    """Check that the parts agree with each other, and return the covariance.
-
-    Raises
-    ------
-    CalibrationError
-        Naming the file and the first part that contradicts another.
-    """
+    """Check that the parts agree with each other, and return the covariance."""
     try:
         if document.instrument.serial:
             check_label(document.instrument.serial, "the serial")
