@@ -1,17 +1,16 @@
 """Reading of records: speed against PyArrow's own reader on the same clean CSV file, and largest private memory.
 
-Speed: ``python benchmarks/reading.py [--record]``. Memory of reading and of calibrating:
+Speed: ``python benchmarks/reading.py [--record]``. Memory of ``piga calibrate`` and ``piga compensate``:
 ``python benchmarks/reading.py csv|parquet ROWS [--record]``. Pages of mapped files are not counted, because the system
 takes them back.
 """
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import tempfile
-import threading
 import time
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -92,10 +91,13 @@ def speed() -> None:
     put_down("reading", values)
 
 
-def private() -> float:
-    """Memory without mapped files [MB]."""
-    status = Path("/proc/self/status").read_text(encoding="utf-8")
-    return int(status.partition("RssAnon:")[2].split()[0]) / 1000.0
+def private(process: int) -> float:
+    """Memory without mapped files [MB]; 0 after the end of the process."""
+    try:
+        status = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
+    except OSError:
+        return 0.0
+    return int((status.partition("RssAnon:")[2].split() or ["0"])[0]) / 1000.0
 
 
 def write_long(folder: Path, kind: str, rows: int) -> Path:
@@ -108,41 +110,35 @@ def write_long(folder: Path, kind: str, rows: int) -> Path:
     return folder / "run.toml"
 
 
-def measure(path: Path) -> dict[str, float]:
-    """The largest memory of each step [MB]."""
-    peaks, step = {"read": 0.0, "calibrated": 0.0}, ["read"]
-
-    def watch() -> None:
-        while step:
-            peaks[step[-1]] = max(peaks[step[-1]], private())
+def largest(*command: str | Path) -> float:
+    """The largest private memory of one ``piga`` command [MB]."""
+    peak = 0.0
+    with subprocess.Popen([sys.executable, "-m", "piga", *command], stdout=subprocess.DEVNULL) as process:
+        while process.poll() is None:
+            peak = max(peak, private(process.pid))
             time.sleep(0.01)
-
-    thread = threading.Thread(target=watch)
-    thread.start()
-    try:
-        run = piga.read_run(path)
-        step.append("calibrated")
-        piga.calibrate(run)
-    finally:
-        step.clear()
-        thread.join()
-    return peaks
+    if process.returncode:
+        sys.exit(f"piga {command[0]} ended with {process.returncode}")
+    return peak
 
 
 def memory() -> None:
     kind, rows = sys.argv[1], int(sys.argv[2])
-    warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory(dir="/var/tmp") as name:
-        write_long(Path(name), kind, rows)
-        pa.default_memory_pool().release_unused()
-        size = (Path(name) / f"run.{kind}").stat().st_size / 1e6
-        print(
-            f"{kind} of {size:.0f} MB, {rows} rows, a column is {8e-6 * rows:.0f} MB; {private():.0f} MB before"
-        )
-        peaks = measure(Path(name) / "run.toml")
+        run, out = write_long(Path(name), kind, rows), Path(name) / "out"
+        size = (Path(name) / f"run.{kind}").stat().st_size / 1e9
+        print(f"{size:.1f} GB, a column is {8e-6 * rows:.0f} MB")
+        own = ["--calibration", out / "calibration.json", "--out", Path(name) / f"ax.{kind}"]
+        peaks = {
+            "calibrate": largest("calibrate", run, "--out", out),
+            "compensate": largest("compensate", run, *own),
+        }
     again = f"python benchmarks/reading.py {kind} {rows}"
     values = {
-        f"private memory, {kind} of {rows / 1e6:g} million rows: {step}": {"value": peak, "command": again}
+        f"private memory, {kind} of {rows / 1e6:g} million rows: `piga {step}`": {
+            "value": peak,
+            "command": again,
+        }
         for step, peak in peaks.items()
     }
     put_down("reading", values)
