@@ -294,7 +294,7 @@ def test_text_of_matlab_v73(tmp_path: Path) -> None:
     path = tmp_path / "v73.mat"
     data = columns(6)
     write_mat73(path, data)
-    words = ["A", "A", "位置 2", "位置 2", "", "A"]
+    words = ["A", "A", "位置 2", "位置 2", "", "7"]
     with h5py.File(path, "r+") as out:
         cells = np.empty((1, 6), dtype=h5py.ref_dtype)
         for i, word in enumerate(words):
@@ -303,6 +303,9 @@ def test_text_of_matlab_v73(tmp_path: Path) -> None:
             item.attrs["MATLAB_class"] = np.bytes_("char")
             if not word:
                 item.attrs["MATLAB_empty"] = np.uint8(1)
+            if word == "7":
+                item = out.create_dataset("#refs#/number", data=np.array([[7.0]]))
+                item.attrs["MATLAB_class"] = np.bytes_("double")
             cells[0, i] = item.ref
         out.create_dataset("position", data=cells, dtype=h5py.ref_dtype).attrs["MATLAB_class"] = np.bytes_(
             "cell"
@@ -313,10 +316,10 @@ def test_text_of_matlab_v73(tmp_path: Path) -> None:
         out.create_dataset("broken", data=cells, dtype=h5py.ref_dtype).attrs["MATLAB_class"] = np.bytes_("cell")
     table = direct(path, NAMES, "position")
     codes, names = table.label
-    assert names == ("A", "位置 2")
-    assert codes.tolist() == [0, 0, 1, 1, -1, 0]
+    assert names == ("A", "位置 2", "7")
+    assert codes.tolist() == [0, 0, 1, 1, -1, 2]
     assert direct(path, NAMES, "code").label[1] == ("ab", "abc")
     with pytest.raises(piga.DataError, match="cell 4 holds no text"):
         direct(path, NAMES, "broken")
     run = piga.read_run(write_run(tmp_path, "v73.mat", data='segment = "position"'))
-    assert run.labels == ("A", "位置 2", "A#2")
+    assert run.labels == ("A", "位置 2", "7")

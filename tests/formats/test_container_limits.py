@@ -20,51 +20,6 @@ from tests.records.containers import columns, whole, write_h5, write_tdms, write
 from tests.records.files import write_run
 
 
-def matlab_cells(path: Path, cells: list[object]) -> None:
-    """A v7.3 file whose cell array ``pos`` refers to texts, numbers and whatever else is given."""
-    with h5py.File(path, "w", userblock_size=512) as out:
-        held = out.create_group("#refs#")
-        references = []
-        for index, cell in enumerate(cells):
-            if isinstance(cell, str):
-                item = held.create_dataset(f"c{index}", data=np.array([[ord(c)] for c in cell], "<u2"))
-                item.attrs["MATLAB_class"] = np.bytes_("char")
-            elif isinstance(cell, float):
-                item = held.create_dataset(f"c{index}", data=np.array([[cell]]))
-                item.attrs["MATLAB_class"] = np.bytes_("double")
-            else:
-                item = held.create_group(f"c{index}")
-                item.attrs["MATLAB_class"] = np.bytes_("struct")
-            references.append(item.ref)
-        item = out.create_dataset("pos", (1, len(cells)), h5py.ref_dtype)
-        item[0, :] = references
-        item.attrs["MATLAB_class"] = np.bytes_("cell")
-        item = out.create_dataset("t", data=np.arange(float(len(cells)))[None, :])
-        item.attrs["MATLAB_class"] = np.bytes_("double")
-    with path.open("r+b") as stream:
-        stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
-
-
-def test_cells_of_texts_and_numbers(tmp_path: Path) -> None:
-    matlab_cells(tmp_path / "a.mat", ["up", "下", 3.0, 2.5, "up"])
-    codes, names = whole(read_container(tmp_path / "a.mat", ".mat", ("t",), "pos")).label
-    assert [names[code] for code in codes] == ["up", "下", "3", "2.5", "up"]
-    matlab_cells(tmp_path / "b.mat", ["up", None])
-    with pytest.raises(piga.DataError, match="'pos', cell 2 holds no text and no number"):
-        read_container(tmp_path / "b.mat", ".mat", ("t",), "pos")
-
-
-def test_only_what_can_be_named_is_listed(tmp_path: Path) -> None:
-    """Committed types, links, and groups too deep are no columns."""
-    with h5py.File(tmp_path / "a.h5", "w") as out:
-        out["kind"] = np.dtype("f8")
-        out["elsewhere"] = h5py.SoftLink("/deep")
-        out["deep/a/b/c/d/e/f/g/h/i/j/t"] = np.arange(3.0)
-        out["group/t"] = np.arange(3.0)
-    with pytest.raises(piga.DataError, match=r"no column 'n'; the columns are: group/t\n"):
-        read_container(tmp_path / "a.h5", ".h5", ("n",), None)
-
-
 def test_a_channel_longer_than_its_file(tmp_path: Path) -> None:
     """Texts say how many they are and, apart from that, how many bytes: damage can make the two differ by anything."""
     path = tmp_path / "run.tdms"
@@ -87,6 +42,9 @@ def test_parquet_that_does_not_fit(tmp_path: Path) -> None:
     data = {name: pa.array(values) for name, values in columns().items()}
     parquet.write_table(pa.table(data | {"n": pa.array(["x"] * 40)}), tmp_path / "run.parquet")
     with pytest.raises(piga.DataError, match="column 'n' holds string, not numbers"):
+        piga.read_run(write_run(tmp_path, "run.parquet"))
+    parquet.write_table(pa.table(data)[:0], tmp_path / "run.parquet")
+    with pytest.raises(piga.DataError, match="no data"):
         piga.read_run(write_run(tmp_path, "run.parquet"))
     twice = pa.Table.from_arrays([*data.values(), data["n"]], names=[*data, "n"])
     parquet.write_table(twice, tmp_path / "run.parquet")

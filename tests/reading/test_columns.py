@@ -18,11 +18,10 @@ from pyarrow import parquet
 
 import piga
 from piga.formats.text import source as text_source
-from piga.formats.text.reader import TextStream
 from piga.reading.columns import open_stream
 from piga.records import arrays
 from piga.records.run_file import read_run_file
-from tests.formats.test_formats_fuzz import LOG, NAMES, mutated, seeded
+from tests.formats.test_formats_fuzz import NAMES
 from tests.reading.damaged_files import cases
 from tests.records.files import lines, write_log, write_run
 
@@ -107,27 +106,6 @@ def edit(rows: list[str], draw: random.Random) -> None:
         lambda: rows.__setitem__(at, rows[at].replace(",A", ',"A').replace(",B", ',"B"')),
     ]
     draw.choice(kinds)()
-
-
-@pytest.mark.only_compiled
-def test_mutated_text_in_small_pieces(tmp_path: Path) -> None:
-    draw, path = seeded(9), tmp_path / "log.csv"
-    for _ in range(300):
-        path.write_bytes(mutated(LOG, draw))
-        mask = draw.random() < 0.5
-        assert taken(path, 1 << 20, mask=mask) == taken(path, draw.randint(20, 200), mask=mask)
-
-
-def taken(path: Path, piece: int, *, mask: bool) -> object:
-    try:
-        stream = TextStream(path, NAMES[:4], "fz", mask_damaged=mask, piece=piece)
-        chunks = list(stream.chunks())
-    except piga.PigaError as error:
-        return str(error)
-    columns = [np.concatenate([chunk.numbers[name] for chunk in chunks]).tobytes() for name in NAMES[:4]]
-    codes = np.concatenate([chunk.codes for chunk in chunks if chunk.codes is not None]).tolist()
-    rows = np.concatenate([chunk.rows for chunk in chunks]).tolist()
-    return columns, codes, rows, stream.events(), stream.label_names
 
 
 def test_containers_and_parquet_give_the_same_chunks(tmp_path: Path) -> None:

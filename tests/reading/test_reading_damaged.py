@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from piga.reading import columns
 from piga.units import G0
 from tests.cli.runner import outcome
 from tests.compensation.twin_data import K_G, calibration_of
-from tests.reading.damaged_files import HEADER, RUN, Case, cases, count, rows, text
+from tests.reading.damaged_files import Case, cases, count, rows, text
 from tests.records.files import events
 
 CATALOGUE = cases()
@@ -142,14 +141,6 @@ def test_every_command_ends_alike_at_every_length(
     assert ended[0] == ended[1]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in CASES if name not in CHOSEN])
-def test_the_corpus_ends_alike(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, name: str
-) -> None:
-    test_every_command_ends_alike_at_every_length(tmp_path, monkeypatch, capsys, name)
-
-
 def test_a_growing_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     run, collect = Case("grows", text(rows()), "error").write(tmp_path), columns.collect
     as_long(monkeypatch, "on disk")
@@ -163,48 +154,3 @@ def test_a_growing_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(columns, "collect", grow)
     result = ends(capsys, run)
     assert all("changed while it was read" in str(end) for end in result.values()), result
-
-
-def stuck(counts: np.ndarray) -> None:
-    counts[3000:6000] = counts[3000]
-
-
-def zeroed(counts: np.ndarray) -> None:
-    counts[5000:] -= counts[5000]
-
-
-def jumped(counts: np.ndarray) -> None:
-    counts[5000:] += 1 << 20
-
-
-def wrapped(counts: np.ndarray) -> None:
-    counts %= 1 << 16
-
-
-FAULTS: dict[str, tuple[Callable[[np.ndarray], None], tuple[str, ...]]] = {
-    "counter resets": (zeroed, ("the counter goes to 0",)),
-    "counter jumps": (jumped, ("the output jumps by",)),
-    "counter wraps unseen": (wrapped, ("the output jumps by", "it was reset")),
-    "counter sticks": (stuck, ("stopped-output",)),
-}
-
-
-@pytest.mark.slow
-@pytest.mark.only_compiled
-@pytest.mark.parametrize("count", [20_000, 400_000, 5_000_000])
-@pytest.mark.parametrize("fault", FAULTS)
-def test_faults_of_a_counter_at_true_lengths(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, fault: str, count: int
-) -> None:
-    change, says = FAULTS[fault]
-    t = np.arange(count) / 200.0
-    counts = np.rint(10179.0 * t).astype(np.int64)
-    change(counts)
-    columns = {"t": t, "n": counts, "fx": np.full(count, 1.0), "fy": np.full(count, 0.1), "fz": np.zeros(count)}
-    assert ",".join(columns) == HEADER
-    pa.csv.write_csv(pa.table(columns), tmp_path / "run.csv")
-    run = tmp_path / "run.toml"
-    run.write_text(RUN.format(file="run.csv", instrument="", data="", t="t", n="n"))
-    result = ends(capsys, run)
-    assert set(map(str, result.values())) == {str(result["check"])}
-    assert any(part in str(result["check"]) for part in says)
