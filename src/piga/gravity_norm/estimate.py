@@ -33,6 +33,8 @@ _ALIKE = 0.9
 """Correlation above which a remark says that the attitudes hardly tell two terms apart (own choice)."""
 _FLAT = 0.02
 """Distance of the attitudes from one plane [g, root mean square] below which they are refused (own choice)."""
+_MOST_STEPS = 100
+"""Steps of the fit: attitudes that tell all terms take fewer than 20, those that do not never end."""
 _SINGULAR = 1e-3
 """Share of the largest singular value below which the attitudes do not tell a combination of terms (own choice)."""
 
@@ -327,7 +329,7 @@ class _Model:
             start[3:n], start[n + 6 :] = further[3], further[:3].T.ravel()
         return least_squares(
             lambda p: self.residuals(p, means).ravel(),
-            start, jac="3-point", x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14,
+            start, jac="3-point", x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14, max_nfev=_MOST_STEPS,
         )  # fmt: skip
 
     def scale(self, size: Array) -> Array:
