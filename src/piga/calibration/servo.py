@@ -28,6 +28,8 @@ _ITERATIONS = 40
 """Most steps about the phase; four are usual."""
 _SETTLED = 1e-10
 """Change of the phase [rad] that ends the iteration."""
+_NEAR = 1e-4
+"""Share of a standard uncertainty within which the iteration may end."""
 _SCAN = 72
 """Trial phases before the first step, if one phase serves the whole record."""
 _SEEN = 4.0
@@ -102,16 +104,28 @@ def find_state(
             at_state(part, names, state, g, known)
             for g, (part, names) in enumerate(zip(parts, wanted, strict=True))
         ]
-        estimate = solve_parts(layout, chosen)
-        moved = _moved_state(layout, estimate, known, sum(part.count for part in parts))
-        change = short_way(np.array(moved.phases) - np.array(state.phases))
-        settled = np.abs(change).max() < _SETTLED and (moved.inverse == 0.0) == (state.inverse == 0.0)
-        sizes = np.array([state.stiffness, state.damping]), np.array([moved.stiffness, moved.damping])
-        settled = settled and bool(np.all(np.abs(sizes[1] - sizes[0]) <= 1e-9 * np.abs(sizes[1])))
-        state = moved
-        if settled:
+        estimate, rows, before = solve_parts(layout, chosen), sum(part.count for part in parts), state
+        state = _moved_state(layout, estimate, known, rows)
+        if _settled(layout, estimate, rows, before, state):
             break
     return state
+
+
+def _settled(layout: Layout, estimate: Estimate, rows: int, before: ServoState, state: ServoState) -> bool:
+    """True if a step moved no phase and no servo term by more than rounding, or than a small share of its uncertainty."""
+    std = np.sqrt(np.diag(estimate.covariance) * estimate.cost / rows)
+    change = np.abs(short_way(np.array(state.phases) - np.array(before.phases)))
+    if (state.inverse == 0.0) != (before.inverse == 0.0) or np.any(
+        change >= np.maximum(_SETTLED, _NEAR * std[layout.size :])
+    ):
+        return False
+    keys = layout.amplitude_keys
+    pairs = ((before.stiffness, state.stiffness), (before.damping, state.damping))
+    return all(
+        abs(new - old) <= max(1e-9 * abs(new), _NEAR * std[keys.index((name, None))])
+        for name, (old, new) in zip(SERVO_TERMS, pairs, strict=True)
+        if (name, None) in keys
+    )
 
 
 def _moved_state(layout: Layout, estimate: Estimate, known: dict[str, float], rows: int) -> ServoState:

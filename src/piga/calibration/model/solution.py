@@ -28,6 +28,8 @@ _DEEPER = 1e-9
 """Relative fall of the sum of squares above which another minimum is deeper."""
 _STARTS = 8
 """Most starts: each from the best phases for the amplitudes before; one is usual."""
+_STEPS = 200
+"""Most steps from one start; ten are usual, and far more where a term that the model lacks moves a phase that is hardly seen."""
 _SCAN = 180
 """Phases tried for each group before refinement; the cost has at most twice the highest order of minima."""
 _INTEGRATIONS = 50
@@ -288,7 +290,9 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
         first = np.concatenate([_amplitudes_given(layout, phases, factors), phases])
         if float(np.sum(missed(first) ** 2)) >= cost * (1.0 - _DEEPER):
             break
-        best = least_squares_from(missed, first, rows, x_scale="jac", ftol=1e-15, xtol=1e-12, gtol=1e-15).x
+        best = least_squares_from(
+            missed, first, rows, method="lm", ftol=1e-15, xtol=1e-12, gtol=1e-15, max_nfev=_STEPS
+        ).x
         amplitudes, cost = best[:size], float(np.sum(missed(best) ** 2))
     phases, along = best[size:], rows(best)
     covariance = _inverse_information(np.asarray(np.linalg.qr(along, mode="r")), size)
