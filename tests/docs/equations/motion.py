@@ -8,10 +8,12 @@ import numpy as np
 from scipy.linalg import expm, expm_frechet, logm
 
 import piga
+from piga._kernels.estimation import product_column
 from piga._kernels.motion.samples import unimodular_functions
 from piga._kernels.motion.step import magnus_increments
 from piga.instrument import sensitivities
 from piga.instrument.parameters import ErrorModel
+from piga.terms import PRODUCTS
 from tests.compensation.twin_data import TAN_BETA, instrument
 
 from .registry import F0, FORCE, LOCKED, PHI, TURN, K, Pair, T, equation, half_angles, matrix, rates
@@ -44,10 +46,12 @@ def _model() -> Iterator[Pair]:
     literal += value["k_XY"] * a_x * a_Y + value["k_XZ"] * a_x * a_Z
     literal += value["k_YY"] * a_Y**2 + value["k_ZZ"] * a_Z**2 + value["k_YZ"] * a_Y * a_Z
     literal += value["k0_t"] * t + value["k0_T"] * T_less + value["k1_T"] * a_x * T_less
+    v = 1.0 + np.cos(psi / 13)
+    literal += 3e-5 * v**2
     literal -= 2 * value["servo"] * (u_x / K) * ((u_Y * s - u_Z * c) / K) ** 2
     literal -= value["servo_damping"] * (u_x / K) ** 2 * (u_Y * c + u_Z * s) / K
     part = ErrorModel(**{name: value[name] for name in _SINGLE if not name.startswith("servo")}, T_ref=0.0)
-    library = part.specific_force(t, f, T_less) + a_x
+    library = part.specific_force(t, f, T_less) + a_x + 3e-5 * _squares(v)
     library += p * ((u_Y * np.sin(psi) - u_Z * np.cos(psi)) / K) + q * (
         (u_Y * np.cos(psi) + u_Z * np.sin(psi)) / K
     )
@@ -61,6 +65,14 @@ _SINGLE = (
     "k0", "k2", "k3", "k2o", "k1a", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
     "servo", "servo_damping",
 )  # fmt: skip
+
+
+def _squares(v: np.ndarray) -> np.ndarray:
+    """Column of ``k2v`` over intervals of one second in which ``v`` does not change."""
+    ends, column = np.repeat(v, 2), np.empty(2 * v.size - 1)
+    none = np.zeros((3, ends.size))
+    product_column(PRODUCTS["k2v"], none[0], none, none[0], np.ones(column.size), column, ends)
+    return column[::2]
 
 
 @equation("motion-coupling")
