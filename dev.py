@@ -19,7 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent
 PIP_INSTALL = [
     "install",
-    "--quiet",
+    "-qq",  # errors only: pip warns of other configurations on the machine
     "--disable-pip-version-check",
     "--no-compile",
 ]  # what is used compiles itself

@@ -78,8 +78,10 @@ def stream(runner: Runner) -> None:
 
 
 def lab_log(runner: Runner) -> None:
-    """A log of a spreadsheet, as the page names it."""
-    shutil.copy(Path(__file__).parents[1] / "data" / "logs" / "iso.csv", runner.folder / "log.csv")
+    """A log of a spreadsheet and one of a dividing head, as the page names them."""
+    logs = Path(__file__).parents[1] / "data" / "logs"
+    shutil.copy(logs / "iso.csv", runner.folder / "log.csv")
+    shutil.copy(logs / "head-angle.csv", runner.folder / "kopf.csv")
 
 
 def held_set(runner: Runner) -> None:
