@@ -80,12 +80,11 @@ def test_known_coefficients_with_a_phase_for_each_segment(folder: Path) -> None:
         piga.calibrate(run, phases="per-segment")
 
 
-@pytest.mark.parametrize("bits", [16, 24])
-def test_wrapping_counters(folder: Path, bits: int) -> None:
-    run = piga.read_run(wrapped(folder, bits))
+def test_a_wrapping_counter(folder: Path) -> None:
+    run = piga.read_run(wrapped(folder, 16))
     result = {event.kind: event.count for event in run.quality.events}
     assert result["phase-lost"] == 23
-    assert result["counter-roll-over"] > (100 if bits == 16 else 0)
+    assert result["counter-roll-over"] > 100
     check(piga.calibrate(run, [*WITHOUT, "servo"], phases="per-segment"))
     with pytest.raises(piga.CalibrationError, match="rolled over unseen"):
         piga.calibrate(run)

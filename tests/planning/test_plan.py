@@ -408,7 +408,7 @@ def test_command(tmp_path):
     assert read_scenario(tmp_path / "out" / "scenario.toml").stand.segments()
 
 
-@pytest.mark.only_compiled
+@pytest.mark.slow
 def test_long_visits_of_the_shipped_plan_are_cut_so_that_it_can_be_calibrated():
     long = EXAMPLE.read_text("utf-8").replace('longest_dwell = "150 s"', 'longest_dwell = "600 s"')
     plan = plan_test(read_plan(EXAMPLE, content=long))
@@ -455,14 +455,14 @@ def test_prediction_with_the_servo_is_what_repeats_show(tmp_path):
     visits = tuple(Visit(c, 60.0) for c in find_candidates(wish))
     predicted, run = predict(wish, "x", visits, type_b=False), noiseless_run(wish, visits)
     names, errors = ("scale_factor", "servo", "servo_damping"), []
-    for seed in range(REPEATS):
+    for seed in range(12):
         walk = 1e-5 * 0.5 * np.random.default_rng(seed).standard_normal(run.size)
         calibration = piga.calibrate(replace(run, output=run.output + np.cumsum(walk)), wish.model.terms)
         errors.append([calibration[name].value for name in names])
     scores = (np.array(errors) - [0.8884, 13e-6, 20e-6]) / [predicted.std(name) for name in names]
-    assert np.abs(scores.mean(axis=0)).max() < 4.0 / math.sqrt(REPEATS)
+    assert np.abs(scores.mean(axis=0)).max() < 4.0 / math.sqrt(len(scores))
     for name, square in zip(names, np.mean(scores**2, axis=0), strict=True):
-        assert_variance(square, REPEATS, name)
+        assert_variance(square, len(scores), name)
 
 
 @pytest.mark.only_compiled
