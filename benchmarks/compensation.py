@@ -152,7 +152,7 @@ def triad() -> None:
         ("angles", False, False),
     ):  # fmt: skip
         works[title] = on_chunks(data["t"], psi, rate, mounted, sampled, flags)
-    for title, seconds in rounds(works, 15).items():
+    for title, seconds in rounds(works, 15, time.process_time).items():
         FIGURES[f"triad, {title}, one core"] = round(rows / np.median(seconds) / 1e6, 1)
         print(
             f"triad of {title}: {rows / np.median(seconds) / 1e6:.1f} million rows per second on one core, "

@@ -11,23 +11,27 @@ import measured
 import numpy as np
 
 
-def rounds(works: Mapping[str, Callable[[], object]], count: int) -> dict[str, np.ndarray]:
-    """Seconds of each work in each round, (count,) each. The first round is not counted.
+def rounds(
+    works: Mapping[str, Callable[[], object]], count: int, clock: Callable[[], float] = time.perf_counter
+) -> dict[str, np.ndarray]:
+    """Seconds of each work in each round by ``clock``, (count,) each. The first round is not counted.
 
     The works of one round follow each other, so the ratios of a round share the state of the machine.
     """
     times: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(count + 1):
         for name, work in works.items():
-            start = time.perf_counter()
+            start = clock()
             work()
-            times[name].append(time.perf_counter() - start)
+            times[name].append(clock() - start)
     return {name: np.array(values[1:]) for name, values in times.items()}
 
 
-def seconds(work: Callable[[], object], count: int = 7) -> np.ndarray:
+def seconds(
+    work: Callable[[], object], count: int = 7, clock: Callable[[], float] = time.perf_counter
+) -> np.ndarray:
     """Seconds of each of ``count`` calls after one for warm-up."""
-    return rounds({"": work}, count)[""]
+    return rounds({"": work}, count, clock)[""]
 
 
 def put_down(table: str, values: Mapping[str, Any], **shared: Any) -> None:

@@ -15,9 +15,9 @@ import pytest
 
 import piga
 from piga._kernels.compensation.data import PlainRecords
-from piga.compensation import FLAGS, Mounted, Phase, SetCompensator, compensate_set
+from piga.compensation import Mounted, Phase, SetCompensator, compensate_set
 from piga.compensation.files import read_triad
-from piga.compensation.model import MEANING, age_in_days
+from piga.compensation.model import age_in_days
 from piga.units import G0
 from tests.compensation.run_files import CAL, command, write
 from tests.compensation.triads import orthogonal
@@ -108,10 +108,6 @@ def test_age() -> None:
         assert not piga.compensate(run, cal).flagged("age").any()
 
 
-def test_every_flag_has_a_meaning() -> None:
-    assert set(FLAGS) == set(MEANING)
-
-
 def test_results_as_files(tmp_path: Path) -> None:
     compensated = piga.compensate(run_of(T, F, phi=0.3), calibration_of(CAL, {"k0": 1e-6}))
     compensated.to_parquet(tmp_path / "a.parquet")
@@ -185,13 +181,6 @@ def test_samples_of_a_set_that_do_not_fit(given: dict[str, np.ndarray], message:
         stream.push(T, **given)  # type: ignore[arg-type]
     assert stream.push(T, PSI).size == T.size
     assert before == 1
-
-
-def test_one_sample_of_a_set_at_a_time() -> None:
-    whole = SetCompensator(mounted()).push(T, PSI)
-    stream = SetCompensator(mounted())
-    parts = [stream.push(t, PSI[:, k]) for k, t in enumerate(T[:12])]
-    assert np.concatenate([part.f for part in parts]).tobytes() == whole.f[:12].tobytes()
 
 
 def test_temperature_of_a_set() -> None:

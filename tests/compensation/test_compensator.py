@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 import piga
-from piga._kernels.arithmetic import LIMIT
 from piga._kernels.compensation.data import TERMS
 from piga.calibration.orders import order_spectrum
 from piga.compensation import FLAGS, Mounted, Phase, SetCompensator, compensate_set
-from piga.compensation.result import LockedStarts
 from piga.reports.compensation import compensation_errors, error_figures
 from piga.units import G0
 from tests.compensation.triads import made, orthogonal
@@ -78,15 +76,6 @@ def test_base_rate_is_taken_out():
     base = np.tile([7e-5, -3e-3, 2e-3], (t.size, 1))
     compensated = piga.compensate(run_of(t, f, phi=PHI, base_rate=base), CAL)
     assert np.abs(compensated.ax[1:] - f[1:, 0]).max() < 1e-12 * G0
-
-
-def test_sum_of_increments_is_the_change_of_the_indicated_velocity():
-    t = np.arange(0.0, 5.0, 0.01)
-    f = constant_force(t, 1.0, 5.0) * (1.0 + 0.2 * np.sin(2.0 * t))[:, None]
-    run = run_of(t, f, phi=PHI)
-    plain = calibration_of({"scale_factor": K_G, "tan_beta": 0.0, "phi": 0.0})
-    total = run.output[-1] / run.scale_factor
-    assert abs(np.sum(piga.compensate(run, plain).dv) / total - 1.0) < 4e-16 * np.sqrt(t.size)
 
 
 def test_missing_phase_names_the_segment():
@@ -229,25 +218,6 @@ def test_of_one_coefficient(name: str, kind: str) -> None:
     np.testing.assert_allclose(uncertainty[settled], change[settled], rtol=2e-2, atol=2e-2 * change.max())
 
 
-@pytest.mark.compiled
-@pytest.mark.parametrize("whole", [254_647, 300_000])
-def test_far_angles_are_those_near_zero(whole: int) -> None:
-    """An output angle that passes the border of the fast reduction, and one beyond it, less whole turns: the same force."""
-    t = 0.01 * np.arange(700)
-    f = G0 * np.column_stack((1.0 + 0.2 * np.sin(3.0 * t), 2.0 + np.cos(2.0 * t), -1.0 + 0.3 * t))
-    near = run_of(t, f, phi=0.4)
-    turns = 2.0 * np.pi * whole
-    assert (turns < LIMIT) == (whole == 254_647)
-    assert turns + np.ptp(near.output) > LIMIT
-    far = piga.Run.from_arrays(t, near.output + turns, f, scale_factor=K_G / G0, units="SI")
-    cal = calibration_of(PLAIN, {"phi": 1e-4})
-    a, b = piga.compensate(near, cal), piga.compensate(far, cal)
-    assert np.abs(a.ax[1:] - b.ax[1:]).max() < 4.0 * np.spacing(turns) / (
-        K_G / G0 * 0.01
-    )  # rounding of the angle
-    np.testing.assert_allclose(b.u_ax[1:], a.u_ax[1:], rtol=1e-4)
-
-
 def drifting(seconds: float = 40.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """An instrument whose bias drifts by 1e-5 g/s; the input is the same before and after."""
     t = 100.0 + np.arange(0.0, seconds, 0.01)
@@ -324,51 +294,6 @@ def test_published_formula_leaves_about_1e3_g():
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.8026})
     left = piga.compensate(record, cal, method="published").ax[1:] - mean_force(record.f)
     assert 3e-4 * G0 < np.abs(left).max() < 2e-3 * G0
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("kind", ["angle", "rate"])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_error_falls_with_the_sampling_interval(kind, sign):
-    """Smooth input: halving the interval lowers the error of angle records by 4."""
-    worst = []
-    for rate in (10.0, 20.0, 40.0):
-        t = np.arange(0.0, 8.0, 1.0 / rate)
-        f = sign * G0 * np.stack([1.0 + 0.3 * np.sin(t), 2.0 + np.cos(1.3 * t), 0.5 * t / 8.0], axis=1)
-        fine = np.arange(0.0, 8.0, 0.001)
-        exact = (
-            sign * G0 * np.stack([1.0 + 0.3 * np.sin(fine), 2.0 + np.cos(1.3 * fine), 0.5 * fine / 8.0], axis=1)
-        )
-        source = run_of(fine, exact, phi=0.2, kind=kind)
-        every = slice(None, None, round(1000.0 / rate))
-        record = piga.Run.from_arrays(t, source.output[every], f, scale_factor=K_G / G0, kind=kind, units="SI")
-        cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.2})
-        result = piga.compensate(record, cal).velocity()[-1]
-        step = np.diff(fine)
-        last = np.searchsorted(fine, t[-1] - 1e-9)
-        truth = np.sum((0.5 * step * (exact[1:, 0] + exact[:-1, 0]))[:last])
-        worst.append(abs(result - truth))
-    assert worst[0] / worst[1] > 3.5
-    assert worst[1] / worst[2] > 3.5
-
-
-def starts_named(flags, chunks):
-    starts = LockedStarts()
-    for part in np.split(np.array(flags, dtype=np.int32), chunks):
-        starts.add(part)
-    return starts.note()
-
-
-@pytest.mark.parametrize("chunks", [[], [6, 6, 8]])
-def test_rows_of_locked_starts_are_named_in_any_chunks(chunks):
-    """Row 8 is locked in the midst of a stretch; rows 2, 3 and 10 follow a start."""
-    start, locked = FLAGS["no_increment"], FLAGS["locked"]
-    flags = [start, locked, locked | FLAGS["near_critical"], 0, start, 0, 0, locked, start, locked]
-    (note,) = starts_named(flags, chunks)
-    assert "rows 2 to 3, 10 to 10:" in note
-    assert starts_named([start, 0, locked, locked, 0], chunks[:1]) == ()
-    (note,) = starts_named([start | locked, locked] + [start, locked, 0] * 7, chunks)
-    assert "and 3 more stretches" in note
 
 
 @pytest.mark.parametrize("kind", ["angle", "rate"])

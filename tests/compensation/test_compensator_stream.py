@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numba
 import numpy as np
 import pytest
@@ -61,18 +59,6 @@ def test_result_is_the_same_to_the_bit_whatever_the_chunks(kind, cuts):
     assert_same_bits(in_pieces(stream, columns, [0, *sorted(cuts), ROWS]), whole)
 
 
-@pytest.mark.compiled
-def test_one_sample_at_a_time_is_the_record():
-    columns = {name: column[:300] for name, column in noisy_columns("angle").items()}
-    del columns["base_rate"]
-    columns["t"] = np.arange(300) * 0.01
-    run = piga.Run.from_arrays(columns["t"], columns["output"], columns["f"], scale_factor=K_G / G0, units="SI")
-    whole = piga.compensate(run, CAL)
-    stream = piga.Compensator(CAL)
-    parts = [stream.push({name: column[i] for name, column in columns.items()}) for i in range(300)]
-    assert_same_bits(parts, whole, ("ax", "u_ax"))
-
-
 def test_state_moves_to_another_compensator():
     columns = noisy_columns("angle")
     second = {name: column[ROWS // 2 :] for name, column in columns.items()}
@@ -80,12 +66,6 @@ def test_state_moves_to_another_compensator():
     in_pieces(stream, columns, (0, ROWS // 2))
     moved = piga.Compensator(CAL, state=stream.state)
     assert moved.push(second).ax.tobytes() == stream.push(second).ax.tobytes()
-
-
-def test_gap_begins_a_new_stretch():
-    columns = noisy_columns("angle")
-    rows = piga.Compensator(CAL).push(columns)
-    assert np.flatnonzero(rows.flagged("no_increment")).tolist() == [0, int(np.argmax(columns["t"] > 2.4))]
 
 
 @pytest.mark.parametrize("kind", ["angle", "rate"])
@@ -120,11 +100,6 @@ def test_stretches_of_a_record_are_kept_in_a_stream():
     later = run_of(t + 0.2, constant_force(t, 1.0, 1.0), phi=0.3)
     assert not stream.push(later).flagged("no_increment").any()
     assert stream.push(run_of(t + 0.5, constant_force(t, 1.0, 1.0), phi=0.3)).flagged("no_increment")[0]
-
-
-def test_a_bad_number_is_named():
-    with pytest.raises(piga.ArgumentError, match=r"chunk\['output'\]\[1\] is not finite"):
-        piga.Compensator(CAL).push({"t": [0.0, 1.0], "output": [0.0, np.nan], "f": np.zeros((2, 3))})
 
 
 LIMITED_ROWS = 300 if numba.config.DISABLE_JIT else 10_000
@@ -209,18 +184,3 @@ def test_angles_are_the_same_to_the_bit_whatever_the_chunks_and_what_is_asked_fo
         assert rows.dv.tobytes() == whole.dv.tobytes()
         assert not rows.u_ax.size or rows.u_ax.tobytes() == whole.u_ax.tobytes()
         assert not rows.flags.size or rows.flags.tobytes() == whole.flags.tobytes()
-
-
-@pytest.mark.compiled
-def test_base_rate_may_come_and_go_in_a_stream_of_angles():
-    """A chunk without one is a chunk with a base at rest."""
-    columns = angle_samples(0.0)
-    cal = calibration_of(VALUES, LIMITED_STD, angle_rms=1e-6)
-    whole, stream = piga.Compensator(cal).push(columns), piga.Compensator(cal)
-    parts = []
-    for k, (a, b) in enumerate(pairwise(CUTS)):
-        part = {name: c[a:b] for name, c in columns.items()}
-        parts.append(stream.push(part | ({"base_rate": np.zeros((b - a, 3))} if k % 2 else {})).ax)
-    result = np.concatenate(parts)
-    assert not np.any(np.abs(result - whole.ax) > 1e-9)
-    assert np.array_equal(np.isnan(result), np.isnan(whole.ax))

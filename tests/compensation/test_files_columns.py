@@ -73,56 +73,6 @@ def same(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, cal: piga.Ca
     return result
 
 
-VARIANTS = {
-    "base rate": {"more": 'base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }'},
-    "base rate in deg/h": {
-        "more": 'base_rate = { columns = ["wx", "wy", "wz"], unit = "deg/h" }',
-        "wx": np.full(ROWS, 4.0), "wy": np.full(ROWS, 600.0), "wz": np.full(ROWS, -400.0),
-    },
-    "temperature": {"more": 'temperature = { column = "warm", unit = "degC" }'},
-    "rate": {"kind": "rate", "output": 'kind = "rate", unit = "rad/s"'},
-    "sample rate": {"time": 'sample_rate = "100 Hz"'},
-    "sequence": {"more": 'sequence = { column = "k", wraps_at = 100 }'},
-    "segments": {"more": 'segment = "part"'},
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_every_kind_of_column(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str) -> None:
-    path = written(tmp_path, **VARIANTS[variant])  # type: ignore[arg-type]
-    more = {"k0_T": 1e-5} if variant == "temperature" else {}
-    cal = calibration_of({**CAL, **more}, {"phi": 1e-4, "k0": 1e-6}, serial="A", angle_rms=1e-6)
-    assert same(path, tmp_path, monkeypatch, cal) == {}
-
-
-@pytest.mark.only_compiled
-def test_phases_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = written(tmp_path, more='segment = "part"')
-    values = {
-        "scale_factor": K_G,
-        "tan_beta": TAN_BETA,
-        "phi[1]": 0.3,
-        "phi[2]": 0.31,
-        "phi[3]": 0.29,
-        "phi[1 (2)]": 0.3,
-    }
-    labels = piga.read_run(path).labels
-    values = {k: v for k, v in values.items() if not k.startswith("phi")} | {
-        f"phi[{x}]": 0.3 + 0.01 * i for i, x in enumerate(labels)
-    }
-    assert len(labels) == 4
-    same(path, tmp_path, monkeypatch, calibration_of(values, serial="A"))
-
-
-@pytest.mark.parametrize("turn", [2.0 * np.pi, 6.0 * np.pi])
-def test_an_angle_that_folds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, turn: float) -> None:
-    path = written(tmp_path, output=f'kind = "angle", unit = "rad", wraps_at = "{turn!r} rad"')
-    before = pa.parquet.read_table(path.with_suffix(".parquet"))["psi"].to_numpy() + 1.0
-    folded(path, turn)
-    result = same(path, tmp_path, monkeypatch, calibration_of(CAL, serial="A"))
-    assert result.get("counter-roll-over", 0) == np.count_nonzero(np.diff(np.floor(before / turn)))
-
-
 @pytest.mark.parametrize(("turn", "kept"), [(2.0 * np.pi, True), (5.0, False)])
 def test_a_gap_loses_the_phase_of_a_range_that_is_no_whole_turn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, turn: float, kept: bool
@@ -137,14 +87,6 @@ def test_a_gap_loses_the_phase_of_a_range_that_is_no_whole_turn(
     small_chunks(monkeypatch, 37)
     with pytest.raises(piga.CalibrationError, match="the zero of the output angle was lost before segment"):
         to_file(path, cal, tmp_path / "o.parquet")
-
-
-def test_values_outside_of_their_range_are_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fz = np.full(ROWS, G0)
-    fz[[7, 8, 300]] = 40.0, 50.0, -40.0
-    path = written(tmp_path, fz=fz, more="range = { fz = [-40.0, 40.0] }")
-    repairs = same(path, tmp_path, monkeypatch, calibration_of(CAL, serial="A"))
-    assert repairs["saturated"] == 3
 
 
 def test_nothing_usable(tmp_path: Path) -> None:

@@ -17,13 +17,12 @@ from piga.compensation import (
     Resampler,
     identify_phase,
 )
-from piga.compensation.compensator import pieces_of, stream_of
 from piga.compensation.model import FLAGS
 from piga.compensation.result import write_rows
 from piga.formats.columns import nulls_of, numbers_of
 from piga.units import G0
-from tests.compensation.run_files import CAL, assert_file_holds, command, small_chunks, write
-from tests.compensation.twin_data import K_G, TAN_BETA, assert_same_bits, calibration_of, constant_force, run_of
+from tests.compensation.run_files import CAL, command, small_chunks, write
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 
 def test_the_phase_at_rest_by_the_command(tmp_path, monkeypatch, capsys):
@@ -47,44 +46,6 @@ def test_the_phase_at_rest_by_the_command(tmp_path, monkeypatch, capsys):
     assert pa.parquet.read_table(tmp_path / "o.parquet")["ax"].to_numpy().tobytes() == expected.ax.tobytes()
 
 
-def test_a_record_in_pieces_is_the_record(monkeypatch):
-    """Pieces of 64 rows: rows, labels and samples to the bit."""
-    t = 0.01 * np.arange(1000)
-    run = run_of(t, constant_force(t, 1.0, 3.0, 1.0), phi=0.3)
-    cal = calibration_of(CAL, {"phi": 1e-4})
-    whole = piga.compensate(run, cal)
-    monkeypatch.setattr("piga.records.arrays.BLOCK_ROWS", 64)
-    stream = stream_of(run, cal)
-    result = [(label, chunk, stream.push(chunk)) for _, label, chunk in pieces_of(run, stream)]
-    assert len(result) == 16
-    assert {label for label, _, _ in result} == set(run.labels)
-    assert_same_bits([part for _, _, part in result], whole, ("t", "ax", "dv", "u_ax", "flags"))
-    assert np.concatenate([chunk.a_Y for _, chunk, _ in result]).tobytes() == run.f[:, 1].tobytes()
-
-
-@pytest.mark.only_compiled
-def test_a_long_record_with_a_stand_is_written_in_pieces(tmp_path, monkeypatch, capsys):
-    """No reference columns: the stand computes it; the file and the page are those of the short record."""
-    run = write(tmp_path, rows=1000)
-    lines = [line for line in run.read_text().splitlines() if not line.startswith("reference")]
-    stand = [
-        'segment = "part"',
-        "[stand]",
-        'kind = "dividing-head"',
-        'latitude = "40 deg"',
-        'gravity = "9.80166 m/s^2"',
-    ]
-    run.write_text("\n".join([*lines, *stand, 'positions = ["0 deg", "30 deg"]']))
-    words = (run, "--calibration", tmp_path / "run.json", "--report", tmp_path / "r.html", "--force", "--out")
-    assert command(monkeypatch, capsys, *words, tmp_path / "a.parquet")[0] == 0
-    small_chunks(monkeypatch, 64)
-    code, _, said = command(monkeypatch, capsys, *words, tmp_path / "b.parquet")
-    assert code == 0, said
-    a, b = (pa.parquet.read_table(tmp_path / f"{name}.parquet") for name in "ab")
-    assert all(a[c].to_numpy().tobytes() == b[c].to_numpy().tobytes() for c in a.column_names)
-    assert b.num_rows == 1000
-
-
 def test_columns_without_nulls_in_parquet(tmp_path, monkeypatch, capsys):
     run = write(tmp_path)
     words = (run, "--calibration", tmp_path / "run.json", "--out", tmp_path / "o.parquet")
@@ -106,16 +67,6 @@ def test_numbers_of_every_kind_of_column():
         )
         assert nulls_of(column).tolist() == [value is None for value in column.to_pylist()]
         assert numbers_of(column).flags.writeable
-
-
-def test_rows_are_written_in_groups(tmp_path, monkeypatch):
-    monkeypatch.setattr("piga.compensation.result.GROUP_ROWS", 100)
-    t = 0.01 * np.arange(250)
-    result = piga.compensate(run_of(t, constant_force(t, 1.0, 3.0, 1.0), phi=0.3), calibration_of(CAL))
-    assert write_rows(result, tmp_path / "o.parquet")[0] == 250
-    metadata = pa.parquet.ParquetFile(tmp_path / "o.parquet").metadata
-    assert [metadata.row_group(i).num_rows for i in range(metadata.num_row_groups)] == [100, 100, 50]
-    assert_file_holds(tmp_path / "o.parquet", result)
 
 
 def test_flags_are_counted_in_the_rows_that_are_written(tmp_path):
@@ -153,13 +104,6 @@ def test_resampling_loses_no_velocity(period):
     total = math.fsum(np.concatenate([p[1] for p in parts])) + stream.waiting[0]
     assert abs(total - math.fsum(dv)) < 500 * np.finfo(float).eps
     assert np.allclose(np.diff(np.concatenate([p[0] for p in parts])), period)
-
-
-def test_resampled_constant_force_is_constant():
-    t = 0.01 * np.arange(1001)
-    times, dv = Resampler(0.025).push(t, np.full(1001, 0.01 * G0))
-    assert np.abs(dv[1:] / 0.025 - G0).max() < 1e-9
-    assert times.size == 400
 
 
 def test_sum_of_resampled_increments_is_the_running_velocity():

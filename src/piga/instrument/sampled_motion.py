@@ -38,6 +38,8 @@ Between = Literal["smooth", "linear"]
 _EMPTY = float_array("empty", np.empty(0))
 _EMPTY_VECTORS = float_array("empty", np.empty((0, 3)))
 _NO_OUTPUT = np.empty(0)
+_PART = 1 << 14
+"""Increments that are turned into steps at a time, with two beside them."""
 
 
 def _require(samples: MotionSamples, status: int) -> None:
@@ -290,11 +292,16 @@ def propagate_increments(
     turning = float_array("base_angle", np.empty((0, 3)))
     if base_angle is not None:
         turning = float_array("base_angle", base_angle, force.shape)
-    alpha = np.empty(times.size)
-    with np.errstate(all="ignore"):
-        turn = inst.scale_factor * force - (turning if turning.size else 0.0)
-        steps = _turns_of_increments(np.diff(times)[:, None], turn * [1.0, inst.tan_beta, inst.tan_beta])
-        status = propagate_turns(times, np.ascontiguousarray(steps.T), _initial_state(inst.alpha0), alpha)
+    alpha, state, first, n = np.empty(times.size), _initial_state(inst.alpha0), 0, force.shape[0]
+    status, gain = GOOD, [1.0, inst.tan_beta, inst.tan_beta]
+    while first < n and status == GOOD:
+        around, last = slice(max(first - 2, 0), first + _PART + 2), min(first + _PART, n)
+        with np.errstate(all="ignore"):
+            turn = inst.scale_factor * force[around] - (turning[around] if turning.size else 0.0)
+            steps = _turns_of_increments(np.diff(times[around.start : around.stop + 1])[:, None], turn * gain)
+            steps = np.ascontiguousarray(steps[first - around.start :][: last - first].T)
+            done = propagate_turns(times[first : last + 1], steps, state, alpha[first : last + 1])
+        status, first = done if done == GOOD else first + done, last
     if status != GOOD:
         explain(times, status, dv=force, base_angle=turning)
     alpha[0] = inst.alpha0

@@ -307,7 +307,7 @@ def propagate_many(fleet: FleetInput, states: Array, angles: bool, result: Array
 def propagate_turns(t: Array, turn: Array, state: Array, alpha: Array) -> int:
     """Unwrapped angle [rad] at the ``n + 1`` times ``t`` from the increments ``A, Y, Z`` of the steps, ``turn`` (3, n) [rad].
 
-    ``state``: turns, P, Q. Returns ``GOOD``, or the sample at which an unusable step begins.
+    ``state``: turns, P, Q; updated. Returns ``GOOD``, or the sample at which an unusable step begins.
     """
     turns, p, q = state[0], state[1], state[2]
     n = turn.shape[1]
@@ -322,6 +322,7 @@ def propagate_turns(t: Array, turn: Array, state: Array, alpha: Array) -> int:
         if done < count:
             return first + done
         _read_angles(s, alpha[first:last])
+    state[0], state[1], state[2] = turns, p, q
     return GOOD
 
 
