@@ -337,10 +337,6 @@ def real_of(key, kind="basic_measuredValue"):
     return f".//dcc:result[@refType='{kind}']//si:real[si:label='{key}']"
 
 
-def named(kind, title):
-    return f".//dcc:{kind}[dcc:name='{title}']"
-
-
 CORE = "dcc:administrativeData/dcc:coreData/dcc:"
 ALTERED = [
     (f"{real_of('scale_factor')}/si:value", "0.09060", "value of scale_factor is '0.09060'"),

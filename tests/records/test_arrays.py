@@ -42,7 +42,7 @@ def test_the_same_record(run_file: Path, monkeypatch: pytest.MonkeyPatch, kind: 
     plain = piga.read_run(run_file)
     if not fallocate:
         monkeypatch.delattr(os, "posix_fallocate")
-    for most in (0, 7000, 7191, 7192):  # 899 numbers of 8 bytes are used
+    for most in (0, 7192):  # 899 numbers of 8 bytes are used
         monkeypatch.setattr(arrays, "LARGE_BYTES", most)
         run = piga.read_run(run_file)
         assert is_mapped(run.output) == (most < 7192)
@@ -55,7 +55,7 @@ def test_the_same_record(run_file: Path, monkeypatch: pytest.MonkeyPatch, kind: 
 
 def test_a_column_of_unknown_length(monkeypatch: pytest.MonkeyPatch) -> None:
     values = np.random.default_rng(1).standard_normal(1000)
-    for most in (0, 100, 7999, 8000, 1 << 20):
+    for most in (0, 8000):
         monkeypatch.setattr(arrays, "LARGE_BYTES", most)
         column = arrays.ColumnWriter()
         for start in range(0, 1000, 7):
