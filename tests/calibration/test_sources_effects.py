@@ -38,7 +38,11 @@ def check_effects(run: Run, terms: str, phases: str) -> Fit:
     units = with_units(fit.design.run)
     moves = zip(sources(units, 1.0), sources(units, -1.0), strict=True)
     expected = {plus.name: 0.5 * (estimate(plus.moved) - estimate(minus.moved)) for plus, minus in moves}
-    effects = {name: changes for source in sources_of_stand(fit) for name, changes in source.effects.items()}
+    effects = {
+        name: changes
+        for source in sources_of_stand(fit, [c.key for c in named])
+        for name, changes in source.effects.items()
+    }
     assert effects.keys() == {name for name in expected if not name.startswith("servo ")}
     for name, changes in effects.items():
         for c, change in zip(named, expected[name], strict=True):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import Examination, examine, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request
-from piga.calibration.model.solution import Solution, layout_of, name_coefficients, solve
+from piga.calibration.model.solution import Solution, layout_of, moved_values, name_coefficients, solve
 from piga.calibration.outliers import (
     find_flags,
     first_noise,
@@ -53,6 +54,35 @@ _ROUNDS = 5
 
 
 @dataclass(frozen=True)
+class FittedRecord:
+    """A record under a fit: its columns, its weights, and the column coefficients ``values`` (segments, m).
+
+    ``jacobians`` are the derivatives of these by the parameters of the fit, for each segment, ``inverse`` is the inverse
+    information of the parameters. ``moved`` gives the change of the coefficients (file units) by one of the parameters.
+    """
+
+    design: Design
+    mode: str
+    noise: Noise
+    values: Array
+    jacobians: Sequence[Array]
+    inverse: Array
+    moved: Callable[[Array], Array]
+
+    def effects(self, parts: Sequence[Reduction]) -> Array:
+        """Change of the parameters by one unit of each extra column: (parameters, extra columns).
+
+        ``parts`` are ``[model | rate | extra | y]`` of the positions.
+        """
+        m, segments = len(self.design.names), Positions.of(self.design.run).segments.tolist()
+        score = sum(
+            self.jacobians[segment].T @ part.factor[:, :m].T @ part.factor[:, m:-1]
+            for part, segment in zip(with_scatter(parts, self.noise), segments, strict=True)
+        )
+        return np.asarray(self.inverse @ score)
+
+
+@dataclass(frozen=True)
 class Fit:
     """A finished fit of one run.
 
@@ -75,6 +105,14 @@ class Fit:
     def reduce(self, design: Design) -> list[Reduction]:
         """One triangle per segment of a record with the same sampling, with the weights of the fit."""
         return reduce_segments(design, self.mode, self.noise)
+
+    @property
+    def record(self) -> FittedRecord:
+        """The record under the fit."""
+        jacobians = [self.solution.jacobians[group] for group in self.design.groups]
+        moved = partial(moved_values, self.design, self.solution)
+        values, inverse = self.solution.values, self.solution.inverse
+        return FittedRecord(self.design, self.mode, self.noise, values, jacobians, inverse, moved)
 
 
 def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piga.calibration.fit import FittedRecord
 from piga.calibration.intervals import Interval, Repetition, find_interval
 from piga.calibration.model.design import Design, Names, ServoState, phaseless_columns
 from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
@@ -26,12 +27,12 @@ from piga.calibration.model.solution import (
     solve_parts,
 )
 from piga.calibration.servo import at_state, state_of
-from piga.calibration.sources import merged_sources, with_effects, with_units
-from piga.calibration.summary import LiveRun, RunSummary, moved_sources, prepare, run_name, summarise
-from piga.calibration.uncertainty import SharedSource
+from piga.calibration.sources import merged_sources, with_effects
+from piga.calibration.summary import LiveRun, RunSummary, SourceSummary, prepare, run_name, summarise
+from piga.calibration.uncertainty import SharedSource, effects_of, units_of
 from piga.calibration.weights import RATE
 from piga.errors import ArgumentError, CalibrationError
-from piga.progress import SILENT, Steps
+from piga.progress import Steps
 from piga.records.calibration import Coefficient, StandSource
 from piga.records.calibration.coefficient import changes
 from piga.records.run import Run
@@ -251,6 +252,24 @@ class JointFit(MergedRuns):
             values = np.tile(values[0], (segments, 1))
         return Design(live.run, wish, scale_factor, self.servo_of(index, segments)), values
 
+    def record(self, index: int, live: LiveRun) -> FittedRecord:
+        """A run with raw data under the fit."""
+        design, values = self.design_of(index, live)
+        amplitudes, phases = self.estimate.amplitudes, self.estimate.phases
+        groups = [self.first_group(index) + group for group in design.groups]
+        jacobians = [self.layout.jacobian(amplitudes, phases, group) for group in groups]
+        inverse = self.estimate.inverse
+        return FittedRecord(design, live.fit.mode, live.fit.noise, values, jacobians, inverse, self.moved)
+
+    def moved(self, change: Array) -> Array:
+        """Change of the coefficients (n,; file units) by a change of the internal parameters."""
+        at, estimate = self.estimate.amplitudes.size, self.estimate
+        amplitudes, phases = estimate.amplitudes + change[:at], estimate.phases + change[at:]
+        named, _ = self.named(replace(estimate, amplitudes=amplitudes, phases=phases), estimate.covariance)
+        return changes(
+            self.coefficients, *(np.array([c.value for c in one]) for one in (self.coefficients, named))
+        )
+
     def column_values(self, index: int) -> Array:
         """Coefficients of the columns of a run in each of its phase groups."""
         first, count = self.first_group(index), len(self.summaries[index].parts)
@@ -447,21 +466,25 @@ def joint_sources_of_stand(fit: JointFit) -> tuple[StandSource, ...]:
 
     The summary of a run without its raw data has no effects.
     """
-    units = [
-        replace(
-            summary,
-            sources=()
-            if live is None
-            else moved_sources(
-                live, with_units(live.run), fit.wish.terms_of(index), summary.inner_scale_factor
-            ),
-        )
-        for index, (summary, live) in enumerate(zip(fit.summaries, fit.live, strict=True))
+    units = [[] if live is None else units_of(live.fit.design) for live in fit.live]
+    moved = [
+        effects_of(fit.record(index, live), own) if live else []
+        for index, (live, own) in enumerate(zip(fit.live, units, strict=True))
     ]
-    changes_by_source = joint_contributions(replace(fit, summaries=tuple(units)), SILENT)
-    effects = {source.name: change[0] for source, change in changes_by_source}
-    sources = merged_sources(summary.stand_sources for summary in fit.summaries)
-    return with_effects(sources, effects, [c.key for c in fit.coefficients])
+    shared = joint_sources(
+        [
+            replace(
+                summary, sources=tuple(SourceSummary(s.name, s.value, s.unit, (), draw=s.draw) for s in own)
+            )
+            for summary, own in zip(fit.summaries, units, strict=True)
+        ]
+    )
+    effects = {
+        source.name: np.sum([moved[index][number] for index, number in source.moved.items()], axis=0)
+        for source in shared
+    }
+    listed = merged_sources(summary.stand_sources for summary in fit.summaries)
+    return with_effects(listed, effects, [c.key for c in fit.coefficients])
 
 
 def check_items(items: object) -> list[Run | RunSummary]:

@@ -35,7 +35,7 @@ from piga.calibration.model.solution import asked_order, layout_of, name_coeffic
 from piga.calibration.model_choice import compare_models
 from piga.calibration.monte_carlo import monte_carlo_intervals
 from piga.calibration.remarks.advice import advise, looks_wrong, with_advice
-from piga.calibration.remarks.creep import creep_in_words, creep_of_run, creep_of_runs
+from piga.calibration.remarks.creep import creep_in_words, creep_of_runs, find_creep
 from piga.calibration.remarks.left_out import (
     CUBIC_SOURCE,
     DAMPING_SOURCE,
@@ -177,7 +177,10 @@ class OneRun:
                 *one_way_in_words(run, request.terms),
                 *remarks_in_words(coefficients, covariance, request.phases),
             ),
-            sources=(*sources_of_stand(fit), *(doubt.listed for doubt in doubts if doubt.listed)),
+            sources=(
+                *sources_of_stand(fit, [c.key for c in coefficients]),
+                *(doubt.listed for doubt in doubts if doubt.listed),
+            ),
             scale_factor_tolerance=run.model.tolerance,
             gravity=gravity_in_words(run),
             budget=BudgetTable(budget),
@@ -194,7 +197,7 @@ class OneRun:
             unit=run.unit,
         )
         result = _with_remarks(result, fit, self.candidates, doubts)
-        return _with_creep(result, run, creep_of_run(fit, coefficients))
+        return _with_creep(result, run, find_creep(fit.record, coefficients))
 
     def servo(self) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
         """Given coefficients of the servo, and the same moved by each source of Type B that affects them."""

@@ -23,7 +23,7 @@ from piga.calibration.intervals import Repetition
 from piga.calibration.model.design import PHASELESS, Design, given_servo
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
-from piga.calibration.model.solution import merged
+from piga.calibration.model.solution import merged_groups
 from piga.calibration.residuals import find_residuals, root_mean_square, segment_table
 from piga.calibration.sources import Source, listed, sources
 from piga.calibration.uncertainty import stated_scatter
@@ -50,7 +50,7 @@ _LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
 
 
 @dataclass(frozen=True)
-class _SourceSummary:
+class SourceSummary:
     """One source of Type B: the summaries of the record moved by its standard uncertainty.
 
     A source with a new value in each segment has no ``parts``. For each segment, ``segments`` then contains the changed phase
@@ -118,7 +118,7 @@ class RunSummary(Result):
     turning: bool
     labels: tuple[str | None, ...]
     positions: tuple[Repetition, ...]
-    sources: tuple[_SourceSummary, ...]
+    sources: tuple[SourceSummary, ...]
     stand: str | None
     reference_id: str | None
     undetermined: tuple[str, ...]
@@ -138,8 +138,8 @@ class RunSummary(Result):
     @cached_property
     def parts(self) -> tuple[Reduction, ...]:
         """Triangle ``[columns | y]`` of each phase group, with the scatter of the positions in its weights."""
-        alone = [(p.group, p.part.without((RATE,), p.variance)) for p in self.positions]
-        return tuple(merged([part for own, part in alone if own == group]) for group in range(len(self.labels)))
+        alone = [position.part.without((RATE,), position.variance) for position in self.positions]
+        return tuple(merged_groups(alone, tuple(position.group for position in self.positions)))
 
     @classmethod
     @one_thread()
@@ -334,26 +334,17 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
         run, replace(live.request, terms=columns, per_run=()), scale_factor or fit.design.scale_factor
     )
     positions = repetitions(design, fit.noise, reduce_positions(design, fit.mode, fit.noise))
+    plain = fit.reduce(design)
     return replace(
         bare_summary(live, design, positions),
-        sources=moved_sources(live, run, columns, design.scale_factor),
+        sources=tuple(_source(source, plain, design.of(source.moved), fit) for source in sources(run)),
         stand_sources=listed(run),
         **_described(fit),
     )
 
 
-def moved_sources(
-    live: LiveRun, run: Run, columns: tuple[str, ...], scale_factor: float
-) -> tuple[_SourceSummary, ...]:
-    """The sources of Type B of ``run``: the record of ``live``, perhaps with another ``[uncertainty]``."""
-    wish = replace(live.request, terms=columns, per_run=())
-    design = Design(run, wish, scale_factor)
-    plain = live.fit.reduce(design)
-    return tuple(_source(s, plain, design.of(s.moved), live.fit) for s in sources(run))
-
-
-def _source(source: Source, plain: list[Reduction], moved: Design, fit: Fit) -> _SourceSummary:
-    summary = _SourceSummary(
+def _source(source: Source, plain: list[Reduction], moved: Design, fit: Fit) -> SourceSummary:
+    summary = SourceSummary(
         source.name,
         source.value,
         source.unit,
@@ -365,19 +356,12 @@ def _source(source: Source, plain: list[Reduction], moved: Design, fit: Fit) -> 
     )
     rows, groups = fit.reduce(moved), moved.groups
     if source.draw != "segment":
-        return replace(summary, parts=_group_rows(rows, groups))
-    alone = ([*plain[:s], rows[s], *plain[s + 1 :]] for s in range(len(plain)))
-    segments = [(own, _group(mixed, groups, own)) for own, mixed in zip(groups, alone, strict=True)]
+        return replace(summary, parts=tuple(merged_groups(rows, groups)))
+    segments = []
+    for s, group in enumerate(groups):
+        alone = (rows[k] if k == s else plain[k] for k, own in enumerate(groups) if own == group)
+        segments.append((group, Reduction.stacked(list(alone))))
     return replace(summary, segments=tuple(segments), in_fit=bool(fit.noise.stated))
-
-
-def _group_rows(summaries: list[Reduction], groups: tuple[int, ...]) -> tuple[Reduction, ...]:
-    """One triangle per phase group, from triangles of segments."""
-    return tuple(_group(summaries, groups, group) for group in range(max(groups) + 1))
-
-
-def _group(summaries: list[Reduction], groups: tuple[int, ...], group: int) -> Reduction:
-    return merged([one for one, own in zip(summaries, groups, strict=True) if own == group])
 
 
 def _described(fit: Fit) -> dict[str, Any]:

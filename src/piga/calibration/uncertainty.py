@@ -16,11 +16,10 @@ import numpy as np
 
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import moved_values, name_coefficients, solve
+from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.sources import Source, across_squared, listed, sources, with_effects, with_units
-from piga.calibration.weights import Extra, Positions, reduce_positions, residual_increments, with_scatter
+from piga.calibration.weights import Extra, reduce_positions, residual_increments
 from piga.progress import SILENT, Steps
-from piga.records.arrays import copied
 from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient, StandSource
 from piga.records.calibration.coefficient import short_way, welch_satterthwaite
 from piga.records.run import Run
@@ -28,7 +27,7 @@ from piga.records.terms import si_factor, unit_of
 from piga.results import Array, Result
 
 if TYPE_CHECKING:
-    from piga.calibration.fit import Fit
+    from piga.calibration.fit import Fit, FittedRecord
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,39 +48,30 @@ class SharedSource(Result):
     in_fit: bool = False
 
 
-Estimate = Callable[[Run], Array]
-_OneByOne = Callable[[Run], Iterable[Array]]
-
-
 def contributions(
-    run: Run, base: Array, estimate: Estimate, one_by_one: _OneByOne | None = None, *, steps: Steps = SILENT
+    design: Design,
+    reduced: Callable[[Design], list[Reduction]],
+    plain: list[Reduction],
+    base: Array,
+    steps: Steps = SILENT,
 ) -> Iterator[tuple[Source, Array]]:
     """Change of the coefficients (draws, n; file units) by each source; ``base`` is the unmoved estimate.
 
-    ``estimate`` gives the coefficients of a moved record. ``one_by_one`` gives the coefficients with one segment
-    moved at a time; by default it calls ``estimate``. A source has one draw, or one draw per segment. Moved records
-    are not kept, because each is as large as the record. ``steps`` hears of each source.
+    ``reduced`` gives one triangle per segment of a moved record with the weights of the fit, ``plain`` are those of the record.
+    A source has one draw, or one draw per segment. Moved records are not kept, because each is as large as the record. ``steps``
+    hears of each source.
     """
-    unmoved = estimate(run) if run.servo else base
+    run = design.run
+    unmoved = values_near(base, design, reduced(design)) if run.servo else base
     for number, source in enumerate(sources(run)):
         steps.parts(number, f"adding up the budget: {source.name}")
-        record = source.moved
-        if source.draw != "segment":
-            moved = [estimate(record)]
-        elif one_by_one is not None:
-            moved = list(one_by_one(record))
-        else:
-            moved = [estimate(_in_segment(run, record, s)) for s in range(len(run.labels))]
-        changes = np.array(moved) - base
-        if "servo" not in source.fields or not np.array_equal(moved[0], unmoved):
-            yield source, changes
-
-
-def _in_segment(run: Run, moved: Run, segment: int) -> Run:
-    """The run with the specific force of ``moved`` in one segment."""
-    f, inside = copied(run.f), run.segment_index == segment
-    f[inside] = moved.f[inside]
-    return replace(run, f=f)
+        moved = reduced(design.of(source.moved))
+        draws = [moved]
+        if source.draw == "segment":
+            draws = [[*plain[:s], part, *plain[s + 1 :]] for s, part in enumerate(moved)]
+        values = np.array([values_near(base, design, parts) for parts in draws])
+        if "servo" not in source.fields or not np.array_equal(values[0], unmoved):
+            yield source, values - base
 
 
 def stated_scatter(run: Run) -> tuple[float, ...]:
@@ -152,33 +142,25 @@ def make_budget(
 ) -> Budget:
     """The budget of a fit: one row per source. ``covariance`` (n, n) is that of the coefficients."""
     base = np.array([coefficient.value for coefficient in coefficients])
-
-    def reduced(run: Run) -> list[Reduction]:
-        return fit.reduce(fit.design.of(run))
-
-    def solved(summaries: list[Reduction]) -> Array:
-        return values_near(base, fit.design, summaries)
-
-    def one_by_one(run: Run) -> Iterator[Array]:
-        moved, plain = reduced(run), fit.summaries
-        for s in range(len(plain)):
-            yield solved([*plain[:s], moved[s], *plain[s + 1 :]])
-
-    changes_by_source = list(
-        contributions(fit.design.run, base, lambda run: solved(reduced(run)), one_by_one, steps=steps)
-    )
+    changes_by_source = list(contributions(fit.design, fit.reduce, fit.summaries, base, steps))
     stated = bool(fit.noise.stated)
     in_fit = tuple(stated and source.draw == "segment" for source, _ in changes_by_source)
     return budget_of(coefficients, covariance, changes_by_source, in_fit)
 
 
-def sources_of_stand(fit: Fit) -> tuple[StandSource, ...]:
+def units_of(design: Design) -> list[Source]:
+    """One unit of each source that nobody stated; of a long record the means of neighbouring samples are moved."""
+    return [source for source in sources(with_units(design.means.run)) if "servo" not in source.fields]
+
+
+def sources_of_stand(fit: Fit, keys: Sequence[str]) -> tuple[StandSource, ...]:
     """The sources of the stand, and the change of each coefficient by one unit of those that are not stated."""
-    units = [source for source in sources(with_units(fit.design.means.run)) if "servo" not in source.fields]
-    return _with_effects_of(fit, listed(fit.design.run), units)
+    units = units_of(fit.design)
+    effects = zip([source.name for source in units], effects_of(fit.record, units), strict=True)
+    return with_effects(listed(fit.design.run), dict(effects), keys)
 
 
-def unstated_servo(fit: Fit) -> StandSource:
+def unstated_servo(fit: Fit, keys: Sequence[str]) -> StandSource:
     """A servo that nobody stated, and that the record does not tell: 1 ug/g^3 of it, averaged over turns of the output.
 
     It lowers the output, as a reference that is as much too large.
@@ -191,37 +173,26 @@ def unstated_servo(fit: Fit) -> StandSource:
         change[:, 0] = unit * run.f[part, 0] * across_squared(run, part)
         return change
 
-    source = StandSource("servo", "unstated", "ug/g^3")
-    return _with_effects_of(fit, (source,), [Source(run, "servo", 1.0, "ug/g^3", force=force)])[0]
+    (effect,) = effects_of(fit.record, [Source(run, "servo", 1.0, "ug/g^3", force=force)])
+    return with_effects((StandSource("servo", "unstated", "ug/g^3"),), {"servo": effect}, keys)[0]
 
 
-def _with_effects_of(
-    fit: Fit, listed_sources: tuple[StandSource, ...], units: list[Source]
-) -> tuple[StandSource, ...]:
-    """The sources with the change of each coefficient by one unit of those that are not stated.
+def effects_of(record: FittedRecord, units: Sequence[Source]) -> list[Array]:
+    """Change of each coefficient (n,; file units) by each of the sources, which move the means of the record.
 
-    The estimate is linear in the residual increments of the record, moved by a unit, under the fit (first order). Of a long
-    record the means of neighbouring samples are moved.
+    The estimate is linear in the residual increments of the moved record under the fit (first order).
     """
-    means, values = fit.design.means, fit.solution.values
+    if not units:
+        return []
+    means, values = record.design.means, record.values
     plain = Design(means.run, means.request, means.scale_factor, means.servo)
     known = residual_increments(plain, values)[0]
     moved = [residual_increments(plain.of(source.moved), values)[0] - known for source in units]
     extra = Extra(
         tuple(s.name for s in units), lambda block: np.array([d[block.start : block.stop] for d in moved])
     )
-    effects = {}
-    if units:
-        m, positions = len(plain.names), Positions.of(fit.design.run)
-        parts = with_scatter(reduce_positions(fit.design, fit.mode, fit.noise, positions, extra), fit.noise)
-        score = sum(
-            fit.solution.jacobians[plain.groups[segment]].T @ part.factor[:, :m].T @ part.factor[:, m:-1]
-            for part, segment in zip(parts, positions.segments.tolist(), strict=True)
-        )
-        for source, change in zip(units, (fit.solution.inverse @ score).T, strict=True):
-            effects[source.name] = moved_values(fit.design, fit.solution, change)
-    keys = [c.key for c in name_coefficients(fit.design, fit.solution, fit.solution.covariance)[0]]
-    return with_effects(listed_sources, effects, keys)
+    parts = reduce_positions(record.design, record.mode, record.noise, extra=extra)
+    return [record.moved(change) for change in record.effects(parts).T]
 
 
 def budget_of(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -25,7 +26,7 @@ from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.identifiability import examine, refuse_if_confounded
 from piga.calibration.model.solution import asked_order, layout_of, name_coefficients, solve
 from piga.calibration.servo import reduce_settled, with_mean_servo
-from piga.calibration.uncertainty import contributions, values_near
+from piga.calibration.uncertainty import contributions
 from piga.calibration.weights import (
     RATE,
     Extra,
@@ -33,6 +34,7 @@ from piga.calibration.weights import (
     Positions,
     of_segments,
     reduce_positions,
+    reduce_segments,
     weighted_blocks,
     weighting_mode,
     with_scatter,
@@ -386,13 +388,11 @@ def predict(
     coefficients = tuple(replace(c, degrees_of_freedom=float(nu)) for c, nu in zip(named, degrees, strict=True))
     base = np.array([c.value for c in coefficients])
 
-    def estimate(moved: Run) -> Array:
-        again, turned = reduce_settled(Design(moved, wish, run.scale_factor), mode, noise)
-        return values_near(base, again, of_segments(with_scatter(turned, noise), Positions.of(run)))
-
     squares = np.zeros(base.size)
     if type_b:
-        for _, change in contributions(run, base, estimate):
+        for _, change in contributions(
+            design, partial(reduce_segments, mode=mode, noise=noise), summaries, base
+        ):
             squares += np.sum(change**2, axis=0)
     return Prediction(name, visits, duration, coefficients, covariance, np.sqrt(squares))
 

@@ -11,7 +11,7 @@ import piga
 from piga.calibration.model import design as design_module
 from piga.calibration.model.design import Design, MeanDesign
 from piga.calibration.model.request import make_request
-from piga.calibration.model.solution import merged
+from piga.calibration.model.reduction import Reduction
 from piga.calibration.weights import RATE, Noise, reduce_positions
 from piga.units import G0
 from tests.calibration.made.synthetic import SCALE, TERMS, TRUTH, record
@@ -96,7 +96,7 @@ def test_rows_have_unit_variance(short, kind):
     terms = TERMS if kind == "angle" else ["scale_factor", "k0"]
     design = Design(noisy, make_request(noisy, terms, "information"), run.scale_factor)
     assert isinstance(design.means, MeanDesign)
-    total = merged(reduce_positions(design, "samples" if kind == "rate" else "increments", noise))
+    total = Reduction.stacked(reduce_positions(design, "samples" if kind == "rate" else "increments", noise))
     free = total.without((RATE,))
     assert total.count < 400
     assert free.factor[-1, -1] ** 2 / (total.count - len(terms) - 2) == pytest.approx(1.0, abs=0.25)

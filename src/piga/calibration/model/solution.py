@@ -194,15 +194,10 @@ class Solution(Estimate):
     values: Array
 
 
-def merged(summaries: list[Reduction]) -> Reduction:
-    """Merge several summaries into one."""
-    return Reduction.stacked(summaries)
-
-
 def merged_groups(summaries: list[Reduction], groups: tuple[int, ...]) -> list[Reduction]:
     """One summary per phase group, from summaries per segment."""
     return [
-        merged([part for part, own in zip(summaries, groups, strict=True) if own == group])
+        Reduction.stacked([part for part, own in zip(summaries, groups, strict=True) if own == group])
         for group in range(max(groups) + 1)
     ]
 

@@ -9,23 +9,19 @@ or proportional to the change of a_x by the move. A few time constants are tried
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from piga._kernels.estimation import merge_rows
-from piga.calibration.fit import Fit
+from piga.calibration.fit import FittedRecord
 from piga.calibration.intervals import sandwich
 from piga.calibration.joint import JointFit
-from piga.calibration.model.design import Block, Design
+from piga.calibration.model.design import Block
 from piga.calibration.model.reduction import Reduction, triangle
-from piga.calibration.model.solution import moved_values
 from piga.calibration.summary import LiveRun
-from piga.calibration.weights import RATE, Extra, Noise, Positions, reduce_positions, residual_increments
+from piga.calibration.weights import RATE, Extra, Positions, reduce_positions, residual_increments
 from piga.records.calibration import Coefficient, Creep
-from piga.records.calibration.coefficient import changes
 from piga.records.calibration.diagnostics import CREEP_ALARMS
 from piga.records.run import Run
 from piga.results import Array
@@ -45,78 +41,21 @@ _REST = 0.1
 """Largest shift of a coefficient, in its standard uncertainties, that is left after the time advised for ``settle``."""
 
 
-@dataclass(frozen=True)
-class _FittedRun:
-    """A record under a fit: its columns, its weights, and the column coefficients ``values`` (segments, m).
-
-    ``jacobians`` are the derivatives of these by the parameters of the fit, for each segment, ``inverse`` is the inverse
-    information of the parameters. ``moved`` gives the change of the coefficients (file units) by one of the parameters.
-    """
-
-    design: Design
-    mode: str
-    noise: Noise
-    values: Array
-    jacobians: Sequence[Array]
-    inverse: Array
-    moved: Callable[[Array], Array]
-
-    def effect(self, rows: Sequence[Reduction]) -> Array:
-        """Change of the parameters by a creep of size one; ``rows`` are ``[model | rate | creep | y]`` of the positions."""
-        positions, score = Positions.of(self.design.run), np.zeros(len(self.inverse))
-        variances = self.noise.rate_variances(positions.count).tolist()
-        for part, segment, variance in zip(rows, positions.segments.tolist(), variances, strict=True):
-            factor = part.without((RATE,), variance).factor
-            score += self.jacobians[segment].T @ (factor[:, :-2].T @ factor[:, -2])
-        return self.inverse @ score
-
-
-def creep_of_run(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Creep | None:
-    """The likeliest creep of a record, seen or not; None if it was not tested.
-
-    Parameters
-    ----------
-    fit:
-        The finished fit.
-    coefficients:
-        The result, with combined standard uncertainties.
-    """
-    design, solution = fit.design, fit.solution
-    jacobians = [solution.jacobians[group] for group in design.groups]
-    moved = partial(moved_values, design, solution)
-    own = _FittedRun(design, fit.mode, fit.noise, solution.values, jacobians, solution.inverse, moved)
-    return _find_creep(own, coefficients)
-
-
 def creep_of_runs(fit: JointFit, coefficients: tuple[Coefficient, ...]) -> tuple[LiveRun, Creep] | None:
     """The likeliest creep of the runs with raw data, and its run; None if none was tested."""
-    estimate = fit.estimate
-
-    def moved(change: Array) -> Array:
-        at = estimate.amplitudes.size
-        amplitudes, phases = estimate.amplitudes + change[:at], estimate.phases + change[at:]
-        named, _ = fit.named(replace(estimate, amplitudes=amplitudes, phases=phases), estimate.covariance)
-        return changes(coefficients, *(np.array([c.value for c in one]) for one in (fit.coefficients, named)))
-
-    creeps: list[tuple[LiveRun, Creep]] = []
-    for index, live in enumerate(fit.live):
-        if live is None:
-            continue
-        design, values = fit.design_of(index, live)
-        groups = [fit.first_group(index) + group for group in design.groups]
-        jacobians = [fit.layout.jacobian(estimate.amplitudes, estimate.phases, group) for group in groups]
-        own = _FittedRun(design, live.fit.mode, live.fit.noise, values, jacobians, estimate.inverse, moved)
-        creep = _find_creep(own, coefficients)
-        if creep is not None:
-            creeps.append((live, creep))
+    tested = [(live, find_creep(fit.record(k, live), coefficients)) for k, live in enumerate(fit.live) if live]
+    creeps = [(live, creep) for live, creep in tested if creep is not None]
     if not creeps:
         return None
     live, best = max(creeps, key=lambda item: (item[1].seen, item[1].largest_shift, -item[1].probability))
     return live, replace(best, probability=min(1.0, len(creeps) * best.probability))
 
 
-def _find_creep(fit: _FittedRun, coefficients: tuple[Coefficient, ...]) -> Creep | None:
-    """The likeliest creep, seen or not; None if a record has too few positions, or no position long enough."""
+def find_creep(fit: FittedRecord, coefficients: tuple[Coefficient, ...]) -> Creep | None:
+    """The likeliest creep, seen or not; None if a record has too few positions, or no position long enough.
+
+    ``coefficients`` are those of the result, with combined standard uncertainties.
+    """
     run, positions = fit.design.run, Positions.of(fit.design.run)
     begin, end = positions.times(run)
     length = float(np.median(end - begin))
@@ -134,7 +73,7 @@ def _find_creep(fit: _FittedRun, coefficients: tuple[Coefficient, ...]) -> Creep
         near = _tests(fit, positions, [best.time * part for part in _NEAR])
         best = max((test for test in near if test.by_move == best.by_move), key=lambda test: test.fall)
     scale = fit.design.scale_factor * (1.0 if best.by_move else G0)
-    shifts = zip(coefficients, fit.moved(-best.size * fit.effect(best.rows)), strict=True)
+    shifts = zip(coefficients, fit.moved(-best.size * fit.effects(best.rows)[:, 0]), strict=True)
     return Creep(
         best.size / scale,
         best.std / scale,
@@ -146,7 +85,7 @@ def _find_creep(fit: _FittedRun, coefficients: tuple[Coefficient, ...]) -> Creep
     )
 
 
-def _decays(fit: _FittedRun, positions: Positions, block: Block, times: list[float]) -> Array:
+def _decays(fit: FittedRecord, positions: Positions, block: Block, times: list[float]) -> Array:
     """Rows ``[times | rows]`` of a block: the integral of ``exp(-age/time)`` over each interval; for a rate log its value."""
     design, run = fit.design.means, fit.design.means.run
     samples = slice(block.start - (not design.point), block.stop)
@@ -188,7 +127,7 @@ class _Test:
     fall: float
 
 
-def _tests(fit: _FittedRun, positions: Positions, times: list[float]) -> list[_Test]:
+def _tests(fit: FittedRecord, positions: Positions, times: list[float]) -> list[_Test]:
     """The tests of all time constants [s], of the same size at each position and by the move; without those that are nowhere."""
     from scipy.special import stdtr
 
@@ -213,7 +152,7 @@ def _tests(fit: _FittedRun, positions: Positions, times: list[float]) -> list[_T
     return tests
 
 
-def _stacked(fit: _FittedRun, positions: Positions, length: float) -> tuple[tuple[float, ...], ...]:
+def _stacked(fit: FittedRecord, positions: Positions, length: float) -> tuple[tuple[float, ...], ...]:
     """Time since the start of the position [s], mean residual rate over K [g] over the positions, and its 95 % half width."""
     from scipy.special import stdtrit
 

@@ -20,23 +20,21 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import fdtrc
 
 from piga.calibration.fit import Fit, repetitions, without_scatter
 from piga.calibration.joint import JointFit, merge_runs
 from piga.calibration.model.design import Design, Names
-from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.remarks.missing_terms import (
     CUBIC,
     Candidates,
-    CandidateTest,
     after_change,
     constant_squares,
     tested,
     with_term,
 )
-from piga.calibration.servo import at_state, reduce_settled
+from piga.calibration.servo import reduce_settled
 from piga.calibration.sources import across_squared
 from piga.calibration.summary import LiveRun, RunSummary
 from piga.calibration.uncertainty import budget_row, unstated_servo
@@ -140,7 +138,10 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
         if whole is not None:
             after = after_change(plain, test.change)
             turned = {name: whole[name] for name in TURNED}
-            doubts.append(damped(coefficients, before, after | turned, test, design.scale_factor))
+            unit = design.scale_factor * si_factor("servo_damping")
+            size = (float(test.columns[0]) / unit, float(test.std[0]) / unit)
+            is_clear = test.probability <= _CLEAR
+            doubts.append(_damped(coefficients, before, after | turned, size, clear=is_clear))
     covered = any(doubt.source == CUBIC_SOURCE for doubt in doubts)
     return (*doubts, *asked, *(() if covered else unnamed))
 
@@ -163,7 +164,14 @@ def _unnamed(
     pieces, rows = candidates.pieces
     names = ("servo",) if "servo" in candidates.order else ("k3",)
     if names == ("k3",) and square is None:
-        return (LeftOut(_UNNAMED_SOURCE, np.zeros(len(coefficients)), "", unstated_servo(plain)),)
+        return (
+            LeftOut(
+                _UNNAMED_SOURCE,
+                np.zeros(len(coefficients)),
+                "",
+                unstated_servo(plain, [c.key for c in coefficients]),
+            ),
+        )
     test = tested(pieces, candidates.order, names, rows)
     if test is None:
         moved = [c.value * part if c.name == "scale_factor" else 0.0 for c in coefficients]
@@ -263,21 +271,21 @@ def _other_meaning(coefficients: tuple[Coefficient, ...], scale: Coefficient, sh
     return LeftOut(CUBIC_SOURCE, np.array([shift if c is scale else 0.0 for c in coefficients]), words)
 
 
-def damped(
+def _damped(
     coefficients: tuple[Coefficient, ...],
     before: dict[str, float],
     after: dict[str, float],
-    test: CandidateTest,
-    scale_factor: float,
+    size: tuple[float, float],
+    *,
+    clear: bool,
 ) -> LeftOut:
-    """A wave of ``servo_damping`` that is missing in the model.
+    """A wave of ``servo_damping`` that is missing in the model: ``size`` and its standard uncertainty [g/g^3].
 
     It is examined if it is clear, or if a clear cube shows that the servo yields. A damping is then expected. ``before``
     and ``after`` are the coefficients without and with it. The changes of phi and tan_beta are counted from the reported
     values, which may have other weights. One standard uncertainty of the damping is added to its size.
     """
-    size, std = abs(float(test.columns[0])), float(test.std[0])
-    damping = float(test.columns[0]) / scale_factor / si_factor("servo_damping")
+    damping, std = size
     reported = {c.key: c.value for c in coefficients if c.name in TURNED}
     change = _difference(coefficients, before | reported, after)
     turned = ", ".join(
@@ -290,7 +298,7 @@ def damped(
         f"(servo_damping = {damping:.3g} g/g^3): its effect turns {turned}, and the uncertainties "
         "cover this. Add 'servo_damping' to [model] terms to take it out"
     )
-    return LeftOut(DAMPING_SOURCE, change * (1.0 + std / size), words if test.probability <= _CLEAR else "")
+    return LeftOut(DAMPING_SOURCE, change * (1.0 + std / abs(damping)), words if clear else "")
 
 
 def _difference(
@@ -308,16 +316,17 @@ _LACKING = {"servo": "servo terms that the model lacks", "k3": "k3 that the mode
 
 
 @dataclass(frozen=True)
-class _LeftOutRows:
-    """The runs with the columns of ``EXTRA``, weighted without slow noise.
-
-    ``pieces`` hold, for each run, the phase group within the run and the reduction of each segment. A run with only a
-    summary has one entry per phase group.
-    """
+class _WideRuns:
+    """The runs with the columns of ``EXTRA``, weighted without scatter."""
 
     fit: JointFit
     summaries: tuple[RunSummary, ...]
-    pieces: tuple[tuple[tuple[int, Reduction], ...], ...]
+
+    @classmethod
+    def of(cls, fit: JointFit) -> _WideRuns:
+        """The runs of a fit. Those without raw data have the columns of their summaries."""
+        runs = enumerate(zip(fit.summaries, fit.live, strict=True))
+        return cls(fit, tuple(_with_columns(fit, index, summary, live) for index, (summary, live) in runs))
 
     def refit(self, terms: Names) -> JointFit | None:
         """The runs with these terms; None if they cannot separate the terms."""
@@ -327,19 +336,10 @@ class _LeftOutRows:
         except IdentifiabilityError:
             return None
 
-
-@dataclass(frozen=True)
-class _Wider:
-    """The runs with more terms: ``test`` is that of the terms added, ``before`` and ``after`` the fits."""
-
-    before: JointFit
-    after: JointFit
-    test: CandidateTest
-
-    @property
-    def fall(self) -> float:
-        """Relative fall of the sum of squares."""
-        return 1.0 - self.after.estimate.cost / self.before.estimate.cost
+    def clear(self, base: JointFit, names: Names, limit: float = _CLEAR) -> JointFit | None:
+        """The runs with additional terms; None if they cannot separate them, or if the effect may be chance."""
+        after = self.refit((*base.wish.terms, *names))
+        return None if after is None or _chance(after, names) > limit else after
 
 
 def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
@@ -350,7 +350,7 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
     if "tan_beta" not in terms or not (cube or "servo_damping" not in held):
         return ()
     try:
-        rows = _rows(fit)
+        rows = _WideRuns.of(fit)
         base = rows.refit(terms)
     except CalibrationError:
         return ()
@@ -363,22 +363,27 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
     if cube and "k3" in terms and "k3" not in fit.wish.per_run:
         doubts += _asked(rows, base)
     if cube and not set(CUBIC) & held:
-        by_k3, by_servo = _clear(rows, base, ("k3",)), rows.refit((*terms, "servo"))
+        by_k3, by_servo = rows.clear(base, ("k3",)), rows.refit((*terms, "servo"))
         if by_k3 and by_servo:
-            after = _values(by_k3.after)
+            after = _values(by_k3)
             under = {"servo": _values(by_servo)["scale_factor"], "k3": after["scale_factor"]}
             doubts.append(_cubic_doubt(fit.coefficients, _values(base), after, under, after["k3"]))
-            base = by_k3.after
+            base = by_k3
     limit = 1.0 if any(doubt.source == CUBIC_SOURCE for doubt in doubts) else _CLEAR
-    wave = _clear(rows, base, ("servo_damping",), limit) if "servo_damping" not in held else None
+    wave = rows.clear(base, ("servo_damping",), limit) if "servo_damping" not in held else None
     if wave:
-        scale_factor = fit.summaries[0].scale_factor
-        doubts.append(damped(fit.coefficients, _values(base), _values(wave.after), wave.test, scale_factor))
+        damping = next(c for c in wave.coefficients if c.name == "servo_damping")
+        is_clear = _chance(wave, ("servo_damping",)) <= _CLEAR
+        doubts.append(
+            _damped(
+                fit.coefficients, _values(base), _values(wave), (damping.value, damping.std), clear=is_clear
+            )
+        )
     covered = any(doubt.source == CUBIC_SOURCE for doubt in doubts)
     return (*doubts, *(() if covered else unnamed))
 
 
-def _unnamed_of_runs(rows: _LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
+def _unnamed_of_runs(rows: _WideRuns, base: JointFit) -> tuple[LeftOut, ...]:
     """The servo that the runs do not exclude; empty if one of them waives it, or if they cannot tell it."""
     sources = (source for summary in rows.fit.summaries for source in summary.stand_sources)
     wider = rows.refit((*base.wish.terms, "servo"))
@@ -392,26 +397,12 @@ def _unnamed_of_runs(rows: _LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     return (_unnamed_servo(shift, servo.value, std),)
 
 
-def _clear(rows: _LeftOutRows, base: JointFit, names: Names, limit: float = _CLEAR) -> _Wider | None:
-    """The runs with additional terms; None if they cannot separate them, or if the effect may be chance."""
-    after = rows.refit((*base.wish.terms, *names))
-    if after is None:
-        return None
-    count = sum(summary.count for summary in rows.summaries)
-    test = tested(_pieces(rows, after, names), list(names), names, count)
-    if test is None or test.probability > limit or _chance_by_scatter(after, names) > limit:
-        return None
-    return _Wider(base, after, test)
-
-
-def _chance_by_scatter(fit: JointFit, names: Names) -> float:
-    """Probability of terms as large as these by chance, by the scatter of the positions."""
+def _chance(fit: JointFit, names: Names) -> float:
+    """Probability of terms as large as these by chance, by the scatter of the positions (F test)."""
     at = [index for index, c in enumerate(fit.coefficients) if c.name in names]
-    scores = np.array([fit.coefficients[index].value / fit.coefficients[index].std for index in at])
-    covariance = fit.covariance[np.ix_(at, at)]
-    size = np.sqrt(np.diag(covariance))
-    distance = scores @ np.linalg.solve(covariance / np.outer(size, size), scores)
-    return float(chdtrc(len(at), distance))
+    size = np.array([fit.coefficients[index].value for index in at])
+    square = size @ np.linalg.solve(fit.covariance[np.ix_(at, at)], size)
+    return float(fdtrc(len(at), fit.degrees[at].min(), square / len(at)))
 
 
 def _values(fit: JointFit) -> dict[str, float]:
@@ -419,58 +410,19 @@ def _values(fit: JointFit) -> dict[str, float]:
     return {c.key: c.value for c in fit.coefficients}
 
 
-def _rows(fit: JointFit) -> _LeftOutRows:
-    """The runs with the columns of all terms that are tried."""
-    summaries, pieces = [], []
-    for index, (summary, live) in enumerate(zip(fit.summaries, fit.live, strict=True)):
-        if live is None:
-            summaries.append(replace(summary, sources=()))
-            pieces.append(tuple(enumerate(summary.parts)))
-            continue
-        wider, own = _with_columns(fit, index, summary, live)
-        summaries.append(wider)
-        pieces.append(own)
-    return _LeftOutRows(fit, tuple(summaries), tuple(pieces))
-
-
-def _with_columns(
-    fit: JointFit, index: int, summary: RunSummary, live: LiveRun
-) -> tuple[RunSummary, tuple[tuple[int, Reduction], ...]]:
-    """A run at hand with the columns of ``EXTRA``: its summary, and its segments with their phase groups."""
+def _with_columns(fit: JointFit, index: int, summary: RunSummary, live: LiveRun | None) -> RunSummary:
+    """The summary of a run with the columns of ``EXTRA``."""
+    if live is None:
+        return replace(summary, sources=())
     terms = fit.wish.terms_of(index)
     wish = replace(live.request, terms=(*terms, *(name for name in EXTRA if name not in terms)), per_run=())
     plain = without_scatter(live.fit)
     design = Design(live.run, wish, summary.inner_scale_factor)
-    segments = plain.reduce(design)
-    positions = repetitions(design, plain.noise, reduce_positions(design, plain.mode, plain.noise))
-    wider = replace(summary, positions=positions, sources=())
-    return wider, tuple(zip(design.groups, segments, strict=True))
+    parts = reduce_positions(design, plain.mode, plain.noise)
+    return replace(summary, positions=repetitions(design, plain.noise, parts), sources=())
 
 
-def _pieces(rows: _LeftOutRows, fit: JointFit, names: Names) -> list[Array]:
-    """Factors ``[parameters | names | residual without them]`` of all segments, linear about a fit with them."""
-    layout = fit.layout
-    amplitudes, phases = fit.estimate.amplitudes, fit.estimate.phases
-    keys = layout.amplitude_keys
-    at = [keys.index((name, None)) for name in names]
-    others = [i for i in range(layout.size + phases.size) if i not in at]
-    factors = []
-    for index, (summary, pieces) in enumerate(zip(rows.summaries, rows.pieces, strict=True)):
-        known, wanted = fit.known_servo(index), fit.wanted(index)
-        chosen = summary.choose(tuple(piece for _, piece in pieces), fit.local, fit.stored(index))
-        for (own, _), piece in zip(pieces, chosen, strict=True):
-            group = fit.first_group(index) + own
-            part = piece if fit.servo is None else at_state(piece, wanted, fit.servo, group, known)
-            columns, observed = part.factor[:, :-1], part.factor[:, -1]
-            turned = columns @ layout.jacobian(amplitudes, phases, group)
-            left = observed - columns @ layout.linear(amplitudes, float(phases[group]), group)
-            factors.append(
-                np.column_stack([turned[:, others], turned[:, at], left + turned[:, at] @ amplitudes[at]])
-            )
-    return factors
-
-
-def _asked(rows: _LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
+def _asked(rows: _WideRuns, base: JointFit) -> tuple[LeftOut, ...]:
     """The other meaning of a requested ``k3``, if the runs cannot separate it from the servo."""
     terms, coefficients = base.wish.terms, rows.fit.coefficients
     named = {c.key: c for c in coefficients}
@@ -485,18 +437,18 @@ def _asked(rows: _LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     return (_unnamed_servo(moved, k3.value, k3.std),)
 
 
-def _lacking(rows: _LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
+def _lacking(rows: _WideRuns, base: JointFit) -> tuple[LeftOut, ...]:
     """Missing terms that the runs can separate: those of the servo, or ``k3``."""
     servo = tuple(name for name in SERVO_TERMS if name not in base.wish.terms)
-    tried = [_clear(rows, base, names) for names in dict.fromkeys((servo, ("servo",), ("k3",)))]
-    clear = [wider for wider in tried if wider]
+    tried = {names: rows.clear(base, names) for names in (servo, ("servo",), ("k3",))}
+    clear = {names: wider for names, wider in tried.items() if wider}
     if not clear:
         return ()
-    best = max(clear, key=lambda wider: wider.fall)
-    coefficients, after = rows.fit.coefficients, _values(best.after)
+    names, best = min(clear.items(), key=lambda item: item[1].estimate.cost)
+    coefficients, after = rows.fit.coefficients, _values(best)
     change = _difference(coefficients, {c.key: c.value for c in coefficients}, after)
-    words = _lacking_words(best.test.names, best.after.coefficients, coefficients, after)
-    return (LeftOut(_LACKING[best.test.names[0]], change, words),)
+    words = _lacking_words(names, best.coefficients, coefficients, after)
+    return (LeftOut(_LACKING[names[0]], change, words),)
 
 
 def _lacking_words(

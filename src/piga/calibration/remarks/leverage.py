@@ -18,7 +18,6 @@ from piga.calibration.model.solution import (
     Estimate,
     Layout,
     layout_of,
-    merged,
     name_coefficients,
     parameter_rows,
     solve_parts,
@@ -82,7 +81,7 @@ def find_leverage(
     layout, linear = layout_of(fit.design), fit.design.has_phases
     parts = _amplitude_parts(layout, fit) if linear else fit.summaries
     common = [c for c in coefficients if c.segment is None]
-    whole = _named(fit, layout, merged(parts), linear)
+    whole = _named(fit, layout, Reduction.stacked(parts), linear)
     table: dict[str, SegmentLeverage] = {}
     for label, traced, rest in zip(labels, leverages(parts), all_but_one(parts), strict=True):
         left = _named(fit, layout, rest, linear)
@@ -128,17 +127,17 @@ def all_but_one(parts: list[Reduction]) -> list[Reduction]:
     """For each part, the merger of all other parts; running mergers from both ends."""
     before = [Reduction.empty(parts[0].names)]
     for part in parts[:-1]:
-        before.append(merged([before[-1], part]))
+        before.append(Reduction.stacked([before[-1], part]))
     mergers, after = [], Reduction.empty(parts[0].names)
     for part, first in zip(reversed(parts), reversed(before), strict=True):
-        mergers.append(merged([first, after]))
+        mergers.append(Reduction.stacked([first, after]))
         after.merge(part)
     return mergers[::-1]
 
 
 def leverages(parts: list[Reduction]) -> list[float]:
     """Trace of each part's information in the total."""
-    covariance = merged(parts).solve()[1]
+    covariance = Reduction.stacked(parts).solve()[1]
     factors = [part.factor[:, :-1] for part in parts]
     return [float(np.einsum("ij,jk,ik->", f, covariance, f)) for f in factors]
 
