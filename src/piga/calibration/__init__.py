@@ -4,8 +4,13 @@ Limits are constants at the top of each module. Those without a source are own c
 """
 
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model_choice import ModelComparison, TermSet, compare_models
-from piga.calibration.prospects import TermProspect, term_prospects
+from piga.calibration.model_choice import (
+    ModelComparison,
+    TermProspect,
+    TermSet,
+    compare_models,
+    term_prospects,
+)
 from piga.calibration.summary import RunSummary
 
 __all__ = [

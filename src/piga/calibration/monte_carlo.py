@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from piga.calibration.fit import Fit
 from piga.calibration.uncertainty import Budget
@@ -45,24 +45,6 @@ class Contribution:
     change: Array
     distribution: str = "normal"
     degrees_of_freedom: float = math.inf
-
-
-@dataclass(frozen=True)
-class _Propagated:
-    """Per result: estimate, standard uncertainty, symmetric and shortest 95 % interval (2, n), and the verdict.
-
-    ``tolerance`` is delta of JCGM 101, 7.9.2, for two significant digits, but at
-    least what the trials resolve. ``validated`` is True where the first-order
-    interval agrees with the symmetric interval within ``tolerance`` (clause 8.1).
-    """
-
-    trials: int
-    mean: Array
-    std: Array
-    symmetric: Array
-    shortest: Array
-    tolerance: Array
-    validated: NDArray[np.bool_]
 
 
 def standard_draws(distribution: str, degrees: float, size: int, rng: np.random.Generator) -> Array:
@@ -108,8 +90,10 @@ def propagate_distributions(
     sources: list[Contribution],
     results: Callable[[Array], Array],
     first_order: Array,
-) -> _Propagated:
-    """Propagate distributions through ``results`` by ``_TRIALS`` trials.
+) -> list[MonteCarloCheck]:
+    """Propagate distributions through ``results`` by ``_TRIALS`` trials; one check for each result.
+
+    The tolerance is delta of JCGM 101, 7.9.2, for two significant digits, but at least what the trials resolve.
 
     Parameters
     ----------
@@ -143,7 +127,23 @@ def propagate_distributions(
     )  # the standard deviation of few degrees of freedom is unbounded
     delta = np.maximum(tolerance(size), _RESOLVED * size)
     agrees = np.max(np.abs(first_order - symmetric), axis=0) <= delta
-    return _Propagated(trials, ordered.mean(axis=0), std, symmetric, _shortest_interval(ordered), delta, agrees)
+    mean, shortest = ordered.mean(axis=0), _shortest_interval(ordered)
+
+    def ends(limits: Array, at: int) -> tuple[float, float]:
+        return float(limits[0, at]), float(limits[1, at])
+
+    return [
+        MonteCarloCheck(
+            float(mean[k]),
+            float(std[k]),
+            ends(symmetric, k),
+            ends(shortest, k),
+            ends(first_order, k),
+            float(delta[k]),
+            bool(agrees[k]),
+        )
+        for k in range(std.size)
+    ]
 
 
 def monte_carlo_intervals(
@@ -189,28 +189,14 @@ def monte_carlo_intervals(
     limits = np.array(
         [(c.value - c.coverage_factor * c.std, c.value + c.coverage_factor * c.std) for c in coefficients]
     )
-    propagated = propagate_distributions(base, type_a, np.maximum(own, 1.0), sources, results, limits.T)
-    table = {
-        c.key: MonteCarloCheck(
-            float(propagated.mean[i]),
-            float(propagated.std[i]),
-            symmetric=(float(propagated.symmetric[0, i]), float(propagated.symmetric[1, i])),
-            shortest=(float(propagated.shortest[0, i]), float(propagated.shortest[1, i])),
-            first_order=(float(limits[i, 0]), float(limits[i, 1])),
-            tolerance=float(propagated.tolerance[i]),
-            validated=bool(propagated.validated[i]),
-        )
-        for i, c in enumerate(coefficients)
-    }
+    checks = propagate_distributions(base, type_a, np.maximum(own, 1.0), sources, results, limits.T)
     checked = tuple(
-        c
-        if propagated.validated[i]
-        else replace(c, interval=(float(propagated.shortest[0, i]), float(propagated.shortest[1, i])))
-        for i, c in enumerate(coefficients)
+        c if check.validated else replace(c, interval=check.shortest)
+        for c, check in zip(coefficients, checks, strict=True)
     )
     if weak:
         checked = _weak_coupling(checked)
-    return checked, MonteCarlo(propagated.trials, table)
+    return checked, MonteCarlo(_TRIALS, {c.key: check for c, check in zip(coefficients, checks, strict=True)})
 
 
 def _weak_coupling(coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:

@@ -10,8 +10,8 @@ import pytest
 import piga
 from piga.calibration.model import design as design_module
 from piga.calibration.model.design import Design, MeanDesign
-from piga.calibration.model.request import make_request
 from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.request import make_request
 from piga.calibration.weights import RATE, Noise, reduce_positions
 from piga.units import G0
 from tests.calibration.made.synthetic import SCALE, TERMS, TRUTH, record
