@@ -12,7 +12,7 @@ import piga
 from piga.records.calibration import Amount
 from piga.units import G0, parse_unit
 from tests.calibration.made.independent import Bench, head
-from tests.calibration.made.synthetic import BETA, PHI, SCALE, TERMS, TRUTH, at_rest, errors, record
+from tests.calibration.made.synthetic import BETA, PHI, SCALE, TERMS, at_rest, errors, record
 
 NOISES = {
     "white": {"white": 2.5e-5},
@@ -285,17 +285,6 @@ def test_a_useless_estimate_is_refused() -> None:
 
 
 @pytest.mark.only_compiled
-def test_tan_beta_in_the_noise_is_said() -> None:
-    t = np.arange(0.0, 60.0, 0.05)
-    f = np.tile(G0 * np.array([1.0, 0.4, 0.0]), (t.size, 1))
-    alpha = 0.8884 * t + 1e-3 * np.random.default_rng(4).standard_normal(t.size)
-    run = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE, units="SI")
-    result = piga.calibrate(run, ["scale_factor", "tan_beta"])
-    assert "phi is hardly determined" in " ".join(result.remarks)
-    assert "phi is hardly determined" not in " ".join(result.notes)
-
-
-@pytest.mark.only_compiled
 def test_type_b_first_order() -> None:
     run = record(np.random.default_rng(17), white=1e-6)
     rest = at_rest()
@@ -376,14 +365,6 @@ def test_relations_that_must_hold() -> None:
 
 
 @pytest.mark.only_compiled
-def test_truth_table_is_what_the_record_holds() -> None:
-    """Guards the synthetic records: with noise 1e-9 rad every coefficient is found to 1e-7."""
-    calibration = piga.calibrate(record(np.random.default_rng(21), white=1e-9), TERMS)
-    for name in ("tan_beta", "k0", "k2", "m_Y"):
-        assert calibration[name].value == pytest.approx(TRUTH[name], abs=1e-7)
-
-
-@pytest.mark.only_compiled
 def test_the_former_name_of_phases_still_works():
     """Scripts and run files of 0.1.0 say ``phase``."""
     run = record(np.random.default_rng(2), seconds=12.0, rate=4.0, count=5)
@@ -394,27 +375,3 @@ def test_the_former_name_of_phases_still_works():
     assert by_phase.phase == by_phase.phases == "per-segment"
     with pytest.raises(piga.PigaError, match="give phases alone"):
         piga.calibrate(run, phase="shared", phases="shared")
-
-
-def small(**options: object) -> piga.Run:
-    return record(np.random.default_rng(31), seconds=12.0, rate=4.0, count=5, **options)  # type: ignore[arg-type]
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize(
-    "method", ["information", "rate", pytest.param("recursive", marks=pytest.mark.only_compiled)]
-)
-@pytest.mark.parametrize("phase", ["shared", pytest.param("per-segment", marks=pytest.mark.only_compiled)])
-def test_small_record(method: str, phase: str) -> None:
-    run = small(per_segment=phase == "per-segment")
-    calibration = piga.calibrate(run, TERMS, method, phases=phase)
-    assert all(abs(z) < 4.5 for z in errors(calibration).values()), errors(calibration)
-
-
-@pytest.mark.compiled
-@pytest.mark.only_compiled
-def test_harmonics_turn_with_the_phase() -> None:
-    run = small()
-    calibration = piga.calibrate(run, [*TERMS, "s2", "c2"])
-    assert abs(calibration["s2"].value) < 4.5 * calibration["s2"].std
-    assert abs(calibration["c2"].value) < 4.5 * calibration["c2"].std

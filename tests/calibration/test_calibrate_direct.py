@@ -179,33 +179,6 @@ def test_a_base_rate_in_memory_is_refused() -> None:
         )
 
 
-def test_noise_levels_may_be_given_in_the_unit_of_the_output(tmp_path: Path) -> None:
-    more = '[estimation]\nangle_rms = "0.3 count"\nangle_random_walk = "0 count/sqrt(s)"\n'
-    path = COUNTS.write(tmp_path, "counts", "", "50000 count/s/g", more)
-    assert piga.calibrate(piga.read_run(path)).angle_rms == 0.3
-
-
-def test_a_counter_that_wraps_and_rows_that_are_missing_split_no_position(tmp_path: Path) -> None:
-    path = COUNTS.write(tmp_path, "pulses", "", "50000 count/s/g")
-    whole = piga.calibrate(piga.read_run(path))
-    log = tmp_path / "log.csv"
-    lines = log.read_text().splitlines()
-    log.write_text("\n".join(lines[:1040] + lines[1043:]))
-    run = piga.read_run(path)
-    assert len(run.labels) == 48
-    assert abs(piga.calibrate(run)["k0"].value - whole["k0"].value) < 0.2 * whole["k0"].std
-    COUNTS.write(tmp_path, "counts", "", "50000 count/s/g")
-    table = np.loadtxt(log, delimiter=",", skiprows=1)
-    table[:, 1] %= 2**16
-    np.savetxt(log, table, delimiter=",", header="t,out,fx,fy,fz,p", comments="", fmt="%.12g")
-    path.write_text(
-        path.read_text()
-        .replace('kind = "pulses"', 'kind = "counts"')
-        .replace('"direct"', '"direct"\ncounter_bits = 16')
-    )
-    assert piga.calibrate(piga.read_run(path))["k0"].value == pytest.approx(whole["k0"].value, abs=1e-10)
-
-
 def six_positions(terms: list[str]) -> piga.Run:
     """+-X, +-Y, +-Z up, each once, with a tilt of 2 mrad of each position that nobody knows."""
     rng = np.random.default_rng(3)
@@ -254,15 +227,6 @@ def test_runs_are_joined_if_their_units_agree(tmp_path: Path) -> None:
     other = piga.read_run(COUNTS.write(tmp_path / "a", "counts", "", "50000 count/s/g"))
     with pytest.raises(piga.PigaError, match=r"is in mA, that of run 'a.*' in count/s"):
         piga.calibrate([first, other])
-
-
-def test_term_sets_are_compared_and_prospects_name_no_gimbal(tmp_path: Path) -> None:
-    run = piga.read_run(MA.write(tmp_path, "rate", "mA", "0.6 mA/g"))
-    compared = piga.calibration.compare_models(run, [["scale_factor", "k0"], list(TERMS)])
-    assert compared.sets[compared.best].terms == TERMS
-    prospects = {row.term: row for row in piga.calibration.term_prospects(run)}
-    assert prospects["scale_factor"].document()["unit"] == "mA/g"
-    assert not {"tan_beta", "servo", "s1"} & set(prospects)
 
 
 def test_coefficients_may_be_given_in_the_unit() -> None:

@@ -11,10 +11,8 @@ import pytest
 
 import piga
 from piga.calibration.summary import RunSummary
-from piga.records.run_file import Spread
 from tests.calibration.made.scenarios import SCENARIOS
 from tests.calibration.made.scenarios_joint import TERMS, joint_test, scores
-from tests.calibration.made.synthetic import at_rest
 from tests.chance import assert_variance
 
 pytestmark = pytest.mark.only_compiled
@@ -133,24 +131,3 @@ def test_by_its_summary_as_the_run_alone(tmp_path: Path, name: str) -> None:
         assert (b.value - a.value) / a.std == pytest.approx(0.0, abs=1e-3)
         assert b.std == pytest.approx(a.std, rel=1e-3)
         assert b.degrees_of_freedom == pytest.approx(a.degrees_of_freedom, rel=1e-3)
-
-
-def test_degrees_of_freedom_of_two_runs(runs: list[piga.Run]) -> None:
-    """The positions of both runs together are more repetitions than those of either."""
-    terms = ["scale_factor", "tan_beta", "k0"]
-    alone, together = [piga.calibrate(run, terms) for run in runs], piga.calibrate(runs, terms)
-    for name in ("tan_beta", "k0"):
-        own = [one[name].degrees_of_freedom for one in alone]
-        assert together[name].degrees_of_freedom > 1.1 * min(own)
-
-
-def test_a_bounded_source_keeps_its_distribution(runs: list[piga.Run]) -> None:
-    spread = Spread(half_width="10 ppm", distribution="rectangular")
-    moved = [
-        replace(
-            run,
-            uncertainty=at_rest(reference_scale=spread),
-        )
-        for run in runs
-    ]
-    assert piga.calibrate(moved, TERMS).budget[1].distribution == "rectangular"

@@ -205,24 +205,6 @@ def test_files_that_are_no_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         RunSummary.from_json(tmp_path / "s.json")
 
 
-@pytest.mark.parametrize(
-    ("terms", "options", "message"),
-    [
-        (["scale_factor", "k0_T"], {}, "term 'k0_T' needs the temperature"),
-        (
-            ["scale_factor", "tan_beta"],
-            {"phases": "per-segment", "phase_source": "input"},
-            "needs phases = 'shared'",
-        ),
-    ],
-)
-def test_requests_that_do_not_fit(terms: list[str], options: dict[str, Any], message: str) -> None:
-    run = record(np.random.default_rng(41), seconds=5.0, rate=2.0, count=3, levels=(1.0,))
-    with pytest.raises(piga.CalibrationError, match=message) as caught:
-        piga.calibrate(run, terms, **options)
-    assert caught.value.remedy
-
-
 def test_a_phase_that_was_lost_cannot_be_shared() -> None:
     run = record(np.random.default_rng(42), seconds=5.0, rate=2.0, count=3, levels=(1.0,))
     lost = replace(run, phase_group=(0, 0, 1))

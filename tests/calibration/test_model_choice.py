@@ -13,9 +13,8 @@ import piga
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import make_request
-from piga.calibration.model_choice import fold_of, predict
+from piga.calibration.model_choice import predict
 from piga.calibration.weights import Noise, weighted_blocks
-from piga.units import G0
 from tests.calibration.made.synthetic import TERMS, record
 
 TRUE = tuple(TERMS)
@@ -114,16 +113,6 @@ def test_estimates_are_those_of_a_calibration_with_this_noise(run, compared):
 
 
 @pytest.mark.only_compiled
-def test_noise_of_counts_is_that_of_the_calibration():
-    """The record of the demo is counted coarsely: its covariance is that of the counts, found once."""
-    counted, terms = piga.example_run(), ["scale_factor", "tan_beta", "k0"]
-    choice = piga.compare_models(counted, [["scale_factor", "k0"], terms])
-    result = piga.calibrate(counted, list(choice.noise_terms))
-    assert choice.angle_random_walk == result.angle_random_walk
-    assert choice.angle_rms == result.angle_rms
-
-
-@pytest.mark.only_compiled
 def test_truth_is_best_and_ranked(compared):
     assert compared.sets[compared.best].terms == TRUE
     assert compared.sets[compared.best_prediction].terms == TRUE
@@ -185,12 +174,6 @@ def test_own_phases_predict_nothing():
     assert comparison.sets[1].parameters == len(TRUE) + 24
 
 
-def test_folds():
-    assert fold_of(3).tolist() == [0, 1, 2]
-    assert fold_of(1000).max() == 49
-    assert set(np.bincount(fold_of(1000))) == {20}
-
-
 @pytest.mark.only_compiled
 def test_asked_for_by_the_run_file(run, compared):
     wish = msgspec.structs.replace(run.model, terms=SMALLER, compare=tuple(SETS))
@@ -208,21 +191,6 @@ def test_wrong_requests(run):
         piga.compare_models(run, [["k0"], []])
     with pytest.raises(piga.RunFileError, match="set 1: unknown term 'K0'"):
         piga.compare_models(run, [["K0"]])
-
-
-@pytest.mark.slow
-def test_truth_is_found_again():
-    """200 records, 199 and 190 measured: limits four standard deviations below; forces in ug."""
-    first = second = 0
-    for seed in range(200):
-        comparison = piga.compare_models(small(100 + seed), SETS)
-        first += comparison.sets[comparison.best].terms == TRUE
-        second += comparison.sets[comparison.best_prediction].terms == TRUE
-        assert comparison.sets[2].prediction.force_error < comparison.sets[1].prediction.force_error
-        assert comparison.sets[2].prediction.force_error / G0 < 5e-6
-    print(f"true set: least BIC {first}, prediction {second} of 200")
-    assert first >= 195
-    assert second >= 178
 
 
 def part_of(rows: np.ndarray) -> Reduction:

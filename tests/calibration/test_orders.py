@@ -63,16 +63,6 @@ def test_joining_the_samples_of_a_long_record_keeps_the_lines(order, monkeypatch
     assert not np.array_equal(joined.after, whole.after)
 
 
-def test_joining_averages_white_noise():
-    """Noise of a long record lies where it is expected; single samples of it would lie three times as high."""
-    psi = 2.0 * math.pi * np.arange(300_000) / 2000.0
-    t, none, white = 0.01 * np.arange(psi.size), np.zeros(psi.size), 1e-5
-    after = white * np.random.default_rng(3).standard_normal(psi.size)
-    result = Residuals(none, t, psi, none, after, after, none, none.astype(np.int32))
-    spectrum = order_spectrum(result, K, (white, 0.0))
-    assert math.sqrt(np.mean((spectrum.after / spectrum.noise) ** 2)) == pytest.approx(1.0, abs=0.3)
-
-
 def test_cross_coupling_is_order_one_and_is_gone_after():
     spectrum = order_spectrum(residuals(), K)
     transverse = TAN_BETA * G0
@@ -119,16 +109,6 @@ def test_ripple_shows_the_cross_coupling_and_its_removal():
     assert abs(first) == pytest.approx(TAN_BETA * G0 * float(np.mean(used)), rel=0.05)
     assert np.max(np.abs(turned.after)) < 0.15 * abs(first)
     assert np.all(np.abs(turned.after) < 6.0 * turned.scatter)
-
-
-@pytest.mark.parametrize(("stride", "bins"), [(0.01, 36), (0.3, 20), (1.5, 12)])
-def test_a_ripple_has_no_more_bins_than_samples_in_a_turn(stride, bins):
-    psi = np.arange(400) * stride
-    t = psi / (K * G0)
-    zero, rows = np.zeros(psi.size), np.arange(1, psi.size + 1)
-    whole = dataclasses.replace(residuals(), row=rows, t=t, psi=psi, a_x=zero + G0, before=1e-6 * np.sin(psi))
-    flat = dataclasses.replace(whole, after=zero, innovation=zero, segment=np.zeros(psi.size, dtype=np.int32))
-    assert ripple(flat, K).before.size == bins
 
 
 def test_a_ripple_of_one_segment_is_in_its_own_spectrum_only():

@@ -252,31 +252,3 @@ def test_one_wrong_reading_of_thirty_two(count: int, readings: int, size: float)
     assert kept >= 14
     assert alone >= 12
     assert refused <= (2 if count == 4 else 0)
-
-
-def test_spikes_of_a_log_of_rates() -> None:
-    """Each sample of a rate stands for itself: exactly the spoilt ones go, and the rest decides."""
-    t = 0.1 * np.arange(600)
-    f = G0 * np.column_stack([1.0 + np.sin(0.3 * t), 3.0 * np.cos(0.2 * t), 0.5 + 0.0 * t])
-    _, rate = piga.propagate(
-        piga.Instrument(scale_factor=SCALE, beta=BETA), t, f, with_rate=True, between="linear"
-    )
-    rate += 1e-5 * np.random.default_rng(21).standard_normal(t.size)
-    terms = ["scale_factor", "tan_beta", "k0"]
-
-    def result(output: np.ndarray) -> piga.Calibration:
-        return piga.calibrate(
-            piga.Run.from_arrays(t, output, f, scale_factor=SCALE, kind="rate", units="SI"), terms
-        )
-
-    spoilt = rate.copy()
-    spoilt[[17, 18, 101, 333]] += [0.5, -0.4, 0.9, -0.7]
-    with_spikes, without = result(spoilt), result(rate)
-    assert not without.outliers
-    assert [outlier.samples for outlier in with_spikes.outliers] == [2, 1, 1]
-    assert [outlier.time for outlier in with_spikes.outliers] == pytest.approx([1.7, 10.1, 33.3])
-    assert [outlier.size for outlier in with_spikes.outliers] == pytest.approx([0.5, 0.9, 0.7], rel=1e-3)
-    assert with_spikes.quality.used == 596
-    for name in terms:
-        assert with_spikes[name].value == pytest.approx(without[name].value, abs=0.5 * without[name].std)
-        assert with_spikes[name].std == pytest.approx(without[name].std, rel=0.05)

@@ -128,46 +128,6 @@ def test_phase_of_its_own_in_each_segment():
     assert np.abs(np.angle(np.exp(1j * (own - phases)))).max() < 1e-4
 
 
-@pytest.mark.only_compiled
-def test_strong_damping_turns_the_phase_and_is_told_apart():
-    strong = 5e-4 / G0**2
-    calibration = calibrate(given(recorded(head(8), d=strong)), TERMS)
-    check(calibration, TRUTH | {"servo_damping": 5e-4}, EXACT)
-
-
-@pytest.mark.slow
-def test_uncertainties_are_those_of_repeated_records():
-    """Estimates of noisy records scatter as stated: the step about the phase carries its derivative."""
-    sizes, run = [], recorded(head(), d=5e-4 / G0**2)
-    for seed in range(30):
-        noisy = replace(run, output=run.output + 2e-5 * np.random.default_rng(seed).standard_normal(run.size))
-        calibration = calibrate(given(noisy, angle="2e-5 rad"), TERMS)
-        sizes.append(
-            [(c.value - (TRUTH | {"servo_damping": 5e-4})[c.name]) / c.std for c in calibration.coefficients]
-        )
-    ratio = np.sqrt(np.mean(np.square(sizes), axis=0))
-    assert (ratio > 0.6).all()
-    assert (ratio < 1.5).all()
-
-
-@pytest.mark.only_compiled
-def test_spikes_and_jumps_are_left_out():
-    run = recorded(head(), noise=1e-5)
-    output = run.output.copy()
-    output[[70, 200, 333]] += [0.4, -0.3, 1.1]
-    calibration = calibrate(replace(run, output=output), TERMS)
-    assert calibration.outliers
-    assert calibration["servo"].value == pytest.approx(TRUTH["servo"], abs=4.0 * calibration["servo"].std)
-    assert calibration["servo"].std < 5e-6
-
-
-@pytest.mark.only_compiled
-def test_coarse_counts():
-    calibration = calibrate(recorded(head(), noise=1e-6, count=2.0 * np.pi / 72000), TERMS)
-    for name in ("scale_factor", "servo", "servo_damping"):
-        assert abs(calibration[name].value - TRUTH[name]) < 4.0 * calibration[name].std
-
-
 def test_k3_beside_servo_is_refused_on_a_head():
     with pytest.raises(IdentifiabilityError, match=r"cannot separate scale_factor, k3, servo") as refused:
         calibrate(given(recorded(head(8))), [*TERMS[:-2], "k3", "servo"])
@@ -192,11 +152,6 @@ def test_damping_is_refused_where_it_turns_nothing_else_than_the_phase():
     with pytest.raises(IdentifiabilityError, match="tan_beta, servo_damping") as refused:
         calibrate(given(own), TERMS, phases="per-segment")
     assert "shared" in refused.value.remedy
-
-
-def test_whole_turns_do_not_show_the_terms():
-    with pytest.raises(CalibrationError, match="cannot estimate the term 'servo'"):
-        calibrate(recorded(head(3)), ["scale_factor", "tan_beta", "servo"], "revolutions")
 
 
 def test_servo_needs_the_phase_of_tan_beta_and_belongs_to_the_instrument():

@@ -15,7 +15,6 @@ from piga.errors import RunFileError
 from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run_file import UncertaintyTable
-from piga.units import G0
 from tests.calibration.made.scenarios import SCENARIOS
 from tests.calibration.made.synthetic import at_rest, record
 
@@ -238,35 +237,11 @@ def contributions(table: UncertaintyTable) -> tuple[dict[str, dict[str, float]],
 
 @pytest.mark.compiled
 @pytest.mark.only_compiled
-@pytest.mark.parametrize("source", ["reference_scale", "timing"])
-def test_a_scale_goes_into_k(source: str) -> None:
-    result = contributions(at_rest(**{source: "20 ppm"}))[0][source]
-    assert abs(result["scale_factor"]) == pytest.approx(20e-6 * 0.8884, rel=1e-2)
-    assert abs(result["k0"]) < 20e-6 * 4e-3  # of the bias itself, 1.6e-3 g
-
-
-@pytest.mark.compiled
-@pytest.mark.only_compiled
-def test_gravity_goes_into_k() -> None:
-    result = contributions(at_rest(gravity="20 mGal"))[0]["gravity"]
-    assert abs(result["scale_factor"]) == pytest.approx(20e-5 / G0 * 0.8884, rel=1e-2)
-
-
-@pytest.mark.compiled
-@pytest.mark.only_compiled
 def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> None:
     outcome, result = contributions(at_rest(reference_bias="5 ug"))
     assert abs(outcome["reference_bias X0"]["k0"]) == pytest.approx(5e-6, rel=1e-2)
     assert abs(outcome["reference_bias Y0"]["k0"]) == pytest.approx(5e-6 * result["m_Y"].value, rel=1e-3)
     assert set(outcome) == {f"reference_bias {axis}" for axis in ("X0", "Y0", "Z0")}
-
-
-@pytest.mark.compiled
-@pytest.mark.only_compiled
-def test_a_turn_of_the_reference_about_z_goes_into_the_misalignment() -> None:
-    result, _ = contributions(at_rest(reference_misalignment="2 arcsec"))
-    assert abs(result["reference_misalignment Z0"]["m_Y"]) == pytest.approx(np.radians(2.0 / 3600.0), rel=1e-2)
-    assert abs(result["reference_misalignment Z0"]["scale_factor"]) < 1e-8
 
 
 @pytest.mark.compiled

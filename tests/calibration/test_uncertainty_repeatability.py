@@ -146,28 +146,6 @@ def test_more_than_is_stated_is_found_beside_it() -> None:
     assert_variance(np.mean(np.square(levels)) / expected**2, 8 * (16 - 2), "scatter")
 
 
-@pytest.mark.only_compiled
-def test_what_is_lost_in_the_noise_leaves_the_fit_as_it_is(record: piga.Run) -> None:
-    told = replace(
-        record,
-        uncertainty=at_rest(angle_repeatability="0.05 arcsec"),
-    )
-    with_it, without = (
-        piga.calibrate(r, SETTING.scenario.terms)
-        for r in (
-            told,
-            replace(
-                record,
-                uncertainty=at_rest(),
-            ),
-        )
-    )
-    for a, b in zip(with_it.coefficients, without.coefficients, strict=True):
-        assert a.value == pytest.approx(b.value, abs=0.05 * b.std)
-    type_a = [rows(one)["fit residuals (repeatability)"].contributions["k0"] for one in (with_it, without)]
-    assert type_a[0] == pytest.approx(type_a[1], rel=0.05)
-
-
 # --- several runs
 
 
@@ -223,20 +201,6 @@ def test_a_summary_keeps_its_draws(pair: list[piga.Run], tmp_path: Path) -> None
         RunSummary.from_json(tmp_path / "second.json")
 
 
-@pytest.mark.only_compiled
-def test_joint_runs_do_not_count_it_twice_either() -> None:
-    """Two quiet runs: each total is that of one run over the square root of two, within what the noise levels do."""
-    case = small(
-        head(2.0, walk=5e-7, white=2e-6, positions=12), terms=LINEAR, tan_beta=1e-8, truth={"k0": 1.6e-3}
-    )
-    runs = [case.record(np.random.default_rng(seed)) for seed in (0, 1)]
-    calibration = piga.calibrate(runs, case.scenario.terms)
-    expected = 1.0 / np.sqrt(sum(dense(case, run) ** -2.0 for run in runs))
-    ratio = [c.std for c in calibration.coefficients] / expected
-    assert (ratio[1:] > 0.95).all()
-    assert (ratio < 1.4).all()
-
-
 # --- other stands, refusals
 
 
@@ -265,16 +229,6 @@ def test_the_reference_of_each_level_of_a_centrifuge() -> None:
     )
     result = rows(piga.calibrate(told, arm.terms))["reference_repeatability"]
     assert 0.5 * expected < result.contributions["scale_factor"] < 1.001 * expected, "the weights know of it"
-
-
-@pytest.mark.only_compiled
-def test_what_is_stated_raises_no_doubts() -> None:
-    """Levels of a centrifuge off by seventeen times the noise: the residuals are white, no term is missing."""
-    case = CASES["centrifuge"]()
-    calibration = case.scenario.calibrate(case.record(np.random.default_rng([1, 1906])))
-    assert calibration.diagnostics.ljung_box_probability > 1e-4
-    assert calibration.diagnostics.segment_scatter_ratio < 2.0
-    assert not calibration.notes
 
 
 @pytest.mark.only_compiled

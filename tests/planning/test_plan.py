@@ -1,8 +1,6 @@
 """Planning: the optimum is one, the prediction is what happens, and what cannot be planned is refused."""
 
-import json
 import math
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,13 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 import piga
 from piga.calibration.fit import fit_run
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients
-from piga.cli.main import app
 from piga.errors import CalibrationError, IdentifiabilityError, PigaError, RunFileError
 from piga.planning.candidates import (
     Visit,
@@ -28,11 +24,8 @@ from piga.planning.candidates import (
 )
 from piga.planning.criterion import Criterion, best_mixture
 from piga.planning.mounting import plan_mounting
-from piga.planning.plan import plan_document, plan_test, scenario_text
+from piga.planning.plan import plan_test, scenario_text
 from piga.planning.plan_file import read_plan
-from piga.reports.planning import brief as plan_brief
-from piga.reports.planning import page as plan_page
-from piga.reports.render.page import page_html, page_text
 from piga.stand import read_scenario, run_scenario
 from tests.chance import assert_variance
 from tests.planning.cases import request
@@ -68,12 +61,6 @@ def test_c_and_a_optima_of_a_line():
         mixture = best_mixture(regression(points, 1), criterion)
         assert mixture.weights[[0, -1]] == pytest.approx([0.5, 0.5], abs=1e-4)
         assert mixture.derivatives.max() < 1.0 + 1e-5
-
-
-def test_a_optimum_of_the_quadratic():
-    """A-optimal quadratic regression puts 1/4, 1/2, 1/4 at -1, 0, 1."""
-    mixture = best_mixture(regression(np.linspace(-1.0, 1.0, 41), 2), Criterion(np.eye(3), 1.0))
-    assert mixture.weights[[0, 20, 40]] == pytest.approx([0.25, 0.5, 0.25], abs=1e-3)
 
 
 @settings(max_examples=6, deadline=None)
@@ -139,15 +126,6 @@ def test_no_standard_plan_is_better(tmp_path, criterion):
     assert 0.5 < plan.efficiency <= 1.0
 
 
-def test_every_position_of_a_circle_is_as_good():
-    """For 1, cos x, sin x the D-optimum is not one plan: no position adds more than another."""
-    x = np.arange(12) * np.pi / 6.0
-    rows = np.column_stack([np.ones(12), np.cos(x), np.sin(x)])
-    mixture = best_mixture(rows[:, :, None] * rows[:, None, :], Criterion(np.eye(3), 0.0))
-    assert mixture.derivatives == pytest.approx(np.ones(12), abs=1e-4)
-    assert mixture.information == pytest.approx(np.diag([1.0, 0.5, 0.5]), abs=1e-3)
-
-
 def test_mirrored_positions_earn_alike(tmp_path):
     """Half a turn of the head changes the sign of the force: the same information but for the signs."""
     wish = request(tmp_path, terms='"scale_factor", "k0", "m_Y"', plan='longest_dwell = "60 s"')
@@ -156,16 +134,6 @@ def test_mirrored_positions_earn_alike(tmp_path):
     for k in (0, 1, 2, 4):
         scale = np.sqrt(np.outer(np.diag(tables[k]), np.diag(tables[k])))
         assert np.abs(tables[k + 6] * np.outer(signs, signs) - tables[k]).max() < 2e-3 * scale.max()
-
-
-@pytest.mark.only_compiled
-def test_bias_and_scale_factor_alone_need_up_and_down(tmp_path):
-    """K and k0 from +-1 g: half the time each, as every textbook says, to a step of the dwell."""
-    wish = request(tmp_path, terms='"scale_factor", "k0"', plan='longest_dwell = "400 s"')
-    plan = plan_test(wish)
-    assert {visit.candidate.label for visit in plan.best.visits} == {"0 deg", "180 deg"}
-    dwells = [visit.dwell for visit in plan.best.visits]
-    assert dwells[0] == pytest.approx(dwells[1], abs=wish.dwell_step)
 
 
 @pytest.mark.only_compiled
@@ -234,29 +202,6 @@ def test_cheapest_duration_goes_with_the_inverse_square(tmp_path):
         assert bounds[-1] <= durations[-1] <= 1.25 * bounds[-1]
     assert bounds[1] / bounds[0] == pytest.approx(4.0, rel=0.01)
     assert durations[1] / durations[0] == pytest.approx(4.0, rel=0.1)
-
-
-@pytest.mark.only_compiled
-def test_floor_of_the_stand_is_said(tmp_path):
-    wish = request(
-        tmp_path,
-        plan='wanted = { scale_factor = "1e-9 rad/s/g" }',
-        more='[uncertainty]\nreference_scale = "1 ppm"',
-    )
-    plan = plan_test(wish)
-    assert plan.cheapest.plan is None
-    assert "the stand alone adds" in plan.cheapest.refusal
-    assert plan.best.combined("scale_factor") == pytest.approx(
-        math.hypot(plan.best.std("scale_factor"), 0.8884e-6), rel=1e-3
-    )
-
-
-@pytest.mark.only_compiled
-def test_whole_revolutions(tmp_path):
-    plan = plan_test(request(tmp_path, whole="true", rate=10))
-    turns = [visit.dwell / visit.candidate.revolution for visit in plan.best.visits]
-    for visit, turn in zip(plan.best.visits, turns, strict=True):
-        assert abs(turn - round(turn)) * visit.candidate.revolution <= 0.1 + 1e-9
 
 
 @pytest.mark.parametrize(
@@ -346,12 +291,6 @@ def test_prediction_is_what_repeats_show(tmp_path):
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("phase", ["shared", "per-segment"])
-def test_prediction_within_ten_percent_of_a_thousand_repeats(tmp_path, phase):
-    check_repeats(tmp_path, request(tmp_path, duration=400, walk=3e-6, white=5e-5, rate=4, phases=phase), 1000)
-
-
 def check_repeats(folder, wish, repeats):
     plan = plan_test(wish)
     path = folder / "scenario.toml"
@@ -380,34 +319,6 @@ def check_repeats(folder, wish, repeats):
 
 
 @pytest.mark.only_compiled
-def test_page_text_and_document(tmp_path):
-    wish = mounting_request(tmp_path, '"0 deg", "80 deg"')
-    plan, mounting = plan_test(wish), plan_mounting(wish)
-    html = page_html(plan_page(plan, mounting))
-    for words in ("Planned test of plan-test", "Distance from the lock zone", "Skew of the instrument"):
-        assert words in html
-    text = page_text(plan_brief(plan, mounting))
-    assert re.search(r"90 deg +locked", text)
-    document = plan_document(plan, mounting)
-    assert json.loads(json.dumps(document, allow_nan=False)) == document
-    assert document["mounting"]["skew_deg"] == pytest.approx(40.0)
-
-
-@pytest.mark.only_compiled
-def test_command(tmp_path):
-    path = request(tmp_path).path
-    result = CliRunner().invoke(app, ["plan", str(path), "--out", str(tmp_path / "out"), "--json"])
-    assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["schema"] == "piga.plan/1"
-    assert sorted(p.name for p in (tmp_path / "out").glob("[!.]*")) == [
-        "plan.json",
-        "program.csv",
-        "report.html",
-        "scenario.toml",
-    ]
-    assert read_scenario(tmp_path / "out" / "scenario.toml").stand.segments()
-
-
 @pytest.mark.slow
 def test_long_visits_of_the_shipped_plan_are_cut_so_that_it_can_be_calibrated():
     long = EXAMPLE.read_text("utf-8").replace('longest_dwell = "150 s"', 'longest_dwell = "600 s"')
@@ -487,17 +398,6 @@ def test_a_given_servo_is_a_source_of_the_plan(tmp_path, terms):
     assert exact == pytest.approx(plain, rel=1e-3, abs=1e-12)
     part = 0.02 * 0.8884**2 * 0.1 / 6000.0 * 0.8884
     assert 0.1 * part < np.sqrt(known**2 - plain**2) < 0.5 * part
-
-
-def test_a_plan_refuses_a_faulty_servo(tmp_path):
-    path = request(tmp_path).path
-    text = path.read_text(encoding="utf-8")
-    path.write_text(
-        text.replace("[instrument]\n", '[instrument]\nservo = { integral_gain = "3000 N m/(rad s)" }\n'),
-        encoding="utf-8",
-    )
-    with pytest.raises(RunFileError, match="one of pendulosity and angular_momentum"):
-        read_plan(path)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from piga.calibration.model.identifiability import (
     _aligned,
     one_way_in_words,
     refuse_useless,
-    remarks_in_words,
     scatter_in_words,
 )
 from piga.calibration.model.reduction import Reduction
@@ -26,34 +25,6 @@ def coefficient(
     name: str, value: float, std: float, unit: str = "1", segment: str | None = None
 ) -> Coefficient:
     return Coefficient(name, value, std, unit, segment)
-
-
-def remarks(coefficients: list[Coefficient], correlation: float = 0.0, phases: str = "shared") -> str:
-    std = np.array([c.std for c in coefficients])
-    covariance = np.outer(std, std) * (correlation + (1.0 - correlation) * np.eye(std.size))
-    return "\n".join(remarks_in_words(tuple(coefficients), covariance, phases))
-
-
-def test_remarks_are_said_when_there_are_and_only_then() -> None:
-    sure = [
-        coefficient("scale_factor", 0.9, 1e-6),
-        coefficient("tan_beta", 1e-3, 1e-6),
-        coefficient("k0", 1.0, 0.1),
-    ]
-    assert remarks(sure) == ""
-    assert remarks(sure, 0.97).count("\n") == 0, "one sentence for the group, not one for each pair"
-    assert "scale_factor, tan_beta and k0 are hard to tell apart" in remarks(sure, 0.97)
-    assert "scale_factor and k0 are hard to tell apart" in remarks([sure[0], sure[2]], -0.97)
-    assert "largest correlation 0.970 in size" in remarks([sure[0], sure[2]], -0.97)
-    small = [*sure[:2], coefficient("k0", 0.19, 0.1), coefficient("k2", 0.1, 0.1)]
-    assert remarks(small) == (
-        "k0, k2 are smaller than twice their standard uncertainty: the record does not need them"
-    )
-    assert "tan_beta is not well above" in remarks([coefficient("tan_beta", 3.9e-6, 1e-6)])
-    loose = [*sure, coefficient("phi", 0.1, 0.6, "rad", "7"), coefficient("phi", 0.1, 0.01, "rad", "8")]
-    assert "phi is not determined in segment 7:" in remarks(loose)
-    assert "has its own phase" not in remarks(loose, phases="per-segment")
-    assert "has its own phase" in remarks([*sure, loose[-1]], phases="per-segment")
 
 
 def test_scatter_of_the_positions_is_a_doubt() -> None:

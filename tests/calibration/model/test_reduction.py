@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from piga.calibration.model.reduction import BLOCK, Reduction, solve_upper
+from piga.calibration.model.reduction import BLOCK, Reduction
 from piga.errors import ArgumentError
 
 NIST = json.loads((Path(__file__).parents[2] / "data" / "nist-linear.json").read_text())
@@ -134,8 +134,3 @@ def test_wrong_columns_and_names_are_refused() -> None:
         total.merge(Reduction.empty(("b",)))
     with pytest.raises(np.linalg.LinAlgError):
         total.solve()
-
-
-def test_back_substitution_refuses_a_singular_factor() -> None:
-    with pytest.raises(np.linalg.LinAlgError):
-        solve_upper(np.array([[1.0, 2.0], [0.0, 0.0]]), np.ones(2))

@@ -12,7 +12,6 @@ import pytest
 
 import piga
 from piga.calibration.model.request import make_request
-from piga.records.run_file import EstimationTable, UncertaintyTable
 from piga.records.terms import term_names
 from tests.calibration.made.scenarios_joint import joint_test
 from tests.calibration.made.synthetic import TERMS, record
@@ -36,21 +35,6 @@ def test_harmonics_without_a_coupling() -> None:
     with_coupling = piga.calibrate(run, [*TERMS, "s3", "c3"])
     for name in ("s3", "c3"):
         assert abs(with_coupling[name].value) < 4.5 * with_coupling[name].std
-
-
-@pytest.mark.only_compiled
-def test_harmonics_by_monte_carlo() -> None:
-    """Drawn and linear propagation agree where the model is nearly linear."""
-    levels = {"angle_rms": "2.5e-5 rad", "angle_random_walk": "1e-6 rad/sqrt(s)"}
-    known = EstimationTable(**levels)
-    run = replace(short(52), uncertainty=UncertaintyTable(reference_scale="2 ppm"), estimation=known)
-    by_formula = piga.calibrate(run, [*TERMS, "s2", "c2"])
-    drawn = replace(run, estimation=EstimationTable(uncertainty="monte-carlo", **levels))
-    calibration = piga.calibrate(drawn, [*TERMS, "s2", "c2"])
-    table = calibration.diagnostics.monte_carlo.coefficients
-    for name in ("k0", "s2", "c2"):
-        low, high = table[name].symmetric
-        assert high - low == pytest.approx(2.0 * by_formula[name].expanded, rel=0.1)
 
 
 def test_temperatures_of_reference_of_a_joint_calibration() -> None:
