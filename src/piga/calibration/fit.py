@@ -177,7 +177,7 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
         solution = solve(design, summaries)
         refined = raw.with_scale_factor(_scale_factor(design, solution))
         d, h = residual_increments(design, solution.values)
-        levels = given or find_noise(design, d, h, solution.parameters, mode, noise if refit else None)
+        levels = given or find_noise(design, d, h, solution.parameters, mode)
         step = run.median_step
         settled = refined is raw and levels.close_to(noise, step, design.rows // len(run.labels))
         if settled or refit == _REFITS - 1:

@@ -257,17 +257,17 @@ def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
     return d, h
 
 
-def find_noise(design: Design, d: Array, h: Array, fitted: int, mode: str, near: Noise | None = None) -> Noise:
+def find_noise(design: Design, d: Array, h: Array, fitted: int, mode: str) -> Noise:
     """White noise and random walk of residual increments ``d`` over intervals ``h``, from within the segments.
 
     The rate of each segment is free, so that neither a scatter of the rates nor most of the model matters. ``fitted`` is
-    the number of further parameters. ``near`` are the levels of an earlier fit.
+    the number of further parameters.
     """
     step, edges = design.run.median_step, design.run.segment_edges().astype(np.int64)
     if mode == "samples":
         variance = float(d @ d) / max(design.rows - fitted, 1)
         return Noise(0.0, max(variance, rounding(design.run) ** 2) * step)
-    return likeliest_levels(d, h, edges, step, fitted, rounding(design.run), near)
+    return likeliest_levels(d, h, edges, step, fitted, rounding(design.run))
 
 
 _SPACING = 1.5
@@ -275,8 +275,8 @@ _SPACING = 1.5
 _LARGEST_RATIO = 1e6
 """Largest ratio of walk to white noise in an increment."""
 _FIRST_ROWS = 1 << 16
-"""Rows of a search without a first guess; of a longer record neighbouring increments are joined."""
-_TOLERANCE = 0.1
+"""Rows of the search; of a longer record neighbouring increments are joined."""
+_TOLERANCE = 0.02
 """Tolerance of the ratio [natural logarithm]."""
 _SCATTER_RANGE = (-5.0, 14.0)
 """Range of the scatter over the noise of a mean rate [natural logarithm of the variance]."""
@@ -289,12 +289,11 @@ def likeliest_levels(
     step: float,
     fitted: int,
     floor: float,
-    near: Noise | None = None,
 ) -> Noise:
     """Levels of the largest restricted likelihood; the rate of each stretch between ``edges`` is free.
 
-    ``floor`` [rad] is the smallest white noise. The search begins ``near`` levels with a walk; by default all ratios are tried,
-    in a long record with neighbouring increments joined.
+    ``floor`` [rad] is the smallest white noise. The ratio of walk to white noise is found with neighbouring increments of a long
+    record joined.
     """
     from scipy.optimize import minimize_scalar
 
@@ -311,13 +310,9 @@ def likeliest_levels(
 
     low, high = math.log((math.pi / longest) ** 2 / longest) - 4.0, math.log(_LARGEST_RATIO)
     grid = np.arange(low, high + _SPACING, _SPACING)
-    rows, searched, few = (d, h, edges), (d, h, edges), count
-    if near is None or near.walk == 0.0 or near.white == 0.0:
-        searched = joined(d, h, edges, max(1, d.size // _FIRST_ROWS))
-        few = int(np.count_nonzero(searched[1] > 0.0))
-        best = float(grid[int(np.argmin([deviance(math.exp(x), searched, few)[0] for x in grid]))])
-    else:
-        best = float(grid[int(np.argmin(np.abs(grid - math.log(near.walk * step / near.white))))])
+    searched = joined(d, h, edges, max(1, d.size // _FIRST_ROWS))
+    few = int(np.count_nonzero(searched[1] > 0.0))
+    best = float(grid[int(np.argmin([deviance(math.exp(x), searched, few)[0] for x in grid]))])
     found = minimize_scalar(
         lambda x: deviance(math.exp(x), searched, few)[0],
         bounds=(best - _SPACING, best + _SPACING),
@@ -325,7 +320,7 @@ def likeliest_levels(
         options={"xatol": _TOLERANCE},
     )
     ratio = math.exp(float(found.x))
-    (none, white), (least, beside) = deviance(0.0, rows, count), deviance(ratio, rows, count)
+    (none, white), (least, beside) = (deviance(value, (d, h, edges), count) for value in (0.0, ratio))
     if none < least + _WALK_GAIN:
         return Noise(white, 0.0)
     return Noise(beside, beside * ratio / step)

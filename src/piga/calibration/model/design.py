@@ -232,7 +232,7 @@ class Design:
         """The same model with another K inside the regressors; returns itself if they do not depend on K."""
         relative = abs(scale_factor / self.scale_factor - 1.0)
         absurd = relative > _MOST_CHANGE
-        if relative < 1e-12 or absurd or (self.run.base_rate is None and relative < 1e-3):
+        if relative < 1e-8 or absurd or (self.run.base_rate is None and relative < 1e-3):
             return self
         return Design(self.run, self.request, scale_factor, self.servo)
 
