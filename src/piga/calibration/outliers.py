@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.estimation import merge_rows, scan_samples
-from piga.calibration.model.design import Design
+from piga.calibration.model.design import Design, joined_rows
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import solve
 from piga.calibration.weights import Noise, Whitener, residual_increments
@@ -174,7 +174,7 @@ def _parts(design: Design) -> list[tuple[int, Array]]:
     every = max(1, design.rows // count // _ROBUST_ROWS)
     parts = []
     for block in design.blocks():
-        starts, h = block.joins(count)
+        starts, h = joined_rows(block.h, count)
         formed = np.flatnonzero(h > 0.0)[::every]
         columns = block.columns if count == 1 else np.add.reduceat(block.columns, starts, axis=1)
         parts.append((block.segment, columns[:, formed] / np.sqrt(h[formed])))

@@ -10,10 +10,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import accumulate
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.fit import Fit, fit_run, history_of, interval_of_run, without_scatter
 from piga.calibration.intervals import Interval
@@ -34,6 +33,7 @@ from piga.calibration.model.request import Request
 from piga.calibration.model.solution import asked_order, layout_of, name_coefficients, variances_of
 from piga.calibration.model_choice import compare_models
 from piga.calibration.monte_carlo import monte_carlo_intervals
+from piga.calibration.orders import residual_angles
 from piga.calibration.remarks.advice import advise, looks_wrong, with_advice
 from piga.calibration.remarks.creep import creep_in_words, creep_of_runs, find_creep
 from piga.calibration.remarks.left_out import (
@@ -78,7 +78,7 @@ from piga.records.calibration import (
 )
 from piga.records.calibration.verdict import scale_over_nominal
 from piga.records.run import Run
-from piga.records.terms import GYRO, integral_unit
+from piga.records.terms import GYRO
 from piga.results import Array
 
 
@@ -175,7 +175,7 @@ class OneRun:
             notes=scatter_in_words(scatter, direct=run.direct),
             remarks=(
                 *one_way_in_words(run, request.terms),
-                *remarks_in_words(coefficients, covariance, request.phases),
+                *remarks_in_words(coefficients, covariance),
             ),
             sources=(
                 *sources_of_stand(fit, [c.key for c in coefficients]),
@@ -281,7 +281,7 @@ def _joint_result(
     parts = [_live_part(fit, i, live, kind) if live else None for i, live in enumerate(fit.live)]
     records, segments = [], []
     for index, part in enumerate(parts):
-        own = _own_segments(fit, index, part)
+        own = fit.summaries[index].segments if part is None else part.segments
         records.append(_record(fit, index, part))
         segments += [replace(row, label=f"{fit.summaries[index].name}:{row.label}") for row in own]
     residuals = _all_residuals(fit, parts)
@@ -317,7 +317,7 @@ def _joint_result(
         condition=fit.examination.condition,
         notes=notes,
         remarks=(
-            *remarks_in_words(coefficients, covariance, "shared"),
+            *remarks_in_words(coefficients, covariance),
             *_notes_on_runs(records),
         ),
         budget=BudgetTable(budget),
@@ -353,12 +353,8 @@ def _live_part(fit: JointFit, index: int, live: LiveRun, kind: str) -> _LivePart
     scatter = segment_scatter(design, residuals, live.fit.noise)
     products = partial(counted_products, design, live.fit.noise, live.fit.mode, residuals)
     if summary.kind != kind:
-        residuals = _as_angles(residuals)
+        residuals = residual_angles(residuals, "rate")
     return _LivePart(residuals, segment_table(design, residuals), scatter, products)
-
-
-def _own_segments(fit: JointFit, index: int, part: _LivePart | None) -> tuple[SegmentSummary, ...]:
-    return fit.summaries[index].segments if part is None else part.segments
 
 
 def _record(fit: JointFit, index: int, part: _LivePart | None) -> RunRecord:
@@ -386,37 +382,16 @@ def _all_residuals(fit: JointFit, parts: list[_LivePart | None]) -> Residuals | 
     run_of: list[int] = []
     offset = 0
     for index, part in enumerate(parts):
-        own = _own_segments(fit, index, part)
         if part is not None:
             pieces.append(replace(part.residuals, segment=part.residuals.segment + np.int32(offset)))
             run_of.append(index)
-        offset += len(own)
-    return _concatenated(pieces, run_of) if pieces else None
-
-
-def _concatenated(pieces: list[Residuals], run_of: list[int]) -> Residuals:
-    def column(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(piece, name) for piece in pieces])
-
-    return Residuals(
-        row=column("row"),
-        t=column("t"),
-        psi=column("psi"),
-        a_x=column("a_x"),
-        before=column("before"),
-        after=column("after"),
-        innovation=column("innovation"),
-        segment=column("segment"),
-        run=np.repeat(np.array(run_of, dtype=np.int32), [piece.t.size for piece in pieces]),
-        unit=pieces[0].unit,
-    )
-
-
-def _as_angles(rates: Residuals) -> Residuals:
-    step = np.diff(rates.t, prepend=rates.t[:1])
-    step[np.diff(rates.segment, prepend=rates.segment[:1]) != 0] = 0.0
-    before, after = np.cumsum(step * rates.before), np.cumsum(step * rates.after)
-    return replace(rates, before=before, after=after, unit=integral_unit(rates.unit))
+        offset += len(fit.summaries[index].segments if part is None else part.segments)
+    if not pieces:
+        return None
+    names = ("row", "t", "psi", "a_x", "before", "after", "innovation", "segment")
+    columns = {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in names}
+    run = np.repeat(np.array(run_of, dtype=np.int32), [piece.t.size for piece in pieces])
+    return Residuals(**columns, run=run, unit=pieces[0].unit)
 
 
 def _mean_square(values: list[float], weights: Array) -> float:

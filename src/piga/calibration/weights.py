@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.estimation import innovation_weights, rate_sums, whiten
-from piga.calibration.model.design import Block, Design
+from piga.calibration.model.design import Block, Design, joined_rows
 from piga.calibration.model.reduction import Reduction, triangle
 from piga.reading.checks import largest_size
 from piga.records.arrays import empty, spans, zeros
@@ -330,14 +330,7 @@ def joined(d: Array, h: Array, edges: NDArray[np.int64], every: int) -> tuple[Ar
     """Increments, intervals and edges with ``every`` neighbouring increments joined; stretches begin as before."""
     if every == 1:
         return d, h, edges
-    begins = h == 0.0
-    first = begins.copy()
-    first[1:] |= begins[:-1]
-    first[edges[:-1]] = True
-    first[::every] = True
-    starts = np.flatnonzero(first)
-    total = np.add.reduceat(np.maximum(h, 0.0), starts)
-    total[(total == 0.0) & (h[starts] < 0.0)] = -1.0
+    starts, total = joined_rows(h, every)
     return np.add.reduceat(d, starts), total, np.searchsorted(starts, edges)
 
 

@@ -146,15 +146,16 @@ class Block:
     h: Array
     columns: Array
 
-    def joins(self, count: int) -> tuple[NDArray[np.int64], Array]:
-        """First rows of groups of ``count`` rows, and their intervals (0: a stretch begins, -1: all rows left out)."""
-        begins = self.h == 0.0
-        first = begins.copy()
-        first[1:] |= begins[:-1]
-        first[::count] = True
-        starts = np.flatnonzero(first)
-        h = np.add.reduceat(np.maximum(self.h, 0.0), starts)
-        return starts, np.where((h == 0.0) & (self.h[starts] != 0.0), -1.0, h)
+
+def joined_rows(h: Array, count: int) -> tuple[NDArray[np.int64], Array]:
+    """First rows of groups of ``count`` rows, and their intervals (0: a stretch begins, -1: all rows left out)."""
+    begins = h == 0.0
+    first = begins.copy()
+    first[1:] |= begins[:-1]
+    first[::count] = True
+    starts = np.flatnonzero(first)
+    total = np.add.reduceat(np.maximum(h, 0.0), starts)
+    return starts, np.where((total == 0.0) & (h[starts] < 0.0), -1.0, total)
 
 
 @dataclass

@@ -319,7 +319,7 @@ def one_way_in_words(run: Run, terms: tuple[str, ...]) -> tuple[str, ...]:
     return (words,)
 
 
-def remarks_in_words(coefficients: tuple[Coefficient, ...], covariance: Array, phases: str) -> tuple[str, ...]:
+def remarks_in_words(coefficients: tuple[Coefficient, ...], covariance: Array) -> tuple[str, ...]:
     """Remarks that are not doubts, one sentence each: the uncertainties contain what they say."""
     sentences = alike_in_words(coefficients, covariance)
     if any(c.name == "tan_beta" and c.value < 4.0 * c.std for c in coefficients):
@@ -343,9 +343,5 @@ def remarks_in_words(coefficients: tuple[Coefficient, ...], covariance: Array, p
         sentences.append(
             f"{', '.join(small)} {verb} smaller than twice {whose} standard uncertainty: the record does not need "
             f"{'it' if len(small) == 1 else 'them'}"
-        )
-    if phases == "per-segment" and not loose:
-        sentences.append(
-            "every segment has its own phase: nothing is assumed about the counter between segments"
         )
     return tuple(sentences)
