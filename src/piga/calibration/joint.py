@@ -7,7 +7,7 @@ data of a run are not needed: its summary is enough.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,7 +29,7 @@ from piga.calibration.model.solution import (
 from piga.calibration.servo import at_state, state_of
 from piga.calibration.sources import merged_sources, with_effects
 from piga.calibration.summary import LiveRun, RunSummary, SourceSummary, prepare, run_name, summarise
-from piga.calibration.uncertainty import SharedSource, effects_of, units_of
+from piga.calibration.uncertainty import effects_of, units_of
 from piga.calibration.weights import RATE
 from piga.errors import ArgumentError, CalibrationError
 from piga.progress import Steps
@@ -120,22 +120,23 @@ class MergedRuns:
         }
 
     def parts(
-        self, state: ServoState | None, source: SharedSource | None = None, segment: int | None = None
+        self, state: ServoState | None, moved: Mapping[int, int] | None = None, segment: int | None = None
     ) -> list[Reduction]:
-        """Summaries of all phase groups. Those that a source moves are in their moved form; with a state, combined at it.
+        """Summaries of all phase groups; with a state, combined at it.
 
-        ``segment``: the only moved segment; default: all segments are moved.
+        Those that a source moves are in their moved form: ``moved`` gives its number in each run. ``segment``: the only moved
+        segment; default: all segments are moved.
         """
         parts: list[Reduction] = []
         for index, summary in enumerate(self.summaries):
             chosen, known = summary.parts, self.known_servo(index)
-            if source is not None and index in source.moved:
-                moved = summary.sources[source.moved[index]]
-                chosen = moved.parts
+            if moved is not None and index in moved:
+                source = summary.sources[moved[index]]
+                chosen = source.parts
                 if segment is not None:
-                    group, part = moved.segments[segment]
+                    group, part = source.segments[segment]
                     chosen = (*summary.parts[:group], part, *summary.parts[group + 1 :])
-                known = self.known_servo(index, moved.known_servo)
+                known = self.known_servo(index, source.known_servo)
             held = summary.choose(chosen, self.local, self.stored(index))
             if state is not None:
                 wanted, first = self.wanted(index), len(parts)
@@ -420,14 +421,14 @@ def _scale_factor(fit: JointFit) -> float:
     return float(fit.estimate.amplitudes[keys.index(("scale_factor", None))])
 
 
-def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[SharedSource]:
-    """Sources of all runs. A source that runs share moves all of them at once.
+def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[tuple[SourceSummary, dict[int, int]]]:
+    """Sources of all runs, each with its number in every run that it moves. A source that runs share moves all of them at once.
 
     Runs share a source if it has the same name and value, on the same kind of stand, with the same
     ``reference_id`` (or none in both). ``gravity`` is shared on any stand. A servo parameter belongs to the
     instrument and is shared in any case. A source with a new value in each run or each segment is not shared.
     """
-    shared_by_key: dict[tuple[str, str | None, str | None, float, int], SharedSource] = {}
+    moved: dict[tuple[str, str | None, str | None, float, int], dict[int, int]] = {}
     for index, summary in enumerate(summaries):
         for number, source in enumerate(summary.sources):
             of_servo = source.name.startswith(_SERVO_SOURCE)
@@ -435,30 +436,29 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[SharedSource]:
             own = -1 if source.draw == "reference" else index
             device = None if of_servo else summary.reference_id
             key = (source.name, None if of_site else summary.stand, device, source.value, own)
-            shape = (source.distribution, source.degrees_of_freedom, len(source.segments), source.in_fit)
-            first = shared_by_key.get(key, SharedSource(source.name, source.value, source.unit, {}, *shape))
-            shared_by_key[key] = replace(first, moved=first.moved | {index: number})
-    for shared in shared_by_key.values():
-        names = ", ".join(summaries[index].name for index in shared.moved)
-        yield replace(shared, name=f"{shared.name} ({names})")
+            moved.setdefault(key, {})[index] = number
+    for numbers in moved.values():
+        (first, number), *_ = numbers.items()
+        source, names = summaries[first].sources[number], ", ".join(summaries[index].name for index in numbers)
+        yield replace(source, name=f"{source.name} ({names})"), numbers
 
 
-def joint_contributions(fit: JointFit, steps: Steps) -> Iterator[tuple[SharedSource, Array]]:
+def joint_contributions(fit: JointFit, steps: Steps) -> Iterator[tuple[SourceSummary, Array]]:
     """Changes of the coefficients (draws, n; file units) by one standard uncertainty of each source.
 
     Each source is reported to ``steps``.
     """
     base = np.array([c.value for c in fit.coefficients])
 
-    def change(source: SharedSource, segment: int | None) -> Array:
-        moved = solve_parts(fit.layout, fit.parts(fit.servo, source, segment))
+    def change(numbers: Mapping[int, int], segment: int | None) -> Array:
+        moved = solve_parts(fit.layout, fit.parts(fit.servo, numbers, segment))
         named, _ = fit.named(moved, moved.covariance)
         return changes(named, base, np.array([c.value for c in named]))
 
-    for number, source in enumerate(joint_sources(fit.summaries)):
-        steps.parts(number, f"adding up the budget: {source.name}")
-        draws = range(source.segments) if source.segments else (None,)
-        yield source, np.array([change(source, segment) for segment in draws])
+    for place, (source, numbers) in enumerate(joint_sources(fit.summaries)):
+        steps.parts(place, f"adding up the budget: {source.name}")
+        draws = range(len(source.segments)) if source.segments else (None,)
+        yield source, np.array([change(numbers, segment) for segment in draws])
 
 
 def joint_sources_of_stand(fit: JointFit) -> tuple[StandSource, ...]:
@@ -480,8 +480,8 @@ def joint_sources_of_stand(fit: JointFit) -> tuple[StandSource, ...]:
         ]
     )
     effects = {
-        source.name: np.sum([moved[index][number] for index, number in source.moved.items()], axis=0)
-        for source in shared
+        source.name: np.sum([moved[index][number] for index, number in numbers.items()], axis=0)
+        for source, numbers in shared
     }
     listed = merged_sources(summary.stand_sources for summary in fit.summaries)
     return with_effects(listed, effects, [c.key for c in fit.coefficients])

@@ -265,8 +265,8 @@ class SeveralRuns:
         given = dict(summaries[0].known_servo)
         moved = {
             source.name: dict(summaries[index].sources[number].known_servo)
-            for source in joint_sources(summaries)
-            for index, number in list(source.moved.items())[:1]
+            for source, numbers in joint_sources(summaries)
+            for index, number in list(numbers.items())[:1]
         }
         return given, moved if given else {}
 

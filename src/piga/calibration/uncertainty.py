@@ -24,28 +24,11 @@ from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibrati
 from piga.records.calibration.coefficient import short_way, welch_satterthwaite
 from piga.records.run import Run
 from piga.records.terms import si_factor, unit_of
-from piga.results import Array, Result
+from piga.results import Array
 
 if TYPE_CHECKING:
     from piga.calibration.fit import Fit, FittedRecord
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SharedSource(Result):
-    """A source of Type B that runs can share.
-
-    ``name`` includes its runs; ``value`` is the standard uncertainty. ``moved`` maps the index of a run to the index
-    of its source. ``segments`` is the number of independent draws in its run, or 0 for one common draw.
-    """
-
-    name: str
-    value: float
-    unit: str
-    moved: dict[int, int]
-    distribution: str = "normal"
-    degrees_of_freedom: float = math.inf
-    segments: int = 0
-    in_fit: bool = False
+    from piga.calibration.summary import SourceSummary
 
 
 def contributions(
@@ -198,7 +181,7 @@ def effects_of(record: FittedRecord, units: Sequence[Source]) -> list[Array]:
 def budget_of(
     coefficients: tuple[Coefficient, ...],
     covariance: Array,
-    changes_by_source: Sequence[tuple[Source | SharedSource, Array]],
+    changes_by_source: Sequence[tuple[Source | SourceSummary, Array]],
     in_fit: tuple[bool, ...],
 ) -> Budget:
     """The budget from the changes of the coefficients by each source; ``covariance`` is that of the fit."""
@@ -216,7 +199,9 @@ def values_near(base: Array, design: Design, summaries: list[Reduction]) -> Arra
 
 
 def _budget_rows(
-    coefficients: tuple[Coefficient, ...], type_a: Array, changes: Iterable[tuple[Source | SharedSource, Array]]
+    coefficients: tuple[Coefficient, ...],
+    type_a: Array,
+    changes: Iterable[tuple[Source | SourceSummary, Array]],
 ) -> tuple[BudgetEntry, ...]:
     """Rows of the budget: Type A with its covariance, then each source with its changes (draws, n)."""
     std = np.sqrt(np.diag(type_a))
