@@ -12,6 +12,7 @@ import pytest
 
 import piga
 from piga.describe import describe_log, draft_run_file, try_run_file
+from piga.earth import Site
 from piga.errors import ArgumentError
 from tests.cli.runner import invoked
 
@@ -133,6 +134,57 @@ def test_names_over_two_rows_are_joined(tmp_path: Path, kind: str) -> None:
         assert run.f[:, 0] == pytest.approx(rows[:, 2] * 9.80665, rel=1e-5, abs=1e-5)
     if kind == "csv":
         assert "header_row = [2, 3]" in path.with_suffix(".toml").read_text()
+
+
+DIRECT = {"V": 2.5, "mA": 1.3, "Hz": 4000.0, "LSB": 16384.0, "count/s": 5e3, "m/s^2": 9.81}
+"""Output of an instrument without a gimbal for 1 g of the laboratory."""
+
+
+def direct_log(folder: Path, unit: str) -> Path:
+    """Its output beside the angle of a head, with a bias of 2e-3 of that g."""
+    path = log(folder / "log.csv", ["Zeit [s]", "Ausgang", "Teilkopfwinkel [°]", "Temperatur [°C]"])
+    head, *rows = path.read_text("utf-8").splitlines()
+    angle = columns()[2]
+    noise = 1e-5 * np.random.default_rng(2).standard_normal(angle.size)
+    output = DIRECT[unit] * (np.cos(np.radians(angle)) + 2e-3 + noise)
+    cells = [row.split(";") for row in rows]
+    lines = (";".join([c[0], f"{y:.7f}".replace(".", ","), *c[2:]]) for c, y in zip(cells, output, strict=True))
+    path.write_text("\n".join([head.replace("Ausgang", f"Ausgang [{unit}]"), *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("unit", DIRECT)
+def test_an_output_in_another_unit_beside_the_stand_is_that_of_a_direct_instrument(
+    tmp_path: Path, unit: str
+) -> None:
+    draft = draft_run_file(describe_log(direct_log(tmp_path, unit)), {"stand.latitude": "48 deg"})
+    assert draft.open == []
+    own, output = draft.document["instrument"], draft.document["data"]["output"]
+    assert own["kind"] == "direct"
+    assert (output["kind"], output["unit"]) == ("rate", unit)
+    value, _, written = own["scale_factor"].partition(" ")
+    assert float(value) == pytest.approx(DIRECT[unit], rel=2e-3)
+    assert written == f"{unit}/g"
+    assert draft.document["model"]["terms"] == ["scale_factor", "k0", "m_Y"]
+
+
+@pytest.mark.only_compiled
+def test_a_direct_instrument_calibrates_from_its_drafted_file(tmp_path: Path) -> None:
+    settings = {"stand.latitude": "48 deg", "stand.height": "0 m"}
+    draft = draft_run_file(describe_log(direct_log(tmp_path, "mA")), settings)
+    result = piga.calibrate(try_run_file(draft, tmp_path / "run.toml"))
+    per_g = 9.80665 / Site(np.radians(48.0)).local_gravity
+    for name, true in (("scale_factor", 1.3 * per_g), ("k0", 2e-3 / per_g)):
+        assert abs(result[name].value - true) < 2.0 * result[name].expanded
+        assert result[name].std < 1e-4 * true
+
+
+def test_an_output_that_could_be_one_of_two_is_asked_for(tmp_path: Path) -> None:
+    path = direct_log(tmp_path, "V")
+    path.write_text(path.read_text("utf-8").replace("Temperatur [°C]", "Versorgung [V]"), encoding="utf-8")
+    assert "data.output" in [one.key for one in draft_run_file(describe_log(path)).open]
+    told = describe_log(path, {"Ausgang": "direct [V]"})
+    assert draft_run_file(told).document["data"]["output"]["column"] == "Ausgang"
 
 
 @pytest.mark.parametrize("kind", ["csv", "xlsx"])

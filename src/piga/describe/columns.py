@@ -23,10 +23,12 @@ from piga.results import Array
 from piga.units import G0, parse_unit
 
 Kind = Literal[
-    "time", "date", "counts", "pulses", "angle", "rate", "force", "base-rate", "temperature", "segment", "sequence",
+    "time", "date", "counts", "pulses", "angle", "rate", "direct", "force", "base-rate", "temperature", "segment", "sequence",
     "stand-angle", "stand-speed", "other",
 ]  # fmt: skip
-"""What a column holds. ``angle`` and ``rate`` are those of the outer gimbal, ``stand-...`` those of the machine."""
+"""What a column holds. ``angle`` and ``rate`` are those of the outer gimbal, ``stand-...`` those of the machine.
+
+``direct`` is the output of an instrument without a gimbal, in V, mA, Hz, LSB, m/s^2."""
 
 _AXES = {"x": 0, "y": 1, "z": 2}
 _NAMES = tomllib.loads(files("piga.data").joinpath("names.toml").read_text("utf-8"))
@@ -138,6 +140,7 @@ WORDS: dict[str, str] = {
     "pulses": "pulses of each sample",
     "angle": "output angle",
     "rate": "output rate",
+    "direct": "output of an instrument without a gimbal",
     "force": "specific force",
     "base-rate": "base rate",
     "temperature": "temperature",
@@ -272,14 +275,13 @@ def _told(guess: ColumnGuess, text: str) -> ColumnGuess:
             f"--column {guess.name}={text}: '{name}' is not what a column can hold",
             remedy=f"one of: {kinds}; with its unit: angle [deg]",
         )
-    if unit is not None and not (
-        kind in _LIKE and known_unit(unit) and measures(known_unit(unit), _LIKE[kind])
-    ):
+    fits = kind == "direct" or (kind in _LIKE and measures(known_unit(unit or ""), _LIKE[kind]))
+    if unit is not None and not (fits and known_unit(unit)):
         raise ArgumentError(
             f"--column {guess.name}={text}: '{unit}' is not a unit of {WORDS[kind]}",
             remedy=f"e.g. {guess.name}={name} [{_LIKE[kind]}]" if kind in _LIKE else "leave it out",
         )
-    kept = guess.unit if kind in _LIKE and measures(guess.unit, _LIKE[kind]) else ""
+    kept = guess.unit if kind == "direct" or (kind in _LIKE and measures(guess.unit, _LIKE[kind])) else ""
     place = None if axis is None else _AXES[axis]
     return replace(guess, kind=kind, axis=place, unit=known_unit(unit or "") or kept, reason=TOLD)
 
@@ -303,7 +305,7 @@ def guess_columns(
     ]
     guesses = _one_output(guesses, numbers)
     guesses = _by_values(guesses, numbers)
-    guesses = _triad_by_values(guesses, numbers)
+    guesses = _direct_output(_triad_by_values(guesses, numbers), numbers)
     return [_with_unit(guess, guesses, numbers) for guess in guesses]
 
 
@@ -506,6 +508,20 @@ def _by_value(guess: ColumnGuess, x: Array, kinds: set[str]) -> ColumnGuess:
             why = "its name says nothing, but it holds whole numbers, each over many rows"
             return replace(guess, kind="segment", reason=why, alternatives=("not used",))
     return guess
+
+
+def _direct_output(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> list[ColumnGuess]:
+    """The output of an instrument without a gimbal: the one column with another unit beside the angle or speed of a stand."""
+    kinds = {guess.kind for guess in guesses}
+    if kinds & {"counts", "pulses", "angle", "rate"} or not kinds & {"stand-angle", "stand-speed"}:
+        return guesses
+    others = [one for one in guesses if one.kind in ("other", "force") and one.unit and one.name in numbers]
+    others = [one for one in others if not parse_unit(one.unit).dimension[2]]
+    if len(others) != 1:
+        return guesses
+    why = f"the only column in another unit ({others[0].unit}) beside the stand"
+    output = replace(others[0], kind="direct", axis=None, reason=why)
+    return [output if one is others[0] else one for one in guesses]
 
 
 def _with_unit(guess: ColumnGuess, guesses: list[ColumnGuess], numbers: dict[str, Array]) -> ColumnGuess:

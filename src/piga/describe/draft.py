@@ -323,6 +323,10 @@ class RunFileDraft:
         elif "reference" not in data:
             missing.append("data.reference")
         self.open = [QUESTIONS[key] for key in missing]
+        if own.get("kind") == "direct" and "scale_factor" not in own:
+            unit = data["output"].get("unit", "V")
+            words = "nominal scale factor: its output for 1 g"
+            self.open[0] = Question("instrument.scale_factor", words, f"1.3 {unit}/g")
         known = stand is None or "height" in stand or "gravity" in stand
         self.optional = [] if known else [QUESTIONS["stand.height"]]
 

@@ -174,7 +174,7 @@ def _rate_of_rounded(t: Array, column: ColumnGuess) -> tuple[float, float] | Non
 
 def _optional(draft: RunFileDraft, log: LogDescription) -> None:
     group = triad(log.of("base-rate"))
-    if group:
+    if group and draft.document["instrument"].get("kind") != "direct":
         value = {"columns": [column.name for column in group], "unit": group[0].unit}
         draft.put("data.base_rate", value, group[0].reason)
     warm = log.of("temperature")

@@ -45,7 +45,7 @@ _LEAST_RELATED = 0.9
 
 def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
     """Describe the output of the log, and return its column; None if no column holds a running output."""
-    outputs = [column for kind in ("counts", "pulses", "angle", "rate") for column in log.of(kind)]
+    outputs = [column for kind in ("counts", "pulses", "angle", "rate", "direct") for column in log.of(kind)]
     outputs.sort(key=lambda column: not column.reason.startswith(TOLD))
     if not outputs:
         return None
@@ -67,6 +67,9 @@ def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
                 bits[1],
                 "  or: leave it out, if the counter was reset there",
             )
+    elif column.kind == "direct":
+        value |= {"kind": "rate", "unit": column.unit}
+        draft.put("instrument.kind", "direct", f"{column.name} is in {column.unit}: no gimbal")
     elif column.kind != "pulses":
         value["unit"] = column.unit
         fold = _fold(x, column.unit) if column.kind == "angle" else None
@@ -188,7 +191,7 @@ def _rate_and_level(
     x = log.numbers.get(output.name)
     if x is None or force is None:
         return None
-    if output.kind == "rate":
+    if output.kind in ("rate", "direct"):
         return x, force
     seconds = _seconds(draft, log, x.size)
     if seconds is None:
@@ -231,7 +234,10 @@ def put_instrument(draft: RunFileDraft, log: LogDescription, output: ColumnGuess
         if output.kind in COUNTED and "counts_per_revolution" not in own:
             _counts_of(draft, slope)
         return
-    if output.kind not in COUNTED:
+    unit = "rad/s"
+    if output.kind == "direct":
+        factor, unit = 1.0, output.unit
+    elif output.kind not in COUNTED:
         factor = parse_unit(output.unit).factor
     elif "counts_per_revolution" in own:
         factor = 2.0 * math.pi / float(own["counts_per_revolution"])
@@ -239,7 +245,7 @@ def put_instrument(draft: RunFileDraft, log: LogDescription, output: ColumnGuess
         return
     draft.put(
         "instrument.scale_factor",
-        f"{slope * factor * G0:.4g} rad/s/g",
+        f"{slope * factor * G0:.4g} {unit}/g",
         "from the log: output rate over specific force along X0",
     )
 
@@ -320,7 +326,7 @@ def put_reference(
         more = [one.name for one in log.of("force") if one not in group]
         others += [f"  or: column {name}" for name in more]
         draft.put("data.reference", {"columns": names, "unit": group[0].unit}, group[0].reason, *others)
-        if "base_rate" not in draft.document["data"]:
+        if "base_rate" not in draft.document["data"] and not _direct(draft):
             draft.comments["data.reference"].append(EARTH)
         return
     if any(key == "data.reference" or key.startswith("stand.kind") for key in settings):
@@ -431,15 +437,21 @@ def _site(draft: RunFileDraft, log: LogDescription) -> None:
             draft.put(key, quantity_text(known.value, unit), known.reason)
 
 
+def _direct(draft: RunFileDraft) -> bool:
+    """True for an instrument without a gimbal."""
+    return draft.document["instrument"].get("kind") == "direct"
+
+
 def put_terms(draft: RunFileDraft, log: LogDescription) -> None:
     """Terms that the positions of the test can determine."""
     force = _levels(draft, log)
     if force is None:
-        draft.put("model.terms", ["scale_factor", "tan_beta", "k0"], "the terms of every instrument")
+        terms = ["scale_factor", "k0"] if _direct(draft) else ["scale_factor", "tan_beta", "k0"]
+        draft.put("model.terms", terms, "the terms of every instrument")
         return
     a_x, a_y, a_z = force.T
     terms = ["scale_factor"]
-    if np.hypot(a_y, a_z).max() > _LEAST_SWING:
+    if np.hypot(a_y, a_z).max() > _LEAST_SWING and not _direct(draft):
         terms.append("tan_beta")
     columns = [a_x]
     for name, column in (("k0", np.ones_like(a_x)), ("m_Y", a_y), ("m_Z", a_z)):
