@@ -20,8 +20,6 @@ from piga.records.run import Run
 from piga.results import Array
 from piga.units import G0
 
-_Integers = NDArray[np.int64]
-
 LAG_PART = 8192
 """Samples per step when lagged products are summed: 64 KiB."""
 
