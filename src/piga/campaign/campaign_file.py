@@ -209,12 +209,6 @@ def _replace_value(document: dict[str, Any], key: str, value: Any) -> None:
 
 NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)", re.DOTALL)
 """Number and unit of a quantity."""
-_NEEDED = {
-    "uniform": ("low", "high"),
-    "log-uniform": ("low", "high"),
-    "normal": ("mean", "std"),
-    "choice": ("values",),
-}
 
 
 def _number(value: Quantity) -> tuple[float, str]:
@@ -227,43 +221,30 @@ def _number(value: Quantity) -> tuple[float, str]:
     return float(match[1]), match[2].strip()
 
 
-def _ends(table: DrawTable) -> tuple[float, float, str]:
-    """Two numbers of a distribution and their unit."""
-    first, second = (getattr(table, name) for name in _NEEDED[table.distribution])
-    (a, unit), (b, other) = _number(first), _number(second)
+def _drawn(table: DrawTable, rng: np.random.Generator) -> Any:
+    """One value. An error of the distribution is a ValueError that says what is wrong."""
+    kind = table.distribution
+    needed = {"normal": ("mean", "std"), "choice": ("values",)}.get(kind, ("low", "high"))
+    given = [getattr(table, name) for name in needed]
+    if None in given or () in given:
+        raise ValueError(f"a distribution '{kind}' needs {' and '.join(needed)}")
+    if kind == "choice":
+        return table.values[int(rng.integers(len(table.values)))]
+    (a, unit), (b, other) = map(_number, given)
     if unit != other:
         raise ValueError(f"units differ: '{unit}' and '{other}'")
-    return a, b, unit
-
-
-def _check_draw(table: DrawTable) -> None:
-    """Refuse an invalid distribution."""
-    needed = _NEEDED[table.distribution]
-    missing = [name for name in needed if not getattr(table, name) and getattr(table, name) != 0]
-    if missing:
-        raise ValueError(f"a distribution '{table.distribution}' needs {' and '.join(needed)}")
-    if table.distribution == "choice":
-        return
-    a, b, _ = _ends(table)
-    if table.distribution == "normal" and b < 0.0:
-        raise ValueError("std is negative")
-    if table.distribution != "normal" and not a < b:
-        raise ValueError("low is not below high")
-    if table.distribution == "log-uniform" and a <= 0.0:
-        raise ValueError("low must be positive for 'log-uniform'")
-
-
-def _drawn(table: DrawTable, rng: np.random.Generator) -> Any:
-    """One value."""
-    if table.distribution == "choice":
-        return table.values[int(rng.integers(len(table.values)))]
-    a, b, unit = _ends(table)
-    if table.distribution == "uniform":
-        value = float(rng.uniform(a, b))
-    elif table.distribution == "log-uniform":
-        value = math.exp(float(rng.uniform(math.log(a), math.log(b))))
-    else:
+    if kind == "normal":
+        if b < 0.0:
+            raise ValueError("std is negative")
         value = a + b * float(rng.standard_normal())
+    elif not a < b:
+        raise ValueError("low is not below high")
+    elif kind == "uniform":
+        value = float(rng.uniform(a, b))
+    elif a <= 0.0:
+        raise ValueError("low must be positive for 'log-uniform'")
+    else:
+        value = math.exp(float(rng.uniform(math.log(a), math.log(b))))
     return f"{value!r} {unit}" if unit else value
 
 
@@ -367,7 +348,7 @@ def _check(plan: CampaignPlan) -> None:
 
     for key, table in plan.file.draw.items():
         try:
-            _check_draw(table)
+            _drawn(table, np.random.default_rng(0))
         except ValueError as error:
             raise RunFileError(f"{plan.path}: [draw] {key}: {error}", remedy="correct the entry") from None
     for key, values in plan.file.grid.items():

@@ -14,35 +14,26 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.campaign.campaign_file import CampaignGroup, RecordName
 from piga.campaign.shards import Campaign, read_part
 from piga.errors import PigaError
-from piga.results import finite
+from piga.results import Array, finite
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class _CollectSettings:
-    """Settings of the collection of a campaign (own choices)."""
-
-    probability: float = 0.95
-    """Probability of the intervals, the target of the coverage."""
-    chance: float = 1.96
-    """Standard errors from the target beyond which a quantity is named: one of twenty sound ones lies beyond."""
-    sure: float = 3.29
-    """Standard errors from the target that chance does not explain: one of a thousand sound ones lies beyond."""
-    worst: int = 12
-    """Number of worst cases that are kept."""
-
-
-COLLECT = _CollectSettings()
+PROBABILITY = 0.95
+"""Probability of the intervals, the target of the coverage."""
+CHANCE = 1.96
+"""Standard errors from the target beyond which a quantity is named: one of twenty sound ones lies beyond."""
+SURE = 3.29
+"""Standard errors from the target that chance does not explain: one of a thousand sound ones lies beyond."""
+WORST = 12
+"""Number of worst cases that are kept."""
 
 EDGES = np.linspace(-5.0, 5.0, 41)
 """Edges of the histogram of errors over standard uncertainties; values beyond are counted in the outer bins."""
@@ -83,7 +74,7 @@ class CampaignCoefficient:
         """Coverage less its target, over the standard error of a sound share; 0 if it is not known."""
         if self.coverage is None:
             return 0.0
-        p = COLLECT.probability
+        p = PROBABILITY
         return (self.coverage - p) / math.sqrt(p * (1.0 - p) / self.tests)
 
     @property
@@ -106,7 +97,7 @@ class Miss:
     @property
     def sure(self) -> bool:
         """True if chance does not explain it."""
-        return abs(self.standard_errors) > COLLECT.sure
+        return abs(self.standard_errors) > SURE
 
     @property
     def label(self) -> str:
@@ -366,14 +357,14 @@ def _share_error(hits: int, tests: int) -> float:
 
 
 def _misses(groups: tuple[GroupResult, ...]) -> tuple[Miss, ...]:
-    """Every quantity away from its target by more than ``COLLECT.chance`` standard errors, the farthest first."""
+    """Every quantity away from its target by more than ``CHANCE`` standard errors, the farthest first."""
     misses = []
     for result in groups:
         for c in result.coefficients:
-            if abs(c.coverage_off) > COLLECT.chance:
+            if abs(c.coverage_off) > CHANCE:
                 values = (c.coverage or 0.0, c.coverage_std_error or 0.0, c.coverage_off)
                 misses.append(Miss(result.group.label, c.name, "coverage", *values))
-            if abs(c.bias_off) > COLLECT.chance:
+            if abs(c.bias_off) > CHANCE:
                 values = (c.bias_over_sigma or 0.0, 1.0 / math.sqrt(c.tests), c.bias_off)
                 misses.append(Miss(result.group.label, c.name, "bias", *values))
     return tuple(sorted(misses, key=lambda miss: -abs(miss.standard_errors)))
@@ -390,7 +381,7 @@ def _worst(campaign: Campaign, rows: pa.Table) -> list[_WorstCase]:
     z = _numbers(rows, "z")
     size = np.where(np.isfinite(z), np.abs(z), 0.0)
     cases = []
-    for at in np.argsort(-size, kind="stable")[: COLLECT.worst]:
+    for at in np.argsort(-size, kind="stable")[:WORST]:
         if size[at] > 0.0:
             record = campaign.plan.record(rows.column("record")[int(at)].as_py())
             place = (record.number, record.case, record.repeat, record.group.label)

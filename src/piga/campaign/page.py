@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from piga.campaign.campaign_file import NUMBER
-from piga.campaign.collect import COLLECT, EDGES, CampaignCoefficient, Collected, GroupResult, Miss
+from piga.campaign.collect import CHANCE, EDGES, SURE, CampaignCoefficient, Collected, GroupResult, Miss
 from piga.records.terms import shown_unit
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import pretty_unit, short, signed
@@ -29,18 +28,10 @@ from piga.reports.render.page import (
     Tone,
 )
 
-
-@dataclass(frozen=True)
-class _CampaignPageSettings:
-    """What the page of a campaign shows (own choices)."""
-
-    groups: int = 60
-    """Most groups whose tables are on the page; ``coefficients.csv`` has all."""
-    figures: int = 8
-    """Most coefficients with a figure over the grid."""
-
-
-SHOWN = _CampaignPageSettings()
+_GROUPS = 60
+"""Most groups whose tables are on the page; ``coefficients.csv`` has all."""
+_FIGURES = 8
+"""Most coefficients with a figure over the grid."""
 
 
 def campaign_page(collected: Collected) -> Page:
@@ -94,7 +85,7 @@ def judgement(collected: Collected) -> list[Block]:
         blocks.append(
             Notice(
                 "warning" if len(perhaps) > 3 + targets / 10 else "good",
-                f"Off its target by more than {COLLECT.chance:g} standard errors: {_named(perhaps)}. "
+                f"Off its target by more than {CHANCE:g} standard errors: {_named(perhaps)}. "
                 f"Of {targets} targets about {max(1, round(targets / 20))} lie so far off by chance.",
             )
         )
@@ -109,9 +100,9 @@ def _named(misses: list[Miss]) -> str:
 
 def _tone(c: CampaignCoefficient) -> Tone:
     """Bad if fewer intervals hold than chance explains, doubtful if more hold or the share is at the edge of chance."""
-    if c.coverage_off < -COLLECT.sure:
+    if c.coverage_off < -SURE:
         return "bad"
-    return "doubtful" if abs(c.coverage_off) > COLLECT.chance else ""
+    return "doubtful" if abs(c.coverage_off) > CHANCE else ""
 
 
 def _tiles(collected: Collected, judged: list[GroupResult]) -> tuple[Tile, ...]:
@@ -147,9 +138,9 @@ def _intervals(judged: list[GroupResult], collected: Collected) -> list[Block]:
 
 
 def _tables(results: list[GroupResult], table: Callable[[GroupResult], Table]) -> list[Block]:
-    blocks: list[Block] = [table(result) for result in results[: SHOWN.groups]]
-    if len(results) > SHOWN.groups:
-        blocks.append(Text(f"{len(results) - SHOWN.groups} more groups are in coefficients.csv."))
+    blocks: list[Block] = [table(result) for result in results[:_GROUPS]]
+    if len(results) > _GROUPS:
+        blocks.append(Text(f"{len(results) - _GROUPS} more groups are in coefficients.csv."))
     return blocks
 
 
@@ -304,7 +295,7 @@ def _grid_figures(collected: Collected) -> list[Figure]:
     if key is None:
         return []
     names = dict.fromkeys(c.name for r in results for c in r.coefficients)
-    return [_grid_figure(results, key, name) for name in list(names)[: SHOWN.figures]]
+    return [_grid_figure(results, key, name) for name in list(names)[:_FIGURES]]
 
 
 def _quantity(value: object) -> tuple[float | None, str]:

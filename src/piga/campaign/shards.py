@@ -36,21 +36,8 @@ MANIFEST, _PARTS, LOCK = "manifest.json", "parts", "running.lock"
 _PART = re.compile(r"part-(\d{5,})-([0-9a-f]{32})\.parquet")
 
 
-@dataclass(frozen=True)
-class _CutSettings:
-    """How a campaign is cut into shards.
-
-    A shard should last ``seconds``. ``fewest`` is the number of shards that a short campaign is cut into, so that several
-    workers have work. ``probes`` is the number of records that are timed, for at most ``patience`` seconds.
-    """
-
-    seconds: float = 120.0
-    fewest: int = 16
-    probes: int = 12
-    patience: float = 60.0
-
-
-_CUT = _CutSettings()
+_SECONDS, _FEWEST = 120.0, 16
+"""How long a shard should last [s], and the shards of a short campaign, so that several workers have work."""
 
 
 class Manifest(msgspec.Struct, frozen=True):
@@ -217,21 +204,6 @@ def _same(campaign: Campaign, wanted: Manifest) -> Campaign:
     return campaign
 
 
-def probes(plan: CampaignPlan) -> list[int]:
-    """Numbers of the records that represent all others: the last of each group, or an even selection of these.
-
-    The last repeats have no bound of Cramer and Rao. That bound takes far longer than the record itself.
-    """
-    ends = [group.start + group.records - 1 for group in plan.groups if group.records]
-    if len(plan.groups) == 1:
-        first = min(plan.groups[0].bounds, plan.records - 1)
-        step = (plan.records - 1 - first) / (_CUT.probes - 1)
-        ends = [first + round(k * step) for k in range(_CUT.probes)]
-    elif len(ends) > _CUT.probes:
-        ends = [ends[round(k * (len(ends) - 1) / (_CUT.probes - 1))] for k in range(_CUT.probes)]
-    return sorted(set(ends))
-
-
 def compile_kernels(plan: CampaignPlan) -> None:
     """Compute one record, so that the kernels are compiled before the workers start. The workers then load them."""
     _try(plan, 0)
@@ -243,22 +215,22 @@ def _try(plan: CampaignPlan, number: int) -> None:
 
 
 def seconds_per_record(plan: CampaignPlan) -> float:
-    """Processor time of a record [s], the mean of several; kernels are compiled before."""
-    began = time.monotonic()
-    spent: list[float] = []
-    for number in probes(plan):
-        _try(plan, number)
+    """Processor time of a record [s]: the mean of the last ones of the first and the last group; kernels are compiled before.
+
+    The last repeats have no bound of Cramer and Rao. That bound takes far longer than the record itself.
+    """
+    spent = []
+    for group in (plan.groups[0], plan.groups[-1]):
+        _try(plan, group.start + group.records - 1)
         start = time.process_time()
-        _try(plan, number)
+        _try(plan, group.start + group.records - 1)
         spent.append(time.process_time() - start)
-        if time.monotonic() - began > _CUT.patience:
-            break
     return max(sum(spent) / len(spent), 1e-6)
 
 
 def shard_size(records: int, seconds: float) -> int:
-    """Records of a shard: 1, 2 or 5 times a power of ten, for shards of ``_CUT.seconds``, and at least ``_CUT.fewest`` shards."""
-    wanted = min(_CUT.seconds / seconds, max(1.0, records / _CUT.fewest))
+    """Records of a shard: 1, 2 or 5 times a power of ten, for shards of ``_SECONDS``, and at least ``_FEWEST`` shards."""
+    wanted = min(_SECONDS / seconds, max(1.0, records / _FEWEST))
     if wanted <= 1.0:
         return 1
     power = 10 ** math.floor(math.log10(wanted))

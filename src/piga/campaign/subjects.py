@@ -12,23 +12,19 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.campaign.campaign_file import CampaignPlan, RecordName
 from piga.errors import ArgumentError, PigaError, PigaWarning, RunFileError, UnitError
 from piga.records.calibration.coefficient import changes
 from piga.records.run_file import ASSUMED_SOURCES, EstimationTable, ModelTable, UncertaintyTable
 from piga.records.text_files import convert_toml, toml_text
-from piga.results import finite
+from piga.results import Array, finite
 from piga.stand.scenario import Scenario, ScenarioTable, run_scenario, scenario_of
 
 if TYPE_CHECKING:
     from piga.platform.scenario import PlatformScenario
     from piga.records import Calibration, Run
     from piga.stand.simulate import SimulatedTest
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -48,19 +48,11 @@ Scenario = Annotated[
     ),
 ]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results and report.html.")]
-Every = Annotated[
-    int,
-    typer.Option(
-        "--every", metavar="N", help="Write every N-th row. Increments are summed; results use all rows.", min=1
-    ),
-]
 _Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
 @app.command()
-def simulate(
-    scenario: Scenario, out: Out, every: Every = 1, force: ForceOption = False, json: _Json = False
-) -> None:
+def simulate(scenario: Scenario, out: Out, force: ForceOption = False, json: _Json = False) -> None:
     """Simulate the readouts and the truth.
 
     Writes readouts.parquet, truth.parquet, the scenario and a page.
@@ -73,7 +65,7 @@ def simulate(
     with _results(out, "simulate", scenario, force, json, *files) as to:
         run = _simulated(load_scenario(scenario))
         for table, name in zip((readouts_table(run.readouts), truth_table(run)), files, strict=False):
-            _parquet(_thinned(table, every), to / name)
+            _parquet(table, to / name)
         (to / SCENARIO).write_bytes(scenario.read_bytes())
         rows, eta = len(run.readouts.times), run.truth.eta
         document = {
@@ -145,9 +137,7 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: _Js
 
 
 @app.command()
-def navigate(
-    scenario: Scenario, out: Out, every: Every = 1, force: ForceOption = False, json: _Json = False
-) -> None:
+def navigate(scenario: Scenario, out: Out, force: ForceOption = False, json: _Json = False) -> None:
     """Navigate with every model of the scenario.
 
     Writes navigation-MODEL.parquet and a page.
@@ -158,10 +148,9 @@ def navigate(
 
     with _results(out, "navigate", scenario, force, json, "navigation-*.parquet") as to:
         comparison = _compared(load_scenario(scenario))
-        tables = {name: _thinned(navigation_table(run), every) for name, run in comparison.models.items()}
-        files = {name: f"navigation-{name}.parquet" for name in tables}
-        for name, table in tables.items():
-            _parquet(table, to / files[name])
+        files = {name: f"navigation-{name}.parquet" for name in comparison.models}
+        for name, run in comparison.models.items():
+            _parquet(navigation_table(run), to / files[name])
         worst = {m: float(r.errors.horizontal.max()) for m, r in comparison.models.items()}
         document = {
             "models": {m: {"position_error_m": v, "file": files[m]} for m, v in worst.items()},
@@ -248,24 +237,6 @@ def _parquet(table: Any, path: Path) -> None:
     import pyarrow.parquet as pq
 
     pq.write_table(table, path, write_page_checksum=True)
-
-
-def _thinned(table: Any, every: int) -> Any:
-    """Every N-th row of a table, from the first. Velocity increments are summed over the rows that are left out."""
-    if every == 1:
-        return table
-    import numpy as np
-    import pyarrow as pa
-
-    kept = np.arange(0, table.num_rows, every)
-    thin = table.take(pa.array(kept))
-    for index, field in enumerate(table.schema):
-        if field.name.startswith("dv"):
-            values = table.column(field.name).to_numpy()
-            total = np.cumsum(np.nan_to_num(values))[kept]
-            summed = np.concatenate((values[:1], np.diff(total)))
-            thin = thin.set_column(index, field, pa.array(summed))
-    return thin
 
 
 def _degrees(angle: float) -> float:

@@ -14,6 +14,7 @@ from piga.calibration import TermProspect
 from piga.calibration.model.request import lost_phase
 from piga.records.arrays import changes, norms
 from piga.records.run import Run
+from piga.reports.calibration.tables import quality_table
 from piga.reports.render.envelope import POINTS
 from piga.reports.render.figure import XYZ, Figure, Plot
 from piga.reports.render.numbers import count
@@ -95,15 +96,7 @@ def page(run: Run, prospects: Sequence[TermProspect] = ()) -> Page:
         Tile("Reference", f"{size.min():.6g} to {size.max():.6g}", "g", "specific force |f|"),
         Tile("Calibration", run.estimation.method, "", _calibration_words(run)),
     )
-    table = (
-        TableOf(quality.events)
-        .text("finding", lambda event: event.kind)
-        .number("count", lambda event: count(event.count))
-        .number("first row", lambda event: "" if event.first_row is None else count(event.first_row))
-        .text("what is done", lambda event: event.detail)
-        .table()
-    )
-    findings = table if quality.events else Notice("good", "Nothing was found.")
+    findings = quality_table(quality) if quality.events else Notice("good", "Nothing was found.")
     terms = (Section("Terms", "terms", (prospects_table(prospects),)),) if prospects else ()
     drawn = FigureBlock(partial(record_figure, run))
     return Page(

@@ -40,9 +40,9 @@ from piga.reports.render.page import (
     Tone,
     named_values,
 )
+from piga.results import Array
 from piga.units import G0, MICRO_G
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.int32]
 
 CURVE_POINTS = 1 << 15

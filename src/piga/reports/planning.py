@@ -7,7 +7,6 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.planning.candidates import Candidate, Prediction
@@ -30,9 +29,8 @@ from piga.reports.render.page import (
     Tone,
     named_values,
 )
+from piga.results import Array
 from piga.units import G0
-
-Array = NDArray[np.float64]
 
 SHOWN = 1e4
 """Largest margin that is drawn. Larger margins are drawn at this value."""

@@ -29,6 +29,7 @@ from piga.reports.render.page import (
     Text,
     Tile,
 )
+from piga.results import Array
 from piga.stand.simulate import SimulatedTest
 from piga.stand.write_run import TrueValue, coefficients, imperfection_values, predictions
 from piga.units import ARCSEC, G0, MICRO_G
@@ -91,9 +92,6 @@ def _spread(limit: float, border: float) -> NDArray[np.float64]:
     """Forces from ``-limit`` to ``limit``, dense where the rate leaves the plateau like a square root."""
     outside = border + (limit - border) * np.linspace(0.0, 1.0, _POINTS // 2) ** 2
     return np.concatenate((-outside[::-1], outside))
-
-
-Array = NDArray[np.float64]
 
 
 Drawn = dict[str, Callable[[], Figure]]

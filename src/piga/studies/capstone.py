@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -103,41 +104,23 @@ class Capstone(Result):
 
 def readings(sensors: PigaSensors) -> tuple[_TriadReading, ...]:
     """The readings compared: from the ideal instrument to the locked one, and back."""
-    tripod = msgspec.structs.replace(
-        sensors, mounting="skewed", cone=TRIPOD, tan_beta_error=0.0, phase_error=0.0
-    )
-    skewed = msgspec.structs.replace(sensors, mounting="skewed", tan_beta_error=0.0, phase_error=0.0)
-    tan_beta_error, phase_error = 2e-3 * sensors.tan_beta, 2e-3
+
+    def read(name: str, sentence: str, **changes: Any) -> _TriadReading:
+        exact = {"mounting": "skewed", "tan_beta_error": 0.0, "phase_error": 0.0}
+        return _TriadReading(name, msgspec.structs.replace(sensors, **exact | changes), sentence)
+
+    wrong = {"tan_beta_error": 2e-3 * sensors.tan_beta, "phase_error": 2e-3}
     if sensors.tan_beta_error or sensors.phase_error:
-        tan_beta_error, phase_error = sensors.tan_beta_error, sensors.phase_error
-    cone = np.degrees(sensors.cone)
+        wrong = {name: getattr(sensors, name) for name in wrong}
+    near = f"axes within {np.degrees(sensors.cone):.0f} deg of the pole: never locked, still pulled"
+    solved = "solved with tan(beta) and phase off by a calibration's error"
     return (
         _TriadReading("ideal", None, "ideal accelerometers: the platform and the navigator alone"),
-        _TriadReading(
-            "raw tripod",
-            msgspec.structs.replace(tripod, output="raw"),
-            "three axes at right angles, output taken as alpha'/K",
-        ),
-        _TriadReading(
-            "raw skewed",
-            msgspec.structs.replace(skewed, output="raw"),
-            f"axes within {cone:.0f} deg of the pole: never locked, still pulled",
-        ),
-        _TriadReading(
-            "triad",
-            msgspec.structs.replace(tripod, output="triad"),
-            "right angles, effective axes solved per sample",
-        ),
-        _TriadReading(
-            "triad skewed", msgspec.structs.replace(skewed, output="triad"), "skewed and solved per sample"
-        ),
-        _TriadReading(
-            "triad, calibrated",
-            msgspec.structs.replace(
-                tripod, output="triad", tan_beta_error=tan_beta_error, phase_error=phase_error
-            ),
-            "solved with tan(beta) and phase off by a calibration's error",
-        ),
+        read("raw tripod", "three axes at right angles, output taken as alpha'/K", cone=TRIPOD, output="raw"),
+        read("raw skewed", near, output="raw"),
+        read("triad", "right angles, effective axes solved per sample", cone=TRIPOD, output="triad"),
+        read("triad skewed", "skewed and solved per sample", output="triad"),
+        read("triad, calibrated", solved, cone=TRIPOD, output="triad", **wrong),
     )
 
 

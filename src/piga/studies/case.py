@@ -22,7 +22,7 @@ from piga.instrument import Instrument, propagate
 from piga.records import Calibration, Run
 from piga.records.run_file import TomlTable
 from piga.reports.render.figure import Figure
-from piga.results import finite
+from piga.results import Array, finite
 from piga.units import G0
 
 Verdict = Literal["pass", "fail", "info"]
@@ -139,8 +139,6 @@ def chapter_of(
     text = printed.text.format(**words)
     return Chapter(name, printed.title, printed.source, text, tuple(cases), tuple(figures))
 
-
-Array = NDArray[np.float64]
 
 SCALE: Final = "0.8884 rad/s/g"
 INSTRUMENT: Final = Instrument(SCALE, "1000 arcsec", 0.25 * math.pi)

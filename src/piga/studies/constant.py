@@ -19,7 +19,7 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from piga.errors import ArgumentError
 from piga.instrument import (
@@ -33,11 +33,9 @@ from piga.instrument import (
     revolution_period,
 )
 from piga.reports.render.figure import XYZ, Figure, Plot, axis
-from piga.results import Result
+from piga.results import Array, Result
 from piga.studies.case import INSTRUMENT, RATIO, Chapter, Value, chapter_of, example_force
 from piga.units import G0
-
-Array = NDArray[np.float64]
 
 DURATION = 100.0
 _STEP = 0.05

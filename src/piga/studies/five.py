@@ -7,16 +7,14 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.calibrate import calibrate
 from piga.instrument import ErrorModel, Instrument, propagate
 from piga.records import Calibration, Run
 from piga.reports.render.figure import Figure, Plot, axis
+from piga.results import Array
 from piga.studies.case import SCALE, Chapter, Value, chapter_of, model_phase, published_recursion, velocity
 from piga.units import G0
-
-Array = NDArray[np.float64]
 
 TERMS = ("tan_beta", "k0", "k1", "k2")
 TRUTH = {"tan_beta": 3.6e-4, "phi": math.radians(27.5), "k0": 1.60e-3, "k1": -2.37e-3, "k2": 1.98e-3}

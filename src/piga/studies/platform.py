@@ -9,7 +9,6 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
 from piga.platform.analysis import channels, line_amplitudes
@@ -19,10 +18,9 @@ from piga.platform.scenario import Compensation, Gyro, Harmonic, Model, Place, P
 from piga.platform.simulate import simulate
 from piga.reports.platform.figures import lines_figure, published_figure
 from piga.reports.render.figure import Figure, Plot, Role, Series
+from piga.results import Array
 from piga.studies.case import Chapter, Value, chapter_of
 from piga.units import ARCMIN, DAY
-
-Array = NDArray[np.float64]
 
 CASE_RATE = 2.0 * math.pi / 480.0
 GRAVITY_OF_TABLE = 9.8

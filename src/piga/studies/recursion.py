@@ -6,11 +6,11 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.instrument import closed_form, propagate
 from piga.records import Calibration
 from piga.reports.render.figure import Figure, Plot, Role
+from piga.results import Array
 from piga.studies.case import (
     INSTRUMENT,
     RAMP_TOP,
@@ -34,8 +34,6 @@ from piga.studies.case import (
 from piga.studies.constant import EXAMPLES, published_closed_form
 from piga.studies.platform import CASE_RATE, CHANNELS, GRAVITY_OF_TABLE, compared, formula, last_lines
 from piga.units import ARCMIN
-
-Array = NDArray[np.float64]
 
 _PUBLISHED_TAN_BETA, _PUBLISHED_PHASE = 4.848e-3, 0.802
 _LATE = 20.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
 from piga.instrument import (
@@ -17,6 +17,7 @@ from piga.instrument import (
     mean_rate,
 )
 from piga.reports.render.figure import XYZ, Figure, Plot
+from piga.results import Array
 from piga.studies.case import (
     INSTRUMENT,
     RAMP_TOP,
@@ -32,8 +33,6 @@ from piga.studies.case import (
 )
 from piga.studies.constant import FormNumber, published_closed_form
 from piga.units import ARCSEC, G0
-
-Array = NDArray[np.float64]
 
 DURATION = 60.0
 _SWING, _PERIOD = 0.6, 15.0

@@ -25,9 +25,8 @@ from piga.errors import ArgumentError
 from piga.records.run import Run
 from piga.records.run_file import RunFile
 from piga.records.text_files import toml_text
+from piga.results import Array
 from piga.units import G0, offset_to_si, parse_unit
-
-Array = NDArray[np.float64]
 
 BLOCK = 256
 """Samples per block of the envelope."""

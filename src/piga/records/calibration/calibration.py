@@ -38,7 +38,6 @@ from piga.results import (
     Array,
     ByValue,
     Column,
-    Correlated,
     Reported,
     Result,
     Tabular,
@@ -291,7 +290,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     def correlated(
         self, library: Literal["uncertainties", "GTC"] | None = None, *, si: bool = False
-    ) -> dict[str, Correlated]:
+    ) -> dict[str, Any]:
         """The coefficients as numbers that know their covariance, by key, to compute on with.
 
         Parameters

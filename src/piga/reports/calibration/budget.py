@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from piga.records.calibration import BudgetEntry, Calibration, Coefficient
 from piga.records.terms import shown_unit
-from piga.reports.calibration.tables import TABLES, common_coefficients
+from piga.reports.calibration.tables import ACROSS, COEFFICIENTS, NEGLIGIBLE, SHORT_ACROSS, common_coefficients
 from piga.reports.render.numbers import pretty_unit, short
 from piga.reports.render.page import Cell, Table, TableOf
 
@@ -20,7 +20,7 @@ def budget_table(cal: Calibration) -> Table:
 
     Without an entry of Type A the standard uncertainties of the fit are put first.
     """
-    coefficients = common_coefficients(cal)[: TABLES.coefficients]
+    coefficients = common_coefficients(cal)[:COEFFICIENTS]
     sources = _sources(cal, coefficients)
     total = {c.key: math.hypot(*(source.contribution(c) for source in sources)) for c in coefficients}
     table = (
@@ -64,7 +64,7 @@ def _degrees(row: BudgetEntry) -> str:
 def _contribution(part: float, c: Coefficient, whole: float = 0.0) -> Cell:
     """Contribution to a coefficient, with its share of the variance ``whole`` squared."""
     part = abs(part)
-    if part <= TABLES.negligible * c.std:
+    if part <= NEGLIGIBLE * c.std:
         return Cell("–", "quiet")
     share = f" ({100.0 * (part / whole) ** 2:.0f} %)" if whole > 0.0 else ""
     return Cell(short(part * shown_unit(c.name, c.unit)[0], 2) + share)
@@ -72,7 +72,7 @@ def _contribution(part: float, c: Coefficient, whole: float = 0.0) -> Cell:
 
 def budget_shares(cal: Calibration) -> tuple[list[str], dict[str, list[float]]]:
     """Keys of the coefficients with a budget, and the share [%] of each source in the variance of each."""
-    coefficients = [c for c in common_coefficients(cal)[: TABLES.coefficients] if c.std > 0.0]
+    coefficients = [c for c in common_coefficients(cal)[:COEFFICIENTS] if c.std > 0.0]
     sources = _sources(cal, coefficients)
     total = {c.key: math.hypot(*(source.contribution(c) for source in sources)) for c in coefficients}
     known = [c for c in coefficients if total[c.key] > 0.0]
@@ -134,64 +134,56 @@ def budget_tables(cal: Calibration) -> tuple[Table, ...]:
     sources = whole.only(range(DESCRIBED))
     rows = tuple((source_in_words(str(row[0])), *row[1:]) for row in sources.rows if row[1])
     contributions = whole.only([0, *range(DESCRIBED, len(whole.columns))])
-    return (replace(sources, rows=rows, notes=()), *contributions.parts(1, TABLES.across))
+    return (replace(sources, rows=rows, notes=()), *contributions.parts(1, ACROSS))
 
 
 def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
     """Change of each coefficient for one unit of a source; none when no source has a size (or in old files)."""
-    rows = [
-        (row, row.standard_uncertainty.unit)
-        for row in cal.budget
-        if row.sensitivities and row.standard_uncertainty
-    ]
-    if not rows:
-        return ()
-    table = (
-        TableOf(rows)
-        .text("Source", lambda row: row[0].source)
-        .text("Change for", lambda row: f"1 {pretty_unit(row[1])}".strip())
-        .across(
-            common_coefficients(cal)[: TABLES.coefficients],
-            lambda c: c.key,
-            lambda row, c: _sensitivity(row[0], c),
-            lambda c: pretty_unit(shown_unit(c.name, c.unit)[1]),
-        )
-    )
-    return table.table().parts(2, TABLES.sensitivities_across)
+    rows = []
+    for row in cal.budget:
+        if row.sensitivities and row.standard_uncertainty:
+            changes = {
+                c.key: row.sensitivities[c.key].value
+                for c in common_coefficients(cal)
+                if c.key in row.sensitivities and abs(row.contribution(c)) > NEGLIGIBLE * c.std
+            }
+            rows.append((row.source, f"1 {pretty_unit(row.standard_uncertainty.unit)}".strip(), changes))
+    return _change_tables(cal, "Source", rows)
 
 
 def source_tables(cal: Calibration) -> tuple[Table, ...]:
     """The sources of the stand that nobody stated: the change of each coefficient for one unit. Empty if all are stated."""
-    rows = [
-        (source, component, changes)
-        for source in cal.sources
-        if source.status in ("unstated", "assumed")
-        for component, changes in (source.effects or {source.name: {}}).items()
-    ]
+    rows = []
+    for source in cal.sources:
+        if source.status in ("unstated", "assumed"):
+            for component, effects in (source.effects or {source.name: {}}).items():
+                changes = {
+                    c.key: effects[c.key]
+                    for c in common_coefficients(cal)
+                    if abs(effects.get(c.key, 0.0)) > NEGLIGIBLE * c.std
+                }
+                size = f"1 {pretty_unit(source.unit)}" if effects else source.reason
+                rows.append((source_in_words(component), size, changes))
+    return _change_tables(cal, "Source that is not stated", rows)
+
+
+def _change_tables(
+    cal: Calibration, heading: str, rows: list[tuple[str, str, dict[str, float]]]
+) -> tuple[Table, ...]:
+    """Tables of changes: source, for how much of it, and the change of each coefficient; none without rows."""
     if not rows:
         return ()
-    table = (
-        TableOf(rows)
-        .text("Source that is not stated", lambda row: source_in_words(row[1]))
-        .text("Change for", lambda row: f"1 {pretty_unit(row[0].unit)}" if row[2] else row[0].reason)
-        .across(
-            common_coefficients(cal)[: TABLES.coefficients],
-            lambda c: c.key,
-            lambda row, c: _effect(row[2].get(c.key, 0.0), c),
-            lambda c: pretty_unit(shown_unit(c.name, c.unit)[1]),
-        )
+
+    def change(row: tuple[str, str, dict[str, float]], c: Coefficient) -> str | Cell:
+        if c.key not in row[2]:
+            return Cell("–", "quiet")
+        return short(row[2][c.key] * shown_unit(c.name, c.unit)[0], 3)
+
+    table = TableOf(rows).text(heading, lambda row: row[0]).text("Change for", lambda row: row[1])
+    table.across(
+        common_coefficients(cal)[:COEFFICIENTS],
+        lambda c: c.key,
+        change,
+        lambda c: pretty_unit(shown_unit(c.name, c.unit)[1]),
     )
-    return table.table().parts(2, TABLES.sensitivities_across)
-
-
-def _effect(change: float, c: Coefficient) -> str | Cell:
-    if abs(change) <= TABLES.negligible * c.std:
-        return Cell("–", "quiet")
-    return short(change * shown_unit(c.name, c.unit)[0], 3)
-
-
-def _sensitivity(row: BudgetEntry, c: Coefficient) -> str | Cell:
-    sensitivity = row.sensitivities.get(c.key)
-    if sensitivity is None or abs(row.contribution(c)) <= TABLES.negligible * c.std:
-        return Cell("–", "quiet")
-    return short(sensitivity.value * shown_unit(c.name, c.unit)[0], 3)
+    return table.table().parts(2, SHORT_ACROSS)

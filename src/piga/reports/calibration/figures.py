@@ -27,9 +27,8 @@ from piga.reports.calibration.tables import residual_quantity, scale_factor, sho
 from piga.reports.render.envelope import POINTS, leading_part, outline, rows_of
 from piga.reports.render.figure import Axis, Figure, Plot, Role, Series, named_axis
 from piga.reports.render.numbers import pretty_unit
+from piga.results import Array
 from piga.units import ARCSEC, G0, MICRO_G
-
-Array = NDArray[np.float64]
 
 _LAGS = 40
 """Lags of the autocorrelation."""

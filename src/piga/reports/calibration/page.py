@@ -162,7 +162,7 @@ def _brief_sections(cal: Calibration) -> Iterator[Section]:
     if cal.runs:
         yield Section("Runs", "runs", (runs_table(cal),))
     if cal.quality.events:
-        yield Section("Data", "quality", (quality_table(cal),))
+        yield Section("Data", "quality", (quality_table(cal.quality),))
     if any(row.type == "B" for row in cal.budget):
         yield Section("Uncertainty budget", "budget", budget_tables(cal))
     yield from comparison_sections(cal)
@@ -473,7 +473,7 @@ def _quality(cal: Calibration, shown: dict[str, Figure]) -> Section:
     if cal.quality.masked:
         blocks = (Notice("info", f"{count(cal.quality.masked)} rows are masked and were not used."),)
     if cal.quality.events:
-        blocks = (quality_table(cal),)
+        blocks = (quality_table(cal.quality),)
     if cal.runs:
         rows = [
             (f"Run {run.name}", f"{count(q.rows)} rows read, {count(q.used)} used, {count(q.masked)} masked")

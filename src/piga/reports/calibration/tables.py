@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from piga.records.calibration import Calibration, Coefficient
+from piga.records.calibration import Calibration, Coefficient, Quality
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.verdict import Grade, Verdict
 from piga.records.terms import integral_unit, shown_output, shown_unit, term_words
@@ -17,37 +16,18 @@ from piga.reports.render.numbers import count, fixed, pretty_unit, relative, rou
 from piga.reports.render.page import Cell, Judgement, Table, TableOf, Tone, named_values
 from piga.units import ARCSEC, G0
 
-
-@dataclass(frozen=True)
-class _TableSettings:
-    """What the tables of a calibration show (own choices)."""
-
-    segments: int = 60
-    """Segments with a row."""
-    coefficients: int = 14
-    """Coefficients with columns in a table."""
-    outliers: int = 30
-    """Outliers with a row."""
-    many: int = 1000
-    """Above this number, degrees of freedom are shown as ``> 1000``."""
-    across: int = 4
-    """Coefficients beside each other in a table of the page: they fit the screen and A4."""
-    sensitivities_across: int = 6
-    """Coefficients beside each other in a table of short numbers."""
-    negligible: float = 1e-3
-    """Contributions below this, in standard uncertainties of the coefficient, are not shown (0.0001 % of the
-    variance)."""
-    slight: float = 0.01
-    """Share of the variance below which a source is left out on the terminal."""
-    leverage: int = 24
-    """Segments in the table of leverage, those with the most first."""
-    selectable: int = 1000
-    """Most segments of a page on which the reader can select one."""
-
-
-TABLES = _TableSettings()
-
-
+_SEGMENTS, _OUTLIERS, _LEVERAGE = 60, 30, 24
+"""Most segments, outliers and segments by their leverage that have a row."""
+COEFFICIENTS = 14
+"""Most coefficients with columns in a table."""
+_MANY = 1000
+"""Above this number, degrees of freedom are shown as ``> 1000``."""
+ACROSS, SHORT_ACROSS = 4, 6
+"""Coefficients beside each other in a table of the page, so that they fit the screen and A4; in one of short numbers."""
+NEGLIGIBLE = 1e-3
+"""Contributions below this, in standard uncertainties of the coefficient, are not shown (0.0001 % of the variance)."""
+_SELECTABLE = 1000
+"""Most segments of a page on which the reader can select one."""
 TONES: dict[Grade, Tone] = {"clear": "good", "doubt": "doubtful", "do not use": "bad"}
 """Tone of each grade of a verdict."""
 
@@ -124,8 +104,8 @@ def freedom(coefficient: Coefficient) -> str:
     nu = coefficient.degrees_of_freedom
     if math.isnan(nu):
         return "–"
-    if TABLES.many < nu < math.inf:
-        return f"> {count(TABLES.many)}"
+    if _MANY < nu < math.inf:
+        return f"> {count(_MANY)}"
     return "∞" if math.isinf(nu) else count(round(nu)) if nu >= 100.0 else f"{nu:.3g}"
 
 
@@ -182,7 +162,7 @@ def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
 def correlation_table(cal: Calibration) -> Table | None:
     """Correlation matrix of the common coefficients, or None when there is but one."""
     common = [row for row, coefficient in enumerate(cal.coefficients) if coefficient.segment is None]
-    index = common[: TABLES.coefficients]
+    index = common[:COEFFICIENTS]
     if len(index) < 2:
         return None
     covariance = np.asarray(cal.covariance, dtype=float)[np.ix_(index, index)]
@@ -221,12 +201,12 @@ def shown_noise(cal: Calibration, white: float, walk: float) -> tuple[str, str, 
 def shown_segments(cal: Calibration) -> list[int]:
     """Indices of the segments that have a row of their own: all, or of very many those with the largest residuals."""
     worst = sorted(range(len(cal.segments)), key=lambda index: -cal.segments[index].rms)
-    return sorted(worst[: TABLES.segments])
+    return sorted(worst[:_SEGMENTS])
 
 
 def selectable_segments(cal: Calibration) -> tuple[str, ...]:
     """Names of the segments, if the reader can select one."""
-    return () if len(cal.segments) > TABLES.selectable else tuple(segment.label for segment in cal.segments)
+    return () if len(cal.segments) > _SELECTABLE else tuple(segment.label for segment in cal.segments)
 
 
 def segment_table(cal: Calibration) -> Table:
@@ -235,7 +215,7 @@ def segment_table(cal: Calibration) -> Table:
     shown = [cal.segments[index] for index in chosen]
     notes: tuple[str, ...] = ()
     if len(shown) < len(cal.segments):
-        notes = (f"The {TABLES.segments} of {len(cal.segments)} segments with the largest residuals.",)
+        notes = (f"The {_SEGMENTS} of {len(cal.segments)} segments with the largest residuals.",)
     per, unit = shown_output(cal.residual_unit)
     phases = {c.owner: c for c in cal.coefficients if c.name == "phi" and c.segment is not None}
     typical = float(np.median([segment.rms for segment in shown])) if shown else 0.0
@@ -291,9 +271,9 @@ def outlier_table(cal: Calibration) -> Table:
     """Samples that were left out, with their times: jumps and stuck readings, then spikes; of many the first."""
     listed = sorted(cal.outliers, key=lambda outlier: outlier.kind == "spike")
     per, unit = shown_output(cal.residual_unit)
-    more = len(cal.outliers) - TABLES.outliers
-    notes = (f"The first {TABLES.outliers} of {count(len(cal.outliers))} findings.",) if more > 0 else ()
-    table = TableOf(listed[: TABLES.outliers])
+    more = len(cal.outliers) - _OUTLIERS
+    notes = (f"The first {_OUTLIERS} of {count(len(cal.outliers))} findings.",) if more > 0 else ()
+    table = TableOf(listed[:_OUTLIERS])
     if any(outlier.run for outlier in cal.outliers):
         table.text("Run", lambda outlier: outlier.run or "–")
     return (
@@ -306,10 +286,10 @@ def outlier_table(cal: Calibration) -> Table:
     )
 
 
-def quality_table(cal: Calibration) -> Table:
+def quality_table(quality: Quality) -> Table:
     """Faults detected and repaired in the data."""
     return (
-        TableOf(cal.quality.events)
+        TableOf(quality.events)
         .text("Finding", lambda event: event.kind)
         .number("Count", lambda event: count(event.count))
         .number("First row", lambda event: "–" if event.first_row is None else count(event.first_row))
@@ -369,7 +349,7 @@ def scalars(document: dict[str, Any]) -> list[tuple[str, str]]:
             rows.append((key, short(value, 4)))
         elif isinstance(value, (str, int)):
             rows.append((key, str(value)))
-        elif isinstance(value, (list, tuple)) and len(value) <= TABLES.coefficients:
+        elif isinstance(value, (list, tuple)) and len(value) <= COEFFICIENTS:
             rows.append((key, ", ".join(str(item) for item in value)))
     return rows
 
@@ -392,7 +372,7 @@ def leverage_tables(cal: Calibration) -> tuple[Table, ...]:
     leverage = cal.diagnostics.leverage
     if not leverage:
         return ()
-    most = sorted(leverage, key=lambda label: -leverage[label].leverage)[: TABLES.leverage]
+    most = sorted(leverage, key=lambda label: -leverage[label].leverage)[:_LEVERAGE]
     labels = [segment.label for segment in cal.segments]
     chosen = [label for label in leverage if label in most]
     table = TableOf(chosen).text("Segment", str)
@@ -401,10 +381,10 @@ def leverage_tables(cal: Calibration) -> tuple[Table, ...]:
     table.across(
         names, str, lambda label, name: _share(leverage[label].share.get(name), leverage[label].shift.get(name))
     )
-    more = f"The {TABLES.leverage} of {len(leverage)} segments with the most leverage."
+    more = f"The {_LEVERAGE} of {len(leverage)} segments with the most leverage."
     at = tuple(labels.index(label) if labels.count(label) == 1 else None for label in chosen)
-    whole = table.table(notes=(more,) if len(leverage) > TABLES.leverage else (), segments=at)
-    return whole.parts(2, TABLES.sensitivities_across)
+    whole = table.table(notes=(more,) if len(leverage) > _LEVERAGE else (), segments=at)
+    return whole.parts(2, SHORT_ACROSS)
 
 
 def _share(share: float | None, shift: float | None) -> Cell:

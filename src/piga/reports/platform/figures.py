@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.platform.alignment import Alignment
 from piga.platform.analysis import case_rates, spectrum
@@ -15,9 +14,8 @@ from piga.platform.identify import GrowingIdentification
 from piga.platform.scenario import Model
 from piga.platform.simulate import PlatformRun
 from piga.reports.render.figure import XYZ, Figure, Plot, Role
+from piga.results import Array
 from piga.units import ARCMIN, ARCSEC, DAY
-
-Array = NDArray[np.float64]
 
 HOUR, MINUTE = 3600.0, 60.0
 

@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga.records.calibration import Residuals
 
-Array = NDArray[np.float64]
-
 POINTS = 2000
 """Points that a drawn curve keeps at most."""
 SHOWN = 1 << 20

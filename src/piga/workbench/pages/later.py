@@ -301,18 +301,16 @@ async def verify(request: Request) -> Response:
 
 def compensation(request: Request) -> Response:
     """The form of a compensation."""
+    return _compensation_page(request, request.query_params.get("of", ""), {}, {})
+
+
+def _compensation_page(
+    request: Request, of: str, typed: dict[str, str], refusals: dict[str, str], code: int = 200
+) -> Response:
     bench = bench_of(request)
-    shown = left(bench)
     runs = [entry for entry in bench.folder.entries() if entry.state in ("ready", "kept")]
-    return render(
-        request,
-        "compensate.html.jinja",
-        **shown,
-        runs=runs,
-        of=request.query_params.get("of", ""),
-        refusals={},
-        typed={},
-    )
+    values = left(bench) | {"runs": runs, "of": of, "refusals": refusals, "typed": typed}
+    return render(request, "compensate.html.jinja", code, **values)
 
 
 async def compensate(request: Request) -> Response:
@@ -332,9 +330,7 @@ async def compensate(request: Request) -> Response:
         except PigaError as error:
             refusals[option] = str(error).replace("\n  remedy: ", ": ")
     if refusals:
-        runs = [entry for entry in folder.entries() if entry.state in ("ready", "kept")]
-        values = left(bench_of(request)) | {"runs": runs, "of": kept.name, "refusals": refusals, "typed": typed}
-        return render(request, "compensate.html.jinja", 422, **values)
+        return _compensation_page(request, kept.name, typed, refusals, 422)
     command += ["--other-serial"] if only(fields, "other-serial") else []
     reads = [*files_named_in(run), folder.file(calibration)]
     return await start(request, command, "Compensate", folder.name(run), folder.name(out), reads)
@@ -342,16 +338,14 @@ async def compensate(request: Request) -> Response:
 
 def plan(request: Request) -> Response:
     """The form of a plan."""
-    bench = bench_of(request)
-    return render(
-        request,
-        "plan.html.jinja",
-        **left(bench),
-        of=request.query_params.get("of", ""),
-        refusal="",
-        typed="",
-        unit="",
-    )
+    return _plan_page(request, request.query_params.get("of", ""))
+
+
+def _plan_page(
+    request: Request, of: str, typed: str = "", unit: str = "", refusal: str = "", code: int = 200
+) -> Response:
+    values = left(bench_of(request)) | {"of": of, "typed": typed, "unit": unit, "refusal": refusal}
+    return render(request, "plan.html.jinja", code, **values)
 
 
 async def make_plan(request: Request) -> Response:
@@ -360,21 +354,13 @@ async def make_plan(request: Request) -> Response:
 
     bench, fields = bench_of(request), await sent_form(request)
     document: Any = tomlkit.parse(example_files()[PLAN].decode("utf-8"))
-    values = left(bench) | {
-        "of": only(fields, "of"),
-        "typed": only(fields, "hours"),
-        "unit": only(fields, "unit"),
-    }
+    of, typed, unit = (only(fields, name) for name in ("of", "hours", "unit"))
     try:
-        document["plan"]["duration"] = quantity(
-            only(fields, "hours"), only(fields, "unit"), "s", "time at the stand"
-        )
+        document["plan"]["duration"] = quantity(typed, unit, "s", "time at the stand")
     except PigaError as error:
-        return render(
-            request, "plan.html.jinja", 422, **values, refusal=str(error).replace("\n  remedy: ", ": ")
-        )
-    if only(fields, "of"):
-        kept = kept_of(bench, only(fields, "of"))
+        return _plan_page(request, of, typed, unit, str(error).replace("\n  remedy: ", ": "), 422)
+    if of:
+        kept = kept_of(bench, of)
         document["instrument"]["serial"] = kept.serial
         document["instrument"]["scale_factor"] = f"{kept.K:.9g} {kept.unit}"
     stem = f"plan-{plain(str(document['instrument']['serial']))}"
