@@ -127,7 +127,7 @@ def measure(folder: Path, kind: str, rows: int) -> dict[str, float]:
     try:
         client = server.client
         client.enter()
-        client.page("/")
+        client.ask("/")
         before = memory(server.process.pid)
         started = time.perf_counter()
         client.until("/picture/large.toml", lambda text: "data-drawn" in text, 3600.0)

@@ -19,7 +19,6 @@ from piga.cli.common import (
     files_named_in,
     names_in,
     progress,
-    write_json,
 )
 from piga.data import EXAMPLE, copy_example
 from piga.output import CALIBRATION_RESULTS
@@ -109,8 +108,7 @@ def _calibrate_set(
     """Calibrate a set of accelerometers by the size of gravity."""
     from piga.errors import ArgumentError
     from piga.gravity_norm import calibrate_set_file
-    from piga.reports.gravity_norm import page, set_document
-    from piga.reports.render.page import write_page
+    from piga.reports.gravity_norm import brief, page, set_document
 
     if len(runs) > 1 or not plain:
         raise ArgumentError(
@@ -121,9 +119,7 @@ def _calibrate_set(
     with deliver(directory, "calibrate", names, inputs, force=force, as_json=as_json) as to:
         with progress("calibrating"):
             calibration = calibrate_set_file(runs[0])
-        write_json(to / names[0], set_document(calibration))
-        write_page(page(calibration), to / names[1])
-        to.tell(lambda: set_document(calibration), calibration.summary)
+        to.show(set_document(calibration), page(calibration), brief(calibration), *names)
 
 
 def _document(calibration: Calibration) -> dict[str, Any]:

@@ -18,7 +18,6 @@ from piga.cli.common import (
     progress,
     say,
     tell,
-    write_json,
 )
 
 if TYPE_CHECKING:
@@ -113,7 +112,6 @@ def collect(folder: Folder, as_json: JsonOption = False) -> None:
     from piga.campaign.collect import write_table
     from piga.campaign.page import campaign_page
     from piga.campaign.shards import open_campaign
-    from piga.reports.render.page import page_text, write_page
 
     campaign = open_campaign(folder)
     names = ("collect.json", "coefficients.csv", "report.html")
@@ -122,11 +120,9 @@ def collect(folder: Folder, as_json: JsonOption = False) -> None:
     ) as to:
         collected = collect_campaign(campaign)
         document = json_document(collected)
-        write_json(to / names[0], document)
         write_table(collected, to / names[1])
         page = campaign_page(collected)
-        write_page(page, to / names[2])
-        to.tell(lambda: document, lambda: page_text(page))
+        to.show(document, page, page, names[0], names[2])
     if collected.missing:
         note(f"piga: {len(collected.missing)} of {collected.shards} shards are not computed yet")
         raise SystemExit(_INCOMPLETE)

@@ -17,7 +17,6 @@ from piga.cli.common import (
     say,
     tell,
     write_by_rename,
-    write_json,
 )
 from piga.errors import ArgumentError, PigaError
 from piga.output import check_outputs
@@ -158,14 +157,10 @@ def noise(
     """
     from piga.noise import read_static_log
     from piga.reports.noise import brief, noise_document, page
-    from piga.reports.render.page import page_text, write_page
 
     with progress("reading"):
         result = read_static_log(log, column=column, kind=kind, unit=unit, sample_rate=sample_rate)
     names = ("noise.json", "noise.html")
     inputs = files_named_in(log) if log.suffix == ".toml" else [log]
     with deliver(out, "noise", names, inputs, force=force, as_json=as_json) as to:
-        if out is not None:
-            write_json(to / names[0], noise_document(result))
-            write_page(page(result), to / names[1])
-        to.tell(lambda: noise_document(result), lambda: page_text(brief(result)))
+        to.show(noise_document(result), page(result), brief(result), *names)

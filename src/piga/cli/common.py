@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
@@ -21,6 +21,9 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 from piga.errors import ArgumentError, PigaError
 from piga.output import results, write_whole
 from piga.progress import WHEN_COMPILED
+
+if TYPE_CHECKING:
+    from piga.reports.render.page import Page
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -185,6 +188,17 @@ class Delivery:
     def tell(self, document: Callable[[], Any], text: Callable[[], str]) -> None:
         """The result as a JSON document and as text; only what is asked for is made."""
         self._document, self._text = document, text
+
+    def show(self, document: Any, page: Page, brief: Page, *names: str) -> None:
+        """Tell a result by its document and a brief page. In a folder: the document too, and a page, the last of ``names``."""
+        from piga.reports.render.page import page_text, write_page
+
+        if self.folder is not None:
+            for name in names[:-1]:
+                write_json(self / name, document)
+            with progress("writing the report"):
+                write_page(page, self / names[-1])
+        self.tell(lambda: document, lambda: page_text(brief))
 
 
 @contextmanager

@@ -15,14 +15,12 @@ from piga.cli.common import (
     deliver,
     files_named_in,
     progress,
-    write_json,
 )
 
 if TYPE_CHECKING:
     from piga.platform.chain import ModelComparisonRun
     from piga.platform.scenario import PlatformScenario
     from piga.platform.simulate import PlatformRun
-    from piga.reports.render.page import Page
 
 app = App(
     "platform",
@@ -74,7 +72,8 @@ def simulate(scenario: Scenario, out: Out, force: ForceOption = False, json: _Js
             "redundancy_deg": [_degrees(eta[0]), _degrees(eta[-1])],
             "files": list(files),
         }
-        _finish(to, simulation_page(run), document)
+        whole = simulation_page(run)
+        to.show(document, whole, whole.only(), "report.html")
 
 
 @app.command()
@@ -106,8 +105,8 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: _Json 
                     stretch, run.scenario.place, preparation.knowledge, orders=orders, progress=advance
                 )
         document = aligned.document()
-        write_json(to / "alignment.json", document)
-        _finish(to, alignment_page(run, aligned), document)
+        whole = alignment_page(run, aligned)
+        to.show(document, whole, whole.only(), "alignment.json", "report.html")
 
 
 @app.command()
@@ -132,8 +131,8 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: _Js
             identification = growing.parts[-1]
             sources = observability(stretch, identification)
         document = identification_document(identification, sources)
-        write_json(to / "identification.json", document)
-        _finish(to, identification_page(run, growing, sources), document, "parameters")
+        whole = identification_page(run, growing, sources)
+        to.show(document, whole, whole.only("parameters"), "identification.json", "report.html")
 
 
 @app.command()
@@ -156,7 +155,8 @@ def navigate(scenario: Scenario, out: Out, force: ForceOption = False, json: _Js
             "models": {m: {"position_error_m": v, "file": files[m]} for m, v in worst.items()},
             "notes": list(comparison.preparation.notes),
         }
-        _finish(to, navigation_page(comparison), document)
+        whole = navigation_page(comparison)
+        to.show(document, whole, whole.only(), "report.html")
 
 
 @app.command()
@@ -192,14 +192,15 @@ def compare(
             document["budget"] = msgspec.to_builtins(rows)
         if lines:
             document["line_budget"] = line_budget_document(lines)
-        if out is not None:
-            write_json(to / "comparison.json", document)
-            if s.sensors.pigas is not None:
-                from piga.studies.capstone import capstone, capstone_page
+        if out is not None and s.sensors.pigas is not None:
+            from piga.studies.capstone import capstone, capstone_page
 
-                with progress("capstone") as show:
-                    write_page(capstone_page(capstone(s, progress=show)), to / "capstone.html")
-        _finish(to, comparison_page(comparison, rows, lines), document, "lines", "equatorial-lines", "notes")
+            with progress("capstone") as show:
+                write_page(capstone_page(capstone(s, progress=show)), to / "capstone.html")
+        whole = comparison_page(comparison, rows, lines)
+        to.show(
+            document, whole, whole.only("lines", "equatorial-lines", "notes"), "comparison.json", "report.html"
+        )
 
 
 def _simulated(scenario: PlatformScenario) -> PlatformRun:
@@ -222,15 +223,6 @@ def _results(
     """The folder for the results and the page of a command, and its ending."""
     every, inputs = dict.fromkeys((*names, "report.html")), files_named_in(scenario)
     return deliver(out, f"platform-{command}", tuple(every), inputs, force=force, as_json=as_json)
-
-
-def _finish(to: Delivery, page: Page, document: dict[str, Any], *anchors: str) -> None:
-    """Write the page, and tell the result: as JSON, or the page's tiles and these sections as text."""
-    from piga.reports.render.page import page_text, write_page
-
-    if to.folder is not None:
-        write_page(page, to / "report.html")
-    to.tell(lambda: document, lambda: page_text(page.only(*anchors)))
 
 
 def _parquet(table: Any, path: Path) -> None:

@@ -14,7 +14,6 @@ from piga.cli.common import (
     files_named_in,
     note,
     progress,
-    write_json,
     write_text,
 )
 
@@ -42,8 +41,7 @@ def plan(
     from piga.planning.mounting import plan_mounting
     from piga.planning.plan import plan_document, plan_test, program_csv, scenario_text
     from piga.planning.plan_file import read_plan
-    from piga.reports.planning import brief, page
-    from piga.reports.render.page import page_text, write_page
+    from piga.reports.planning import page
 
     inputs = files_named_in(plan_file)
     folder = out or plan_file.parent / f"{plan_file.stem}-plan"
@@ -55,10 +53,8 @@ def plan(
         document = plan_document(planned, mounting)
         write_text(to / "scenario.toml", scenario_text(planned))
         write_text(to / "program.csv", program_csv(planned))
-        write_json(to / "plan.json", document)
-        with progress("writing the report"):
-            write_page(page(planned, mounting), to / "report.html")
-        to.tell(lambda: document, lambda: page_text(brief(planned, mounting)))
+        whole = page(planned, mounting)
+        to.show(document, whole, whole, "plan.json", "report.html")
 
 
 RESULTS = ("run.toml", "run.csv", "run.parquet", "truth.json", "report.html")

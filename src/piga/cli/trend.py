@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import ForceOption, JsonOption, deliver, progress, write_json
+from piga.cli.common import ForceOption, JsonOption, deliver, progress
 from piga.errors import PigaError
 from piga.output import is_hidden
 
@@ -61,7 +61,6 @@ def trend(
 
     For each coefficient: stability over time, drift per year, control limits, forecast, alarms.
     """
-    from piga.reports.render.page import page_text, write_page
     from piga.reports.trend import brief, page, trend_document
     from piga.trend.history import find_trend
 
@@ -71,10 +70,8 @@ def trend(
     date = _date(at) if at else drifts.times[-1] + dt.timedelta(days=365)
     names = ("trend.json", "trend.html")
     with deliver(out, "trend", names, _files(sources or []), force=force, as_json=as_json) as to:
-        if out is not None:
-            write_json(to / names[0], trend_document(drifts, at=date))
-            write_page(page(drifts, date), to / names[1])
-        to.tell(lambda: trend_document(drifts, at=date), lambda: page_text(brief(drifts, date)))
+        document = trend_document(drifts, at=date)
+        to.show(document, page(drifts, date), brief(drifts, date), *names)
 
 
 def history(sources: list[Path], store: str | None, serial: str | None) -> Iterator[HistoryEntry]:

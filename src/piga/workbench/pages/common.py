@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import resources
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl, quote
 
+from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
@@ -148,6 +149,17 @@ async def sent_form(request: Request) -> dict[str, list[str]]:
     for name, value in pairs:
         fields.setdefault(name, []).append(value)
     return fields
+
+
+def posted(
+    work: Callable[[Request, dict[str, list[str]]], Response],
+) -> Callable[[Request], Awaitable[Response]]:
+    """A page that takes a form: ``work`` gets its fields, in a thread of its own."""
+
+    async def handler(request: Request) -> Response:
+        return await run_in_threadpool(work, request, await sent_form(request))
+
+    return handler
 
 
 def only(fields: Mapping[str, list[str]], name: str, default: str = "") -> str:

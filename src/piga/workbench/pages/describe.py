@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
@@ -21,7 +20,7 @@ from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
 from piga.records.text_files import toml_document
 from piga.workbench.folder import Folder
-from piga.workbench.pages.common import bench_of, number_text, only, quantity, redirect, render, sent_form
+from piga.workbench.pages.common import bench_of, number_text, only, posted, quantity, redirect, render
 from piga.workbench.pages.record import left
 
 ROWS = 6
@@ -215,14 +214,9 @@ def _preview(made: _Sheet) -> list[list[str]]:
     ]
 
 
-async def change(request: Request) -> Response:
+def change(request: Request, fields: dict[str, list[str]]) -> Response:
     """Draw the page anew with the corrections and answers, or write the run file."""
-    fields = await sent_form(request)
-    return await run_in_threadpool(_change, request, request.path_params["name"], fields)
-
-
-def _change(request: Request, name: str, fields: dict[str, list[str]]) -> Response:
-    bench = bench_of(request)
+    bench, name = bench_of(request), request.path_params["name"]
     if only(fields, "do") != "write":
         return _page(request, name, fields)
     made = sheet(bench.folder, name, fields)
@@ -249,5 +243,5 @@ def _free(folder: Folder, log: Path) -> Path:
 
 ROUTES = [
     Route("/log/{name:path}", show, methods=["GET"]),
-    Route("/log/{name:path}", change, methods=["POST"]),
+    Route("/log/{name:path}", posted(change), methods=["POST"]),
 ]

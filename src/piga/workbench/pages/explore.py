@@ -140,9 +140,9 @@ def _motion(inst: Instrument, forces: tuple[float, float, float], time: float) -
     return _figure(words, t, curves, {})
 
 
-async def reproduce(request: Request) -> Response:
+def reproduce(request: Request) -> Response:
     """Compute every published case and compare."""
-    return await start(
+    return start(
         request, ("reproduce", "--out", "reproduction", "--force"), "Reproduce", "publications", "reproduction"
     )
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
@@ -23,7 +22,7 @@ from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
 from piga.records.text_files import files_named_in, toml_document
 from piga.workbench.folder import CALIBRATION, STATE_FOLDER, Kept, results_of
-from piga.workbench.pages.common import Bench, bench_of, only, quantity, redirect, render, sent_form
+from piga.workbench.pages.common import Bench, bench_of, only, posted, quantity, redirect, render
 from piga.workbench.pages.record import kept_of, left
 from piga.workbench.signals import cache_key
 
@@ -43,14 +42,14 @@ PLAN = "plan-dividing-head.toml"
 """Example that a plan begins with. Plans for other stands are written as text."""
 
 
-async def start(
+def start(
     request: Request, command: Sequence[str], title: str, subject: str, result: str = "", reads: Any = None
 ) -> Response:
     """Start a job and go to its page."""
     bench = bench_of(request)
     if result and not result.startswith(f"{STATE_FOLDER}/trials/"):
         bench.folder.path(result)
-    job = await run_in_threadpool(bench.jobs.start, command, title, subject, result, reads)
+    job = bench.jobs.start(command, title, subject, result, reads)
     return redirect(request, f"/jobs/{job.key}")
 
 
@@ -230,13 +229,8 @@ def _certificate_page(
     )  # fmt: skip
 
 
-async def issue(request: Request) -> Response:
+def issue(request: Request, fields: dict[str, list[str]]) -> Response:
     """Save the laboratory's entries; show a draft, or issue the certificate if nothing is missing."""
-    fields = await sent_form(request)
-    return await run_in_threadpool(_issue, request, fields)
-
-
-def _issue(request: Request, fields: dict[str, list[str]]) -> Response:
     bench = bench_of(request)
     kept = kept_of(bench, only(fields, "of"))
     values = {key.removeprefix("c:"): sent[-1] for key, sent in fields.items() if key.startswith("c:")}
@@ -287,11 +281,11 @@ def pem_files(bench: Bench) -> tuple[list[str], list[str]]:
     return keys, certificates
 
 
-async def verify(request: Request) -> Response:
+def verify(request: Request, fields: dict[str, list[str]]) -> Response:
     """Verify a signed certificate of the folder."""
-    folder, fields = bench_of(request).folder, await sent_form(request)
+    folder = bench_of(request).folder
     signed, by = (folder.name(folder.file(only(fields, one))) for one in ("signed", "certificate"))
-    return await start(
+    return start(
         request, ("certificate", "verify", signed, f"--certificate={by}"), "Verify the certificate", signed
     )
 
@@ -313,9 +307,8 @@ def _compensation_page(
     return render(request, "compensate.html.jinja", code, **values)
 
 
-async def compensate(request: Request) -> Response:
+def compensate(request: Request, fields: dict[str, list[str]]) -> Response:
     """Start a compensation."""
-    fields = await sent_form(request)
     folder = bench_of(request).folder
     run, kept = folder.toml(only(fields, "run")), kept_of(bench_of(request), only(fields, "of"))
     form = "csv" if only(fields, "format") == "csv" else "parquet"
@@ -333,7 +326,7 @@ async def compensate(request: Request) -> Response:
         return _compensation_page(request, kept.name, typed, refusals, 422)
     command += ["--other-serial"] if only(fields, "other-serial") else []
     reads = [*files_named_in(run), folder.file(calibration)]
-    return await start(request, command, "Compensate", folder.name(run), folder.name(out), reads)
+    return start(request, command, "Compensate", folder.name(run), folder.name(out), reads)
 
 
 def plan(request: Request) -> Response:
@@ -348,11 +341,11 @@ def _plan_page(
     return render(request, "plan.html.jinja", code, **values)
 
 
-async def make_plan(request: Request) -> Response:
+def make_plan(request: Request, fields: dict[str, list[str]]) -> Response:
     """Write a plan for this instrument and run it."""
     import tomlkit
 
-    bench, fields = bench_of(request), await sent_form(request)
+    bench = bench_of(request)
     document: Any = tomlkit.parse(example_files()[PLAN].decode("utf-8"))
     of, typed, unit = (only(fields, name) for name in ("of", "hours", "unit"))
     try:
@@ -367,12 +360,12 @@ async def make_plan(request: Request) -> Response:
     name = next(n for n in (f"{stem}-{i}.toml" for i in range(1, 10000)) if not bench.folder.path(n).exists())
     bench.history.write(name, "", tomlkit.dumps(document), f"plan {name}", "any")
     out = name.removesuffix(".toml")
-    return await start(request, ("plan", name, "--out", out, "--force"), "Plan", name, out)
+    return start(request, ("plan", name, "--out", out, "--force"), "Plan", name, out)
 
 
-async def trend(request: Request) -> Response:
+def trend(request: Request, fields: dict[str, list[str]]) -> Response:
     """How the coefficients of one instrument drift."""
-    bench, fields = bench_of(request), await sent_form(request)
+    bench = bench_of(request)
     serial = only(fields, "serial")
     kept = [one.name for entry in bench.folder.entries() for one in entry.kept if one.serial == serial]
     if len(kept) < 2:
@@ -380,7 +373,7 @@ async def trend(request: Request) -> Response:
     out = f"trend-{plain(serial)}"
     command = ["records", "trend", *(f"{name}/{CALIBRATION}" for name in kept), "--out", out, "--force"]
     at = only(fields, "at").strip()
-    return await start(request, [*command, *([f"--at={at}"] if at else [])], "Trend", serial, out)
+    return start(request, [*command, *([f"--at={at}"] if at else [])], "Trend", serial, out)
 
 
 def _ledger_page(request: Request) -> Response:
@@ -390,9 +383,9 @@ def _ledger_page(request: Request) -> Response:
     return render(request, "ledger.html.jinja", **left(bench), stores=bench.folder.listed(*_STORES), runs=runs)
 
 
-async def ledger(request: Request) -> Response:
+def ledger(request: Request, fields: dict[str, list[str]]) -> Response:
     """Keep a result in a ledger; list, verify or export it."""
-    bench, fields = bench_of(request), await sent_form(request)
+    bench = bench_of(request)
     word, store = only(fields, "do"), bench.folder.path(only(fields, "store"))
     if store.parent != bench.folder.root or store.suffix not in _STORES:
         raise ArgumentError(f"{store.name[:80]!r}: cannot be the name of a ledger", remedy="e.g. lab.sqlite")
@@ -405,12 +398,12 @@ async def ledger(request: Request) -> Response:
             if not value:
                 raise ArgumentError(f"{option}: is missing", remedy="say who keeps the record, and why")
             command.append(f"--{option}={value}")
-        return await start(request, command, "Add to the ledger", bench.folder.name(run))
+        return start(request, command, "Add to the ledger", bench.folder.name(run))
     if word not in ("list", "verify", "export"):
         raise ArgumentError(f"{word[:40]!r}: is not a command of this page", remedy="use its buttons")
     out = f"{store.stem}-{time.strftime('%Y%m%d-%H%M%S')}.zip" if word == "export" else ""
     command = ["records", word, *([out] if out else []), "--store", store.name]
-    return await start(request, command, f"{word.capitalize()} the ledger", store.name, out)
+    return start(request, command, f"{word.capitalize()} the ledger", store.name, out)
 
 
 # --- what a record can determine ------------------------------------------------------------------
@@ -443,14 +436,14 @@ def prospects(request: Request) -> Response:
 
 ROUTES = [
     Route("/certificate", certificate, methods=["GET"]),
-    Route("/certificate", issue, methods=["POST"]),
-    Route("/certificate/verify", verify, methods=["POST"]),
+    Route("/certificate", posted(issue), methods=["POST"]),
+    Route("/certificate/verify", posted(verify), methods=["POST"]),
     Route("/compensate", compensation, methods=["GET"]),
-    Route("/compensate", compensate, methods=["POST"]),
+    Route("/compensate", posted(compensate), methods=["POST"]),
     Route("/plan", plan, methods=["GET"]),
-    Route("/plan", make_plan, methods=["POST"]),
-    Route("/trend", trend, methods=["POST"]),
+    Route("/plan", posted(make_plan), methods=["POST"]),
+    Route("/trend", posted(trend), methods=["POST"]),
     Route("/ledger", _ledger_page, methods=["GET"]),
-    Route("/ledger", ledger, methods=["POST"]),
+    Route("/ledger", posted(ledger), methods=["POST"]),
     Route("/prospects/{name:path}", prospects),
 ]

@@ -36,10 +36,10 @@ from piga.workbench.pages.common import (
     TooLargeError,
     bench_of,
     only,
+    posted,
     redirect,
     render,
     result_file,
-    sent_form,
     value_text,
 )
 from piga.workbench.signals import Outline, cache_key, picture, read_outline, rows_between
@@ -156,9 +156,9 @@ async def take(request: Request) -> Response:
     return JSONResponse({"name": folder.name(target), "address": f"/{place}/{quote(folder.name(target))}"})
 
 
-async def tag(request: Request) -> Response:
+def tag(request: Request, fields: dict[str, list[str]]) -> Response:
     """Set the tags of a record."""
-    bench, fields = bench_of(request), await sent_form(request)
+    bench = bench_of(request)
     name, words = only(fields, "name"), only(fields, "tags").replace(",", " ").split()
     bench.folder.path(name)
     with bench.history.lock:
@@ -281,17 +281,12 @@ def data(request: Request) -> Response:
     return Response(table.tobytes(), media_type="application/octet-stream", headers=headers)
 
 
-async def change(request: Request) -> Response:
+def change(request: Request, fields: dict[str, list[str]]) -> Response:
     """Answer a question about a record: leave rows out, use them again, or set a key of its run file."""
-    fields = await sent_form(request)
-    return await run_in_threadpool(_change, request, request.path_params["name"], fields)
-
-
-def _change(request: Request, name: str, fields: dict[str, list[str]]) -> Response:
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
 
-    bench = bench_of(request)
+    bench, name = bench_of(request), request.path_params["name"]
     try:
         document = tomlkit.parse(bench.folder.text(name))
         words = _changed(bench, name, document, fields)
@@ -548,14 +543,9 @@ def _mark(entry: Entry) -> str:
     return f"{entry.kept[0].created} {entry.kept[0].K!r} {len(entry.kept)}" if entry.kept else "none"
 
 
-async def keep(request: Request) -> Response:
+def keep(request: Request, fields: dict[str, list[str]]) -> Response:
     """Keep an answer: its files go where the command writes them. An older result becomes a version of its own."""
-    fields = await sent_form(request)
-    return await run_in_threadpool(_keep, request, request.path_params["name"], fields)
-
-
-def _keep(request: Request, name: str, fields: dict[str, list[str]]) -> Response:
-    bench, key = bench_of(request), only(fields, "key")
+    bench, name, key = bench_of(request), request.path_params["name"], only(fields, "key")
     answer = _made(bench, key) if re.fullmatch(KEY, key) else None
     if answer is None or answer.calibration is None or key not in bench.answers.get(name, ()):
         raise CalibrationError("this answer is not there any more", remedy="reload the page")
@@ -678,14 +668,14 @@ ROUTES = [
     Route("/", home),
     Route("/try", try_shipped, methods=["POST"]),
     Route("/upload", take, methods=["POST"]),
-    Route("/tag", tag, methods=["POST"]),
+    Route("/tag", posted(tag), methods=["POST"]),
     Route("/undo", undo, methods=["POST"]),
     Route("/record/{name:path}", show, methods=["GET"]),
-    Route("/record/{name:path}", change, methods=["POST"]),
+    Route("/record/{name:path}", posted(change), methods=["POST"]),
     Route("/picture/{name:path}", _show_picture),
     Route("/signal-data/{name:path}", data),
     Route("/answer/{name:path}", _show_answer),
-    Route("/keep/{name:path}", keep, methods=["POST"]),
+    Route("/keep/{name:path}", posted(keep), methods=["POST"]),
     Route("/trial/{key:str}/report.html", _trial_report),
     Route("/compare", compare),
     Route("/kept/{name:path}/file/{file}", _kept_file),

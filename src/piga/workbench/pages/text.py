@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
@@ -13,7 +12,7 @@ from piga.data import example_files
 from piga.errors import ArgumentError, PigaError
 from piga.records.text_files import files_named_in, toml_document
 from piga.workbench.folder import OutsideError
-from piga.workbench.pages.common import bench_of, only, redirect, render, sent_form
+from piga.workbench.pages.common import bench_of, only, posted, redirect, render
 from piga.workbench.pages.later import start
 from piga.workbench.pages.record import left
 
@@ -71,9 +70,8 @@ def _page(
     )  # fmt: skip
 
 
-async def save(request: Request) -> Response:
+def save(request: Request, fields: dict[str, list[str]]) -> Response:
     """Save the file; run a command on it."""
-    fields = await sent_form(request)
     bench, word = bench_of(request), only(fields, "do")
     name, text = only(fields, "file"), only(fields, "text").replace("\r\n", "\n")
     name = name if name.endswith(".toml") else f"{name}.toml"
@@ -82,7 +80,7 @@ async def save(request: Request) -> Response:
         kind = _kind_of(toml_document(path, text.encode()))
         check = "run" if kind == "run file" else kind
         seen = only(fields, "seen") if name == only(fields, "was") else ""
-        await run_in_threadpool(bench.history.write, name, seen, text, f"save {name}", check)
+        bench.history.write(name, seen, text, f"save {name}", check)
     except PigaError as error:
         if not isinstance(error, ArgumentError) or not hasattr(error, "lines"):
             return _page(request, name, text, str(error), 422)
@@ -94,7 +92,7 @@ async def save(request: Request) -> Response:
     words = word.split()
     out = "" if word == "check" else bench.folder.name(path.with_name(f"{path.stem}-{words[-1]}"))
     command = [*words, name, *(["--out", out, "--force"] if out else [])]
-    return await start(request, command, word.capitalize(), name, out, files_named_in(path))
+    return start(request, command, word.capitalize(), name, out, files_named_in(path))
 
 
-ROUTES = [Route("/text", show, methods=["GET"]), Route("/text", save, methods=["POST"])]
+ROUTES = [Route("/text", show, methods=["GET"]), Route("/text", posted(save), methods=["POST"])]
