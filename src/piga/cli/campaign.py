@@ -184,6 +184,8 @@ def _plan_document(campaign: Campaign) -> dict[str, Any]:
 
 
 def _plan_lines(campaign: Campaign) -> list[str]:
+    from piga.reports.render.numbers import duration
+
     document, groups = _plan_document(campaign), campaign.plan.groups
     lines = [f"{campaign.plan.file.campaign.title or campaign.plan.path.name}"]
     lines += [f"  {group.records:>9} records  {group.label}" for group in groups[:30]]
@@ -193,7 +195,7 @@ def _plan_lines(campaign: Campaign) -> list[str]:
     seconds = document["seconds_per_record"]
     if seconds is not None:
         lines.append(
-            f"about {seconds:.2g} s a record, {_time(seconds * size)} a shard, "
+            f"about {seconds:.2g} s a record, {duration(seconds * size)} a shard, "
             f"{document['core_hours']:.2g} core hours in all"
         )
     return lines
@@ -225,22 +227,17 @@ def _workers(report: RunReport) -> list[dict[str, Any]]:
 
 
 def _run_lines(report: RunReport) -> list[str]:
+    from piga.reports.render.numbers import duration
+
     records, failed = (sum(getattr(r, name) for r in report.reports) for name in ("records", "failed"))
     lines = [f"{report.done} of {report.shards} shards done; {records} records in this run, {failed} failed"]
     workers = _workers(report)
     lines += [
-        f"  worker {w['worker']}: {w['shards']} shards, {w['records']} records, {_time(w['seconds'])} of processor time"
+        f"  worker {w['worker']}: {w['shards']} shards, {w['records']} records, {duration(w['seconds'])} of processor time"
         for w in workers[:16]
     ]
     lines += [f"  and {len(workers) - 16} more workers"] if len(workers) > 16 else []
     return lines
-
-
-def _time(seconds: float) -> str:
-    """A time as people say it."""
-    if seconds < 99.5:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5940.0 else f"{seconds / 3600:.1f} h"
 
 
 def _status(campaign: Campaign) -> dict[str, Any]:

@@ -48,7 +48,7 @@ from piga.reports.calibration.tables import (
 )
 from piga.reports.render.envelope import outline
 from piga.reports.render.figure import Figure
-from piga.reports.render.numbers import count, pretty_unit, relative, rounded, short, significant
+from piga.reports.render.numbers import count, duration, pretty_unit, relative, rounded, short
 from piga.reports.render.page import (
     ALONE,
     Block,
@@ -80,15 +80,6 @@ def _total_duration(cal: Calibration) -> float:
         float(elapsed_time(outline(cal.residuals))[-1])
         if cal.residuals is not None and cal.residuals.t.size
         else 0.0
-    )
-
-
-def _period_in_words(seconds: float) -> str:
-    """A duration in seconds, minutes or hours."""
-    if seconds < 120.0:
-        return f"{significant(seconds, 3)} s"
-    return (
-        f"{significant(seconds / 60.0, 3)} min" if seconds < 7200.0 else f"{significant(seconds / 3600.0, 3)} h"
     )
 
 
@@ -226,7 +217,7 @@ def _title(cal: Calibration) -> str:
 def _subtitle(cal: Calibration) -> str:
     if cal.given:
         return "The coefficients were given, not estimated from a record."
-    extent = f"{_segments_in_words(cal)}, {_period_in_words(_total_duration(cal))}"
+    extent = f"{_segments_in_words(cal)}, {duration(_total_duration(cal))}"
     phases = "" if cal.direct else f", phases {cal.phases}"
     model = f"Method {cal.method}{phases}, terms {', '.join(cal.terms)}."
     return f"{_files_in_words(cal)}: {extent}, {count(cal.quality.used)} samples used. {model}"
@@ -329,7 +320,7 @@ def _tested(cal: Calibration) -> Section:
     rows = [
         ("Instrument", cal.serial),
         ("Data", _files_in_words(cal)),
-        ("Duration", f"{_period_in_words(_total_duration(cal))} in {_segments_in_words(cal)}"),
+        ("Duration", f"{duration(_total_duration(cal))} in {_segments_in_words(cal)}"),
         ("Rows", f"{count(seen.rows)} read, {count(seen.used)} used, {count(seen.masked)} masked"),
         ("Model terms", terms),
         *(() if cal.direct else (("Phase of the output", f"{phase}; source: {cal.phase_source}"),)),

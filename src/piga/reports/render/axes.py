@@ -66,13 +66,7 @@ _Place = Literal["outside upper left", "outside lower left"]
 
 
 def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
-    """Draw a figure. ``ax``: the axes to draw on, one for each panel; None: a new figure.
-
-    Raises
-    ------
-    ArgumentError
-        If the number of axes is not the number of panels.
-    """
+    """Draw a figure, as :func:`piga.reports.draw`."""
     if ax is None:
         drawing = _new(figure, legend="outside lower left")  # the title is above
         drawing.suptitle(_words(figure.title, WIDTH * _LETTERS), fontsize=SMALL + 1.5, color=INK)
@@ -98,15 +92,7 @@ def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
 
 
 def write_figure(figure: Figure, path: Path, *, width: float = WIDTH, dpi: int = 300) -> Path:
-    """Write the figure as ``.svg``, ``.pdf`` or ``.png``. The same figure gives the same bytes.
-
-    ``width`` [inch]; ``dpi`` counts for ``.png``. Text stays text in ``.svg`` and ``.pdf``.
-
-    Raises
-    ------
-    ArgumentError
-        If the file name ends otherwise.
-    """
+    """Write a figure, as :func:`piga.reports.write_figure`."""
     kind = path.suffix.lower().removeprefix(".")
     if kind not in _NO_METADATA:
         raise ArgumentError(

@@ -142,6 +142,15 @@ def count(number: int) -> str:
     return printed(f"{number:,}".replace(",", " ") if abs(number) >= 10000 else str(number))
 
 
+def duration(seconds: float) -> str:
+    """A duration in seconds, minutes or hours."""
+    if seconds < 120.0:
+        return f"{significant(seconds, 3)} s"
+    return (
+        f"{significant(seconds / 60.0, 3)} min" if seconds < 7200.0 else f"{significant(seconds / 3600.0, 3)} h"
+    )
+
+
 def relative(value: float, uncertainty: float) -> str:
     """Uncertainty as a share of the value, in %, ppm or ppb.
 

@@ -76,23 +76,8 @@ def _in_bytes(size: float) -> str:
     return f"{size:.3g} GB"
 
 
-def value_text(value: float, u: float) -> str:
-    """A value rounded by its standard uncertainty, in print."""
-    return rounded(value, u).value
-
-
-def u_text(value: float, u: float) -> str:
-    """The standard uncertainty of a value, in print."""
-    return rounded(value, u).uncertainty
-
-
-def concise(value: float, u: float) -> str:
-    """A value with its standard uncertainty in brackets, in units of the last digits."""
-    return rounded(value, u).concise
-
-
-def number_text(value: float, digits: int = 4) -> str:
-    """A number in print."""
+def _number(value: float, digits: int = 4) -> str:
+    """A number in a template."""
     return significant(value, digits)
 
 
@@ -113,9 +98,9 @@ def environment() -> Any:
         loader=jinja2.FunctionLoader(text), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    filters = {"bytes": _in_bytes, "unit": pretty_unit, "count": count, "number": number_text, "moment": moment}
+    filters = {"bytes": _in_bytes, "unit": pretty_unit, "count": count, "number": _number, "moment": moment}
     made.filters |= filters | {"path": lambda name: quote(name, safe="/")}
-    made.globals |= {"concise": concise, "value_text": value_text, "u_text": u_text, "version": __version__}
+    made.globals |= {"rounded": rounded, "version": __version__}
     return made
 
 

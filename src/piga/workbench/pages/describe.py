@@ -19,8 +19,9 @@ from piga.describe.columns import TOLD, WORDS
 from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
 from piga.records.text_files import toml_document
+from piga.reports.render.numbers import significant
 from piga.workbench.folder import Folder
-from piga.workbench.pages.common import bench_of, number_text, only, posted, quantity, redirect, render
+from piga.workbench.pages.common import bench_of, only, posted, quantity, redirect, render
 from piga.workbench.pages.record import left
 
 ROWS = 6
@@ -205,7 +206,7 @@ def _preview(made: _Sheet) -> list[list[str]]:
         if layout is not None and column.name in layout.sample:
             columns.append([str(cell)[:24] for cell in layout.sample[column.name][:ROWS]])
         elif column.name in numbers:
-            columns.append([number_text(float(value), 7) for value in numbers[column.name][:ROWS]])
+            columns.append([significant(float(value), 7) for value in numbers[column.name][:ROWS]])
         else:
             columns.append([column.example[:24]])
     return [

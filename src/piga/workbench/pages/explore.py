@@ -22,8 +22,9 @@ from piga.instrument import (
     regime,
     revolution_period,
 )
+from piga.reports.render.numbers import significant
 from piga.units import G0
-from piga.workbench.pages.common import number_text, render
+from piga.workbench.pages.common import render
 from piga.workbench.pages.later import start
 
 POINTS = 601
@@ -76,17 +77,17 @@ def _numbers(inst: Instrument, forces: tuple[float, float, float]) -> list[tuple
     """Results of the library for these inputs, as label-value pairs."""
     name = regime(inst, *forces)
     low, high = (1e3 * float(edge) / G0 for edge in dead_zone(inst, forces[1], forces[2]))
-    zone = f"{number_text(low)} to {number_text(high)} mg" if high > low else "none"
+    zone = f"{significant(low, 4)} to {significant(high, 4)} mg" if high > low else "none"
     rows = [
         ("regime", name),
         ("locked zone of a_x", zone),
-        ("mean output rate", f"{number_text(DEG * float(mean_rate(inst, *forces)))} deg/s"),
-        ("rate without cross-coupling", f"{number_text(DEG * inst.scale_factor * forces[0])} deg/s"),
+        ("mean output rate", f"{significant(DEG * float(mean_rate(inst, *forces)), 4)} deg/s"),
+        ("rate without cross-coupling", f"{significant(DEG * inst.scale_factor * forces[0], 4)} deg/s"),
     ]
     if name == "running":
-        rows.append(("one revolution", f"{number_text(float(revolution_period(inst, *forces)))} s"))
+        rows.append(("one revolution", f"{significant(float(revolution_period(inst, *forces)), 4)} s"))
     if name == "locked":
-        rows.append(("rest angle", f"{number_text(DEG * float(fixed_points(inst, *forces)[0]))} deg"))
+        rows.append(("rest angle", f"{significant(DEG * float(fixed_points(inst, *forces)[0]), 4)} deg"))
     return rows
 
 

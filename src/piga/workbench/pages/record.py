@@ -27,6 +27,7 @@ from piga.records.calibration import Calibration
 from piga.records.run_file import RunFile, read_run_file
 from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_output, shown_unit, turns
 from piga.records.text_files import files_named_in
+from piga.reports.render.numbers import rounded
 from piga.units import G0
 from piga.workbench.folder import CALIBRATION, STATE_FOLDER, Entry, Kept, OutsideError, results_of
 from piga.workbench.history import ChangedError
@@ -40,7 +41,6 @@ from piga.workbench.pages.common import (
     redirect,
     render,
     result_file,
-    value_text,
 )
 from piga.workbench.signals import Outline, cache_key, picture, read_outline, rows_between
 
@@ -422,7 +422,7 @@ class Answer:
         for one in self.calibration.coefficients[:60]:
             factor, unit = shown_unit(one.name, one.unit)
             was = before.get(one.key)
-            ghost = "" if was is None or was == one.value else value_text(factor * was, factor * one.std)
+            ghost = "" if was is None or was == one.value else rounded(factor * was, factor * one.std).value
             rows.append(
                 {"key": one.key, "value": factor * one.value, "u": factor * one.std, "unit": unit, "was": ghost}
             )
@@ -556,7 +556,7 @@ def keep(request: Request, fields: dict[str, list[str]]) -> Response:
         entry = bench.folder.entry(name)
         if _mark(entry) != only(fields, "mark"):
             newest = (
-                f"+ kept: K = {value_text(entry.kept[0].K, entry.kept[0].u)} {entry.kept[0].unit}"
+                f"+ kept: K = {rounded(entry.kept[0].K, entry.kept[0].u).value} {entry.kept[0].unit}"
                 if entry.kept
                 else "- discarded"
             )
@@ -573,7 +573,7 @@ def keep(request: Request, fields: dict[str, list[str]]) -> Response:
         shutil.copytree(answer.place, part, dirs_exist_ok=True)
         part.rename(target)
         K, u, _ = answer.K
-        bench.history.note(f"keep K = {value_text(K, u)} {answer.calibration.unit}/g", (target, former))
+        bench.history.note(f"keep K = {rounded(K, u).value} {answer.calibration.unit}/g", (target, former))
     return redirect(request, f"/record/{quote(name)}{_query(only(fields, 'query'))}")
 
 
@@ -620,7 +620,7 @@ def discard(request: Request) -> Response:
     with bench.history.lock:
         kept = kept_of(bench, name)
         path = bench.folder.path(kept.name)
-        bench.history.note(f"discard K = {value_text(kept.K, kept.u)}", (path, bench.history.put_away(path)))
+        bench.history.note(f"discard K = {rounded(kept.K, kept.u).value}", (path, bench.history.put_away(path)))
     return redirect(request, "/")
 
 
