@@ -38,6 +38,7 @@ from piga.results import (
     Array,
     ByValue,
     Column,
+    Correlated,
     Reported,
     Result,
     Tabular,
@@ -290,7 +291,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     def correlated(
         self, library: Literal["uncertainties", "GTC"] | None = None, *, si: bool = False
-    ) -> dict[str, Any]:
+    ) -> dict[str, Correlated]:
         """The coefficients as numbers that know their covariance, by key, to compute on with.
 
         Parameters
