@@ -126,3 +126,42 @@ def test_time_reversal(beta, alpha0, a_x, a_Y, a_Z, t):
     alpha, _ = closed_form(inst, t, a_x, a_Y, a_Z)
     back, _ = closed_form(Instrument(0.09, beta, float(alpha)), -t, a_x, a_Y, a_Z)
     assert abs(back - alpha0) < _condition(inst, (a_x, a_Y, a_Z), t)
+
+
+@FAST
+@given(betas, angles, forces, forces, forces, spans)
+def test_mirror(beta, alpha0, a_x, a_Y, a_Z, t):
+    """(alpha, a_x, a_Y, a_Z) -> (-alpha, -a_x, a_Y, -a_Z)."""
+    alpha, rate = closed_form(Instrument(0.09, beta, alpha0), t, a_x, a_Y, a_Z)
+    mirrored, mirrored_rate = closed_form(Instrument(0.09, beta, -alpha0), t, -a_x, a_Y, -a_Z)
+    assert mirrored == pytest.approx(-alpha, abs=1e-13 * max(1.0, abs(alpha)))
+    assert mirrored_rate == pytest.approx(-rate, abs=1e-13)
+
+
+@FAST
+@given(betas, angles, forces, forces, forces, spans, angles)
+def test_rotation_of_the_transverse_frame(beta, alpha0, a_x, a_Y, a_Z, t, turn):
+    inst = Instrument(0.09, beta, alpha0)
+    alpha, _ = closed_form(inst, t, a_x, a_Y, a_Z)
+    c, s = math.cos(turn), math.sin(turn)
+    turned, _ = closed_form(Instrument(0.09, beta, alpha0 + turn), t, a_x, c * a_Y - s * a_Z, s * a_Y + c * a_Z)
+    scale = max(1.0, abs(t) * 3.0)
+    assert abs(turned - turn - alpha) < scale * _condition(inst, (a_x, a_Y, a_Z), t)
+
+
+@FAST
+@given(betas, angles, forces, forces, forces, st.floats(0.0, 50.0), st.floats(0.0, 50.0))
+def test_composition_of_steps(beta, alpha0, a_x, a_Y, a_Z, first, second):
+    inst = Instrument(0.09, beta, alpha0)
+    whole, _ = closed_form(inst, first + second, a_x, a_Y, a_Z)
+    half, _ = closed_form(inst, first, a_x, a_Y, a_Z)
+    parts, _ = closed_form(Instrument(0.09, beta, float(half)), second, a_x, a_Y, a_Z)
+    assert abs(parts - whole) < 10 * _condition(inst, (a_x, a_Y, a_Z), first + second)
+
+
+def test_mean_rate_and_period_of_the_published_case():
+    period = 2 * math.pi / (PUBLISHED.scale_factor * G0 * math.sqrt(1 - (5 * PUBLISHED.tan_beta) ** 2))
+    assert period == pytest.approx(7.0745522104349, abs=1e-13)
+    alpha, _ = closed_form(PUBLISHED, [0.0, period], G0, 5 * G0, 0.0)
+    assert alpha[1] - alpha[0] == pytest.approx(2 * math.pi, abs=1e-14)
+    assert math.degrees((alpha[1] - alpha[0]) / period) == pytest.approx(50.8866129320529, abs=1e-12)

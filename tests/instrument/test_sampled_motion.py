@@ -97,6 +97,13 @@ def test_agrees_with_dop853_with_base_rate(seed):
 
 
 @pytest.mark.compiled
+def test_constant_base_rate_may_be_given_once():
+    t, f = np.linspace(0, 1, 5), np.ones((5, 3))
+    once = propagate(INST, t, f, [1e-4, 2e-4, -3e-4], between="linear")
+    assert np.array_equal(once, propagate(INST, t, f, np.tile([1e-4, 2e-4, -3e-4], (5, 1)), between="linear"))
+
+
+@pytest.mark.compiled
 def test_error_model_against_dop853():
     model = ErrorModel(
         k0="2e-3 g", k1=1e-3, k2="2e-3 g/g^2", k3="1e-3 g/g^3", k2o="1e-3 g/g^2", k1a=5e-4, m_Y=1e-3, m_Z=-2e-3,
@@ -215,6 +222,18 @@ def test_mirror_and_rotation_of_the_transverse_frame(force, alpha0, turn):
 
 
 @pytest.mark.compiled
+@settings(max_examples=40, deadline=None)
+@given(records, st.floats(-4, 4), st.integers(1, 5))
+def test_composition(force, alpha0, cut):
+    f = np.array(force)
+    cut = min(cut, len(f) - 1)
+    t = np.arange(len(f)) * 0.1
+    whole = propagate(Instrument(0.09, 0.02, alpha0), t, f, between="linear")
+    rest = propagate(Instrument(0.09, 0.02, float(whole[cut])), t[cut:], f[cut:], between="linear")
+    assert rest == pytest.approx(whole[cut:], abs=1e-13)
+
+
+@pytest.mark.compiled
 def test_one_sample_and_zero_force():
     assert np.array_equal(propagate(INST, [3.0], [[1.0, 2.0, 3.0]], between="linear"), [0.4])
     assert propagate(INST, [0.0, 1.0], np.zeros((2, 3)), between="linear") == pytest.approx(
@@ -266,6 +285,53 @@ def test_bad_input_is_named_with_its_index(t, f, kwargs, message):
 SHORT = Instrument(0.0906, 0.3, 0.4)
 
 
+START, SLOPE = np.array([4.0, 20.0, -9.0]), np.array([3.0, -40.0, 70.0])
+
+
+def reference(t: np.ndarray) -> np.ndarray:
+    """Angle under the force ``START + SLOPE t`` by tight DOP853."""
+
+    def rate(time: float, alpha: np.ndarray) -> list[float]:
+        u = SHORT.scale_factor * (START + SLOPE * time)
+        return [u[0] + SHORT.tan_beta * (u[1] * np.sin(alpha[0]) - u[2] * np.cos(alpha[0]))]
+
+    return solve_ivp(rate, (t[0], t[-1]), [0.4], "DOP853", t, rtol=1e-13, atol=1e-14).y[0]
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("count", [2, 3, 4, 5])
+@pytest.mark.parametrize("even", [True, False])
+def test_increments_of_a_linear_force_lose_the_fifth_order_only(count: int, even: bool) -> None:
+    """Half the interval: a thirty-second of the error of a step, at the ends as inside."""
+    errors = []
+    for h in (0.08, 0.04, 0.02):
+        t = h * (np.arange(count + 1) + (0.0 if even else 0.2 * np.sin(np.arange(count + 1))))
+        dv = np.diff(START * t[:, None] + 0.5 * SLOPE * t[:, None] ** 2, axis=0)
+        errors.append(np.abs(propagate_increments(SHORT, t, dv) - reference(t)).max())
+    assert np.log2(errors[0] / errors[2]) / 2.0 > 4.5
+    assert errors[2] < 1e-8
+
+
+@pytest.mark.compiled
+def test_one_increment_is_a_constant_rate() -> None:
+    t, f = np.array([0.0, 0.05]), np.tile(START, (2, 1))
+    assert propagate_increments(SHORT, t, 0.05 * START[None, :]) == pytest.approx(
+        propagate(SHORT, t, f, between="linear"), abs=1e-15
+    )
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_samples_of_a_linear_force_lose_the_fifth_order_only(count: int) -> None:
+    errors = []
+    for h in (0.08, 0.04, 0.02):
+        t = h * np.arange(count + 1)
+        errors.append(
+            np.abs(propagate(SHORT, t, START + SLOPE * t[:, None], between="linear") - reference(t)).max()
+        )
+    assert np.log2(errors[0] / errors[2]) / 2.0 > 4.5
+
+
 @pytest.mark.compiled
 @pytest.mark.parametrize("h", [0.05, 0.7, 3.0, 20.0])
 def test_the_rate_is_that_of_the_angle_whatever_the_step(h: float) -> None:
@@ -308,6 +374,16 @@ def test_rows_are_single_runs(between):
 
 
 @pytest.mark.compiled
+def test_one_base_rate_for_all():
+    rows = propagate_fleet(FLEET, T, INPUTS[0], [1e-4, 0.0, 5e-5], between="linear")
+    assert np.array_equal(rows[2], propagate(FLEET[2], T, INPUTS[0], [1e-4, 0.0, 5e-5], between="linear"))
+    assert np.array_equal(
+        propagate_fleet(FLEET[:1], T, INPUTS[0], between="linear"),
+        [propagate(FLEET[0], T, INPUTS[0], between="linear")],
+    )
+
+
+@pytest.mark.compiled
 def test_faults_name_motion_and_index():
     bad = INPUTS.copy()
     bad[2, 5, 1] = math.nan
@@ -319,6 +395,18 @@ def test_faults_name_motion_and_index():
         propagate_fleet([], T, INPUTS[0], between="linear")
     with pytest.raises(piga.ArgumentError, match="output"):
         propagate_fleet(FLEET, T, INPUTS[0], output="velocity", between="linear")
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("scale", [0.01, 0.3])
+def test_rate_is_the_same_with_and_without_the_angle(scale):
+    """Small steps take the block path, large ones the step-by-step path."""
+    t = T * scale / 0.02
+    alpha, rate = propagate(FLEET[2], t, INPUTS[1], with_rate=True, between="linear")
+    assert np.array_equal(rate, propagate_rate(FLEET[2], t, INPUTS[1], between="linear"))
+    u = FLEET[2].scale_factor * INPUTS[1]
+    expected = u[:, 0] + FLEET[2].tan_beta * (u[:, 1] * np.sin(alpha) - u[:, 2] * np.cos(alpha))
+    assert rate == pytest.approx(expected, abs=1e-13)
 
 
 def swaying(t):
@@ -344,6 +432,13 @@ def test_smooth_input_is_of_fourth_order_and_linear_input_of_second():
     assert math.log2(errors["smooth"][1] / errors["smooth"][2]) > 3.7
     assert math.log2(errors["linear"][1] / errors["linear"][2]) == pytest.approx(2.0, abs=0.1)
     assert errors["smooth"][2] < 1e-7 < errors["linear"][2]
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_three_samples_show_no_curve(n):
+    t, f = np.arange(float(n)), G0 * np.array([[0.2, 1.0, 2.0], [0.5, -1.0, 0.3], [0.1, 2.0, 1.0]])[:n]
+    assert propagate(INST, t, f, between="smooth").tolist() == propagate(INST, t, f, between="linear").tolist()
 
 
 @pytest.mark.compiled

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from piga.errors import ArgumentError
 from piga.workbench.jobs import BusyError, Job, Jobs, Status
 from tests.workbench.conftest import entered, shipped_record, wait_until
 
@@ -126,6 +127,19 @@ def test_progress_is_a_small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert json.loads((tmp_path / "progress").read_text())["share"] == 0.5
     note.show(3, 4, "draws")
     assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading: draws", "share": 0.75}
+
+
+@pytest.mark.only_compiled
+def test_only_so_many_run_and_only_so_many_are_kept(jobs: Jobs, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("piga.workbench.jobs.MOST_RUNNING", 1)
+    monkeypatch.setattr("piga.workbench.jobs.MOST_KEPT", 1)
+    job = jobs.start(("calibrate", "tumble-a.toml", "--out", "out"), "Calibrate", "tumble-a.toml", "out")
+    with pytest.raises(ArgumentError, match="running"):
+        jobs.start(("check", "tumble-a.toml"), "Check", "tumble-a.toml")
+    jobs.stop(job)
+    after = jobs.start(("check", "tumble-a.toml"), "Check", "tumble-a.toml")
+    assert jobs.all() == [after]
+    ended(jobs, after)
 
 
 @pytest.mark.only_compiled

@@ -15,7 +15,7 @@ import pytest
 
 from piga.errors import ArgumentError
 from piga.workbench.folder import Folder, OutsideError
-from piga.workbench.security import Door
+from piga.workbench.security import SESSION_AGE, Door
 from tests.workbench.conftest import Client, Server, entered, wait_until
 from tests.workbench.test_jobs import jobs_in
 
@@ -31,6 +31,15 @@ def test_a_foreign_host_name_is_refused(client: Client) -> None:
         status, _, _ = client.ask("/", headers={"Host": host}) if host else client.ask("/", host=" ")
         assert status in (400, 421), host
     assert client.ask("/jobs", host=f"localhost:{client.port}")[0] == 200
+
+
+def test_two_host_headers_are_refused(client: Client) -> None:
+    with socket.create_connection(("127.0.0.1", client.port), timeout=60) as raw:
+        name = f"127.0.0.1:{client.port}"
+        raw.sendall(
+            f"GET / HTTP/1.1\r\nHost: {name}\r\nHost: {name}\r\nCookie: {client.cookie}\r\n\r\n".encode()
+        )
+        assert raw.recv(100).split()[1] in (b"400", b"421")
 
 
 def test_every_change_names_its_origin(client: Client) -> None:
@@ -77,6 +86,18 @@ def test_the_token_is_good_once_and_the_cookie_is_out_of_reach(server: Server) -
     assert stranger.ask("/assets/workbench.css")[0] == 403
     stranger.cookie = f"other=a b; piga-{stranger.port}=wrong"
     assert stranger.ask("/")[0] == 403
+
+
+def test_cookie_flags_and_age() -> None:
+    now = [0.0]
+    door = Door(8000, clock=lambda: now[0])
+    assert door.open_session("é") is None
+    session = door.open_session(door.token)
+    assert session is not None
+    assert door.has_session(session)
+    assert door.open_session(session) is None
+    now[0] = SESSION_AGE + 1.0
+    assert not door.has_session(session)
 
 
 def test_policies_of_pages_and_of_reports(client: Client) -> None:

@@ -24,8 +24,8 @@ from piga._kernels.motion.samples import (
     propagate_many,
     propagate_samples,
     propagate_sensitivities,
-    propagate_turns,
 )
+from piga._kernels.motion.samples import propagate_increments as run_increments
 from piga._kernels.motion.step import GOOD, TWO_PI_HIGH, TWO_PI_LOW, segment_motion, split_turns
 from piga.errors import ArgumentError
 from piga.instrument.parameters import ErrorModel, Instrument
@@ -38,8 +38,6 @@ Between = Literal["smooth", "linear"]
 _EMPTY = float_array("empty", np.empty(0))
 _EMPTY_VECTORS = float_array("empty", np.empty((0, 3)))
 _NO_OUTPUT = np.empty(0)
-_PART = 1 << 14
-"""Increments that are turned into steps at a time, with two beside them."""
 
 
 def _require(samples: MotionSamples, status: int) -> None:
@@ -292,44 +290,15 @@ def propagate_increments(
     turning = float_array("base_angle", np.empty((0, 3)))
     if base_angle is not None:
         turning = float_array("base_angle", base_angle, force.shape)
-    alpha, state, first, n = np.empty(times.size), _initial_state(inst.alpha0), 0, force.shape[0]
-    status, gain = GOOD, [1.0, inst.tan_beta, inst.tan_beta]
-    while first < n and status == GOOD:
-        around, last = slice(max(first - 2, 0), first + _PART + 2), min(first + _PART, n)
-        with np.errstate(all="ignore"):
-            turn = inst.scale_factor * force[around] - (turning[around] if turning.size else 0.0)
-            steps = _turns_of_increments(np.diff(times[around.start : around.stop + 1])[:, None], turn * gain)
-            steps = np.ascontiguousarray(steps[first - around.start :][: last - first].T)
-            done = propagate_turns(times[first : last + 1], steps, state, alpha[first : last + 1])
-        status, first = done if done == GOOD else first + done, last
+    alpha = np.empty(times.size)
+    with np.errstate(all="ignore"):
+        status = run_increments(
+            times, force, turning, inst.scale_factor, inst.tan_beta, _initial_state(inst.alpha0), alpha
+        )
     if status != GOOD:
         explain(times, status, dv=force, base_angle=turning)
     alpha[0] = inst.alpha0
     return alpha
-
-
-def _turns_of_increments(h: Array, turn: Array) -> Array:
-    """Magnus increments of the steps from the integrals ``turn`` (n, 3) of the rates [rad] over the intervals ``h`` (n, 1) [s].
-
-    The slope in an interval is that of the parabola with the means of the interval and its neighbours; at the ends of the record
-    that of the last three goes on.
-    """
-    mean = turn / h
-    rise = 2.0 * np.diff(mean, axis=0) / (h[1:] + h[:-1])
-    if rise.shape[0] < 2:
-        slope = np.resize(rise, mean.shape) if rise.size else np.zeros(mean.shape)
-    else:
-        bend = np.diff(rise, axis=0) / (2.0 * (h[:-2] + h[1:-1] + h[2:]))
-        inside = rise[:-1] + (h[1:-1] + 2.0 * h[:-2]) * bend
-        first = rise[0] - (h[0] + 2.0 * h[1]) * bend[0]
-        last = rise[-1] + (h[-1] + 2.0 * h[-2]) * bend[-1]
-        slope = np.vstack((first, inside, last))
-    return np.asarray(turn + h**3 / 12.0 * _commutator(mean, slope))
-
-
-def _commutator(one: Array, other: Array) -> Array:
-    """Commutator of two inputs ``(a, y, z)``, (..., 3), as increments of a step (docs/theory/motion)."""
-    return np.cross(one, other) * [1.0, -1.0, -1.0]
 
 
 def propagate_segments(
@@ -430,28 +399,16 @@ def sensitivities(
         As in :func:`piga.propagate`; also if a single step turns the gimbal by more than 1e5 rad.
     """
     record = _sampled_input(inst, t, f, base_rate)
-    n, K, tan_beta = record.t.size, inst.scale_factor, inst.tan_beta
-    gain = np.array([1.0, tan_beta, tan_beta])
-    alpha, pole, d_alpha = np.empty(n), np.empty((2, n)), np.empty((n, PARAMETERS))
+    n = record.t.size
+    omega = record.base_rate if record.base_rate.size else float_array("base_rate", np.zeros((n, 3)))
+    alpha, rate = np.empty(n), np.empty(n)
+    d_alpha, d_rate = np.empty((n, PARAMETERS)), np.empty((n, PARAMETERS))
     with np.errstate(all="ignore"):
-        u = K * record.f - (record.base_rate if record.base_rate.size else 0.0)
-        by_beta = (1.0 + tan_beta**2) * u * [0.0, 1.0, 1.0]
-        biases = [np.broadcast_to(K * gain * axis, u.shape) for axis in np.eye(3)]
-        r, d = gain * u, np.stack([gain * record.f, by_beta, np.zeros(u.shape), *biases], axis=1)
-        h = np.diff(record.t)[:, None]
-        turn = 0.5 * h * (r[:-1] + r[1:]) + h * h / 12.0 * _commutator(r[:-1], r[1:])
-        change = _commutator(d[:-1], r[1:, None]) + _commutator(r[:-1, None], d[1:])
-        d_turn = 0.5 * h[:, None] * (d[:-1] + d[1:]) + (h * h)[:, None] / 12.0 * change
-        d_turn = np.ascontiguousarray(d_turn.swapaxes(1, 2))
         status = propagate_sensitivities(
-            record.t, turn, d_turn, _initial_state(inst.alpha0), alpha, pole, d_alpha
+            record._replace(base_rate=omega), _initial_state(inst.alpha0), alpha, rate, d_alpha, d_rate
         )
     _require(record, status)
     alpha[0] = inst.alpha0
-    n_alpha = np.stack([np.ones(n), pole[0], -pole[1]], axis=1)  # the effective axis, times the gains in r
-    rate = np.einsum("ni,ni->n", r, n_alpha)
-    stiffness = r[:, 1] * pole[1] + r[:, 2] * pole[0]
-    d_rate = np.einsum("npi,ni->np", d, n_alpha) + stiffness[:, None] * d_alpha
     return Sensitivities(alpha, rate, d_alpha, d_rate)
 
 

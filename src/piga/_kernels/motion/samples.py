@@ -29,9 +29,11 @@ from piga._kernels.motion.step import (
     unwrapped,
 )
 
+Three = tuple[float, float, float]
+NONE = (0.0, 0.0, 0.0)
 BLOCK = 256
 """Steps of a block. At its end the pair is brought to unit length: a small step lets it grow by less than ``exp(1/2)``."""
-ROWS, _ROOM = 18, BLOCK + 8
+ROWS, _ROOM = 20, BLOCK + 8
 prange: Any = numba.prange
 
 
@@ -303,20 +305,88 @@ def propagate_many(fleet: FleetInput, states: Array, angles: bool, result: Array
         status[i] = _propagate_one(fleet, k, states[i], angles, result[i])
 
 
-@kernel
-def propagate_turns(t: Array, turn: Array, state: Array, alpha: Array) -> int:
-    """Unwrapped angle [rad] at the ``n + 1`` times ``t`` from the increments ``A, Y, Z`` of the steps, ``turn`` (3, n) [rad].
+@inline
+def _mean_rates(t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, j: int) -> Three:
+    """Mean rates ``a, y, z`` [rad/s] of an interval, from its increments of velocity and of the base's angle."""
+    per = 1.0 / (t[j + 1] - t[j])
+    a, y, z = K * dv[j, 0], K * dv[j, 1], K * dv[j, 2]
+    if dtheta.shape[0]:
+        a, y, z = a - dtheta[j, 0], y - dtheta[j, 1], z - dtheta[j, 2]
+    return a * per, tan_beta * y * per, tan_beta * z * per
 
-    ``state``: turns, P, Q; updated. Returns ``GOOD``, or the sample at which an unusable step begins.
+
+@inline
+def _slope_inside(before: float, here: float, after: float, h0: float, h1: float, h2: float) -> float:
+    """Slope in an interval ``h1`` [s] of the parabola with the means of the interval and its neighbours."""
+    lever0, lever2 = h1 + 2.0 * h0, h1 + 2.0 * h2
+    per_lever = 2.0 / (lever0 + lever2)
+    return per_lever * (lever2 / (h0 + h1) * (here - before) + lever0 / (h1 + h2) * (after - here))
+
+
+@inline
+def _slope_at_end(here: float, near: float, far: float, h0: float, h1: float, h2: float) -> float:
+    """Slope towards the neighbours in an interval ``h0`` [s] at an end of the record, from the means of the next two."""
+    rise = 2.0 * (near - here) / (h0 + h1)
+    rise_far = 2.0 * (far - near) / (h1 + h2)
+    return rise - (rise_far - rise) * (h0 + 2.0 * h1) / (2.0 * (h0 + h1 + h2))
+
+
+@inline
+def _slopes_of(
+    t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, j: int, around: tuple[Three, Three, Three]
+) -> Three:
+    """Slopes of the rates in interval ``j`` [rad/s^2]; ``around``: means of the interval before, of it and of the one after."""
+    n, (before, here, after) = dv.shape[0], around
+    h = t[j + 1] - t[j]
+    if n == 1:
+        return NONE
+    if 0 < j < n - 1:
+        h0, h2 = t[j] - t[j - 1], t[j + 2] - t[j + 1]
+        return (
+            _slope_inside(before[0], here[0], after[0], h0, h, h2),
+            _slope_inside(before[1], here[1], after[1], h0, h, h2),
+            _slope_inside(before[2], here[2], after[2], h0, h, h2),
+        )
+    side, near = (1.0, after) if j == 0 else (-1.0, before)
+    i = 1 if j == 0 else j - 1
+    if n == 2:
+        per = side * 2.0 / (t[2] - t[0])
+        return per * (near[0] - here[0]), per * (near[1] - here[1]), per * (near[2] - here[2])
+    k = 2 if j == 0 else j - 2
+    far, h1, h2 = _mean_rates(t, dv, dtheta, K, tan_beta, k), t[i + 1] - t[i], t[k + 1] - t[k]
+    return (
+        side * _slope_at_end(here[0], near[0], far[0], h, h1, h2),
+        side * _slope_at_end(here[1], near[1], far[1], h, h1, h2),
+        side * _slope_at_end(here[2], near[2], far[2], h, h1, h2),
+    )
+
+
+@kernel
+def propagate_increments(
+    t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, state: Array, alpha: Array
+) -> int:
+    """Unwrapped angle [rad] at the ``n + 1`` times ``t`` from ``n`` velocity increments ``dv`` (n, 3) [m/s].
+
+    ``dtheta`` (n, 3) or (0, 3): turning of the base over each interval [rad]. ``state``: turns, P, Q. Order 4: the slope in an
+    interval is that of the parabola with the means of the interval and its neighbours.
     """
     turns, p, q = state[0], state[1], state[2]
-    n = turn.shape[1]
-    s = _steps_in(np.empty((ROWS, _ROOM)))
+    n, before = dv.shape[0], NONE
+    room = np.empty((ROWS, _ROOM))
+    s = _steps_in(room)
+    here = _mean_rates(t, dv, dtheta, K, tan_beta, 0)
     for first in range(0, n + 1, BLOCK):
         last = min(first + BLOCK, n + 1)
         count = min(last, n) - first
-        for j in range(count):
-            s.A[j], s.Y[j], s.Z[j] = turn[0, first + j], turn[1, first + j], turn[2, first + j]
+        for i in range(count):
+            j = first + i
+            h = t[j + 1] - t[j]
+            after = _mean_rates(t, dv, dtheta, K, tan_beta, j + 1) if j < n - 1 else NONE
+            (a, y, z), (sa, sy, sz) = here, _slopes_of(t, dv, dtheta, K, tan_beta, j, (before, here, after))
+            cross = h * h * h * (1.0 / 12.0)
+            s.A[i] = h * a + cross * (y * sz - z * sy)
+            s.Y[i], s.Z[i] = h * y + cross * (a * sz - z * sa), h * z - cross * (a * sy - y * sa)
+            before, here = here, after
         _make_matrices(t[first:], count, s)
         done, turns, p, q = _carry_pair(count, s, turns, p, q)
         if done < count:
@@ -329,7 +399,6 @@ def propagate_turns(t: Array, turn: Array, state: Array, alpha: Array) -> int:
 PARAMETERS = 6
 """K, beta, alpha0, and biases of a_x, a_Y, a_Z: the order of the columns."""
 _NO_OVERFLOW = 1e5
-"""Largest turn in a step [rad] for which the derivatives stay finite."""
 
 
 @inline
@@ -350,6 +419,38 @@ def unimodular_functions(x: float) -> tuple[float, float, float]:
 _TAYLOR = np.array([1.0 / math.factorial(k) for k in range(22)])
 
 
+@inline
+def _sample_rates(f: Array, omega: Array, k: int, K: float, tan_beta: float, r: Array, d: Array) -> None:
+    """Effective rates ``r = (a, y, z)`` at sample ``k`` and their derivatives ``d`` (3, PARAMETERS)."""
+    secant2 = 1.0 + tan_beta * tan_beta
+    for axis in range(3):
+        gain = 1.0 if axis == 0 else tan_beta
+        u = K * f[k, axis] - omega[k, axis]
+        r[axis] = gain * u
+        d[axis, 0] = gain * f[k, axis]
+        d[axis, 1] = 0.0 if axis == 0 else secant2 * u
+        d[axis, 3 + axis] = gain * K
+
+
+@inline
+def _cross_term(i: int, j: int, r0: Array, r1: Array) -> float:
+    """``r0_i r1_j - r0_j r1_i``."""
+    return r0[i] * r1[j] - r0[j] * r1[i]
+
+
+@kernel
+def _step_increments(h: float, r0: Array, r1: Array, d0: Array, d1: Array, step: Array, ds: Array) -> None:
+    """Magnus increments ``step`` (3,) and their derivatives ``ds`` (3, PARAMETERS)."""
+    mean, cross = 0.5 * h, h * h / 12.0
+    for axis in range(3):
+        i, j = (1, 2) if axis == 0 else ((0, 2) if axis == 1 else (0, 1))
+        sign = -cross if axis == 2 else cross
+        step[axis] = mean * (r0[axis] + r1[axis]) + sign * _cross_term(i, j, r0, r1)
+        for n in range(PARAMETERS):
+            change = d0[i, n] * r1[j] - d0[j, n] * r1[i] + r0[i] * d1[j, n] - r0[j] * d1[i, n]
+            ds[axis, n] = mean * (d0[axis, n] + d1[axis, n]) + sign * change
+
+
 @kernel
 def _advance_derivatives(p: float, q: float, step: Array, ds: Array, d_alpha: Array) -> None:
     """Carry ``d_alpha`` (PARAMETERS,) over one step from the unit pair ``(p, q)``."""
@@ -368,25 +469,33 @@ def _advance_derivatives(p: float, q: float, step: Array, ds: Array, d_alpha: Ar
 
 @kernel
 def propagate_sensitivities(
-    t: Array, turn: Array, d_turn: Array, state: Array, alpha: Array, axis: Array, d_alpha: Array
+    samples: MotionSamples, state: Array, alpha: Array, rate: Array, d_alpha: Array, d_rate: Array
 ) -> int:
-    """Angle (n,), its sine and cosine ``axis`` (2, n), and its derivatives (n, PARAMETERS) at the times ``t`` (n,).
+    """Angle, rate (n,) and their derivatives (n, PARAMETERS) at the samples; ``state``: turns, P, Q.
 
-    ``turn`` (n - 1, 3): increments of the steps [rad]; ``d_turn`` (n - 1, 3, PARAMETERS): their derivatives.
-    ``state``: turns, P, Q. Returns ``GOOD``, or the sample at which an unusable step begins.
+    Of the samples, ``base_rate`` is (n, 3), and what an error model adds is left out.
     """
+    t, f, omega, K, tan_beta = samples.t, samples.f, samples.base_rate, samples.K, samples.tan_beta
     turns, p, q = state[0], state[1], state[2]
     rest = double_arctangent(p, q)
-    carried = np.zeros(PARAMETERS)
+    r0, r1, step, carried = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(PARAMETERS)
+    d0, d1, ds = np.zeros((3, PARAMETERS)), np.zeros((3, PARAMETERS)), np.zeros((3, PARAMETERS))
     carried[2] = 1.0
     for k in range(t.size):
+        _sample_rates(f, omega, k, K, tan_beta, r1, d1)
         if k:
-            step = turn[k - 1]
-            if not (t[k] > t[k - 1] and abs(step[0]) + abs(step[1]) + abs(step[2]) < _NO_OVERFLOW):
+            h = t[k] - t[k - 1]
+            _step_increments(h, r0, r1, d0, d1, step, ds)
+            if not (h > 0.0 and abs(step[0]) + abs(step[1]) + abs(step[2]) < _NO_OVERFLOW):
                 return k - 1
-            _advance_derivatives(p, q, step, d_turn[k - 1], carried)
+            _advance_derivatives(p, q, step, ds, carried)
             turns, rest, p, q = advance(turns, rest, p, q, step[0], step[1], step[2])
+        sine, cosine = 2.0 * p * q, q * q - p * p
         alpha[k] = unwrapped(turns, rest)
-        axis[0, k], axis[1, k] = 2.0 * p * q, q * q - p * p
-        d_alpha[k] = carried
+        rate[k] = r1[0] + r1[1] * sine - r1[2] * cosine
+        stiffness = r1[1] * cosine + r1[2] * sine
+        for n in range(PARAMETERS):
+            d_alpha[k, n] = carried[n]
+            d_rate[k, n] = d1[0, n] + d1[1, n] * sine - d1[2, n] * cosine + stiffness * carried[n]
+        r0[:], d0[:, :] = r1, d1
     return GOOD
