@@ -309,6 +309,16 @@ def test_damaged_certificates_are_refused_in_words(cal, tmp_path, old, new, word
         back(changed_raw, tmp_path)
 
 
+def test_a_changed_covariance_is_found(cal, tmp_path):
+    root = dcc_document(complete(), cal)
+    values = root.findall(".//si:columnXMLList/si:covarianceXMLList/si:valueXMLList", N)[2]
+    values.text = (
+        values.text.replace("e-", "e-1", 1) if "e-" in values.text else "1 " + values.text.split(" ", 1)[1]
+    )
+    with pytest.raises(PigaError, match=r"contradicts itself: .*covarianceXMLList/valueXMLList is"):
+        calibration_of(root, tmp_path / "x.xml")
+
+
 @pytest.fixture(scope="module")
 def stated(cal):
     """A certificate that states all there is: ranges, conformity, results before adjustment, a Monte Carlo interval."""
@@ -462,3 +472,7 @@ def test_attached_data_that_do_not_fit_are_refused(stated, limits):
     node.text = base64.b64encode(json.dumps(data).encode()).decode()
     with pytest.raises(PigaError):
         calibration_of(root, Path("forged.xml"))
+
+
+def test_the_full_certificate_reads(stated):
+    assert calibration_of(etree.fromstring(stated), Path("x.xml"))["k0"].limits == (1.5001e-3, 1.70035e-3)

@@ -247,3 +247,36 @@ def test_record_without_inputs(tmp_path: Path) -> None:
 
     with filled(tmp_path / "a.sqlite", 1) as store, pytest.raises(PigaError, match="cannot be recomputed"):
         reproduce(store, 1)
+
+
+@pytest.mark.slow
+def test_other_arithmetic_agrees_within_rounding(tmp_path: Path) -> None:
+    """The shipped record, interpreted instead of compiled: other rounding everywhere, the same result."""
+    import json
+    import os
+    import subprocess
+    import sys
+
+    from piga.data import copy_example
+
+    run = copy_example(tmp_path)
+    command = [sys.executable, "-c", "from piga.cli.main import main; main()", "records"]
+    kept = [
+        "add",
+        run,
+        "--store",
+        tmp_path / "lab.sqlite",
+        "--operator",
+        "A",
+        "--reason",
+        "test",
+        "--no-report",
+    ]
+    for arguments, jit in ((kept, "0"), (["reproduce", "--store", tmp_path / "lab.sqlite", "--json"], "1")):
+        environment = os.environ | {"NUMBA_DISABLE_JIT": jit}
+        done = subprocess.run(
+            [*command, *map(str, arguments)], env=environment, capture_output=True, check=True
+        )
+    content = json.loads(done.stdout)["records"][0]
+    assert content["verdict"] == "within tolerance", content
+    assert "compiled" in content["changed"]

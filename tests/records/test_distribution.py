@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
 
 import piga
 from piga.records import read_run_file
+from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from tests.records.files import lines, write_log, write_run
 
 
@@ -112,3 +114,10 @@ def test_an_output_that_stands_where_nothing_is_felt(tmp_path: Path) -> None:
     ]
     write_log(tmp_path, held)
     assert "stopped-output" in {event.kind for event in piga.read_run(write_run(tmp_path)).quality.events}
+
+
+def test_spreads() -> None:
+    with pytest.raises(piga.RunFileError, match="degrees_of_freedom must be positive"):
+        standard_uncertainty(Spread(standard="1 ppm", degrees_of_freedom=-1.0), "ppm", "scale")
+    assert shape_of("1 ppm") == ("normal", math.inf)
+    assert shape_of(Spread(standard="1 ppm", degrees_of_freedom=7.0)) == ("normal", 7.0)

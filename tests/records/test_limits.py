@@ -20,6 +20,7 @@ from piga.certificate.xml_signature import load_certificate, read_xml
 from piga.compensation.files import is_triad_file
 from piga.errors import PigaError
 from piga.formats.text.reader import TextStream
+from piga.records.limits import open_regular, read_whole
 from piga.records.run_file import read_run_file
 from tests.cli.runner import exit_code
 from tests.records.files import lines, write_log, write_run
@@ -107,6 +108,18 @@ def test_a_sidecar_that_is_no_file_is_not_ignored(tmp_path: Path, kind: str) -> 
     error = within(5.0, lambda: piga.read_run(run))
     assert isinstance(error, piga.DataError)
     assert "run.csv.sha256: " in str(error)
+
+
+def test_the_limit_holds_for_a_file_that_grows(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"x" * 10)
+    assert read_whole(path, 10, "a smaller one") == b"x" * 10
+    with pytest.raises(piga.DataError, match="larger than 9 bytes"):
+        read_whole(path, 9, "a smaller one")
+    with pytest.raises(piga.DataError, match="is not a file name"):
+        read_whole(Path("a\0b"), 9, "a smaller one")
+    with pytest.raises(FileNotFoundError):
+        open_regular(tmp_path / "none")
 
 
 def label_bomb(path: Path, letters: int = 1 << 20, rows: int = 3600) -> None:

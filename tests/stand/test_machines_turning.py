@@ -115,6 +115,13 @@ def test_bad_positions_are_refused():
         DividingHead(SITE, (0.0,), dwell=-1.0)
 
 
+def test_times_of_a_head_are_positive():
+    assert DividingHead(SITE, (0.0,), dwell=0.5, move=0.5).segments()[0].duration == 0.5
+    for name in ("dwell", "move", "settling_time"):
+        with pytest.raises(ArgumentError, match="must be positive"):
+            DividingHead(SITE, (0.0,), **{name: 0.0})
+
+
 def inertial(spindle, arm, t, h=2e-3):
     """Specific force of a point on an arm, in axes (north, west, up), from its place in inertial space.
 
@@ -260,3 +267,11 @@ def test_small_levels_are_levels_and_times_must_be_positive():
         with pytest.raises(ArgumentError, match="must be positive"):
             SpinPlan((1.0,), dwell, ramp)
     assert SpinPlan((1.0,), 0.5, 0.5).segments()[0].duration == 0.5
+
+
+@pytest.mark.parametrize(
+    ("rates", "dwell", "words"), [((), 1.0, "none given"), ((1.0,), 0.0, "must be positive")]
+)
+def test_bad_spins(rates: tuple[float, ...], dwell: float, words: str) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        SpinPlan(rates, dwell, 1.0)

@@ -114,6 +114,14 @@ def test_some_kills(memory_path: Path) -> None:
     assert figures["add"] == 3
 
 
+@pytest.mark.skipif(os.name == "nt", reason="kill -9 is POSIX")
+@pytest.mark.slow
+def test_thousand_kills(tmp_path: Path) -> None:
+    figures = campaign(tmp_path, 1000, seed=int(time.time()))
+    print(dict(figures))
+    assert sum(figures[operation] for operation in OPERATIONS) == 1000
+
+
 SOURCE = Path(__file__).with_name("fault_shim.c")
 
 
@@ -144,3 +152,13 @@ def test_some_calls_fail(shim: Path, memory_path: Path) -> None:
     outcome = run(shim, memory_path, 9)
     assert len(outcome) == FAULTED
     assert all(counts["points"] > 0 for counts in outcome.values())
+
+
+@pytest.mark.slow
+def test_every_call_fails_once(shim: Path, memory_path: Path) -> None:
+    """Every call, every kind of failure, every operation."""
+    outcome = run(shim, memory_path, 1)
+    for name, counts in outcome.items():
+        print(name, counts)
+    print("points", sum(counts["points"] for counts in outcome.values()))
+    assert len(outcome) == 5 * FAULTED

@@ -14,6 +14,8 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from piga.ledger.store.export import SEAL, _seal
 from piga.ledger.store.transfer import export_records, verify
 from tests.ledger.store.drafts import filled
@@ -203,3 +205,20 @@ def _member_changed(source: Path, target: Path, chance: random.Random) -> bool:
         export.comment = SEAL + b"0" * 64
     _seal(target)
     return True
+
+
+@pytest.mark.slow
+def test_ten_thousand_mutations(memory_path: Path) -> None:
+    """The full campaign: 10 000 changes, none missed."""
+    totals = Counter[str]()
+    for name, mutate, count in (
+        ("bytes", mutate_store_bytes, 2000),
+        ("rows", mutate_store_rows, 2000),
+        ("export", mutate_export, 6500),
+    ):
+        (memory_path / name).mkdir()
+        result = mutate(memory_path / name, count, 11)
+        print(name, dict(result))
+        totals.update(result)
+    assert totals["missed"] == 0
+    assert sum(totals.values()) - totals["no content"] >= 10_000

@@ -27,6 +27,7 @@ from piga.certificate.statements import verdicts
 from piga.records.calibration import Calibration
 from piga.records.calibration.document import calibration_to_bytes, to_document
 from piga.records.run_file import UncertaintyTable
+from piga.reports.calibration.page import page as calibration_page
 from piga.reports.render.page import page_html
 from piga.reports.trend import page as trend_page
 from piga.reports.trend import trend_document
@@ -133,6 +134,15 @@ def test_json_and_terminal(cal):
         assert float(lines[key][-1]) == pytest.approx(k, abs=0.0051)
 
 
+def test_page(cal):
+    page = page_html(calibration_page(cal))
+    for key in TERMS:
+        k, half = expected(cal, key)
+        row = cells(page, key, "U (95 %)")
+        same(row[3], half, key, row[4])
+        assert float(row[-1]) == pytest.approx(k, abs=0.0051)
+
+
 def test_certificate(cal):
     page = certificate_html(complete(), cal)
     for key in TERMS:
@@ -161,6 +171,21 @@ def test_dcc_and_read_back(cal, tmp_path):
     back = read_dcc(path)
     assert to_document(back) == to_document(cal)
     assert [c.coverage for c in back.coefficients] == [c.coverage for c in cal.coefficients]
+
+
+def test_ledger(cal, tmp_path):
+    pytest.importorskip("sqlalchemy")
+    from piga.ledger.store import Draft, DraftFile, open_store
+
+    raw = calibration_to_bytes(cal)
+    files = (DraftFile("calibration", "results/calibration.json", raw),)
+    with open_store(tmp_path / "s.sqlite", create=True) as store:
+        kept = store.append(lambda _place: Draft("G-0417", "A", "r", files, {}, {"piga": "0"}))
+        back = store.calibration(kept.id)
+    for key in TERMS:
+        k, half = expected(cal, key)
+        assert back[key].coverage_factor == pytest.approx(k, rel=1e-9)
+        assert back[key].expanded == pytest.approx(half, rel=1e-9)
 
 
 def test_trend(cal):
