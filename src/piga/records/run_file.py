@@ -456,7 +456,8 @@ def check_run_file(run_file: RunFile) -> None:
     DataError, RunFileError, UnitError
         With table, key and value.
     """
-    check_label(run_file.instrument.serial, "[instrument] serial")
+    if run_file.instrument.serial:
+        check_label(run_file.instrument.serial, "[instrument] serial")
     _check_output(run_file)
     _check_units(run_file)
     _check_stand(run_file)
