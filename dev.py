@@ -128,23 +128,18 @@ def ui(arguments: list[str]) -> None:
 
 
 def test(arguments: list[str]) -> None:
-    """Lint, types, import contract; smoke tests of the compiled kernels; all tests with the JIT off."""
+    """Lint, types, import contract, and all tests of some seconds; with arguments those tests, the long ones too."""
     programs = environment(".venv-test", "all")
     python = str(programs / "python")
     everything = [python, "-m", "pytest", "-n", "2", "--dist", "worksteal", "-m"]
     if arguments:
-        call([*everything, "not slow", *arguments], NUMBA_DISABLE_JIT="1")
+        call([*everything, "not slow", *arguments])
         return
-    print("lint, import contract, types and smoke tests of the compiled kernels (under one minute)", flush=True)
-    smoke = [
-        path for path in sorted((ROOT / "tests").rglob("test_*.py")) if "mark.smoke" in path.read_text("utf-8")
-    ]
+    print("lint, import contract, types and all tests (about four minutes on two cores)", flush=True)
     with start([python, "-m", "mypy"]) as types:
         checks = [[python, "-m", "ruff", "check"], [python, "-m", "ruff", "format", "--check"]]
         together([*checks, [str(programs / "lint-imports")]])
-        call([python, "-m", "pytest", "-n", "2", "-m", "smoke", *map(str, smoke)])
-        print("all tests with the JIT off (about three minutes on two cores)", flush=True)
-        call([*everything, "not slow and not only_compiled"], NUMBA_DISABLE_JIT="1")
+        call([*everything, "not slow and not long"])
     if types.returncode:
         print("the types are wrong: see above, or run .venv-test/bin/mypy", flush=True)
         sys.exit(types.returncode)

@@ -14,8 +14,9 @@ import nox
 
 ROOT = Path(__file__).parent
 nox.options.default_venv_backend = "none"  # that in which nox runs
-nox.options.sessions = ["compiled", "docs"]
+nox.options.sessions = ["long", "interpreted", "docs"]
 PYTHONS = ("python3.11", "python3.12", "python3.13", "python3.14")
+TESTS = ("pytest", "-n", "2", "--dist", "worksteal", "-m")
 EXPORTED = {"demo": ["--extra", "report"], "ui": ["--extra", "report", "--extra", "ui"]}
 """Exported files, beside the lock, and the extras in them."""
 
@@ -26,10 +27,15 @@ def run(session: nox.Session, *words: str, **variables: str) -> None:
 
 
 @nox.session
-def compiled(session: nox.Session) -> None:
-    """All tests of the compiled kernels, and those that are too long for interpreted ones."""
-    selected = "(compiled or only_compiled) and not slow"
-    run(session, "pytest", "-n", "2", "--dist", "worksteal", "-m", selected, *session.posargs)
+def long(session: nox.Session) -> None:
+    """Tests that take more than some seconds."""
+    run(session, *TESTS, "long and not slow", *session.posargs)
+
+
+@nox.session
+def interpreted(session: nox.Session) -> None:
+    """Tests of the kernels again, with the JIT off."""
+    run(session, *TESTS, "interpreted and not long and not slow", *session.posargs, NUMBA_DISABLE_JIT="1")
 
 
 @nox.session
@@ -48,12 +54,12 @@ def docs(session: nox.Session) -> None:
 
 @nox.session
 def coverage(session: nox.Session) -> None:
-    """Branch coverage: all tests with the JIT off, then those that only run compiled."""
+    """Branch coverage: all tests with the JIT off, then the long ones compiled."""
     measured = ["coverage", "run", "-m", "pytest", "-n", "2", *session.posargs]
     source = str(ROOT / "src")  # the tests of the checkout, not of what is installed
     run(session, "coverage", "erase")
     run(session, *measured, "-m", "not slow", NUMBA_DISABLE_JIT="1", PYTHONPATH=source)
-    run(session, *measured, "-m", "only_compiled and not slow", PYTHONPATH=source)
+    run(session, *measured, "-m", "long and not slow", PYTHONPATH=source)
     run(session, "coverage", "combine", "--quiet")
     run(session, "coverage", "report", "--fail-under", "95")
 

@@ -1,4 +1,4 @@
-"""Which tests run with the JIT off, and which only compiled; a short record and its calibration, each computed once."""
+"""Long tests are skipped with the JIT off; a short record and its calibration, each computed once."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ settings.load_profile("any machine")  # no test fails because a machine is busy
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests marked ``only_compiled`` are too long for interpreted kernels; they run in the compiled pass."""
+    """Tests marked ``long`` are too long for interpreted kernels."""
     if not numba.config.DISABLE_JIT:
         return
-    skip = pytest.mark.skip(reason="runs in the compiled pass")
+    skip = pytest.mark.skip(reason="too long for interpreted kernels")
     for item in items:
-        if "only_compiled" in item.keywords:
+        if "long" in item.keywords:
             item.add_marker(skip)
 
 

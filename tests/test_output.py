@@ -280,7 +280,7 @@ SCENARIO = EXAMPLES / "dividing-head.toml"
 
 
 @pytest.mark.slow
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="kill -9 is POSIX")
 @pytest.mark.parametrize("name", ["simulate", "calibrate", "platform", "demo"])
 def test_many_kills_of_a_command(tmp_path: Path, name: str) -> None:

@@ -49,14 +49,14 @@ def mypy(folder: Path, *names: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_mypy_takes_the_documented_examples_and_sees_mistakes(scripts):
     done = mypy(scripts, *sorted(path.name for path in scripts.glob("*.py")))
     seen = [line.partition(":")[0] for line in done.stdout.splitlines() if ": error: " in line]
     assert seen == ["wrong.py"] * 3, done.stdout + done.stderr
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("node") is None, reason="pyright needs Node")
 def test_pyright_takes_the_documented_examples(scripts):
     """Strict, but for what pandas and pyarrow leave untyped."""

@@ -190,7 +190,7 @@ def test_a_stopped_file_is_as_it_was(run, cal, tmp_path, monkeypatch):
     assert pa.parquet.read_table(out)["ax"].to_numpy().tobytes() == result.ax.tobytes()
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_capstone_and_a_platform_budget_tell_their_steps():
     scenario = piga.platform.load_scenario(EXAMPLES / "platform-piga.toml")
     short = replace(scenario, duration=7200.0, calibration_time=3600.0)

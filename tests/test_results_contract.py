@@ -86,7 +86,7 @@ PLATFORM = (
 )  # fmt: skip
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("name", PLATFORM)
 def test_a_result_of_the_platform_keeps_the_contract(platform_results, name):
     value = platform_results[name]
@@ -98,7 +98,7 @@ def test_a_result_of_the_platform_keeps_the_contract(platform_results, name):
     labelled(again)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_plan_keeps_the_contract(plan):
     keeps_the_contract(plan)
     labelled(plan.plot())
@@ -212,7 +212,7 @@ def same_after(value: object) -> tuple[object, str]:
     return value, repr(value)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_results_travel_through_spawn(samples):
     sent = [samples[name] for name in NAMES]
     with multiprocessing.get_context("spawn").Pool(1) as pool:

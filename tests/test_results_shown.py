@@ -110,7 +110,7 @@ def without(package: str, code: str) -> str:
     return done.stderr
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_without_its_package_a_method_names_the_extra():
     assert without("jinja2", "assert c._repr_html_() is None") == ""
     assert "pip install 'piga[report]'" in without("matplotlib", "piga.example_run().plot()")

@@ -55,7 +55,7 @@ print(spent() - before)
 """
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("threads", [None, "4"])
 def test_a_calibration_of_the_shipped_record_takes_less_than_three_seconds(threads: str | None) -> None:
     """Processor time, warm: 1.2 s; 9 to 20 s without the limit on a busy machine of two cores."""

@@ -7,7 +7,7 @@ import pytest
 
 from piga._kernels.estimation import innovation_weights, rate_sums, whiten
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 
 def dense_covariance(h: np.ndarray, white: float, walk: float) -> np.ndarray:

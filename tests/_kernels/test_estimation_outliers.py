@@ -7,7 +7,7 @@ import pytest
 
 from piga._kernels.estimation import merge_rows, scan_samples
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 
 def flags_of(angle: np.ndarray, begins: tuple[int, ...] = (0,)) -> np.ndarray:

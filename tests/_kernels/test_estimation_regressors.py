@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from piga._kernels.estimation import coupling_columns, half_angle_moments, product_column
 from piga.terms import PRODUCTS
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 
 @pytest.mark.parametrize("x", [0.0, 1e-9, 1e-3, 0.3, 0.499999, 0.500001, 0.7, 3.0, -0.4, -2.0, 40.0])

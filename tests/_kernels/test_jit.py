@@ -53,7 +53,7 @@ def compiled_by(process: subprocess.Popen[str]) -> list[str]:
     return names
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_first_run_compiles_each_kernel_once(tmp_path: Path) -> None:
     compiled = compiled_by(start(tmp_path, "demo", "--out", str(tmp_path / "demo")))
     ours = [name for name in compiled if name.startswith("piga.")]
@@ -93,7 +93,7 @@ def call(folder: Path, program: str = PROGRAM, **variables: str) -> tuple[str, s
     return done.stdout.strip(), done.stderr
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_kernels_are_kept_in_a_folder_of_the_user_alone(tmp_path: Path) -> None:
     """The user's own code keeps its place beside the source."""
     (tmp_path / "small.py").write_text(KERNEL)
@@ -144,7 +144,7 @@ def test_a_folder_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest
     assert cache_folder(tmp_path / "home") is None
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc")
 def test_no_folder_to_keep_kernels_in(tmp_path: Path) -> None:
     """A package and a home that cannot be written to (a service account): compiled, not kept."""
@@ -154,7 +154,7 @@ def test_no_folder_to_keep_kernels_in(tmp_path: Path) -> None:
     assert call(tmp_path, **homes, PYTHONDONTWRITEBYTECODE="1") == ("42.0", "")
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_kept_kernel_is_loaded_without_the_compiler(tmp_path: Path) -> None:
     """A kernel that allocates memory: right again in a new process, in which the parts that only compile are not loaded."""
     kernel = "import numpy as np\nfrom piga._kernels.jit import kernel\n\n@kernel\ndef twice(x):\n"
@@ -189,7 +189,7 @@ print(compiled, hits)
 """
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_warm_cache_compiles_nothing():
     """In the cache of the other tests, so that little is compiled here. A cold one is tested above."""
     for _ in range(2):

@@ -22,7 +22,7 @@ NOISES = {
 }
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("noise", "method"),
     [*((noise, "information") for noise in NOISES), ("mixed", "rate"), ("mixed", "recursive")],
@@ -36,7 +36,7 @@ def test_truth_is_recovered_within_its_uncertainty(noise: str, method: str) -> N
     assert method != "information" or noise == "counts" or calibration.diagnostics.segment_scatter_ratio < 1.4
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_recursive_is_batch_and_has_a_history() -> None:
     run = record(np.random.default_rng(12), **NOISES["mixed"])
     batch = piga.calibrate(run, TERMS)
@@ -50,7 +50,7 @@ def test_recursive_is_batch_and_has_a_history() -> None:
     assert recursive.history["u(tan_beta)"][0] > 3.0 * recursive.history["u(tan_beta)"][-1]
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_per_segment_phases_share_tan_beta() -> None:
     run = record(np.random.default_rng(13), per_segment=True)
     calibration = piga.calibrate(run, TERMS, phases="per-segment")
@@ -62,7 +62,7 @@ def test_per_segment_phases_share_tan_beta() -> None:
         calibration["k9"]
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_whitened_beats_angle_blind_methods() -> None:
     """With angle noise the rate method is far from efficient; the whitened one never loses to it."""
     run = record(np.random.default_rng(14), white=5e-5)
@@ -70,7 +70,7 @@ def test_whitened_beats_angle_blind_methods() -> None:
     assert whitened["scale_factor"].std < 0.6 * rate["scale_factor"].std
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_rate_log() -> None:
     rng = np.random.default_rng(15)
     t = np.arange(20_001) * 0.01
@@ -87,7 +87,7 @@ def test_rate_log() -> None:
     assert calibration.angle_random_walk == pytest.approx(1e-5 * 0.1, rel=0.03)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_base_rate_is_part_of_the_model() -> None:
     """Earth rate is 82 micro-g here: left out it must show in k0, given it must not."""
     fine = np.arange(80_001) * 0.0025
@@ -107,7 +107,7 @@ def test_base_rate_is_part_of_the_model() -> None:
     )
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_every_term_of_the_error_model() -> None:
     """A made-up record holding every term at once, noiseless, is solved to the interpolation error."""
     t = np.arange(400 * 50 * 8 + 1) * 0.0025
@@ -160,7 +160,7 @@ def _integrate_with_harmonics(step, f, force, truth):
     return np.array(alpha)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_trapezoid_of_the_coupling_would_be_biased() -> None:
     """The product integration holds tan_beta where the plain trapezoid makes it too large by (d psi)^2/12."""
     t = np.arange(0.0, 100.0, 0.1)
@@ -190,14 +190,14 @@ def ramp(kind: str) -> piga.Run:
     return piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate", units="SI")
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_phase_from_input_leaves_the_published_residual() -> None:
     calibration = piga.calibrate(ramp("ramp"), ["tan_beta"], phase_source="input")
     assert calibration.residual_max_after / 0.8884 == pytest.approx(1.67e-3, rel=0.01)
     assert piga.calibrate(ramp("ramp"), ["tan_beta"]).residual_max_after / 0.8884 < 1e-8
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("terms", "options", "message"),
     [
@@ -229,7 +229,7 @@ def still(f: tuple[float, float, float], seconds: float = 60.0) -> piga.Run:
     return piga.Run.from_arrays(t, alpha, force, scale_factor=SCALE, units="SI")
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("run", "terms", "named", "remedy"),
     [
@@ -244,7 +244,7 @@ def test_what_cannot_be_identified_is_refused_by_name(run, terms, named, remedy)
     assert all(name in caught.value.message for name in named)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("levels", "terms", "least"),
     [
@@ -265,7 +265,7 @@ def test_too_few_levels_are_called_that(levels, terms, least) -> None:
     assert "never changes" not in caught.value.remedy
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_one_plane_tumble_cannot_separate_k0_k2_and_k_YY() -> None:
     run = record(np.random.default_rng(3), levels=(1.0,))
     flat = replace(run, f=run.f * [1.0, 1.0, 0.0])
@@ -274,7 +274,7 @@ def test_one_plane_tumble_cannot_separate_k0_k2_and_k_YY() -> None:
     assert "k0, k2, k_YY" in caught.value.message
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_useless_estimate_is_refused() -> None:
     """A hair of a_x is not information on k2 beside k0."""
     run = still((1.0, 0.3, 0.0))
@@ -284,7 +284,7 @@ def test_a_useless_estimate_is_refused() -> None:
         piga.calibrate(replace(run, f=f), ["tan_beta", "k0", "k2"])
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_type_b_first_order() -> None:
     run = record(np.random.default_rng(17), white=1e-6)
     rest = at_rest()
@@ -316,7 +316,7 @@ def test_type_b_first_order() -> None:
     assert full["scale_factor"].value == plain["scale_factor"].value
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_given_noise_levels_are_used() -> None:
     from piga.records.run_file import EstimationTable
 
@@ -329,7 +329,7 @@ def test_given_noise_levels_are_used() -> None:
     assert estimated.angle_rms == pytest.approx(2.5e-5, rel=0.03)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_sampling_too_slow_for_the_motion_is_refused() -> None:
     t = np.arange(0.0, 60.0, 0.5)
     f = G0 * np.column_stack([30.0 * np.sin(2.0 * t), 1.0 + 0.0 * t, 0.0 * t])
@@ -338,7 +338,7 @@ def test_sampling_too_slow_for_the_motion_is_refused() -> None:
         piga.calibrate(run, ["tan_beta"])
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_too_short_a_record() -> None:
     t = np.arange(5) * 0.1
     run = piga.Run.from_arrays(t, t, np.ones((5, 3)), scale_factor=SCALE, units="SI")
@@ -346,7 +346,7 @@ def test_too_short_a_record() -> None:
         piga.calibrate(run, ["scale_factor", "tan_beta", "k0", "k2", "k3"])
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_relations_that_must_hold() -> None:
     """Scale of time, turn of the transverse frame, doubled K: the estimates follow exactly, without a scatter."""
     run = record(np.random.default_rng(21), **NOISES["mixed"])
@@ -364,7 +364,7 @@ def test_relations_that_must_hold() -> None:
     assert shifted["phi"].value == pytest.approx(base["phi"].value - 0.7, abs=1e-9)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_the_former_name_of_phases_still_works():
     """Scripts and run files of 0.1.0 say ``phase``."""
     run = record(np.random.default_rng(2), seconds=12.0, rate=4.0, count=5)

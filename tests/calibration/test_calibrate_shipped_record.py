@@ -12,7 +12,7 @@ import pytest
 import piga
 from piga.data import copy_example
 
-pytestmark = pytest.mark.only_compiled
+pytestmark = pytest.mark.long
 
 SERVO = 0.5 * 0.888506608**2 * 0.1 / 3000.0
 """``K ml/(2 k_i)`` [g/g^3] with H = 0.1 kg m^2/s and k_i = 3000 N m/(rad s); ``c K^2/k_i`` with c = 0.05 is the same."""
@@ -59,7 +59,6 @@ def check(calibration: piga.Calibration) -> None:
         assert calibration[name].value == pytest.approx(value, abs=TOLERANCE[name]), name
 
 
-@pytest.mark.smoke
 def test_known_coefficients(folder: Path) -> None:
     """The terms of the run file: K to 0.1 ppm, every true value in its interval, phi (truth 0) within 3 u."""
     calibration = piga.calibrate(piga.read_run(folder / "tumble-a.toml"))
@@ -112,7 +111,6 @@ def test_without_the_terms_of_the_servo_the_interval_of_k_holds_both_meanings(fo
     assert calibration.diagnostics.segment_scatter_ratio_without_it > 2.0
 
 
-@pytest.mark.smoke
 def test_the_ripple_is_gone(folder: Path) -> None:
     """Before: a ripple of tan_beta a_t once a turn; after: below a fiftieth of it."""
     calibration = piga.calibrate(piga.read_run(folder / "tumble-a.toml"))

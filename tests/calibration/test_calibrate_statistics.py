@@ -43,7 +43,7 @@ def held(results: list[Outcome]) -> np.ndarray:
     return np.mean([(r.low <= r.truth) & (r.truth <= r.high) for r in results], axis=0)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_intervals_hold_in_eighty_tests() -> None:
     """Coverage of 93 to 97 %, beyond chance (99.9 %), with few degrees of freedom."""
     coverage = held(outcomes("static", FEW))

@@ -15,7 +15,7 @@ from tests.calibration.made.scenarios import SCENARIOS
 from tests.calibration.made.scenarios_joint import TERMS, joint_test, scores
 from tests.chance import assert_variance
 
-pytestmark = pytest.mark.only_compiled
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from piga.records.calibration.document import to_document
 from tests.calibration.made.scenarios_joint import TERMS, TRUE_SCALE, joint_test, scores
 from tests.calibration.made.synthetic import at_rest, record
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 FEW = ["scale_factor", "k0", "k2"]
 
 
@@ -63,7 +63,7 @@ def test_two_small_runs_together(
     jsonschema.validate(json.loads(json.dumps(to_document(joint))), schema)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_summary_for_the_raw_data(runs: list[piga.Run], tmp_path: Path) -> None:
     kept = replace(
         runs[1],
@@ -88,7 +88,7 @@ def test_a_summary_for_the_raw_data(runs: list[piga.Run], tmp_path: Path) -> Non
     assert merged.segments[-1].label.startswith("spun:")
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_coefficient_of_each_run(runs: list[piga.Run]) -> None:
     calibration = piga.calibrate(runs, FEW, per_run=["k0"])
     assert [c.key for c in calibration.coefficients] == ["scale_factor", "k0[run 1]", "k0[spun]", "k2"]
@@ -101,7 +101,7 @@ def test_a_coefficient_of_each_run(runs: list[piga.Run]) -> None:
     assert [c.key for c in again.coefficients][2:] == ["k2[run 1]", "k2[run 2]"]
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_sources_that_runs_share(runs: list[piga.Run]) -> None:
     """10 ppm of one reference for both go into K undiminished, those of two references average."""
 

@@ -57,7 +57,7 @@ def fitted(x, y):
     return np.linalg.lstsq(x / size, y, rcond=None)[0] / size
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_figures_as_brute_force(run, compared):
     """BIC by a dense covariance matrix and a refit of each set alone; differences to 1e-6."""
     noise = Noise(compared.angle_rms**2, compared.angle_random_walk**2)
@@ -80,7 +80,7 @@ def test_figures_as_brute_force(run, compared):
     assert compared.observations == count
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_prediction_as_refits(run, compared):
     """Each segment predicted by a fit to the rows of all others."""
     noise = Noise(compared.angle_rms**2, compared.angle_random_walk**2)
@@ -97,7 +97,7 @@ def test_prediction_as_refits(run, compared):
         assert one.prediction.force_error == pytest.approx(np.sqrt(np.mean(np.square(forces))), rel=1e-3)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_estimates_are_those_of_a_calibration_with_this_noise(run, compared):
     estimation = msgspec.structs.replace(
         run.estimation,
@@ -112,7 +112,7 @@ def test_estimates_are_those_of_a_calibration_with_this_noise(run, compared):
             assert other.std > 0.3 * mine.std, "the scatter of the positions also shows what the terms miss"
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_truth_is_best_and_ranked(compared):
     assert compared.sets[compared.best].terms == TRUE
     assert compared.sets[compared.best_prediction].terms == TRUE
@@ -124,7 +124,7 @@ def test_truth_is_best_and_ranked(compared):
     assert dict(compared.sets[2].changes)["k0"] == 0.0
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_confounded_set_stays_with_its_reason(run):
     still = ("scale_factor", "tan_beta", "k0", "k0_T")
     with pytest.raises(piga.CalibrationError, match="temperature"):
@@ -137,7 +137,7 @@ def test_confounded_set_stays_with_its_reason(run):
     assert comparison.ranking == (0, 1)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_k1_and_sets_without_scale_factor(run):
     """k1 beside another set's scale_factor is the same model; without either the nominal one is fixed."""
     others = tuple(term for term in TRUE if term != "scale_factor")
@@ -165,7 +165,7 @@ def test_blocks_when_there_is_one_segment():
     assert comparison.sets[0].prediction is not None
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_own_phases_predict_nothing():
     comparison = piga.compare_models(small(4, per_segment=True), [SMALLER, TRUE], phases="per-segment")
     assert comparison.sets[comparison.best].terms == TRUE
@@ -174,7 +174,7 @@ def test_own_phases_predict_nothing():
     assert comparison.sets[1].parameters == len(TRUE) + 24
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_asked_for_by_the_run_file(run, compared):
     wish = msgspec.structs.replace(run.model, terms=SMALLER, compare=tuple(SETS))
     calibration = piga.calibrate(replace(run, model=wish))

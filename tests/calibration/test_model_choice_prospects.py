@@ -15,7 +15,7 @@ from piga.records.terms import UNITS
 from piga.reports.check import check_document, prospects_table
 from tests.calibration.made.synthetic import record
 
-pytestmark = pytest.mark.only_compiled
+pytestmark = pytest.mark.long
 ASKED = ("scale_factor", "tan_beta", "k0", "k2", "m_Y")
 
 

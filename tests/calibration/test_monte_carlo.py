@@ -69,7 +69,7 @@ def test_limits_far_above_the_noise_are_the_normal_ones():
     assert size_limits(1e-9, 1.0, np.inf)[1] == pytest.approx(2.4477, abs=1e-3)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_an_instrument_without_coupling_may_have_none(monkeypatch):
     monkeypatch.setattr(monte_carlo, "_TRIALS", 20_000)
     calibration = piga.calibrate(bench(0.0).record(3), TERMS)
@@ -80,7 +80,7 @@ def test_an_instrument_without_coupling_may_have_none(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("multiple", [0.0, 1.0, 3.0, 6.0])
 def test_intervals_of_a_weak_coupling_hold(multiple, monkeypatch):
     """200 records each, integrated by SciPy."""

@@ -23,7 +23,7 @@ def spiked(run: piga.Run, seed: int, share: float, size: float) -> tuple[piga.Ru
     return replace(run, output=output), bad
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(("share", "size"), [(0.001, 1e-3), (0.05, 1.0), (0.2, 1e-3), (0.2, 1e3)])
 def test_spikes_are_left_out(share: float, size: float) -> None:
     run = record(np.random.default_rng(31), **NOISE)
@@ -39,7 +39,7 @@ def test_spikes_are_left_out(share: float, size: float) -> None:
         assert calibration[name].value == pytest.approx(clean[name].value, abs=clean[name].std)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_intervals_hold_under_contamination() -> None:
     """20 records with 20 % bad samples: mean square of error over uncertainty that of Student's t with few degrees of freedom."""
     squares = []
@@ -50,7 +50,7 @@ def test_intervals_hold_under_contamination() -> None:
     assert 0.8 < np.mean(squares) < 1.9
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_jumps_and_stuck_readings_have_their_times() -> None:
     run = record(np.random.default_rng(32), **NOISE)
     output = run.output.copy()
@@ -68,7 +68,7 @@ def test_jumps_and_stuck_readings_have_their_times() -> None:
     assert sum(e.count for e in calibration.quality.events if e.kind == "outlier-jump") == 2
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_increment_across_a_bad_sample_is_exact() -> None:
     """Noiseless vibration with every fifth sample bad: merged columns integrate the inner samples too."""
     fine = np.arange(12_000 * 16) * (0.005 / 16)
@@ -87,14 +87,14 @@ def test_increment_across_a_bad_sample_is_exact() -> None:
         assert without[name].value == pytest.approx(with_all[name].value, abs=3.0 * without[name].std)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_too_much_is_refused() -> None:
     run = record(np.random.default_rng(34), **NOISE)
     with pytest.raises(piga.DataError, match=r"% of the samples contradict the reference"):
         piga.calibrate(spiked(run, 34, 0.5, 1.0)[0], TERMS)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(("size", "bad"), [(30.0, 30), (300.0, 1), (-5e4, 30)])
 def test_spikes_of_a_rate_log_do_not_turn_its_phase(size: float, bad: int) -> None:
     """Their integral is radians: with it the coupling of the rest of the log would be at another phase."""
@@ -112,7 +112,7 @@ def test_spikes_of_a_rate_log_do_not_turn_its_phase(size: float, bad: int) -> No
     assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), rel=2e-3)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_clean_records_stay_whole() -> None:
     """10 records, 48 000 good samples: fewer than 4 are left out (0.5 expected)."""
     lost = 0
@@ -125,7 +125,7 @@ def test_clean_records_stay_whole() -> None:
     assert limit(1_000_000, 5) == pytest.approx(5.45, abs=0.01)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("count", [2.0 * np.pi / 3600, 2.0 * np.pi / 360])
 def test_coarse_counts_are_no_outliers(count: float) -> None:
     run = record(np.random.default_rng(37), white=1e-7, count_angle=count)
@@ -133,7 +133,7 @@ def test_coarse_counts_are_no_outliers(count: float) -> None:
     assert piga.calibrate(replace(run, resolution=0.0), TERMS).outliers == ()
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_missing_terms_are_no_outliers() -> None:
     run = record(np.random.default_rng(38), white=1e-7)
     assert piga.calibrate(run, ["scale_factor"]).outliers == ()
@@ -175,7 +175,7 @@ def test_the_first_good_reading_begins_the_stretch() -> None:
     assert cleaned.quality.masked - run.quality.masked == 3
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("rate", [0.004, 0.05, 0.6])
 def test_spikes_are_found_among_readings_that_stand_still(rate: float) -> None:
     """A path of so many counts a sample: most readings repeat the one before, and are no outliers."""
@@ -200,7 +200,7 @@ def slow_counter(rate: float) -> piga.Run:
     )
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("zero", [0, 2**24 - 3000])
 def test_counts_that_fit_to_the_last_bit_are_no_outliers(zero: int) -> None:
     """More than a quarter of the increments lie on the path without any miss: the core has no width."""
@@ -228,7 +228,7 @@ def few_readings(rng: np.random.Generator, count: int, readings: int) -> piga.Ru
     return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment, units="SI")
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(("count", "readings", "size"), [(8, 4, 1e-3), (4, 8, 0.05)])
 def test_one_wrong_reading_of_thirty_two(count: int, readings: int, size: float) -> None:
     """15 records: sound ones keep all readings, of others the wrong one alone is left out.

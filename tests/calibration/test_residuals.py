@@ -25,7 +25,7 @@ from tests.calibration.made.synthetic import TERMS, record
 COUNT = 2.0 * np.pi / 72000
 
 
-compiled = pytest.mark.only_compiled
+compiled = pytest.mark.long
 
 
 def counted(seed: int, **options: float) -> piga.Run:
@@ -87,7 +87,7 @@ def test_the_probability_is_even_where_counting_is_all() -> None:
     assert np.isnan(counting_probability((lambda: products(0.0), lambda: None)))
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_lagged_products() -> None:
     x = np.random.default_rng(9).standard_normal(2 * LAG_PART + 2)
     out = np.zeros(4)

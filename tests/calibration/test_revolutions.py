@@ -14,7 +14,7 @@ from piga.units import G0
 from tests.calibration.made.synthetic import SCALE, TERMS, at_rest, errors, record
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_same_truth_with_larger_uncertainty() -> None:
     squares = []
     for seed in range(12):
@@ -28,7 +28,7 @@ def test_same_truth_with_larger_uncertainty() -> None:
     assert np.mean(squares) < 1.3
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_positions_that_do_not_turn_once_are_named() -> None:
     run = record(np.random.default_rng(52), seconds=20.0)
     calibration = piga.calibrate(run, ["scale_factor", "k0", "m_Y"], "revolutions")
@@ -57,7 +57,7 @@ def pulled(beta: float, seed: int) -> piga.Run:
     return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment, units="SI")
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_pulling_is_taken_out_by_the_ripple() -> None:
     """tan_beta 0.03: the mean rate misses up to 1.5 %; K and k0 are right, and tan_beta is not in the result."""
     run = pulled(0.03, 54)
@@ -115,7 +115,7 @@ def missed(result: piga.Calibration) -> dict[str, tuple[float, bool]]:
     }
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(("walk", "white"), [(1e-4, 0.0), (5e-5, 1e-4), (0.0, 1e-4)])
 def test_near_lock_the_truth_is_in_reach(walk: float, white: float) -> None:
     run = near_lock(np.random.default_rng([3, 61]), 1, walk, white)[0]
@@ -124,7 +124,7 @@ def test_near_lock_the_truth_is_in_reach(walk: float, white: float) -> None:
     assert len(calibration.segments) == 12, "two positions have their lock zone at 0.87 of the drive"
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("walk", "white"), [(1e-4, 0.0), (5e-5, 1e-4)])
 def test_intervals_near_lock_hold(walk: float, white: float) -> None:
@@ -141,7 +141,7 @@ def test_intervals_near_lock_hold(walk: float, white: float) -> None:
         assert np.std([z for z, _ in results]) < 1.1, name
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_position_at_the_edge_of_lock_is_left_out() -> None:
     """a/b = 1.03: one turn in ten minutes, nearly all of it at one angle."""
     t = np.tile(np.arange(0.0, 900.0, 0.25), 4)
@@ -160,7 +160,7 @@ def test_a_position_at_the_edge_of_lock_is_left_out() -> None:
     assert len(calibration.segments) == 3
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_harmonics_are_refused() -> None:
     with pytest.raises(piga.CalibrationError, match="cannot estimate harmonics"):
         piga.calibrate(record(np.random.default_rng(56)), ["scale_factor", "k0", "s2", "c2"], "revolutions")
@@ -178,8 +178,8 @@ def turning(seed: int, **options: Any) -> piga.Run:
     )
 
 
-@pytest.mark.compiled
-@pytest.mark.only_compiled
+@pytest.mark.interpreted
+@pytest.mark.long
 def test_whole_turns_of_a_small_record() -> None:
     rest = at_rest()
     stated = UncertaintyTable(waived=rest.waived, reference_scale="20 ppm")
@@ -194,7 +194,7 @@ def test_whole_turns_of_a_small_record() -> None:
     )
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_positions_without_a_whole_turn() -> None:
     calibration = piga.calibrate(turning(32, seconds=16.0, count=14), ["scale_factor", "k0"], "revolutions")
     (event,) = [event for event in calibration.quality.events if event.kind == "no-whole-revolution"]
@@ -205,8 +205,8 @@ def test_positions_without_a_whole_turn() -> None:
         piga.calibrate(turning(34), ["scale_factor", "k0", "s2", "c2"], "revolutions")
 
 
-@pytest.mark.compiled
-@pytest.mark.only_compiled
+@pytest.mark.interpreted
+@pytest.mark.long
 def test_whole_turns_need_steady_positions_and_a_term() -> None:
     run = record(np.random.default_rng(53), seconds=45.0, rate=1.0, count=6, levels=(1.0,))
     with pytest.raises(piga.CalibrationError, match="needs a term besides tan_beta"):

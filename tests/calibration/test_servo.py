@@ -90,9 +90,7 @@ def test_sag_of_the_output_turns_the_columns():
     assert np.abs(exact).max() > 1e-5
 
 
-@pytest.mark.parametrize(
-    "method", ["information", "rate", pytest.param("recursive", marks=pytest.mark.only_compiled)]
-)
+@pytest.mark.parametrize("method", ["information", "rate", pytest.param("recursive", marks=pytest.mark.long)])
 def test_head_gives_every_coefficient_back(method):
     calibration = calibrate(given(recorded(head())), TERMS, method)
     check(calibration, TRUTH, EXACT)
@@ -100,14 +98,14 @@ def test_head_gives_every_coefficient_back(method):
         assert calibration.history["servo"][-1] == pytest.approx(calibration["servo"].value, rel=1e-6)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_turning_base_and_the_pulling_across_it():
     base = np.tile([0.1, -0.3, 0.25], (8, 1)) * np.linspace(0.5, 1.0, 8)[:, None]
     calibration = calibrate(given(recorded(head(8), seconds=8.0, base=base)), TERMS)
     check(calibration, TRUTH, {name: 2.0 * size for name, size in EXACT.items()})
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_log_of_rates():
     run = recorded(head(8), seconds=8.0, step=0.125)
     alpha = run.output + PHI
@@ -170,7 +168,7 @@ def joint_runs():
     return [first, given(replace(across, output=across.output - 0.9, input_sha256={"arm": "2"}))]
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_head_and_centrifuge_together_separate_what_neither_can(tmp_path):
     runs = joint_runs()
     terms = ["scale_factor", "tan_beta", "k0", "k2", "k3", "m_Y", "servo", "servo_damping"]
@@ -212,7 +210,7 @@ def on_a_head(terms, s=STIFFNESS, positions=12):
     return calibrate(given(run, angle="2e-7 rad"), terms)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_doing_nothing_holds_both_meanings_of_a_cube():
     calibration = on_a_head(TERMS[:5])
     scale = calibration["scale_factor"]
@@ -240,7 +238,7 @@ def test_a_sound_record_has_no_such_row():
     assert not calibration.diagnostics.missing_terms
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_an_asked_k3_is_said_to_be_a_choice_and_k_holds_both():
     calibration = on_a_head([*TERMS[:5], "k3"], positions=8)
     note = next(note for note in calibration.notes if "k3 may be the effect of the servo" in note)
@@ -259,7 +257,7 @@ def test_an_asked_k3_is_said_to_be_a_choice_and_k_holds_both():
     assert not any(size for key, size in row.contributions.items() if key != "scale_factor")
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_an_asked_k3_beside_a_given_servo_means_itself():
     stiff = replace(SERVO[0], value=1e5, standard=0.0)
     run = replace(recorded(head(8), seconds=8.0, noise=2e-7, d=0.0), servo=(stiff, SERVO[2]))
@@ -268,7 +266,7 @@ def test_an_asked_k3_beside_a_given_servo_means_itself():
     assert MEANING not in [row.source for row in calibration.budget]
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_phi_holds_the_damping_that_the_model_lacks():
     terms = [*TERMS[:5], "servo"]
     run = recorded(head(), seconds=8.0, noise=2e-6)
@@ -284,7 +282,7 @@ def test_phi_holds_the_damping_that_the_model_lacks():
     assert whole["phi"].std < 0.3 * phi.std
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_comparison_offers_the_servo_first_and_says_what_k_becomes():
     run = given(recorded(head(8), seconds=8.0, noise=2e-7, d=0.0), angle="2e-7 rad")
     comparison = compare_models(run, [["scale_factor", "tan_beta", "k0"], [*TERMS[:3], "m_Y", "k3"]])
@@ -306,7 +304,7 @@ SERVO = (
 S, D = K**2 * 0.1 / 6000.0, 0.1 * K**2 / 3000.0
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_given_parameters_are_a_known_part_of_the_model_with_their_uncertainty():
     run = given(replace(recorded(head(8), seconds=8.0, s=S, d=D), servo=SERVO))
     calibration = calibrate(run, TERMS[:5])
@@ -324,7 +322,7 @@ def test_given_parameters_are_a_known_part_of_the_model_with_their_uncertainty()
     assert total == pytest.approx(calibration["servo_damping"].std)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_what_is_asked_for_is_estimated_even_where_it_is_given():
     wrong = (replace(SERVO[0], value=1500.0), *SERVO[1:])
     run = given(replace(recorded(head(8), seconds=8.0, s=S, d=D), servo=wrong))

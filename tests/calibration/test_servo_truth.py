@@ -47,7 +47,7 @@ def off(result):
 
 
 @pytest.mark.slow
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_head_record_of_the_rigid_body_comes_back():
     """K to 0.02 ppm, where it is off by some ppm without the terms."""
     run = run_of(head())
@@ -61,7 +61,7 @@ def test_head_record_of_the_rigid_body_comes_back():
 
 
 @pytest.mark.slow
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(("levels", "coupling"), [((-10.0, -8.0, 8.0, 10.0), 2e-4), ((-8.0, 8.0, 10.0), 2e-3)])
 def test_head_and_centrifuge_of_the_rigid_body(levels, coupling):
     """Two runs, a phase each: K to 0.3 ppm and tan_beta to 0.2 %, although the coupling changes with the cube of the rate."""
@@ -74,7 +74,7 @@ def test_head_and_centrifuge_of_the_rigid_body(levels, coupling):
     assert abs(errors["servo_damping"]) < 0.02
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_twin_of_the_campaign_is_the_rigid_body():
     """Positions of 20 s from the same angle: the paths differ by less than 1e-8 rad once both have settled."""
     path = campaign.motion(1, positions=3, seconds=20.0)
@@ -101,7 +101,7 @@ TWIN_RECORDS = 1000
 
 
 @pytest.mark.slow
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("terms", [campaign.WITH, campaign.WITHOUT], ids=["with", "without"])
 def test_intervals_of_k_hold_over_a_thousand_twin_records(terms):
     """The seeds are fixed: 95.2 % with the terms."""
@@ -111,7 +111,7 @@ def test_intervals_of_k_hold_over_a_thousand_twin_records(terms):
 
 
 @pytest.mark.slow
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_intervals_of_phi_hold_without_the_terms():
     """What the damping turns is in the interval of phi: 7 % of the records held before. More than 90 % wanted."""
     figures = campaign.figures([campaign.one_test(seed, campaign.WITHOUT) for seed in range(60)])

@@ -113,7 +113,7 @@ def test_distributions_of_type_b() -> None:
             standard_uncertainty(bad, "ppm", "reference_scale")
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_result_carries_degrees_of_freedom() -> None:
     """Twelve positions and five parameters have few."""
     scenario = SCENARIOS["static"]
@@ -125,7 +125,7 @@ def test_result_carries_degrees_of_freedom() -> None:
         )
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_coarse_counts_at_locked_positions_give_honest_intervals() -> None:
     """The price of plain whitening: up to four times wider than the bound, and never narrow."""
     scenario = SCENARIOS["coarse-slow"]
@@ -172,7 +172,7 @@ def test_monte_carlo_of_a_linear_model_agrees_with_the_first_order() -> None:
         assert propagated.validated or distribution == "rectangular"
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_weak_coupling_gets_a_monte_carlo_interval() -> None:
     """tan_beta at twice its noise: the first order is refuted, the shortest interval stays above zero."""
     scenario = replace(SCENARIOS["static"], tan_beta=4e-7, seconds=10.0)
@@ -187,7 +187,7 @@ def test_weak_coupling_gets_a_monte_carlo_interval() -> None:
     assert high - low == pytest.approx(2.0 * calibration["scale_factor"].expanded, rel=0.05)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_near_the_separatrix_the_first_order_is_enough() -> None:
     """With the angle as read the estimate stays linear there: Monte Carlo agrees, and sources hardly bend.
 
@@ -235,8 +235,8 @@ def contributions(table: UncertaintyTable) -> tuple[dict[str, dict[str, float]],
     return {row.source: row.contributions for row in calibration.budget if row.type == "B"}, calibration
 
 
-@pytest.mark.compiled
-@pytest.mark.only_compiled
+@pytest.mark.interpreted
+@pytest.mark.long
 def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> None:
     outcome, result = contributions(at_rest(reference_bias="5 ug"))
     assert abs(outcome["reference_bias X0"]["k0"]) == pytest.approx(5e-6, rel=1e-2)
@@ -244,8 +244,8 @@ def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> 
     assert set(outcome) == {f"reference_bias {axis}" for axis in ("X0", "Y0", "Z0")}
 
 
-@pytest.mark.compiled
-@pytest.mark.only_compiled
+@pytest.mark.interpreted
+@pytest.mark.long
 def test_a_thermometer_goes_into_the_bias_by_its_slope() -> None:
     outcome, result = contributions(at_rest(temperature="0.5 K"))
     assert abs(outcome["temperature"]["k0"]) == pytest.approx(0.5 * abs(result["k0_T"].value), rel=1e-6)

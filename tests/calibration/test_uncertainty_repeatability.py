@@ -25,7 +25,7 @@ from tests.calibration.made.synthetic import at_rest
 from tests.chance import assert_variance
 from tests.planning.cases import request
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 ROW = "angle_repeatability"
 
 
@@ -109,7 +109,7 @@ def dense(case: Repeated, run: piga.Run) -> np.ndarray:
     return np.sqrt(np.diag(np.linalg.inv(whole)))
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_what_is_stated_is_not_found_again() -> None:
     """Quiet records, errors of setting far above the noise: nothing is found, and the total is that of least squares."""
     case = small(
@@ -131,7 +131,7 @@ def test_what_is_stated_is_not_found_again() -> None:
     assert np.mean(ratio, axis=0).max() < 2.0
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_more_than_is_stated_is_found_beside_it() -> None:
     case = small(
         head(10.0, walk=5e-7, white=2e-6, positions=16, told="2 arcsec"),
@@ -165,7 +165,7 @@ def pair() -> list[piga.Run]:
 MISALIGNED = ["scale_factor", "k0", "m_Y"]
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_each_run_is_mounted_anew_and_shares_its_reference(pair: list[piga.Run]) -> None:
     """A turn about Z0 goes into m_Y: shared in full, of two mountings over the square root of two."""
     result = rows(piga.calibrate(pair, MISALIGNED))
@@ -175,7 +175,7 @@ def test_each_run_is_mounted_anew_and_shares_its_reference(pair: list[piga.Run])
     assert np.hypot(*each) == pytest.approx(ARCSEC / np.sqrt(2.0), rel=0.05)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_each_segment_of_each_run_has_its_own_draw(pair: list[piga.Run]) -> None:
     together = rows(piga.calibrate(pair, MISALIGNED))
     each = [together[f"{ROW} (run {k})"].contributions["k0"] for k in (1, 2)]
@@ -183,7 +183,7 @@ def test_each_segment_of_each_run_has_its_own_draw(pair: list[piga.Run]) -> None
     assert np.hypot(*each) == pytest.approx(alone / np.sqrt(2.0), rel=0.02)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_summary_keeps_its_draws(pair: list[piga.Run], tmp_path: Path) -> None:
     RunSummary.of(pair[1], MISALIGNED, name="run 2").to_json(tmp_path / "second.json")
     live = piga.calibrate(pair, MISALIGNED)
@@ -204,7 +204,7 @@ def test_a_summary_keeps_its_draws(pair: list[piga.Run], tmp_path: Path) -> None
 # --- other stands, refusals
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_the_reference_of_each_level_of_a_centrifuge() -> None:
     """Independent errors of eight levels: what each does to K when it alone is moved."""
     arm = SCENARIOS["centrifuge"]
@@ -231,7 +231,7 @@ def test_the_reference_of_each_level_of_a_centrifuge() -> None:
     assert 0.5 * expected < result.contributions["scale_factor"] < 1.001 * expected, "the weights know of it"
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_planning_knows_that_each_visit_is_set_anew(tmp_path: Path) -> None:
     """At 45 deg from the vertical ``K da`` is ``g sin 45 deg`` times the angle; k0 is the mean of N visits."""
     wish = request(
@@ -268,7 +268,7 @@ def test_a_distribution_may_be_stated(record: piga.Run) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("name", list(CASES))
 def test_intervals_of_records_with_stated_repeatability_hold(name: str) -> None:
     """300 records: 93 to 97 % of all coefficients together, no coefficient below 91 %."""

@@ -24,7 +24,7 @@ def small(tmp_path_factory):
     return folder / "out"
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_figures_are_those_of_the_rows(small):
     figures = document(collect(open_campaign(small)))
     every = rows(small)
@@ -67,7 +67,7 @@ def test_figures_are_those_of_the_rows(small):
             assert c["variance_over_bound"] == pytest.approx(ratio, rel=1e-9)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("share", "bias", "named"),
     [
@@ -87,7 +87,7 @@ def test_every_quantity_that_misses_its_target_is_named(small, share, bias, name
     assert misses == pytest.approx(named, abs=1e-4)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_record_that_fails_is_a_row(tmp_path):
     text = SMALL + '\n[[case]]\nname = "still"\nrepeats = 2\nset = { "stand.positions" = "0:1:1 deg" }\n'
     computed(written(tmp_path, text), tmp_path / "out")
@@ -105,7 +105,7 @@ def test_a_record_that_fails_is_a_row(tmp_path):
     assert "Not one record could be computed of: still" in page
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_incomplete(tmp_path, capsys):
     computed(written(tmp_path), tmp_path / "out", shards=(0, 2))
     collection = collect(open_campaign(tmp_path / "out"))

@@ -18,7 +18,7 @@ def grid(tmp_path_factory):
     return collect(open_campaign(folder / "out"))
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_page_of_a_grid(grid):
     page = campaign_page(grid)
     blocks = [block for section in page.sections for block in section.blocks]

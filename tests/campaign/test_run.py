@@ -43,7 +43,7 @@ def wait_for(process, ready, seconds=300.0):
         time.sleep(0.05)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_two_workers_and_one_process_make_the_same(tmp_path, uninterrupted):
     path = written(tmp_path, LONG)
     code, out, err = call("run", path, "--out", tmp_path / "out", "--workers", 2, "--json")
@@ -74,7 +74,7 @@ def test_killed_many_times(tmp_path, uninterrupted, seed):
     assert collected(out) == uninterrupted
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_shard_whose_worker_always_dies_is_named(tmp_path):
     """The other shards are computed, and the exit code is 1."""
     path, out = written(tmp_path), tmp_path / "out"
@@ -97,7 +97,7 @@ def test_a_shard_whose_worker_always_dies_is_named(tmp_path):
     assert open_campaign(out).missing() == [3]
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_nobody_else_gets_a_page_of_the_cluster(tmp_path):
     """Dask's pages listen on loopback alone, on any free port, and show nothing (of two campaigns at once one had a warning)."""
     campaign = plan_campaign(written(tmp_path), tmp_path / "out")
@@ -118,7 +118,7 @@ def test_nobody_else_gets_a_page_of_the_cluster(tmp_path):
                     urllib.request.urlopen(f"http://127.0.0.1:{port}/{page}", timeout=20)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_ctrl_c_says_how_to_go_on(tmp_path):
     path, out = written(tmp_path, LONG), tmp_path / "out"
     plan_campaign(path, out)
@@ -213,7 +213,7 @@ def certificate(tmp_path_factory):
     return folder
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(
     "who",
     [

@@ -24,7 +24,7 @@ def test_manifest_is_a_function_of_the_file(tmp_path):
     assert plan_campaign(other, tmp_path / "c").key != first.key
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_cut_is_measured_once_and_kept(tmp_path):
     path = written(tmp_path, SMALL.replace("records_per_shard = 4\n", ""))
     first = plan_campaign(path, tmp_path / "a")
@@ -71,7 +71,7 @@ def test_other_software_is_refused(tmp_path):
         run_shard(str(out), 0)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_damaged_parts_are_named(tmp_path):
     """Parts that are cut, empty, or those of another shard, however they are named, are refused and computed anew."""
     campaign = computed(written(tmp_path), tmp_path / "out", (0, 1))
@@ -94,7 +94,7 @@ def test_damaged_parts_are_named(tmp_path):
     assert [row | {"seconds": 0} for row in again] == [row | {"seconds": 0} for row in before]
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_every_flip_of_a_part_is_seen(tmp_path):
     campaign = computed(written(tmp_path), tmp_path / "out", (0,))
     (path,) = campaign.parts().values()

@@ -34,7 +34,7 @@ def test_examples_are_valid(name):
     assert plan.file.campaign.title
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_record_of_a_stand_is_simulate_and_calibrate(tmp_path, capsys):
     """``piga simulate`` and ``piga calibrate``, with the seed of the record, give the same bits."""
     written(tmp_path, STAND, "stand.toml")
@@ -66,7 +66,7 @@ def test_a_record_of_a_stand_is_simulate_and_calibrate(tmp_path, capsys):
     assert [c.value for c in twice.coefficients] == row["value"]
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_bound_of_a_stand_is_that_of_known_noise(tmp_path):
     """The bound is there for the first repeat only, and close to the standard uncertainty that the record itself gives."""
     stand = STAND.replace('["scale_factor", "k0"]', '["scale_factor", "tan_beta", "k0"]')
@@ -81,7 +81,7 @@ def test_bound_of_a_stand_is_that_of_known_noise(tmp_path):
     )
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_what_a_calibration_reports_is_counted(tmp_path):
     """Kinds of noise, and terms that are suggested."""
     written(tmp_path, STAND.replace('k0 = "3e-4 g"', 'k0 = "3e-4 g"\nm_Y = "1000 arcsec"'), "stand.toml")

@@ -26,7 +26,7 @@ def lab(tmp_path_factory):
     return folder
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_issue_verify_read(lab, tmp_path):
     done = piga(
         "certificate", "calibration.json", "--data", EXAMPLE, "--out", tmp_path, "--dcc", "--key", "lab-key.pem",
@@ -158,7 +158,7 @@ def expired(lab):
     return lab
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_an_expired_signer_stands_in_the_first_line_and_the_exit_code(expired, tmp_path):
     verify = ("certificate", "verify", "expired.xml", "--certificate", "expired-cert.pem")
     now = piga(*verify, cwd=expired)

@@ -226,7 +226,7 @@ RECORDS: dict[str, tuple[Callable[[Path], Path], set[str]]] = {
 
 
 @pytest.mark.parametrize("name", [
-    pytest.param(name, marks=pytest.mark.only_compiled) if name == "sheets" else name for name in RECORDS
+    pytest.param(name, marks=pytest.mark.long) if name == "sheets" else name for name in RECORDS
 ])  # fmt: skip
 def test_every_line_that_is_printed_works(tmp_path: Path, name: str) -> None:
     make, keys = RECORDS[name]

@@ -43,7 +43,7 @@ def small_run(folder: Path) -> Path:
     return write_run(folder, data='segment = "seg"')
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_the_main_job(tmp_path: Path) -> None:
     done = piga("demo", "--out", tmp_path / "out")
     assert ".piga-" not in (tmp_path / "out" / "calibration.json").read_text(encoding="utf-8")
@@ -145,7 +145,7 @@ def test_the_example_is_copied_whole(tmp_path: Path) -> None:
     assert (tmp_path / "tumble-a.csv").stat().st_size > 2_000_000
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_joint_calibration_of_the_shipped_examples(tmp_path: Path) -> None:
     """Two simulated stands, calibrated together and again from a summary of one of them."""
     examples = Path(__file__).parents[2] / "examples"

@@ -48,7 +48,7 @@ def test_nothing_is_shown_without_a_terminal(tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_first_use_is_said_once_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     with progress("calibrating"):
         for more in (1, 2):

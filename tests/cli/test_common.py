@@ -37,7 +37,7 @@ def run(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(
     "encoding",
     ["gbk", "cp1252", "cp437", "ascii"],
@@ -50,7 +50,7 @@ def test_characters_that_the_terminal_lacks(run: Path, encoding: str) -> None:
     assert document["serial"] == "陀螺-\u03b2\u2714"  # escaped, not replaced
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="redirections of a POSIX shell")
 @pytest.mark.parametrize(
     ("shell", "text", "json_code"),

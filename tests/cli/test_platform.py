@@ -99,7 +99,7 @@ def test_budget_is_added_on_request(capsys, scenario, tmp_path):
     assert document["budget"][-1]["source"] == "all together"
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_gyro_accelerometers_get_their_own_page(capsys, scenario, tmp_path):
     step = "1 s"
     text = SHORT.replace(STEP, step).replace("1 h", "20 min")

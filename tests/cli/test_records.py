@@ -42,7 +42,7 @@ def records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     return Command(tmp_path, monkeypatch, capsys)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_the_life_of_a_record(tmp_path: Path, records: Command) -> None:
     small_run(tmp_path)
     lab = ("--store", "lab.sqlite")
@@ -147,7 +147,7 @@ def test_missing_extra_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         open_store(tmp_path / "a.sqlite")
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_what_is_superseded_is_checked_before_the_work(
     tmp_path: Path, records: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

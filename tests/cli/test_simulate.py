@@ -13,10 +13,10 @@ from piga.stand import (
 from tests.cli.runner import invoked
 from tests.stand.simulated import written
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_command_writes_all_files_and_json(tmp_path):
     path = written(tmp_path)
     result = invoked("simulate", path, "--out", tmp_path / "out", "--json")

@@ -56,7 +56,7 @@ def test_unknown_id_names_the_known_ones(capsys):
     assert "one of: constant-input, period" in capsys.readouterr().err
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_out_writes_page_and_pictures(tmp_path):
     done = piga("--only", "mounting", "--out", tmp_path / "new")
     assert done.returncode == 0, done.stderr

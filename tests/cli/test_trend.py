@@ -31,7 +31,7 @@ def folder(tmp_path_factory):
     return path
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_directories_and_files(folder, tmp_path):
     done = piga(
         "records", "trend", folder, "--at", "2024-01-01", "--common", "0.5", "--out", tmp_path, "--json"
@@ -88,7 +88,7 @@ def test_wrong_use_in_words(folder, options, words):
         trend(**used, as_json=True)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_records_of_a_store(tmp_path):
     pytest.importorskip("sqlalchemy")
     from piga.ledger.store import Draft, DraftFile, open_store

@@ -30,7 +30,7 @@ TOLERANCE_ERRORS = 2e-7
 CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI})
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize("a_x", [1.0, -1.0, 0.01, 0.0, 5 * TAN_BETA, 0.03])
 def test_constant_force_comes_back_to_rounding_of_the_angle(a_x):
     """All four regimes and the critical line; the angle's own rounding is 4 eps alpha / (K h)."""
@@ -42,7 +42,7 @@ def test_constant_force_comes_back_to_rounding_of_the_angle(a_x):
     assert np.abs(compensated.ax[1:] - mean_force(f)).max() < max(rounding, 1e-14)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_rate_samples_come_back_to_1e12_g():
     t = np.arange(0.0, 5.0, 0.01)
     f = constant_force(t, 1.0, 5.0)
@@ -58,7 +58,7 @@ ERRORS = {
 }  # fmt: skip
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize("kind", ["angle", "rate"])
 def test_full_error_model_is_inverted_to_rounding(kind):
     t = np.arange(0.0, 3.0, 0.01)
@@ -118,7 +118,7 @@ def test_uncertainty_grows_in_the_dead_zone():
     assert running.u_ax[5] < 1e-4 * G0
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize("step", [0.3, 1.0, 6.0])
 @pytest.mark.parametrize("a_x", [1.0, -1.0, 0.02])
 def test_constant_force_comes_back_whatever_the_output_turns_in_an_interval(step, a_x):
@@ -135,7 +135,7 @@ def ramps(t):
     return G0 * np.stack([1.0 + 0.1 * t, 2.0 - 0.3 * t, -1.0 + 0.25 * t], axis=1)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_independent_ramps_come_back_to_the_fourth_order():
     """From the second interval on the slope is known: 1e-12 g at 20 Hz; a wrong Magnus term leaves 1e-6 g."""
     t = np.arange(0.0, 5.0, 0.05)
@@ -143,7 +143,7 @@ def test_independent_ramps_come_back_to_the_fourth_order():
     assert np.abs(compensated.ax[2:] - mean_force(ramps(t))[1:]).max() < TOLERANCE_RAMPS * G0
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_error_model_is_integrated_over_the_slope():
     """What is left comes from the curvature that exaggerated coefficients give the input: 7e-8 g."""
     t = np.arange(0.0, 5.0, 0.05)
@@ -153,7 +153,7 @@ def test_error_model_is_integrated_over_the_slope():
     assert np.abs(compensated.ax[2:] - mean_force(ramps(t))[1:]).max() < TOLERANCE_ERRORS * G0
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_harmonics_at_samples_of_angle_and_rate():
     """Rates written down from the model, with orders 1 to 3."""
     t = np.arange(50) * 0.01
@@ -195,7 +195,7 @@ def test_no_line_is_left_at_the_revolution_orders():
 PLAIN = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4}
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize("kind", ["angle", "rate"])
 @pytest.mark.parametrize(
     "name", [*TERMS, "s1", "c1", "s2", "c2", "s7", "c7", "scale_factor", "tan_beta", "phi"]
@@ -229,7 +229,7 @@ def drifting(seconds: float = 40.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return t[every], f[every], piga.propagate(inst, t, f + drift, between="linear")[every]
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_a_part_of_the_record_is_compensated_at_its_own_time(tmp_path: Path) -> None:
     t, f, alpha = drifting()
     whole = piga.Run.from_arrays(t, alpha, f, scale_factor="0.8884 rad/s/g", units="SI")
@@ -245,7 +245,7 @@ def test_a_part_of_the_record_is_compensated_at_its_own_time(tmp_path: Path) -> 
     np.testing.assert_allclose(compensated.ax[2:], middle[1:], atol=2e-6 * G0)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_rows_outside_the_calibrated_range_are_flagged() -> None:
     t, f, alpha = drifting(20.0)
     calibration = piga.calibrate(
@@ -276,7 +276,7 @@ def published_record(kind: str):
     return run_of(t, f, phi=np.pi / 4, kind=kind)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_published_error_of_005_g_goes_below_1e9_g():
     """Rates exactly; angles to the error of a slope known to first order at the two first intervals."""
     rate = published_record("rate")
@@ -287,7 +287,7 @@ def test_published_error_of_005_g_goes_below_1e9_g():
     assert np.abs(piga.compensate(angle, PUBLISHED).ax[1:] - mean_force(angle.f)).max() < 1e-9 * G0
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_published_formula_leaves_about_1e3_g():
     """With the phase 0.8026 rad to which the published calibration converges."""
     record = published_record("angle")

@@ -80,7 +80,7 @@ def test_noise_is_what_is_left():
     assert 0.8 < mean[len(WHOLE)] < 1.2
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_a_set():
     force = np.array([1.0, 2.0, -1.5])
     axes = orthogonal()

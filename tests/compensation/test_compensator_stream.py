@@ -46,7 +46,7 @@ def noisy_columns(kind: str) -> dict:
     return {"t": t, "output": output, "f": f, "base_rate": base}
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize("kind", ["angle", "rate", "both"])
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(cuts=st.lists(st.integers(0, ROWS), max_size=12))
@@ -166,7 +166,7 @@ def angle_samples(start: float) -> dict[str, np.ndarray]:
     return {"t": np.cumsum(step), "output": start + np.cumsum(turn), "f": force, "begins": begins}
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize("left_out", [(), tuple(LIMITED_STD)])
 def test_angles_are_the_same_to_the_bit_whatever_the_chunks_and_what_is_asked_for(left_out):
     columns = angle_samples(1.6e6 - 30.0)

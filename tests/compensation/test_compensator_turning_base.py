@@ -61,7 +61,7 @@ def left(columns: tuple, **more: object) -> tuple[np.ndarray, np.ndarray]:
     return (rows.ax[1:] - mean) / G0, rows.u_ax[1:] / G0
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize(("rate", "most"), [(50.0, 3e-6), (100.0, 0.4e-6)])
 def test_angles_on_a_swaying_base(rate, most):
     """Between the ends of each interval the mean rate of the base is wrong by 40 and 10 micro-g with the chord alone."""

@@ -61,7 +61,7 @@ CAL = correlated(calibration_of(VALUES, STD, angle_rms=WHITE, angle_random_walk=
 
 
 @pytest.mark.parametrize("kind", ["angle", "rate"])
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_scatter_of_the_velocity_is_its_uncertainty(kind):
     """Coefficients and noise drawn 300 times; the standard deviation of 300 draws has a standard error of 4 %."""
     run, rng, velocities = gapped(kind), np.random.default_rng(1), []
@@ -128,7 +128,7 @@ def test_correlation_of_coefficients_counts():
     )
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_chunks_and_page_agree():
     run = gapped()
     whole = piga.compensate(run, CAL)
@@ -142,7 +142,7 @@ def test_chunks_and_page_agree():
 
 
 @pytest.mark.parametrize("count", [3, 4])
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_scatter_of_the_velocity_of_a_set(count):
     t, rng = np.arange(ROWS) * H, np.random.default_rng(2)
     force = np.array([0.9, 0.5, 0.7]) * G0

@@ -59,7 +59,7 @@ def shaken(seed, band, rms=5.0):
     return force, record(force, force + K2 * force**2)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("band", [0.6, 2.0, 6.0])
 def test_hidden_variance_stands_in_the_uncertainty(band):
     """Without the term u is zero, and the mean up to 106 micro-g wrong: more than twice u in 1 of 20 records at most."""
@@ -99,7 +99,7 @@ def test_stated_noise_of_the_angle_is_no_vibration():
     assert piga.compensate(run, with_k2(angle_rms=2e-4)).flagged("vibration")[100:].all()
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_shaken_reference_is_rectified_by_k_YY():
     """Samples of a white reference hide a third of its variance."""
     k_YY, misses = 2e-5, 0
@@ -121,7 +121,7 @@ def test_force_without_any_step_before_the_last_is_no_division_by_zero():
     assert near_nyquist(0.0, 0.0, 0.0) == 0.0
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("count", [3, 4])
 def test_set_has_the_flag_and_the_uncertainty_of_each_component(count):
     force = 1.0 + white(5, 3.0, 5.0)

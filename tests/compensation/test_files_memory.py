@@ -22,7 +22,7 @@ MORE = 'base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }\ntemperatur
 pytestmark = [
     pytest.mark.usefixtures("compiled"),
     pytest.mark.slow,
-    pytest.mark.only_compiled,
+    pytest.mark.long,
     pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc"),
 ]
 

@@ -94,7 +94,7 @@ def same(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) 
     return summary
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("stand", "kind", "chunk"),
     [
@@ -120,7 +120,7 @@ except SystemExit as stop:
 """
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_pandas_stays_out(tmp_path: Path) -> None:
     """PyArrow loads it, where there is one, for empty cells in and out: 40 MB."""
     pytest.importorskip("pandas")
@@ -134,7 +134,7 @@ def test_pandas_stays_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.usefixtures("compiled")
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
 @pytest.mark.parametrize(

@@ -245,7 +245,7 @@ def test_a_batch_of_too_many_rows_is_refused(monkeypatch: pytest.MonkeyPatch) ->
         compensate_arrow(io.BytesIO(packed_stream(2000)), io.BytesIO(), stream)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_large_arrow_batch_that_is_not_packed_is_taken() -> None:
     stream = piga.Compensator(calibration_of(CAL))
     assert compensate_arrow(io.BytesIO(packed_stream(1_000_000, None)), io.BytesIO(), stream) == 1_000_000

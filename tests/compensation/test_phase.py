@@ -24,7 +24,7 @@ def test_noiseless_phase_is_found():
     assert abs(identify_phase(rest_record(2.5, 0.0, 0), cal, 30.0).value - 2.5) < 1e-4
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_phase_error_fits_its_uncertainty():
     """300 power-ups with 0.1 mrad of angle noise: the mean square of error over uncertainty is 1 within 3.5 of its std."""
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA}, angle_rms=1e-4)

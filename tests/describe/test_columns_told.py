@@ -168,7 +168,7 @@ def test_an_output_in_another_unit_beside_the_stand_is_that_of_a_direct_instrume
     assert draft.document["model"]["terms"] == ["scale_factor", "k0", "m_Y"]
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_direct_instrument_calibrates_from_its_drafted_file(tmp_path: Path) -> None:
     settings = {"stand.latitude": "48 deg", "stand.height": "0 m"}
     draft = draft_run_file(describe_log(direct_log(tmp_path, "mA")), settings)

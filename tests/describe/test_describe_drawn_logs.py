@@ -19,7 +19,7 @@ CHOSEN = {
 }
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("seed", CHOSEN)
 def test_k_of_a_drawn_log_is_right(tmp_path: Path, seed: int) -> None:
     log, error, said = outcome(seed, tmp_path)

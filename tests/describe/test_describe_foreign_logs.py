@@ -39,7 +39,7 @@ def test_what_is_read_is_what_was_written(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(run.f / 9.80665, truth["f"][used], atol=3e-8)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*DIRTY, "matrix.mat"])
 def test_the_coefficients_are_the_true_ones(tmp_path: Path, name: str) -> None:
     """The simulated base is at rest, so the rotation of the Earth is waived."""
@@ -68,7 +68,7 @@ def test_times_without_decimals_give_the_rate_of_the_samples(tmp_path: Path) -> 
     assert try_run_file(draft, tmp_path / "run.toml").labels == tuple("123456")
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_times_that_are_rounded_are_named_by_the_reader(tmp_path: Path) -> None:
     path = tmp_path / "rounded.csv"
     foreign.text(path, foreign.NAMES, foreign.rows(foreign.rounded))
@@ -147,7 +147,7 @@ def test_the_rotation_of_the_earth_is_named_where_no_rate_is_logged(tmp_path: Pa
     assert not any("Earth" in line for line in draft.comments["data.reference"])
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_the_time_of_a_waveform(tmp_path: Path) -> None:
     from nptdms import ChannelObject, TdmsWriter
 

@@ -71,7 +71,7 @@ def test_a_counter_that_folds_and_a_gap(tmp_path: Path) -> None:
     assert np.abs(steps).max() < 1100
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_the_angle_of_a_head_gives_the_reference(tmp_path: Path) -> None:
     path, run = drafted(tmp_path, "head-angle.csv")
     assert "azimuth = '90 deg'" in path.read_text(encoding="utf-8")
@@ -95,7 +95,7 @@ def test_the_speed_of_a_centrifuge_gives_the_reference(tmp_path: Path) -> None:
     assert run.f[:, 0].max() == pytest.approx((120.0 * 2.0 * np.pi / 60.0) ** 2, rel=1e-3)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*TUMBLES, "folded.tsv", "centrifuge.csv"])
 def test_it_calibrates(tmp_path: Path, name: str) -> None:
     _, run = drafted(tmp_path, name)

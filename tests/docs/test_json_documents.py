@@ -74,7 +74,7 @@ def write_history(path: Path, folder: Path) -> None:
         target.write_text(json.dumps(document), encoding="utf-8")
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_every_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

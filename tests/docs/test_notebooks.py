@@ -28,7 +28,7 @@ def kernel_environment(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_kernel_runs_a_notebook_and_shows_tables_and_figures(tmp_path, kernel_environment):
     made = notebook(ROOT / "docs" / "how-to" / "dividing-head.md")
     NotebookClient(made, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
@@ -38,7 +38,7 @@ def test_a_kernel_runs_a_notebook_and_shows_tables_and_figures(tmp_path, kernel_
     assert list(Path(tmp_path).iterdir()) == []
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_a_kernel_tells_of_an_error(tmp_path, kernel_environment):
     made = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("import piga\npiga.calibrate(1)")])

@@ -47,7 +47,7 @@ def run_page(runner: Runner, page: Path, chosen: list[Block]) -> None:
             raise AssertionError(f"{name_of(page)}:{block.line}: {type(error).__name__}: {error}") from error
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_page(runner: Runner, page: Path) -> None:
     run_page(runner, page, [block for block in blocks(page) if not block.slow])
@@ -99,7 +99,7 @@ def test_a_wrong_output_is_noticed(runner: Runner) -> None:
         runner.run(Block("sh", "piga check no_such.toml", 4))
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_the_readme_prints_what_its_comment_says(capsys: pytest.CaptureFixture[str]) -> None:
     """The first numbers printed, to the digits of the comment; the truth lies within three standard uncertainties."""
     (block,) = (b for b in blocks(ROOT / "README.md") if "piga.propagate" in b.text)

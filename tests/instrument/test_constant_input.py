@@ -12,7 +12,7 @@ from piga.instrument import Instrument, closed_form, closed_form_turns
 from piga.units import G0
 from tests.instrument.references import EPS, constant_cases
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 PUBLISHED = Instrument("0.8884 rad/s/g", "1000 arcsec", math.pi / 4)
 TABLE = [  # a_x [g], t [s], alpha [rad], rate [rad/s]: the published case, 50-digit arithmetic

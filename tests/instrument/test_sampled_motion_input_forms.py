@@ -55,7 +55,7 @@ def smooth():
     return t, run.y[0]
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize("uneven", [False, True])
 def test_increments_are_of_fourth_order(smooth, uneven):
     reference = smooth[1]
@@ -70,7 +70,7 @@ def test_increments_are_of_fourth_order(smooth, uneven):
     assert errors[-1] < 1e-8
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_increments_of_a_long_record_join_at_block_limits(smooth):
     reference = smooth[1]
     grid = np.linspace(0.0, 4.0, 1001)
@@ -78,7 +78,7 @@ def test_increments_of_a_long_record_join_at_block_limits(smooth):
     assert alpha[::250] == pytest.approx(reference, abs=1e-11)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize("n", [1, 2, 3, 300])
 def test_constant_increments_are_exact(n):
     t = np.cumsum(np.r_[0.0, np.random.default_rng(n).uniform(0.01, 0.3, n)])
@@ -88,7 +88,7 @@ def test_constant_increments_are_exact(n):
     assert propagate_increments(INST, t, dv, dtheta) == pytest.approx(reference, abs=1e-12)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_increments_count_turns_through_large_steps():
     t = np.arange(4.0) * 1000.0
     f = np.array([2 * G0, 5 * G0, G0])
@@ -96,7 +96,7 @@ def test_increments_count_turns_through_large_steps():
     assert alpha == pytest.approx(closed_form(INST, t, *f)[0], abs=1e-10)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_segments_are_exact_whatever_their_length():
     for case in constant_cases():
         if case.t < 0.0 or not case.same_tangent:
@@ -109,7 +109,7 @@ def test_segments_are_exact_whatever_their_length():
     assert cut == pytest.approx(whole, abs=2e-11)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_segments_agree_with_dop853_across_jumps():
     rng = np.random.default_rng(11)
     lengths, f = rng.uniform(0.5, 2.0, 6), rng.normal(0.0, 2 * G0, (6, 3))
@@ -130,7 +130,7 @@ def test_segments_agree_with_dop853_across_jumps():
         assert rate[k] == pytest.approx(expected, abs=1e-13)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize(
     ("call", "message"),
     [

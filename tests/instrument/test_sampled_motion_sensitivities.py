@@ -11,7 +11,7 @@ import pytest
 import piga
 from piga.instrument import SENSITIVITY_NAMES, Instrument, closed_form, propagate, sensitivities
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 INST = Instrument(0.0906, 0.02, -2.5)
 

@@ -43,7 +43,7 @@ def small_run(folder: Path, name: str = "run.csv") -> Path:
     return write_run(folder, name, data='segment = "seg"')
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_keep_and_reproduce(tmp_path: Path) -> None:
     run = small_run(tmp_path)
     with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
@@ -68,7 +68,7 @@ def test_keep_and_reproduce(tmp_path: Path) -> None:
     assert verify(tmp_path / "lab.sqlite").sound
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_reproduce_needs_nothing_but_the_store(tmp_path: Path) -> None:
     run = (
         small_run(tmp_path / "deep" / "er", "../logs/run.csv")
@@ -220,7 +220,7 @@ def test_a_record_of_the_former_estimator_agrees_within_a_share_of_u(calibration
     assert not compare_calibrations(calibration, _with(calibration, 0, value=value + 0.2 * std)).agrees
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_last_digit_counts_on_the_same_platform(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One unit in the last place: different here, within tolerance where the software is another."""
     with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:

@@ -30,7 +30,7 @@ from piga.stand import read_scenario, run_scenario
 from tests.chance import assert_variance
 from tests.planning.cases import request
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plan-dividing-head.toml"
 REPEATS = 30
 
@@ -101,7 +101,7 @@ def test_tables_agree_with_the_estimator(tmp_path, phase, noise):
         assert prediction.std(name) == pytest.approx(value, rel=0.25 if name in ("phi", "tan_beta") else 0.05)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("criterion", ["D", "A", "c", "wanted"])
 def test_no_standard_plan_is_better(tmp_path, criterion):
     extra = 'combination = { k0 = 1.0 }\nwanted = { k0 = "1 ug", m_Y = "1 urad" }'
@@ -136,7 +136,7 @@ def test_mirrored_positions_earn_alike(tmp_path):
         assert np.abs(tables[k + 6] * np.outer(signs, signs) - tables[k]).max() < 2e-3 * scale.max()
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_no_plan_is_recommended_that_the_calibration_refuses(tmp_path):
     """Long visits determine coefficients alone: they are cut. The record of the plan has the degrees of freedom predicted."""
     wish = request(
@@ -166,7 +166,7 @@ def test_no_plan_is_recommended_that_the_calibration_refuses(tmp_path):
         assert plan.best.expanded(name) > 1.99 * plan.best.std(name)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_one_coefficient_alone_keeps_the_others_determined(tmp_path):
     """Only the scale factor counts: nearly all time at +-1 g, the rest makes the other terms estimable."""
     plan = plan_test(request(tmp_path, plan='coefficients = ["scale_factor"]', duration=1800))
@@ -176,7 +176,7 @@ def test_one_coefficient_alone_keeps_the_others_determined(tmp_path):
     assert upright > 0.65 * plan.best.recorded  # every other position is visited twice, too
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_lock_zone_is_left_out_with_the_reason(tmp_path):
     plan = plan_test(request(tmp_path, plan="margin = 700.0"))
     reasons = {item.candidate.label: item.reason for item in plan.excluded}
@@ -186,7 +186,7 @@ def test_lock_zone_is_left_out_with_the_reason(tmp_path):
     assert not set(reasons) & {visit.candidate.label for visit in plan.best.visits}
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_cheapest_duration_goes_with_the_inverse_square(tmp_path):
     bounds, durations = [], []
     for u in (0.4, 0.2):
@@ -232,7 +232,7 @@ def test_what_cannot_be_planned_is_refused(tmp_path):
         plan_test(request(tmp_path, duration=10))
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_levels_of_a_centrifuge_and_a_head_together(tmp_path):
     text = request(tmp_path, terms='"scale_factor", "k0", "k2", "k_YY"').path.read_text(encoding="utf-8")
     first, rest = text.split("[stand]")
@@ -281,7 +281,7 @@ def test_mounting_sees_a_passage_between_rows(tmp_path):
     assert plan_mounting(request(tmp_path)) is None
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_prediction_is_what_repeats_show(tmp_path):
     """Spread of the estimates over simulated repeats of the exported scenario."""
     check_repeats(
@@ -318,7 +318,7 @@ def check_repeats(folder, wish, repeats):
         assert_variance((s / plan.best.std(name)) ** 2, repeats - 1, name)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.slow
 def test_long_visits_of_the_shipped_plan_are_cut_so_that_it_can_be_calibrated():
     long = EXAMPLE.read_text("utf-8").replace('longest_dwell = "150 s"', 'longest_dwell = "600 s"')
@@ -359,7 +359,7 @@ def test_tables_with_the_servo_agree_with_the_estimator(tmp_path):
         assert prediction.std(name) == pytest.approx(value, rel=0.25 if name in ("phi", "tan_beta") else 0.05)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_prediction_with_the_servo_is_what_repeats_show(tmp_path):
     """Spread of the estimates over records of the planned test with new noise, and no bias."""
     wish = with_servo(tmp_path, rate=4, positions="5:365:30 deg")
@@ -376,7 +376,7 @@ def test_prediction_with_the_servo_is_what_repeats_show(tmp_path):
         assert_variance(square, len(scores), name)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("terms", ['"scale_factor", "tan_beta", "k0"', '"scale_factor", "k0"'])
 def test_a_given_servo_is_a_source_of_the_plan(tmp_path, terms):
     """An error of 2 % of the integral gain moves K by 2 % of the servo's part; without a table nothing moves it."""

@@ -19,7 +19,7 @@ from piga.reports.render.page import page_text
 from piga.stand import read_scenario
 from tests.planning.cases import request
 
-pytestmark = pytest.mark.only_compiled
+pytestmark = pytest.mark.long
 WALK = 1e-5
 TINY = {"rate": 1, "positions": "0:360:90 deg", "duration": 250, "terms": '"scale_factor", "k0"', "walk": WALK}
 SMALL = {"rate": 1, "positions": "0:360:60 deg", "duration": 301, "terms": '"scale_factor", "k0"', "walk": WALK}

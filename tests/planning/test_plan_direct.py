@@ -49,7 +49,7 @@ def plan(request: pytest.FixtureRequest) -> Plan:
     return plan_test(read_plan("plan.toml", content=text))
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_uncertainties_are_those_of_means_of_the_visits(plan: Plan) -> None:
     K, wanted, _ = CASES[plan.request.unit]
     g = np.array([visit.candidate.force for visit in plan.best.visits]) / 9.80665
@@ -64,7 +64,7 @@ def test_uncertainties_are_those_of_means_of_the_visits(plan: Plan) -> None:
     assert plan.request.wanted["scale_factor"] == pytest.approx(wanted, rel=1e-12)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_page_program_and_scenario_have_nothing_of_a_gimbal(plan: Plan) -> None:
     text = scenario_text(plan)
     shown = (

@@ -26,7 +26,7 @@ from tests.planning.cases import request
 from tests.planning.test_plan import mounting_request
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -50,7 +50,7 @@ def test_plans_that_are_none(tmp_path: Path, old: str, new: str, words: str) -> 
     assert caught.value.remedy
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_a_plan_on_a_stand_without_positions(tmp_path: Path) -> None:
     path = request(tmp_path).path
     first, rest = path.read_text(encoding="utf-8").split("[stand]")
@@ -106,7 +106,7 @@ def test_positions_are_shuffled_unless_the_order_of_the_stand_is_asked_for(tmp_p
     assert shuffled.best.std("k0") == pytest.approx(ordered.best.std("k0"), rel=0.02)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_coarse_counts_are_predicted_as_they_will_be_stated(tmp_path: Path) -> None:
     """Few long positions with 3600 counts a turn: as white noise the rounding would make u of phi several times too large."""
     changes = {

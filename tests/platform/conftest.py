@@ -29,7 +29,7 @@ ARCSEC = DEG / 3600.0
 EXAMPLES = Path(__file__).parents[2] / "examples"
 INTERPRETED = bool(numba.config.DISABLE_JIT)
 
-only_compiled = pytest.mark.only_compiled
+long = pytest.mark.long
 """Days of one-second steps."""
 
 

@@ -10,9 +10,9 @@ import pytest
 from piga.frames import matrix_to_rotation_vector
 from piga.platform import align, compensator, errors, identify, navigate, simulate, true_knowledge
 from piga.platform.scenario import Gyro, MotionPlan, Sensors
-from tests.platform.conftest import ARCSEC, DEG, INTERPRETED, only_compiled, published
+from tests.platform.conftest import ARCSEC, DEG, INTERPRETED, long, published
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 
 def _scenario(**changes):
@@ -43,7 +43,7 @@ def test_noise_levels_come_from_the_record():
     assert alignment.noise["force"] == pytest.approx(3e-5 / np.sqrt(s.step), rel=0.08)
 
 
-@only_compiled
+@long
 def test_the_covariance_is_that_of_repeated_alignments():
     s = _scenario(sensors=Sensors(gimbal_noise=ARCSEC, velocity_random_walk=1e-5), step=8.0)
     scores = []

@@ -26,7 +26,7 @@ def _sweep(n=400, step=1.0):
     return t, force
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize("mounting", [{"mounting": "orthogonal"}, {"cone": TRIPOD}, {"cone": 0.5}])
 @pytest.mark.parametrize("tan_beta", [3.6e-4, 5e-3])
 def test_the_solved_force_is_the_true_one(mounting, tan_beta):
@@ -40,7 +40,7 @@ def test_the_solved_force_is_the_true_one(mounting, tan_beta):
     assert np.abs(raw - mean).max() > 1.5 * tan_beta
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_two_newton_steps_reach_the_end():
     """The averaged effective axes are the Jacobian to first order in tan(beta)."""
     t, force = _sweep(n=40)
@@ -54,7 +54,7 @@ def test_two_newton_steps_reach_the_end():
     assert np.abs(collected[0] - collected[1])[1:].max() < 2e-8
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_mounting_axes_are_right_handed_triads():
     for sensors in (
         msgspec.structs.replace(PIGA, mounting="orthogonal"),
@@ -72,7 +72,7 @@ def test_mounting_axes_are_right_handed_triads():
     ) == pytest.approx(np.degrees(0.4))
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_axes_within_the_latitude_of_the_pole_never_lock():
     angle = np.linspace(0.0, 2 * np.pi, 20001)
     gravity = 9.8 * np.stack(
@@ -93,7 +93,7 @@ def test_axes_within_the_latitude_of_the_pole_never_lock():
     assert share == pytest.approx(expected, rel=0.15)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_the_platforms_own_turn_is_read_and_known():
     t, force = _sweep()
     turn = np.tile([1e-6, -2e-6, 3e-6], (len(t) - 1, 1))
@@ -101,7 +101,7 @@ def test_the_platforms_own_turn_is_read_and_known():
     np.testing.assert_allclose(turned - still, -turn / PIGA.scale_factor, atol=3e-8)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_counting_loses_no_velocity():
     t, force = _sweep()
     counted = msgspec.structs.replace(PIGA, counts_per_revolution=72000.0)
@@ -112,7 +112,7 @@ def test_counting_loses_no_velocity():
     assert np.abs(np.cumsum(off, axis=0)).max() < 2.0 * 2 * np.pi / 72000 / PIGA.scale_factor
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_a_step_too_long_is_refused():
     t, force = _sweep(n=20, step=3.0)
     with pytest.raises(ArgumentError, match="third of a turn"):

@@ -26,7 +26,7 @@ from piga.platform.scenario import (
 )
 from piga.reports.platform.figures import lines_figure
 from piga.reports.platform.page import _lines_sentence
-from tests.platform.conftest import ARCMIN, AT_SEA, DEG, only_compiled, published
+from tests.platform.conftest import ARCMIN, AT_SEA, DEG, long, published
 
 DAY = 86400.0
 W1, W2 = 2.0 * np.pi / 480.0, 2.0 * np.pi / 560.0
@@ -223,8 +223,8 @@ def test_the_closed_form_gives_both_lines(model, latitude):
     close(both(theory), reference, part=0.002)
 
 
-@pytest.mark.compiled
-@only_compiled
+@pytest.mark.interpreted
+@long
 @pytest.mark.parametrize("latitude", LATITUDES)
 def test_the_navigated_run_shows_both_lines(latitude):
     truth = Compensation(models=("none", "A"), misalignment="true", attitude="true")
@@ -326,7 +326,7 @@ def test_the_budget_shows_the_lines_of_each_misalignment():
             assert row.full[name] == pytest.approx(row.theory[name], rel=0.01)
 
 
-@only_compiled
+@long
 @pytest.mark.parametrize(("kind", "hours"), [("static", 6.0), ("static", 24.0), ("sway", 12.0), ("turn", 12.0)])
 def test_lines_of_a_base_that_stays_at_its_place_are_those_of_the_theory(kind, hours):
     """No model: the neighbours at ``+- Earth rate`` are as large as the line itself, and do not leak into it."""
@@ -359,7 +359,7 @@ def test_a_moving_base_is_noted_where_no_theory_holds():
     assert theory_note(published()) == ""
 
 
-@only_compiled
+@long
 @pytest.mark.parametrize("models", [("none",), ("none", "A")])
 def test_a_page_of_a_moving_base_shows_the_theory_beside_the_lines_of_each_model_that_has_it(models):
     s = published(

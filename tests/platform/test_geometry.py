@@ -28,7 +28,7 @@ from tests.platform.conftest import ARCMIN, DEG
 
 CASES = json.loads((Path(__file__).parent / "data" / "geometry.json").read_text())["cases"]
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 
 def test_matches_the_null_conditions_solved_at_fifty_digits():

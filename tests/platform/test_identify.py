@@ -19,11 +19,11 @@ from tests.platform.conftest import (
     INTERPRETED,
     NOISE,
     calibration,
-    only_compiled,
+    long,
     truth,
 )
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 
 @pytest.mark.parametrize("sources", [("gimbals", "pick-off"), ("gimbals",)])
@@ -81,7 +81,7 @@ def test_the_length_of_the_step_does_not_bias_what_the_force_tells(step):
     np.testing.assert_allclose(identified.values, truth(s), rtol=0, atol=5e-4 * ARCSEC)
 
 
-@only_compiled
+@long
 def test_gyro_accelerometers_read_the_turn_of_the_platform_too():
     """Left out, it would show as 1.5 % of the misalignment: 3.6 arcsec."""
     piga = PigaSensors(0.8884 / 9.80665, np.arctan(3.6e-4), mounting="skewed")

@@ -17,11 +17,11 @@ from tests.platform.conftest import (
     AT_SEA,
     NOISE,
     calibration,
-    only_compiled,
+    long,
     truth,
 )
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 ANGLES, FORCE = ("gimbals", "pick-off"), ("force", "pick-off")
 CASES = {
@@ -71,14 +71,14 @@ def _hold(scores, nees, sigmas, margin=0.0):
     assert abs(nees.mean() / unknowns - 1.0) < sigmas * np.sqrt(2.0 / (n * unknowns)) + margin
 
 
-@only_compiled
+@long
 @pytest.mark.parametrize("case", CASES)
 def test_intervals_hold(case):
     scores, nees = _scores(case, range(20))
     _hold(scores, nees, 4.0)
 
 
-@only_compiled
+@long
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_intervals_hold_in_ten_thousand_runs(case):
@@ -154,7 +154,7 @@ def _bound(s, sources):
     return np.sqrt(np.diag(np.linalg.inv(free.T @ free)))
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("sources", [ANGLES, FORCE])
 def test_every_uncertainty_is_the_cramer_rao_bound(sources):
     """Angles, phases and harmonics. The force is held to the bound of a base *known* to be at rest."""

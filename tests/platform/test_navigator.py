@@ -24,12 +24,12 @@ from piga.platform.geometry import (
 )
 from piga.platform.navigator import true_start
 from piga.platform.scenario import Gyro, MotionPlan
-from tests.platform.conftest import INTERPRETED, navigated, only_compiled, published, swaying
+from tests.platform.conftest import INTERPRETED, long, navigated, published, swaying
 
-pytestmark = [pytest.mark.compiled, pytest.mark.smoke]
+pytestmark = pytest.mark.interpreted
 
 
-@only_compiled
+@long
 def test_ten_static_days_without_errors_stand_still():
     s = published().without_errors()
     run, shown = navigated(s)

@@ -22,9 +22,9 @@ from piga.platform.analysis import CHANNELS, daily_lines, day_slices
 from piga.platform.geometry import encoder_harmonics
 from piga.platform.navigator import true_start
 from piga.platform.scenario import Compensation, Gyro, Harmonic, MotionPlan, Rotation, Sensors
-from tests.platform.conftest import ARCMIN, ARCSEC, DEG, navigated, only_compiled, published, wobbling
+from tests.platform.conftest import ARCMIN, ARCSEC, DEG, long, navigated, published, wobbling
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def ten_days_with_wobble():
     return compare(wobbling())
 
 
-@only_compiled
+@long
 def test_model_a_leaves_what_the_theory_says(ten_days):
     run = ten_days.models["A"]
     for channel in ("east_velocity", "heading", "roll"):
@@ -46,14 +46,14 @@ def test_model_a_leaves_what_the_theory_says(ten_days):
         assert np.all(np.abs(ratio[2:] - 1.0) < 0.001), channel
 
 
-@only_compiled
+@long
 def test_the_coriolis_coupling_gives_the_north_velocity(ten_days):
     run = ten_days.models["A"]
     ratio = run.lines.amplitude["north_velocity"] / run.theory.amplitude["north_velocity"]
     assert np.all(np.abs(ratio[2:] - 1.0) < 0.002)
 
 
-@only_compiled
+@long
 def test_the_published_numbers_of_day_ten(ten_days):
     a = ten_days.models["A"].lines.amplitude
     end = np.tan(2.4 * DEG) / np.tan(2.28 * DEG)
@@ -64,7 +64,7 @@ def test_the_published_numbers_of_day_ten(ten_days):
     assert a["roll"][-1] / ARCMIN * end == pytest.approx(4.0 * np.tan(2.4 * DEG) * np.cos(40 * DEG), rel=0.02)
 
 
-@only_compiled
+@long
 def test_model_a_also_leaves_the_secant_term(ten_days):
     """The published d_r = m1 cos(c1) (tan eta - tan eta0) lacks m2 sin(c2) (sec eta - sec eta0)."""
     eta, m = 2.28 * DEG, 4.0 * ARCMIN
@@ -76,20 +76,20 @@ def test_model_a_also_leaves_the_secant_term(ten_days):
     assert abs(result / abs(first) - 1.0) > 0.01
 
 
-@only_compiled
+@long
 def test_model_b_leaves_under_one_percent_of_model_a(ten_days):
     a, b = ten_days.models["A"].lines.amplitude, ten_days.models["B"].lines.amplitude
     for channel in ("east_velocity", "heading", "roll"):
         assert b[channel][-1] < 0.001 * a[channel][-1]
 
 
-@only_compiled
+@long
 def test_no_model_leaves_the_whole_misalignment(ten_days):
     left = ten_days.models["none"].lines.amplitude["east_velocity"]
     assert left[0] == pytest.approx(0.871 * np.cos(40 * DEG), rel=0.02)
 
 
-@only_compiled
+@long
 def test_with_wobble_b_removes_a_part_and_c_the_rest(ten_days_with_wobble):
     result = {m: r.lines.amplitude for m, r in ten_days_with_wobble.models.items()}
     for channel in ("east_velocity", "heading", "roll"):
@@ -99,7 +99,7 @@ def test_with_wobble_b_removes_a_part_and_c_the_rest(ten_days_with_wobble):
         assert by_c > 0.99
 
 
-@only_compiled
+@long
 def test_the_theory_knows_the_wobble(ten_days_with_wobble):
     for model in ("A", "B"):
         run = ten_days_with_wobble.models[model]
@@ -107,7 +107,7 @@ def test_the_theory_knows_the_wobble(ten_days_with_wobble):
         assert np.all(np.abs(ratio - 1.0) < 0.005)
 
 
-@only_compiled
+@long
 def test_the_second_order_remainder_is_a_step_and_lines_at_twice_the_rate():
     """Model B, truth known: what stays is the second order of the small-angle matrices."""
     s = published(duration=86400.0, redundancy=1.0 * DEG)
@@ -193,7 +193,7 @@ def test_a_short_run_has_one_short_day():
     assert set(lines.amplitude) == set(CHANNELS)
 
 
-@only_compiled
+@long
 @pytest.mark.parametrize("kind", ["reversal", "unequal", "at rest", "moving"])
 def test_the_chain_runs_for_other_schedules_and_bases(kind):
     noise = Sensors(gimbal_noise=ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-5)

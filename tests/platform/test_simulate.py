@@ -28,7 +28,7 @@ from piga.platform.scenario import Gyro, LinearSway, MotionPlan, Rotation, Senso
 from piga.platform.simulate import base_motion
 from tests.platform.conftest import ARCSEC, DEG, published
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 SHORT = {"duration": 1200.0, "step": 2.0}
 
 

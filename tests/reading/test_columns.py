@@ -49,7 +49,7 @@ def assert_same(first: dict[str, Any] | str, second: dict[str, Any] | str) -> No
             assert value == second[name], name
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("case", [c for c in cases() if c.name != "gzip-bomb"], ids=lambda case: case.name)
 def test_damaged_files_in_small_pieces(tmp_path: Path, case: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     path = case.write(tmp_path)

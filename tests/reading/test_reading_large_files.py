@@ -54,7 +54,7 @@ print(json.dumps({"peak": max(peak), "values": [c.value for c in calibration.coe
 
 
 @pytest.mark.slow
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
 @pytest.mark.parametrize("dirty", [False, True], ids=["clean", "dirty"])
 def test_memory_does_not_grow_with_the_file(tmp_path: Path, dirty: bool) -> None:

@@ -284,7 +284,7 @@ def test_rows_are_left_out_and_no_increment_crosses_them(run):
         run.without(np.zeros(3, bool))
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["counts", "angle", "rate"])
 def test_a_simulated_test_is_a_run_without_a_file(kind):
     from piga.earth import Site

@@ -69,7 +69,7 @@ def test_the_page_of_a_set_says_type_a_only():
     assert [what for what, _ in page.judgement.problems] == [f"{', '.join(NAMES)}: {TYPE_A_ONLY}"]
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_outline_holds_misfits_corrections_and_flags():
     result, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200)
     for name in ("residual", *(f"misfit {i}" for i in range(4))):
@@ -87,7 +87,7 @@ def test_outline_holds_misfits_corrections_and_flags():
     assert np.abs(result.velocity / (STEP * 2999 * G0) - (1.0, -0.7, 0.4)).max() < 1e-4
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_what_is_taken_out_of_an_instrument_is_its_cross_coupling():
     """Order 1 with the amplitude ``tan(beta)`` times the force across that instrument."""
     axes = orthogonal()
@@ -104,7 +104,7 @@ def test_what_is_taken_out_of_an_instrument_is_its_cross_coupling():
     assert [panel.title for panel in figure.panels] == list(NAMES[:3])
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_page_says_what_contradicts_and_has_units_on_every_axis():
     result, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200)
     figures = (force_figure(result), misfit_figure(result, NAMES))
@@ -120,7 +120,7 @@ def test_page_says_what_contradicts_and_has_units_on_every_axis():
     )
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["angle", "rate"])
 def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, kind):
     """Streamed and whole: the same counts, names and files."""

@@ -44,8 +44,8 @@ def test_locking_figure_has_the_plateau_and_the_mean_rate():
     assert np.degrees(alpha) == pytest.approx(360.0 * whole_turns, abs=1e-7)
 
 
-@pytest.mark.compiled
-@pytest.mark.only_compiled
+@pytest.mark.interpreted
+@pytest.mark.long
 def test_page_shows_stand_output_servo_and_truth():
     stand = DividingHead(SITE, (0.0, 1.0), dwell=1.0, move=1.0)
     specimen = Specimen(INST, twin=replace(PRESETS["example"], torque_limit=0.01))

@@ -144,7 +144,7 @@ def test_entries_of_the_stand_have_distributions(tmp_path: Path) -> None:
             list(stand_changes(run))
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_budget_has_the_rows_of_the_stand(tmp_path: Path) -> None:
     """An index error of the head is a misalignment m_Y, and nothing else, to first order."""
     run = piga.read_run(edited(tmp_path, uncertainty='[uncertainty]\nangle_error = "2 arcsec"\n'))

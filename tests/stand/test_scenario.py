@@ -97,7 +97,7 @@ def test_levels_of_coloured_noise_that_cannot_be(tmp_path: Path, noise: str, wor
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_scenario_paths_as_text() -> None:
     assert read_scenario(str(EXAMPLES / "dividing-head.toml")).path == EXAMPLES / "dividing-head.toml"
     assert load_scenario(str(EXAMPLES / "platform-moving.toml")) == load_scenario(

@@ -27,7 +27,7 @@ from piga.stand.simulate import straightened
 from piga.stand.write_run import predicted_angle_error
 from tests.stand.simulated import INST, SCENARIO, SITE, saved, truth_of
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 SHORT = {
     "dividing-head": (DividingHead(SITE, tuple(0.15 + np.arange(12) * math.pi / 6), 20.0, 5.0), 20.0),
@@ -97,7 +97,7 @@ def scores(cal, test):
     return result | {"coupling": (error, math.hypot(size.std, size.value * phase.std))}
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_simulated_sine_has_the_integrals_of_a_sine():
     """Truth: SciPy's integral of the equation of motion under the sine itself, between samples too."""
     from scipy.integrate import solve_ivp
@@ -131,7 +131,7 @@ def test_a_simulated_sine_has_the_integrals_of_a_sine():
     assert np.abs(test.rate[rows] - np.ravel(true_rates)).max() < 1e-9
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_calibration_finds_the_scale_factor_of_a_fast_vibration(tmp_path):
     drives = (Drive("rest", 10.0), Drive("sine", 20.0, 8.0, amplitude=30.0)) * 2
     table = VibrationTable(SITE, drives, axis="X0", up="X0")
@@ -152,7 +152,7 @@ def test_straight_lines_stay_by_a_step_or_a_kink():
     assert np.abs(straightened(wave) - wave * np.tan(0.04) / 0.04)[4:-4].max() < 1e-9
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("kind", SHORT)
 def test_calibration_finds_the_truth_of_every_stand(kind, tmp_path):
     stand, sample_rate = SHORT[kind]
@@ -164,7 +164,7 @@ def test_calibration_finds_the_truth_of_every_stand(kind, tmp_path):
         assert abs(error) < 4.0 * std, key
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(
     "kind",
     [
@@ -188,7 +188,7 @@ def test_calibration_of_a_twin_run_is_off_by_the_predicted_model_error(kind, tmp
         assert abs(raw[key][0]) < 4.0 * std + 1.2 * abs(model_error), key
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_second_harmonic_of_a_soft_servo_shows_at_order_two(tmp_path):
     from piga.calibration.orders import order_spectrum
     from piga.reports.calibration.tables import scale_factor

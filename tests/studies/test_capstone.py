@@ -10,7 +10,7 @@ from piga.errors import ArgumentError
 from piga.platform.scenario import Compensation, Gyro, PigaSensors, Sensors
 from piga.platform.simulate import TRIPOD
 from piga.studies.capstone import capstone
-from tests.platform.conftest import DEG, only_compiled, published
+from tests.platform.conftest import DEG, long, published
 
 PIGA = PigaSensors(0.8884 / 9.80665, np.arctan(3.6e-4), mounting="skewed", cone=TRIPOD)
 
@@ -25,8 +25,8 @@ def _capstone_scenario(**changes):
     return published(**(values | changes))
 
 
-@pytest.mark.compiled
-@only_compiled
+@pytest.mark.interpreted
+@long
 def test_the_story_of_the_capstone():
     result = capstone(_capstone_scenario(duration=2 * 86400.0))
     o = {name: outcome.position for name, outcome in result.outcomes.items()}
@@ -38,8 +38,8 @@ def test_the_story_of_the_capstone():
     assert result.outcomes["raw skewed"].locked_per_day.max() == 0.0
 
 
-@pytest.mark.compiled
-@only_compiled
+@pytest.mark.interpreted
+@long
 def test_a_passage_leaves_what_stationary_phase_says():
     """The starting angle is one for which the phase at the passage is near its worst."""
     sensors = Sensors("piga", piga=msgspec.structs.replace(PIGA, cone=35 * DEG, alpha0=(2.0, 0.1, 0.5)))
@@ -52,7 +52,7 @@ def test_a_passage_leaves_what_stationary_phase_says():
     assert p.lock_time > 20.0 * p.locked.sum() * step
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_the_capstone_needs_gyro_accelerometers():
     with pytest.raises(ArgumentError, match="accelerometers = 'piga'"):
         capstone(published(duration=1200.0, step=4.0))

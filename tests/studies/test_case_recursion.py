@@ -24,14 +24,14 @@ def small_ramp(kind: str) -> piga.Run:
     return piga.Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", kind=kind, units="SI")
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_published_on_a_small_ramp() -> None:
     run = small_ramp("rate")
     assert piga.calibrate(run, ["tan_beta"])["tan_beta"].value == pytest.approx(0.00484817479568412, rel=1e-6)
     assert published_recursion(run, FIVE)["tan_beta"].value == pytest.approx(0.00484817479568412, rel=0.05)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_the_published_ramp() -> None:
     calibration = published_recursion(record("ramp"))
     assert calibration["tan_beta"].value == pytest.approx(4.84683e-3, abs=5e-9)
@@ -39,7 +39,7 @@ def test_the_published_ramp() -> None:
     assert np.abs(model_residual(record("ramp"), calibration)).max() == pytest.approx(1.67e-3, abs=5e-6)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_constant_input_leads_to_a_wrong_solution() -> None:
     calibration = published_recursion(record("constant"))
     assert calibration.history is not None
@@ -52,7 +52,7 @@ def test_a_constant_input_leads_to_a_wrong_solution() -> None:
     assert ours["phi"].value == pytest.approx(np.pi / 4, abs=1e-7)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize("kind", ["rate", "angle"])
 def test_the_true_values_stay_with_a_small_covariance(kind: str) -> None:
     tangent = float(np.tan(np.radians(1000.0 / 3600.0)))

@@ -13,7 +13,7 @@ from tests.studies.test_studies_chapters import check
 
 DOCS = Path(__file__).parents[2] / "docs"
 
-pytestmark = pytest.mark.only_compiled
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")

@@ -66,7 +66,7 @@ def test_quick_chapters_agree_and_are_labelled(name):
     check(chapter)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_recursion_settles_where_it_is_known_to():
     """Ramp: 4.84683e-3 and 0.78672; constant input: the wrong solution -2.6e-3, -3.24."""
     check(CHAPTERS["recursion"]())

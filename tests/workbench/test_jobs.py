@@ -31,7 +31,7 @@ def jobs(tmp_path: Path) -> Iterator[Jobs]:
     made.stop_all()
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_job_is_the_command(jobs: Jobs, tmp_path: Path) -> None:
     job = jobs.start(("check", "tumble-a.toml", "--json"), "Check", "tumble-a.toml")
     status = ended(jobs, job)
@@ -129,7 +129,7 @@ def test_progress_is_a_small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading: draws", "share": 0.75}
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_only_so_many_run_and_only_so_many_are_kept(jobs: Jobs, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("piga.workbench.jobs.MOST_RUNNING", 1)
     monkeypatch.setattr("piga.workbench.jobs.MOST_KEPT", 1)
@@ -142,7 +142,7 @@ def test_only_so_many_run_and_only_so_many_are_kept(jobs: Jobs, monkeypatch: pyt
     ended(jobs, after)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_a_job_that_is_killed_while_it_writes_leaves_the_older_results_whole(
     jobs: Jobs, tmp_path: Path
@@ -165,7 +165,7 @@ def test_a_job_that_is_killed_while_it_writes_leaves_the_older_results_whole(
     assert not list((tmp_path / "out").glob(".piga-stage-*"))
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_server_that_is_killed_in_an_upload_leaves_no_half_file(tmp_path: Path) -> None:
     import socket
 

@@ -181,7 +181,7 @@ def test_uploads_get_a_plain_free_name(client: Client, server: Server) -> None:
             path.unlink()
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_module_in_the_folder_is_not_imported(tmp_path: Path) -> None:
     for name in ("json.py", "piga.py", "numpy.py"):
         (tmp_path / name).write_text("open('owned', 'w').close()\n", encoding="utf-8")

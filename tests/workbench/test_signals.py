@@ -212,7 +212,7 @@ def test_temperature_is_shown_in_the_unit_of_the_record(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
 @pytest.mark.parametrize("kind", SIZES)
 def test_a_large_file_is_drawn_at_once(tmp_path: Path, kind: str) -> None:

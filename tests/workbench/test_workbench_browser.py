@@ -28,7 +28,7 @@ from tests.workbench.conftest import (
     wait_until,
 )
 
-pytestmark = pytest.mark.only_compiled
+pytestmark = pytest.mark.long
 SCALE = "Nominal scale factor (pendulosity over angular momentum)"
 COUNTS = "Counts of the output per revolution of the outer gimbal"
 

@@ -12,7 +12,7 @@ import pytest
 
 from tests.workbench.conftest import Browser, wait_until
 
-pytestmark = pytest.mark.only_compiled
+pytestmark = pytest.mark.long
 SELECTED = """key => document.getElementById(key).querySelector('.live').data
     .filter(trace => trace.uid.endsWith('-selected'))
     .map(trace => ({ name: trace.name, x: trace.x.filter((_, k) => trace.y[k] !== null), y: trace.y.filter(y => y !== null) }))"""

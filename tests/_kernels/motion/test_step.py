@@ -18,7 +18,7 @@ from piga._kernels.motion.step import (
     unwrapped,
 )
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 
 @pytest.fixture(autouse=True)

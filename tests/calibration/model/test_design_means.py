@@ -40,7 +40,7 @@ def test_nothing_is_approximated(short):
         assert result[name].value == pytest.approx(TRUTH[name], abs=2e-9)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("walk", [0.0, 2e-5])
 def test_estimate_and_uncertainty_are_those_of_all_samples(monkeypatch, walk):
     runs = [fine(seed, walk=walk) for seed in range(6)]
@@ -55,7 +55,7 @@ def test_estimate_and_uncertainty_are_those_of_all_samples(monkeypatch, walk):
         assert np.mean(ratio) == pytest.approx(1.0, abs=0.08)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_samples_left_out_and_gaps(short):
     """A wrong reading is left out before the means, and no mean reaches across a gap."""
     run = fine(3)

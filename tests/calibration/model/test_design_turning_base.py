@@ -40,7 +40,7 @@ def record(rate: float, seconds: float) -> piga.Run:
     return piga.Run.from_arrays(t, psi, f, scale_factor="0.8884 rad/s/g", base_rate=turn, units="SI")
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_coefficients_of_a_swaying_base() -> None:
     """Chords made K wrong by 763 ppm and k0 by 700 micro-g here."""
     calibration = piga.calibrate(record(50.0, 20.0), ["scale_factor", "tan_beta", "k0"])

@@ -17,14 +17,14 @@ from tests.calibration.made.scenarios_joint import joint_test
 from tests.calibration.made.synthetic import TERMS, record
 from tests.records.files import lines, read
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.interpreted
 
 
 def short(seed: int, **options: Any) -> piga.Run:
     return record(np.random.default_rng(seed), **({"seconds": 7.0, "rate": 2.0, "count": 4} | options))
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_harmonics_without_a_coupling() -> None:
     """Their phase is that of the output zero, not one to be found: nothing turns with an angle that is estimated."""
     run = short(51)

@@ -49,7 +49,7 @@ def columns(run, order, signs=(1, 1, 1)):
     return replace(run, f=np.ascontiguousarray(run.f[:, order] * np.array(signs, dtype=float)))
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_swapped_transverse_axes_are_named_with_what_is_equivalent(good):
     words = advised(columns(good, [0, 2, 1]))
     assert "times better with" in words
@@ -58,7 +58,7 @@ def test_swapped_transverse_axes_are_named_with_what_is_equivalent(good):
     assert "Z0 negative" in words
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_a_turn_about_the_input_axis_is_no_error_the_phase_takes_it_up(good):
     assert advised(columns(good, [0, 2, 1], (1, 1, -1))) == ""
 
@@ -166,7 +166,7 @@ def test_a_log_of_rates_is_judged_too(good):
     assert "comes out negative" in advised(replace(run, output=-run.output), terms)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -191,7 +191,7 @@ def test_a_calibration_gives_the_advice_and_no_other_remark_on_the_same_cause(go
     assert calibration.notes[0] == calibration.diagnostics.advice[0]
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_good_record_is_not_even_tried(good, monkeypatch):
     monkeypatch.setattr("piga.calibration.remarks.advice._trials", None)
     assert not piga.calibrate(good, TERMS).diagnostics.advice

@@ -51,7 +51,7 @@ def quiet(run: piga.Run | list[piga.Run]) -> piga.Calibration:
         return piga.calibrate(run, TERMS)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_creep_is_a_doubt_with_size_time_effect_and_remedy(crept):
     creep = crept.diagnostics.creep
     assert creep.size == pytest.approx(50e-6, abs=4.0 * creep.standard_uncertainty)
@@ -83,7 +83,7 @@ def test_time_advised_leaves_nothing(crept):
     assert abs(crept["k0"].value - BENCH.k0) > crept["k0"].expanded
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_creep_that_follows_the_move_is_told_from_one_that_does_not():
     moves = np.diff(BENCH.forces[:, 0], prepend=BENCH.forces[0, 0])
     result = quiet(record(100e-6 * moves))
@@ -117,7 +117,7 @@ def weighed(run: piga.Run) -> piga.Run:
     return replace(run, estimation=msgspec.convert(levels, EstimationTable))
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_creep_of_one_run_among_several_is_named(turned):
     crept, clean = (
         weighed(replace(record(size), source="crept.toml", input_sha256={"a": "a"})) for size in (100e-6, 0.0)
@@ -134,7 +134,7 @@ def test_creep_of_one_run_among_several_is_named(turned):
     assert without.diagnostics.creep.probability > 0.01
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_sound_records_show_none():
     bench = replace(BENCH, seconds=12.0, rate=5.0)
     chances = [quiet(replace(bench, k0_T=0.0).record(seed)).diagnostics.creep.probability for seed in range(12)]

@@ -41,7 +41,7 @@ def holds(result: piga.Calibration) -> bool:
     return abs(result["scale_factor"].value - TRUTH["scale_factor"]) <= result["scale_factor"].expanded
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_k_holds_the_truth_beside_a_hidden_servo():
     runs = [record(seed) for seed in range(3, 14)]
     bounded = [piga.calibrate(waived(run, "earth_rate"), TERMS) for run in runs]

@@ -29,7 +29,7 @@ def without(run, label):
     )  # fmt: skip
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("phase", ["shared", "per-segment"])
 def test_influence_is_that_of_a_calibration_without_the_segment(phase):
     scenario = SCENARIOS["static"]
@@ -49,7 +49,7 @@ def test_influence_is_that_of_a_calibration_without_the_segment(phase):
             assert 0.0 <= row.share[c.name] < 0.9
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_leverages_add_up_to_the_number_of_parameters():
     scenario = SCENARIOS["static"]
     run = scenario.record(np.random.default_rng(2))
@@ -59,7 +59,7 @@ def test_leverages_add_up_to_the_number_of_parameters():
     assert sum(row.leverage for row in table.values()) == pytest.approx(5.0 + len(table), rel=1e-6)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_coefficient_that_rests_on_one_position_is_refused():
     """Only segment 8 holds another |a_x|, so k2 is its."""
     forces = np.vstack([np.tile([[1.0, 0.0, 0.1], [-1.0, 0.0, 0.1]], (4, 1)), [[0.4, 0.0, 0.1]]])
@@ -70,7 +70,7 @@ def test_a_coefficient_that_rests_on_one_position_is_refused():
     assert "visit this position again" in refused.value.remedy
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_position_that_is_wrong_is_named():
     scenario = Scenario("odd", tumble(12), white=2.5e-5, walk=2e-5, terms=TERMS)
     run = scenario.record(np.random.default_rng(1))
@@ -81,7 +81,7 @@ def test_a_position_that_is_wrong_is_named():
     assert not any("without segment" in note for note in piga.calibrate(run, TERMS).notes)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_positions_that_all_scatter_are_not_named_one_by_one():
     """Thirty times the scatter that the noise explains: one remark on all, none on each; one that is far off, still."""
     scenario = replace(SCENARIOS["scatter"], scatter=1e-4)
@@ -107,7 +107,7 @@ def test_one_segment_has_no_leverage():
     assert not piga.calibrate(alone, ["k1"]).diagnostics.leverage
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_bias_drift_leaves_the_leverage_of_each_segment():
     scenario = SCENARIOS["drift"]
     calibration = scenario.calibrate(scenario.record(np.random.default_rng(0)))

@@ -30,7 +30,7 @@ SHOWN_TERMS = [
 ]
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_few_sound_records_get_no_remark() -> None:
     for counted in count_all([(sound, (name,)) for name in SOUND], 8):
         assert counted["none"] == 8

@@ -67,7 +67,7 @@ def revolutions(p, a_x, a_t, count, step=2e-3):
 # -- equations ------------------------------------------------------------------------------------
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=40, deadline=None)
 def test_equations_are_those_of_a_rigid_body(seed):
@@ -83,8 +83,8 @@ def test_equations_are_those_of_a_rigid_body(seed):
     assert out[4] in (0.0, pytest.approx(state[1] - RICH.pick_off_null))
 
 
-@pytest.mark.compiled
-@pytest.mark.only_compiled
+@pytest.mark.interpreted
+@pytest.mark.long
 def test_steady_state_is_the_quasi_steady_equation_with_base_rate():
     """A stiff servo and a turning base: the mean motion obeys equation (2) of the theory."""
     p = replace(EXAMPLE, rate_gain=0.1, pick_off_null=2e-3, alpha0=0.3, float_inertia_z=3e-5)
@@ -109,8 +109,7 @@ def test_steady_state_is_the_quasi_steady_equation_with_base_rate():
 # -- integration ----------------------------------------------------------------------------------
 
 
-@pytest.mark.compiled
-@pytest.mark.smoke
+@pytest.mark.interpreted
 def test_motion_agrees_with_the_independent_rigid_body():
     t = np.linspace(0.0, 0.05, 51)
     force, omega = ramp_inputs(t)
@@ -120,7 +119,7 @@ def test_motion_agrees_with_the_independent_rigid_body():
     assert motion.beta[::10] == pytest.approx(truth[:, 1], abs=1e-12)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize("method", ["DOP853", pytest.param("Radau", marks=pytest.mark.slow)])
 def test_ten_seconds_against_scipy(method):
     """1e-9 rad over 10 s, start-up transient and nutation included (0.3 s without compilation)."""
@@ -141,7 +140,7 @@ def test_ten_seconds_against_scipy(method):
     assert motion.local_error < 1e-9
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.slow
 def test_ten_seconds_against_the_independent_rigid_body():
     t = np.linspace(0.0, 10.0, 10001)
@@ -151,7 +150,7 @@ def test_ten_seconds_against_the_independent_rigid_body():
     assert np.max(np.abs(motion.alpha[::500] - truth[:, 0])) < 1e-9
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_sampling_does_not_matter_for_linear_inputs():
     t = np.linspace(0.0, 0.2, 201)
     fine = run_twin(RICH, t, *ramp_inputs(t), start="transient")
@@ -159,7 +158,7 @@ def test_sampling_does_not_matter_for_linear_inputs():
     assert np.max(np.abs(fine.alpha[::50] - coarse.alpha)) < 1e-10
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.slow
 def test_ten_minutes_at_one_kilohertz_in_twenty_seconds():
     import time
@@ -174,7 +173,7 @@ def test_ten_minutes_at_one_kilohertz_in_twenty_seconds():
 # -- slow manifold ---------------------------------------------------------------------------------
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_slow_manifold_has_no_transient():
     """Started on it, the tilt follows its slow ripple at once; started at null it rings first."""
     p = replace(EXAMPLE, alpha0=0.7)
@@ -185,7 +184,7 @@ def test_slow_manifold_has_no_transient():
     assert smooth.alpha[0] == 0.7
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_transient_start_converges_to_the_manifold():
     p = replace(EXAMPLE.stiffened(2.0), alpha0=0.7)
     t, f, omega = constant((G0, 0.5 * G0, 0.0), 0.8, 1e-2)
@@ -195,7 +194,7 @@ def test_transient_start_converges_to_the_manifold():
     assert rough.rate[-1] == pytest.approx(state[2], abs=1e-7)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_first_guess_balances_torques():
     p = replace(EXAMPLE, outer_torque=1e-3)
     state = quasi_steady_state(p, 0.0, 0.5, (G0, 0.3 * G0, 0.0), (0.0, 0.0, 0.0))
@@ -209,8 +208,8 @@ def test_first_guess_balances_torques():
 # -- what theory predicts ----------------------------------------------------------------------------
 
 
-@pytest.mark.compiled
-@pytest.mark.only_compiled
+@pytest.mark.interpreted
+@pytest.mark.long
 def test_stiff_servo_goes_to_the_quasi_steady_model_with_first_order():
     """All gains times s: the difference to the quasi-steady angle falls as 1/s."""
     t, f, _ = constant((2 * G0, G0, 0.0), 5.0, 5e-3)
@@ -225,8 +224,8 @@ def test_stiff_servo_goes_to_the_quasi_steady_model_with_first_order():
     assert order == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.compiled
-@pytest.mark.only_compiled
+@pytest.mark.interpreted
+@pytest.mark.long
 @pytest.mark.parametrize("k_i", np.geomspace(600.0, 6000.0, 5))
 def test_rectification_and_second_harmonic_over_a_decade_of_integral_gain(k_i):
     p = replace(EXAMPLE, integral_gain=k_i, proportional_gain=60.0, rate_gain=0.1)
@@ -244,8 +243,8 @@ def test_rectification_and_second_harmonic_over_a_decade_of_integral_gain(k_i):
     assert math.hypot(fit[3], fit[4]) == pytest.approx(predicted_second_harmonic(p, a_t, w), rel=0.03)
 
 
-@pytest.mark.compiled
-@pytest.mark.only_compiled
+@pytest.mark.interpreted
+@pytest.mark.long
 def test_proportional_stiffness_alone_gives_a_second_harmonic_and_no_shift():
     p = replace(EXAMPLE, integral_gain=0.0, proportional_gain=60.0)
     a_t, w = G0, EXAMPLE.K * 2 * G0
@@ -258,8 +257,8 @@ def test_proportional_stiffness_alone_gives_a_second_harmonic_and_no_shift():
     assert abs(fit) == pytest.approx(amplitude, rel=0.05)
 
 
-@pytest.mark.compiled
-@pytest.mark.only_compiled
+@pytest.mark.interpreted
+@pytest.mark.long
 def test_coulomb_friction_shifts_beta_not_the_mean_rate():
     friction = 2e-3
     smooth = replace(EXAMPLE, integral_gain=0.0)
@@ -275,7 +274,7 @@ def test_coulomb_friction_shifts_beta_not_the_mean_rate():
     assert np.mean(motion_2.beta[:500] - motion_3.beta[:500]) == pytest.approx(0.0, abs=1e-8)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize(
     "design",
     [
@@ -299,7 +298,7 @@ def test_k2_comes_from_the_floats_inertia(design):
         )
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_wheel_spins_up_and_hunts_by_definition():
     """``H (1 - (1 - s0) exp(-t/t_s)) (1 + h sin(2 pi f t + phi))`` and its derivative by a central difference."""
     p = replace(
@@ -315,7 +314,7 @@ def test_wheel_spins_up_and_hunts_by_definition():
         assert change == pytest.approx((defined(t + 1e-5) - defined(t - 1e-5)) / 2e-5, rel=1e-6)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_wheel_speed_changes_the_scale_factor():
     p = replace(EXAMPLE, spin_start=0.8, spin_time=0.1, hunting=1e-3, hunting_frequency=5.0)
     t, f, _ = constant((G0, 0.0, 0.0), 0.4, 1e-3)
@@ -325,8 +324,8 @@ def test_wheel_speed_changes_the_scale_factor():
     assert H[0] == pytest.approx(0.08)
 
 
-@pytest.mark.compiled
-@pytest.mark.only_compiled
+@pytest.mark.interpreted
+@pytest.mark.long
 def test_saturated_torque_motor_loses_lock_and_recovers():
     p = replace(EXAMPLE, torque_limit=0.03, pick_off_range=5e-3, stop_angle=0.02)
     t = np.arange(0, 1.5, 1e-3)
@@ -344,7 +343,7 @@ def test_saturated_torque_motor_loses_lock_and_recovers():
     assert abs(motion.beta[-1]) < 1e-5
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_noise_is_held_and_disturbs():
     t, f, omega = constant((G0, 0.0, 0.0), 0.5)
     noise = np.zeros((t.size, 3))
@@ -356,21 +355,21 @@ def test_noise_is_held_and_disturbs():
 # -- parameters and errors ----------------------------------------------------------------------------
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_every_parameter_says_what_it_is():
     for entry in fields(TwinParameters):
         assert {"symbol", "unit", "range", "meaning", "source"} <= set(entry.metadata)
     assert all("example" in name for name in PRESETS)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_parameters_from_text():
     p = twin_parameters({"preset": "example-stiff", "damping": "0.3 Nm s/rad", "hunting_frequency": "2 Hz"})
     assert (p.damping, p.hunting_frequency) == (0.3, 2.0)
     assert p.proportional_gain == PRESETS["example-stiff"].proportional_gain
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 @pytest.mark.parametrize(
     ("values", "words"),
     [
@@ -386,7 +385,7 @@ def test_bad_parameters_are_named(values, words):
         twin_parameters(values)
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_bad_inputs_are_named():
     t, f, omega = constant((G0, 0.0, 0.0), 0.01)
     with pytest.raises(ArgumentError, match=r"t: 0.009.* at index 1 is not after 0.01 s"):
@@ -401,7 +400,7 @@ def test_bad_inputs_are_named():
         run_twin(EXAMPLE, t, f, start="cold")
 
 
-@pytest.mark.compiled
+@pytest.mark.interpreted
 def test_unstable_design_has_no_manifold_but_can_be_forced():
     p = TwinParameters(proportional_gain=150.0)
     t, f, _ = constant((G0, G0, 0.0), 0.05)
@@ -410,8 +409,8 @@ def test_unstable_design_has_no_manifold_but_can_be_forced():
     assert np.all(np.isfinite(run_twin(p, t, f, start="transient").alpha))
 
 
-@pytest.mark.compiled
-@pytest.mark.only_compiled
+@pytest.mark.interpreted
+@pytest.mark.long
 def test_motion_that_runs_away_ends_with_a_message():
     p = TwinParameters(proportional_gain=3e5, stop_stiffness=0.0)
     t, f, _ = constant((G0, G0, 0.0), 2.0, 1e-2)

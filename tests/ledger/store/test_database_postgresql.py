@@ -58,7 +58,7 @@ def _acknowledged(pipe) -> list[str]:  # type: ignore[no-untyped-def]
         return names
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_two_stations_at_once(url: str) -> None:
     context = multiprocessing.get_context("spawn")
     together = context.Barrier(2)
@@ -79,7 +79,7 @@ def test_two_stations_at_once(url: str) -> None:
     assert changes >= 14, "a station waited for the other to end"
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_a_killed_station_loses_nothing(url: str) -> None:
     open_store(url, create=True).close()
     context, chance, names = multiprocessing.get_context("forkserver"), random.Random(3), set[str]()
@@ -119,7 +119,7 @@ def test_what_an_administrator_changed_is_found(socket: Path, change: str, probl
     assert any(problem in text for text in verification.problems), verification.problems
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_between_the_two_databases(socket: Path, tmp_path: Path) -> None:
     """SQLite to PostgreSQL and back: the same chain, the same head."""
     with filled(tmp_path / "a.sqlite", 3, size=3_000_000) as store:

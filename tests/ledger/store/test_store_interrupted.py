@@ -108,7 +108,7 @@ def _check(place: Path, operation: str, acknowledged: set[str]) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="kill -9 is POSIX")
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_some_kills(memory_path: Path) -> None:
     figures = campaign(memory_path, 12, seed=5)
     assert figures["add"] == 3
@@ -147,7 +147,7 @@ def run(shim: Path, folder: Path, step: int) -> dict[str, dict[str, int]]:
     return json.loads(done.stdout)
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_some_calls_fail(shim: Path, memory_path: Path) -> None:
     outcome = run(shim, memory_path, 9)
     assert len(outcome) == FAULTED

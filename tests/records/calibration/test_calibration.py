@@ -79,7 +79,7 @@ def test_the_error_model_of_a_calibration():
         assert harmonics.error_model().k0 == 0.0
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 def test_the_model_of_a_calibration_makes_its_record():
     """Propagating instrument and error model gives the record that the calibration was made from."""
     made = piga.Calibration.from_coefficients(

@@ -177,7 +177,7 @@ def test_commands_refuse_an_impossible_record(
     assert not list(tmp_path.glob("*.sqlite")) + list(tmp_path.glob("out*"))
 
 
-@pytest.mark.only_compiled
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["information", "rate", "recursive", "revolutions"])
 def test_every_method_writes_what_can_be_read(tmp_path: Path, method: str) -> None:
     """The consistency that the reader asks for is what each method gives."""
