@@ -1,13 +1,16 @@
-"""``piga platform``: files, every N-th row, JSON, exit codes, and a word before large files."""
+"""``piga platform``: files, every N-th row, JSON and exit codes."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tests.cli.runner import exit_code
+from tests.cli.runner import exit_code, invoked
 from tests.platform.conftest import INTERPRETED
 
 STEP = "8 s" if INTERPRETED else "2 s"
@@ -144,3 +147,47 @@ duration = "100 s"
 [sensors]
 gimbal_noise = "1 arcsec"
 """
+
+
+def _tables(command: str, folder: Path, every: int) -> dict[str, pa.Table]:
+    """Tables of a run of 100 s, written with ``--every``."""
+    out = folder / f"{command}-{every}"
+    done = invoked("platform", command, folder / "s.toml", "--out", out, "--every", every)
+    assert done.exit_code == 0, done.exception
+    return {path.name: pq.read_table(path) for path in out.glob("*.parquet")}
+
+
+@pytest.mark.parametrize("every", [7, 10])
+def test_every_n_th_row(tmp_path: Path, every: int) -> None:
+    """States are thinned; velocity increments are those from row to row, so that no velocity is lost."""
+    (tmp_path / "s.toml").write_text(SCENARIO)
+    whole, thin = (_tables("simulate", tmp_path, n) for n in (1, every))
+    assert set(thin) == {"readouts.parquet", "truth.parquet"}
+    rows = 100 // every
+    for name, table in thin.items():
+        assert table.num_rows == 1 + rows
+        assert table.schema.equals(whole[name].schema, check_metadata=True)
+        for column in table.column_names:
+            values, kept = (t[name].column(column).to_numpy() for t in (whole, thin))
+            if column.startswith("dv"):
+                assert np.isnan(kept[0])
+                sums = values[1 : 1 + rows * every].reshape(rows, every).sum(axis=1)
+                np.testing.assert_allclose(kept[1:], sums, rtol=1e-12, atol=1e-15)
+            else:
+                np.testing.assert_array_equal(kept, values[::every])
+
+
+def test_every_tenth_row_of_the_navigation(tmp_path: Path) -> None:
+    known = '[compensation]\nmodels = ["none", "B"]\nmisalignment = "true"\nattitude = "true"\n'
+    (tmp_path / "s.toml").write_text(SCENARIO + known)
+    whole, thin = (_tables("navigate", tmp_path, n) for n in (1, 10))
+    assert set(thin) == {"navigation-none.parquet", "navigation-B.parquet"}
+    for name, table in thin.items():
+        assert table.equals(whole[name].take(list(range(0, whole[name].num_rows, 10))))
+        assert table.num_rows == 10
+
+
+def test_a_row_is_at_least_one(capsys, scenario, tmp_path):
+    code, streams = _run(capsys, "simulate", scenario, "--out", tmp_path / "out", "--every", "0")
+    assert code == 2
+    assert "--every" in streams.err
