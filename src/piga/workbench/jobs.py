@@ -210,14 +210,14 @@ class Jobs:
             raise ValueError("no table was printed")
         return document
 
-    def stop(self, *jobs: Job) -> None:
+    def stop(self, *jobs: Job, patience: float = PATIENCE) -> None:
         """End running jobs. Their results are then absent, as after Ctrl-C in a terminal."""
         processes = [process for _, process in map(self._jobs.__getitem__, {job.key for job in jobs})]
         for process in processes:
             if process.child.poll() is None:
                 process.was_stopped = True
             _close(process.child)
-        limit = time.monotonic() + PATIENCE
+        limit = time.monotonic() + patience
         for process in processes:
             with suppress(subprocess.TimeoutExpired):
                 process.child.wait(max(limit - time.monotonic(), 0.0))

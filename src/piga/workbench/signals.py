@@ -36,7 +36,7 @@ _MOST_STRETCHES = 20_000
 """Longest breaks that are drawn as gaps. More of them would not be seen."""
 _MOST_WIDTH = 4096
 """Largest width of a picture [pixels]."""
-LONG, THINNED = 1_000_000, 100_000
+LONG, THINNED = 1_000_000, 50_000
 """Samples of a record of which a thinned copy is made, and about the samples of the copy."""
 MOVING = 0.01 * G0
 """Specific force [m/s^2] by which a sample of a moving stand differs from its position, at least."""

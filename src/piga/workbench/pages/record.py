@@ -443,21 +443,23 @@ def _answer(bench: Bench, name: str, terms: tuple[str, ...], outline: Outline) -
     whole = _made(bench, key)
     if whole.calibration is not None:
         return whole, None
-    job: Job | None = _fit(bench, name, name, key, terms)
-    if outline.thinned > 1:
-        first = replace(_made(bench, f"{key}-first"), every=outline.thinned)
-        if first.calibration is None and bench.jobs.latest(name, _trial(first.key)) is None:
-            thinned = bench.folder.name(_cache_of(bench, name) / "thinned.toml")
-            _fit(bench, name, thinned, first.key, terms)
-        return replace(first, key=key), job
-    return whole, job
+    if outline.thinned == 1:
+        return whole, _fit(bench, name, name, key, terms)
+    first = replace(_made(bench, f"{key}-first"), every=outline.thinned)
+    if first.calibration is None:  # the thinned record alone first: both at once would take longer
+        thinned = bench.folder.name(_cache_of(bench, name) / "thinned.toml")
+        job = _fit(bench, name, thinned, first.key, terms, "--no-report")
+        if bench.jobs.status(job).state in ("running", "stopped"):
+            return replace(first, key=key), job
+        first = replace(_made(bench, first.key), every=outline.thinned)
+    return replace(first, key=key), _fit(bench, name, name, key, terms)
 
 
 def _trial(key: str) -> str:
     return f"{STATE_FOLDER}/trials/{key}"
 
 
-def _fit(bench: Bench, name: str, run: str, key: str, terms: tuple[str, ...]) -> Job:
+def _fit(bench: Bench, name: str, run: str, key: str, terms: tuple[str, ...], *options: str) -> Job:
     """The job of an answer. Answers for other terms that nobody waits for any more are stopped."""
     last = bench.jobs.latest(name, _trial(key))
     if last is not None:
@@ -467,11 +469,10 @@ def _fit(bench: Bench, name: str, run: str, key: str, terms: tuple[str, ...]) ->
         for job in bench.jobs.running()
         if job.subject == name and job.title == "Fit" and key[:16] not in job.result
     ]
-    bench.jobs.stop(*old)
+    bench.jobs.stop(*old, patience=0.0)
     bench.folder.state_room("trials")
-    return bench.jobs.start(
-        ("calibrate", run, "--terms", ",".join(terms), "--out", _trial(key)), "Fit", name, _trial(key)
-    )
+    command = ("calibrate", run, "--terms", ",".join(terms), "--out", _trial(key), *options)
+    return bench.jobs.start(command, "Fit", name, _trial(key))
 
 
 def _made(bench: Bench, key: str) -> Answer:
