@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 import piga
-from piga.reading.checks import OutputScale, Reading
+from piga.reading.checks import OutputScale, unwrapped
+from piga.reading.columns import RawColumns
+from piga.records.run import TimeBase
 from piga.units import G0
 from tests.records.files import events, lines, psi_steps, read, write_log, write_run
 
@@ -411,10 +413,10 @@ def test_an_unwrapped_reading_takes_the_nearest_turn() -> None:
     values = np.array([250.0, 4.0, 10.0, 200.0, 190.0])
     begins = np.array([True, False, False, True, False])
     scale = OutputScale(0.5, 256.0, keeps_phase=False, counts=True)
-    reading = Reading(Path("run.csv"), "n", values, np.arange(5), begins, 40.0, 1.0, scale)
-    output, lost, events = reading.output()
+    raw = RawColumns(Path("run.csv"), {"n": values}, np.zeros(5, np.int32), ("all",), np.arange(5))
+    output, lost = unwrapped(raw, "n", TimeBase(begins, 1.0, ()), scale, 40.0)
     np.testing.assert_array_equal(output, [125.0, 130.0, 133.0, 100.0, 95.0])
-    assert [(event.kind, event.count) for event in events] == [("counter-roll-over", 1)]
+    assert [(event.kind, event.count) for event in raw.events] == [("counter-roll-over", 1)]
     np.testing.assert_array_equal(lost, [False, False, False, True, False])
 
 
@@ -493,3 +495,16 @@ def test_lost_and_disordered_sequence_numbers_are_counted(tmp_path: Path) -> Non
     assert result["sequence-gap"].detail.startswith("3 samples missing")
     assert result["sequence-back"].count == 1
     assert np.flatnonzero(run.begins).tolist() == [0, 10, 27]
+
+
+def test_every_reset_of_a_counter_is_named(tmp_path: Path) -> None:
+    rows = lines(60)
+    for first in (20, 40):
+        base = int(rows[first].split(",")[1])
+        for k in range(first, 60):
+            cells = rows[k].split(",")
+            rows[k] = ",".join([cells[0], str(int(cells[1]) - base), *cells[2:]])
+    with pytest.raises(
+        piga.DataError, match=r"row 22, column 'n': the counter goes to 0.*, and in rows 42: it was reset"
+    ):
+        read(tmp_path, rows)

@@ -15,29 +15,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import DataError, RunFileError, Where
+from piga.errors import RunFileError, Where
 from piga.formats.columns import RecordStream
 from piga.output import check_results
 from piga.reading.checks import (
     OutputScale,
-    Reading,
-    beyond_limits,
+    find_positions,
     largest_size,
-    left_out_rows,
-    mistaken_rate,
-    mistaken_unit,
-    sampled,
-    segment_by_positions,
-    sequence_breaks,
-    settling,
-    stopped_output,
-    stuck_extremes,
+    leave_out_ranges,
+    leave_out_settling,
+    note_doubtful,
+    note_sequence,
+    note_stuck,
+    unwrapped,
 )
 from piga.reading.columns import RawColumns, collect, file_digest, read_columns, stand_files, steady
-from piga.records.arrays import empty, scaled, stored, taken
-from piga.records.calibration import Event, Quality, counted
+from piga.records.arrays import empty, norms, scaled, stored
+from piga.records.calibration import Event, Quality
 from piga.records.run import Run, TimeBase, drop_repeats, examine_time
-from piga.records.run_file import ColumnTable, DataTable, PositionColumn, RunFile, read_run_file
+from piga.records.run_file import Columns, ColumnTable, DataTable, PositionColumn, RunFile, read_run_file
 from piga.records.terms import integral_unit, scale_factor_in
 from piga.records.text_files import toml_bytes
 from piga.results import Array
@@ -113,9 +109,9 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: _S
     DataError
         If the columns do not hold what the run file says. The message names file, row, column and remedy.
     """
-    data, rows_read = run_file.data, raw.count
+    data, instrument, rows_read = run_file.data, run_file.instrument, raw.count
     if isinstance(data.segment, PositionColumn):
-        _find_positions(raw, data.segment.holds_of)
+        find_positions(raw, data.segment.holds_of)
     if data.output.kind == "pulses":
         raw.numbers[data.output.column] = _summed(raw.numbers[data.output.column])
     t = _used_rows(raw, data)
@@ -123,30 +119,27 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: _S
     raw.events += base.events
     _check_enough(path, raw, data, base, rows_read)
     if data.sequence is not None:
-        number = raw.numbers[data.sequence.column]
-        raw.events += sequence_breaks(number, data.sequence.wraps_at, base.begins, raw.rows)
+        note_sequence(raw, raw.numbers[data.sequence.column], data.sequence.wraps_at, base.begins)
     f, base_rate = _reference(path, run_file, raw, t, stand_reference)
     scale = _output_scale(run_file, raw)
-    scale_factor = scale_factor_in(run_file.instrument.scale_factor, run_file.unit)
-    gyro = run_file.instrument.kind == "gyro"
-    base_rate = base_rate if gyro else None
+    scale_factor = scale_factor_in(instrument.scale_factor, run_file.unit)
+    gyro = instrument.kind == "gyro"
     output, lost = _output(data, raw, base, scale, 1.2 * scale_factor * largest_size(f[:, 0]) * base.nominal)
-    if gyro and data.output.counted and run_file.instrument.counter_bits is None:
-        raw.events += _resets(raw, t, output, base, f, scale_factor, lost)
+    if gyro and data.output.counted and instrument.counter_bits is None:
+        _mark_resets(raw, t, output, base, 1.5 * scale_factor * float(norms(f).max()), lost)
     if gyro and data.output.kind != "rate":
         fold = math.inf if scale.span is None else abs(scale.span * scale.factor)
-        raw.events += _lost_in_gaps(raw, t, output, base, lost, fold)
-    raw.events += _doubtful(data, raw, t, output, f, base, scale_factor, scale)
+        _mark_lost_counts(raw, t, output, base, lost, fold)
+    note_doubtful(raw, data, t, output, f, base, scale_factor, scale)
     segment, labels, groups = _split_lost(raw, lost)
-    servo = run_file.instrument.servo
     return Run(
-        serial=run_file.instrument.serial,
+        serial=instrument.serial,
         scale_factor=scale_factor,
         kind="rate" if data.output.kind == "rate" else "angle",
         t=t,
         output=output,
         f=f,
-        base_rate=base_rate,
+        base_rate=base_rate if gyro else None,
         temperature=_logged(raw, data.temperature),
         vibration=_logged(raw, data.vibration),
         segment_index=segment,
@@ -161,7 +154,7 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: _S
         uncertainty=run_file.uncertainty,
         stand=run_file.stand,
         computed_reference=data.reference is None and run_file.stand is not None,
-        servo=() if servo is None else servo.parameters(),
+        servo=() if instrument.servo is None else instrument.servo.parameters(),
         source=str(path),
         unit=run_file.unit,
     )
@@ -169,46 +162,26 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: _S
 
 def _used_rows(raw: RawColumns, data: DataTable) -> Array:
     """Leave out the rows that cannot be used. Returns the time [s] of the others."""
-    usable = raw.segment >= 0
     for values in raw.numbers.values():
-        usable &= np.isfinite(values)
-    _check_masked(raw, usable)
+        raw.usable &= np.isfinite(values)
+    _check_usable(raw)
     limits = data.range or {}
     stand = data.segment.holds_of if isinstance(data.segment, PositionColumn) else None
-    for name, values in raw.numbers.items():
-        if name == stand:
-            continue  # it is meant to stay where it is
-        declared = limits.get(name, (-np.inf, np.inf))
-        raw.events += stuck_extremes(name, values, raw.rows, raw.segment, declared)
-    if limits:
-        raw.events += beyond_limits(raw.numbers, limits, usable, raw.rows)
-    if data.leave_out:
-        raw.events += left_out_rows(data.leave_out, usable, raw.rows, raw.path)
-    t = _time(raw, data)
-    if data.settle is not None:
-        early, events = settling(t, raw.segment, to_si(data.settle, "s"), raw.rows)
-        usable &= ~early
-        raw.events += events
-    _check_masked(raw, usable)
-    raw.events += drop_repeats(t, raw.segment, usable, list(raw.numbers.values()), raw.rows)
-    if usable.all():
-        return t
-    for name, values in raw.numbers.items():
-        raw.numbers[name] = taken(values, usable)
-    raw.rows, raw.segment = taken(raw.rows, usable), taken(raw.segment, usable)
-    return taken(t, usable)
-
-
-def _find_positions(raw: RawColumns, name: str) -> None:
-    """Segments of a record without a column that numbers them: where the stand stands still."""
-    raw.segment, raw.labels, events = segment_by_positions(raw.numbers[name], raw.rows, name)
-    raw.events += events
-    if not raw.labels:
-        raise DataError(
-            f"{raw.path}: column '{name}' nowhere stands still, so it tells no position",
-            remedy="name the column that logs the angle or the speed of the stand, or one that numbers the positions",
-            where=Where(raw.path, columns=(name,)),
+    for name in raw.numbers:
+        if name != stand:  # that of the stand is meant to stay where it is
+            note_stuck(raw, name, limits.get(name, (-np.inf, np.inf)))
+    for name, (low, high) in limits.items():
+        out = (raw.numbers[name] <= low) | (raw.numbers[name] >= high)
+        raw.leave_out(
+            "saturated", out, f"column '{name}' at or beyond {low:g} to {high:g}: the row is not used"
         )
+    leave_out_ranges(raw, data.leave_out)
+    t = raw.time(data)
+    if data.settle is not None:
+        leave_out_settling(raw, t, to_si(data.settle, "s"))
+    _check_usable(raw)
+    raw.events += drop_repeats(t, raw.segment, raw.usable, list(raw.numbers.values()), raw.rows)
+    return raw.keep_usable(t)
 
 
 def _summed(pulses: Array) -> Array:
@@ -216,50 +189,13 @@ def _summed(pulses: Array) -> Array:
     return np.where(np.isfinite(pulses), np.cumsum(np.nan_to_num(pulses)), np.nan)
 
 
-def _check_masked(raw: RawColumns, usable: NDArray[np.bool_]) -> None:
+def _check_usable(raw: RawColumns) -> None:
     """Refuse a file without a usable row; count rows that are not used for a reason not counted before."""
-    bad = usable.size - int(np.count_nonzero(usable))
-    if bad == usable.size:
-        raise DataError(
-            f"{raw.path}: no row has all needed values",
-            remedy="check the columns in [data]",
-            where=Where(raw.path),
-        )
+    if not raw.usable.any():
+        raise raw.refusal("no row has all needed values", "check the columns in [data]")
     reasons = ("missing-value", "saturated", "no-segment", "not-finite", "left-out", "moving", "settling")
-    if bad and not any(event.kind in reasons for event in raw.events):
-        row = int(raw.rows[int(np.argmin(usable))])
-        raw.events.append(Event("not-finite", bad, row, "the row is not used"))
-
-
-def _time(raw: RawColumns, data: DataTable) -> Array:
-    """Time of each row [s]. Time stamps are in seconds already."""
-    if data.time is None:
-        assert data.sample_rate is not None  # noqa: S101 - read_run_file wants one of the two
-        return stored(np.arange(raw.count) / to_si(data.sample_rate, "Hz"))
-    if data.time.unit is None:
-        return raw.numbers[data.time.column]
-    return _si(raw, data.time.column, conversion_factor(_unit(raw, data.time.column, data.time.unit), "s"))
-
-
-def _si(raw: RawColumns, name: str, factor: float, offset: float = 0.0) -> Array:
-    """A column times a factor, plus an offset."""
-    values = raw.numbers[name]
-    return values if (factor, offset) == (1.0, 0.0) else scaled(values, factor, offset)
-
-
-def _unit(raw: RawColumns, column: str, declared: str) -> str:
-    """The declared unit, checked against the unit in the data file, if that has one."""
-    logged = raw.units.get(column)
-    if logged is not None:
-        in_file, wanted = parse_unit(logged), parse_unit(declared)
-        if in_file.dimension != wanted.dimension or in_file.factor != wanted.factor:
-            raise DataError(
-                f"{raw.path}: column '{column}' has the unit '{logged}' in the file, but '{declared}' in "
-                "the run file",
-                remedy="correct the one that is wrong",
-                where=Where(raw.path, columns=(column,)),
-            )
-    return declared
+    if not any(event.kind in reasons for event in raw.events):
+        raw.note("not-finite", ~raw.usable, "the row is not used")
 
 
 def _check_enough(path: Path, raw: RawColumns, data: DataTable, base: TimeBase, rows_read: int) -> None:
@@ -268,18 +204,13 @@ def _check_enough(path: Path, raw: RawColumns, data: DataTable, base: TimeBase, 
         return
     repeated = sum(event.count for event in raw.events if event.kind == "conflicting-row")
     if data.time is not None and 2 * repeated > rows_read:
-        raise DataError(
-            f"{raw.path}: column '{data.time.column}' repeats itself in most rows: its times are rounded, or it is "
-            "not the time",
-            remedy="if they are rounded, give [data] sample_rate = '... Hz' in place of time; otherwise name the "
-            "column of the time",
-            where=Where(raw.path, columns=(data.time.column,)),
+        name = data.time.column
+        raise raw.refusal(
+            f"column '{name}' repeats itself in most rows: its times are rounded, or it is not the time",
+            "if they are rounded, give [data] sample_rate = '... Hz' in place of time; otherwise name the column of the time",
+            name,
         )
-    raise DataError(
-        f"{raw.path}: fewer than two usable rows with increasing time",
-        remedy=f"check {path}",
-        where=Where(raw.path),
-    )
+    raise raw.refusal("fewer than two usable rows with increasing time", f"check {path}")
 
 
 def _reference(
@@ -294,14 +225,13 @@ def _reference(
     return np.full((t.size, 3), np.nan) if f is None else f, base_rate
 
 
-def _axes(raw: RawColumns, group: Any, unit: str) -> Array | None:
+def _axes(raw: RawColumns, group: Columns | None, unit: str) -> Array | None:
     """Three columns as an array (n, 3); each column is contiguous."""
     if group is None:
         return None
-    factor = conversion_factor(group.unit, unit)
-    rows = empty((3, raw.count))
+    factor, rows = conversion_factor(group.unit, unit), empty((3, raw.count))
     for axis, name in enumerate(group.columns):
-        _unit(raw, name, group.unit)
+        raw.unit(name, group.unit)
         np.multiply(raw.numbers[name], factor, out=rows[axis])
     return rows.T
 
@@ -309,33 +239,28 @@ def _axes(raw: RawColumns, group: Any, unit: str) -> Array | None:
 def _logged(raw: RawColumns, column: ColumnTable | None) -> Array | None:
     if column is None:
         return None
-    unit = _unit(raw, column.column, column.unit)
-    return _si(raw, column.column, parse_unit(unit).factor, offset_to_si(unit))
+    unit = raw.unit(column.column, column.unit)
+    return raw.si(column.column, parse_unit(unit).factor, offset_to_si(unit))
 
 
 def _output_scale(run_file: RunFile, raw: RawColumns) -> OutputScale:
     """Conversion of the logged output to SI."""
     instrument, output = run_file.instrument, run_file.data.output
-    if (
-        instrument.kind == "direct"
-    ):  # counts and the declared unit are kept: the phase of a count is of no matter
-        bits = instrument.counter_bits
-        span = None if bits is None or not output.counted else 2.0**bits
-        if output.kind == "rate":
-            _unit(raw, output.column, run_file.unit)
-        return OutputScale(1.0, span, counts=output.counted, unit=integral_unit(run_file.unit))
+    direct, counts, unit = instrument.kind == "direct", output.counted, str(output.unit)
+    if not counts:
+        raw.unit(output.column, run_file.unit if direct else unit)
+    span = None if instrument.counter_bits is None or not counts else 2.0**instrument.counter_bits
+    if direct:  # counts and the declared unit are kept: the phase of a count is of no matter
+        return OutputScale(1.0, span, counts=counts, unit=integral_unit(run_file.unit))
     if output.kind == "rate":
-        return OutputScale(conversion_factor(_unit(raw, output.column, str(output.unit)), "rad/s"))
-    if output.kind == "angle":
-        factor = conversion_factor(_unit(raw, output.column, str(output.unit)), "rad")
-        span = None if output.fold is None else output.fold / factor
-        revolution = 2.0 * np.pi / factor
+        return OutputScale(conversion_factor(unit, "rad/s"))
+    if counts:
+        factor = 2.0 * np.pi / float(instrument.counts_per_revolution or 0.0)
     else:
-        revolution = float(instrument.counts_per_revolution or 0.0)
-        factor = 2.0 * np.pi / revolution
-        span = None if instrument.counter_bits is None else 2.0**instrument.counter_bits
-    whole = span is None or abs(span / revolution - round(span / revolution)) <= WHOLE
-    return OutputScale(factor, span, whole, counts=output.counted)
+        factor = conversion_factor(unit, "rad")
+        span = None if output.fold is None else output.fold / factor
+    turns = 0.0 if span is None else span * factor / (2.0 * np.pi)
+    return OutputScale(factor, span, abs(turns - round(turns)) <= WHOLE, counts)
 
 
 def _output(
@@ -344,51 +269,34 @@ def _output(
     """Output in SI, and the samples at which the number of turns was lost. ``largest``: step that the reference allows [rad]."""
     name = data.output.column
     if data.output.kind == "rate":
-        return _si(raw, name, scale.factor * data.output.direction), np.zeros(raw.count, np.bool_)
-    reading = Reading(raw.path, name, raw.numbers[name], raw.rows, base.begins, largest, base.nominal, scale)
-    output, lost, events = reading.output()
-    raw.events += events
+        return raw.si(name, scale.factor * data.output.direction), np.zeros(raw.count, np.bool_)
+    output, lost = unwrapped(raw, name, base, scale, largest)
     if data.output.kind == "pulses" and scale.unit == "rad":
-        raw.events += _lost_pulses(raw, base, lost)
+        at = np.flatnonzero(base.begins)[1:]
+        at = at[base.missing_before(at, raw.rows)]  # these rows of the log were not summed
+        lost[at] = True
+        raw.note("pulses-lost", at, "the pulses of missing rows are not known; the phase is new")
     return scaled(output, -1.0) if data.output.direction < 0 else output, lost
 
 
-def _lost_pulses(raw: RawColumns, base: TimeBase, lost: NDArray[np.bool_]) -> list[Event]:
-    """Mark stretches before which rows of the log are missing: their pulses were not summed, so the phase is new."""
-    at = np.flatnonzero(base.begins)[1:]
-    gone = at[base.missing_before(at, raw.rows)]
-    lost[gone] = True
-    return counted("pulses-lost", gone, raw.rows, "the pulses of missing rows are not known; the phase is new")
-
-
-def _resets(
-    raw: RawColumns,
-    t: Array,
-    psi: Array,
-    base: TimeBase,
-    f: Array,
-    scale_factor: float,
-    lost: NDArray[np.bool_],
-) -> list[Event]:
+def _mark_resets(
+    raw: RawColumns, t: Array, psi: Array, base: TimeBase, fastest: float, lost: NDArray[np.bool_]
+) -> None:
     """Mark stretches whose first count cannot follow from the reading before: their phase is lost.
 
-    Between segments the case may also have been turned once about the input axis.
+    Between segments the case may also have been turned once about the input axis. ``fastest``: largest rate [rad/s].
     """
     at = np.flatnonzero(base.begins)[1:]
-    if not at.size:
-        return []
-    force = np.sqrt(float(np.einsum("ij,ij->i", f, f).max()))
     interval = t[at] - t[at - 1]
     slack = np.where(raw.segment[at] == raw.segment[at - 1], 0.2, 7.0)
-    allowed = (1.5 * scale_factor * force + 1e-3) * interval + slack
-    gone = at[(interval > 0.0) & (np.abs(psi[at] - psi[at - 1]) > allowed)]
+    gone = at[(interval > 0.0) & (np.abs(psi[at] - psi[at - 1]) > (fastest + 1e-3) * interval + slack)]
     lost[gone] = True
-    return counted("counter-reset", gone, raw.rows, "between two stretches; the phase is new")
+    raw.note("counter-reset", gone, "between two stretches; the phase is new")
 
 
-def _lost_in_gaps(
+def _mark_lost_counts(
     raw: RawColumns, t: Array, psi: Array, base: TimeBase, lost: NDArray[np.bool_], fold: float
-) -> list[Event]:
+) -> None:
     """Mark gaps inside a position over which the output did not turn as it does on both sides: counts were lost.
 
     The rates on both sides are those of the stretches before and after. Each must have turned once, or by half a radian in a
@@ -408,30 +316,7 @@ def _lost_in_gaps(
     missed -= np.round(missed / fold) * fold if math.isfinite(fold) else 0.0
     gone = at[comparable & (np.abs(missed) > allowed)]
     lost[gone] = True
-    return counted("counts-lost", gone, raw.rows, "the counter lost counts in the gap; the phase is new")
-
-
-def _doubtful(
-    data: DataTable,
-    raw: RawColumns,
-    t: Array,
-    output: Array,
-    f: Array,
-    base: TimeBase,
-    scale_factor: float,
-    scale: OutputScale,
-) -> list[Event]:
-    """Report units that are probably wrong and an output that does not turn. Nothing is changed."""
-    first, some, gyro = int(raw.rows[0]), sampled(t.size), scale.unit == "rad"
-    events = [] if data.reference is None else mistaken_unit(f[some], t.size, first)
-    if data.output.kind == "rate":
-        return events + mistaken_rate(f[some, 0], output[some], scale_factor, t.size, first, gyro=gyro)
-    at = some[~base.begins[some]]
-    rate = (output[at] - output[at - 1]) / (t[at] - t[at - 1])
-    inside = t.size - int(np.count_nonzero(base.begins))
-    events += mistaken_rate(f[at, 0], rate, scale_factor, inside, first, gyro=gyro)
-    per_step = scale_factor / (scale.factor if scale.counts else 1e-3)
-    return events + stopped_output(output, t, base.begins, f[:, 0], per_step, raw.rows)
+    raw.note("counts-lost", gone, "the counter lost counts in the gap; the phase is new")
 
 
 def _split_lost(
@@ -452,7 +337,7 @@ def _split_lost(
         groups.append(groups[-1] + int(lost[row]))
     fresh = starts[lost[starts]]
     detail = "the counter may have rolled over unseen; the zero of the output angle is new there"
-    raw.events += counted("phase-lost", fresh, raw.rows, detail)
+    raw.note("phase-lost", fresh, detail)
     inside = int(np.count_nonzero(raw.segment[fresh] == raw.segment[fresh - 1]))
     if inside:
         raw.events.append(Event("segment-split", inside, None, "a gap inside a segment, phase lost"))

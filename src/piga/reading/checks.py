@@ -1,23 +1,24 @@
 """Checks of a log beyond single cells, and the output in SI.
 
-Limits, stuck values, lost samples, a stopped output, wrong units. A counter, a folded angle or a rate becomes the output, or an
-error with the reason (:class:`Reading`). A rate is integrated to the angle that the coupling turns with.
+Limits, stuck values, lost samples, a stopped output, wrong units. A counter or a folded angle becomes the output, or an error
+with the reason (:func:`unwrapped`). A rate is integrated to the angle that the coupling turns with.
 The column of a stand tells where it stands still (:func:`positions`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import DataError, Fix, Where
-from piga.records.arrays import changes, scaled, stored
-from piga.records.calibration import Event, counted
-from piga.records.run_file import LeftOutTable
+from piga.errors import DataError, Where
+from piga.reading.columns import RawColumns
+from piga.records.arrays import changes, norms, scaled, stored
+from piga.records.calibration import Event
+from piga.records.run import TimeBase
+from piga.records.run_file import DataTable, LeftOutTable
 from piga.results import Array
 from piga.units import G0, UNIT_FACTORS
 
@@ -44,73 +45,43 @@ def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
     return int(edges[2 * longest]), int(lengths[longest])
 
 
-def beyond_limits(
-    numbers: Mapping[str, NDArray],
-    limits: Mapping[str, tuple[float, float]],
-    usable: NDArray[np.bool_],
-    rows: NDArray[np.int64],
-) -> list[Event]:
-    """Clear ``usable`` for saturated rows: a value is at or beyond its declared limits. They are counted by column."""
-    events: list[Event] = []
-    for name, (low, high) in limits.items():
-        out = (numbers[name] <= low) | (numbers[name] >= high)
-        usable &= ~out
-        detail = f"column '{name}' at or beyond {low:g} to {high:g}: the row is not used"
-        events += counted("saturated", np.flatnonzero(out), rows, detail)
-    return events
-
-
-def left_out_rows(
-    wanted: Sequence[LeftOutTable], usable: NDArray[np.bool_], rows: NDArray[np.int64], path: Path
-) -> list[Event]:
-    """Clear ``usable`` for the rows that the run file leaves out. Each range is an event with its reason.
+def leave_out_ranges(raw: RawColumns, wanted: Sequence[LeftOutTable]) -> None:
+    """Do not use the rows that the run file leaves out. Each range is an event with its reason.
 
     Raises
     ------
     DataError
         If a range ends before it begins, or holds no row of the file.
     """
-    events = []
     for entry in wanted:
         low, high = entry.rows
-        begin, end = np.searchsorted(rows, low), np.searchsorted(rows, high, side="right")
-        if low > high or begin == end:
+        inside = (raw.rows >= low) & (raw.rows <= high)
+        if not inside.any():
             raise DataError(
-                f"{path}: [data] leave_out: the file has no rows {low} to {high}",
-                remedy=f"give the first and the last row to leave out, from {rows[0]} to {rows[-1]}",
-                where=Where(path, low),
+                f"{raw.path}: [data] leave_out: the file has no rows {low} to {high}",
+                remedy=f"give the first and the last row to leave out, from {raw.rows[0]} to {raw.rows[-1]}",
+                where=Where(raw.path, low),
             )
-        usable[begin:end] = False
-        detail = f"rows {low} to {high} are not used: {entry.reason}"
-        events.append(Event("left-out", int(end - begin), int(rows[begin]), detail))
-    return events
+        raw.leave_out("left-out", inside, f"rows {low} to {high} are not used: {entry.reason}")
 
 
-def stuck_extremes(
-    name: str,
-    values: Array,
-    rows: NDArray[np.int64],
-    segment: NDArray[np.int32],
-    declared: tuple[float, float],
-) -> list[Event]:
-    """Runs of the largest or smallest value in a column that otherwise changes all the time.
+def note_stuck(raw: RawColumns, name: str, limits: tuple[float, float]) -> None:
+    """Report runs of the largest or smallest value in a column that otherwise changes all the time.
 
     A slow reading rests at its turning points and at its end until it has moved by one step. Such a plateau is expected
-    and not reported. A run at or beyond the ``declared`` limits is not reported either: it counts as saturated.
+    and not reported. A run at or beyond the declared ``limits`` is not reported either: it counts as saturated.
     """
+    values = raw.numbers[name]
     finite = np.isfinite(values)
     good = values if finite.all() else values[finite]  # a long column is not copied for nothing
     if good.size < 4 * _STUCK or np.count_nonzero(good[1:] != good[:-1]) < 0.5 * good.size:
-        return []
-    events = []
+        return
     for word, extreme in (("largest", float(good.max())), ("smallest", float(good.min()))):
-        if not declared[0] < extreme < declared[1]:
-            continue
         start, length = _longest_run(values == extreme)
-        if length >= _STUCK and _hidden_steps(values, segment, start, length) > _RESTING:
+        stuck = limits[0] < extreme < limits[1] and length >= _STUCK
+        if stuck and _hidden_steps(values, raw.segment, start, length) > _RESTING:
             detail = f"column '{name}' stays at its {word} value {extreme:g}: saturated? give its limits in [data] range"
-            events.append(Event("stuck-value", length, int(rows[start]), detail))
-    return events
+            raw.note("stuck-value", np.arange(start, start + length), detail)
 
 
 def _hidden_steps(values: Array, segment: NDArray[np.int32], start: int, length: int) -> float:
@@ -138,39 +109,7 @@ def _hidden_steps(values: Array, segment: NDArray[np.int32], start: int, length:
     return max(tops) / step
 
 
-def stopped_output(
-    output: Array, t: Array, begins: NDArray[np.bool_], a_x: Array, per_step: float, rows: NDArray[np.int64]
-) -> list[Event]:
-    """Report an output that stands still although the reference demands rotation: locked, stuck or not connected.
-
-    Parameters
-    ----------
-    output, t, a_x:
-        Output, time [s] and reference along X0 [m/s^2] of the used samples, shape (n,).
-    begins:
-        True where a stretch begins.
-    per_step:
-        Output units per (m/s^2) and second.
-    rows:
-        File row of each sample.
-    """
-    still = np.zeros(t.size, np.bool_)
-    still[1:] = (output[1:] == output[:-1]) & ~begins[1:]
-    still &= np.abs(a_x) > 0.05 * largest_size(a_x)
-    start, length = _longest_run(still)
-    if length < _STUCK:
-        return []
-    run = slice(start, start + length)
-    expected = abs(per_step) * float(np.abs(a_x[run]) @ (t[run] - t[start - 1 : start + length - 1]))
-    if expected < 10.0:
-        return []
-    detail = f"the output stands still, but the reference expects {expected:.3g} counts: locked or stuck"
-    return [Event("stopped-output", int(np.count_nonzero(still)), int(rows[start]), detail)]
-
-
-def sequence_breaks(
-    number: Array, wraps_at: int | None, begins: NDArray[np.bool_], rows: NDArray[np.int64]
-) -> list[Event]:
+def note_sequence(raw: RawColumns, number: Array, wraps_at: int | None, begins: NDArray[np.bool_]) -> None:
     """Begin a stretch where a sequence number does not follow the one before. Lost and disordered numbers are counted."""
     step = changes(number)
     step[0] = 1.0
@@ -180,51 +119,8 @@ def sequence_breaks(
     gaps, backs = np.flatnonzero(step > 1.0), np.flatnonzero(step <= 0.0)
     missing = int(min(step[gaps].sum() - gaps.size, 1e18))
     none = "no increment is formed across it"
-    lost = counted("sequence-gap", gaps, rows, f"{missing} samples missing; {none}")
-    return lost + counted("sequence-back", backs, rows, none)
-
-
-def sampled(count: int) -> NDArray[np.int64]:
-    """Every row of a short record; equally spaced rows of a long one."""
-    return np.arange(0, count, max(1, -(-count // SAMPLED)))
-
-
-def mistaken_unit(f: Array, count: int, row: int) -> list[Event]:
-    """Report a static reference whose norm is g times a factor between units."""
-    norm = np.sqrt(np.einsum("ij,ij->i", f, f))
-    typical = float(np.median(norm))
-    if typical <= 0.0 or float(np.quantile(np.abs(norm - typical), 0.9)) > 0.01 * typical:
-        return []
-    words = _unit_factor(typical / G0, 0.01)
-    if not words:
-        return []
-    detail = f"|f| = {typical / G0:.5g} g in all positions: too {words}? check [data] reference unit"
-    return [Event("implausible-unit", count, row, detail)]
-
-
-def mistaken_rate(
-    a_x: Array, rate: Array, scale_factor: float, count: int, row: int, *, gyro: bool = True
-) -> list[Event]:
-    """Report a mean output rate [rad/s, or the unit of a direct instrument] that differs from K a_x by a factor between units."""
-    wanted = scale_factor * a_x
-    strong = np.abs(wanted) > 0.2 * np.abs(wanted).max(initial=0.0)
-    if strong.sum() < _STUCK:
-        return []
-    words = _unit_factor(abs(float(np.median(rate[strong] / wanted[strong]))), 0.05)
-    if not words:
-        return []
-    counted = " and counts_per_revolution" if gyro else ""
-    detail = f"the output is too {words}? check its unit{',' if gyro else ' and'} scale_factor{counted}"
-    return [Event("implausible-unit", count, row, detail)]
-
-
-def _unit_factor(ratio: float, tolerance: float) -> str:
-    """``large by`` or ``small by`` a factor between units that the ratio is; empty if it is none."""
-    for factor in UNIT_FACTORS:
-        for value, sense in ((ratio, "large"), (1.0 / ratio if ratio else 0.0, "small")):
-            if factor.words and abs(value / factor.value - 1.0) < tolerance:
-                return f"{sense} by {factor.words}"
-    return ""
+    raw.note("sequence-gap", gaps, f"{missing} samples missing; {none}")
+    raw.note("sequence-back", backs, none)
 
 
 @dataclass(frozen=True)
@@ -243,119 +139,175 @@ class OutputScale:
     unit: str = "rad"
 
 
-@dataclass(frozen=True)
-class Reading:
-    """A logged output with the data that its checks need.
+def note_doubtful(
+    raw: RawColumns,
+    data: DataTable,
+    t: Array,
+    output: Array,
+    f: Array,
+    base: TimeBase,
+    K: float,
+    scale: OutputScale,
+) -> None:
+    """Report units that are probably wrong and an output that does not turn. Nothing is changed. ``K``: nominal scale factor."""
+    some = np.arange(0, t.size, max(1, -(-t.size // SAMPLED)))
+    if data.reference is not None:
+        _note_norm(raw, norms(f[some]))
+    if data.output.kind == "rate":
+        _note_rate(raw, K * f[some, 0], output[some], t.size, scale)
+        return
+    at = some[~base.begins[some]]
+    rate = (output[at] - output[at - 1]) / (t[at] - t[at - 1])
+    _note_rate(raw, K * f[at, 0], rate, t.size - int(np.count_nonzero(base.begins)), scale)
+    _note_stopped(raw, output, t, base.begins, f[:, 0], K / (scale.factor if scale.counts else 1e-3))
 
-    Attributes
-    ----------
-    path, name:
-        Data file and column.
-    values:
-        Readings (n,) in the unit of the column.
-    rows, begins:
-        File row of each sample, and True where a stretch begins.
-    largest:
-        Largest output step [rad] between samples that the reference allows; nan without a reference.
-    nominal:
-        Nominal interval [s].
-    scale:
-        Conversion to the output.
+
+def _note_norm(raw: RawColumns, norm: Array) -> None:
+    """Report a static reference whose norm is g times a factor between units."""
+    typical = float(np.median(norm))
+    if typical <= 0.0 or float(np.quantile(np.abs(norm - typical), 0.9)) > 0.01 * typical:
+        return
+    words = _unit_factor(typical / G0, 0.01)
+    if words:
+        detail = f"|f| = {typical / G0:.5g} g in all positions: too {words}? check [data] reference unit"
+        raw.events.append(Event("implausible-unit", raw.count, int(raw.rows[0]), detail))
+
+
+def _note_rate(raw: RawColumns, wanted: Array, rate: Array, count: int, scale: OutputScale) -> None:
+    """Report a mean output rate that differs from the one of the reference, ``wanted``, by a factor between units."""
+    strong = np.abs(wanted) > 0.2 * np.abs(wanted).max(initial=0.0)
+    if strong.sum() < _STUCK:
+        return
+    words = _unit_factor(abs(float(np.median(rate[strong] / wanted[strong]))), 0.05)
+    if words:
+        keys = ", scale_factor and counts_per_revolution" if scale.unit == "rad" else " and scale_factor"
+        detail = f"the output is too {words}? check its unit{keys}"
+        raw.events.append(Event("implausible-unit", count, int(raw.rows[0]), detail))
+
+
+def _unit_factor(ratio: float, tolerance: float) -> str:
+    """``large by`` or ``small by`` a factor between units that the ratio is; empty if it is none."""
+    for factor in UNIT_FACTORS:
+        for value, sense in ((ratio, "large"), (1.0 / ratio if ratio else 0.0, "small")):
+            if factor.words and abs(value / factor.value - 1.0) < tolerance:
+                return f"{sense} by {factor.words}"
+    return ""
+
+
+def _note_stopped(
+    raw: RawColumns, output: Array, t: Array, begins: NDArray[np.bool_], a_x: Array, per_step: float
+) -> None:
+    """Report an output that stands still although the reference demands rotation: locked, stuck or not connected.
+
+    ``a_x`` (n,) is the reference along X0 [m/s^2], ``per_step`` the output units per (m/s^2) and second.
     """
+    still = np.zeros(t.size, np.bool_)
+    still[1:] = (output[1:] == output[:-1]) & ~begins[1:]
+    still &= np.abs(a_x) > 0.05 * largest_size(a_x)
+    start, length = _longest_run(still)
+    if length < _STUCK:
+        return
+    run = slice(start, start + length)
+    expected = abs(per_step) * float(np.abs(a_x[run]) @ (t[run] - t[start - 1 : start + length - 1]))
+    if expected >= 10.0:
+        detail = f"the output stands still, but the reference expects {expected:.3g} counts: locked or stuck"
+        count = int(np.count_nonzero(still))
+        raw.events.append(Event("stopped-output", count, int(raw.rows[start]), detail))
 
-    path: Path
+
+def unwrapped(
+    raw: RawColumns, name: str, base: TimeBase, scale: OutputScale, largest: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Unwrapped output angle [rad] of a column, and the samples at which the number of turns was lost.
+
+    A folded reading is unwrapped to the nearest turn inside stretches. Between samples it must move by less
+    than half its range. The check uses ``largest``: the largest output step [rad] between samples that the reference
+    allows; nan without a reference.
+
+    Raises
+    ------
+    DataError
+        If the reading is not a whole number, is outside its range, is too fast to unwrap, jumps, or was reset.
+    """
+    values, begins, span = raw.numbers[name], base.begins, scale.span
+    reading = _Reading(raw, name, values, begins, scale, largest)
+    lost = np.zeros(values.size, np.bool_)
+    if scale.counts:
+        reading.check_counts()
+    if span is None:
+        psi = scaled(values, scale.factor)
+        reading.check_jump(psi)
+        reading.check_resets(changes(values))
+        return psi, stored(lost)
+    reading.check_range(span)
+    step = changes(values)
+    whole = np.round(step / span)
+    wraps = int(np.count_nonzero(whole[~begins]))
+    step -= np.multiply(whole, span, out=whole)
+    del whole
+    reading.check_speed(span * scale.factor, step, base.nominal)
+    reading.check_resets(step)
+    psi = stored(np.cumsum(step, out=step))
+    psi += values[0]
+    psi *= scale.factor
+    reading.check_jump(psi)
+    if not scale.keeps_phase:
+        lost[1:] = begins[1:]
+    if wraps:
+        raw.events.append(Event("counter-roll-over", wraps, None, "unwrapped"))
+    return psi, stored(lost)
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """The refusals of a logged output, with what they share."""
+
+    raw: RawColumns
     name: str
     values: Array
-    rows: NDArray[np.int64]
     begins: NDArray[np.bool_]
-    largest: float
-    nominal: float
     scale: OutputScale
+    largest: float
 
-    def output(self) -> tuple[Array, NDArray[np.bool_], list[Event]]:
-        """Unwrapped output angle [rad], samples at which the number of turns was lost, and events.
+    def _refusal(self, at: int | None, words: str, remedy: str, key: str = "") -> DataError:
+        return self.raw.refusal(f"column '{self.name}': {words}", remedy, self.name, at=at, key=key)
 
-        A folded reading is unwrapped to the nearest turn inside stretches. Between samples it must move by less
-        than half its range. The check uses the largest rate that the reference allows.
-
-        Raises
-        ------
-        DataError
-            If the reading is not a whole number, is outside its range, is too fast to unwrap, jumps, or was reset.
-        """
-        factor, span = self.scale.factor, self.scale.span
-        lost, wraps = np.zeros(self.values.size, np.bool_), 0
-        if self.scale.counts:
-            self._check_counts()
-        if span is None:
-            psi = scaled(self.values, factor)
-            self._check_jump(psi)
-            self._check_resets(changes(self.values))
-        else:
-            self._check_range(span)
-            step = changes(self.values)
-            whole = np.round(step / span)
-            wraps = int(np.count_nonzero(whole[~self.begins]))
-            step -= np.multiply(whole, span, out=whole)
-            del whole
-            self._check_speed(span, step)
-            self._check_resets(step)
-            psi = stored(np.cumsum(step, out=step))
-            psi += self.values[0]
-            psi *= factor
-            self._check_jump(psi)
-            if not self.scale.keeps_phase:
-                lost = self.begins.copy()
-                lost[0] = False
-        return psi, stored(lost), [Event("counter-roll-over", wraps, None, "unwrapped")] if wraps else []
-
-    def _refused(self, at: int | None, words: str, remedy: str, key: str | None = None) -> DataError:
-        """The error of a sample, or of the column; ``key`` of [instrument] may resolve it."""
-        row = None if at is None else int(self.rows[at])
-        place = "" if row is None else f"row {row}, "
-        return DataError(
-            f"{self.path}: {place}column '{self.name}': {words}",
-            remedy=remedy,
-            where=Where(self.path, row, (self.name,)),
-            fixes=[] if key is None else [Fix("instrument", key)],
-        )
-
-    def _check_counts(self) -> None:
+    def check_counts(self) -> None:
         bad = self.values != np.rint(self.values)
         bad |= np.abs(self.values) >= 2.0**53
         if bad.any():
             at = int(np.argmax(bad))
             remedy = "set kind to 'angle' or 'rate' with its unit, or name the column of the counts"
-            raise self._refused(at, f"{self.values[at]:.15g} is not a whole count", remedy)
+            raise self._refusal(at, f"{self.values[at]:.15g} is not a whole count", remedy)
 
-    def _check_range(self, span: float) -> None:
+    def check_range(self, span: float) -> None:
         """Refuse readings that lie further apart than the range."""
         at = int(np.argmax(self.values))
         if self.values[at] - self.values.min() > span:
             words = f"{self.values[at]:.17g} lies outside the range of {span:.17g}"
-            raise self._refused(at, words, "correct [instrument] counter_bits (or wraps_at)", "counter_bits")
+            raise self._refusal(at, words, "correct [instrument] counter_bits (or wraps_at)", "counter_bits")
 
-    def _check_speed(self, span: float, step: Array) -> None:
+    def check_speed(self, span: float, step: Array, nominal: float) -> None:
         """Refuse an output that may move by half the range between samples: a roll-over could not be recognised."""
-        factor, unit, largest = self.scale.factor, self.scale.unit, self.largest
+        unit, largest = self.scale.unit, self.largest
         if np.isnan(largest):
-            largest = 1.2 * factor * float(np.abs(step[~self.begins]).max(initial=0.0))
-        if largest >= 0.5 * span * factor:
-            rate = largest / self.nominal / (0.5 * span * factor)
+            largest = 1.2 * self.scale.factor * float(np.abs(step[~self.begins]).max(initial=0.0))
+        if largest >= 0.5 * span:
+            rate = 1.2 * largest / nominal / (0.5 * span)
             words = (
                 f"between samples the output may move by {largest:.3g} {unit}, more than half of the counter's range "
-                f"({span * factor:.3g} {unit}): a roll-over cannot be recognised"
+                f"({span:.3g} {unit}): a roll-over cannot be recognised"
             )
-            raise self._refused(None, words, f"sample at {1.2 * rate:.3g} Hz or more, or use a wider counter")
+            raise self._refusal(None, words, f"sample at {rate:.3g} Hz or more, or use a wider counter")
 
-    def _check_jump(self, psi: Array) -> None:
+    def check_jump(self, psi: Array) -> None:
         """Refuse an output with a jump that only a folded counter or a reset can make."""
         size, unit = changes(psi), self.scale.unit
         np.abs(size, out=size)
         size[self.begins] = 0.0
         at = int(np.argmax(size))
         if size[at] > 10.0 * self.largest + 2.0:
-            raise self._refused(
+            raise self._refusal(
                 at,
                 f"the output jumps by {size[at]:.4g} {unit} in one sample, the reference allows {self.largest:.3g} {unit}",
                 "if the counter wraps, give [instrument] counter_bits (for an angle: wraps_at); "
@@ -363,7 +315,7 @@ class Reading:
                 "counter_bits",
             )
 
-    def _check_resets(self, step: Array) -> None:
+    def check_resets(self, step: Array) -> None:
         """Refuse a counter that jumped to about zero inside a stretch, by more than it can have moved, and went on from there."""
         if not self.scale.counts:
             return
@@ -372,11 +324,10 @@ class Reading:
         resets = [at for at in np.flatnonzero(sudden).tolist() if self._stands_out(step, at)]
         if not resets:
             return
-        also = (
-            "" if len(resets) == 1 else f", and in rows {', '.join(str(self.rows[k]) for k in resets[1:100])}"
-        )
+        more = ", ".join(str(self.raw.rows[k]) for k in resets[1:100])
+        also = f", and in rows {more}" if more else ""
         phases = " and use phases = 'per-segment'" if self.scale.unit == "rad" else ""
-        raise self._refused(
+        raise self._refusal(
             resets[0],
             f"the counter goes to {self.values[resets[0]]:.17g}, by {step[resets[0]]:+.0f} counts{also}: it was reset there",
             f"start a new segment there (a segment column){phases}; if it wrapped instead, give [instrument] counter_bits",
@@ -482,42 +433,25 @@ def _runs(means: Array, tolerance: float) -> list[tuple[int, int]]:
     return [*runs, (start, means.size)]
 
 
-def segment_by_positions(
-    x: Array, rows: NDArray[np.int64], name: str
-) -> tuple[NDArray[np.int32], tuple[str, ...], list[Event]]:
-    """Segment of each row (-1 in a move), the names of the segments, and the count of rows left out.
-
-    Parameters
-    ----------
-    x:
-        Angle or speed of the stand (n,), in the unit of the file.
-    rows:
-        Row of the file of each value.
-    name:
-        Name of the column, for the event.
-    """
-    segment = np.full(x.size, -1, np.int32)
-    spans = positions(x)
+def find_positions(raw: RawColumns, name: str) -> None:
+    """Segments of a record without a column that numbers them: where the stand, whose column is ``name``, stands still."""
+    spans = positions(raw.numbers[name])
+    raw.segment = np.full(raw.count, -1, np.int32)
     for k, (start, stop) in enumerate(spans):
-        segment[start:stop] = k
+        raw.segment[start:stop] = k
+    raw.labels = tuple(str(k + 1) for k in range(len(spans)))
+    if not spans:
+        words = f"column '{name}' nowhere stands still, so it tells no position"
+        remedy = (
+            "name the column that logs the angle or the speed of the stand, or one that numbers the positions"
+        )
+        raise raw.refusal(words, remedy, name)
     detail = f"'{name}' does not stand still: rows between the {len(spans)} positions are not used"
-    moving = counted("moving", np.flatnonzero(segment < 0), rows, detail)
-    return segment, tuple(str(k + 1) for k in range(len(spans))), moving
+    raw.leave_out("moving", raw.segment < 0, detail)
 
 
-def settling(
-    t: Array, segment: NDArray[np.int32], seconds: float, rows: NDArray[np.int64]
-) -> tuple[NDArray[np.bool_], list[Event]]:
-    """Rows within the first ``seconds`` of each visit of a position, and their count.
-
-    Parameters
-    ----------
-    t, segment, rows:
-        Time [s], segment and row of the file of each row (n,).
-    seconds:
-        Time after the beginning of a visit that is left out [s].
-    """
-    begins = np.diff(segment, prepend=segment[0] - 1) != 0
-    early = (t - t[begins][np.cumsum(begins) - 1] < seconds) & (segment >= 0)
-    detail = f"the first {seconds:g} s of each position are not used"
-    return early, counted("settling", np.flatnonzero(early), rows, detail)
+def leave_out_settling(raw: RawColumns, t: Array, seconds: float) -> None:
+    """Do not use the rows within the first ``seconds`` of each visit of a position. ``t`` (n,) is the time [s]."""
+    begins = np.diff(raw.segment, prepend=raw.segment[0] - 1) != 0
+    early = (t - t[begins][np.cumsum(begins) - 1] < seconds) & (raw.segment >= 0)
+    raw.leave_out("settling", early, f"the first {seconds:g} s of each position are not used")

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import DataError, Where
+from piga.errors import DataError, Fix, Where
 from piga.formats.columns import FileChunk, RecordStream
-from piga.records.arrays import ColumnWriter, stored
+from piga.records.arrays import ColumnWriter, scaled, stored, taken
 from piga.records.calibration import Event, counted
 from piga.records.limits import (
     LARGEST_SAMPLE,
@@ -33,21 +33,14 @@ from piga.records.limits import (
 from piga.records.run import segments_of_visits
 from piga.records.run_file import DataTable
 from piga.results import Array
-from piga.units import conversion_factor, to_si
+from piga.units import conversion_factor, parse_unit, to_si
 
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn")
 """Endings of separated text. ``.lvm`` is written by LabVIEW."""
 
 
 def open_stream(folder: Path, data: DataTable) -> RecordStream:
-    """Open the data file of a run file.
-
-    Parameters
-    ----------
-    folder:
-        Folder of the run file. The data file is relative to it.
-    data:
-        The run file's ``[data]`` table: ``read_run_file(path).data``.
+    """Open the data file of a run file. ``folder`` is that of the run file; ``data`` is its ``[data]`` table.
 
     Raises
     ------
@@ -55,26 +48,34 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
         If the file cannot be read as requested: at once, or while its chunks are taken. Names file, row and column.
     """
     path, numeric, segment = folder / data.file, tuple(data.number_columns()), data.label_column
-    kind = file_kind(path)
+    kind, stamp = file_kind(path), data.time.stamp if data.time else None
     if data.sheet is not None and kind != ".xlsx":
         raise DataError(f"{path}: [data] sheet is for .xlsx files", remedy="leave it out")
-    if kind not in TEXT_SUFFIXES:
-        _only_text(path, data)
-        return columns_stream(path, numeric, segment, data.sheet, data.missing)
-    from piga.formats.text.convention import HeadRows
+    if kind in TEXT_SUFFIXES:
+        from piga.formats.text.convention import HeadRows
 
-    return columns_stream(
-        path,
-        numeric,
-        segment,
-        separator=data.delimiter,
-        decimal=data.decimal,
-        encoding=data.encoding,
-        rows=HeadRows(data.skip_rows, data.header_row, data.units_row),
-        stamp=(data.time.column, data.time.stamp) if data.time and data.time.stamp else None,
-        missing=data.missing,
-        mask_damaged=data.damaged_rows == "mask",
-    )
+        return columns_stream(
+            path,
+            numeric,
+            segment,
+            separator=data.delimiter,
+            decimal=data.decimal,
+            encoding=data.encoding,
+            rows=HeadRows(data.skip_rows, data.header_row, data.units_row),
+            stamp=(data.time.column, stamp) if data.time and stamp else None,
+            missing=data.missing,
+            mask_damaged=data.damaged_rows == "mask",
+        )
+    units = data.units_row is not None
+    for key, given in (("skip_rows", data.skip_rows), ("header_row", data.header_row), ("units_row", units)):
+        if given:
+            raise DataError(f"{path}: [data] {key} is for text files", remedy="leave it out")
+    if stamp is not None:
+        raise DataError(
+            f"{path}: [data] time: stamp is for text files",
+            remedy="give unit = 's': dates and time stamps of Parquet and XLSX are read as seconds; text in a cell is not",
+        )
+    return columns_stream(path, numeric, segment, data.sheet, data.missing)
 
 
 def columns_stream(
@@ -85,20 +86,10 @@ def columns_stream(
     missing: tuple[str, ...] = (),
     **text: Any,
 ) -> RecordStream:
-    """Open some columns of a data file.
+    """Open the number columns ``numeric`` and the segment column of a data file.
 
-    Parameters
-    ----------
-    path:
-        The file.
-    numeric, segment:
-        Names of the number columns and of the segment column.
-    sheet:
-        Name of the sheet of a spreadsheet.
-    missing:
-        Further words that mean a missing value, in text and spreadsheets.
-    text:
-        Options of :class:`piga.formats.text.reader.TextStream`.
+    ``sheet`` names the sheet of a spreadsheet, ``missing`` further words that mean a missing value. ``text`` holds options of
+    :class:`piga.formats.text.reader.TextStream`.
 
     Raises
     ------
@@ -125,19 +116,6 @@ def columns_stream(
         if spreadsheet
         else f"give .csv, .csv.gz, .parquet or one of {', '.join(CONTAINERS)}",
     )
-
-
-def _only_text(path: Path, data: DataTable) -> None:
-    """Refuse options of text files for other files."""
-    units = data.units_row is not None
-    for key, given in (("skip_rows", data.skip_rows), ("header_row", data.header_row), ("units_row", units)):
-        if given:
-            raise DataError(f"{path}: [data] {key} is for text files", remedy="leave it out")
-    if data.time is not None and data.time.stamp is not None:
-        raise DataError(
-            f"{path}: [data] time: stamp is for text files",
-            remedy="give unit = 's': dates and time stamps of Parquet and XLSX are read as seconds; text in a cell is not",
-        )
 
 
 def file_kind(path: Path) -> str:
@@ -172,6 +150,8 @@ class RawColumns:
         Faults and omissions so far.
     inputs:
         SHA-256 of the data file and of its ``.sha256`` file, by name.
+    usable:
+        False (n,) for a row that is not used.
     """
 
     path: Path
@@ -179,14 +159,73 @@ class RawColumns:
     segment: NDArray[np.int32]
     labels: tuple[str, ...]
     rows: NDArray[np.int64]
-    units: dict[str, str]
-    events: list[Event]
+    units: dict[str, str] = field(default_factory=dict)
+    events: list[Event] = field(default_factory=list)
     inputs: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.usable = self.segment >= 0
 
     @property
     def count(self) -> int:
         """Number of rows."""
         return int(self.rows.size)
+
+    def note(self, kind: str, where: NDArray[Any], detail: str) -> None:
+        """Add an event of some rows: their indices in rising order, or True (n,) for each. None if there is no row."""
+        at = np.flatnonzero(where) if where.dtype == np.bool_ else where
+        self.events += counted(kind, at, self.rows, detail)
+
+    def leave_out(self, kind: str, where: NDArray[np.bool_], detail: str) -> None:
+        """Do not use the rows for which ``where`` (n,) is true."""
+        self.usable &= ~where
+        self.note(kind, where, detail)
+
+    def keep_usable(self, t: Array) -> Array:
+        """Drop the rows that are not used. Returns ``t`` (n,) of the others."""
+        if self.usable.all():
+            return t
+        for name, values in self.numbers.items():
+            self.numbers[name] = taken(values, self.usable)
+        self.rows, self.segment = taken(self.rows, self.usable), taken(self.segment, self.usable)
+        return taken(t, self.usable)
+
+    def refusal(
+        self, words: str, remedy: str, *columns: str, at: int | None = None, key: str = ""
+    ) -> DataError:
+        """The error of the file, of columns or of the row with index ``at``; ``key`` of ``[instrument]`` may resolve it."""
+        row = None if at is None else int(self.rows[at])
+        place = "" if row is None else f"row {row}, "
+        fixes = [Fix("instrument", key)] if key else []
+        return DataError(
+            f"{self.path}: {place}{words}", remedy=remedy, where=Where(self.path, row, columns), fixes=fixes
+        )
+
+    def unit(self, column: str, declared: str) -> str:
+        """The declared unit, checked against the unit in the data file, if that has one."""
+        logged = self.units.get(column)
+        if logged is not None:
+            in_file, wanted = parse_unit(logged), parse_unit(declared)
+            if in_file.dimension != wanted.dimension or in_file.factor != wanted.factor:
+                words = (
+                    f"column '{column}' has the unit '{logged}' in the file, but '{declared}' in the run file"
+                )
+                raise self.refusal(words, "correct the one that is wrong", column)
+        return declared
+
+    def si(self, column: str, factor: float, offset: float = 0.0) -> Array:
+        """A column times a factor, plus an offset."""
+        values = self.numbers[column]
+        return values if (factor, offset) == (1.0, 0.0) else scaled(values, factor, offset)
+
+    def time(self, data: DataTable) -> Array:
+        """Time of each row (n,) [s]. Time stamps are in seconds already."""
+        if data.time is None:
+            rate = to_si(data.sample_rate or 1.0, "Hz", what="[data] sample_rate")
+            return stored(np.arange(self.count) / rate)
+        column, unit = data.time.column, data.time.unit
+        factor = 1.0 if unit is None else conversion_factor(self.unit(column, unit), "s")
+        return self.si(column, factor)
 
 
 def read_columns(folder: Path, data: DataTable) -> RawColumns:
@@ -203,14 +242,10 @@ def read_columns(folder: Path, data: DataTable) -> RawColumns:
         raw = collect(path, data, open_stream(folder, data))
         raw.inputs[path.name] = file_digest(path)
     if sidecar is not None:
-        stated, digest = sidecar
+        stated, raw.inputs[f"{path.name}.sha256"] = sidecar
         if stated != raw.inputs[path.name]:
-            raise DataError(
-                f"{path}: its SHA-256 is not the one in {path.name}.sha256",
-                remedy="the file was damaged or changed: copy it again",
-                where=Where(path),
-            )
-        raw.inputs[f"{path.name}.sha256"] = digest
+            words = f"its SHA-256 is not the one in {path.name}.sha256"
+            raise raw.refusal(words, "the file was damaged or changed: copy it again")
     return raw
 
 
@@ -223,11 +258,7 @@ def read_series(folder: Path, data: DataTable, names: Sequence[str]) -> tuple[Ar
         As :func:`read_columns`.
     """
     raw = read_columns(folder, data)
-    values = np.column_stack([raw.numbers[name] for name in names])
-    if data.time is None:
-        t = np.arange(len(values)) / to_si(data.sample_rate or 1.0, "Hz", what="[data] sample_rate")
-    else:
-        t = raw.numbers[data.time.column] * (conversion_factor(data.time.unit, "s") if data.time.unit else 1.0)
+    values, t = np.column_stack([raw.numbers[name] for name in names]), raw.time(data)
     used = np.isfinite(values).all(axis=1) & np.isfinite(t)
     return values[used], t[used], raw.inputs
 
@@ -242,30 +273,34 @@ def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
             column.append(chunk.numbers[name])
         rows.append(chunk.rows)
         codes.append(np.zeros(chunk.rows.size, np.int32) if chunk.codes is None else chunk.codes)
-        if len(stream.label_names) > MAX_SEGMENTS:
-            raise DataError(
-                f"{path}: column '{data.label_column}' has more than {MAX_SEGMENTS} different segments",
-                remedy="name the column that numbers the positions",
-                where=Where(path, columns=(str(data.label_column),)),
-            )
-    long = next((name for name in stream.label_names if len(name) > MOST_NAME_LETTERS), None)
-    if long is not None:
-        raise DataError(
-            f"{path}: column '{data.label_column}': the label '{long[:40]}...' has {len(long)} characters",
-            remedy=f"use {MOST_NAME_LETTERS} or fewer",
-            where=Where(path, columns=(str(data.label_column),)),
-        )
-    file_rows, labels = rows.finish(), stream.label_names if data.label_column else ["all"]
+        _check_labels(path, str(data.label_column), stream.label_names)
+    labels = stream.label_names if data.label_column else ["all"]
     segment, names = segments_of_visits(codes.finish(), labels)
-    events = stream.events()
-    events += counted(
-        "no-segment", np.flatnonzero(segment < 0), file_rows, "rows without a segment are not used"
-    )
     columns = {name: column.finish() for name, column in numbers.items()}
+    raw = RawColumns(path, columns, stored(segment), names, rows.finish(), stream.units, stream.events())
+    raw.note("no-segment", segment < 0, "rows without a segment are not used")
     import pyarrow as pa
 
     pa.default_memory_pool().release_unused()
-    return RawColumns(path, columns, stored(segment), names, file_rows, stream.units, events)
+    return raw
+
+
+def _check_labels(path: Path, column: str, labels: Sequence[str]) -> None:
+    """Refuse a segment column that does not hold segments."""
+    where = Where(path, columns=(column,))
+    if len(labels) > MAX_SEGMENTS:
+        raise DataError(
+            f"{path}: column '{column}' has more than {MAX_SEGMENTS} different segments",
+            remedy="name the column that numbers the positions",
+            where=where,
+        )
+    long = next((label for label in labels if len(label) > MOST_NAME_LETTERS), None)
+    if long is not None:
+        raise DataError(
+            f"{path}: column '{column}': the label '{long[:40]}...' has {len(long)} characters",
+            remedy=f"use {MOST_NAME_LETTERS} or fewer",
+            where=where,
+        )
 
 
 def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
