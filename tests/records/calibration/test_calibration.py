@@ -134,7 +134,11 @@ def test_from_coefficients_compensates_as_the_estimate_does(run, cal):
             "not positive semi-definite",
         ),
         ({"scale_factor": 0.9, "k0": 0.0}, {"covariance": [[1.0, 0.5], [0.2, 1.0]]}, "not symmetric"),
-        ({"scale_factor": (0.9, 1e-3)}, {"covariance": [[1.0]]}, "contradicts the standard uncertainty"),
+        (
+            {"scale_factor": (0.9, 1e-3)},
+            {"covariance": [[1.0]]},
+            "uncertainty of .scale_factor. is 0.001, but the covariance gives 1",
+        ),
         ({"scale_factor": 0.9}, {"phase_source": "both"}, "phase_source: 'both'"),
         ({"k0": Coefficient("k2", 1.0, 0.0, "g/g^2")}, {}, "'k0' is the coefficient 'k2'"),
     ],

@@ -10,9 +10,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import ArrayLike
 
 from piga import doors
@@ -21,6 +22,8 @@ from piga.records.calibration.coefficient import (
     TYPE_A_ONLY,
     BudgetTable,
     Coefficient,
+    Level,
+    Number,
     StandSource,
     is_of_reference,
     rounded,
@@ -150,7 +153,7 @@ class CalibrationPlots:
         return self._draw("convergence", ax)
 
 
-@dataclass(frozen=True, repr=False, eq=False)
+@dataclass(frozen=True, repr=False, eq=False, kw_only=True)
 class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     """Result of a calibration: coefficients with covariance, noise, residual figures and doubts.
 
@@ -168,37 +171,37 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     """
 
     serial: str
-    scale_factor_nominal: float
+    scale_factor_nominal: Level
     terms: tuple[str, ...]
-    phases: str
-    phase_source: str
+    phases: str = "shared"
+    phase_source: str = "output"
     method: str
     coefficients: tuple[Coefficient, ...]
     covariance: Array
-    surplus_observations: float
-    angle_rms: float
-    angle_random_walk: float
-    residual_rms: float
-    residual_rms_before: float
-    residual_max_before: float
-    residual_max_after: float
+    surplus_observations: Level = math.inf
+    angle_rms: Level
+    angle_random_walk: Level
+    residual_rms: Level
+    residual_rms_before: Level
+    residual_max_before: Level
+    residual_max_after: Level
     quality: Quality
-    condition: float
-    notes: tuple[str, ...]
-    budget: BudgetTable
-    diagnostics: Diagnostics
-    segments: tuple[SegmentSummary, ...]
+    condition: Annotated[float, Meta(ge=1.0)]
+    notes: tuple[str, ...] = ()
+    budget: BudgetTable = field(default_factory=BudgetTable)
+    diagnostics: Diagnostics = field(default_factory=Diagnostics)
+    segments: tuple[SegmentSummary, ...] = ()
     provenance: Provenance
-    temperature_reference: float = 293.15
-    time_reference: float = 0.0
+    temperature_reference: Level = 293.15
+    time_reference: Number = 0.0
     residuals: Residuals | None = field(default=None, compare=False)
     history: dict[str, Array] | None = field(default=None, compare=False)
     runs: tuple[RunRecord, ...] = ()
     outliers: tuple[Outlier, ...] = ()
-    segment_scatter: float = 0.0
+    segment_scatter: Level = 0.0
     remarks: tuple[str, ...] = ()
     sources: tuple[StandSource, ...] = ()
-    scale_factor_tolerance: float = 0.01
+    scale_factor_tolerance: Level = 0.01
     gravity: str = ""
     unit: str = GYRO
 
