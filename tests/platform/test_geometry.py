@@ -102,13 +102,13 @@ def test_tip_turns_into_a_gyro_and_back():
 
 
 def test_derivatives_of_a_tip_are_those_of_finite_differences():
-    tip = Tip(3e-4, -2e-4, np.array([2e-5, -1e-5]), np.array([1e-5, 3e-5]))
+    tip = Tip(np.array([3e-4, -2e-4, 2e-5, 1e-5, -1e-5, 3e-5]))
     angle = np.linspace(0.0, 6.0, 13)
     _, columns = tip.series(angle)
     for k in range(6):
         step = np.zeros(6)
         step[k] = 1e-9
-        up, down = Tip.from_vector(tip.vector + step), Tip.from_vector(tip.vector - step)
+        up, down = Tip(tip.vector + step), Tip(tip.vector - step)
         slope = (up.series(angle)[0] - down.series(angle)[0]) / 2e-9
         np.testing.assert_allclose(columns[:, k], slope, rtol=0, atol=1e-7)
 

@@ -100,10 +100,10 @@ def test_a_long_record_is_cut_into_stretches(monkeypatch):
     """Forty-five turns: three stretches with a slow force each tell as much as one long one."""
     s = calibration(duration=21600.0, step=16.0, sensors=NOISE)
     readouts = simulate(s).readouts
-    assert len(ObservedRecord.checked(readouts, ("force",), 3).stretches) == 3
+    assert len(ObservedRecord.checked(readouts, s.place, ("force",), 3).stretches) == 3
     cut = identify(readouts, s.place, sources=("force",))
     monkeypatch.setattr("piga.platform.observation.FORCE_FILTER", ForceFilter(turns=100))
-    assert len(ObservedRecord.checked(readouts, ("force",), 3).stretches) == 1
+    assert len(ObservedRecord.checked(readouts, s.place, ("force",), 3).stretches) == 1
     whole = identify(readouts, s.place, sources=("force",))
     std = np.sqrt(np.diag(whole.covariance))
     np.testing.assert_allclose(np.sqrt(np.diag(cut.covariance)), std, rtol=0.05)

@@ -13,26 +13,16 @@ from typing import Any
 import numpy as np
 
 from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
-from piga.platform.geometry import geodetic_to_earth, local_axes, specific_force_at_rest, wrapped
-from piga.platform.identify import by_source, solve_with_noise
+from piga.platform.geometry import local_axes, wrapped
+from piga.platform.identify import gauss_newton
 from piga.platform.navigator import Knowledge, Start, site_start
-from piga.platform.observation import (
-    Reduced,
-    Tip,
-    Unknowns,
-    coarse_unknowns,
-    force_rows,
-    gimbal_rows,
-    names,
-)
+from piga.platform.observation import ObservedRecord, Tip, names
 from piga.platform.scenario import Place
 from piga.platform.simulate import Readouts
-from piga.progress import Progress, report
+from piga.progress import Progress
 from piga.results import Array, Result
 
-UNKNOWNS = (
-    "triad.x", "triad.y", "triad.z", "drift.x", "drift.y", "drift.z", "base.1", "base.2", "base.3",
-)  # fmt: skip
+UNKNOWNS = names(0)[-9:]
 """Order of the covariance: triad attitude [rad], triad drift [rad/s], base attitude about Earth axes [rad]."""
 
 
@@ -118,50 +108,23 @@ def align(
     IdentifiabilityError
         If the record is too short to determine the attitude.
     """
-    force = specific_force_at_rest(geodetic_to_earth(place.latitude, place.longitude, place.height))
-    x = replace(
-        coarse_unknowns(readouts, force, orders),
+    record = ObservedRecord(readouts, place, ("gimbals", "rest"), orders)
+    known = replace(
+        record.coarse(),
         polar=Tip.of(knowledge.polar, orders),
         equatorial=Tip.of(knowledge.equatorial, orders),
         eta0=knowledge.eta0,
         eta_rate=knowledge.eta_rate,
     )
-    for k in range(iterations):
-        report(progress, k, iterations, f"step {k + 1} of {iterations}")
-        parts = _groups(x, readouts, force)
-        solution = solve_with_noise(parts, UNKNOWNS)
-        x = _moved(x, solution.step)
-    to_level = local_axes(place.latitude, place.longitude).T
-    noise, rms = by_source(parts, solution)
+    x, parts, solution = gauss_newton(record, known, iterations, progress, settled=0.0)
+    noise, rms = solution.by_source(parts)
     return Alignment(
         place=place,
         triad=x.triad.T.copy(),
         drift=x.drift,
-        base=to_level @ x.base,
+        base=local_axes(place.latitude, place.longitude).T @ x.base,
         covariance=solution.covariance,
         noise=noise,
         rms=rms,
         condition=solution.condition,
     )
-
-
-def _groups(x: Unknowns, readouts: Readouts, force: Array) -> list[Reduced]:
-    slow = len(names(len(x.polar.cosines))) - 8
-    angle, by_angle = gimbal_rows(x, readouts)
-    felt, by_force = force_rows(x, readouts, force)
-    return [
-        Reduced.of("gimbals", angle.ravel(), _with_third(by_angle[:, :, slow:], x)),
-        Reduced.of("force", felt.ravel(), np.pad(by_force[:, :, slow:].reshape(-1, 8), ((0, 0), (0, 1)))),
-    ]
-
-
-def _with_third(columns: Array, x: Unknowns) -> Array:
-    """Add the third base angle, about the Earth's axis. The gimbal angles cannot distinguish it from a turn of the triad."""
-    pole = x.triad[:, 2]
-    third = -columns[:, :, :3] @ pole
-    return np.concatenate([columns, third[:, :, None]], axis=2).reshape(-1, 9)
-
-
-def _moved(x: Unknowns, step: Array) -> Unknowns:
-    moved = x.moved(np.concatenate([np.zeros(len(names(len(x.polar.cosines))) - 8), step[:8]]))
-    return replace(moved, base=rotation_vector_to_matrix(np.array([0.0, 0.0, step[8]])) @ moved.base)

@@ -13,22 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from piga import doors, earth
 from piga.errors import IdentifiabilityError
-from piga.platform.geometry import geodetic_to_earth, specific_force_at_rest, wrapped
+from piga.platform.geometry import wrapped
 from piga.platform.navigator import Knowledge
-from piga.platform.observation import (
-    STATIC_SOURCES,
-    ObservedRecord,
-    Reduced,
-    Tip,
-    Unknowns,
-    coarse_unknowns,
-    misalignment_regressors,
-    names,
-)
+from piga.platform.observation import STATIC_SOURCES, ObservedRecord, Reduced, Tip, Unknowns
 from piga.platform.scenario import Gyro, Place
 from piga.platform.simulate import Readouts
 from piga.progress import Progress, report
@@ -41,6 +31,10 @@ if TYPE_CHECKING:
 
 _SMALLEST_SIGMA = 1e-12
 """Smallest noise level of a group. It avoids division by zero for a record without noise."""
+_SETTLED = 0.01
+"""The iteration ends if the step is below this share of the standard uncertainties."""
+UNKNOWN_PHASE = float(np.pi / np.sqrt(3.0))
+"""Standard uncertainty [rad] of an unknown phase (uniform over a turn)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -51,6 +45,11 @@ class LeastSquares(Result):
     covariance: Array
     condition: float
     levels: tuple[float, ...]
+
+    def by_source(self, parts: Sequence[Reduced]) -> tuple[dict[str, float], dict[str, float]]:
+        """Noise level of each group, and the root mean square of its residuals after the step."""
+        noise = {part.name: level for part, level in zip(parts, self.levels, strict=True)}
+        return noise, {part.name: float(np.sqrt(part.squares(self.step) / part.rows)) for part in parts}
 
 
 def solve(parts: Sequence[Reduced], levels: Sequence[float], names: Sequence[str]) -> LeastSquares:
@@ -77,35 +76,22 @@ def solve(parts: Sequence[Reduced], levels: Sequence[float], names: Sequence[str
     return LeastSquares(inverse @ factor[:p, p], inverse @ inverse.T, condition, tuple(levels))
 
 
-def noise_levels(parts: Sequence[Reduced], solution: LeastSquares) -> list[float]:
-    """Standard deviation of each group from its residuals after the step of ``solution``.
+def solve_with_noise(parts: Sequence[Reduced], names: Sequence[str]) -> LeastSquares:
+    """Weighted least squares with noise levels estimated from the residuals of the same rows.
 
     Each group loses the degrees of freedom that its rows gave to the estimate: the sum of their leverages,
     ``trace(J C J') / sigma^2``.
     """
-    levels = []
-    for part, level in zip(parts, solution.levels, strict=True):
-        rows = part.factor[:, :-1] / level
-        leverage = float(np.sum((rows @ solution.covariance) * rows))
-        freedom = max(part.rows - leverage, 1.0)
-        levels.append(max(float(np.sqrt(part.squares(solution.step) / freedom)), _SMALLEST_SIGMA))
-    return levels
-
-
-def by_source(parts: Sequence[Reduced], solution: LeastSquares) -> tuple[dict[str, float], dict[str, float]]:
-    """Noise level of each group, and the root mean square of its residuals after the step of ``solution``."""
-    noise = {part.name: level for part, level in zip(parts, solution.levels, strict=True)}
-    return noise, {part.name: float(np.sqrt(part.squares(solution.step) / part.rows)) for part in parts}
-
-
-def solve_with_noise(parts: Sequence[Reduced], names: Sequence[str]) -> LeastSquares:
-    """Weighted least squares with noise levels estimated from the residuals of the same rows."""
     levels = [max(float(np.linalg.norm(p.factor[:, -1]) / np.sqrt(p.rows)), _SMALLEST_SIGMA) for p in parts]
-    solution = solve(parts, levels, names)
+    solution, settled = solve(parts, levels, names), False
     for _ in range(20):
-        estimated = noise_levels(parts, solution)
-        settled = np.allclose(estimated, solution.levels, rtol=1e-4, atol=0.0)
-        solution = solve(parts, estimated, names)
+        levels = []
+        for part, level in zip(parts, solution.levels, strict=True):
+            rows = part.factor[:, :-1] / level
+            freedom = max(part.rows - float(np.sum((rows @ solution.covariance) * rows)), 1.0)
+            levels.append(max(float(np.sqrt(part.squares(solution.step) / freedom)), _SMALLEST_SIGMA))
+        settled = np.allclose(levels, solution.levels, rtol=1e-4, atol=0.0)
+        solution = solve(parts, levels, names)
         if settled:
             break
     return solution
@@ -118,8 +104,18 @@ def in_words(direction: Array, names: Sequence[str]) -> str:
     return ", ".join(names[k] for k in sorted(chosen))
 
 
-UNKNOWN_PHASE = float(np.pi / np.sqrt(3.0))
-"""Standard uncertainty [rad] of an unknown phase (uniform over a turn)."""
+def gauss_newton(
+    record: ObservedRecord, x: Unknowns, steps: int, progress: Progress | None, settled: float = _SETTLED
+) -> tuple[Unknowns, list[Reduced], LeastSquares]:
+    """Converged unknowns, the rows about the last ones but one, and the last step with its covariance."""
+    for k in range(max(steps, 1)):
+        report(progress, k, steps, f"step {k + 1} of at most {steps}")
+        parts = record.groups(x)
+        solution = solve_with_noise(parts, record.names)
+        x = record.moved(x, solution.step)
+        if np.all(np.abs(solution.step) < settled * np.sqrt(np.diag(solution.covariance))):
+            break
+    return x, parts, solution
 
 
 @dataclass(frozen=True)
@@ -172,102 +168,6 @@ class Identification(Result):
         raise KeyError(f"no parameter '{name}'; there are: {', '.join(p.name for p in self.parameters)}")
 
 
-def result(
-    record: ObservedRecord, x: Unknowns, parts: Sequence[Reduced], solution: LeastSquares
-) -> Identification:
-    """The result at the unknowns ``x``, from the last rows and the last solution."""
-    orders, tips = record.orders, 4 + 4 * record.orders
-    count = tips + (2 if "pick-off" in record.sources else 0)
-    vector = np.concatenate([x.polar.vector, x.equatorial.vector, [x.eta0, x.eta_rate]])[:count]
-    covariance = solution.covariance[:count, :count]
-    noise, rms = by_source(parts, solution)
-    return Identification(
-        sources=record.sources,
-        polar=x.polar.gyro(),
-        equatorial=x.equatorial.gyro(),
-        eta0=x.eta0,
-        eta_rate=x.eta_rate,
-        names=names(orders)[:count],
-        values=vector,
-        covariance=covariance,
-        noise=noise,
-        rms=rms,
-        degrees_of_freedom=sum(part.rows for part in parts) - len(solution.covariance),
-        condition=solution.condition,
-        parameters=_parameters(vector, covariance, orders, count > tips),
-        notes=_notes(vector, covariance, orders),
-    )
-
-
-def _parameters(vector: Array, covariance: Array, orders: int, with_eta: bool) -> tuple[Parameter, ...]:
-    """Amplitudes and phases with first-order uncertainty (central differences of the exact conversion)."""
-    labels = _labels(orders)
-
-    def converted(v: Array) -> Array:
-        half = 2 + 2 * orders
-        out = []
-        for part in (v[:half], v[half : 2 * half]):
-            gyro = Tip.from_vector(part).gyro()
-            out += [gyro.misalignment, gyro.phase]
-            out += [number for h in gyro.harmonics for number in (h.amplitude, h.phase)]
-        return np.array(out)
-
-    tips = 4 + 4 * orders
-    values, jacobian = converted(vector), np.empty((tips, tips))
-    for k in range(tips):
-        step = np.zeros(len(vector))
-        step[k] = max(1e-4 * np.sqrt(covariance[k, k]), 1e-13)
-        difference = converted(vector + step) - converted(vector - step)
-        jacobian[:, k] = np.where(_labels_are_angles(labels), wrapped(difference), difference) / (2.0 * step[k])
-    stds = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance[:tips, :tips], jacobian))
-    stds = np.where(_labels_are_angles(labels), np.minimum(stds, UNKNOWN_PHASE), stds)
-    parameters = [Parameter(n, float(v), float(s), "rad") for n, v, s in zip(labels, values, stds, strict=True)]
-    if with_eta:
-        std = np.sqrt(np.diag(covariance))
-        parameters.append(Parameter("redundancy.initial", float(vector[tips]), float(std[tips]), "rad"))
-        parameters.append(Parameter("redundancy.rate", float(vector[tips + 1]), float(std[tips + 1]), "rad/s"))
-    return tuple(parameters)
-
-
-def _labels(orders: int) -> list[str]:
-    labels = []
-    for gyro in ("polar", "equatorial"):
-        labels += [f"{gyro}.misalignment", f"{gyro}.phase"]
-        labels += [
-            f"{gyro}.harmonic{k}.{what}" for k in range(1, orders + 1) for what in ("amplitude", "phase")
-        ]
-    return labels
-
-
-def _labels_are_angles(labels: Sequence[str]) -> NDArray[np.bool_]:
-    """True for parameter names that are phases (compared modulo a turn)."""
-    return np.array([name.endswith("phase") for name in labels])
-
-
-def _notes(vector: Array, covariance: Array, orders: int) -> tuple[str, ...]:
-    notes = []
-    half, std = 2 + 2 * orders, np.sqrt(np.diag(covariance))
-    for start, gyro in ((0, "polar"), (half, "equatorial")):
-        if np.hypot(vector[start], vector[start + 1]) < 3.0 * std[start : start + 2].max():
-            notes.append(
-                f"{gyro}: the misalignment is below three times its uncertainty; its phase means nothing"
-            )
-        at = [start + 2 * k for k in range(1, orders + 1)]
-        small = [
-            k for k, i in enumerate(at, start=1) if np.hypot(*vector[i : i + 2]) < 3.0 * std[i : i + 2].max()
-        ]
-        if small:
-            which = ", ".join(str(k) for k in small)
-            notes.append(
-                f"{gyro}: harmonics below three times their uncertainty, whose phases mean nothing: {which}"
-            )
-    return tuple(notes)
-
-
-_SETTLED = 0.01
-"""The iteration ends if the step is below this share of the standard uncertainties."""
-
-
 @one_thread()
 def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATIC_SOURCES, orders: int = 3,
              iterations: int = 6, progress: Progress | None = None) -> Identification:  # fmt: skip
@@ -296,24 +196,76 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
         If a source is not known, the record is shorter than two case turns, or (for ``force``) has fewer than
         20 samples a turn.
     """
-    record = ObservedRecord.checked(readouts, sources, orders)
-    return result(record, *_gauss_newton(record, place, iterations, progress))
+    record = ObservedRecord.checked(readouts, place, sources, orders)
+    x, parts, solution = gauss_newton(record, record.coarse(), iterations, progress)
+    count = 4 + 4 * orders + (2 if "pick-off" in sources else 0)
+    values = np.concatenate([x.polar.vector, x.equatorial.vector, [x.eta0, x.eta_rate]])[:count]
+    covariance = solution.covariance[:count, :count]
+    noise, rms = solution.by_source(parts)
+    return Identification(
+        sources=record.sources,
+        polar=x.polar.gyro(),
+        equatorial=x.equatorial.gyro(),
+        eta0=x.eta0,
+        eta_rate=x.eta_rate,
+        names=record.names[:count],
+        values=values,
+        covariance=covariance,
+        noise=noise,
+        rms=rms,
+        degrees_of_freedom=sum(part.rows for part in parts) - len(solution.covariance),
+        condition=solution.condition,
+        parameters=_parameters(values, covariance, orders),
+        notes=_notes(values, covariance),
+    )
 
 
-def _gauss_newton(
-    record: ObservedRecord, place: Place, iterations: int = 6, progress: Progress | None = None
-) -> tuple[Unknowns, list[Reduced], LeastSquares]:
-    """Converged unknowns, the rows about the last ones but one, and the last step with its covariance."""
-    force = specific_force_at_rest(geodetic_to_earth(place.latitude, place.longitude, place.height))
-    x = coarse_unknowns(record.readouts, force, record.orders)
-    for k in range(max(iterations, 1)):
-        report(progress, k, iterations, f"step {k + 1} of at most {iterations}")
-        parts = record.groups(x)
-        solution = solve_with_noise(parts, record.names)
-        x = record.moved(x, solution.step)
-        if np.all(np.abs(solution.step) < _SETTLED * np.sqrt(np.diag(solution.covariance))):
-            break
-    return x, parts, solution
+def _amplitudes(tips: Array) -> Array:
+    """Amplitude and phase of the fundamental and of each harmonic, of both gyros, from their unknowns."""
+    gyros = [Tip(part).gyro() for part in np.split(tips, 2)]
+    return np.array(
+        [v for g in gyros for v in (g.misalignment, g.phase, *(n for h in g.harmonics for n in h[1:]))]
+    )
+
+
+def _parameters(values: Array, covariance: Array, orders: int) -> tuple[Parameter, ...]:
+    """Amplitudes and phases with first-order uncertainty (central differences of the exact conversion)."""
+    kinds = ["misalignment", "phase"]
+    kinds += [f"harmonic{k}.{what}" for k in range(1, orders + 1) for what in ("amplitude", "phase")]
+    labels = [f"{gyro}.{kind}" for gyro in ("polar", "equatorial") for kind in kinds]
+    phases, count = np.array([label.endswith("phase") for label in labels]), len(labels)
+    tips, rest, std = values[:count], values[count:], np.sqrt(np.diag(covariance))
+    jacobian = np.empty((count, count))
+    for k, size in enumerate(np.maximum(1e-4 * std[:count], 1e-13)):
+        step = size * (np.arange(count) == k)
+        difference = _amplitudes(tips + step) - _amplitudes(tips - step)
+        jacobian[:, k] = np.where(phases, wrapped(difference), difference) / (2.0 * size)
+    stds = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance[:count, :count], jacobian))
+    stds = np.append(np.where(phases, np.minimum(stds, UNKNOWN_PHASE), stds), std[count:])
+    numbers = zip(np.append(_amplitudes(tips), rest).tolist(), stds.tolist(), strict=True)
+    names = [*labels, "redundancy.initial", "redundancy.rate"]
+    return tuple(
+        Parameter(name, value, u, "rad/s" if name == "redundancy.rate" else "rad")
+        for name, (value, u) in zip(names, numbers, strict=False)
+    )
+
+
+def _notes(values: Array, covariance: Array) -> tuple[str, ...]:
+    """Misalignments and harmonics that are below three times their uncertainty."""
+    notes = []
+    pairs, stds = (v[: len(v) // 4 * 4].reshape(2, -1, 2) for v in (values, np.sqrt(np.diag(covariance))))
+    small = np.hypot(pairs[..., 0], pairs[..., 1]) < 3.0 * stds.max(axis=2)
+    for gyro, (fundamental, *harmonics) in zip(("polar", "equatorial"), small.tolist(), strict=True):
+        if fundamental:
+            notes.append(
+                f"{gyro}: the misalignment is below three times its uncertainty; its phase means nothing"
+            )
+        if any(harmonics):
+            which = ", ".join(str(k) for k, below in enumerate(harmonics, start=1) if below)
+            notes.append(
+                f"{gyro}: harmonics below three times their uncertainty, whose phases mean nothing: {which}"
+            )
+    return tuple(notes)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -358,7 +310,7 @@ def identify_growing(
 
     The other arguments and the errors are those of :func:`identify`.
     """
-    record = ObservedRecord.checked(readouts, sources, orders)
+    record = ObservedRecord.checked(readouts, place, sources, orders)
     start, end = float(readouts.times[0]), float(readouts.times[-1])
     shortest = min(4.0 * record.periods[1], end - start)
     times, parts = start + np.linspace(shortest, end - start, count), []
@@ -397,19 +349,11 @@ def observability(readouts: Readouts, identification: Identification) -> tuple[O
     leaves two of the four unknowns undetermined.
     """
     every = max(1, len(readouts.times) // 4000)
-    t = readouts.times[::every]
-    encoders = (readouts.encoder1[::every], readouts.encoder2[::every])
-    x = Unknowns(
-        Tip.of(identification.polar, 0),
-        Tip.of(identification.equatorial, 0),
-        identification.eta0,
-        identification.eta_rate,
-        np.eye(3),
-        np.zeros(3),
-        np.eye(3),
-    )
-    e, pick = misalignment_regressors(x, t, *encoders)
-    felt = np.cross(_gravity(readouts)[::every][: len(t), :, None], e, axis=1)
+    t, *encoders = (v[::every] for v in (readouts.times, readouts.encoder1, readouts.encoder2))
+    i, turns = identification, (np.eye(3), np.zeros(3), np.eye(3))
+    x = Unknowns(Tip.of(i.polar, 0), Tip.of(i.equatorial, 0), i.eta0, i.eta_rate, *turns)
+    e, pick = x.regressors(t, *encoders)
+    felt = np.cross(_gravity(readouts)[::every, :, None], e, axis=1)
     rows = {"x": e[:, 0, :4], "y": e[:, 1, :4], "z": e[:, 2, :4], "Y": pick[:, :4]}
     rows |= {name: felt[:, k, :4] for k, name in enumerate("123")}
     equal = np.allclose(np.diff(encoders[0][:64]), np.diff(encoders[1][:64]))
@@ -423,8 +367,19 @@ def observability(readouts: Readouts, identification: Identification) -> tuple[O
         "specific force": "123",
         "specific force with pick-off": "123Y",
     }
-    weight = np.sqrt(every) * ARCSEC
-    return tuple(_judge(name, [rows[k] for k in keys], t, equal, weight) for name, keys in chosen.items())
+    basis, _ = np.linalg.qr(np.stack([np.ones_like(t), t / t[-1]], axis=1))
+    verdicts = []
+    for source, keys in chosen.items():
+        clean = np.concatenate([rows[k] - basis @ (basis.T @ rows[k]) for k in keys])
+        _, values, right = np.linalg.svd(clean, full_matrices=False)
+        condition = float(values[0] / values[-1]) if values[-1] > 0.0 else np.inf
+        scatter = right.T / np.where(values > 0.0, values, np.nan) * (np.sqrt(every) * ARCSEC)
+        std = np.nan_to_num(np.sqrt(np.sum(scatter**2, axis=1)), nan=np.inf)
+        hidden = right[values < values[0] / _SEPARABLE]
+        separable = condition < _SEPARABLE
+        sentence = "tells both misalignments and both phases" if separable else _mixed(hidden, clean, equal)
+        verdicts.append(Observability(source, condition, std, separable, sentence))
+    return tuple(verdicts)
 
 
 def _gravity(readouts: Readouts) -> Array:
@@ -437,32 +392,15 @@ def _gravity(readouts: Readouts) -> Array:
     return direction
 
 
-def _judge(source: str, rows: list[Array], t: Array, equal: bool, sigma: float) -> Observability:
-    slow = np.stack([np.ones_like(t), t / t[-1]], axis=1)
-    basis, _ = np.linalg.qr(slow)
-    clean = np.concatenate([r - basis @ (basis.T @ r) for r in rows])
-    _, values, right = np.linalg.svd(clean, full_matrices=False)
-    condition = float(values[0] / values[-1]) if values[-1] > 0.0 else np.inf
-    separable = condition < _SEPARABLE
-    weak = values < values[0] / _SEPARABLE
-    scatter = (right.T / np.where(values > 0.0, values, np.nan)) * sigma
-    std = np.sqrt(np.sum(scatter**2, axis=1))
-    std = np.where(np.isfinite(std), std, np.inf)
-    return Observability(source, condition, std, separable, _sentence(separable, right[weak], clean, equal))
-
-
-def _sentence(separable: bool, hidden: Array, clean: Array, equal: bool) -> str:
-    if separable:
-        return "tells both misalignments and both phases"
+def _mixed(hidden: Array, clean: Array, equal: bool) -> str:
+    """The unknowns that a source leaves undetermined, and what to do; ``equal``: both cases turn at one speed."""
     unseen = [n for n, column in zip(UNKNOWNS, clean.T, strict=True) if not column.any()]
     if unseen:
         return f"does not see {', '.join(unseen)} at all; add the z axis or the pick-off"
     mixed = "; ".join(in_words(direction, UNKNOWNS) for direction in hidden)
     why = ": both cases turn at one speed, so that the two lines coincide" if equal else ""
-    cure = "add the other gimbal axes or the pick-off" + (
-        ", or turn the cases at unequal speeds" if equal else ""
-    )
-    return f"cannot tell apart {mixed}{why}; {cure}"
+    cure = ", or turn the cases at unequal speeds" if equal else ""
+    return f"cannot tell apart {mixed}{why}; add the other gimbal axes or the pick-off{cure}"
 
 
 def identification_document(identification: Identification, sources: Sequence[Observability]) -> dict[str, Any]:
