@@ -52,7 +52,7 @@ def test_the_same_asked_twice_is_one_job_unless_the_record_changed(jobs: Jobs, t
 
     def started(command: tuple[str, ...], title: str, place: str) -> Job:
         job = jobs.start(command, title, "tumble-a.toml", place, [record])
-        os.kill(jobs._jobs[job.key][1].child.pid, signal.SIGSTOP)  # it runs until the end of the test
+        os.kill(job.child.pid, signal.SIGSTOP)  # it runs until the end of the test
         return job
 
     def asked(place: str, *options: str) -> Job:
@@ -80,7 +80,7 @@ def test_the_same_asked_twice_is_one_job_unless_the_record_changed(jobs: Jobs, t
         assert started(check, "Preview", "e").key != anew.key
     finally:
         for job in jobs.all():
-            os.kill(jobs._jobs[job.key][1].child.pid, signal.SIGCONT)
+            os.kill(job.child.pid, signal.SIGCONT)
         jobs.stop_all()
 
 
@@ -157,7 +157,7 @@ def test_a_job_that_is_killed_while_it_writes_leaves_the_older_results_whole(
     job = jobs.start(command, "Calibrate", "tumble-a.toml", "out")
     while not list((tmp_path / "out").glob(".piga-stage-*/results/*")):  # a result is being written there
         assert jobs.status(job).state == "running"
-    os.kill(jobs._jobs[job.key][1].child.pid, signal.SIGKILL)
+    os.kill(job.child.pid, signal.SIGKILL)
     assert ended(jobs, job).state == "failed"
     assert shown() == before
     assert ended(jobs, jobs.start(command, "Calibrate", "tumble-a.toml", "out")).state == "done"

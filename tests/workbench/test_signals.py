@@ -50,10 +50,11 @@ def write(run: Run, folder: Path, unit: str = "K") -> Outline:
 def test_the_whole_picture_holds_the_extremes(tmp_path: Path) -> None:
     run = record(200_000, [50_000, 120_001])
     outline = write(run, tmp_path / "a-1")
-    rows = picture(tmp_path / "a-1", "output", 0.0, outline.duration, 800)
+    rows = picture(tmp_path / "a-1", ["output", "fY"], 0.0, outline.duration, 800)
     assert 800 <= len(rows) < 4 * 800 + 10
-    assert np.nanmin(rows[:, 1]) == run.output.min()
-    assert np.nanmax(rows[:, 2]) == run.output.max()
+    for first, values, unit in ((1, run.output, 2.0 * np.pi), (3, run.f[:, 1], 9.80665)):
+        assert np.nanmin(rows[:, first]) == pytest.approx(values.min() / unit, rel=1e-15)
+        assert np.nanmax(rows[:, first + 1]) == pytest.approx(values.max() / unit, rel=1e-15)
     gaps = np.flatnonzero(np.isnan(rows[:, 1]))
     assert gaps.size == 2
     starts = rows[gaps + 1, 0]
@@ -81,13 +82,14 @@ def test_no_peak_is_lost_and_none_invented(
     run = record(size, sorted({gap for gap in gaps if gap < size}))
     cache = tmp_path_factory.mktemp("envelopes") / "a-1"
     outline = write(run, cache)
-    values = run.output if key == "output" else run.f[:, "XYZ".index(key[1])]
+    (signal,) = (one for one in outline.signals if one.key == key)
+    values = signal.factor * (run.output if key == "output" else run.f[:, "XYZ".index(key[1])])
     first, last = sorted(end * outline.duration for end in ends)
     if first == last:
         return
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(signals, "DRAWN", drawn)  # from the samples, or from the blocks
-        rows = picture(cache, key, first, last, width)
+        rows = picture(cache, [key], first, last, width)
     t = run.t - run.t[0]
     inside = (t >= first) & (t <= last)
     rows = rows[~np.isnan(rows[:, 1])]
@@ -106,7 +108,7 @@ def test_the_difference_is_the_angle_minus_what_k_makes_of_the_force(tmp_path: P
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(signals, "CHUNK", 700)
         write(run, tmp_path / "a-1")
-    shown = np.load(tmp_path / "a-1" / "difference.npy")
+    shown = np.load(tmp_path / "a-1" / "columns.npy")[1]
     value = 0.0
     for index in range(1, run.size):
         step = run.t[index] - run.t[index - 1]
@@ -192,7 +194,7 @@ def test_older_caches_of_a_record_go_and_a_broken_one_is_none(tmp_path: Path) ->
 def test_wrong_questions(tmp_path: Path, key: str, first: float, last: float, width: int) -> None:
     write(record(100, []), tmp_path / "a-1")
     with pytest.raises(ArgumentError):
-        picture(tmp_path / "a-1", key, first, last, width)
+        picture(tmp_path / "a-1", [key], first, last, width)
 
 
 def test_temperature_is_shown_in_the_unit_of_the_record(tmp_path: Path) -> None:

@@ -23,33 +23,20 @@ from piga.workbench.history import ChangedError, History
 from piga.workbench.jobs import Jobs
 from piga.workbench.pages import common, describe, explore, jobs, later, record, text
 from piga.workbench.pages.common import Bench, changed_page, error_page, gone_page
-from piga.workbench.security import LOOPBACK, Door, Guard
+from piga.workbench.security import LOOPBACK, Door, Guard, write_private
 
 ROUTES = [route for page in (common, describe, record, later, text, explore, jobs) for route in page.ROUTES]
-"""The routes of all pages, and of the files that they load."""
 _MOST_CONNECTIONS = 300
 """Connections at a time; a request beyond is answered with 503. Each may hold a socket and a file, and a process usually
 may have 1024 of them."""
 _MOST_PORT = 65535
-_GRACE = 1
-"""Time [s] that open requests have when the server ends."""
-_LAST = 4.5
-"""Time [s] after which the server ends whatever a page still does."""
+_GRACE, _LAST = 1, 1.5
+"""Time [s] that open requests have when the server ends, and then a page that still reads a file."""
 
 
 def application(folder: Folder, door: Door, ready: Callable[[], None]) -> Any:
-    """The ASGI application for a folder.
-
-    Parameters
-    ----------
-    folder:
-        The opened folder.
-    door:
-        Who may come in.
-    ready:
-        Called once when the application has started.
-    """
-    for room in ("parts", "trials"):  # nobody makes or shows them any more
+    """The ASGI application for a folder. ``ready`` is called once when it has started."""
+    for room in ("parts", "trials"):  # of a server that was killed
         shutil.rmtree(folder.state_room(room), ignore_errors=True)
     bench = Bench(folder, Jobs(folder.root), History(folder), door)
 
@@ -81,20 +68,13 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> No
     opened = Folder(folder)
     listener = _listening(port)
     door = Door(listener.getsockname()[1], str(opened.root))
+    app = application(opened, door, lambda: ready(door, opened.state_room()))
     server = uvicorn.Server(
         uvicorn.Config(
-            application(opened, door, lambda: ready(door, opened.state_room())),
-            log_level="error",
-            access_log=False,
-            server_header=False,
-            proxy_headers=False,
-            timeout_graceful_shutdown=_GRACE,
-            limit_concurrency=_MOST_CONNECTIONS,
-            http="h11",
-            lifespan="on",
-            loop="asyncio",
+            app, log_level="error", access_log=False, server_header=False, proxy_headers=False, http="h11", loop="asyncio",
+            timeout_graceful_shutdown=_GRACE, limit_concurrency=_MOST_CONNECTIONS, lifespan="on",
         )
-    )
+    )  # fmt: skip
 
     def end(_number: int, _frame: Any) -> None:
         server.should_exit = True  # before it began; uvicorn raises the signal again when it has ended
@@ -104,9 +84,7 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> No
     with listener:
         server.run(sockets=[listener])
     if any(thread.name.startswith("AnyIO") for thread in threading.enumerate()):
-        timer = threading.Timer(
-            _LAST - _GRACE - 2.0, os._exit, (0,)
-        )  # a page that still reads a file is not waited for
+        timer = threading.Timer(_LAST, os._exit, (0,))
         timer.daemon = True
         timer.start()
 
@@ -118,9 +96,8 @@ def _listening(port: int) -> socket.socket:
     try:
         return socket.create_server((LOOPBACK, port))
     except OSError as error:
-        raise ArgumentError(
-            f"port {port} cannot be used ({error.strerror})", remedy="choose another, or leave --port out"
-        ) from None
+        words = f"port {port} cannot be used ({error.strerror})"
+        raise ArgumentError(words, remedy="choose another, or leave --port out") from None
 
 
 def open_browser(door: Door, place: Path) -> bool:
@@ -130,12 +107,9 @@ def open_browser(door: Door, place: Path) -> bool:
     """
     import webbrowser
 
-    path = place / "open.html"
-    path.unlink(missing_ok=True)
     page = f'<!DOCTYPE html><title>piga</title><meta http-equiv="refresh" content="0;url={door.address}">'
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:
-        stream.write(page)
+    write_private(place / "open.html", page.encode())
     try:
-        return webbrowser.open(path.as_uri())
+        return webbrowser.open((place / "open.html").as_uri())
     except webbrowser.Error:
         return False

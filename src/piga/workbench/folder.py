@@ -82,6 +82,11 @@ class Kept:
         """Difference of K from the nominal value [ppm]."""
         return 1e6 * (self.K / self.nominal - 1.0)
 
+    @property
+    def u_ppm(self) -> float:
+        """Standard uncertainty of K, as a part of the nominal value [ppm]."""
+        return 1e6 * self.u / self.nominal
+
 
 @dataclass(frozen=True)
 class Entry:

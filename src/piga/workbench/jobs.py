@@ -20,7 +20,7 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,11 +30,11 @@ MOST_RUNNING = 4
 """Jobs that may run at the same time."""
 MOST_KEPT = 200
 """Jobs that are remembered. The oldest that have ended are forgotten."""
-PATIENCE = 2.0
+_PATIENCE = 2.0
 """Time [s] that a stopped job has to end by itself."""
 _MOST_DOCUMENT = 20_000_000
 """Bytes of printed JSON that are read."""
-MOST_TEXT = 200_000
+_MOST_TEXT = 200_000
 """Bytes of printed text that a page shows."""
 
 
@@ -42,53 +42,49 @@ class BusyError(ArgumentError):
     """As many jobs run as may run."""
 
 
-State = Literal["running", "done", "failed", "stopped"]
-
-
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Job:
-    """A job as it was started.
+    """A job, and what became of its process.
 
     Attributes
     ----------
-    key:
-        Name of its folder.
+    child, place:
+        Its process, and the folder of what it prints.
     command:
         Arguments of ``piga``; paths are relative to the opened folder.
     title, subject:
         What it does, and the record it is for.
     result:
         Folder or file of the results below the opened folder, or "".
-    started:
-        Time of the start [s since 1970].
+    started, ended:
+        Times of the start and of the end [s since 1970].
     """
 
-    key: str
-    command: tuple[str, ...]
-    title: str
-    subject: str
+    child: subprocess.Popen[bytes]
+    place: Path
+    command: tuple[str, ...] = ()
+    title: str = ""
+    subject: str = ""
     result: str = ""
     started: float = 0.0
+    ended: float = math.nan
+    was_stopped: bool = False
+
+    @property
+    def key(self) -> str:
+        """Name of its folder, and of its page."""
+        return self.place.name
 
 
 @dataclass(frozen=True)
 class Status:
     """What became of a job: its state, exit code, seconds, progress (0 to 1, or None) and what it does now."""
 
-    state: State
+    state: Literal["running", "done", "failed", "stopped"]
     code: int | None
     seconds: float
     share: float | None = None
     doing: str = ""
-
-
-@dataclass
-class _Process:
-    """The process of a job, and when and how it ended."""
-
-    child: subprocess.Popen[bytes]
-    was_stopped: bool = False
-    ended: float = field(default=math.nan)
 
 
 class Jobs:
@@ -97,22 +93,22 @@ class Jobs:
     def __init__(self, root: Path) -> None:
         self._root = root
         self._folder = Path(tempfile.mkdtemp(prefix="piga-ui-"))
-        self._jobs: dict[str, tuple[Job, _Process]] = {}
+        self._jobs: dict[str, Job] = {}
         self._lock = threading.Lock()
         self._spare = self._waiting()
 
-    def _waiting(self) -> tuple[str, subprocess.Popen[bytes]]:
+    def _waiting(self) -> Job:
         """A process that has loaded what a command needs and waits for it: a command then starts at once."""
-        key = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
-        place = self._folder / key
+        place = self._folder / f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
         place.mkdir()
         environment = os.environ | {"PYTHONUTF8": "1", "PYTHONSAFEPATH": "1", "NO_COLOR": "1"}
         with (place / "out").open("wb") as out, (place / "err").open("wb") as err:
-            return key, subprocess.Popen(  # noqa: S603  piga itself
+            child = subprocess.Popen(  # noqa: S603  piga itself
                 [sys.executable, "-P", "-m", "piga.cli.job", str(place)],
                 cwd=self._root, stdin=subprocess.PIPE, stdout=out, stderr=err, env=environment,
                 start_new_session=True,
             )  # fmt: skip
+        return Job(child, place)
 
     def start(
         self,
@@ -129,40 +125,36 @@ class Jobs:
         one with another place for its results does the same.
         """
         with self._lock:  # many requests may ask at the same time
-            return self._start(command, title, subject, result, reads)
-
-    def _start(
-        self, command: Sequence[str], title: str, subject: str, result: str, reads: Sequence[Path] | None
-    ) -> Job:
-        running = self.running()
-        changed = -math.inf if reads is None else _last_change(reads)
-        asked = [word for word in command if word != result]
-        here = [job for job in running if result and job.result == result]
-        for job in here if reads is None else running:
-            words = [word for word in job.command if word != job.result]
-            if result and job.started > changed and (job.title, words) == (title, asked):
-                return job
-        if here:
-            raise BusyError(
-                f"{result} is just being made from another input or with other options",
-                remedy="wait until that job has ended, or stop it",
-            )
-        if len(running) >= MOST_RUNNING:
-            raise BusyError(f"{MOST_RUNNING} jobs are running", remedy="wait for one, or stop one")
-        key, child = self._spare if self._spare[1].poll() is None else self._waiting()
-        self._spare = self._waiting()
-        job = Job(key, tuple(command), title, subject, result, time.time())
-        assert child.stdin is not None  # noqa: S101  a pipe
-        child.stdin.write(json.dumps(command).encode() + b"\n")
-        child.stdin.flush()
-        self._jobs[key] = (job, _Process(child))
-        for old in self.all()[MOST_KEPT:]:
-            self.forget(old)
-        return job
+            running = self.running()
+            changed = -math.inf if reads is None else _last_change(reads)
+            asked = [word for word in command if word != result]
+            here = [job for job in running if result and job.result == result]
+            for job in here if reads is None else running:
+                words = [word for word in job.command if word != job.result]
+                if result and job.started > changed and (job.title, words) == (title, asked):
+                    return job
+            if here:
+                raise BusyError(
+                    f"{result} is just being made from another input or with other options",
+                    remedy="wait until that job has ended, or stop it",
+                )
+            if len(running) >= MOST_RUNNING:
+                raise BusyError(f"{MOST_RUNNING} jobs are running", remedy="wait for one, or stop one")
+            job = self._spare if self._spare.child.poll() is None else self._waiting()
+            self._spare = self._waiting()
+            job.command, job.title, job.subject, job.result = tuple(command), title, subject, result
+            job.started = time.time()
+            assert job.child.stdin is not None  # noqa: S101  a pipe
+            job.child.stdin.write(json.dumps(command).encode() + b"\n")
+            job.child.stdin.flush()
+            self._jobs[job.key] = job
+            for old in self.all()[MOST_KEPT:]:
+                self.forget(old)
+            return job
 
     def all(self) -> list[Job]:
         """All jobs, the newest first."""
-        return [job for job, _ in reversed(list(self._jobs.values()))]
+        return list(reversed(list(self._jobs.values())))
 
     def running(self) -> list[Job]:
         """The jobs that run."""
@@ -170,7 +162,7 @@ class Jobs:
 
     def get(self, key: str) -> Job | None:
         """The job with this key, or None."""
-        return self._jobs[key][0] if key in self._jobs else None
+        return self._jobs.get(key)
 
     def latest(self, subject: str, result: str) -> Job | None:
         """The newest job for a record that makes this result, or None."""
@@ -178,63 +170,55 @@ class Jobs:
 
     def status(self, job: Job) -> Status:
         """What became of the job."""
-        process = self._jobs[job.key][1]
-        code = process.child.poll()
+        code = job.child.poll()
         if code is None:
-            progress = _document(self._folder / job.key / "progress")
-            share = progress.get("share")
-            return Status(
-                "running", None, time.time() - job.started,
-                share if isinstance(share, float) else None, str(progress.get("what", "")),
-            )  # fmt: skip
-        if math.isnan(process.ended):
-            process.ended = time.time()
-            _close(process.child)
-        state: State = "done" if code == 0 else "stopped" if process.was_stopped else "failed"
-        return Status(state, code, process.ended - job.started)
+            progress: Any = None
+            with suppress(OSError, ValueError):
+                progress = json.loads((job.place / "progress").read_text(encoding="utf-8"))
+            share, doing = (progress["share"], progress["what"]) if progress else (None, "")
+            return Status("running", None, time.time() - job.started, share, doing)
+        if math.isnan(job.ended):
+            job.ended = time.time()
+            _close(job.child)
+        state: Any = "done" if code == 0 else "stopped" if job.was_stopped else "failed"
+        return Status(state, code, job.ended - job.started)
 
     def text(self, job: Job, name: Literal["out", "err"]) -> str:
         """What the job printed on standard output or standard error (the last part of a long text)."""
-        with suppress(OSError), (self._folder / job.key / name).open("rb") as stream:
-            stream.seek(max(stream.seek(0, os.SEEK_END) - MOST_TEXT, 0))
+        with suppress(OSError), (job.place / name).open("rb") as stream:
+            stream.seek(max(stream.seek(0, os.SEEK_END) - _MOST_TEXT, 0))
             return stream.read().decode("utf-8", "replace")
         return ""
 
-    def document(self, job: Job) -> dict[str, Any]:
+    def document(self, job: Job) -> Any:
         """What the job printed as JSON."""
-        path = self._folder / job.key / "out"
-        if path.stat().st_size > _MOST_DOCUMENT:
+        if (job.place / "out").stat().st_size > _MOST_DOCUMENT:
             raise ValueError("too much was printed")
-        document = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(document, dict):
-            raise ValueError("no table was printed")
-        return document
+        return json.loads((job.place / "out").read_text(encoding="utf-8"))
 
-    def stop(self, *jobs: Job, patience: float = PATIENCE) -> None:
+    def stop(self, *jobs: Job, patience: float = _PATIENCE) -> None:
         """End running jobs. Their results are then absent, as after Ctrl-C in a terminal."""
-        processes = [process for _, process in map(self._jobs.__getitem__, {job.key for job in jobs})]
-        for process in processes:
-            if process.child.poll() is None:
-                process.was_stopped = True
-            _close(process.child)
+        for job in jobs:
+            job.was_stopped |= job.child.poll() is None
+            _close(job.child)
         limit = time.monotonic() + patience
-        for process in processes:
+        for job in jobs:
             with suppress(subprocess.TimeoutExpired):
-                process.child.wait(max(limit - time.monotonic(), 0.0))
-            _kill(process.child)
+                job.child.wait(max(limit - time.monotonic(), 0.0))
+            _kill(job.child)
 
     def stop_all(self) -> None:
         """End all running jobs and remove what they printed (when the server ends)."""
-        _close(self._spare[1])
+        _close(self._spare.child)
         self.stop(*self.all())
-        _kill(self._spare[1])
+        _kill(self._spare.child)
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def forget(self, job: Job) -> None:
         """Remove a job that has ended."""
         if self.status(job).state != "running":
             self._jobs.pop(job.key, None)
-            shutil.rmtree(self._folder / job.key, ignore_errors=True)
+            shutil.rmtree(job.place, ignore_errors=True)
 
 
 def _close(child: subprocess.Popen[bytes]) -> None:
@@ -247,10 +231,7 @@ def _kill(child: subprocess.Popen[bytes]) -> None:
     """End a process that did not end by itself, and what it started."""
     if child.poll() is None:
         with suppress(OSError):
-            if hasattr(os, "killpg"):
-                os.killpg(child.pid, signal.SIGKILL)
-            else:
-                child.kill()
+            os.killpg(child.pid, signal.SIGKILL) if hasattr(os, "killpg") else child.kill()
         child.wait()
 
 
@@ -258,10 +239,3 @@ def _last_change(paths: Sequence[Path]) -> float:
     """Time of the last change of files [s since 1970]; a copy that keeps its time counts from when it came."""
     states = [path.stat() for path in paths if path.is_file()]
     return max((max(state.st_mtime, state.st_ctime) for state in states), default=math.inf)
-
-
-def _document(path: Path) -> dict[str, Any]:
-    with suppress(OSError, ValueError):
-        document = json.loads(path.read_text(encoding="utf-8"))
-        return document if isinstance(document, dict) else {}
-    return {}

@@ -1,4 +1,4 @@
-"""Access control: who may use the workbench.
+"""Access control: who may use the bench.
 
 Every request passes :class:`Guard` first. It checks, in this order:
 
@@ -7,66 +7,59 @@ Every request passes :class:`Guard` first. It checks, in this order:
    origin);
 3. the session. The address that ``piga ui`` prints holds a token that is good for one use. It gives a cookie that
    scripts cannot read and that no other site can send.
-
-The guard is plain ASGI, so it covers WebSockets and event streams, too.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import secrets
 import time
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-from urllib.parse import parse_qs
+
+import msgspec
+from starlette.datastructures import MutableHeaders
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from piga.errors import PigaError
 from piga.records.limits import read_whole
 
-Scope = MutableMapping[str, Any]
-_Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-App = Callable[[Scope, _Receive, Send], Awaitable[None]]
-
-SESSION_AGE = 12 * 3600.0
+SESSION_AGE = 12 * 3600
 """Age [s] at which a session ends. A new one starts with the address of a new ``piga ui``."""
-_MOST_SESSIONS = 64
-"""Most sessions of a server. One more ends the oldest."""
 _MOST_STORE = 1 << 16
 """Largest file of sessions [bytes]."""
-_SAFE_METHODS = frozenset({"GET", "HEAD"})
+_SAFE_METHODS = ("GET", "HEAD")
 LOOPBACK = "127.0.0.1"
 """Address of this machine that no other one can reach."""
-_PAGE_POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; style-src-attr 'unsafe-inline'; img-src 'self' data:; "
-    "connect-src 'self'; "
-    "frame-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
-)
-"""Policy of the workbench's own pages: no inline script, nothing from outside. Figures are drawn in the page (SVG), and
-their colours are attributes."""
 REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; "
     "style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'; base-uri 'none'; form-action 'none'"
 )
-"""Policy of a report from the folder. Its scripts run in an origin of their own and reach no part of the workbench."""
-_HEADERS = (
-    (b"x-content-type-options", b"nosniff"),
-    (b"referrer-policy", b"same-origin"),
-    (b"cross-origin-opener-policy", b"same-origin"),
-    (b"cross-origin-resource-policy", b"same-origin"),
-    (b"permissions-policy", b"camera=(), geolocation=(), microphone=()"),
-)
-"""Headers of every answer."""
+"""Policy of a report from the folder. Its scripts run in an origin of their own and reach no part of the bench."""
+_HEADERS = {
+    "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; style-src-attr 'unsafe-inline'; "
+    "img-src 'self' data:; connect-src 'self'; frame-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'",
+    "cache-control": "no-store",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "permissions-policy": "camera=(), geolocation=(), microphone=()",
+}
+"""Headers of an answer that does not set them itself: no inline script, nothing from outside."""
 
 
 @dataclass
 class Door:
     """The one-time token and the sessions of one server.
+
+    Sessions are kept as digests in the user's cache, by port and folder: a server that is started again at the same
+    address knows its browser again.
 
     Attributes
     ----------
@@ -83,26 +76,14 @@ class Door:
     _sessions: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        with suppress(PigaError, OSError, ValueError, TypeError, AttributeError):
-            raw = read_whole(self._store(), _MOST_STORE, "another port")
-            self._sessions = {str(mark): float(began) for mark, began in json.loads(raw).items()}
+        with suppress(PigaError, OSError, msgspec.MsgspecError):
+            raw = read_whole(self._store, _MOST_STORE, "another port")
+            self._sessions = msgspec.json.decode(raw, type=dict[str, float])
 
+    @property
     def _store(self) -> Path:
-        """The file of the sessions of this port and folder, in the user's cache.
-
-        A server that is started again at the same address knows its browser again. The file holds digests, not sessions.
-        """
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "piga"
-        return cache / f"ui-{self.port}-{_mark(self.folder)[:16]}.json"
-
-    def _keep(self) -> None:
-        """Write the sessions. Without a cache folder a browser needs a new address after the next start."""
-        with suppress(OSError):
-            path = self._store()
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.unlink(missing_ok=True)
-            with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:
-                json.dump(self._sessions, stream)
+        return cache / f"ui-{self.port}-{_digest(self.folder)[:16]}.json"
 
     @property
     def cookie(self) -> str:
@@ -116,8 +97,9 @@ class Door:
 
     def knows_host(self, host: str) -> bool:
         """True if ``host`` (of the request) is a loopback name with this server's port."""
-        names = {LOOPBACK, "localhost", "[::1]"}
-        return host.lower() in {f"{name}:{self.port}" for name in names} | (names if self.port == 80 else set())
+        name, _, port = host.lower().rpartition(":")
+        names = (LOOPBACK, "localhost", "[::1]")
+        return (name in names and port == str(self.port)) or (self.port == 80 and host.lower() in names)
 
     def knows_origin(self, origin: str) -> bool:
         """True if ``origin`` is a page of this server."""
@@ -127,130 +109,83 @@ class Door:
         """Exchange the token for a session. None if the token is wrong or was used before."""
         if not self.token or not secrets.compare_digest(token.encode(), self.token.encode()):
             return None
-        self.token = ""
-        if len(self._sessions) >= _MOST_SESSIONS:
-            del self._sessions[next(iter(self._sessions))]
-        session = secrets.token_urlsafe(24)
-        self._sessions[_mark(session)] = self.clock()
-        self._keep()
+        self.token, session = "", secrets.token_urlsafe(24)
+        self._sessions = {mark: began for mark, began in self._sessions.items() if self._is_open(began)}
+        self._sessions[_digest(session)] = self.clock()
+        with suppress(OSError):  # without a cache folder a browser needs a new address after the next start
+            self._store.parent.mkdir(parents=True, exist_ok=True)
+            write_private(self._store, msgspec.json.encode(self._sessions))
         return session
-
-    def set_cookie(self, session: str) -> str:
-        """The header that gives a session to the browser."""
-        return f"{self.cookie}={session}; Path=/; HttpOnly; SameSite=Strict; Max-Age={SESSION_AGE:.0f}"
 
     def has_session(self, session: str) -> bool:
         """True if the session is open and not too old."""
-        started = self._sessions.get(_mark(session))
-        return started is not None and 0.0 <= self.clock() - started < SESSION_AGE
+        return self._is_open(self._sessions.get(_digest(session)))
+
+    def _is_open(self, began: float | None) -> bool:
+        return began is not None and 0.0 <= self.clock() - began < SESSION_AGE
 
 
-def _mark(text: str) -> str:
-    """Digest of a session or folder."""
+def _digest(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()
 
 
-class Guard:
-    """ASGI middleware that lets only the right browser through. See the module's docstring."""
+def write_private(path: Path, raw: bytes) -> None:
+    """Write a file that no other user of this machine can read."""
+    path.unlink(missing_ok=True)
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
+        stream.write(raw)
 
-    def __init__(self, app: App, door: Door) -> None:
+
+class Guard:
+    """ASGI middleware that lets only the right browser through, over HTTP and WebSocket. See the module's docstring."""
+
+    def __init__(self, app: ASGIApp, door: Door) -> None:
         self._app, self._door = app, door
 
-    async def __call__(self, scope: Scope, receive: _Receive, send: Send) -> None:
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, or refuse it."""
-        if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-            return
-        refusal = self._refusal(scope)
-        if refusal is None:
-            await self._app(scope, receive, _with_headers(send))
-        elif scope["type"] == "websocket":
+
+        async def sent(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                if scope["path"].startswith("/assets/"):
+                    headers.setdefault("cache-control", "max-age=3600")
+                for name, value in _HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        refusal = None if scope["type"] == "lifespan" else self._refusal(HTTPConnection(scope))
+        if refusal is not None and scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008})
         else:
-            await _answer(send, *refusal)
+            await (refusal or self._app)(scope, receive, sent)
 
-    def _refusal(self, scope: Scope) -> tuple[int, str, tuple[tuple[bytes, bytes], ...]] | None:
-        """Status, text and headers of the refusal; None if the request may pass."""
-        headers = _headers(scope)
-        door = self._door
-        if headers is None or not door.knows_host(headers.get("host", "")):
-            return 421, "This server answers only as 127.0.0.1 or localhost.", ()
-        if not self._comes_from_us(scope, headers):
-            return 403, "This request comes from another site.", ()
-        path, method = scope["path"], scope.get("method")
-        if path == "/healthz" and method in _SAFE_METHODS:
+    def _refusal(self, asked: HTTPConnection) -> Response | None:
+        """The answer to a request that may not pass; None if it may."""
+        door, headers = self._door, asked.headers
+        path, is_safe = asked.scope["path"], asked.scope.get("method") in _SAFE_METHODS
+        is_twofold = any(len(headers.getlist(name)) > 1 for name in ("host", "origin", "cookie"))
+        if is_twofold or not door.knows_host(headers.get("host", "")):
+            return PlainTextResponse("This server answers only as 127.0.0.1 or localhost.", 421)
+        if "origin" in headers:
+            is_ours = door.knows_origin(headers["origin"])
+        else:
+            enters = path == "/" and headers.get("sec-fetch-mode") == "navigate"
+            is_ours = is_safe and (headers.get("sec-fetch-site", "none") in ("none", "same-origin") or enters)
+        if not is_ours:
+            return PlainTextResponse("This request comes from another site.", 403)
+        if path == "/healthz" and is_safe:
             return None
-        has_session = door.has_session(_cookie_value(headers.get("cookie", ""), door.cookie))
-        query = parse_qs(scope["query_string"].decode("latin-1"))
-        if path == "/" and "token" in query and method == "GET":
-            session = door.open_session(query["token"][0])
-            if session is not None:
-                return 303, "", ((b"location", b"/"), (b"set-cookie", door.set_cookie(session).encode()))
-            if has_session:
-                return 303, "", ((b"location", b"/"),)
+        has_session = door.has_session(asked.cookies.get(door.cookie, ""))
+        token = asked.query_params.get("token")
+        if path == "/" and token is not None and asked.scope.get("method") == "GET":
+            session = door.open_session(token)
+            if session is not None or has_session:
+                answer = RedirectResponse("/", 303)
+                if session is not None:
+                    answer.set_cookie(door.cookie, session, SESSION_AGE, httponly=True, samesite="strict")
+                return answer
         if has_session:
             return None
-        return (
-            403,
-            "Open the address that piga ui printed. It is good for one browser. Start piga ui again for a new one.",
-            (),
-        )
-
-    def _comes_from_us(self, scope: Scope, headers: dict[str, str]) -> bool:
-        origin = headers.get("origin")
-        if origin is not None:
-            return self._door.knows_origin(origin)
-        changes = scope["type"] == "websocket" or scope["method"] not in _SAFE_METHODS
-        site = headers.get("sec-fetch-site", "none")
-        navigation = headers.get("sec-fetch-mode") == "navigate" and scope["path"] == "/"
-        return not changes and (site in ("none", "same-origin") or navigation)
-
-
-def _headers(scope: Scope) -> dict[str, str] | None:
-    """The request's headers by name; None if the host, the origin or the cookie is named twice."""
-    result: dict[str, str] = {}
-    for raw_name, raw_value in scope["headers"]:
-        name = raw_name.decode("latin-1").lower()
-        if name in result and name in ("host", "origin", "cookie"):
-            return None
-        result[name] = raw_value.decode("latin-1")
-    return result
-
-
-def _cookie_value(text: str, name: str) -> str:
-    """Value of one cookie. Other cookies of this machine may have any form and are skipped."""
-    for part in text.split(";"):
-        key, _, value = part.strip().partition("=")
-        if key == name:
-            return value
-    return ""
-
-
-def _with_headers(send: Send) -> Send:
-    """A ``send`` that adds :data:`_HEADERS`, and the policy of pages where the answer has none."""
-
-    async def sent(message: MutableMapping[str, Any]) -> None:
-        if message["type"] == "http.response.start":
-            headers = list(message.get("headers", ()))
-            names = {name.lower() for name, _ in headers}
-            headers += [item for item in _HEADERS if item[0] not in names]
-            if b"content-security-policy" not in names:
-                headers.append((b"content-security-policy", _PAGE_POLICY.encode()))
-            if b"cache-control" not in names:
-                headers.append((b"cache-control", b"no-store"))
-            message = {**message, "headers": headers}
-        await send(message)
-
-    return sent
-
-
-async def _answer(send: Send, status: int, text: str, more: tuple[tuple[bytes, bytes], ...]) -> None:
-    body = text.encode()
-    headers = [
-        (b"content-type", b"text/plain; charset=utf-8"),
-        (b"content-length", str(len(body)).encode()),
-        *more,
-    ]
-    guarded = _with_headers(send)
-    await guarded({"type": "http.response.start", "status": status, "headers": headers})
-    await guarded({"type": "http.response.body", "body": body})
+        words = "Open the address that piga ui printed. It is good for one browser. Start piga ui again for a new one."
+        return PlainTextResponse(words, 403)

@@ -12,8 +12,9 @@ import json
 import math
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
+from piga.formats.parquet import data_table
 from piga.records.run import Run
 from piga.records.run_file import RunFile
 from piga.records.text_files import toml_text
-from piga.results import Array
+from piga.results import Array, arrow_table
 from piga.units import G0, offset_to_si, parse_unit
 
 BLOCK = 256
@@ -41,7 +43,7 @@ LONG, THINNED = 1_000_000, 50_000
 MOVING = 0.01 * G0
 """Specific force [m/s^2] by which a sample of a moving stand differs from its position, at least."""
 CHUNK = 1 << 20
-FORM = 5
+FORM = 6
 """Version of the cache's files."""
 
 
@@ -140,84 +142,62 @@ def _completed(folder: Path) -> float:
 
 def _write_all(run: Run, run_file: RunFile, folder: Path) -> Outline:
     begins = _breaks(run)
-    t = _shown_time(run, folder / "t.npy")
-    np.save(folder / "breaks.npy", begins[1:])
-    rows = np.lib.format.open_memmap(folder / "row.npy", mode="w+", dtype=np.int64, shape=(run.size,))
-    for part in _chunks(run.size):
-        rows[part] = run.row[part]
     blocks = _blocks(run.size, begins)
+    np.save(folder / "breaks.npy", begins[1:])
     np.save(folder / "blocks.npy", blocks)
+    np.save(folder / "row.npy", run.row)
+    t = _write_time(run, folder / "t.npy")
     temperature = run_file.data.temperature
-    columns = _columns(run, "K" if temperature is None else temperature.unit)
-    for signal, values in columns:
-        _write_column(folder, signal.key, values, blocks)
-    signals = [signal for signal, _ in columns]
-    if run.kind == "angle":
-        _write_difference(run, t, folder, blocks)
-        shown = ("count", 1.0) if run.direct else ("deg", 180.0 / np.pi)
-        words = f"{run.quantity} minus K ∫aₓdt"
-        signals.insert(1, Signal("difference", words, *shown, "difference"))
+    signals = _signals(run, "K" if temperature is None else temperature.unit)
+    shape = (len(signals), run.size)
+    columns = np.lib.format.open_memmap(folder / "columns.npy", mode="w+", dtype=np.float64, shape=shape)
+    for column, (_, values) in zip(columns, signals, strict=True):
+        if values is None:
+            _write_difference(run, t, column)
+        else:
+            column[:] = values
+    np.save(folder / "extremes.npy", _extremes(columns, columns, blocks))
     thinned = _write_thinned(run, run_file, folder) if run.size > LONG else 1
-    outline = _outline(run, run_file, t, rows, tuple(signals), thinned)
+    outline = _outline(run, run_file, t, tuple(signal for signal, _ in signals), thinned)
     (folder / "outline.json").write_text(json.dumps(asdict(outline)), encoding="utf-8")
     return outline
 
 
-def _chunks(size: int) -> Iterator[slice]:
-    for first in range(0, size, CHUNK):
-        yield slice(first, min(first + CHUNK, size))
+def _extremes(least: Array, largest: Array, starts: NDArray[np.int64]) -> Array:
+    """Least and largest value of each block that begins at ``starts``, by column."""
+    return np.stack((np.fmin.reduceat(least, starts, axis=1), np.fmax.reduceat(largest, starts, axis=1)))
 
 
-def _write_difference(run: Run, t: Array, folder: Path, blocks: NDArray[np.int64]) -> None:
+def _write_difference(run: Run, t: Array, column: Array) -> None:
     """The output angle minus what the nominal scale factor makes of a_x; it begins at zero in each stretch."""
-    whole = np.lib.format.open_memmap(folder / "difference.npy", mode="w+", dtype=np.float64, shape=(run.size,))
     carried = 0.0
-    for part in _chunks(run.size):
-        with_last = slice(max(part.start - 1, 0), part.stop)
-        time, angle, force = (np.asarray(column[with_last]) for column in (t, run.output, run.f[:, 0]))
-        step = np.diff(angle) - run.scale_factor * 0.5 * (force[1:] + force[:-1]) * np.diff(time)
-        step = step if part.start else np.concatenate(([0.0], step))
-        begins = np.asarray(run.begins[part])
-        step[begins] = 0.0
+    for begin in range(0, run.size, CHUNK):
+        part, with_last = slice(begin, begin + CHUNK), slice(max(begin - 1, 0), begin + CHUNK)
+        force = run.f[with_last, 0]
+        step = np.diff(run.output[with_last]) - 0.5 * run.scale_factor * (force[1:] + force[:-1]) * np.diff(
+            t[with_last]
+        )
+        step = step if begin else np.concatenate(([0.0], step))
+        step[run.begins[part]] = 0.0
         total = carried + np.cumsum(step)
-        first = np.flatnonzero(begins)
+        first = np.flatnonzero(run.begins[part])
         if first.size:
             total[first[0] :] -= np.repeat(total[first], np.diff(np.append(first, total.size)))
-        whole[part] = total
+        column[part] = total
         carried = float(total[-1])
-    _write_envelope(folder, "difference", whole, blocks)
 
 
 def _write_thinned(run: Run, run_file: RunFile, folder: Path) -> int:
     """A thinned copy of a long record, in SI, with a run file of its own: for a first answer."""
-    import pyarrow as pa
-    import pyarrow.parquet
+    from pyarrow.parquet import write_table
 
     every = max(run.size // THINNED, 1)
-    part = slice(None, None, every)
-    columns: dict[str, Any] = {"t": run.t[part], "output": run.output[part]}
-    columns |= {f"f{axis}": run.f[part, index] for index, axis in enumerate("xyz")}
-    columns["segment"] = pa.array([run.labels[index] for index in run.segment_index[part]])
-    data: dict[str, Any] = {
-        "file": "thinned.parquet", "segment": "segment", "time": {"column": "t", "unit": "s"},
-        "output": {"column": "output", "kind": run.kind, "unit": run.output_unit},
-        "reference": {"columns": ["fx", "fy", "fz"], "unit": "m/s^2"},
-    }  # fmt: skip
-    if run.base_rate is not None:
-        columns |= {f"w{axis}": run.base_rate[part, index] for index, axis in enumerate("xyz")}
-        data["base_rate"] = {"columns": ["wx", "wy", "wz"], "unit": "rad/s"}
-    if run.temperature is not None:
-        columns["temperature"] = run.temperature[part]
-        data["temperature"] = {"column": "temperature", "unit": "K"}
-    pyarrow.parquet.write_table(pa.table(columns), folder / "thinned.parquet")
+    write_table(arrow_table(run.table_columns(slice(None, None, every)), {}), folder / "thinned.parquet")
     instrument = {"serial": run.serial, "scale_factor": f"{run.scale_factor * G0!r} {run.unit}/g"}
-    if run.direct:
-        instrument["kind"] = "direct"
-    if run.quantity == "count":
-        data["output"] = {"column": "output", "kind": "counts"}
+    instrument |= {"kind": "direct"} if run.direct else {}
     model = {"terms": list(run_file.model.terms), "phases": run_file.model.phases}
-    document = {"instrument": instrument, "data": data, "model": model}
-    (folder / "thinned.toml").write_text(toml_text(document), encoding="utf-8")
+    text = toml_text({"instrument": instrument, "model": model}) + data_table(run, "thinned.parquet")
+    (folder / "thinned.toml").write_text(text, encoding="utf-8")
     return every
 
 
@@ -229,15 +209,15 @@ def read_outline(folder: Path) -> Outline | None:
         return None
 
 
-def picture(folder: Path, key: str, first: float, last: float, width: int) -> Array:
-    """Least and largest values of a signal in a span of time.
+def picture(folder: Path, keys: Sequence[str], first: float, last: float, width: int) -> Array:
+    """Least and largest values of signals in a span of time.
 
     Parameters
     ----------
     folder:
         The cache of the record.
-    key:
-        The signal's key.
+    keys:
+        The signals' keys.
     first, last:
         The span [s].
     width:
@@ -246,31 +226,39 @@ def picture(folder: Path, key: str, first: float, last: float, width: int) -> Ar
     Returns
     -------
     Array
-        Rows of time, least and largest value in SI, shape (n, 3). A row of NaN separates stretches.
+        Rows of time, then least and largest value of each signal in its shown unit. A row of NaN separates stretches.
     """
     outline = read_outline(folder)
-    if outline is None or key not in {signal.key for signal in outline.signals}:
-        raise ArgumentError(f"{key!r}: there is no such signal", remedy="choose a signal of the page")
+    known = [signal.key for signal in outline.signals] if outline is not None else []
+    if outline is None or not set(keys) <= set(known):
+        raise ArgumentError(f"{keys!r}: there is no such signal", remedy="choose a signal of the page")
     if not (np.isfinite(first) and np.isfinite(last) and first < last and 0 < width <= _MOST_WIDTH):
         raise ArgumentError("the span of the picture is not valid", remedy="reload the page")
     t = np.load(folder / "t.npy", mmap_mode="r")
     low = max(int(np.searchsorted(t, first)) - 1, 0)
     high = min(int(np.searchsorted(t, last, side="right")) + 1, t.size)
+    shown = [known.index(key) for key in keys]
     if high - low <= DRAWN:
         at = np.arange(low, high)
-        least = largest = np.load(folder / f"{key}.npy", mmap_mode="r")[low:high]
+        least = largest = np.load(folder / "columns.npy", mmap_mode="r")[shown, low:high]
     else:
         blocks = np.load(folder / "blocks.npy", mmap_mode="r")
         part = slice(int(np.searchsorted(blocks, low, side="right")) - 1, int(np.searchsorted(blocks, high)))
         at = np.asarray(blocks[part])
-        least, largest = np.load(folder / f"{key}-extremes.npy", mmap_mode="r")[:, part]
+        least, largest = np.load(folder / "extremes.npy", mmap_mode="r")[:, shown, part]
     breaks = np.load(folder / "breaks.npy", mmap_mode="r")
-    new = np.searchsorted(
-        at, breaks[np.searchsorted(breaks, at[0], side="right") : np.searchsorted(breaks, high)]
-    )
+    breaks = breaks[np.searchsorted(breaks, at[0], side="right") : np.searchsorted(breaks, high)]
+    new = np.searchsorted(at, breaks)
     starts = np.union1d(np.arange(0, at.size, max(at.size // (2 * width), 1)), new).astype(np.int64)
-    rows = np.column_stack((t[at[starts]], np.fmin.reduceat(least, starts), np.fmax.reduceat(largest, starts)))
-    return _with_gaps(rows, np.searchsorted(starts, new))
+    signals = [outline.signals[index] for index in shown]
+    columns = [t[at[starts]]]
+    for signal, low_high in zip(signals, _extremes(least, largest, starts).swapaxes(0, 1), strict=True):
+        columns += list(low_high * signal.factor + signal.offset)
+    rows = np.column_stack(columns)
+    at_gap = np.searchsorted(starts, new)
+    gaps = np.full((new.size, rows.shape[1]), np.nan)
+    gaps[:, 0] = 0.5 * (rows[at_gap - 1, 0] + rows[at_gap, 0])
+    return np.insert(rows, at_gap, gaps, axis=0)
 
 
 def rows_between(folder: Path, first: float, last: float) -> tuple[int, int]:
@@ -283,13 +271,6 @@ def rows_between(folder: Path, first: float, last: float) -> tuple[int, int]:
     return int(rows.min()), int(rows.max())
 
 
-def _with_gaps(rows: Array, at: NDArray[np.int64]) -> Array:
-    """The rows with a row of NaN before each index ``at``; its time is in the middle."""
-    gaps = np.full((at.size, 3), np.nan)
-    gaps[:, 0] = 0.5 * (rows[at - 1, 0] + rows[at, 0])
-    return np.insert(rows, at, gaps, axis=0)
-
-
 def _breaks(run: Run) -> NDArray[np.int64]:
     """First samples of the stretches that follow the longest breaks, and sample 0."""
     rows = np.flatnonzero(run.begins)
@@ -300,27 +281,17 @@ def _breaks(run: Run) -> NDArray[np.int64]:
     return np.concatenate(([0], rows)).astype(np.int64)
 
 
-def _shown_time(run: Run, path: Path) -> Array:
+def _write_time(run: Run, path: Path) -> Array:
     """Write the time axis of the page: seconds since the first sample.
 
     Where the time of a record goes back (at the begin of a segment with a clock of its own), the segment is shown
     after the one before.
     """
     t = np.lib.format.open_memmap(path, mode="w+", dtype=np.float64, shape=(run.size,))
-    shift, last = -float(run.t[0]), 0.0
-    for part in _chunks(run.size):
-        values = np.asarray(run.t[part])
-        cuts = np.flatnonzero(np.diff(values, prepend=values[:1]) < 0.0)
-        if part.start and values[0] + shift < last:
-            cuts = np.concatenate(([0], cuts[cuts > 0]))
-        begin = 0
-        for cut in [*cuts.tolist(), values.size]:
-            t[part.start + begin : part.start + cut] = values[begin:cut] + shift
-            if cut > begin:
-                last = float(values[cut - 1] + shift)
-            if cut < values.size:
-                shift = last + run.median_step - float(values[cut])
-            begin = cut
+    cuts = 1 + np.flatnonzero(run.t[1:] < run.t[:-1])
+    shifts = np.cumsum([-run.t[0], *(run.t[cuts - 1] + run.median_step - run.t[cuts])])
+    for first, last, shift in zip([0, *cuts], [*cuts, run.size], shifts, strict=True):
+        np.add(run.t[first:last], shift, out=t[first:last])
     return t
 
 
@@ -330,90 +301,69 @@ def _blocks(size: int, breaks: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate([np.arange(*span, BLOCK) for span in zip(breaks, ends, strict=True)])
 
 
-def _columns(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
+def _signals(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
+    """The signals of a record with their values in SI; None: the difference from what K makes of a_x."""
     turn = 2.0 * np.pi
-    output = (
-        Signal("output", "output angle", "rev", 1.0 / turn, "output")
-        if run.kind == "angle"
-        else Signal("output", "output rate", "deg/s", 360.0 / turn, "output")
-    )
+    signals: list[tuple[Signal, Any]] = []
     if run.direct:
-        output = Signal("output", "output", run.output_unit, 1.0, "output")
-    columns: list[tuple[Signal, Any]] = [(output, run.output)]
-    for index, axis in enumerate("XYZ"):
-        columns.append((Signal(f"f{axis}", f"a_{axis}", "g", 1.0 / G0, "specific force"), run.f[:, index]))
+        signals.append((Signal("output", "output", run.output_unit, 1.0, "output"), run.output))
+    elif run.kind == "angle":
+        signals.append((Signal("output", "output angle", "rev", 1.0 / turn, "output"), run.output))
+    else:
+        signals.append((Signal("output", "output rate", "deg/s", 360.0 / turn, "output"), run.output))
+    if run.kind == "angle":
+        shown = ("count", 1.0) if run.direct else ("deg", 360.0 / turn)
+        signals.append((Signal("difference", f"{run.quantity} minus K ∫aₓdt", *shown, "difference"), None))
+    vectors = [("f", "a_", "g", 1.0 / G0, "specific force", run.f)]
     if run.base_rate is not None:
+        vectors.append(("rate", "Ω_", "deg/s", 360.0 / turn, "base rate", run.base_rate))
+    for key, title, unit, factor, group, values in vectors:
         for index, axis in enumerate("XYZ"):
-            signal = Signal(f"rate{axis}", f"Ω_{axis}", "deg/s", 360.0 / turn, "base rate")
-            columns.append((signal, run.base_rate[:, index]))
+            signals.append((Signal(f"{key}{axis}", f"{title}{axis}", unit, factor, group), values[:, index]))
     if run.temperature is not None:
-        factor = 1.0 / parse_unit(temperature_unit).factor
+        factor, unit = 1.0 / parse_unit(temperature_unit).factor, temperature_unit.replace("deg", "°")
         offset = -offset_to_si(temperature_unit) * factor
-        unit = temperature_unit.replace("deg", "°")
-        signal = Signal("temperature", "temperature", unit, factor, "temperature", offset)
-        columns.append((signal, run.temperature))
-    return columns
-
-
-def _write_column(folder: Path, key: str, values: Any, blocks: NDArray[np.int64]) -> None:
-    """Write a column and its envelope."""
-    whole = np.lib.format.open_memmap(folder / f"{key}.npy", mode="w+", dtype=np.float64, shape=(len(values),))
-    for part in _chunks(len(values)):
-        whole[part] = values[part]
-    _write_envelope(folder, key, whole, blocks)
-
-
-def _write_envelope(folder: Path, key: str, whole: Array, blocks: NDArray[np.int64]) -> None:
-    """Write the least and largest value of each block."""
-    np.save(
-        folder / f"{key}-extremes.npy",
-        np.stack((np.fmin.reduceat(whole, blocks), np.fmax.reduceat(whole, blocks))),
-    )
-
-
-def _outline(
-    run: Run, run_file: RunFile, t: Array, rows: NDArray[np.int64], signals: tuple[Signal, ...], thinned: int
-) -> Outline:
-    def at(row: int) -> float:
-        return float(t[min(int(np.searchsorted(rows, row)), run.size - 1)])
-
-    edges = run.segment_edges()
-    positions = tuple(
-        Span(
-            run.labels[int(run.segment_index[first])], float(t[first]), float(t[last - 1]),
-            (int(rows[first]), int(rows[last - 1])),
+        signals.append(
+            (Signal("temperature", "temperature", unit, factor, "temperature", offset), run.temperature)
         )
-        for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
-    )  # fmt: skip
-    left_out = tuple(
-        Span(entry.reason, at(entry.rows[0]), at(entry.rows[1] + 1), entry.rows)
-        for entry in run_file.data.leave_out
+    return signals
+
+
+def _outline(run: Run, run_file: RunFile, t: Array, signals: tuple[Signal, ...], thinned: int) -> Outline:
+    def at(row: int) -> float:
+        return float(t[min(int(np.searchsorted(run.row, row)), run.size - 1)])
+
+    def span(name: str, first: int, last: int) -> Span:
+        return Span(name, float(t[first]), float(t[last - 1]), (int(run.row[first]), int(run.row[last - 1])))
+
+    edges = run.segment_edges().tolist()
+    pieces = [(run.labels[int(run.segment_index[first])], first, last) for first, last in pairwise(edges)]
+    left_out = (
+        Span(one.reason, at(one.rows[0]), at(one.rows[1] + 1), one.rows) for one in run_file.data.leave_out
     )
-    findings = tuple(
+    findings = (
         Finding(event.kind, event.count, event.detail, None if event.first_row is None else at(event.first_row))
         for event in run.quality.events
         if event.kind != "left-out"  # those are drawn as spans
     )
     kept = len(set(run.phase_group)) == 1 or run_file.model.phases == "per-segment"
     rate = 1.0 / run.median_step if run.median_step else 0.0
+    positions = tuple(span(*piece) for piece in pieces)
+    moves = tuple(span(piece[0], *ends) for piece in pieces for ends in _moves(run, *piece[1:]))
     return Outline(
-        signals, float(t[-1]), run.size, run.quality.rows, rate, positions, left_out,
-        tuple(_moves(run, t, rows, edges)), findings, kept, thinned,
+        signals, float(t[-1]), run.size, run.quality.rows, rate, positions, tuple(left_out), moves, tuple(findings), kept,
+        thinned,
     )  # fmt: skip
 
 
-def _moves(run: Run, t: Array, rows: NDArray[np.int64], edges: NDArray[np.int64]) -> Iterator[Span]:
-    """Rows at the ends of each position in which the stand still moves.
+def _moves(run: Run, first: int, last: int) -> Iterator[tuple[int, int]]:
+    """Samples at the ends of a position in which the stand still moves.
 
     There the specific force differs from its median of the position. A position that turns all the time has no such rows.
     """
-    for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        force = np.asarray(run.f[first:last])
-        far = np.abs(force - np.median(force, axis=0)).max(axis=1) > MOVING
-        if not far.any() or far.mean() > 0.5:
-            continue
-        still = np.flatnonzero(~far)
-        for begin, end in ((first, first + still[0]), (first + still[-1] + 1, last)):
-            if end > begin:
-                name = run.labels[int(run.segment_index[first])]
-                yield Span(name, float(t[begin]), float(t[end - 1]), (int(rows[begin]), int(rows[end - 1])))
+    force = np.asarray(run.f[first:last])
+    far = np.abs(force - np.median(force, axis=0)).max(axis=1) > MOVING
+    if far.any() and far.mean() <= 0.5:
+        still = first + np.flatnonzero(~far)
+        ends = ((first, int(still[0])), (int(still[-1]) + 1, last))
+        yield from (one for one in ends if one[0] < one[1])

@@ -13,7 +13,7 @@ from piga.workbench.folder import Folder
 from piga.workbench.history import History
 from piga.workbench.jobs import Jobs
 from piga.workbench.pages.common import Bench
-from piga.workbench.pages.later import _document, _items, _own, pem_files
+from piga.workbench.pages.later import _document, _items, _own, _pem_files
 from piga.workbench.security import Door
 from tests.certificate.certificate_data import key_pair
 
@@ -60,4 +60,4 @@ def test_keys_and_certificates_are_told_apart(bench: Bench, tmp_path: Path) -> N
     (tmp_path / "both.pem").write_bytes(certificate.read_bytes() + key.read_bytes())
     (tmp_path / "binary.cer").write_bytes(b"\x30\x82")
     (tmp_path / "link.pem").symlink_to(key)
-    assert pem_files(bench) == (["both.pem", "lab-key.pem"], ["binary.cer", "both.pem", "lab-cert.pem"])
+    assert _pem_files(bench) == (["both.pem", "lab-key.pem"], ["binary.cer", "both.pem", "lab-cert.pem"])

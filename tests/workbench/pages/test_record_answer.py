@@ -15,7 +15,7 @@ from piga.workbench.folder import Folder
 from piga.workbench.history import History
 from piga.workbench.jobs import Jobs
 from piga.workbench.pages.common import Bench
-from piga.workbench.pages.record import _answer, _cache_of, _trial
+from piga.workbench.pages.record import _answer, _cache_of
 from piga.workbench.security import Door
 from tests.workbench.conftest import shipped_record, wait_until
 
@@ -56,9 +56,9 @@ def test_the_thinned_copy_is_answered_first_and_alone(tmp_path: Path, monkeypatc
         wait_until(lambda: ended(whole))
         answer, none = asked()
         assert (answer.every, none) == (1, None)
-        assert (tmp_path / _trial(answer.key) / "report.html").is_file()
-        shutil.rmtree(tmp_path / _trial(answer.key))
-        shutil.rmtree(tmp_path / _trial(f"{answer.key}-first"))
+        assert (answer.place / "report.html").is_file()
+        shutil.rmtree(answer.place)
+        shutil.rmtree(answer.place.with_name(f"{answer.key}-first"))
         for job in jobs.all():
             jobs.forget(job)
         (cache / "thinned.toml").write_text("nothing", encoding="utf-8")

@@ -11,7 +11,7 @@ from starlette.routing import Route
 
 from piga.workbench.folder import STATE_FOLDER, OutsideError
 from piga.workbench.jobs import Job
-from piga.workbench.pages.common import Bench, bench_of, redirect, render, result_file
+from piga.workbench.pages.common import Bench, bench_of, is_part, redirect, render, result_file
 
 
 def _job_of(request: Request) -> tuple[Bench, Job]:
@@ -24,34 +24,31 @@ def _job_of(request: Request) -> tuple[Bench, Job]:
 
 
 def _show_all(request: Request) -> Response:
-    """The list of jobs."""
     jobs = bench_of(request).jobs
     return render(request, "jobs.html.jinja", jobs=[(job, jobs.status(job)) for job in jobs.all()])
 
 
-def show(request: Request) -> Response:
+def _show(request: Request) -> Response:
     """One job: its state, what it printed, its files. The page asks for it again while the job runs."""
     bench, job = _job_of(request)
-    part = request.headers.get("hx-request") is not None
     status = bench.jobs.status(job)
     response = render(
-        request, "job-part.html.jinja" if part else "job.html.jinja", job=job, status=status,
+        request, "job-part.html.jinja" if is_part(request) else "job.html.jinja", job=job, status=status,
         line=f"piga {shlex.join(job.command)}", out=bench.jobs.text(job, "out"), err=bench.jobs.text(job, "err"),
         files=[path.name for path in _result_files(bench, job)] if status.state == "done" else [],
     )  # fmt: skip
-    if part and status.state != "running":
+    if is_part(request) and status.state != "running":
         response.headers["hx-refresh"] = "true"
     return response
 
 
-def stop(request: Request) -> Response:
-    """End a job."""
+def _stop(request: Request) -> Response:
     bench, job = _job_of(request)
     bench.jobs.stop(job)
     return redirect(request, request.headers.get("referer") or f"/jobs/{job.key}")
 
 
-def file(request: Request) -> Response:
+def _file(request: Request) -> Response:
     """A result file of a job."""
     bench, job = _job_of(request)
     name = request.path_params["file"]
@@ -65,19 +62,17 @@ def _result_files(bench: Bench, job: Job) -> list[Path]:
     """The files that a job wrote: those of its folder, or its file and the page beside it."""
     if not job.result or job.result.startswith(("signals/", "check/")):
         return []
-    place = bench.folder.root / job.result
-    if not job.result.startswith(f"{STATE_FOLDER}/trials/"):
-        place = bench.folder.path(job.result)
+    is_trial = job.result.startswith(f"{STATE_FOLDER}/trials/")
+    place = bench.folder.root / job.result if is_trial else bench.folder.path(job.result)
+    files = [place, place.with_suffix(".html")]
     if place.is_dir() and not place.is_symlink():
         files = sorted(path for path in place.iterdir() if not path.name.startswith("."))
-    else:
-        files = [place, place.with_suffix(".html")]
     return [path for path in files if path.is_file() and not path.is_symlink()]
 
 
 ROUTES = [
     Route("/jobs", _show_all),
-    Route("/jobs/{key}", show),
-    Route("/jobs/{key}/stop", stop, methods=["POST"]),
-    Route("/jobs/{key}/file/{file}", file),
+    Route("/jobs/{key}", _show),
+    Route("/jobs/{key}/stop", _stop, methods=["POST"]),
+    Route("/jobs/{key}/file/{file}", _file),
 ]

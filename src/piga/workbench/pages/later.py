@@ -8,7 +8,6 @@ import re
 import secrets
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,8 @@ from piga.describe.draft import places_of
 from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
 from piga.records.text_files import files_named_in, toml_document
-from piga.workbench.folder import CALIBRATION, STATE_FOLDER, Kept, results_of
-from piga.workbench.pages.common import Bench, bench_of, only, posted, quantity, redirect, render
+from piga.workbench.folder import CALIBRATION, Kept, results_of
+from piga.workbench.pages.common import Bench, Field, Sent, bench_of, in_line, only, posted, redirect, render
 from piga.workbench.pages.record import kept_of, left
 from piga.workbench.signals import cache_key
 
@@ -36,9 +35,9 @@ _USUAL = (
     "item.description",
 )  # fmt: skip
 """Entries of the example that any laboratory may have, too."""
-TABLES = ("environment", "traceability.standard")
+_TABLES = ("environment", "traceability.standard")
 """Lists of tables; they are typed as text."""
-PLAN = "plan-dividing-head.toml"
+_PLAN = "plan-dividing-head.toml"
 """Example that a plan begins with. Plans for other stands are written as text."""
 
 
@@ -47,13 +46,13 @@ def start(
 ) -> Response:
     """Start a job and go to its page."""
     bench = bench_of(request)
-    if result and not result.startswith(f"{STATE_FOLDER}/trials/"):
+    if result:
         bench.folder.path(result)
     job = bench.jobs.start(command, title, subject, result, reads)
     return redirect(request, f"/jobs/{job.key}")
 
 
-def plain(name: str) -> str:
+def _plain(name: str) -> str:
     """The letters and digits of a name, for a folder."""
     text = "".join(letter if letter.isalnum() else "-" for letter in name).strip("-")
     return text.encode()[:80].decode("utf-8", "ignore") or "instrument"
@@ -62,34 +61,25 @@ def plain(name: str) -> str:
 # --- certificate ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Item:
-    """An entry of the certificate: key, what it means, an example, the laboratory's own value, why it is refused."""
-
-    key: str
-    words: str
-    example: str
-    value: str
-    refusal: str = ""
-
-    @property
-    def group(self) -> str:
-        """Table of the entry."""
-        return self.key.partition(".")[0]
-
-
 def _example() -> dict[str, Any]:
     return toml_document(Path(CERTIFICATE), example_files()[CERTIFICATE])
 
 
-def _flat(document: dict[str, Any], path: str = "") -> dict[str, Any]:
-    """Single entries by ``table.key``."""
+def _entries(document: dict[str, Any], path: str = "") -> dict[str, Any]:
+    """Single entries by ``table.key``; a list of tables is one entry, as text."""
+    import tomlkit
+
     result: dict[str, Any] = {}
-    for key, value in document.items():
+    for name, value in document.items():
+        key = f"{path}{name}"
         if isinstance(value, dict):
-            result |= _flat(value, f"{path}{key}.")
-        elif not (isinstance(value, list) and value and isinstance(value[0], dict)):
-            result[f"{path}{key}"] = value
+            result |= _entries(value, f"{key}.")
+        elif key in _TABLES:
+            table, _, inner = key.rpartition(".")
+            text = tomlkit.dumps({table: {inner: value}} if table else {inner: value})
+            result[key] = text.replace(f"[{table}]\n", "")
+        else:
+            result[key] = value
     return result
 
 
@@ -100,54 +90,42 @@ def _shown(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
-def _typed(text: str, example: Any) -> Any:
+def _typed(key: str, text: str, example: Any) -> Any:
     """A typed entry in the type of the example."""
+    if key in _TABLES:
+        document: Any = toml_document(Path(CERTIFICATE), text.encode())
+        for name in key.split("."):
+            document = document.get(name) if isinstance(document, dict) else None
+        if not document:
+            raise ArgumentError(f"holds no [[{key}]]", remedy=f"begin with [[{key}]]")
+        return document
     if isinstance(example, bool):
-        return text.strip().lower() in ("yes", "true", "1")
+        return text.lower() in ("yes", "true", "1")
     if isinstance(example, dt.date):
         try:
-            return dt.date.fromisoformat(text.strip())
+            return dt.date.fromisoformat(text)
         except ValueError:
             raise ArgumentError("is not a date", remedy="write year-month-day, e.g. 2026-03-04") from None
-    return [part.strip() for part in text.split(",")] if isinstance(example, list) else text.strip()
-
-
-def _table_text(document: dict[str, Any], key: str) -> str:
-    """A list of tables as text."""
-    import tomlkit
-
-    table, _, inner = key.rpartition(".")
-    items = (document.get(table, {}) if table else document).get(inner)
-    return (
-        str(tomlkit.dumps({table: {inner: items}} if table else {inner: items})).replace(f"[{table}]\n", "")
-        if items
-        else ""
-    )
+    return [part.strip() for part in text.split(",")] if isinstance(example, list) else text
 
 
 def _own(bench: Bench, kept: Kept | None) -> dict[str, str]:
     """What is known already: the laboratory's own entries, and those of the calibration."""
-    example = _example()
-    flat = _flat(example)
-    entries = {key: _shown(flat[key]) for key in _USUAL if key in flat}
-    try:
-        mine = toml_document(Path(CERTIFICATE), bench.folder.text(CERTIFICATE).encode())
-    except PigaError:
-        mine = {}
-    entries |= {
-        key: _shown(value) for key, value in _flat(mine).items() if key in _USUAL or value != flat.get(key)
-    }
-    tables = {key: _table_text(mine, key) for key in TABLES}
-    entries |= {key: text for key, text in tables.items() if text != _table_text(example, key)}
+    example, mine = _entries(_example()), {}
+    with contextlib.suppress(PigaError):
+        mine = _entries(toml_document(Path(CERTIFICATE), bench.folder.text(CERTIFICATE).encode()))
+    own = {key: example[key] for key in _USUAL if key in example}
+    own |= {key: value for key, value in mine.items() if key in _USUAL or value != example.get(key)}
+    entries = {key: _shown(value) for key, value in own.items()}
     if kept is not None:
         entries |= {"item.serial": kept.serial, "calibration.end": kept.created[:10]}
-    if _is_used(bench, entries.get("certificate.number", "")) or "certificate.number" not in entries:
+    if not entries.get("certificate.number") or _is_used(bench, entries["certificate.number"]):
         entries["certificate.number"] = _next_number(bench)
     return entries
 
 
 def _is_used(bench: Bench, number: str) -> bool:
-    return bool(number) and (bench.folder.root / f"certificate-{plain(number)}").exists()
+    return (bench.folder.root / f"certificate-{_plain(number)}").exists()
 
 
 def _next_number(bench: Bench) -> str:
@@ -155,27 +133,21 @@ def _next_number(bench: Bench) -> str:
     return next(one for one in (f"{year}-{count:04d}" for count in range(1, 10000)) if not _is_used(bench, one))
 
 
-def _items(bench: Bench, values: dict[str, str]) -> list[Item]:
-    example = _example()
-    flat = {key: _shown(value) for key, value in _flat(example).items()}
-    flat |= {key: _table_text(example, key) for key in TABLES}
-    words = {place.path: place.words.sentence for place in places_of("certificate")}
+def _items(bench: Bench, values: dict[str, str]) -> list[Field]:
+    """The entries of a certificate with the laboratory's own values, and why one is refused."""
+    notes = {place.path: place.words.sentence for place in places_of("certificate")}
     items = []
-    for key, shown in flat.items():
+    for key, example in _entries(_example()).items():
         value, refusal = values.get(key, "").strip(), ""
-        if value and key not in TABLES:
-            try:
-                _typed(value, _flat(example)[key])
-            except PigaError as error:
-                refusal = f"{error.message}: {error.remedy}"
-        elif value:
-            try:
-                toml_document(Path(CERTIFICATE), value.encode())
-            except PigaError as error:
-                refusal = str(error)
-        if key == "certificate.number" and _is_used(bench, value):
+        try:
+            _ = value and _typed(key, value, example)
+        except PigaError as error:
+            refusal = in_line(error)
+        if key == "certificate.number" and value and _is_used(bench, value):
             refusal = f"this number was used; the next free one is {_next_number(bench)}"
-        items.append(Item(key, words.get(key, key), shown, value, refusal))
+        words = key.partition(".")[2].replace("_", " ").replace(".", ", ") or key
+        rows = 7 if key in _TABLES else 0
+        items.append(Field(key, words, _shown(example), notes.get(key, key), value, refusal=refusal, rows=rows))
     return items
 
 
@@ -183,28 +155,21 @@ def _document(values: dict[str, str], *, whole: bool) -> str:
     """The certificate file. ``whole``: with the example's entries where there are no own ones, for a draft."""
     import tomlkit
 
-    example = _example()
     document: dict[str, Any] = {}
-    for key, shown in _flat(example).items():
-        text = values.get(key, "").strip()
-        if text or whole:
+    for key, example in _entries(_example()).items():
+        text = values.get(key, "").strip() or (_shown(example) if whole else "")
+        if text:
             *path, last = key.split(".")
             table = document
             for part in path:
                 table = table.setdefault(part, {})
-            table[last] = _typed(text, shown) if text else shown
-    for key in TABLES:
-        text = values.get(key, "").strip() or (_table_text(example, key) if whole else "")
-        parsed = toml_document(Path(CERTIFICATE), text.encode())
-        for name, part in parsed.items():
-            document[name] = document.get(name, {}) | part if isinstance(part, dict) else part
+            table[last] = _typed(key, text, example)
     return str(tomlkit.dumps(document))
 
 
-def certificate(request: Request) -> Response:
+def _certificate(request: Request) -> Response:
     """The form of a certificate, filled from the calibration and from the laboratory's own entries."""
-    bench = bench_of(request)
-    name = request.query_params.get("of", "")
+    bench, name = bench_of(request), request.query_params.get("of", "")
     kept = kept_of(bench, name) if name else None
     return _certificate_page(request, kept, _own(bench, kept))
 
@@ -213,62 +178,49 @@ def _certificate_page(
     request: Request, kept: Kept | None, values: dict[str, str], message: str = "", code: int = 200
 ) -> Response:
     bench = bench_of(request)
-    shown = left(bench)
     seen = ""
     with contextlib.suppress(PigaError):
         seen = bench.history.seen(bench.folder.text(CERTIFICATE))
-    keys, x509 = pem_files(bench)
-    drafts = [
-        job
-        for job in bench.jobs.all()
-        if job.title == "DRAFT certificate" and kept is not None and job.subject == kept.name
-    ]
+    keys, x509 = _pem_files(bench)
+    of = "" if kept is None else kept.name
+    draft = next(
+        (job for job in bench.jobs.all() if (job.title, job.subject) == ("DRAFT certificate", of)), None
+    )
     return render(
-        request, "certificate.html.jinja", code, **shown, one=kept, items=_items(bench, values), tables=TABLES, seen=seen,
-        message=message, keys=keys, x509=x509, signed=bench.folder.listed(".xml"), draft=drafts[0] if drafts else None,
+        request, "certificate.html.jinja", code, **left(bench), one=kept, items=_items(bench, values), seen=seen,
+        message=message, keys=keys, x509=x509, signed=bench.folder.listed(".xml"), draft=draft,
     )  # fmt: skip
 
 
-def issue(request: Request, fields: dict[str, list[str]]) -> Response:
+def _issue(request: Request, sent: Sent) -> Response:
     """Save the laboratory's entries; show a draft, or issue the certificate if nothing is missing."""
     bench = bench_of(request)
-    kept = kept_of(bench, only(fields, "of"))
-    values = {key.removeprefix("c:"): sent[-1] for key, sent in fields.items() if key.startswith("c:")}
-    items = _items(bench, values)
-    wrong = [item for item in items if item.refusal]
-    draft = only(fields, "do") != "issue"
-    if wrong or (not draft and any(not item.value for item in items)):
-        return _certificate_page(
-            request, kept, values, "Some entries are missing or cannot be used; each says why.", 422
-        )
-    try:
-        bench.history.write(
-            CERTIFICATE, only(fields, "seen"), _document(values, whole=False), "certificate entries", "any"
-        )
-        text = _document(values, whole=True)
-    except ArgumentError:
-        raise
-    except PigaError as error:
-        return _certificate_page(request, kept, values, str(error), 422)
-    calibration = f"{kept.name}/{CALIBRATION}"
-    if draft:
+    kept = kept_of(bench, only(sent, "of"))
+    values = {key.removeprefix("c:"): typed[-1] for key, typed in sent.items() if key.startswith("c:")}
+    items, is_draft = _items(bench, values), only(sent, "do") != "issue"
+    if any(item.refusal or not (item.typed or is_draft) for item in items):
+        words = "Some entries are missing or cannot be used; each says why."
+        return _certificate_page(request, kept, values, words, 422)
+    text = _document(values, whole=False)
+    bench.history.write(CERTIFICATE, only(sent, "seen"), text, "certificate entries", "any")
+    out, source, title = f"certificate-{_plain(values['certificate.number'])}", CERTIFICATE, "Certificate"
+    if is_draft:
         place = bench.folder.state_room("trials") / secrets.token_hex(8)
         data = place.with_suffix(".toml")
-        data.write_text(text, encoding="utf-8")
+        data.write_text(_document(values, whole=True), encoding="utf-8")
         out, source, title = bench.folder.name(place), bench.folder.name(data), "DRAFT certificate"
     else:
-        out, source, title = f"certificate-{plain(values['certificate.number'])}", CERTIFICATE, "Certificate"
         bench.folder.path(out)
-    command = ["certificate", "issue", calibration, "--data", source, "--out", out]
-    command += ["--dcc"] if only(fields, "dcc") else []
+    command = ["certificate", "issue", f"{kept.name}/{CALIBRATION}", "--data", source, "--out", out]
+    command += ["--dcc"] if only(sent, "dcc") else []
     for option in ("key", "certificate"):
-        value = only(fields, option)
-        command += [f"--{option}={bench.folder.name(bench.folder.file(value))}"] if value else []
+        if only(sent, option):
+            command.append(f"--{option}={bench.folder.name(bench.folder.file(only(sent, option)))}")
     job = bench.jobs.start(command, title, kept.name, out)
     return redirect(request, f"/jobs/{job.key}")
 
 
-def pem_files(bench: Bench) -> tuple[list[str], list[str]]:
+def _pem_files(bench: Bench) -> tuple[list[str], list[str]]:
     """Files of the folder that hold a private key, and those that hold an X.509 certificate. One may hold both."""
     keys, certificates = [], []
     for name in bench.folder.listed(".pem", ".crt", ".cer"):
@@ -281,169 +233,183 @@ def pem_files(bench: Bench) -> tuple[list[str], list[str]]:
     return keys, certificates
 
 
-def verify(request: Request, fields: dict[str, list[str]]) -> Response:
+def _verify(request: Request, sent: Sent) -> Response:
     """Verify a signed certificate of the folder."""
     folder = bench_of(request).folder
-    signed, by = (folder.name(folder.file(only(fields, one))) for one in ("signed", "certificate"))
-    return start(
-        request, ("certificate", "verify", signed, f"--certificate={by}"), "Verify the certificate", signed
-    )
+    signed, by = (folder.name(folder.file(only(sent, one))) for one in ("signed", "certificate"))
+    command = ("certificate", "verify", signed, f"--certificate={by}")
+    return start(request, command, "Verify the certificate", signed)
 
 
-# --- compensation, plan, trend, ledger -------------------------------------------------------------
+# --- compensation, plan, ledger: forms of one command ----------------------------------------------
 
 
-def compensation(request: Request) -> Response:
-    """The form of a compensation."""
-    return _compensation_page(request, request.query_params.get("of", ""), {}, {})
-
-
-def _compensation_page(
-    request: Request, of: str, typed: dict[str, str], refusals: dict[str, str], code: int = 200
+def _form(
+    request: Request, title: str, words: str, fields: list[Field], code: int = 200, **more: Any
 ) -> Response:
+    """The page that asks for the options of a command; without fields there is nothing yet to do it with."""
+    values = left(bench_of(request)) | {
+        "title": title,
+        "words": words,
+        "fields": fields,
+        "stores": (),
+        "link": "",
+    }
+    return render(request, "form.html.jinja", code, **values | more)
+
+
+def _is_refused(fields: list[Field]) -> bool:
+    return any(field.refusal for field in fields)
+
+
+def _same(names: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """A menu whose values are their words."""
+    return tuple((name, name) for name in names)
+
+
+def _compensation(request: Request, sent: Sent | None = None) -> Response:
+    """The form of a compensation; with what was sent, its start."""
     bench = bench_of(request)
-    runs = [entry for entry in bench.folder.entries() if entry.state in ("ready", "kept")]
-    values = left(bench) | {"runs": runs, "of": of, "refusals": refusals, "typed": typed}
-    return render(request, "compensate.html.jinja", code, **values)
-
-
-def compensate(request: Request, fields: dict[str, list[str]]) -> Response:
-    """Start a compensation."""
-    folder = bench_of(request).folder
-    run, kept = folder.toml(only(fields, "run")), kept_of(bench_of(request), only(fields, "of"))
-    form = "csv" if only(fields, "format") == "csv" else "parquet"
-    out = run.with_name(f"{run.stem}-compensated.{form}")
-    calibration = f"{kept.name}/{CALIBRATION}"
+    folder, shown = bench.folder, left(bench)
+    kept = tuple((one.name, f"{one.name}: {one.created[:10]}") for one in shown["kept"])
+    fields = [
+        Field(
+            "run", "record", choices=_same([e.name for e in folder.entries() if e.state in ("ready", "kept")])
+        ),
+        Field("of", "calibration", choices=kept, typed=request.query_params.get("of", "")),
+        Field("phase", "phase of the output zero, if it is known (else empty)", "0.48 rad", like="rad"),
+        Field("identify-phase", "or: estimate it from the first stretch at rest", "60 s", like="s"),
+        Field("rate", "output rate (empty: that of the record)", "10 Hz", like="Hz"),
+        Field("format", "file", choices=_same(("parquet", "csv"))),
+        Field(
+            "other-serial", "accept a calibration of another serial number", choices=(("", "no"), ("1", "yes"))
+        ),
+    ]
+    if sent is not None:
+        fields = [field.with_sent(sent) for field in fields]
+    if sent is None or _is_refused(fields):
+        words = (
+            "The cross-coupling is taken off the record with the coefficients of a kept calibration. "
+            "The file is written beside the record."
+        )
+        code = 200 if sent is None else 422
+        return _form(request, "Compensate", words, fields if kept else [], code)
+    run, calibration = folder.toml(only(sent, "run")), f"{kept_of(bench, only(sent, 'of')).name}/{CALIBRATION}"
+    out = run.with_name(f"{run.stem}-compensated.{'csv' if only(sent, 'format') == 'csv' else 'parquet'}")
     command = ["compensate", folder.name(run), "--calibration", calibration, "--out", folder.name(out)]
     command += ["--report", folder.name(out.with_suffix(".html")), "--force"]
-    typed, refusals = {key: only(fields, key).strip() for key in ("phase", "identify-phase", "rate")}, {}
-    for option, like in (("phase", "rad"), ("identify-phase", "s"), ("rate", "Hz")):
-        try:
-            command += [f"--{option}={quantity(typed[option], '', like, option)}"] if typed[option] else []
-        except PigaError as error:
-            refusals[option] = str(error).replace("\n  remedy: ", ": ")
-    if refusals:
-        return _compensation_page(request, kept.name, typed, refusals, 422)
-    command += ["--other-serial"] if only(fields, "other-serial") else []
+    command += [f"--{field.key}={field.value}" for field in fields if field.like and field.typed]
+    command += ["--other-serial"] if only(sent, "other-serial") else []
     reads = [*files_named_in(run), folder.file(calibration)]
     return start(request, command, "Compensate", folder.name(run), folder.name(out), reads)
 
 
-def plan(request: Request) -> Response:
-    """The form of a plan."""
-    return _plan_page(request, request.query_params.get("of", ""))
-
-
-def _plan_page(
-    request: Request, of: str, typed: str = "", unit: str = "", refusal: str = "", code: int = 200
-) -> Response:
-    values = left(bench_of(request)) | {"of": of, "typed": typed, "unit": unit, "refusal": refusal}
-    return render(request, "plan.html.jinja", code, **values)
-
-
-def make_plan(request: Request, fields: dict[str, list[str]]) -> Response:
-    """Write a plan for this instrument and run it."""
+def _plan(request: Request, sent: Sent | None = None) -> Response:
+    """The form of a plan; with what was sent, the plan for this instrument is written and run."""
     import tomlkit
 
     bench = bench_of(request)
-    document: Any = tomlkit.parse(example_files()[PLAN].decode("utf-8"))
-    of, typed, unit = (only(fields, name) for name in ("of", "hours", "unit"))
-    try:
-        document["plan"]["duration"] = quantity(typed, unit, "s", "time at the stand")
-    except PigaError as error:
-        return _plan_page(request, of, typed, unit, str(error).replace("\n  remedy: ", ": "), 422)
+    of = request.query_params.get("of", "")
+    time_field = Field("hours", "time at the stand", "2130 s", like="s", units=("s", "min", "h"), needed=True)
+    if sent is not None:
+        time_field = time_field.with_sent(sent)
+    if sent is None or time_field.refusal:
+        words = (
+            "Which positions of a dividing head, how long in each, and which uncertainty that gives. The plan begins "
+            "with example values of stand and instrument; every entry can be changed as text afterwards."
+        )
+        code = 200 if sent is None else 422
+        return _form(request, "Plan the test", words, [time_field], code, link=f"/text?example={_PLAN}")
+    document: Any = tomlkit.parse(example_files()[_PLAN].decode("utf-8"))
+    document["plan"]["duration"] = time_field.value
     if of:
         kept = kept_of(bench, of)
         document["instrument"]["serial"] = kept.serial
         document["instrument"]["scale_factor"] = f"{kept.K:.9g} {kept.unit}"
-    stem = f"plan-{plain(str(document['instrument']['serial']))}"
+    stem = f"plan-{_plain(str(document['instrument']['serial']))}"
     name = next(n for n in (f"{stem}-{i}.toml" for i in range(1, 10000)) if not bench.folder.path(n).exists())
     bench.history.write(name, "", tomlkit.dumps(document), f"plan {name}", "any")
     out = name.removesuffix(".toml")
     return start(request, ("plan", name, "--out", out, "--force"), "Plan", name, out)
 
 
-def trend(request: Request, fields: dict[str, list[str]]) -> Response:
-    """How the coefficients of one instrument drift."""
+def _ledger(request: Request, sent: Sent | None = None) -> Response:
+    """Ledgers of the folder; keep a result in one, list, verify or export it."""
     bench = bench_of(request)
-    serial = only(fields, "serial")
-    kept = [one.name for entry in bench.folder.entries() for one in entry.kept if one.serial == serial]
-    if len(kept) < 2:
-        raise ArgumentError("a trend needs two kept calibrations", remedy="keep another calibration first")
-    out = f"trend-{plain(serial)}"
-    command = ["records", "trend", *(f"{name}/{CALIBRATION}" for name in kept), "--out", out, "--force"]
-    at = only(fields, "at").strip()
-    return start(request, [*command, *([f"--at={at}"] if at else [])], "Trend", serial, out)
+    stores, word = bench.folder.listed(*_STORES), only(sent or {}, "do")
+    if sent is not None and word in ("list", "verify", "export"):
+        store = _store(bench, sent)
+        out = f"{store.stem}-{time.strftime('%Y%m%d-%H%M%S')}.zip" if word == "export" else ""
+        command = ["records", word, *([out] if out else []), "--store", store.name]
+        return start(request, command, f"{word.capitalize()} the ledger", store.name, out)
+    fields = [
+        Field("run", "record", choices=_same([entry.name for entry in bench.folder.entries() if entry.kept])),
+        Field("store", "ledger", "lab.sqlite", typed=stores[0] if stores else "lab.sqlite", needed=True),
+        Field("operator", "operator", "who keeps the record", needed=True),
+        Field("reason", "reason", "why it is kept", needed=True),
+    ]
+    if sent is not None:
+        fields = [field.with_sent(sent) for field in fields]
+    if sent is None or _is_refused(fields):
+        words = "A ledger keeps inputs, results and report of a calibration, so that nothing can be changed unnoticed."
+        shown = fields if fields[0].choices else []
+        return _form(request, "Add to the ledger", words, shown, 200 if sent is None else 422, stores=stores)
+    store, run = _store(bench, sent), bench.folder.toml(only(sent, "run"))
+    results = bench.folder.name(bench.folder.path(bench.folder.name(results_of(run))))
+    command = ["records", "add", bench.folder.name(run), "--store", store.name, "--results", results]
+    command += [f"--{field.key}={' '.join(field.typed.split())}" for field in fields[2:]]
+    return start(request, command, "Add to the ledger", bench.folder.name(run))
 
 
-def _ledger_page(request: Request) -> Response:
-    """Ledgers of the folder."""
-    bench = bench_of(request)
-    runs = [entry for entry in bench.folder.entries() if entry.kept]
-    return render(request, "ledger.html.jinja", **left(bench), stores=bench.folder.listed(*_STORES), runs=runs)
-
-
-def ledger(request: Request, fields: dict[str, list[str]]) -> Response:
-    """Keep a result in a ledger; list, verify or export it."""
-    bench = bench_of(request)
-    word, store = only(fields, "do"), bench.folder.path(only(fields, "store"))
+def _store(bench: Bench, sent: Sent) -> Path:
+    store = bench.folder.path(only(sent, "store"))
     if store.parent != bench.folder.root or store.suffix not in _STORES:
         raise ArgumentError(f"{store.name[:80]!r}: cannot be the name of a ledger", remedy="e.g. lab.sqlite")
-    if word == "add":
-        run = bench.folder.toml(only(fields, "run"))
-        results = bench.folder.name(bench.folder.path(bench.folder.name(results_of(run))))
-        command = ["records", "add", bench.folder.name(run), "--store", store.name, "--results", results]
-        for option in ("operator", "reason"):
-            value = " ".join(only(fields, option).split())
-            if not value:
-                raise ArgumentError(f"{option}: is missing", remedy="say who keeps the record, and why")
-            command.append(f"--{option}={value}")
-        return start(request, command, "Add to the ledger", bench.folder.name(run))
-    if word not in ("list", "verify", "export"):
-        raise ArgumentError(f"{word[:40]!r}: is not a command of this page", remedy="use its buttons")
-    out = f"{store.stem}-{time.strftime('%Y%m%d-%H%M%S')}.zip" if word == "export" else ""
-    command = ["records", word, *([out] if out else []), "--store", store.name]
-    return start(request, command, f"{word.capitalize()} the ledger", store.name, out)
+    return store
+
+
+def _trend(request: Request, sent: Sent) -> Response:
+    """How the coefficients of one instrument drift."""
+    serial = only(sent, "serial")
+    kept = [
+        one.name for entry in bench_of(request).folder.entries() for one in entry.kept if one.serial == serial
+    ]
+    if len(kept) < 2:
+        raise ArgumentError("a trend needs two kept calibrations", remedy="keep another calibration first")
+    out = f"trend-{_plain(serial)}"
+    command = ["records", "trend", *(f"{name}/{CALIBRATION}" for name in kept), "--out", out, "--force"]
+    return start(request, command, "Trend", serial, out)
 
 
 # --- what a record can determine ------------------------------------------------------------------
 
 
-def prospects(request: Request) -> Response:
+def _prospects(request: Request) -> Response:
     """What the record says of each term, before a fit."""
     bench, name = bench_of(request), request.path_params["name"]
     files = files_named_in(bench.folder.toml(name))
     read_run_file(files[0])
     mark = f"check/{cache_key(files)}"
-    job = bench.jobs.latest(name, mark) or bench.jobs.start(
-        ("check", name, "--terms", "--json"), "Ask for each term", name, mark
-    )
+    command = ("check", name, "--terms", "--json")
+    job = bench.jobs.latest(name, mark) or bench.jobs.start(command, "Ask for each term", name, mark)
     status = bench.jobs.status(job)
     rows: list[Any] = []
     if status.state == "done":
         with contextlib.suppress(OSError, ValueError):
             rows = bench.jobs.document(job)["terms"]
-    message = bench.jobs.text(job, "err") if status.state not in ("running", "done") else ""
-    return render(
-        request,
-        "prospects.html.jinja",
-        name=name,
-        status=status,
-        rows=rows,
-        message=re.sub(r"^piga: ", "", message),
-    )
+    message = "" if status.state in ("running", "done") else re.sub(r"^piga: ", "", bench.jobs.text(job, "err"))
+    return render(request, "prospects.html.jinja", name=name, status=status, rows=rows, message=message)
 
 
 ROUTES = [
-    Route("/certificate", certificate, methods=["GET"]),
-    Route("/certificate", posted(issue), methods=["POST"]),
-    Route("/certificate/verify", posted(verify), methods=["POST"]),
-    Route("/compensate", compensation, methods=["GET"]),
-    Route("/compensate", posted(compensate), methods=["POST"]),
-    Route("/plan", plan, methods=["GET"]),
-    Route("/plan", posted(make_plan), methods=["POST"]),
-    Route("/trend", posted(trend), methods=["POST"]),
-    Route("/ledger", _ledger_page, methods=["GET"]),
-    Route("/ledger", posted(ledger), methods=["POST"]),
-    Route("/prospects/{name:path}", prospects),
+    Route("/certificate", _certificate, methods=["GET"]),
+    Route("/certificate", posted(_issue), methods=["POST"]),
+    Route("/certificate/verify", posted(_verify), methods=["POST"]),
+    *(
+        route
+        for address, page in (("/compensate", _compensation), ("/plan", _plan), ("/ledger", _ledger))
+        for route in (Route(address, page, methods=["GET"]), Route(address, posted(page), methods=["POST"]))
+    ),
+    Route("/trend", posted(_trend), methods=["POST"]),
+    Route("/prospects/{name:path}", _prospects),
 ]

@@ -9,9 +9,8 @@ import re
 import shutil
 import tempfile
 from dataclasses import asdict, dataclass, replace
-from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 from urllib.parse import quote, urlencode
 
 import msgspec
@@ -21,19 +20,20 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from piga.data import copy_example
 from piga.errors import ArgumentError, CalibrationError, PigaError
 from piga.output import put_in_place, write_whole
 from piga.records.calibration import Calibration
-from piga.records.run_file import RunFile, read_run_file
+from piga.records.run_file import read_run_file
 from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_output, shown_unit, turns
 from piga.records.text_files import files_named_in
 from piga.reports.render.numbers import rounded
-from piga.units import G0
 from piga.workbench.folder import CALIBRATION, STATE_FOLDER, Entry, Kept, OutsideError, results_of
 from piga.workbench.history import ChangedError
 from piga.workbench.jobs import BusyError, Job
 from piga.workbench.pages.common import (
     Bench,
+    Sent,
     TooLargeError,
     bench_of,
     only,
@@ -46,14 +46,14 @@ from piga.workbench.signals import Outline, cache_key, picture, read_outline, ro
 
 MOST_UPLOAD = 4 << 30
 """Largest file [bytes] that may be dropped in. Larger ones are copied into the folder."""
-SMALL = 20_000_000
+_SMALL = 20_000_000
 """Size of a log [bytes] up to which a faulty run file is answered with lines that repair it. They are tried on the log."""
 _ALWAYS = "scale_factor"
-TERMS = tuple(term for term in UNITS if term not in ("phi", "k1"))
+_TERMS = tuple(term for term in UNITS if term not in ("phi", "k1"))
 """Terms that have a box of their own."""
-_MOST_TAGS = 200
+_MOST_TAGS = 2000
 _ENDED = ("failed", "stopped")
-KEY = r"[0-9a-f]{16}"
+_KEY = r"[0-9a-f]{16}"
 """Names of answers."""
 
 
@@ -63,51 +63,45 @@ KEY = r"[0-9a-f]{16}"
 def _tags_of(bench: Bench) -> dict[str, list[str]]:
     """The tags of records."""
     with contextlib.suppress(PigaError, msgspec.MsgspecError):
-        return msgspec.json.decode(
-            bench.folder.read(bench.folder.state_room() / "tags.json", 1 << 20), type=dict[str, list[str]]
-        )
+        raw = bench.folder.read(bench.folder.state_room() / "tags.json", 1 << 20)
+        return msgspec.json.decode(raw, type=dict[str, list[str]])
     return {}
 
 
 def left(bench: Bench, name: str = "") -> dict[str, Any]:
     """Records and calibrations of the instrument that a page is about."""
     entries = bench.folder.entries()
-    serials = sorted({entry.serial for entry in entries if entry.serial})
-    here = next((entry.serial for entry in entries if entry.name == name and entry.serial), "")
+    firsts = {entry.serial: entry.name for entry in entries if entry.serial}
+    here = next((entry.serial for entry in entries if entry.name == name), "")
     serial = here or next((entry.serial for entry in entries if entry.serial), "")
     mine = [entry for entry in entries if entry.serial in (serial, "") or entry.name == name]
     kept = sorted((one for entry in mine for one in entry.kept), key=lambda one: one.created)
-    firsts = {one: next((e.name for e in reversed(entries) if e.serial == one), "") for one in serials}
     tags = _tags_of(bench)
     return {
-        "entries": mine, "serial": serial, "serials": firsts, "kept": kept, "line": _time_line(kept), "name": name,
-        "tags": {entry.name: tags.get(entry.name, []) for entry in mine},
+        "entries": mine, "serial": serial, "serials": dict(sorted(firsts.items())), "kept": kept, "name": name,
+        "line": _time_line(kept), "tags": {entry.name: tags.get(entry.name, []) for entry in mine},
     }  # fmt: skip
 
 
 def _time_line(kept: list[Kept]) -> list[dict[str, Any]]:
     """Kept calibrations as points: percent of the width and height of the picture, and the length of the bar of u."""
-    if not kept:
-        return []
-    low = min(one.ppm - 1e6 * one.u / one.nominal for one in kept)
-    high = max(one.ppm + 1e6 * one.u / one.nominal for one in kept)
-    size = max(high - low, 1e-3)
-    points = []
-    for index, one in enumerate(kept):
-        u = 1e6 * one.u / one.nominal
-        y = 85.0 - 70.0 * (one.ppm - low) / size
-        points.append({"kept": one, "x": 8.0 + 84.0 * (index + 0.5) / len(kept), "y": y, "u": 70.0 * u / size})
-    return points
+    low = min((one.ppm - one.u_ppm for one in kept), default=0.0)
+    size = max([1e-3, *(one.ppm + one.u_ppm - low for one in kept)])
+    return [
+        {
+            "kept": one, "x": 8.0 + 84.0 * (index + 0.5) / len(kept), "y": 85.0 - 70.0 * (one.ppm - low) / size,
+            "u": 70.0 * one.u_ppm / size,
+        }
+        for index, one in enumerate(kept)
+    ]  # fmt: skip
 
 
-def home(request: Request) -> Response:
+def _home(request: Request) -> Response:
     """The first screen, or the newest record."""
-    bench = bench_of(request)
-    shown = left(bench)
-    if not shown["entries"]:
+    entries = left(bench_of(request))["entries"]
+    if not entries:
         return render(request, "first.html.jinja")
-    entry = next((entry for entry in shown["entries"] if entry.state != "log"), shown["entries"][0])
-    return redirect(request, _address_of(entry))
+    return redirect(request, _address_of(next((e for e in entries if e.state != "log"), entries[0])))
 
 
 def _address_of(entry: Entry) -> str:
@@ -115,22 +109,18 @@ def _address_of(entry: Entry) -> str:
     return f"/{'log' if entry.state == 'log' else 'record'}/{quote(entry.name)}"
 
 
-async def try_shipped(request: Request) -> Response:
+def _try_shipped(request: Request) -> Response:
     """Copy the shipped record into the folder."""
-    import gzip
-
     folder = bench_of(request).folder
-    data = files("piga.data")
-    for name, raw in (
-        ("tumble-a.csv", gzip.decompress(data.joinpath("tumble-a.csv.gz").read_bytes())),
-        ("tumble-a.toml", data.joinpath("tumble-a.toml").read_bytes()),
-    ):
-        with contextlib.suppress(PigaError):  # it is there already
-            write_whole(folder.path(name), lambda part, raw=raw: part.write_bytes(raw), replace=False)  # type: ignore[misc]
-    return redirect(request, "/record/tumble-a.toml")
+    with tempfile.TemporaryDirectory(dir=folder.state_room("parts")) as part:
+        run = copy_example(Path(part))
+        for path in (run.with_suffix(".csv"), run):
+            with contextlib.suppress(PigaError):  # it is there already
+                put_in_place(path, folder.path(path.name), replace=False)
+    return redirect(request, f"/record/{run.name}")
 
 
-async def take(request: Request) -> Response:
+async def _take(request: Request) -> Response:
     """A file that was dropped in. Its bytes are the body; its name is in the address."""
     folder = bench_of(request).folder
     target = folder.free_name(request.query_params.get("name", ""))
@@ -152,18 +142,20 @@ async def take(request: Request) -> Response:
             await run_in_threadpool(put_in_place, part, target, replace=False)
         finally:
             part.unlink(missing_ok=True)
-    place = "record" if target.suffix == ".toml" else "log"
-    return JSONResponse({"name": folder.name(target), "address": f"/{place}/{quote(folder.name(target))}"})
+    name = folder.name(target)
+    return JSONResponse(
+        {"name": name, "address": f"/{'record' if target.suffix == '.toml' else 'log'}/{quote(name)}"}
+    )
 
 
-def tag(request: Request, fields: dict[str, list[str]]) -> Response:
+def _tag(request: Request, sent: Sent) -> Response:
     """Set the tags of a record."""
     bench = bench_of(request)
-    name, words = only(fields, "name"), only(fields, "tags").replace(",", " ").split()
+    name, words = only(sent, "name"), only(sent, "tags").replace(",", " ").split()
     bench.folder.path(name)
     with bench.history.lock:
         tags = _tags_of(bench) | {name: [word[:30] for word in words[:8]]}
-        raw = msgspec.json.encode(dict(list(tags.items())[-_MOST_TAGS * 10 :]))
+        raw = msgspec.json.encode(dict(list(tags.items())[-_MOST_TAGS:]))
         write_whole(bench.folder.state_room() / "tags.json", lambda part: part.write_bytes(raw))
     return redirect(request, f"/record/{quote(name)}")
 
@@ -177,25 +169,21 @@ def _cache_of(bench: Bench, name: str) -> Path:
     return bench.folder.state_room("signals") / f"{record}-{cache_key(files_named_in(bench.folder.toml(name)))}"
 
 
-def reading(bench: Bench, name: str, *, again: bool = False) -> tuple[Outline | None, Job | None]:
+def _reading(bench: Bench, name: str, *, again: bool = False) -> tuple[Outline | None, Job | None]:
     """The outline of a record. If it is not read yet: the job that reads it, or that failed."""
     cache = _cache_of(bench, name)
-    outline = read_outline(cache)
-    if outline is not None:
-        return outline, None
     mark = f"signals/{cache.name}"
     last = bench.jobs.latest(name, mark)
-    if last is not None:
-        state = bench.jobs.status(last).state
-        outline = read_outline(cache)  # the job may have ended meanwhile
-        if outline is not None:
-            return outline, None
-        if state == "running" or (state in _ENDED and not again):
-            return None, last
+    state = bench.jobs.status(last).state if last else ""
+    outline = read_outline(cache)  # after the state: the job may end meanwhile
+    if outline is not None:
+        return outline, None
+    if last is not None and (state == "running" or (state in _ENDED and not again)):
+        return None, last
     return None, bench.jobs.start(("envelopes", name, str(cache)), "Read the record", name, mark)
 
 
-def show(request: Request) -> Response:
+def _show(request: Request) -> Response:
     """The page of a record."""
     bench, name = bench_of(request), request.path_params["name"]
     entry = bench.folder.entry(name)
@@ -207,81 +195,73 @@ def show(request: Request) -> Response:
 
 def _show_picture(request: Request) -> Response:
     """The picture alone; the page asks for it while the record is read."""
-    bench, name = bench_of(request), request.path_params["name"]
-    entry = bench.folder.entry(name)
+    entry = bench_of(request).folder.entry(request.path_params["name"])
     return render(request, "picture.html.jinja", entry=entry, **_picture(request, entry))
 
 
 def _picture(request: Request, entry: Entry) -> dict[str, Any]:
+    """What the picture shows: the outline, the job that reads the record, what it waits for, or why it cannot be read."""
     bench = bench_of(request)
-    values: dict[str, Any] = {"outline": None, "job": None, "message": entry.message, "repairs": [], "seen": ""}
-    values["waits"] = ""
+    values: dict[str, Any] = {
+        "outline": None,
+        "job": None,
+        "message": "",
+        "repairs": [],
+        "waits": "",
+        "seen": "",
+    }
+    with contextlib.suppress(PigaError):
+        values["seen"] = bench.history.seen(bench.folder.text(entry.name))
     if entry.state == "faulty":
-        values["repairs"] = _repairs(bench, entry)
-        with contextlib.suppress(PigaError):
-            values["seen"] = bench.history.seen(bench.folder.text(entry.name))
-        return values
-    values["seen"] = bench.history.seen(bench.folder.text(entry.name))
+        return values | {"message": entry.message, "repairs": _repairs(bench, entry)}
     try:
-        outline, job = reading(bench, entry.name, again="again" in request.query_params)
+        outline, job = _reading(bench, entry.name, again="again" in request.query_params)
     except BusyError as error:
         return values | {"waits": error.message}
-    if outline is not None:
-        drawn = {"signals": [asdict(one) for one in outline.signals], "duration": outline.duration}
-        drawn |= {
-            key: [asdict(one) for one in getattr(outline, key)] for key in ("positions", "left_out", "moves")
-        }
-        drawn["findings"] = [one.time for one in outline.findings if one.time]
-        return values | {"outline": outline, "drawn": json.dumps(drawn)}
-    assert job is not None  # noqa: S101  a record is read, or a job reads it
-    status = bench.jobs.status(job)
-    if status.state in _ENDED:
+    if outline is None:
+        assert job is not None  # noqa: S101  a record is read, or a job reads it
+        status = bench.jobs.status(job)
+        if status.state not in _ENDED:
+            return values | {"job": job, "status": status}
         message = bench.jobs.text(job, "err").removeprefix("piga: ") or "The reading was stopped."
         return values | {"message": message, "repairs": _repairs(bench, entry)}
-    return values | {"job": job, "status": status}
+    drawn = {key: value for key, value in asdict(outline).items() if key in _DRAWN}
+    drawn["findings"] = [one["time"] for one in drawn["findings"] if one["time"]]
+    return values | {"outline": outline, "drawn": json.dumps(drawn)}
+
+
+_DRAWN = ("signals", "duration", "positions", "left_out", "moves", "findings")
+"""Parts of an outline that the script draws."""
 
 
 def _repairs(bench: Bench, entry: Entry) -> list[Any]:
     """Lines that repair a run file; each was tried on the log."""
     from piga.describe import suggestions
 
-    if entry.size > SMALL:
-        return []
-    try:
-        return suggestions(bench.folder.toml(entry.name))
-    except (PigaError, OSError):
-        return []
+    with contextlib.suppress(PigaError, OSError):
+        return suggestions(bench.folder.toml(entry.name)) if entry.size <= _SMALL else []
+    return []
 
 
-def data(request: Request) -> Response:
+def _data(request: Request) -> Response:
     """Rows of time, then least and largest value of each asked signal, as 64-bit floats."""
-    bench, name = bench_of(request), request.path_params["name"]
-    cache = _cache_of(bench, name)
-    outline = read_outline(cache)
-    query = request.query_params
+    cache, query = _cache_of(bench_of(request), request.path_params["name"]), request.query_params
     try:
         first, last, width = float(query["from"]), float(query["to"]), int(query["width"])
     except (KeyError, ValueError):
         raise ArgumentError("the span of the picture is not valid", remedy="reload the page") from None
-    if outline is None:  # the record was changed; the page asks for its picture again
-        return Response(status_code=204)
-    signals = {signal.key: signal for signal in outline.signals}
-    columns: list[Any] = []
-    for key in query.get("keys", "").split(","):
-        try:
-            rows = picture(cache, key, first, last, width)
-        except (ArgumentError, OSError):
-            if read_outline(cache) is None:  # it was removed meanwhile
-                return Response(status_code=204)
-            raise
-        shown = rows[:, 1:] * signals[key].factor + signals[key].offset
-        columns += [shown] if columns else [rows[:, :1], shown]
-    table = np.ascontiguousarray(np.hstack(columns), dtype="<f8")
+    try:
+        table = picture(cache, query.get("keys", "").split(","), first, last, width)
+    except (ArgumentError, OSError):
+        if read_outline(cache) is None:  # the record was changed; the page asks for its picture again
+            return Response(status_code=204)
+        raise
+    raw = np.ascontiguousarray(table, dtype="<f8").tobytes()
     headers = {"x-columns": str(table.shape[1])}
-    return Response(table.tobytes(), media_type="application/octet-stream", headers=headers)
+    return Response(raw, media_type="application/octet-stream", headers=headers)
 
 
-def change(request: Request, fields: dict[str, list[str]]) -> Response:
+def _change(request: Request, sent: Sent) -> Response:
     """Answer a question about a record: leave rows out, use them again, or set a key of its run file."""
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
@@ -289,62 +269,39 @@ def change(request: Request, fields: dict[str, list[str]]) -> Response:
     bench, name = bench_of(request), request.path_params["name"]
     try:
         document = tomlkit.parse(bench.folder.text(name))
-        words = _changed(bench, name, document, fields)
+        words = _changed(bench, name, document, sent)
         text = tomlkit.dumps(document)
-    except (TOMLKitError, ValueError, TypeError, AttributeError, KeyError) as error:
-        if isinstance(error, PigaError):
-            raise
+    except PigaError:
+        raise
+    except (TOMLKitError, ValueError, TypeError, AttributeError, KeyError):
         raise ArgumentError(f"{name}: this cannot be put into the file", remedy="change it as text") from None
-    bench.history.write(name, only(fields, "seen"), text, words)
-    return redirect(request, f"/record/{quote(name)}{_query(only(fields, 'query'))}")
-
-
-def _changed(bench: Bench, name: str, document: Any, fields: dict[str, list[str]]) -> str:
-    """Make the change in the document; what was done, in words."""
-    import tomlkit
-
-    word = only(fields, "do")
-    table = document.setdefault("data", tomlkit.table())
-    if word == "again":
-        index = int(only(fields, "index")) if only(fields, "index").isdigit() else -1
-        if not 0 <= index < len(table.get("leave_out", ())):
-            raise ArgumentError("these rows are used already", remedy="reload the page")
-        words = f"use again: {table['leave_out'][index]['reason']}"
-        del table["leave_out"][index]
-        return words
-    if word in ("leave", "moves"):
-        return _leave_out(bench, name, table, fields, word)
-    if word != "set":
-        raise ArgumentError(f"{word[:40]!r}: is not a command of this page", remedy="use its buttons")
-    place, _, key = only(fields, "key").partition(".")
-    document.setdefault(place, tomlkit.table())[key] = tomlkit.value(only(fields, "value"))
-    return f"set {key} = {only(fields, 'value')}"
+    bench.history.write(name, only(sent, "seen"), text, words)
+    return redirect(request, f"/record/{quote(name)}{_query(only(sent, 'query'))}")
 
 
 def _query(text: str) -> str:
     return f"?{text}" if re.fullmatch(r"terms=[\w%,.+]*", text) else ""
 
 
-def _leave_out(bench: Bench, name: str, table: Any, fields: dict[str, list[str]], word: str) -> str:
-    """Add entries to ``[data] leave_out``; what was done, in words."""
+def _changed(bench: Bench, name: str, document: Any, sent: Sent) -> str:
+    """Make the change in the document; what was done, in words."""
     import tomlkit
 
-    outline = read_outline(_cache_of(bench, name))
-    if outline is None:
-        raise ArgumentError(f"{name}: is not read yet", remedy="reload the page")
-    if word == "moves":
-        spans, reason = [one.rows for one in outline.moves], "the stand moves"
-    else:
-        try:
-            ends = float(only(fields, "from").replace(",", ".")), float(only(fields, "to").replace(",", "."))
-        except ValueError:
-            raise ArgumentError("the marked span is not valid", remedy="mark it again") from None
-        reason = " ".join(only(fields, "reason").split())
-        if not reason:
-            raise ArgumentError("a reason is needed", remedy="say why these rows are left out")
-        spans = [rows_between(_cache_of(bench, name), *ends)]
-    if sum(last - first + 1 for first, last in spans) >= outline.rows:
-        raise ArgumentError("these are all rows of the record", remedy="mark a part of it")
+    word = only(sent, "do")
+    if word == "set":
+        place, _, key = only(sent, "key").partition(".")
+        document.setdefault(place, tomlkit.table())[key] = tomlkit.value(only(sent, "value"))
+        return f"set {key} = {only(sent, 'value')}"
+    table = document.setdefault("data", tomlkit.table())
+    entries = table.get("leave_out", [])
+    if word == "again":
+        index = only(sent, "index")
+        if not index.isdigit() or int(index) >= len(entries):
+            raise ArgumentError("these rows are used already", remedy="reload the page")
+        reason = entries[int(index)]["reason"]
+        del entries[int(index)]
+        return f"use again: {reason}"
+    spans, reason = _spans(bench, name, sent)
     if "leave_out" not in table:
         table["leave_out"] = tomlkit.array()
     for rows in spans:
@@ -355,21 +312,41 @@ def _leave_out(bench: Bench, name: str, table: Any, fields: dict[str, list[str]]
     return f"leave out {len(spans)} spans: {reason}" if len(spans) > 1 else f"leave out: {reason}"
 
 
+def _spans(bench: Bench, name: str, sent: Sent) -> tuple[list[tuple[int, int]], str]:
+    """The rows that are left out, and why."""
+    word = only(sent, "do")
+    if word not in ("leave", "moves"):
+        raise ArgumentError(f"{word[:40]!r}: is not a command of this page", remedy="use its buttons")
+    outline = read_outline(_cache_of(bench, name))
+    if outline is None:
+        raise ArgumentError(f"{name}: is not read yet", remedy="reload the page")
+    if word == "moves":
+        spans, reason = [one.rows for one in outline.moves], "the stand moves"
+    else:
+        try:
+            first, last = (float(only(sent, end).replace(",", ".")) for end in ("from", "to"))
+        except ValueError:
+            raise ArgumentError("the marked span is not valid", remedy="mark it again") from None
+        reason = " ".join(only(sent, "reason").split())
+        if not reason:
+            raise ArgumentError("a reason is needed", remedy="say why these rows are left out")
+        spans = [rows_between(_cache_of(bench, name), first, last)]
+    if sum(last - first + 1 for first, last in spans) >= outline.rows:
+        raise ArgumentError("these are all rows of the record", remedy="mark a part of it")
+    return spans, reason
+
+
 # --- the answer -----------------------------------------------------------------------------------
 
-_LIGHTS: dict[str, tuple[Literal["green", "amber", "red"], str]] = {
-    "clear": ("green", "Good"),
-    "doubt": ("amber", "Look first"),
-    "do not use": ("red", "Do not use"),
-}
+_LIGHTS = {"clear": ("green", "Good"), "doubt": ("amber", "Look first"), "do not use": ("red", "Do not use")}
 """Colour and words of each grade."""
 
 
 @dataclass(frozen=True)
 class Light:
-    """``grade`` and its words: what to do, the reason, and the other doubts."""
+    """``grade`` (green, amber or red) and its words: what to do, the reason, and the other doubts."""
 
-    grade: Literal["green", "amber", "red"]
+    grade: str
     words: str
     reason: str
     more: tuple[str, ...] = ()
@@ -388,155 +365,117 @@ def light(calibration: Calibration) -> Light:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """A calibration that is not kept: its folder, and the calibration if it is done. ``every``: thinned by so much."""
+class _Answer:
+    """A calibration that is not kept: its folder; if it is done, the calibration and its K. ``every``: thinned by so much."""
 
     key: str
     place: Path
-    calibration: Calibration | None = None
     every: int = 1
+    calibration: Calibration | None = None
+    kept: Kept | None = None
 
     @property
     def light(self) -> Light | None:
         """The light of the calibration."""
         return None if self.calibration is None else light(self.calibration)
 
-    @property
-    def K(self) -> tuple[float, float, float]:
-        """K and its standard uncertainty [rad/s/g], and the difference from the nominal value [ppm]."""
-        assert self.calibration is not None  # noqa: S101  asked of an answer that is done
-        nominal = self.calibration.scale_factor_nominal * G0
-        values = {one.name: one for one in self.calibration.coefficients}
-        K = values["scale_factor"]
-        return K.value, K.std, 1e6 * (K.value / nominal - 1.0)
-
-    def rows(self, former: Answer | None) -> list[dict[str, Any]]:
+    def rows(self, former: _Answer | None) -> list[dict[str, Any]]:
         """The coefficients in the units of every page, with those of the former answer."""
-        assert self.calibration is not None  # noqa: S101
-        before = (
-            {}
-            if former is None or former.calibration is None
-            else {c.key: c.value for c in former.calibration.coefficients}
-        )
+        calibrations = [one and one.calibration for one in (self, former)]
+        now, before = ({c.key: c for c in one.coefficients} if one else {} for one in calibrations)
         rows = []
-        for one in self.calibration.coefficients[:60]:
+        for key, one in list(now.items())[:60]:
             factor, unit = shown_unit(one.name, one.unit)
-            was = before.get(one.key)
-            ghost = "" if was is None or was == one.value else rounded(factor * was, factor * one.std).value
+            was = before.get(key, one).value
+            ghost = "" if was == one.value else rounded(factor * was, factor * one.std).value
             rows.append(
-                {"key": one.key, "value": factor * one.value, "u": factor * one.std, "unit": unit, "was": ghost}
+                {"key": key, "value": factor * one.value, "u": factor * one.std, "unit": unit, "was": ghost}
             )
         return rows
 
 
-def _asked(run_file: RunFile, text: str) -> tuple[str, ...]:
-    terms = tuple(term for term in text.split(",") if term) or run_file.model.terms
-    check_terms(terms, output=run_file.unit)
-    return terms
+def _made(bench: Bench, key: str, every: int = 1) -> _Answer:
+    """An answer, with its calibration if it is done."""
+    place = bench.folder.state_room("trials") / key
+    with contextlib.suppress(PigaError, OSError):
+        return _Answer(key, place, every, Calibration.from_json(place / CALIBRATION), bench.folder.kept(place))
+    return _Answer(key, place, every)
 
 
-def _answer(bench: Bench, name: str, terms: tuple[str, ...], outline: Outline) -> tuple[Answer, Job | None]:
+def _answer(bench: Bench, name: str, terms: tuple[str, ...], outline: Outline) -> tuple[_Answer, Job | None]:
     """The best answer so far, and the job of a better one."""
-    run = bench.folder.toml(name)
-    state = f"{cache_key(files_named_in(run))} {name} {' '.join(terms)}"
+    state = f"{cache_key(files_named_in(bench.folder.toml(name)))} {name} {' '.join(terms)}"
     key = hashlib.sha256(state.encode()).hexdigest()[:16]
-    whole = _made(bench, key)
-    if whole.calibration is not None:
-        return whole, None
-    if outline.thinned == 1:
-        return whole, _fit(bench, name, name, key, terms)
-    first = replace(_made(bench, f"{key}-first"), every=outline.thinned)
-    if first.calibration is None:  # the thinned record alone first: both at once would take longer
-        thinned = bench.folder.name(_cache_of(bench, name) / "thinned.toml")
-        job = _fit(bench, name, thinned, first.key, terms, "--no-report")
-        if bench.jobs.status(job).state in ("running", "stopped"):
-            return replace(first, key=key), job
-        first = replace(_made(bench, first.key), every=outline.thinned)
-    return replace(first, key=key), _fit(bench, name, name, key, terms)
-
-
-def _trial(key: str) -> str:
-    return f"{STATE_FOLDER}/trials/{key}"
+    answer = _made(bench, key)
+    if answer.calibration is not None:
+        return answer, None
+    if outline.thinned > 1:  # the thinned record alone first: both at once would take longer
+        early = f"{key}-first"
+        answer = _made(bench, early, outline.thinned)
+        if answer.calibration is None:
+            thinned = bench.folder.name(_cache_of(bench, name) / "thinned.toml")
+            job = _fit(bench, name, thinned, early, terms, "--no-report")
+            if bench.jobs.status(job).state in ("running", "stopped"):
+                return replace(answer, key=key), job
+            answer = _made(bench, early, outline.thinned)
+    return replace(answer, key=key), _fit(bench, name, name, key, terms)
 
 
 def _fit(bench: Bench, name: str, run: str, key: str, terms: tuple[str, ...], *options: str) -> Job:
     """The job of an answer. Answers for other terms that nobody waits for any more are stopped."""
-    last = bench.jobs.latest(name, _trial(key))
+    place = f"{STATE_FOLDER}/trials/{key}"
+    last = bench.jobs.latest(name, place)
     if last is not None:
         return last
-    old = [
-        job
-        for job in bench.jobs.running()
-        if job.subject == name and job.title == "Fit" and key[:16] not in job.result
-    ]
-    bench.jobs.stop(*old, patience=0.0)
+    fits = [job for job in bench.jobs.running() if (job.subject, job.title) == (name, "Fit")]
+    bench.jobs.stop(*(job for job in fits if key[:16] not in job.result), patience=0.0)
     bench.folder.state_room("trials")
-    command = ("calibrate", run, "--terms", ",".join(terms), "--out", _trial(key), *options)
-    return bench.jobs.start(command, "Fit", name, _trial(key))
-
-
-def _made(bench: Bench, key: str) -> Answer:
-    place = bench.folder.state_room("trials") / key
-    try:
-        return Answer(key, place, Calibration.from_json(place / CALIBRATION))
-    except (PigaError, OSError):
-        return Answer(key, place)
+    command = ("calibrate", run, "--terms", ",".join(terms), "--out", place, *options)
+    return bench.jobs.start(command, "Fit", name, place)
 
 
 def _show_answer(request: Request) -> Response:
     """The answer for a choice of terms. The page asks again while a better one is computed."""
-    bench, name = bench_of(request), request.path_params["name"]
+    bench, name, query = bench_of(request), request.path_params["name"], request.query_params
     entry = bench.folder.entry(name)
-    asked = request.query_params.getlist("term")
-    text = ",".join(asked) if asked else request.query_params.get("terms", "")
-    outline, waits = None, ""
+    ticked = query.getlist("term")
+    text = ",".join(ticked) if ticked else query.get("terms", "")
+    values: dict[str, Any] = {"entry": entry, "answer": None, "status": None, "message": "", "waits": ""}
+    if entry.state in ("faulty", "log"):
+        return render(request, "answer.html.jinja", **values, query=text)
+    for old in bench.jobs.all() if "again" in query else ():
+        if (old.subject, old.title) == (name, "Fit"):
+            bench.jobs.forget(old)
     try:
-        outline = None if entry.state in ("faulty", "log") else reading(bench, name)[0]
-    except BusyError as error:
-        waits = error.message
-    if outline is None:
-        return _no_answer(request, entry, text, waits)
-    run_file = read_run_file(bench.folder.toml(name))
-    terms = _asked(run_file, text)
-    if asked and "again" not in request.query_params:
-        terms = tuple(dict.fromkeys((_ALWAYS, *terms)))
-    text = ",".join(terms)
-    if "again" in request.query_params:
-        for old in bench.jobs.all():
-            if old.subject == name and old.title == "Fit":
-                bench.jobs.forget(old)
-    try:
+        outline, _ = _reading(bench, name)
+        if outline is None:
+            return render(request, "answer.html.jinja", **values, query=text)
+        run_file = read_run_file(bench.folder.toml(name))
+        terms = tuple(term for term in text.split(",") if term) or run_file.model.terms
+        if ticked:
+            terms = tuple(dict.fromkeys((_ALWAYS, *terms)))
+        check_terms(terms, output=run_file.unit)
         answer, job = _answer(bench, name, terms, outline)
-    except BusyError as error:
-        return _no_answer(request, entry, text, error.message)
+    except BusyError as error:  # the page asks again
+        return render(request, "answer.html.jinja", **values | {"waits": error.message}, query=text)
     last = bench.answers.setdefault(name, [])
     if answer.calibration is not None and answer.key not in last[:1]:
         bench.answers[name] = last = [answer.key, *last][:2]
     former = next((_made(bench, key) for key in last if key != answer.key), None)
-    status = None if job is None else bench.jobs.status(job)
-    message = (
-        bench.jobs.text(job, "err") if job is not None and status is not None and status.state in _ENDED else ""
-    )
+    status = bench.jobs.status(job) if job else None
+    if job and status and status.state in _ENDED:
+        values["message"] = bench.jobs.text(job, "err") or "The fit was stopped."
+    boxes = [one for one in dict.fromkeys((*_TERMS, *terms)) if run_file.unit == GYRO or not turns(one)]
     response = render(
-        request, "answer.html.jinja", entry=entry, answer=answer, job=job, status=status, message=message, former=former,
-        rows=[] if answer.calibration is None else answer.rows(former), query=text,
-        terms=[
-            (term, meaning_of(term), term in terms)
-            for term in dict.fromkeys((*TERMS, *terms))
-            if run_file.unit == GYRO or not turns(term)
-        ],
-        usual=set(terms) == set(run_file.model.terms), output_unit=shown_output,
-        seen=bench.history.seen(bench.folder.text(name)), mark=_mark(entry),
+        request, "answer.html.jinja", **values | {"answer": answer, "status": status}, job=job,
+        rows=answer.rows(former), query=",".join(terms), output_unit=shown_output,
+        terms=[(term, meaning_of(term), term in terms) for term in boxes],
+        usual=set(terms) == set(run_file.model.terms), seen=bench.history.seen(bench.folder.text(name)),
+        mark=_mark(entry),
     )  # fmt: skip
-    if asked:
-        response.headers["hx-push-url"] = f"/record/{quote(name)}?{urlencode({'terms': text})}"
+    if ticked:
+        response.headers["hx-push-url"] = f"/record/{quote(name)}?{urlencode({'terms': ','.join(terms)})}"
     return response
-
-
-def _no_answer(request: Request, entry: Entry, text: str, waits: str) -> Response:
-    """The answer before its fit can begin, and what it waits for. The page asks again."""
-    values: dict[str, Any] = {"entry": entry, "answer": None, "status": None, "message": "", "query": text}
-    return render(request, "answer.html.jinja", waits=waits, **values)
 
 
 def _mark(entry: Entry) -> str:
@@ -544,38 +483,36 @@ def _mark(entry: Entry) -> str:
     return f"{entry.kept[0].created} {entry.kept[0].K!r} {len(entry.kept)}" if entry.kept else "none"
 
 
-def keep(request: Request, fields: dict[str, list[str]]) -> Response:
+def _keep(request: Request, sent: Sent) -> Response:
     """Keep an answer: its files go where the command writes them. An older result becomes a version of its own."""
-    bench, name, key = bench_of(request), request.path_params["name"], only(fields, "key")
-    answer = _made(bench, key) if re.fullmatch(KEY, key) else None
-    if answer is None or answer.calibration is None or key not in bench.answers.get(name, ()):
+    bench, name, key = bench_of(request), request.path_params["name"], only(sent, "key")
+    answer = _made(bench, key) if re.fullmatch(_KEY, key) and key in bench.answers.get(name, ()) else None
+    if answer is None or answer.calibration is None or answer.kept is None:
         raise CalibrationError("this answer is not there any more", remedy="reload the page")
     judged = light(answer.calibration)
     if not judged.may_keep:
         raise CalibrationError(f"this result cannot be kept: {judged.reason}", remedy="settle this first")
     with bench.history.lock:
         entry = bench.folder.entry(name)
-        if _mark(entry) != only(fields, "mark"):
-            newest = (
-                f"+ kept: K = {rounded(entry.kept[0].K, entry.kept[0].u).value} {entry.kept[0].unit}"
-                if entry.kept
-                else "- discarded"
+        if _mark(entry) != only(sent, "mark"):
+            newest = entry.kept[0] if entry.kept else None
+            words = (
+                f"+ kept: K = {rounded(newest.K, newest.u).value} {newest.unit}" if newest else "- discarded"
             )
-            raise ChangedError(f"the kept results of {name}", [newest], _mark(entry))
+            raise ChangedError(f"the kept results of {name}", [words])
         target = bench.folder.path(bench.folder.name(results_of(bench.folder.toml(name))))
         former = None
         if target.exists():
-            number = 1 + max(
-                (int(one.name.rpartition("-v")[2]) for one in entry.kept if one.version), default=0
+            number = 1 + max((-one.version for one in entry.kept), default=0)
+            former = target.rename(
+                bench.folder.path(bench.folder.name(target.with_name(f"{target.name}-v{number}")))
             )
-            former = bench.folder.path(bench.folder.name(target.with_name(f"{target.name}-v{number}")))
-            target.rename(former)
         part = bench.folder.state_room("parts") / key
         shutil.copytree(answer.place, part, dirs_exist_ok=True)
         part.rename(target)
-        K, u, _ = answer.K
-        bench.history.note(f"keep K = {rounded(K, u).value} {answer.calibration.unit}/g", (target, former))
-    return redirect(request, f"/record/{quote(name)}{_query(only(fields, 'query'))}")
+        words = f"keep K = {rounded(answer.kept.K, answer.kept.u).value} {answer.kept.unit}"
+        bench.history.note(words, (target, former))
+    return redirect(request, f"/record/{quote(name)}{_query(only(sent, 'query'))}")
 
 
 # --- kept results ---------------------------------------------------------------------------------
@@ -592,11 +529,10 @@ def kept_of(bench: Bench, name: str) -> Kept:
 def _show_kept(request: Request) -> Response:
     """A kept calibration: its report and files."""
     bench, name = bench_of(request), request.path_params["name"]
-    kept = kept_of(bench, name)
-    shown = left(bench)
-    entry = next((one for one in bench.folder.entries() if name in [k.name for k in one.kept]), None)
+    kept, entries = kept_of(bench, name), bench.folder.entries()
+    entry = next((one for one in entries if name in [k.name for k in one.kept]), None)
     names = [path.name for path in bench.folder.files() if bench.folder.name(path.parent) == name]
-    values = left(bench, entry.name) if entry is not None else shown
+    values = left(bench, entry.name if entry else "")
     return render(request, "kept.html.jinja", **values, one=kept, entry=entry, files=names)
 
 
@@ -610,12 +546,12 @@ def _kept_file(request: Request) -> Response:
 def _trial_report(request: Request) -> Response:
     """The report of an answer."""
     bench, key = bench_of(request), request.path_params["key"]
-    if not re.fullmatch(KEY, key):
+    if not re.fullmatch(_KEY, key):
         raise OutsideError("there is no such answer", remedy="reload the page of the record")
     return result_file(bench, bench.folder.state_room("trials") / key / "report.html")
 
 
-def discard(request: Request) -> Response:
+def _discard(request: Request) -> Response:
     """Remove a kept calibration; Undo brings it back."""
     bench, name = bench_of(request), request.path_params["name"]
     with bench.history.lock:
@@ -625,15 +561,14 @@ def discard(request: Request) -> Response:
     return redirect(request, "/")
 
 
-def undo(request: Request) -> Response:
+def _undo(request: Request) -> Response:
     """Take the last change back."""
-    bench = bench_of(request)
-    bench.history.undo()
+    bench_of(request).history.undo()
     path = "/" + request.headers.get("referer", "").partition("//")[2].partition("/")[2]
     return redirect(request, path if path.startswith("/record/") else "/")
 
 
-def compare(request: Request) -> Response:
+def _compare(request: Request) -> Response:
     """Two kept calibrations side by side."""
     bench = bench_of(request)
     names = list(dict.fromkeys(request.query_params.getlist("of")))[:2]
@@ -641,24 +576,19 @@ def compare(request: Request) -> Response:
         raise ArgumentError("two results are needed", remedy="tick two kept results at the left")
     pair = [kept_of(bench, name) for name in names]
     both = [Calibration.from_json(bench.folder.file(f"{one.name}/{CALIBRATION}")) for one in pair]
+    one, other = ({c.key: c for c in calibration.coefficients} for calibration in both)
     table = []
-    for key in dict.fromkeys(one.key for calibration in both for one in calibration.coefficients):
-        coefficients = [
-            next((c for c in calibration.coefficients if c.key == key), None) for calibration in both
-        ]
-        one, other = coefficients
-        factor, unit = shown_unit(key, next(c.unit for c in coefficients if c is not None))
-        row: dict[str, Any] = {
-            "key": key,
-            "unit": unit,
-            "cells": [None if c is None else (factor * c.value, factor * c.std) for c in coefficients],
-        }
-        if one is not None and other is not None:
-            u = float(np.hypot(one.std, other.std))
+    for key in dict.fromkeys((*one, *other)):
+        cells = [one.get(key), other.get(key)]
+        factor, unit = shown_unit(key, next(cell.unit for cell in cells if cell))
+        row: dict[str, Any] = {"key": key, "unit": unit}
+        row["cells"] = [(factor * cell.value, factor * cell.std) if cell else None for cell in cells]
+        if key in one and key in other:
+            u, difference = float(np.hypot(one[key].std, other[key].std)), other[key].value - one[key].value
             row |= {
-                "difference": factor * (other.value - one.value),
+                "difference": factor * difference,
                 "u": factor * u,
-                "ratio": abs(other.value - one.value) / u if u else 0.0,
+                "ratio": abs(difference) / u if u else 0.0,
             }
         table.append(row)
     lights = [light(calibration) for calibration in both]
@@ -666,20 +596,20 @@ def compare(request: Request) -> Response:
 
 
 ROUTES = [
-    Route("/", home),
-    Route("/try", try_shipped, methods=["POST"]),
-    Route("/upload", take, methods=["POST"]),
-    Route("/tag", posted(tag), methods=["POST"]),
-    Route("/undo", undo, methods=["POST"]),
-    Route("/record/{name:path}", show, methods=["GET"]),
-    Route("/record/{name:path}", posted(change), methods=["POST"]),
+    Route("/", _home),
+    Route("/try", _try_shipped, methods=["POST"]),
+    Route("/upload", _take, methods=["POST"]),
+    Route("/tag", posted(_tag), methods=["POST"]),
+    Route("/undo", _undo, methods=["POST"]),
+    Route("/record/{name:path}", _show, methods=["GET"]),
+    Route("/record/{name:path}", posted(_change), methods=["POST"]),
     Route("/picture/{name:path}", _show_picture),
-    Route("/signal-data/{name:path}", data),
+    Route("/signal-data/{name:path}", _data),
     Route("/answer/{name:path}", _show_answer),
-    Route("/keep/{name:path}", posted(keep), methods=["POST"]),
+    Route("/keep/{name:path}", posted(_keep), methods=["POST"]),
     Route("/trial/{key:str}/report.html", _trial_report),
-    Route("/compare", compare),
+    Route("/compare", _compare),
     Route("/kept/{name:path}/file/{file}", _kept_file),
-    Route("/kept/{name:path}/discard", discard, methods=["POST"]),
+    Route("/kept/{name:path}/discard", _discard, methods=["POST"]),
     Route("/kept/{name:path}", _show_kept),
 ]
