@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from piga import doors
 from piga.errors import ArgumentError
-from piga.records.calibration import BudgetEntry, Calibration, Coefficient
+from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration.coefficient import TYPE_A_ONLY, Coverage, coverage_factor, is_of_reference
 from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
@@ -143,6 +143,60 @@ class CoefficientTrend(Result):
         own = self.points[-1].own ** 2 + self.model.days.within
         return self.outlook.at(time, own, self.last_shared)
 
+    def alarms(self, dates: Sequence[dt.datetime]) -> Iterator[str]:
+        """Records outside their forecast, a step of the level, a shift of the moving average; ``dates`` of the records."""
+        scale, unit = shown_unit(self.key, self.unit)
+        unit = f" {unit}".removesuffix(" 1")
+        for point, date in zip(self.points, dates, strict=True):
+            if point.outside and point.forecast is not None:
+                yield (
+                    f"{self.key}: record {point.record} of {date:%Y-%m-%d} shows {point.value * scale:.7g}{unit}, "
+                    f"{abs(point.score):.1f} standard deviations {'above' if point.score > 0.0 else 'below'} the forecast "
+                    f"from earlier records, {point.forecast.value * scale:.7g}{unit} (limit 3)."
+                )
+
+        def since(day: int) -> str:
+            first = next(i for i, point in enumerate(self.points) if point.day == day)
+            return f"{self.key}: from {dates[first]:%Y-%m-%d} (record {self.points[first].record})"
+
+        if self.stepped and self.step is not None:
+            size = _to_two_digits_of(self.step.std * scale, abs(self.step.size) * scale)
+            yield (
+                f"{since(self.step.day)} on the values are {size}{unit} {'higher' if self.step.size > 0.0 else 'lower'} "
+                "than a line through the earlier ones says. If the instrument was changed then, judge its trend from that "
+                "day on."
+            )
+        for day in np.flatnonzero(self.chart.shifted)[:1].tolist():
+            side = "above" if self.chart.average[day] > 0.0 else "below"
+            yield (
+                f"{since(day)} the values stay {side} the forecast from earlier records: the moving average of their "
+                "deviations passed its control limit."
+            )
+
+    def remarks(self) -> Iterator[str]:
+        """A drift beyond its 95 % interval, and a scatter of the days that contradicts the stated uncertainties."""
+        from scipy.special import chdtr, chdtrc
+
+        drift, line = self.drift, self.model.line
+        if drift is None or line is None:
+            return
+        if abs(drift.value) > drift.half_width():
+            scale, unit = shown_unit(self.key, self.unit)
+            value, half = drift.value * scale, drift.half_width() * scale
+            shown, low, high = (_to_two_digits_of(half, end) for end in (value, value - half, value + half))
+            unit = f"{unit} per year".removeprefix("1 ")
+            yield f"{self.key} drifts by {shown} {unit} (95 %: {low} to {high})."
+        if chdtrc(line.degrees_of_freedom, line.chi2) < TREND.doubt:
+            yield (
+                f"{self.key}: days scatter {(line.chi2 / line.degrees_of_freedom) ** 0.5:.1f} times as much as the records' "
+                "own uncertainties explain. The excess counts as day-to-day instability."
+            )
+        elif chdtr(line.degrees_of_freedom, line.chi2) < TREND.doubt:
+            yield (
+                f"{self.key}: days scatter less than the records' own uncertainties say: these are stated too "
+                "large, or contain a part that the records share."
+            )
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trend(Result, Reported):
@@ -211,20 +265,29 @@ def find_trend(history: Iterable[HistoryEntry], *, common: Common = 1.0) -> Tren
     _check(entries, common)
     entries.sort(key=lambda entry: (entry[1], entry[0]))
     times = [time.astimezone(dt.UTC) for _, time, _ in entries]
-    days = np.unique([time.toordinal() for time in times], return_inverse=True)[1].astype(np.int64)
-    years = np.array([(time - times[0]).total_seconds() / YEAR for time in times])
+    calibrations = [calibration for *_, calibration in entries]
     records = _Records(
-        tuple(name for name, _, _ in entries), years, days, [one for _, _, one in entries], common
+        names=tuple(name for name, *_ in entries),
+        years=np.array([(time - times[0]).total_seconds() / YEAR for time in times]),
+        days=np.unique([time.toordinal() for time in times], return_inverse=True)[1].astype(np.int64),
+        calibrations=calibrations,
+        common=common,
     )
-    trends = tuple(records.trend(key) for key in records.shared_keys())
+    by_key = [{c.key: c for c in one.coefficients} for one in calibrations]
+    everywhere = set.intersection(*(set(one) for one in by_key))
+    trends = tuple(
+        records.trend(key, [one[key] for one in by_key])
+        for key, c in by_key[-1].items()
+        if key in everywhere and c.name != "phi"  # there is one phase per power-up
+    )
     return Trend(
-        records.calibrations[0].serial,
+        calibrations[0].serial,
         times[0],
         records.names,
         tuple(times),
         trends,
-        _alarms_in_words(trends, records.names, times),
-        remarks_in_words(trends, records.calibrations, days, float(years[-1])),
+        tuple(alarm for trend in trends for alarm in trend.alarms(times)),
+        (*(remark for trend in trends for remark in trend.remarks()), *records.remarks()),
     )
 
 
@@ -264,26 +327,16 @@ class _Records:
     calibrations: list[Calibration]
     common: Common
 
-    def shared_keys(self) -> list[str]:
-        """Coefficients that all records hold, in the order of the last record; without phases (one per power-up)."""
-        everywhere = set.intersection(*(set(one) for one in self.by_key))
-        return [key for key, c in self.by_key[-1].items() if key in everywhere and c.name != "phi"]
-
-    @cached_property
-    def by_key(self) -> list[dict[str, Coefficient]]:
-        """Coefficients of each record by their key."""
-        return [{c.key: c for c in one.coefficients} for one in self.calibrations]
-
-    def trend(self, key: str) -> CoefficientTrend:
-        """Trend of one coefficient."""
-        coefficients = [one[key] for one in self.by_key]
+    def trend(self, key: str, coefficients: Sequence[Coefficient]) -> CoefficientTrend:
+        """Trend of one coefficient, which each record gives."""
         values, stds = np.array([(c.value, c.std) for c in coefficients]).T
-        shared = _common_contributions(key, self.calibrations, self.common)
+        shared, doubt = self._shared(key)
         own = np.sqrt(np.maximum(stds**2 - np.sum(shared**2, axis=0), (1e-3 * stds) ** 2))
-        last = shared[:, -1].copy()
+        doubt = np.array([c.std**4 / c.degrees_of_freedom for c in coefficients]) - doubt
+        degrees = np.where(doubt > 0.0, own**4 / np.where(doubt > 0.0, doubt, 1.0), math.inf)
+        half = np.asarray(coverage_factor(degrees)) * own
         model = trend_model(self.years, values, own**2, self.days, shared)
         forecasts, scores, day_scores = self._expected(values, own, shared)
-        half = self._own_half_widths(key, coefficients, own)
         points = tuple(
             Point(
                 record=self.names[i],
@@ -301,28 +354,21 @@ class _Records:
         )
         chart = Chart(model.days.time, day_scores, *moving_average(day_scores))
         step = clearest_step(model.days)
-        return CoefficientTrend(key, coefficients[0].unit, points, chart, model, step, last)
+        return CoefficientTrend(key, coefficients[0].unit, points, chart, model, step, shared[:, -1].copy())
 
-    def _own_half_widths(self, key: str, coefficients: Sequence[Coefficient], own: Array) -> Array:
-        """95 % half-width of each record's own part: coverage factor at its effective degrees of freedom, times ``own``.
+    def _shared(self, key: str) -> tuple[Array, Array]:
+        """Contributions (sources, records) of Type B that are common to all records, and their part of ``u^4/nu``.
 
-        ``sum(u_i^4/nu_i) = u^4/nu`` over all sources (JCGM 100, G.2b). The common part of each source is subtracted.
+        ``sum(u_i^4/nu_i) = u^4/nu`` over all sources (JCGM 100, G.2b).
         """
-        taken_off = {
-            source: 1.0 - (1.0 - _shared_part(self.common, source)) ** 2
-            for source in {row.source for one in self.calibrations for row in _type_b(one)}
-        }
-        doubt = np.array([c.std**4 / c.degrees_of_freedom for c in coefficients]) - [
-            sum(
-                taken_off[row.source]
-                * row.contributions.get(key, 0.0) ** 4
-                / (row.degrees_of_freedom or math.inf)
-                for row in _type_b(one)
-            )
-            for one in self.calibrations
-        ]
-        degrees = np.where(doubt > 0.0, own**4 / np.where(doubt > 0.0, doubt, 1.0), math.inf)
-        return np.asarray(coverage_factor(degrees)) * own
+        rows = [(k, row) for k, one in enumerate(self.calibrations) for row in one.budget if row.type == "B"]
+        places = {source: i for i, source in enumerate(sorted({row.source for _, row in rows}))}
+        shared, doubt = np.zeros((len(places), len(self.names))), np.zeros(len(self.names))
+        for k, row in rows:
+            part, size = _shared_part(self.common, row.source), row.contributions.get(key, 0.0)
+            shared[places[row.source], k] += math.sqrt(part) * size
+            doubt[k] += (1.0 - (1.0 - part) ** 2) * size**4 / (row.degrees_of_freedom or math.inf)
+        return shared, doubt
 
     def _expected(self, values: Array, own: Array, shared: Array) -> tuple[list[Forecast | None], Array, Array]:
         """Forecast of each record from earlier days, and scores of records and days (nan: too few days)."""
@@ -344,6 +390,32 @@ class _Records:
             day_scores[day] = expected.score(float(mean))
         return forecasts, scores, day_scores
 
+    def remarks(self) -> Iterator[str]:
+        """What to know of the records to judge the figures."""
+        calibrations = self.calibrations
+        days, span, n = int(self.days[-1]) + 1, float(self.years[-1]), len(calibrations)
+        if days < TREND.least_days:
+            yield f"The records are of {days} day{'s' * (days > 1)}: drift and forecast need three days or more."
+        elif span < TREND.short:
+            yield f"The records span {span * 365.25:.0f} days only: a drift per year is an extrapolation."
+        if len({calibration.terms for calibration in calibrations}) > 1:
+            yield (
+                "The records were calibrated with different terms: a coefficient may have taken over what another "
+                "record left to a term of its own."
+            )
+        alone = sum(
+            not any(row.type == "B" and is_of_reference(row.source) for row in one.budget)
+            for one in calibrations
+        )
+        if alone:
+            yield f"{alone} of {n} records: {TYPE_A_ONLY}."
+        without = sum(not len(calibration.budget) for calibration in calibrations)
+        if without:
+            yield (
+                f"{without} of {n} records have no uncertainty budget: their whole uncertainty counts as "
+                "their own, although a part may be shared."
+            )
+
 
 def _shared_part(common: Common, source: str) -> float:
     """Share of the variance of a Type B source that is common to all records.
@@ -357,115 +429,6 @@ def _shared_part(common: Common, source: str) -> float:
     return 1.0 if isinstance(common, Mapping) else float(common)
 
 
-def _type_b(calibration: Calibration) -> list[BudgetEntry]:
-    return [row for row in calibration.budget if row.type == "B"]
-
-
-def _common_contributions(key: str, calibrations: Sequence[Calibration], common: Common) -> Array:
-    """Contribution of each Type B source that is common to all records, (sources, records), from their budgets."""
-    sources = sorted({row.source for one in calibrations for row in _type_b(one)})
-    places = {source: i for i, source in enumerate(sources)}
-    table = np.zeros((len(sources), len(calibrations)))
-    for column, one in enumerate(calibrations):
-        for row in _type_b(one):
-            table[places[row.source], column] += row.contributions.get(key, 0.0)
-    parts = np.array([_shared_part(common, source) for source in sources], dtype=float)
-    return table * np.sqrt(parts).reshape(-1, 1)
-
-
-def _alarms_in_words(
-    trends: Sequence[CoefficientTrend], names: Sequence[str], times: Sequence[dt.datetime]
-) -> tuple[str, ...]:
-    """Alarms: records outside their forecast, steps of the level, and shifts in the moving average."""
-    sentences: list[str] = []
-    for trend in trends:
-        for point, time in zip(trend.points, times, strict=True):
-            if point.outside and point.forecast is not None:
-                sentences.append(_outside(trend, point, point.forecast.value, time))
-        if trend.stepped and trend.step is not None:
-            sentences.append(_stepped(trend, trend.step, names, times))
-        shifted = np.flatnonzero(trend.chart.shifted)
-        if shifted.size:
-            first = next(i for i, point in enumerate(trend.points) if point.day == shifted[0])
-            side = "above" if trend.chart.average[shifted[0]] > 0.0 else "below"
-            sentences.append(
-                f"{trend.key}: from {times[first]:%Y-%m-%d} (record {names[first]}) the values stay {side} the "
-                "forecast from earlier records: the moving average of their deviations passed its control limit."
-            )
-    return tuple(sentences)
-
-
-def _outside(trend: CoefficientTrend, point: Point, expected: float, time: dt.datetime) -> str:
-    scale, unit = shown_unit(trend.key, trend.unit)
-    shown = "" if unit == "1" else f" {unit}"
-    return (
-        f"{trend.key}: record {point.record} of {time:%Y-%m-%d} shows {point.value * scale:.7g}{shown}, "
-        f"{abs(point.score):.1f} standard deviations {'above' if point.score > 0.0 else 'below'} the forecast from earlier "
-        f"records, {expected * scale:.7g}{shown} (limit 3)."
-    )
-
-
-def _stepped(trend: CoefficientTrend, step: Step, names: Sequence[str], times: Sequence[dt.datetime]) -> str:
-    scale, unit = shown_unit(trend.key, trend.unit)
-    first = next(i for i, point in enumerate(trend.points) if point.day == step.day)
-    size = _to_two_digits_of(step.std * scale, abs(step.size) * scale)
-    return (
-        f"{trend.key}: from {times[first]:%Y-%m-%d} (record {names[first]}) on the values are "
-        f"{f'{size} {unit}'.removesuffix(' 1')} {'higher' if step.size > 0.0 else 'lower'} than a line through the earlier ones "
-        "says. If the instrument was changed then, judge its trend from that day on."
-    )
-
-
-def remarks_in_words(
-    trends: Sequence[CoefficientTrend],
-    calibrations: Sequence[Calibration],
-    days: NDArray[np.int64],
-    span: float,
-) -> tuple[str, ...]:
-    """Remarks needed to judge the figures."""
-    sentences = [*_drifts(trends), *_scatter(trends)]
-    count = int(days[-1]) + 1
-    if count < 3:
-        sentences.append(
-            f"The records are of {count} day{'s' * (count > 1)}: drift and forecast need three days or more."
-        )
-    elif span < TREND.short:
-        sentences.append(
-            f"The records span {span * 365.25:.0f} days only: a drift per year is an extrapolation."
-        )
-    if len({calibration.terms for calibration in calibrations}) > 1:
-        sentences.append(
-            "The records were calibrated with different terms: a coefficient may have taken over what another "
-            "record left to a term of its own."
-        )
-    alone = sum(
-        not any(is_of_reference(row.source) for row in _type_b(calibration)) for calibration in calibrations
-    )
-    if alone:
-        sentences.append(f"{alone} of {len(calibrations)} records: {TYPE_A_ONLY}.")
-    without = sum(not len(calibration.budget) for calibration in calibrations)
-    if without:
-        sentences.append(
-            f"{without} of {len(calibrations)} records have no uncertainty budget: their whole uncertainty counts as "
-            "their own, although a part may be shared."
-        )
-    return tuple(sentences)
-
-
-def _drifts(trends: Sequence[CoefficientTrend]) -> list[str]:
-    sentences = []
-    for trend in trends:
-        drift = trend.drift
-        if drift is not None and abs(drift.value) > drift.half_width():
-            scale, unit = shown_unit(trend.key, trend.unit)
-            value, half = drift.value * scale, drift.half_width() * scale
-            ends = value, value - half, value + half
-            shown, low, high = (_to_two_digits_of(half, number) for number in ends)
-            unit = f"{unit} per year".removeprefix("1 ")
-            sentences.append(f"{trend.key} drifts by {shown} {unit} (95 %: {low} to {high}).")
-    return sentences
-
-
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -476,27 +439,3 @@ def _to_two_digits_of(half: float, number: float) -> str:
     power = first if first < -3 else 0
     text = f"{round(number, -last) / 10.0**power:.{max(power - last, 0)}f}".replace("-", "−")
     return f"{text} × 10{str(power).translate(_SUPERSCRIPT)}" if power else text
-
-
-def _scatter(trends: Sequence[CoefficientTrend]) -> list[str]:
-    """Remarks where the scatter of the days contradicts the stated uncertainties, by chi-square."""
-    from scipy.special import chdtr, chdtrc
-
-    sentences = []
-    for trend in trends:
-        line = trend.model.line
-        if line is None:
-            continue
-        freedom = line.degrees_of_freedom
-        if chdtrc(freedom, line.chi2) < TREND.doubt:
-            ratio = (line.chi2 / freedom) ** 0.5
-            sentences.append(
-                f"{trend.key}: days scatter {ratio:.1f} times as much as the records' own uncertainties explain. The "
-                "excess counts as day-to-day instability."
-            )
-        elif chdtr(freedom, line.chi2) < TREND.doubt:
-            sentences.append(
-                f"{trend.key}: days scatter less than the records' own uncertainties say: these are stated too "
-                "large, or contain a part that the records share."
-            )
-    return sentences

@@ -348,23 +348,12 @@ _SHARES = (0.3, 0.7, 1.0)
 _LEAST_WEIGHT = 1e-6
 
 
-def walk(a: Array, b: Array) -> Array:
-    """Covariance of a walk that begins at 0, at times ``a`` (n,) and ``b`` (m,)."""
-    return np.minimum.outer(a, b)
-
-
-def _walking_drift(a: Array, b: Array) -> Array:
-    """Covariance of the integral of a walk."""
-    first, last = np.minimum.outer(a, b), np.maximum.outer(a, b)
-    return first**2 * (3.0 * last - first) / 6.0
-
-
-def independent(a: Array, b: Array) -> Array:
-    """Covariance between scatter of a day and that of another day: none."""
-    return np.zeros((a.size, b.size))
-
-
-CAUSES = (independent, walk, _walking_drift)
+CAUSES: tuple[Callable[[Array, Array], Array], ...] = (
+    lambda a, b: np.zeros((a.size, b.size)),
+    np.minimum.outer,
+    lambda a, b: np.minimum.outer(a, b) ** 2 * (3.0 * np.maximum.outer(a, b) - np.minimum.outer(a, b)) / 6.0,
+)
+"""Covariance (n, m) between days at times ``a`` (n,) and ``b`` (m,): each day for itself, a walk from 0, its integral."""
 
 
 @dataclass(frozen=True)
@@ -444,16 +433,9 @@ def outlook(days: Days) -> Outlook:
                 chances.append(_log_likelihood(factor, design, days.means) - math.log(len(shares)))
                 models.append(_Model(cause, still, moving, factor, 0.0))
     weights = np.exp(np.array(chances) - max(chances))
-    weights = np.where(weights < _LEAST_WEIGHT * weights.sum(), 0.0, weights)
-    weights /= weights.sum()
-    return Outlook(
-        days,
-        tuple(
-            replace(model, weight=weight)
-            for model, weight in zip(models, weights.tolist(), strict=True)
-            if weight > 0.0
-        ),
-    )
+    weights[weights < _LEAST_WEIGHT * weights.sum()] = 0.0
+    pairs = zip(models, (weights / weights.sum()).tolist(), strict=True)
+    return Outlook(days, tuple(replace(model, weight=weight) for model, weight in pairs if weight > 0.0))
 
 
 def _design(time: Array) -> Array:
