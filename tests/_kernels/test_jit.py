@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import stat
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+import piga
 
 COUNTED = """
 import json, sys
@@ -94,6 +97,26 @@ def call(folder: Path, program: str = PROGRAM, **variables: str) -> tuple[str, s
 
 
 @pytest.mark.long
+def test_a_second_installation_compiles_nothing_again(tmp_path: Path) -> None:
+    """The same sources in two places; a callee that changed is compiled."""
+    place = Path(piga.__file__).parent
+    program = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from piga._kernels.arithmetic import two_sum
+two_sum(1.0, 2.0)
+print(sum(two_sum.stats.cache_misses.values()))
+"""
+    copies = [shutil.copytree(place, tmp_path / name / "piga") for name in ("one", "two", "three")]
+    missed = [call(copy.parent, program, NUMBA_CACHE_DIR=str(tmp_path / "cache")) for copy in copies]
+    assert missed[0] == ("1", "")
+    assert ("0", "") in missed[1:]
+    with (copies[1] / "_kernels" / "motion" / "step.py").open("a") as other:
+        other.write("# changed\n")
+    assert call(copies[1].parent, program, NUMBA_CACHE_DIR=str(tmp_path / "cache")) == ("1", "")
+
+
+@pytest.mark.long
 def test_kernels_are_kept_in_a_folder_of_the_user_alone(tmp_path: Path) -> None:
     """The user's own code keeps its place beside the source."""
     (tmp_path / "small.py").write_text(KERNEL)
@@ -107,7 +130,6 @@ def test_kernels_are_kept_in_a_folder_of_the_user_alone(tmp_path: Path) -> None:
 
 def test_other_sources_have_another_folder(tmp_path: Path) -> None:
     """Numba takes a cached kernel whose callee changed or is gone."""
-    import piga
     from piga._kernels.jit import cache_folder, sources_digest
 
     (tmp_path / "inner").mkdir()

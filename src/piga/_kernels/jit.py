@@ -5,8 +5,9 @@ Kernels take floats and float64 arrays. They raise no messages for users. They r
 Reordering is not, so the results do not depend on how a record is split.
 
 Numba keeps the compiled code between processes: in ``NUMBA_CACHE_DIR`` if the user sets it, else in a folder of the
-user's own (:func:`cache_folder`). Compiled code is executed as it is read. So a folder that another user owns is refused, and
-the kernels are compiled in each process.
+user's own (:func:`cache_folder`). Kernels are kept by their sources, not by the place of the package: a second
+installation compiles nothing again. Compiled code is executed as it is read. So a folder that another user owns is refused,
+and the kernels are compiled in each process.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from typing import Any, ClassVar, TypeVar, cast
 import numba
 import numpy as np
 from numba.core import event
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.runtime.nrt import rtsys
 from numpy.typing import NDArray
 
@@ -48,14 +49,17 @@ def _user_cache() -> Path:
 
 
 def sources_digest(folder: Path) -> str:
-    """Digest of the kernels' sources in ``folder``.
+    """Digest of the kernels' sources in ``folder``, and of the version of Numba.
 
     Numba compares a cached kernel with its own file only, not with the files of the kernels that it calls.
     """
-    digest = 0
+    digest = zlib.crc32(numba.__version__.encode())
     for path in sorted(folder.rglob("*.py")):
         digest = zlib.crc32(path.read_bytes(), zlib.crc32(path.name.encode(), digest))
     return f"{digest:08x}"
+
+
+SOURCES = sources_digest(Path(__file__).parent)
 
 
 def cache_folder(parent: Path) -> Path | None:
@@ -63,7 +67,7 @@ def cache_folder(parent: Path) -> Path | None:
 
     None if it cannot be made, is not a folder, or belongs to another user.
     """
-    folder = parent / f"piga-kernels-{__version__}-{sources_digest(Path(__file__).parent)}"
+    folder = parent / f"piga-kernels-{__version__}-{SOURCES}"
     try:
         parent.mkdir(parents=True, exist_ok=True)
         if not folder.exists():
@@ -140,6 +144,11 @@ def _compiled(function: F, fastmath: bool | set[str], **more: Any) -> F:
     cache = getattr(made, "_cache", None)
     if isinstance(cache, FunctionCache):
         cache.__class__ = _LoadedCache
+        if function.__module__.startswith("piga._kernels."):
+            place = str(Path(FOLDER, function.__module__))
+            cache._impl.locator.get_cache_path = lambda: place
+            cache._cache_path = place
+            cache._cache_file = IndexDataCacheFile(place, cache._impl.filename_base, SOURCES)  # type: ignore[no-untyped-call]
     return cast("F", made)
 
 
