@@ -15,7 +15,6 @@ from nptdms import ChannelObject, TdmsWriter
 import piga
 from piga.errors import Where
 from piga.formats.container import read_container
-from piga.formats.xlsx import read_xlsx
 from tests.records.containers import (
     WRITERS,
     Whole,
@@ -168,11 +167,11 @@ def test_sheets_formulas_hidden_rows_and_text(tmp_path: Path) -> None:
     book.create_sheet("notes")
     book.save(path)
     with pytest.raises(piga.DataError, match="2 sheets: 'log', 'notes'") as caught:
-        read_xlsx(path, NAMES, None)
+        read_container(path, ".xlsx", NAMES, None)
     assert [(fix.key, fix.value) for fix in caught.value.fixes] == [("sheet", "log"), ("sheet", "notes")]
     with pytest.raises(piga.DataError, match="no sheet 'data'"):
-        read_xlsx(path, NAMES, None, "data")
-    assert whole(read_xlsx(path, NAMES, None, "log")).rows.size == 40
+        read_container(path, ".xlsx", NAMES, None, "data")
+    assert whole(read_container(path, ".xlsx", NAMES, None, "log")).rows.size == 40
     run = piga.read_run(write_run(tmp_path, "run.xlsx", data='sheet = "log"'))
     assert run.size == 40
     sheet = book["log"]
@@ -180,7 +179,7 @@ def test_sheets_formulas_hidden_rows_and_text(tmp_path: Path) -> None:
     sheet["B9"] = "=B8+1"
     sheet["C10"] = "OVER"
     book.save(path)
-    table = read_xlsx(path, NAMES, None, "log")
+    table = read_container(path, ".xlsx", NAMES, None, "log")
     whole(table)
     assert {(e.kind, e.count, e.first_row) for e in table.events()} == {
         ("formula", 1, None), ("hidden-row", 1, None), ("missing-value", 1, 9), ("missing-value", 1, 10),
@@ -190,7 +189,7 @@ def test_sheets_formulas_hidden_rows_and_text(tmp_path: Path) -> None:
     with pytest.raises(
         piga.DataError, match=r"row 12, column 'n' \(B\): '12.5' is text.*row 13, column 'fx' \(C\)"
     ):
-        read_xlsx(path, NAMES, None, "log")
+        read_container(path, ".xlsx", NAMES, None, "log")
 
 
 @pytest.mark.parametrize(

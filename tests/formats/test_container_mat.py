@@ -11,7 +11,7 @@ import pytest
 from scipy.io import savemat
 
 from piga.errors import DataError
-from piga.formats.container import read_container, read_mat
+from piga.formats.container import read_container
 from tests.records.containers import whole
 
 ROWS = 300
@@ -20,7 +20,7 @@ VALUES = np.round(100.0 * np.random.default_rng(1).random(ROWS))
 
 
 def read(path: Path, numeric: tuple[str, ...], label: str | None = None) -> dict[str, np.ndarray]:
-    return whole(read_mat(path, numeric, label)).numbers
+    return whole(read_container(path, ".mat", numeric, label)).numbers
 
 
 def element(order: str, kind: int, data: bytes) -> bytes:
@@ -84,7 +84,7 @@ def test_fields_of_structs(tmp_path: Path, packed: bool) -> None:
 def test_labels_and_what_is_no_number(tmp_path: Path) -> None:
     words = np.array(["up", "down"], object)[np.arange(ROWS) % 2]
     savemat(tmp_path / "a.mat", {"t": VALUES, "n": VALUES.astype("i2"), "pos": words, "z": 1j * VALUES})
-    assert whole(read_mat(tmp_path / "a.mat", ("t", "n"), "pos")).label[1] == ("up", "down")
+    assert whole(read_container(tmp_path / "a.mat", ".mat", ("t", "n"), "pos")).label[1] == ("up", "down")
     with pytest.raises(DataError, match="column 'z' holds complex128"):
         read(tmp_path / "a.mat", ("t", "z"))
 

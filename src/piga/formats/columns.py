@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import DataError, Where
+from piga.errors import DataError, Fix, Where
 from piga.records.calibration import Event
+from piga.records.limits import check_unpacked
 from piga.results import number_column, text_column
 
 CHUNK_ROWS = 1 << 16
@@ -85,18 +86,13 @@ class RecordStream:
         for name in self.wanted:
             if name not in schema.names:
                 raise no_column(self.path, name, schema.names, remedy=remedies[0])
-            where = Where(self.path, columns=(name,))
             if schema.names.count(name) > 1:
-                raise DataError(
-                    f"{self.path}: duplicate column name '{name}'", remedy="rename one of them", where=where
-                )
+                raise refusal(self.path, f"duplicate column name '{name}'", "rename one of them", name)
             kind, metadata = schema.field(name).type, schema.field(name).metadata or {}
             if name not in self.numeric:
                 continue
             if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or is_time(kind)):
-                raise DataError(
-                    f"{self.path}: column '{name}' holds {kind}, not numbers", remedy=remedies[1], where=where
-                )
+                raise refusal(self.path, f"column '{name}' holds {kind}, not numbers", remedies[1], name)
             unit = "s" if is_time(kind) else metadata.get(b"unit", b"").decode("utf-8", errors="replace")
             self.units |= {name: unit} if unit else {}
 
@@ -259,6 +255,14 @@ def no_column(
     )
 
 
+def refusal(
+    path: Path, words: str, remedy: str, *columns: str, row: int | None = None, fixes: Sequence[Fix] = ()
+) -> DataError:
+    """The error of a file, of a row in it, or of columns. ``fixes`` are keys of the run file that resolve it."""
+    place = "" if row is None else f"row {row}: "
+    return DataError(f"{path}: {place}{words}", remedy=remedy, where=Where(path, row, columns), fixes=fixes)
+
+
 # -- whole columns of a container -----------------------------------------------------------------------
 
 _COLUMN_OF = re.compile(r"^(.*)\(:,\s*(\d+)\)$")
@@ -275,33 +279,6 @@ def matrix_columns(name: str, shape: tuple[int, ...]) -> list[str]:
     if len(shape) == 2 and 1 < shape[1] <= _MOST_LISTED and shape[0] > 1:
         return [f"{name}(:,{k + 1})" for k in range(shape[1])]
     return [name]
-
-
-def vector(path: Path, name: str, values: NDArray, column: int | None) -> NDArray:
-    """One column of an array: the array itself if it is a vector, or column ``column`` of a matrix.
-
-    Raises
-    ------
-    DataError
-        If the array has more than two dimensions, or is a matrix and no column is given.
-    """
-    where = Where(path, columns=(name,))
-    if values.ndim == 2 and column is not None:
-        if 1 <= column <= values.shape[1]:
-            return values[:, column - 1]
-        raise DataError(
-            f"{path}: column '{name}': the matrix has {values.shape[1]} columns",
-            remedy="columns count from 1",
-            where=where,
-        )
-    flat = values.reshape(-1) if values.ndim == 2 and 1 in values.shape else values
-    if flat.ndim != 1 or column is not None:
-        raise DataError(
-            f"{path}: '{name}' has the shape {values.shape}, a column is needed",
-            remedy=f"name a column of a matrix as '{split_name(name)[0]}(:,1)'",
-            where=where,
-        )
-    return flat
 
 
 def label_text(value: object) -> str:
@@ -321,48 +298,95 @@ def label_text(value: object) -> str:
     return str(value).strip()
 
 
-def make_table(
-    path: Path,
-    numeric: Iterable[str],
-    label: str | None,
-    column: Callable[[str], NDArray],
-    units: Mapping[str, str],
-) -> TableStream:
-    """A table of columns of equal length, each read by ``column``. ``label`` names the segment column.
+@dataclass(frozen=True)
+class Wanted:
+    """What is read of a container: its number columns and its segment column, by the names that the format uses.
 
-    Raises
-    ------
-    DataError
-        If a number column holds something else (text, complex numbers, objects), lengths differ, or there are no rows.
+    ``sheet`` and ``missing`` are for spreadsheets: name of the sheet, and words that mean a missing value.
     """
-    numeric = list(dict.fromkeys(numeric))
-    read = {name: column(name) for name in numeric}
-    for name, values in read.items():
-        if values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
-            raise DataError(
-                f"{path}: column '{name}' holds {values.dtype.name}, not numbers",
-                remedy="store it as double or integer",
-                where=Where(path, columns=(name,)),
-            )
-    arrays = {
-        name: number_column(values.astype(values.dtype.newbyteorder("="))) for name, values in read.items()
-    }
-    if label is not None and label not in arrays:
-        arrays[label] = text_column([label_text(value) for value in column(label).tolist()])
-    first, rows = next((name, len(values)) for name, values in arrays.items())
-    for name, values in arrays.items():
-        if len(values) != rows:
-            raise DataError(
-                f"{path}: column '{name}' has {len(values)} rows, column '{first}' has {rows}",
-                remedy="export columns that were sampled together",
-                where=Where(path, columns=(name, first)),
-            )
-    if rows == 0:
-        raise DataError(f"{path}: no data row", remedy="check that the logger wrote data")
-    return TableStream(path, table_of(arrays, units), numeric, label)
+
+    path: Path
+    numeric: tuple[str, ...]
+    label: str | None
+    sheet: str | None = None
+    missing: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """All columns."""
+        return list(dict.fromkeys([*self.numeric, *([] if self.label is None else [self.label])]))
+
+    def refusal(
+        self, words: str, remedy: str, *columns: str, row: int | None = None, fixes: Sequence[Fix] = ()
+    ) -> DataError:
+        """The error of the file: :func:`refusal`."""
+        return refusal(self.path, words, remedy, *columns, row=row, fixes=fixes)
+
+    def no_column(self, name: str, present: Iterable[str]) -> DataError:
+        """The error for a column that is not in the file."""
+        return no_column(self.path, name, present)
+
+    def check_unpacked(self, size: int) -> None:
+        """Refuse a part of the file that unpacks to too much [bytes]."""
+        check_unpacked(self.path, size, self.path.stat().st_size)
+
+    def vector(self, name: str, values: NDArray) -> NDArray:
+        """The column ``name`` of an array: the array itself if it is a vector, or one column of a matrix.
+
+        Raises
+        ------
+        DataError
+            If the array has more than two dimensions, or is a matrix and the name has no number of a column.
+        """
+        plain, column = split_name(name)
+        if values.ndim == 2 and column is not None:
+            if 1 <= column <= values.shape[1]:
+                return values[:, column - 1]
+            words = f"column '{name}': the matrix has {values.shape[1]} columns"
+            raise self.refusal(words, "columns count from 1", name)
+        flat = values.reshape(-1) if values.ndim == 2 and 1 in values.shape else values
+        if flat.ndim != 1 or column is not None:
+            words = f"'{name}' has the shape {values.shape}, a column is needed"
+            raise self.refusal(words, f"name a column of a matrix as '{plain}(:,1)'", name)
+        return flat
+
+    def table(
+        self,
+        column: Callable[[str], NDArray],
+        units: Mapping[str, str],
+        rows: NDArray[np.int64] | None = None,
+        events: Iterable[Event] = (),
+        empty_cells: bool = False,
+    ) -> TableStream:
+        """The columns as a table; ``column`` reads one. With ``empty_cells`` nan is a missing value.
+
+        Raises
+        ------
+        DataError
+            If a number column holds something else (text, complex numbers, objects), lengths differ, or there are no rows.
+        """
+        arrays = {}
+        for name in dict.fromkeys(self.numeric):
+            values = column(name)
+            if values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
+                words = f"column '{name}' holds {values.dtype.name}, not numbers"
+                raise self.refusal(words, REMEDIES[1], name)
+            arrays[name] = number_column(values.astype(values.dtype.newbyteorder("=")), empty_cells)
+        if self.label is not None and self.label not in arrays:
+            arrays[self.label] = text_column([label_text(value) for value in column(self.label).tolist()])
+        first, count = next((name, len(values)) for name, values in arrays.items())
+        for name, values in arrays.items():
+            if len(values) != count:
+                words = f"column '{name}' has {len(values)} rows, column '{first}' has {count}"
+                raise self.refusal(words, "export columns that were sampled together", name, first)
+        if count == 0:
+            raise self.refusal("no data row", "check that the logger wrote data")
+        return TableStream(
+            self.path, _table_of(arrays, units), self.numeric, self.label, rows=rows, noted=events
+        )
 
 
-def table_of(arrays: Mapping[str, Any], units: Mapping[str, str]) -> Any:
+def _table_of(arrays: Mapping[str, Any], units: Mapping[str, str]) -> Any:
     """Arrow arrays as a table with the unit of each column."""
     import pyarrow as pa
 

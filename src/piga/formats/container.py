@@ -14,18 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import EXTRAS, DataError, PigaError, Where, install_command
-from piga.formats.columns import (
-    TableStream,
-    label_text,
-    make_table,
-    matrix_columns,
-    no_column,
-    split_name,
-    vector,
-)
+from piga.errors import EXTRAS, PigaError, install_command
+from piga.formats.columns import TableStream, Wanted, label_text, matrix_columns, split_name
 from piga.formats.xlsx import read_xlsx
-from piga.records.limits import check_regular, check_unpacked, first_line, open_regular
+from piga.records.limits import check_regular, first_line, open_regular
 
 # -- HDF5 ----------------------------------------------------------------------------------------------
 
@@ -40,52 +32,39 @@ _UNIT_KEYS = ("unit", "units", "Unit", "Units", "unit_string", "NI_UnitDescripti
 """Attributes of an HDF5 dataset or a TDMS channel that state its unit."""
 
 
-def _read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
-    """Read the named datasets.
-
-    Parameters
-    ----------
-    path:
-        The file.
-    numeric, label:
-        ``name`` or ``group/name`` of a dataset, ``name(:,2)`` for a column of a matrix, or
-        ``name/field`` for a field of a table.
-    """
+def _read_hdf5(wanted: Wanted) -> TableStream:
+    """Read the named datasets: ``name`` or ``group/name``, ``name(:,2)`` of a matrix, ``name/field`` of a table."""
     import h5py
 
-    with h5py.File(path, "r", locking=False) as source:
-        units = {name: _unit(_find(source, path, name)[0].attrs) for name in numeric}
-        return make_table(path, numeric, label, partial(_dataset, source, path), units)
+    with h5py.File(wanted.path, "r", locking=False) as source:
+        units = {name: _unit(_find(source, wanted, name)[0].attrs) for name in wanted.numeric}
+        return wanted.table(partial(_dataset, source, wanted), units)
 
 
 def _unit(attributes: Any) -> str:
     return next((_text(attributes[key]) for key in _UNIT_KEYS if key in attributes), "")
 
 
-def _dataset(source: Any, path: Path, name: str) -> NDArray:
+def _dataset(source: Any, wanted: Wanted, name: str) -> NDArray:
     """One column of a dataset: numbers or texts (n,)."""
     import h5py
 
-    item, field = _find(source, path, name)
-    plain, column = split_name(name)
-    _check_storage(item, path, plain)
-    kind, matlab = item.dtype, _text(item.attrs.get("MATLAB_class"))
+    item, field = _find(source, wanted, name)
+    plain, kind, matlab = split_name(name)[0], item.dtype, _text(item.attrs.get("MATLAB_class"))
+    _check_storage(item, wanted, plain)
     text = h5py.check_string_dtype(kind) is not None
-    check_unpacked(
-        path, int(item.size) * (max(kind.itemsize, 64) if text else kind.itemsize), path.stat().st_size
-    )
+    wanted.check_unpacked(int(item.size) * (max(kind.itemsize, 64) if text else kind.itemsize))
     if text:
-        return vector(path, name, np.asarray(item.asstr(errors="replace")[...], dtype=str), column)
+        return wanted.vector(name, np.asarray(item.asstr(errors="replace")[...], dtype=str))
     if matlab == "cell" and h5py.check_ref_dtype(kind) is h5py.Reference:
-        return vector(path, name, _cell_array(source, path, plain, item), column)
+        return wanted.vector(name, _cell_array(source, wanted, plain, item))
     if kind.hasobject:
-        raise DataError(
-            f"{path}: '{plain}' holds objects or references", remedy="store numbers or text in a plain dataset"
-        )
+        remedy = "store numbers or text in a plain dataset"
+        raise wanted.refusal(f"'{plain}' holds objects or references", remedy, name)
     values = np.asarray(item[field] if field else item[...])
     if matlab:  # stored column by column
         values = _characters(values) if matlab == "char" else values.T
-    return vector(path, name, values, column)
+    return wanted.vector(name, values)
 
 
 def _characters(values: NDArray) -> NDArray:
@@ -94,7 +73,7 @@ def _characters(values: NDArray) -> NDArray:
     return np.array([row.tobytes().decode("utf-16-le", errors="replace").rstrip(" \0") for row in rows])
 
 
-def _cell_array(source: Any, path: Path, name: str, item: Any) -> NDArray:
+def _cell_array(source: Any, wanted: Wanted, name: str, item: Any) -> NDArray:
     """A MATLAB cell array of texts or single numbers. Its cells are references to objects of the same file."""
     import h5py
 
@@ -102,11 +81,9 @@ def _cell_array(source: Any, path: Path, name: str, item: Any) -> NDArray:
     for reference in item[...].T.reshape(-1):
         cell = source[reference] if reference else None
         if not isinstance(cell, h5py.Dataset) or cell.dtype.kind not in "uif" or cell.size > _MAX_CELL:
-            raise DataError(
-                f"{path}: '{name}', cell {len(cells) + 1} holds no text and no number",
-                remedy="store one label for each sample",
-            )
-        _check_storage(cell, path, name)
+            words = f"'{name}', cell {len(cells) + 1} holds no text and no number"
+            raise wanted.refusal(words, "store one label for each sample", name)
+        _check_storage(cell, wanted, name)
         values = np.asarray(cell[...])
         if cell.attrs.get("MATLAB_empty") or values.size == 0:
             cells.append("")
@@ -117,7 +94,7 @@ def _cell_array(source: Any, path: Path, name: str, item: Any) -> NDArray:
     return np.array(cells, dtype=str)
 
 
-def _find(source: Any, path: Path, name: str) -> tuple[Any, str | None]:
+def _find(source: Any, wanted: Wanted, name: str) -> tuple[Any, str | None]:
     """Find a dataset by name, only through hard links, and the field of a compound dataset."""
     import h5py
 
@@ -127,17 +104,17 @@ def _find(source: Any, path: Path, name: str) -> tuple[Any, str | None]:
         for at in range(len(parts)):
             link = source.get("/".join(parts[: at + 1]), getlink=True)
             if link is not None and not isinstance(link, h5py.HardLink):
-                raise DataError(
-                    f"{path}: '{parts[at]}' is a link to another place ({type(link).__name__}), which is not followed",
-                    remedy="copy the dataset into the file (h5repack or h5copy)",
+                words = (
+                    f"'{parts[at]}' is a link to another place ({type(link).__name__}), which is not followed"
                 )
+                raise wanted.refusal(words, "copy the dataset into the file (h5repack or h5copy)", name)
         for place, field in ((separated, None), ("/".join(parts[:-1]), parts[-1])):
             item = source.get(place) if place else None
             if isinstance(item, h5py.Dataset) and (
                 item.dtype.names is None if field is None else field in (item.dtype.names or ())
             ):
                 return item, field
-    raise no_column(path, plain, _dataset_names(source))
+    raise wanted.no_column(plain, _dataset_names(source))
 
 
 def _dataset_names(source: Any) -> list[str]:
@@ -157,20 +134,18 @@ def _dataset_names(source: Any) -> list[str]:
     return names
 
 
-def _check_storage(item: Any, path: Path, name: str) -> None:
+def _check_storage(item: Any, wanted: Wanted, name: str) -> None:
     """Refuse data that lie in other files or need a plug-in."""
     if item.is_virtual or item.external:
-        raise DataError(
-            f"{path}: the data of '{name}' lie in other files", remedy="repack it into one file (h5repack)"
-        )
+        remedy = "repack it into one file (h5repack)"
+        raise wanted.refusal(f"the data of '{name}' lie in other files", remedy, name)
     plan = item.id.get_create_plist()
-    for index in range(plan.get_nfilters()):
-        code = plan.get_filter(index)[0]
-        if code not in _PLAIN_FILTERS:
-            raise DataError(
-                f"{path}: '{name}' is packed with filter {code}; only {', '.join(_PLAIN_FILTERS.values())} are read",
-                remedy="repack it: h5repack -f GZIP=4",
-            )
+    strange = {plan.get_filter(index)[0] for index in range(plan.get_nfilters())} - set(_PLAIN_FILTERS)
+    if strange:
+        words = (
+            f"'{name}' is packed with filter {min(strange)}; only {', '.join(_PLAIN_FILTERS.values())} are read"
+        )
+        raise wanted.refusal(words, "repack it: h5repack -f GZIP=4", name)
 
 
 def _text(value: object) -> str:
@@ -185,67 +160,46 @@ _MAX_STRUCTS = 4
 """Most structs inside each other."""
 
 
-def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
-    """Read the named variables of a MATLAB file.
-
-    Parameters
-    ----------
-    path:
-        The file.
-    numeric, label:
-        ``name``, ``struct.field``, or ``name(:,2)`` for a column of a matrix.
-
-    Raises
-    ------
-    DataError
-        If the unpacked size is too large, a variable is missing or is not a plain column.
-    """
-    with open_regular(path) as stream:
+def _read_mat(wanted: Wanted) -> TableStream:
+    """Read the named variables: ``name``, ``struct.field``, or ``name(:,2)`` for a column of a matrix."""
+    with open_regular(wanted.path) as stream:
         head = stream.read(520)
     if _HDF5_MARK in (head[:8], head[512:520]):
-        return _read_hdf5(path, numeric, label)
-    wanted = [*numeric, *([label] if label else [])]
-    variables = _variables(path, [split_name(name)[0].split(".")[0] for name in wanted])
-    return make_table(path, numeric, label, partial(_variable, path, variables), {})
+        return _read_hdf5(wanted)
+    variables = _variables(wanted, [split_name(name)[0].split(".")[0] for name in wanted.names])
+    return wanted.table(partial(_variable, wanted, variables), {})
 
 
-def _variables(path: Path, names: list[str] | None) -> dict[str, Any]:
+def _variables(wanted: Wanted, names: list[str] | None) -> dict[str, Any]:
     """The named variables (None: all). A variable that is there and not named is None."""
     from scipy.io import loadmat, whosmat
 
-    shapes = {name: shape for name, shape, _ in whosmat(path)}
+    shapes = {name: shape for name, shape, _ in whosmat(wanted.path)}
     for name in shapes if names is None else set(names) & set(shapes):
-        check_unpacked(path, 8 * math.prod(shapes[name]), path.stat().st_size)
-    variables = loadmat(path, variable_names=names, chars_as_strings=True, struct_as_record=True)
+        wanted.check_unpacked(8 * math.prod(shapes[name]))
+    variables = loadmat(wanted.path, variable_names=names, chars_as_strings=True, struct_as_record=True)
     return {name: variables.get(name) for name in shapes}
 
 
-def _variable(path: Path, variables: dict[str, Any], name: str) -> NDArray:
-    plain, column = split_name(name)
-    first, *fields = plain.split(".")
+def _variable(wanted: Wanted, variables: dict[str, Any], name: str) -> NDArray:
+    first, *fields = split_name(name)[0].split(".")
     item = variables.get(first)
     for field in fields[:_MAX_STRUCTS]:
-        names = getattr(getattr(item, "dtype", None), "names", None)
-        if not names or field not in names or item is None or item.size != 1:
-            raise no_column(path, name, _variable_names(path))
-        item = item[field].reshape(-1)[0]
+        inside = field in (getattr(getattr(item, "dtype", None), "names", None) or ())
+        item = item[field].reshape(-1)[0] if item is not None and inside and item.size == 1 else None
     if not isinstance(item, np.ndarray) or item.dtype.names:
-        raise no_column(path, name, _variable_names(path))
-    return vector(path, name, item, column)
+        everything = _variables(wanted, None).items()
+        present = [below for one, variable in everything for below in _names_below(one, variable, 0)]
+        raise wanted.no_column(name, present)
+    return wanted.vector(name, item)
 
 
-def _variable_names(path: Path) -> list[str]:
-    """Names of all columns: vectors, columns of matrices, and these in structs."""
-    return [
-        one for name, item in _variables(path, None).items() for one in _variable_names_below(name, item, 0)
-    ]
-
-
-def _variable_names_below(name: str, item: object, depth: int) -> list[str]:
+def _names_below(name: str, item: object, depth: int) -> list[str]:
+    """Names of all columns of a variable: itself, columns of a matrix, and these in structs."""
     fields = getattr(getattr(item, "dtype", None), "names", None)
     if fields and isinstance(item, np.ndarray) and item.size == 1 and depth < _MAX_STRUCTS:
         inside = ((f"{name}.{field}", item[field].reshape(-1)[0]) for field in fields)
-        return [one for path, part in inside for one in _variable_names_below(path, part, depth + 1)]
+        return [one for path, part in inside for one in _names_below(path, part, depth + 1)]
     return matrix_columns(name, item.shape) if isinstance(item, np.ndarray) else [name]
 
 
@@ -255,27 +209,27 @@ _WAVEFORM_TIME = "waveform time"
 """Name of the time of a waveform: its channels state the interval between samples, and no channel holds the time."""
 
 
-def _read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> TableStream:
+def _read_tdms(wanted: Wanted) -> TableStream:
     """Read the named channels: ``channel`` if only one group has it, else ``group/channel``."""
     import nptdms
 
-    with open_regular(path) as stream, nptdms.TdmsFile.open(stream) as source:
+    with open_regular(wanted.path) as stream, nptdms.TdmsFile.open(stream) as source:
         channels = [channel for group in source.groups() for channel in group.channels()]
         units = {
-            name: "s" if _is_time(name) else _unit(_channel(path, channels, name).properties)
-            for name in numeric
+            name: "s" if _is_time(name) else _unit(_channel(wanted, channels, name).properties)
+            for name in wanted.numeric
         }
-        return make_table(path, numeric, label, partial(_samples, path, channels), units)
+        return wanted.table(partial(_samples, wanted, channels), units)
 
 
 def _is_time(name: str) -> bool:
     return name.rpartition("/")[2] == _WAVEFORM_TIME
 
 
-def _samples(path: Path, channels: list[Any], name: str) -> NDArray:
+def _samples(wanted: Wanted, channels: list[Any], name: str) -> NDArray:
     if _is_time(name):
-        return _waveform_time(path, channels, name)
-    return np.asarray(_channel(path, channels, name)[:])
+        return _waveform_time(wanted, channels, name)
+    return np.asarray(_channel(wanted, channels, name)[:])
 
 
 def _waveforms(channels: list[Any]) -> dict[str, tuple[float, float, int]]:
@@ -289,14 +243,14 @@ def _waveforms(channels: list[Any]) -> dict[str, tuple[float, float, int]]:
     }
 
 
-def _waveform_time(path: Path, channels: list[Any], name: str) -> NDArray:
+def _waveform_time(wanted: Wanted, channels: list[Any], name: str) -> NDArray:
     """Time of the samples [s] of a group, or of the only group, from what its channels state."""
     waveforms = _waveforms(channels)
     group = name.rpartition("/")[0] or next(iter(waveforms), "")
     if group not in waveforms or ("/" not in name and len(waveforms) > 1):
-        raise no_column(path, name, _channel_names(channels))
+        raise wanted.no_column(name, _channel_names(channels))
     start, step, count = waveforms[group]
-    check_unpacked(path, 8 * count, path.stat().st_size)
+    wanted.check_unpacked(8 * count)
     return start + step * np.arange(count)
 
 
@@ -305,22 +259,17 @@ def _channel_names(channels: list[Any]) -> list[str]:
     return [*(f"{channel.group_name}/{channel.name}" for channel in channels), *times]
 
 
-def _channel(path: Path, channels: list[Any], name: str) -> Any:
+def _channel(wanted: Wanted, channels: list[Any], name: str) -> Any:
     """The channel of this name."""
-    matching = [
-        channel for channel in channels if name in (channel.name, f"{channel.group_name}/{channel.name}")
-    ]
+    full = {f"{channel.group_name}/{channel.name}": channel for channel in channels}
+    matching = [one for one, channel in full.items() if name in (channel.name, one)]
     if not matching:
-        raise no_column(path, name, _channel_names(channels))
+        raise wanted.no_column(name, _channel_names(channels))
     if len(matching) > 1:
-        groups = tuple(f"{channel.group_name}/{channel.name}" for channel in matching)
-        raise DataError(
-            f"{path}: several groups have a channel '{name}'",
-            remedy=f"name it as one of {', '.join(map(repr, groups[:5]))}",
-            where=Where(path, columns=(name,)),
-        )
-    check_unpacked(path, 8 * len(matching[0]), path.stat().st_size)
-    return matching[0]
+        remedy = f"name it as one of {', '.join(map(repr, matching[:5]))}"
+        raise wanted.refusal(f"several groups have a channel '{name}'", remedy, name)
+    wanted.check_unpacked(8 * len(full[matching[0]]))
+    return full[matching[0]]
 
 
 # -- all of them ----------------------------------------------------------------------------------------
@@ -330,7 +279,7 @@ class Container(NamedTuple):
     """A kind of file: its name, its reader, and what to do with a damaged file."""
 
     name: str
-    read: Callable[[Path, tuple[str, ...], str | None], TableStream]
+    read: Callable[[Wanted], TableStream]
     remedy: str
 
 
@@ -339,7 +288,7 @@ CONTAINERS = {
     ".h5": _HDF5,
     ".hdf5": _HDF5,
     ".hdf": _HDF5,
-    ".mat": Container("MATLAB", read_mat, "save it again with -v7 or -v7.3"),
+    ".mat": Container("MATLAB", _read_mat, "save it again with -v7 or -v7.3"),
     ".tdms": Container("TDMS", _read_tdms, "was the logger stopped? copy it again"),
     ".xlsx": Container("XLSX", read_xlsx, "save it again as .xlsx, without a password"),
 }
@@ -354,46 +303,28 @@ def read_container(
     sheet: str | None = None,
     missing: tuple[str, ...] = (),
 ) -> TableStream:
-    """Read the named columns of a container.
-
-    Parameters
-    ----------
-    path:
-        The file.
-    kind:
-        One of :data:`CONTAINERS`.
-    numeric, label:
-        Names of the number columns and of the segment column, as the reader of that format takes them.
-    sheet, missing:
-        Name of the sheet, and words that mean a missing value, in an ``.xlsx`` file.
+    """Read the named columns of a container of a ``kind`` in :data:`CONTAINERS`. The others are those of :class:`Wanted`.
 
     Raises
     ------
     DataError
         If the file cannot be read as requested, or unpacks to more than is read.
     """
-    container = CONTAINERS[kind]
+    wanted, container = Wanted(path, numeric, label, sheet, missing), CONTAINERS[kind]
     check_regular(path, "[data] file is relative to the run file")
     if kind == ".xlsx" and path.with_name(f"~${path.name}").exists():
-        raise DataError(f"{path}: is open in a spreadsheet program", remedy="close it there, then try again")
+        raise wanted.refusal("is open in a spreadsheet program", "close it there, then try again")
     try:
-        if kind == ".xlsx":
-            return read_xlsx(path, numeric, label, sheet, missing)
-        return container.read(path, numeric, label)
+        return container.read(wanted)
     except PigaError:
         raise
     except ImportError as error:
         extra = EXTRAS[str(error.name).split(".")[0]]
-        raise DataError(
-            f"{path}: reading {container.name} needs the extra '{extra}', which is not installed",
-            remedy=f"install it with: {install_command(extra)}",
-        ) from None
+        words = f"reading {container.name} needs the extra '{extra}', which is not installed"
+        raise wanted.refusal(words, f"install it with: {install_command(extra)}") from None
     except MemoryError:
-        raise DataError(
-            f"{path}: there is not enough memory to read it",
-            remedy="the file is damaged, or export it as Parquet",
-        ) from None
+        remedy = "the file is damaged, or export it as Parquet"
+        raise wanted.refusal("there is not enough memory to read it", remedy) from None
     except Exception as error:  # a damaged file can raise any exception in the library
-        raise DataError(
-            f"{path}: not a readable {container.name} file ({first_line(error)})", remedy=container.remedy
-        ) from None
+        words = f"not a readable {container.name} file ({first_line(error)})"
+        raise wanted.refusal(words, container.remedy) from None

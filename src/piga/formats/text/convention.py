@@ -14,7 +14,7 @@ from itertools import islice, zip_longest
 from pathlib import Path
 
 from piga.errors import DataError, Fix, UnitError, Where
-from piga.formats.columns import column_letter, no_column
+from piga.formats.columns import column_letter, no_column, refusal
 from piga.formats.text.time_stamp import TimeStamp, forms_of
 from piga.units import parse_unit
 
@@ -86,12 +86,7 @@ def find_format(
 ) -> TextFormat:
     """Detect separator, decimal mark, header names, units row and number of lines to skip, from the head of a file.
 
-    Parameters
-    ----------
-    text, path, encoding:
-        Head of the file as text, its name, and how it was decoded.
-    separator, decimal, rows:
-        From the run file; None: detected.
+    ``separator`` and ``decimal`` are those of the run file; None: detected.
 
     Raises
     ------
@@ -116,9 +111,7 @@ def find_format(
         units.update({n: u for n, u in zip(names, row_units, strict=False) if u not in NO_UNIT})
         skip, body = units_at + 1, [(i, line) for i, line in body if i > units_at]
     if not body:
-        raise DataError(
-            f"{path}: a header but no data", remedy="check that the logger wrote data", where=Where(path)
-        )
+        raise refusal(path, "a header but no data", "check that the logger wrote data")
     cells = [split_line(line, separator) for _, line in body[:50]]
     mark = _decimal_mark(cells, separator, decimal, path, body[0][0] + 1)
     return TextFormat(encoding, separator, mark, names, skip, units, header_at + 1)
@@ -137,13 +130,12 @@ def _named_columns(
     if isinstance(rows.header, tuple):
         names = joined_names(_head_cells(COMMENT.sub("", lines[rows.header[0] - 1]), separator), names)
     if all(_NUMBER_POINT.match(name) for name in names):
-        raise DataError(
-            f"{path}: row {at + 1}: the first row holds numbers, not column names",
-            remedy="if the file has no column names, add [data] header_row = false: the columns are then A, B, C; "
-            "if the names stand in another row, add [data] header_row = N",
-            where=Where(path, at + 1),
-            fixes=[Fix("data", "header_row", False), Fix("data", "header_row")],
+        remedy = (
+            "if the file has no column names, add [data] header_row = false: the columns are then A, B, C; "
+            "if the names stand in another row, add [data] header_row = N"
         )
+        fixes = [Fix("data", "header_row", False), Fix("data", "header_row")]
+        raise refusal(path, "the first row holds numbers, not column names", remedy, row=at + 1, fixes=fixes)
     return units_in_names(single_names(_as_wide_as_data(names, sample, separator)))
 
 
@@ -171,24 +163,19 @@ def _header_at(lines: list[str], rows: HeadRows, path: Path) -> int:
     at = rows.names
     if isinstance(at, int) and not isinstance(at, bool):
         if at > len(lines) or not lines[at - 1].strip():
-            raise DataError(
-                f"{path}: row {at}: [data] header_row names an empty row",
-                remedy="name the row with the column names, counted from 1",
-                where=Where(path, at),
-                fixes=[Fix("data", "header_row")],
+            words, remedy = (
+                "[data] header_row names an empty row",
+                "name the row with the column names, counted from 1",
             )
+            raise refusal(path, words, remedy, row=at, fixes=[Fix("data", "header_row")])
         return at - 1
     for index, line in enumerate(lines):
         if index >= rows.skip and line.strip() and not line.lstrip().startswith("#"):
             return index
     if rows.skip:
-        raise DataError(
-            f"{path}: no row of column names after the {rows.skip} rows of [data] skip_rows",
-            remedy="name a smaller number of rows",
-            where=Where(path),
-            fixes=[Fix("data", "skip_rows")],
-        )
-    raise DataError(f"{path}: the file is empty", remedy="check that the logger wrote data", where=Where(path))
+        words = f"no row of column names after the {rows.skip} rows of [data] skip_rows"
+        raise refusal(path, words, "name a smaller number of rows", fixes=[Fix("data", "skip_rows")])
+    raise refusal(path, "the file is empty", "check that the logger wrote data")
 
 
 def _units_at(body: list[tuple[int, str]], separator: str, rows: HeadRows, path: Path) -> int | None:
@@ -223,16 +210,9 @@ def _as_wide_as_data(names: tuple[str, ...], sample: list[str], separator: str) 
 
 def _find_separator(header: str, sample: list[str]) -> str:
     """The character that splits header and data into the same number of cells."""
-    best, best_count = ",", 0
-    for candidate in SEPARATORS:
-        count = header.count(candidate)
-        same = all(line.count(candidate) == count for line in sample[:-1])
-        if count > best_count and same:
-            best, best_count = candidate, count
-    if best_count:
-        return best
-    present = [candidate for candidate in SEPARATORS if candidate in header]
-    return present[0] if present else ","
+    present = [one for one in SEPARATORS if one in header]
+    same = [one for one in present if all(line.count(one) == header.count(one) for line in sample[:-1])]
+    return max(same, key=header.count) if same else next(iter(present), ",")
 
 
 def single_names(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -251,11 +231,8 @@ def check_present(path: Path, row: int, wanted: Iterable[str], names: tuple[str,
     for name in missing:
         same = [one for one in names if re.fullmatch(rf"{re.escape(name)}#\d+", one)]
         if len(same) > 1:
-            raise DataError(
-                f"{path}: row {row}: duplicate column name '{name}'",
-                remedy=f"name one of them in [data]: {', '.join(repr(one) for one in same[:6])}",
-                where=Where(path, row, (name,)),
-            )
+            remedy = f"name one of them in [data]: {', '.join(repr(one) for one in same[:6])}"
+            raise refusal(path, f"duplicate column name '{name}'", remedy, name, row=row)
     if missing:
         raise no_column(path, missing, [name for name in names if name], row)
 

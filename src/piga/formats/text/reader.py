@@ -6,7 +6,7 @@ A part of a file that PyArrow does not read is read line by line. Every damaged 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError, Fix, Where
-from piga.formats.columns import FileChunk, RecordStream, column_letter
+from piga.formats.columns import FileChunk, RecordStream, column_letter, refusal
 from piga.formats.text.convention import (
     INFINITE,
     MISSING,
@@ -44,14 +44,10 @@ _MOST_SEARCHED = 200
 
 
 class TextStream(RecordStream):
-    """The named columns of a text file, chunk by chunk.
+    """The named columns of a text file, plain or ``.gz``, chunk by chunk.
 
     Parameters
     ----------
-    path:
-        ``.csv`` (``.txt``, ``.tsv``), plain or ``.gz``.
-    numeric, label:
-        Names of the number columns and of the segment column.
     separator, decimal, encoding, rows:
         From the run file; None: detected from the file.
     stamp:
@@ -85,7 +81,7 @@ class TextStream(RecordStream):
         piece: int | None = None,
     ) -> None:
         super().__init__(path, numeric, label)
-        self._missing_words = missing
+        self._empty = {*MISSING, *INFINITE, *missing}
         rows = rows or HeadRows()
         self._source = TextSource(path, encoding, piece, wanted=self.wanted, first_rows=rows.last)
         head = self._source.head.decode("utf-8", errors="replace")
@@ -106,15 +102,11 @@ class TextStream(RecordStream):
                 if self._mask or not self._faults.total:
                     yield from self._chunks_of(table, rows)
                 elif self._faults.total > MAX_LISTED:
-                    raise self._faults.error(self.path)
+                    raise self._refused()
         if self._faults.total and not self._mask:
-            raise self._faults.error(self.path)
+            raise self._refused()
         if self._read == 0:
-            raise DataError(
-                f"{self.path}: a header but no complete data row",
-                remedy="check that the logger wrote data",
-                where=Where(self.path),
-            )
+            raise refusal(self.path, "a header but no complete data row", "check that the logger wrote data")
 
     def events(self) -> list[Event]:
         """Faults and omissions; complete after the last chunk."""
@@ -174,7 +166,7 @@ class TextStream(RecordStream):
                 convert_options=csv.ConvertOptions(
                     include_columns=list(types),
                     column_types=types,
-                    null_values=[*MISSING, *INFINITE, *self._missing_words],
+                    null_values=list(self._empty),
                     decimal_point=form.decimal,
                     strings_can_be_null=False,
                 ),
@@ -192,29 +184,59 @@ class TextStream(RecordStream):
         if self._clock is None:
             return table, rows
         name = next(iter(self._form.stamps))
-        seconds = self._clock.convert(table.column(name), {None, *MISSING, *INFINITE, *self._missing_words})
+        seconds = self._clock.convert(table.column(name), {None, *self._empty})
         if seconds is None:
             return None
         return table.set_column(table.schema.get_field_index(name), name, seconds), rows
 
     def _examined(self, raw: bytes) -> tuple[Any, NDArray[np.int64]]:
-        """The table of the lines without damage. The others are listed as faults."""
+        """The table of the lines without damage. The others are listed as faults.
+
+        A cell is a number, None for a missing value, text for a time stamp or a label.
+        """
         import pyarrow as pa
 
-        most = None if self._mask else MAX_LISTED
-        values, rows = read_lines(
-            self._faults, raw, self._row, self._form, self.numeric, self.label, self._missing_words, most
+        form, faults = self._form, self._faults
+        places = {name: form.names.index(name) for name in self.wanted}
+        values: dict[str, list[Any]] = {name: [] for name in places}
+        rows = []
+        for row, line in enumerate(raw.split(b"\n"), self._row):
+            if faults.total > MAX_LISTED and not self._mask:
+                break
+            if not line.strip(form.blanks):
+                continue
+            cells = _cells(row, line, form)
+            if isinstance(cells, Fault):
+                faults.add(row, cells)
+                continue
+            read = {
+                name: _unquoted(cells[at])
+                if name == self.label
+                else _value(row, cells[at], form, name, self._empty)
+                for name, at in places.items()
+            }
+            bad = [value for value in read.values() if isinstance(value, Fault)]
+            for fault in bad:
+                faults.add(row, fault)
+            if not bad:
+                rows.append(row)
+                for name, value in read.items():
+                    values[name].append(value)
+        texts = {*form.stamps, self.label}
+        table = pa.table(
+            {
+                name: pa.array(cells, pa.string() if name in texts else pa.float64())
+                for name, cells in values.items()
+            }
         )
-        texts = {*self._form.stamps, self.label}
-        arrays = {
-            name: pa.array(cells, pa.string() if name in texts else pa.float64(), from_pandas=False)
-            for name, cells in values.items()
-        }
-        table = pa.Table.from_arrays(list(arrays.values()), names=list(arrays))
         made = self._with_times(table, np.array(rows, dtype=np.int64))
         if made is None:
             raise AssertionError("a time stamp was checked, but not read")
         return made
+
+    def _refused(self) -> DataError:
+        remedy = "repair or delete these rows, or leave them out with [data] damaged_rows = 'mask'"
+        return self._faults.error(self.path, remedy, [Fix("data", "damaged_rows", "mask")])
 
 
 def _parts(raw: bytes) -> Iterator[bytes]:
@@ -279,27 +301,19 @@ class Fault(NamedTuple):
 
 @dataclass
 class Faults:
-    """Faults of a file, added piece by piece.
+    """Faults of a file, added in the order of its rows.
 
-    Attributes
-    ----------
-    listed, total:
-        The first faults in words, and the number of all.
-    kinds:
-        Number of rows with a fault and the first row, by kind. A row counts once, by its first fault.
-    hint, fixes:
-        What else can be done: in words, and as keys of the run file.
-    first_row, columns:
-        Row of the first fault, and the columns with a faulty cell.
+    ``listed`` holds the first ones, ``total`` is the number of all. ``hint`` and ``fixes`` tell what else can be done.
+    ``kinds``: number of rows with a fault and the first row, by kind. A row counts once, by its first fault.
     """
 
-    listed: list[str] = field(default_factory=list)
+    listed: list[Fault] = field(default_factory=list)
     total: int = 0
     kinds: dict[str, list[int]] = field(default_factory=dict)
+    columns: dict[str, None] = field(default_factory=dict)
     hint: str = ""
     fixes: tuple[Fix, ...] = ()
     first_row: int | None = None
-    columns: dict[str, None] = field(default_factory=dict)
     last_row: int = 0
 
     def add(self, row: int, fault: Fault) -> None:
@@ -310,25 +324,20 @@ class Faults:
         self.total += 1
         self.first_row = self.first_row or row
         self.columns |= {fault.column: None} if fault.column else {}
-        if len(self.listed) <= MAX_LISTED:
-            self.listed.append(fault.words)
+        if len(self.listed) < MAX_LISTED:
+            self.listed.append(fault)
         if not self.hint:
             self.hint, self.fixes = fault.hint, fault.fixes
 
-    @property
-    def words(self) -> str:
-        """All faults in words, or the first of many."""
-        if self.total <= MAX_LISTED:
-            return "; ".join(self.listed)
-        return f"{'; '.join(self.listed[:_FIRST_LISTED])}; and more"
-
-    def error(self, path: Path) -> DataError:
-        """All faults as one error."""
+    def error(self, path: Path, remedy: str, fixes: Sequence[Fix] = ()) -> DataError:
+        """All faults, or the first of many, as one error. ``remedy`` and ``fixes`` are those of any fault."""
+        many = self.total > MAX_LISTED
+        words = [fault.words for fault in self.listed[: _FIRST_LISTED if many else None]]
         return DataError(
-            f"{path}: {self.words}",
-            remedy=f"repair or delete these rows, or leave them out with [data] damaged_rows = 'mask'{self.hint}",
+            f"{path}: {'; '.join([*words, 'and more'] if many else words)}",
+            remedy=f"{remedy}{self.hint}",
             where=Where(path, self.first_row, tuple(self.columns)),
-            fixes=[*self.fixes, Fix("data", "damaged_rows", "mask")],
+            fixes=[*self.fixes, *fixes],
         )
 
     def events(self) -> list[Event]:
@@ -339,48 +348,6 @@ class Faults:
     def rows(self) -> int:
         """Rows with a fault."""
         return sum(count for count, _ in self.kinds.values())
-
-
-def read_lines(
-    faults: Faults,
-    raw: bytes,
-    first: int,
-    form: TextFormat,
-    numeric: tuple[str, ...],
-    label: str | None,
-    missing: tuple[str, ...],
-    most: int | None,
-) -> tuple[dict[str, list[Any]], list[int]]:
-    """Read the needed cells of some lines, the first of which is row ``first``. Stops after more than ``most`` faults.
-
-    Adds to ``faults``. Returns the cells of the good lines by column, and the rows of these lines. A cell is a number, None
-    for a missing value, text for a time stamp or a label.
-    """
-    tokens = {*MISSING, *INFINITE, *missing}
-    places = {name: form.names.index(name) for name in numeric if name != label}
-    values: dict[str, list[Any]] = {name: [] for name in [*places, *([] if label is None else [label])]}
-    rows = []
-    for row, line in enumerate(raw.split(b"\n"), start=first):
-        if most is not None and faults.total > most:
-            break
-        if not line.strip(form.blanks):
-            continue
-        cells = _cells(row, line, form)
-        if isinstance(cells, Fault):
-            faults.add(row, cells)
-            continue
-        read: dict[str, Any] = {name: _value(row, cells[at], form, name, tokens) for name, at in places.items()}
-        bad = [value for value in read.values() if isinstance(value, Fault)]
-        for fault in bad:
-            faults.add(row, fault)
-        if bad:
-            continue
-        if label is not None:
-            read[label] = _unquoted(cells[form.names.index(label)])
-        rows.append(row)
-        for name, value in read.items():
-            values[name].append(value)
-    return values, rows
 
 
 def _cells(row: int, line: bytes, form: TextFormat) -> list[str] | Fault:

@@ -16,7 +16,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from piga.errors import DataError, Fix, Where
+from piga.errors import Fix
+from piga.formats.columns import refusal
 from piga.formats.text.convention import SNIFF_BYTES
 from piga.records.limits import open_regular
 
@@ -35,6 +36,9 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
+_DECLARE, _ENCODING = "add [data] encoding = '...'", (Fix("data", "encoding"),)
+"""What helps where the encoding is not known: in words, and as a key of the run file."""
+_EXPORT = "check that this is the log; export it again"
 _HIGH = re.compile(rb"[\x80-\xff]+")
 
 
@@ -58,14 +62,10 @@ def find_encoding(head: bytes, path: Path, declared: str | None, wanted: Iterabl
         return "utf-8"
     possible = [name for name in GUESSED if _decodes(head, name)]
     if not possible:
-        raise DataError(
-            f"{path}: neither UTF-8 nor GB18030 nor cp1252 text",
-            remedy="add [data] encoding = '...'",
-            where=Where(path),
-            fixes=[Fix("data", "encoding")],
-        )
+        raise refusal(path, "neither UTF-8 nor GB18030 nor cp1252 text", _DECLARE, fixes=_ENCODING)
     names = [name for name in wanted if not name.isascii()]
-    shown = {one: _shown(head, one, names) for one in possible}
+    texts = {one: codecs.getincrementaldecoder(one)().decode(head) for one in possible}
+    shown = {one: sum(name in text for name in names) for one, text in texts.items()}
     best = [one for one in possible if shown[one] == max(shown.values())]
     if len(best) == 1:
         return best[0]
@@ -85,12 +85,8 @@ def _declared(declared: str, path: Path) -> str:
         name = ""
     if name in ENCODINGS:
         return name
-    raise DataError(
-        f"{path}: [data] encoding '{declared[:40]}' is not supported",
-        remedy=f"one of: {', '.join(ENCODINGS)}",
-        where=Where(path),
-        fixes=[Fix("data", "encoding")],
-    )
+    words = f"[data] encoding '{declared[:40]}' is not supported"
+    raise refusal(path, words, f"one of: {', '.join(ENCODINGS)}", fixes=_ENCODING)
 
 
 def _decodes(head: bytes, encoding: str) -> bool:
@@ -101,12 +97,6 @@ def _decodes(head: bytes, encoding: str) -> bool:
     except UnicodeDecodeError:
         return False
     return True
-
-
-def _shown(head: bytes, encoding: str, names: list[str]) -> int:
-    """Number of names that the text holds in this encoding."""
-    text = codecs.getincrementaldecoder(encoding)().decode(head)
-    return sum(name in text for name in names)
 
 
 _MAX_EXPANSION = 200
@@ -152,9 +142,7 @@ class TextSource:
         self.path, self.cut, self._piece = path, False, piece or PIECE_BYTES
         first = next(self._blocks(MAX_HEAD + 1), b"")
         if not first or (len(first) <= MAX_HEAD and first.isspace()):
-            raise DataError(
-                f"{path}: the file is empty", remedy="check that the logger wrote data", where=Where(path)
-            )
+            raise refusal(path, "the file is empty", "check that the logger wrote data")
         self.encoding = find_encoding(first[:SNIFF_BYTES], path, encoding, wanted)
         text = b"".join(self._as_utf8(iter([first[:MAX_HEAD]])))
         self._refuse_utf16(text[:256])
@@ -167,12 +155,8 @@ class TextSource:
         filled = (line for line in lines if line.strip() and not line.lstrip().startswith(b"#"))
         needed = 3 + first_rows  # header, units and first data row, and rows that the run file names
         if not whole and len(list(islice(filled, needed))) < needed:
-            raise DataError(
-                f"{path}: row {len(lines) + 1}: a line too long, or too many comments: header, units and first data row "
-                f"must lie within the first {MAX_HEAD >> 20} MiB",
-                remedy="check that this is the log; export it again",
-                where=Where(path, len(lines) + 1),
-            )
+            words = "a line too long, or too many comments: header, units and first data row must lie within the first"
+            raise refusal(path, f"{words} {MAX_HEAD >> 20} MiB", _EXPORT, row=len(lines) + 1)
 
     def header_bytes(self, skip: int) -> int:
         """Size of the first ``skip`` lines [bytes]."""
@@ -189,11 +173,7 @@ class TextSource:
             end = max(data.rfind(b"\n") + 1, dropped)
             rest = data[end:]
             if len(rest) > MAX_LINE:
-                raise DataError(
-                    f"{self.path}: a line is longer than {MAX_LINE >> 20} MiB",
-                    remedy="check that this is the log; export it again",
-                    where=Where(self.path),
-                )
+                raise refusal(self.path, f"a line is longer than {MAX_LINE >> 20} MiB", _EXPORT)
             if end > dropped:
                 yield data[dropped:end]
         end = rest.rfind(b"\r") + 1
@@ -211,22 +191,14 @@ class TextSource:
                 while block := stream.read(size):
                     total += len(block)
                     if packed and total > limit:
-                        raise DataError(
-                            f"{self.path}: unpacks to more than {_MAX_EXPANSION} times its size",
-                            remedy="unpack it by hand",
-                            where=Where(self.path),
-                        )
+                        words = f"unpacks to more than {_MAX_EXPANSION} times its size"
+                        raise refusal(self.path, words, "unpack it by hand")
                     yield block
         except FileNotFoundError:
-            raise DataError(
-                f"{self.path}: no such file",
-                remedy="[data] file is relative to the run file",
-                where=Where(self.path),
-            ) from None
+            remedy = "[data] file is relative to the run file"
+            raise refusal(self.path, "no such file", remedy) from None
         except (OSError, EOFError, zlib.error) as error:
-            raise DataError(
-                f"{self.path}: cannot be read ({error})", remedy="check the file", where=Where(self.path)
-            ) from None
+            raise refusal(self.path, f"cannot be read ({error})", "check the file") from None
 
     def _as_utf8(self, blocks: Iterator[bytes]) -> Iterator[bytes]:
         """The blocks as UTF-8 without byte-order mark. Valid text before a byte that is no text is given first."""
@@ -245,12 +217,8 @@ class TextSource:
                 decoder.setstate((kept, state))
                 yield decoder.decode(block[:good]).encode("utf-8", errors="surrogatepass")
                 row = lines + block[:good].count(b"\n") + 1
-                raise DataError(
-                    f"{self.path}: row {row}: byte {offset - len(kept) + error.start} is not {self.encoding} text",
-                    remedy="add [data] encoding = '...'",
-                    where=Where(self.path, row),
-                    fixes=[Fix("data", "encoding")],
-                ) from None
+                words = f"byte {offset - len(kept) + error.start} is not {self.encoding} text"
+                raise refusal(self.path, words, _DECLARE, row=row, fixes=_ENCODING) from None
             yield text.removeprefix("\ufeff" if offset == 0 else "").encode("utf-8", errors="surrogatepass")
             offset += len(block)
             lines += block.count(b"\n")
@@ -258,10 +226,7 @@ class TextSource:
     def _refuse_utf16(self, head: bytes) -> None:
         """Refuse text with a NUL in every second byte: it is UTF-16 without byte-order mark."""
         if 0.8 * len(head) < 2 * max(head[::2].count(0), head[1::2].count(0)) and len(head) > 8:
-            raise DataError(
-                f"{self.path}: row 1: {head.count(0)} NUL bytes in the first {len(head)}: UTF-16 without a "
-                "byte-order mark?",
-                remedy="add [data] encoding = 'utf-16-le' (or 'utf-16-be'), or export again",
-                where=Where(self.path, 1),
-                fixes=[Fix("data", "encoding", "utf-16-le"), Fix("data", "encoding", "utf-16-be")],
-            )
+            words = f"{head.count(0)} NUL bytes in the first {len(head)}: UTF-16 without a byte-order mark?"
+            remedy = "add [data] encoding = 'utf-16-le' (or 'utf-16-be'), or export again"
+            fixes = [Fix("data", "encoding", name) for name in ("utf-16-le", "utf-16-be")]
+            raise refusal(self.path, words, remedy, row=1, fixes=fixes)
