@@ -207,6 +207,7 @@ def test_runs_and_compensations_plot(run, cal):
     assert "<svg" in result._repr_html_()
 
 
+@pytest.mark.long
 def test_every_mark_is_drawn():
     x, y = np.arange(1.0, 6.0), np.array([1.0, 2.0, np.nan, 4.0, 3.0])
     marks = ("line", "points", "line+points", "bars", "steps")

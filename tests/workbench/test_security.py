@@ -220,6 +220,7 @@ def test_forms_that_are_none(client: Client) -> None:
     assert client.ask("/record/tumble-a.toml", "POST", b"a=" + b"x" * (3 << 20), origin)[0] == 422
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are listed from /proc")
 @pytest.mark.parametrize(("number", "pause"), [(signal.SIGINT, 0.0), (signal.SIGTERM, 1.0)])
 def test_signals_end_the_server_and_its_jobs(tmp_path: Path, number: int, pause: float) -> None:
@@ -251,6 +252,7 @@ def test_the_address_for_the_browser_is_a_file_of_its_owner(
     assert door.address in path.read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_a_server_at_the_same_address_knows_its_browser_again(tmp_path: Path) -> None:
     first = entered(tmp_path)
     port, cookie = first.client.port, first.client.cookie

@@ -74,6 +74,7 @@ def test_half_requests_keep_nobody_out(client: Client, server: Server) -> None:
 SMALL = "from piga.workbench.pages import record; record.MOST_UPLOAD = 4 << 20; from piga.cli.main import main; main()"
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
 @pytest.mark.parametrize("declared", [True, False])
 def test_an_upload_without_end_is_cut_off(tmp_path: Path, declared: bool) -> None:
@@ -138,6 +139,7 @@ def test_a_name_that_looks_like_an_option_is_refused(client: Client, server: Ser
         Folder(server.folder).path("sub/-x.toml")
 
 
+@pytest.mark.long
 def test_every_page_escapes_what_files_say(tmp_path: Path) -> None:
     run = shipped_record(tmp_path)
     rows = (tmp_path / "tumble-a.csv").read_text(encoding="utf-8").splitlines()
@@ -195,6 +197,7 @@ def test_every_page_escapes_what_files_say(tmp_path: Path) -> None:
         assert running.end() == (0, "")
 
 
+@pytest.mark.long
 @pytest.mark.skipif(os.name == "nt", reason="links and pipes of POSIX")
 def test_a_strangers_folder_neither_hangs_nor_is_left(tmp_path: Path) -> None:
     """Pipes and links in place of results, a sparse file of 20 GiB, names of a hundred Chinese letters."""

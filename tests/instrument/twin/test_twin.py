@@ -120,7 +120,9 @@ def test_motion_agrees_with_the_independent_rigid_body():
 
 
 @pytest.mark.interpreted
-@pytest.mark.parametrize("method", ["DOP853", pytest.param("Radau", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "method", [pytest.param("DOP853", marks=pytest.mark.long), pytest.param("Radau", marks=pytest.mark.slow)]
+)
 def test_ten_seconds_against_scipy(method):
     """1e-9 rad over 10 s, start-up transient and nutation included (0.3 s without compilation)."""
     duration = 0.3 if SLOW_PYTHON else 10.0

@@ -119,6 +119,7 @@ def row_change(chance: random.Random) -> tuple[str, Callable[[sqlite3.Connection
     return kind, change
 
 
+@pytest.mark.long
 def test_store_bytes(memory_path: Path) -> None:
     result = mutate_store_bytes(memory_path, 80, 1)
     assert result["missed"] == 0, result
