@@ -65,8 +65,8 @@ def test_the_budget_lists_every_source_and_their_sum():
     rows = error_budget(published(duration=3600.0, step=10.0), sources)
     assert [r.source for r in rows] == [*sources, "all together"]
     for row in rows:
-        assert row.position_linear == pytest.approx(row.position_full, rel=0.01)
-        assert row.difference < 0.01 * row.position_full
+        assert row.position_linear_m == pytest.approx(row.position_full_m, rel=0.01)
+        assert row.largest_difference_m < 0.01 * row.position_full_m
 
 
 @pytest.mark.parametrize("axis", range(3))

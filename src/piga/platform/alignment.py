@@ -72,8 +72,7 @@ class Alignment(Result):
 
     def start(self, *, with_drift: bool) -> Start:
         """Start of the navigation at the known place, with or without compensation of the estimated drift."""
-        drift = self.drift if with_drift else np.zeros(3)
-        return site_start(self.place.latitude, self.place.longitude, self.place.height, self.triad, drift)
+        return site_start(self.place, self.triad, self.drift if with_drift else np.zeros(3))
 
     def document(self) -> dict[str, Any]:
         """JSON document of ``piga platform align``."""

@@ -75,13 +75,10 @@ def separable(rates: tuple[float, ...], stretch: float) -> bool:
     if len(rates) < 2 or min(rates) <= 0.0:
         return True
     apart = abs(rates[1] - rates[0])
-    beats = [apart * stretch] + ([2.0 * abs(apart - earth.EARTH_RATE) * stretch] if _is_long(stretch) else [])
+    beats = [apart * stretch] + (
+        [2.0 * abs(apart - earth.EARTH_RATE) * stretch] if stretch > _NEIGHBOURS else []
+    )
     return min(beats) >= 2.0 * np.pi
-
-
-def _is_long(stretch: float) -> bool:
-    """True if a stretch [s] is long enough to show the neighbours at ``+- Earth rate``."""
-    return stretch > _NEIGHBOURS
 
 
 @lru_cache(maxsize=4)
@@ -98,7 +95,7 @@ def _line_design(
     others = [2.0 * rate for rate in rates] + [_SCHULER]
     if len(rates) == 2:
         others += [rates[0] + rates[1], abs(rates[0] - rates[1])]
-    if _is_long(n * step):
+    if n * step > _NEIGHBOURS:
         others += [polar - earth.EARTH_RATE, polar + earth.EARTH_RATE] if polar > 0.0 else []
         others += [_SCHULER - foucault, _SCHULER + foucault]
     beat = 2.0 * np.pi / (n * step)
@@ -160,11 +157,8 @@ def theory_note(scenario: PlatformScenario) -> str:
         return "the cases reverse: the closed form of the lines does not hold, and no theory is shown"
     if scenario.motion.kind == "track":
         return "the base changes its place: the closed form of the lines does not hold, and no theory is shown"
-    if scenario.motion.kind == "turn":
-        return (
-            "the base turns: its roll and pitch have no line at the case rate, and no theory of them is shown"
-        )
-    return ""
+    turns = "the base turns: its roll and pitch have no line at the case rate, and no theory of them is shown"
+    return turns if scenario.motion.kind == "turn" else ""
 
 
 def lines_note(scenario: PlatformScenario) -> str:
@@ -173,7 +167,7 @@ def lines_note(scenario: PlatformScenario) -> str:
     if separable(rates, stretch):
         return ""
     periods = " and ".join(f"{2.0 * np.pi / rate:.6g} s" for rate in rates)
-    apart = 2.0 * np.pi / stretch + (2.0 * earth.EARTH_RATE if _is_long(stretch) else 0.0)
+    apart = 2.0 * np.pi / stretch + (2.0 * earth.EARTH_RATE if stretch > _NEIGHBOURS else 0.0)
     wanted = 2.0 * np.pi / max(rates[0] - apart, 0.5 * rates[0])
     return (
         f"the lines of the two cases ({periods}) cannot be told apart within {stretch / 3600.0:g} h: no amplitudes; "
@@ -243,19 +237,13 @@ def _left_about_pole(
     """Amplitudes [rad] at the case ``rates`` [rad/s] of the z angle that the model leaves at ``time``."""
     drift = scenario.equatorial.drift[0] - scenario.polar.drift[1]
     eta = scenario.redundancy + drift * time
-    angle = (2.0 * np.pi / 256) * np.arange(256, dtype=np.float64)
-    left = [
-        _about_pole(scenario.polar, Gyro(), angle, eta),
-        _about_pole(Gyro(), scenario.equatorial, angle, eta),
-    ]
+    left = _about_pole(scenario.polar, scenario.equatorial, eta)
     if model != "none":
         polar, equatorial = knowledge.polar, knowledge.equatorial
         if model != "C":
             polar, equatorial = (Gyro(g.misalignment, g.phase) for g in (polar, equatorial))
-        redundancy = knowledge.eta0 if model == "A" else eta
-        left[0] = left[0] - _about_pole(polar, Gyro(), angle, redundancy)
-        left[1] = left[1] - _about_pole(Gyro(), equatorial, angle, redundancy)
-    orders = [np.fft.fft(part) / 128.0 for part in left]
+        left = left - _about_pole(polar, equatorial, knowledge.eta0 if model == "A" else eta)
+    orders = np.fft.fft(left) / 128.0
     turning = rates if len(rates) == 2 else rates * 2
     return [
         float(np.abs(sum(_at_rate(o, w, rate) for o, w in zip(orders, turning, strict=True)))) for rate in rates
@@ -268,11 +256,12 @@ def _at_rate(orders: NDArray[np.complex128], case: float, rate: float) -> comple
     return complex(orders[order]) if 0 < order < 128 and abs(order * case - rate) <= _ALIKE * rate else 0.0j
 
 
-def _about_pole(polar: Gyro, equatorial: Gyro, encoder: Array, eta: float) -> Array:
-    c1, c2 = encoder + polar.phase, encoder + equatorial.phase
-    return misalignment(equatorial, c2) * np.sin(c2) / np.cos(eta) - misalignment(polar, c1) * np.cos(
-        c1
-    ) * np.tan(eta)
+def _about_pole(polar: Gyro, equatorial: Gyro, eta: float) -> Array:
+    """What each gyro gives to the z angle [rad] over a turn of its case: (2, 256)."""
+    angle = (2.0 * np.pi / 256) * np.arange(256, dtype=np.float64)
+    c1, c2 = angle + polar.phase, angle + equatorial.phase
+    first = -misalignment(polar, c1) * np.cos(c1) * np.tan(eta)
+    return np.stack([first, misalignment(equatorial, c2) * np.sin(c2) / np.cos(eta)])
 
 
 def spectrum(times: Array, values: Array) -> tuple[Array, Array]:

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-import msgspec
 import numpy as np
 
 from piga import doors, earth
@@ -46,7 +45,7 @@ from piga.platform.scenario import Gyro, Model, MotionPlan, PlatformScenario
 from piga.platform.simulate import PlatformRun, number_table, simulate
 from piga.progress import Progress, Steps
 from piga.results import Array, Plotted, Result, finite
-from piga.units import ARCMIN, ARCSEC
+from piga.units import ARCMIN, ARCSEC, G0
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -129,42 +128,25 @@ def sources_of(run: PlatformRun) -> tuple[str, ...]:
     return STATIC_SOURCES if run.truth.motion.at_rest else MOVING_SOURCES
 
 
-def identified(run: PlatformRun, progress: Progress | None = None) -> Identification:
-    """Identification from the calibration stretch of a run."""
-    s = run.scenario
-    stretch, orders = run.readouts.first(s.calibration_time), s.compensation.orders
-    return identify(stretch, s.place, sources=sources_of(run), orders=orders, progress=progress)
-
-
 def prepare(run: PlatformRun, progress: Progress | None = None) -> Preparation:
     """Identify and align as the scenario asks, from readouts of its calibration stretch only."""
     s, c = run.scenario, run.scenario.compensation
-    identification = None
-    notes: list[str] = []
+    stretch, place = run.readouts.first(s.calibration_time), s.place
+    identification, aligned, notes = None, None, [note for note in (lines_note(s), theory_note(s)) if note]
     if c.misalignment == "identified" and s.polar_rotation.rate > 0.0:
-        identification = identified(run, progress)
-        notes += identification.notes
+        identification = identify(stretch, place, sources=sources_of(run), orders=c.orders, progress=progress)
+        notes = [*identification.notes, *notes]
     elif c.misalignment == "identified":
-        notes.append("the cases are at rest: nothing can be identified; the true misalignments are used")
-    notes += [note for note in (lines_note(s), theory_note(s)) if note]
+        notes.insert(0, "the cases are at rest: nothing can be identified; the true misalignments are used")
     knowledge = true_knowledge(s) if identification is None else identification.knowledge
-    aligned = None
     start = true_start(run.truth)
     attitude = c.attitude or ("aligned" if run.truth.motion.at_rest else "true")
     if "aligned" in (attitude, c.drift):
-        aligned = align(
-            run.readouts.first(s.calibration_time), s.place, knowledge, orders=c.orders, progress=progress
-        )
+        aligned = align(stretch, place, knowledge, orders=c.orders, progress=progress)
         if attitude == "aligned":
             start = aligned.start(with_drift=False)
-    drift = _drift(s, aligned)
-    return Preparation(
-        knowledge,
-        Start(start.position, start.velocity, start.triad, drift),
-        identification,
-        aligned,
-        tuple(notes),
-    )
+    start = replace(start, drift=_drift(s, aligned))
+    return Preparation(knowledge, start, identification, aligned, tuple(notes))
 
 
 def _drift(s: PlatformScenario, aligned: Alignment | None) -> Array:
@@ -190,11 +172,6 @@ def run_model(run: PlatformRun, preparation: Preparation, model: Model, *, every
     return ModelRun(made, navigation, error, lines, theory)
 
 
-def _every(scenario: PlatformScenario) -> int:
-    """Steps per row of the navigation: one row a second."""
-    return max(1, round(1.0 / scenario.step))
-
-
 def compare(scenario: PlatformScenario, *, progress: Progress | None = None) -> ModelComparisonRun:
     """Simulate the scenario and navigate it with every model it names.
 
@@ -212,8 +189,7 @@ def compare(scenario: PlatformScenario, *, progress: Progress | None = None) -> 
     run = simulate(scenario)
     steps("identifying and aligning")
     preparation = prepare(run)
-    every = _every(scenario)
-    models = {}
+    models, every = {}, max(1, round(1.0 / scenario.step))  # a row a second
     for m in named:
         steps(f"navigating, model {m}")
         models[m] = run_model(run, preparation, m, every=every)
@@ -245,49 +221,36 @@ def _lines_document(lines: Lines) -> dict[str, Any]:
 # -- error budget --------------------------------------------------------------------------------------------
 
 
-class BudgetRow(
-    msgspec.Struct,
-    frozen=True,
-    rename={
-        "position_linear": "position_linear_m",
-        "position_full": "position_full_m",
-        "velocity_linear": "velocity_linear_m_s",
-        "velocity_full": "velocity_full_m_s",
-        "difference": "largest_difference_m",
-    },
-):
+@dataclass(frozen=True)
+class BudgetRow:
     """One source: largest errors over the run from the linear model and from a full perturbed run.
 
-    ``position`` horizontal [m], ``velocity`` horizontal [m/s]; ``difference`` [m]: largest distance between
-    the two position histories. In JSON the keys end with the unit.
+    Position and velocity are horizontal; ``largest_difference_m`` is the largest distance between the two position
+    histories.
     """
 
     source: str
-    position_linear: float
-    position_full: float
-    velocity_linear: float
-    velocity_full: float
-    difference: float
+    position_linear_m: float
+    position_full_m: float
+    velocity_linear_m_s: float
+    velocity_full_m_s: float
+    largest_difference_m: float
 
 
 def standard_sources(alignment: Alignment | None = None) -> dict[str, Perturbation]:
     """The usual sources, at the size of a good platform. With ``alignment``: the attitude errors have its uncertainties."""
-    tilt = (ARCSEC, ARCSEC, ARCSEC)
-    if alignment is not None:
-        std = alignment.std
-        tilt = (float(std[0]), float(std[1]), float(std[2]))
-    drift = np.radians(1e-5) / 3600.0
-    micro_g = 9.80665e-6
-    return {
-        "triad attitude x": Perturbation(attitude=(tilt[0], 0.0, 0.0)),
-        "triad attitude y": Perturbation(attitude=(0.0, tilt[1], 0.0)),
-        "triad attitude z": Perturbation(attitude=(0.0, 0.0, tilt[2])),
-        "drift x, 1e-5 deg/h": Perturbation(drift=(drift, 0.0, 0.0)),
-        "drift y, 1e-5 deg/h": Perturbation(drift=(0.0, drift, 0.0)),
-        "drift z, 1e-5 deg/h": Perturbation(drift=(0.0, 0.0, drift)),
-        "accelerometer bias x, 1 ug": Perturbation(bias=(micro_g, 0.0, 0.0)),
-        "accelerometer bias y, 1 ug": Perturbation(bias=(0.0, micro_g, 0.0)),
-        "accelerometer bias z, 1 ug": Perturbation(bias=(0.0, 0.0, micro_g)),
+    tilt = [ARCSEC] * 3 if alignment is None else alignment.std[:3].tolist()
+    errors_of = (
+        ("triad attitude {}", "attitude", tilt),
+        ("drift {}, 1e-5 deg/h", "drift", [np.radians(1e-5) / 3600.0] * 3),
+        ("accelerometer bias {}, 1 ug", "bias", [1e-6 * G0] * 3),
+    )
+    axes: dict[str, Perturbation] = {}
+    for label, kind, sizes in errors_of:
+        for k, size in enumerate(sizes):
+            along: dict[str, Any] = {kind: tuple(size if i == k else 0.0 for i in range(3))}
+            axes[label.format("xyz"[k])] = Perturbation(**along)
+    return axes | {
         "reference height, 10 m": Perturbation(height=10.0),
         "start position north, 10 m": Perturbation(position=(10.0, 0.0, 0.0)),
         "start velocity east, 1 mm/s": Perturbation(velocity=(0.0, 1e-3, 0.0)),
@@ -341,24 +304,15 @@ def perturbed_errors(run: PlatformRun, perturbation: Perturbation) -> Errors:
 
 def _row(run: PlatformRun, quiet: Errors, source: str, perturbation: Perturbation) -> BudgetRow:
     full = perturbed_errors(run, perturbation)
-    step = float(full.times[1] - full.times[0])
-    linear = linear_errors(
-        run.scenario.place,
-        perturbation,
-        float(full.times[-1]),
-        step=step,
-        damping_time=run.scenario.damping_time,
-    )[1:]
+    step, damping = float(full.times[1] - full.times[0]), run.scenario.damping_time
+    place, duration = run.scenario.place, float(full.times[-1])
+    linear = linear_errors(place, perturbation, duration, step=step, damping_time=damping)[1:]
     north, east = full.north - quiet.north, full.east - quiet.east
     velocity = full.velocity - quiet.velocity
-    return BudgetRow(
-        source,
-        float(np.hypot(linear[:, 1], linear[:, 2]).max()),
-        float(np.hypot(north, east).max()),
-        float(np.hypot(linear[:, 4], linear[:, 5]).max()),
-        float(np.hypot(velocity[:, 0], velocity[:, 1]).max()),
-        float(np.hypot(north - linear[:, 1], east - linear[:, 2]).max()),
-    )
+    return BudgetRow(source, *(float(np.hypot(a, b).max()) for a, b in (
+        (linear[:, 1], linear[:, 2]), (north, east), (linear[:, 4], linear[:, 5]), (velocity[:, 0], velocity[:, 1]),
+        (north - linear[:, 1], east - linear[:, 2]),
+    )))  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)

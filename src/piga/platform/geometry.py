@@ -153,15 +153,8 @@ def nulled_attitude(
     No small-angle step. Own derivation, docs/theory/platform.md section 2.
     """
     a, b, e = (np.ascontiguousarray(v, dtype=float) for v in np.broadcast_arrays(*np.atleast_1d(c1, c2, eta)))
-    return exact_attitude(over_case_angle(polar), a, over_case_angle(equatorial), b, e)
-
-
-def exact_attitude(
-    polar: Misalignment, c1: Array, equatorial: Misalignment, c2: Array, eta: Array
-) -> tuple[Array, Array]:
-    """As :func:`nulled_attitude`, from misalignments in the form for the kernels; angles (n,)."""
-    attitude, ring = np.empty((c1.size, 3, 3)), np.empty(c1.size)
-    exact_geometry_series(polar, c1, equatorial, c2, eta, attitude, ring)
+    attitude, ring = np.empty((a.size, 3, 3)), np.empty(a.size)
+    exact_geometry_series(over_case_angle(polar), a, over_case_angle(equatorial), b, e, attitude, ring)
     return attitude, ring
 
 
@@ -206,6 +199,13 @@ def turns_to_gimbals(gimbals: ArrayLike, turn: Array) -> Array:
     out[:, 0] = (ss * turn[:, 1] - cs * turn[:, 0]) / st
     out[:, 1] = ss * turn[:, 0] + cs * turn[:, 1]
     out[:, 2] = turn[:, 2] - ct * out[:, 0]
+    return out
+
+
+def halved(nodes: Array) -> Array:
+    """Values at nodes (n, ...) and, between them, in the middle of every step: (2n - 1, ...)."""
+    out = np.empty((2 * len(nodes) - 1, *nodes.shape[1:]))
+    out[::2], out[1::2] = nodes, 0.5 * (nodes[1:] + nodes[:-1])
     return out
 
 

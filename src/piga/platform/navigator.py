@@ -6,7 +6,7 @@ docs/theory/platform.md sections 7 and 9.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from piga.platform.geometry import (
     geodetic_to_earth,
     gravitation,
     gravitation_gradient,
+    halved,
     local_axes,
     small_angles,
     specific_force_at_rest,
@@ -101,8 +102,8 @@ def compensator(
         eta = knowledge.eta0 + knowledge.eta_rate * readouts.times
     else:
         eta = _follow_redundancy(readouts, small_angles(p, e, c1, c2, 0.0)[1], knowledge)
-    nodes, _ = small_angles(p, e, c1, c2, eta)
-    middles, _ = small_angles(p, e, _between(c1), _between(c2), _between(eta))
+    angles, _ = small_angles(p, e, halved(c1), halved(c2), halved(eta))
+    nodes, middles = (np.ascontiguousarray(angles[first::2]) for first in (0, 1))
     return CaseCompensator(model, nodes, middles, eta)
 
 
@@ -274,46 +275,38 @@ def navigate(readouts: Readouts, compensator: CaseCompensator, start: Start, *, 
     return Navigation(compensator.model, times, table, position, velocity)
 
 
-def _between(values: Array) -> Array:
-    return 0.5 * (values[1:] + values[:-1]) if len(values) > 1 else values
-
-
 def errors(navigation: Navigation, truth: Truth, readouts: Readouts) -> Errors:
     """Error of the navigator against the true base motion."""
-    step = navigation.times[1] - navigation.times[0] if len(navigation.times) > 1 else readouts.step
-    every = round(step / readouts.step)
-    node = slice(every, every * len(navigation.times) + 1, every)
-    place, velocity = _cut(truth.motion.place, node), _cut(truth.motion.velocity, node)
-    attitude, shown = _cut(truth.motion.attitude, node), navigation.table
-    radii = _earth_radii(place[:, 0])
-    turn = wrapped(shown[:, 6:9] - attitude)
-    longitude = wrapped(shown[:, 1] - place[:, 1])
-    return Errors(
-        times=navigation.times,
-        north=(shown[:, 0] - place[:, 0]) * (radii[0] + place[:, 2]),
-        east=longitude * (radii[1] + place[:, 2]) * np.cos(place[:, 0]),
-        up=shown[:, 2] - place[:, 2],
-        velocity=shown[:, 3:6] - velocity,
-        attitude=turn,
+    times, shown = navigation.times, navigation.table
+    every = round((times[1] - times[0]) / readouts.step) if len(times) > 1 else 1
+    node = slice(every, every * len(times) + 1, every)
+    place, velocity, attitude = (
+        _cut(v, node) for v in (truth.motion.place, truth.motion.velocity, truth.motion.attitude)
     )
-
-
-def _earth_radii(latitude: Array) -> tuple[Array, Array]:
-    """Meridian and prime-vertical radii of curvature [m] at geodetic latitude [rad]."""
+    latitude, height = place[:, 0], place[:, 2]
     root = np.sqrt(1.0 - earth.ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
     prime = earth.SEMI_MAJOR_AXIS / root
-    return prime * (1.0 - earth.ECCENTRICITY_SQUARED) / root**2, prime
+    meridian = prime * (1.0 - earth.ECCENTRICITY_SQUARED) / root**2
+    return Errors(
+        times=times,
+        north=(shown[:, 0] - latitude) * (meridian + height),
+        east=wrapped(shown[:, 1] - place[:, 1]) * (prime + height) * np.cos(latitude),
+        up=shown[:, 2] - height,
+        velocity=shown[:, 3:6] - velocity,
+        attitude=wrapped(shown[:, 6:9] - attitude),
+    )
 
 
 def true_start(truth: Truth) -> Start:
     """Start from the true position and velocity and the true attitude of the triad; no drift taken out."""
-    position, velocity = truth.motion.start_inertial()
-    return Start(position, velocity, truth.triad_start.T.copy(), np.zeros(3))
+    (latitude, longitude, height), velocity = truth.motion.place[0], truth.motion.velocity[0]
+    start = site_start(Place(latitude, longitude, height), truth.triad_start.T.copy(), np.zeros(3))
+    return replace(start, velocity=local_axes(latitude, longitude) @ velocity + start.velocity)
 
 
-def site_start(latitude: float, longitude: float, height: float, triad: Array, drift: Array) -> Start:
-    """Start of a base at rest at a known place [rad], [m] with an aligned triad ``C_G^i``."""
-    position = geodetic_to_earth(latitude, longitude, height)
+def site_start(place: Place, triad: Array, drift: Array) -> Start:
+    """Start of a base at rest at a known place, with the triad ``C_G^i`` and its drift [rad/s] to take out."""
+    position = geodetic_to_earth(place.latitude, place.longitude, place.height)
     return Start(position, np.cross([0.0, 0.0, earth.EARTH_RATE], position), triad, drift)
 
 
@@ -370,13 +363,12 @@ def _error_dynamics(place: Place, gains: Array) -> Array:
     position = geodetic_to_earth(place.latitude, place.longitude, place.height)
     up = -local_axes(place.latitude, place.longitude)[:, 2]
     one, vertical = np.eye(3), np.outer(up, up)
-    matrix = np.kron(np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]), -skew(np.array([0.0, 0.0, earth.EARTH_RATE])))[
-        :16, :16
-    ]
+    matrix = np.zeros((16, 16))
+    matrix[:15, :15] = np.kron(np.eye(5), -skew(np.array([0.0, 0.0, earth.EARTH_RATE])))
     matrix[:3, :3] -= gains[0] * vertical
     matrix[:3, 3:6], matrix[:3, 15] = one, gains[0] * up
     matrix[3:6, :3] = gravitation_gradient(position) - gains[1] * vertical
     matrix[3:6, 6:9], matrix[3:6, 12:15] = -skew(specific_force_at_rest(position)), one
     matrix[3:6, 15] = gains[1] * up
     matrix[6:9, 9:12] = one
-    return np.asarray(matrix)
+    return matrix

@@ -29,10 +29,10 @@ from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.platform.geometry import (
     encoder_harmonics,
-    exact_attitude,
     geodetic_to_earth,
     gimbal_attitude,
-    over_case_angle,
+    halved,
+    nulled_attitude,
     specific_force_at_rest,
     turns_to_gimbals,
     wrapped,
@@ -118,9 +118,9 @@ class Unknowns(Result):
 
     def platform(self, times: Array, encoder1: Array, encoder2: Array) -> tuple[Array, Array]:
         """Exact ``C_G^P`` (n, 3, 3) and pick-off (n,) [rad]."""
-        polar, equatorial = over_case_angle(self.polar.gyro()), over_case_angle(self.equatorial.gyro())
-        c1, c2 = encoder1 + self.polar.phase, encoder2 + self.equatorial.phase
-        return exact_attitude(polar, c1, equatorial, c2, self.eta0 + self.eta_rate * times)
+        polar, equatorial = self.polar.gyro(), self.equatorial.gyro()
+        eta = self.eta0 + self.eta_rate * times
+        return nulled_attitude(polar, equatorial, encoder1 + polar.phase, encoder2 + equatorial.phase, eta)
 
     def from_earth(self, attitude: Array, times: Array) -> Array:
         """``C_e^P`` (n, 3, 3) from ``C_G^P``, with the turn of the triad by drift."""
@@ -251,7 +251,7 @@ class _Stretch:
         length of the step does not bias the unknowns. Gyro accelerometers read the platform's own turn too.
         """
         r = self.readouts
-        half = [_halved(v) for v in _nodes(r)]
+        half = [halved(v) for v in _nodes(r)]
         attitude, _ = x.platform(*half)
         force = r.increments / r.step
         undone = np.einsum("nji,nj->ni", attitude[1::2], force)
@@ -285,13 +285,6 @@ def _weighted(values: Array, weights: Array, stride: int) -> Array:
 def _nodes(r: Readouts) -> tuple[Array, Array, Array]:
     """Times and encoder angles of a record."""
     return r.times, r.encoder1, r.encoder2
-
-
-def _halved(nodes: Array) -> Array:
-    """Values at nodes and, between them, in the middle of every step."""
-    out = np.empty(2 * len(nodes) - 1)
-    out[::2], out[1::2] = nodes, 0.5 * (nodes[1:] + nodes[:-1])
-    return out
 
 
 def _simpson(ends: Array, middles: Array) -> Array:
@@ -469,7 +462,7 @@ class ObservedRecord:
     def _rest(self, x: Unknowns) -> Reduced:
         """Rows of the mean specific force over each step, on a base at rest, where it is known."""
         r = self.readouts
-        half = [_halved(v) for v in _nodes(r)]
+        half = [halved(v) for v in _nodes(r)]
         attitude, _ = x.platform(*half)
         felt = x.from_earth(attitude, half[0]) @ self.force_at_rest
         middles = [v[1::2] for v in half]

@@ -26,8 +26,8 @@ from piga.platform.geometry import (
     over_case_angle,
     specific_force_at_rest,
 )
-from piga.platform.scenario import MotionPlan, PigaSensors, PlatformScenario, Sensors
-from piga.results import Array, Plotted, Result, number_column
+from piga.platform.scenario import MotionPlan, PigaSensors, PlatformScenario
+from piga.results import Array, Column, Plotted, Result, arrow_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -59,13 +59,6 @@ class BaseMotion(Result):
         """True if neither place nor attitude changes."""
         return len(self.attitude) == 1 and len(self.place) == 1
 
-    def start_inertial(self) -> tuple[Array, Array]:
-        """Position [m] and velocity [m/s] in inertial axes at time zero."""
-        lat, lon, height = self.place[0]
-        position = geodetic_to_earth(lat, lon, height)
-        spin = np.array([0.0, 0.0, earth.EARTH_RATE])
-        return position, local_axes(lat, lon) @ self.velocity[0] + np.cross(spin, position)
-
 
 def base_motion(scenario: PlatformScenario) -> BaseMotion:
     """Motion of the base for the scenario's time grid.
@@ -78,24 +71,22 @@ def base_motion(scenario: PlatformScenario) -> BaseMotion:
     plan, times = scenario.motion, scenario.step * np.arange(scenario.steps + 1, dtype=np.float64)
     if plan.kind == "track":
         return _track(plan, scenario)
-    place, force, velocity = _around(scenario) if plan.kind == "sway" else _rest(scenario)
+    if plan.kind == "sway":
+        place, force, velocity = _around(scenario)
+    else:
+        at = scenario.place
+        place, velocity = np.array([[at.latitude, at.longitude, at.height]]), np.zeros((1, 3))
+        force = specific_force_at_rest(geodetic_to_earth(*place.T))
     return BaseMotion(force, _attitude(plan, times), place, velocity)
 
 
-def _rest(scenario: PlatformScenario) -> tuple[Array, Array, Array]:
-    at = scenario.place
-    position = geodetic_to_earth(at.latitude, at.longitude, at.height)
-    place = np.array([[at.latitude, at.longitude, at.height]])
-    return place, specific_force_at_rest(position)[None, :], np.zeros((1, 3))
-
-
 def _attitude(plan: MotionPlan, times: Array) -> Array:
+    """Roll, pitch, heading [rad]: (n, 3), or (1, 3) if they stay."""
     start = np.array([[plan.roll, plan.pitch, plan.heading]])
     if plan.kind == "turn":
-        heading = np.arctan2(
-            np.sin(plan.heading + plan.turn_rate * times), np.cos(plan.heading + plan.turn_rate * times)
-        )
-        return np.stack([np.full_like(times, plan.roll), np.full_like(times, plan.pitch), heading], axis=1)
+        turned = np.outer(plan.turn_rate * times, [0.0, 0.0, 1.0]) + start
+        turned[:, 2] = np.arctan2(np.sin(turned[:, 2]), np.cos(turned[:, 2]))
+        return turned
     if plan.kind == "sway":
         sway = (plan.roll_sway, plan.pitch_sway, plan.heading_sway)
         return start + np.stack([o.amplitude * np.sin(2.0 * np.pi / o.period * times) for o in sway], axis=1)
@@ -284,17 +275,9 @@ class Readouts(Result):
 
     def between(self, first: int, last: int) -> Readouts:
         """The readouts from node ``first`` to node ``last``."""
-        node = slice(first, last + 1)
-        return replace(
-            self,
-            times=self.times[node],
-            increments=self.increments[first:last],
-            gimbals=self.gimbals[node],
-            pickoff=self.pickoff[node],
-            encoder1=self.encoder1[node],
-            encoder2=self.encoder2[node],
-            altitude=self.altitude[node] if len(self.altitude) > 1 else self.altitude,
-        )
+        cut = ["times", "gimbals", "pickoff", "encoder1", "encoder2", *["altitude"] * (len(self.altitude) > 1)]
+        nodes = {name: getattr(self, name)[first : last + 1] for name in cut}
+        return replace(self, increments=self.increments[first:last], **nodes)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -398,21 +381,17 @@ def _read(
         pickoff=_noisy(ring, sensors.pickoff_noise, sensors.pickoff_quantisation, streams[2]),
         encoder1=encoder_angle(s.polar_rotation, times),
         encoder2=encoder_angle(s.equatorial_rotation, times),
-        altitude=_altitude(sensors, height, len(times), streams[3]),
+        altitude=_noisy(height, sensors.altitude_noise, 0.0, streams[3], len(times)),
         turn_sensitivity=1.0 / sensors.piga.scale_factor if sensors.pigas else 0.0,
     )
 
 
-def _altitude(sensors: Sensors, height: Array, rows: int, stream: np.random.Generator) -> Array:
-    if sensors.altitude_noise == 0.0:
-        return height
-    return height + sensors.altitude_noise * stream.standard_normal(rows)
-
-
-def _noisy(values: Array, sigma: float, quantum: float, stream: np.random.Generator) -> Array:
-    """Values with white noise, then rounded to the quantum; zero leaves them as they are."""
+def _noisy(
+    values: Array, sigma: float, quantum: float, stream: np.random.Generator, rows: int | None = None
+) -> Array:
+    """Values with white noise, then rounded to the quantum; zero leaves them as they are. ``rows`` of a single value."""
     if sigma > 0.0:
-        values = values + sigma * stream.standard_normal(values.shape)
+        values = values + sigma * stream.standard_normal(rows or values.shape)
     return np.round(values / quantum) * quantum if quantum > 0.0 else values
 
 
@@ -424,19 +403,14 @@ def _pulses(increments: Array, quantum: float) -> Array:
     return np.diff(total, axis=0, prepend=0.0)
 
 
-# -- tables of a run --------------------------------------------------------------------------------------
-
-
 def number_table(*columns: tuple[str, str, Array]) -> pa.Table:
     """A table of numbers: names of the columns, their unit (kept in the metadata), values (n,), (n, k) or a single row."""
-    import pyarrow as pa
-
-    rows, fields, arrays = len(columns[0][2]), [], []
+    rows = len(columns[0][2])
+    table: dict[str, Column] = {}
     for names, unit, values in columns:
-        table = np.broadcast_to(values.reshape(len(values), -1), (rows, len(names.split())))
-        fields += [pa.field(name, pa.float64(), metadata={"unit": unit}) for name in names.split()]
-        arrays += [number_column(column) for column in table.T]
-    return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+        wide = np.broadcast_to(values.reshape(len(values), -1), (rows, len(names.split())))
+        table |= {name: Column(column, unit) for name, column in zip(names.split(), wide.T, strict=True)}
+    return arrow_table(table)
 
 
 def readouts_table(r: Readouts) -> pa.Table:
