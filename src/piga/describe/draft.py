@@ -173,7 +173,8 @@ def _type_words(annotation: Any) -> str:
     """A type in words."""
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return "quantity" if si_unit(annotation) else _type_words(parts[0])
+        plain = si_unit(annotation) and not structs_in(parts[0])
+        return "quantity" if plain else _type_words(parts[0])
     if origin is Literal:
         return " | ".join(f'"{part}"' for part in parts)
     if origin in (Union, UnionType):

@@ -12,6 +12,7 @@ import math
 import os
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -59,15 +60,12 @@ def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArra
     size = math.prod(shape if isinstance(shape, tuple) else (shape,)) * np.dtype(dtype).itemsize
     if size <= LARGE_BYTES:
         return np.empty(shape, dtype)
-    try:
-        with tempfile.TemporaryFile(dir=folder()) as stream:
-            if hasattr(os, "posix_fallocate"):  # now: a write to mapped memory cannot report a full disk
-                os.posix_fallocate(stream.fileno(), 0, size)
-            else:
-                stream.truncate(size)
-            return np.asarray(np.memmap(stream, dtype, "r+", shape=shape))
-    except OSError as error:
-        raise _no_room(error) from None
+    with _room(), tempfile.TemporaryFile(dir=folder()) as stream:
+        if hasattr(os, "posix_fallocate"):  # now: a write to mapped memory cannot report a full disk
+            os.posix_fallocate(stream.fileno(), 0, size)
+        else:
+            stream.truncate(size)
+        return np.asarray(np.memmap(stream, dtype, "r+", shape=shape))
 
 
 def zeros(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
@@ -129,35 +127,20 @@ class ColumnWriter:
         self._parts.append(np.ascontiguousarray(values, self._dtype))
         self._bytes += self._parts[-1].nbytes
         if self._bytes > LARGE_BYTES:
-            self._write()
-
-    def _write(self) -> None:
-        """Move the rows kept so far to the file."""
-        try:
-            if self._stream is None:
-                self._stream = tempfile.TemporaryFile(dir=folder())  # noqa: SIM115 - closed by finish
-            for part in self._parts:
-                self._stream.write(part.data)
+            with _room():
+                if self._stream is None:
+                    self._stream = tempfile.TemporaryFile(dir=folder())  # noqa: SIM115 - closed by finish
+                for part in self._parts:
+                    self._stream.write(part.data)
             self._parts.clear()
-        except OSError as error:
-            raise _no_room(error) from None
 
     def finish(self) -> NDArray[Any]:
-        """All rows.
-
-        Raises
-        ------
-        DataError
-            As :meth:`append`.
-        """
+        """All rows. Raises as :meth:`append`."""
         if self._stream is None:
             return np.concatenate([np.empty(0, self._dtype), *self._parts])
-        try:
-            with self._stream as stream:
-                stream.flush()
-                return np.asarray(np.memmap(stream, self._dtype, "r+"))
-        except OSError as error:
-            raise _no_room(error) from None
+        with _room(), self._stream as stream:
+            stream.flush()
+            return np.asarray(np.memmap(stream, self._dtype, "r+"))
 
     def __del__(self) -> None:
         if self._stream is not None:
@@ -170,8 +153,13 @@ def folder() -> str:
     return usual if "TMPDIR" not in os.environ and os.access(usual, os.W_OK) else tempfile.gettempdir()
 
 
-def _no_room(error: OSError) -> DataError:
-    return DataError(
-        f"{folder()}: no room for the columns of a long record ({error.strerror})",
-        remedy="free about three times the size of the data file there, or name another folder in TMPDIR",
-    )
+@contextmanager
+def _room() -> Iterator[None]:
+    """Turn a full disk into one message."""
+    try:
+        yield
+    except OSError as error:
+        raise DataError(
+            f"{folder()}: no room for the columns of a long record ({error.strerror})",
+            remedy="free about three times the size of the data file there, or name another folder in TMPDIR",
+        ) from None

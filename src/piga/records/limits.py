@@ -48,21 +48,21 @@ def open_regular(
     OSError
         If it does not exist or must not be read.
     """
-    try:
-        _check_status(path, path.stat(), most, wanted, error)
-    except ValueError:
-        raise error(f"{str(path)!r}: is not a file name", remedy=f"name {wanted}") from None
+    status = _regular(path, wanted, error)
+    if most is not None and status.st_size > most:
+        raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}", where=Where(path))
     return path.open("rb")
 
 
-def _check_status(
-    path: Path, status: os.stat_result, most: int | None, wanted: str, error: type[PigaError]
-) -> None:
+def _regular(path: Path, wanted: str, error: type[PigaError]) -> os.stat_result:
+    try:
+        status = path.stat()
+    except ValueError:
+        raise error(f"{str(path)!r}: is not a file name", remedy=f"name {wanted}") from None
     if not stat.S_ISREG(status.st_mode):
         kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
         raise error(f"{path}: is not a regular file, but {kind}", remedy=f"name {wanted}", where=Where(path))
-    if most is not None and status.st_size > most:
-        raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}", where=Where(path))
+    return status
 
 
 def check_regular(path: Path, remedy: str, error: type[PigaError] = DataError) -> os.stat_result:
@@ -74,12 +74,9 @@ def check_regular(path: Path, remedy: str, error: type[PigaError] = DataError) -
         If it is not there, or is a folder, a pipe or a device. One sentence.
     """
     try:
-        status = path.stat()
-    except (OSError, ValueError) as reason:
-        words = getattr(reason, "strerror", None) or "it is not a file name"
-        raise error(f"{path}: cannot be read ({words})", remedy=remedy, where=Where(path)) from None
-    _check_status(path, status, None, f"the file: {remedy}", error)
-    return status
+        return _regular(path, f"the file: {remedy}", error)
+    except OSError as reason:
+        raise error(f"{path}: cannot be read ({reason.strerror})", remedy=remedy, where=Where(path)) from None
 
 
 def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = DataError) -> bytes:

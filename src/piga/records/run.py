@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -485,24 +485,18 @@ class Run(Result, Plotted, Reported, Tabular):
         old, place = np.unique(self.segment_index[index], return_inverse=True)
         quality, gone = self.quality, self.size - index.size
         events = (*quality.events, Event("cut", gone, None, words)) if gone else quality.events
-
-        def taken(values: NDArray[Any] | None) -> NDArray[Any] | None:
-            return None if values is None else np.ascontiguousarray(values[index])
-
+        columns = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        taken: dict[str, Any] = {
+            name: np.ascontiguousarray(values[index])
+            for name, values in columns.items()
+            if isinstance(values, np.ndarray)
+        }
+        taken |= {"segment_index": place.astype(np.int32), "begins": begins}
         return replace(
             self,
-            t=self.t[index],
-            output=self.output[index],
-            f=np.ascontiguousarray(self.f[index]),
-            base_rate=taken(self.base_rate),
-            temperature=taken(self.temperature),
-            vibration=taken(self.vibration),
-            segment_index=place.astype(np.int32),
+            **taken,
             labels=tuple(self.labels[i] for i in old),
-            begins=begins,
             phase_group=tuple(self.phase_group[i] for i in old),
-            row=self.row[index],
-            left_out=taken(self.left_out),
             quality=replace(quality, used=quality.used - gone, masked=quality.masked + gone, events=events),
         )
 

@@ -6,6 +6,8 @@ data: keys, types, units, names of terms, and options that contradict each other
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -32,6 +34,10 @@ def in_unit(unit: str) -> msgspec.Meta:
 Seconds = Annotated[Quantity, in_unit("s")]
 Radians = Annotated[Quantity, in_unit("rad")]
 Hertz = Annotated[Quantity, in_unit("Hz")]
+_PartsPerMillion = Annotated[Quantity | Spread, in_unit("ppm")]
+_MicroG = Annotated[Quantity | Spread, in_unit("ug")]
+_ArcSeconds = Annotated[Quantity | Spread, in_unit("arcsec")]
+_Damping = Annotated[Quantity | Given, in_unit("N m s/rad")]
 
 MOST_HEAD_ROWS = 10_000
 """Largest row number of the header or the units in a text file."""
@@ -79,7 +85,7 @@ class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         ``where`` stands before the key in messages, e.g. ``"[stand] "``.
         """
         values: dict[str, Any] = {}
-        for key, unit in _units_of(type(self)).items():
+        for key, unit in units_of(type(self)).items():
             value, what = getattr(self, key), f"{where}{key}"
             if isinstance(value, tuple):
                 values[key] = tuple(to_si(one, unit, what=what) for one in value)
@@ -89,7 +95,8 @@ class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 @cache
-def _units_of(table: type[TomlTable]) -> dict[str, str]:
+def units_of(table: type[TomlTable]) -> dict[str, str]:
+    """Unit of each key whose type has one (:func:`in_unit`)."""
     return {
         entry.name: note.extra["unit"]
         for entry in msgspec.structs.fields(table)
@@ -105,12 +112,12 @@ class ServoTable(TomlTable, frozen=True):
     The term ``servo`` is then a known part of the model. With ``damping`` (of the float), so is ``servo_damping``.
     """
 
-    integral_gain: Quantity | Given
-    pendulosity: Quantity | Given | None = None
-    angular_momentum: Quantity | Given | None = None
-    proportional_gain: Quantity | Given | None = None
-    rate_gain: Quantity | Given | None = None
-    damping: Quantity | Given | None = None
+    integral_gain: Annotated[Quantity | Given, in_unit("N m/(rad s)")]
+    proportional_gain: Annotated[Quantity | Given, in_unit("N m/rad")] | None = None
+    rate_gain: _Damping | None = None
+    damping: _Damping | None = None
+    pendulosity: Annotated[Quantity | Given, in_unit("kg m")] | None = None
+    angular_momentum: Annotated[Quantity | Given, in_unit("kg m^2/s")] | None = None
 
     def parameters(self) -> tuple[GivenParameter, ...]:
         """The given parameters, in SI.
@@ -122,21 +129,21 @@ class ServoTable(TomlTable, frozen=True):
         """
         given_ones = tuple(
             given_parameter(name, given, like, f"[instrument] servo.{name}")
-            for name, like in _SERVO_UNITS.items()
+            for name, like in units_of(ServoTable).items()
             if (given := getattr(self, name)) is not None
         )
         for entry in given_ones:
             positive = entry.name in ("integral_gain", "pendulosity", "angular_momentum")
-            if entry.value < 0.0 or (positive and entry.value == 0.0):
-                raise RunFileError(
-                    f"[instrument] servo.{entry.name}: must be {'positive' if positive else 'zero or more'}",
-                    remedy="correct the value: the terms of the servo need a servo with integral gain",
-                )
-        if (self.pendulosity is None) == (self.angular_momentum is None):
-            raise RunFileError(
-                "[instrument] servo: one of pendulosity and angular_momentum is needed",
-                remedy="give exactly one: the pendulosity is scale_factor times the angular momentum",
+            _need(
+                entry.value > 0.0 or (entry.value == 0.0 and not positive),
+                f"[instrument] servo.{entry.name}: must be {'positive' if positive else 'zero or more'}",
+                "correct the value: the terms of the servo need a servo with integral gain",
             )
+        _need(
+            (self.pendulosity is None) != (self.angular_momentum is None),
+            "[instrument] servo: one of pendulosity and angular_momentum is needed",
+            "give exactly one: the pendulosity is scale_factor times the angular momentum",
+        )
         return given_ones
 
 
@@ -227,12 +234,12 @@ class DataTable(TomlTable, frozen=True):
 
     file: str
     output: OutputColumn
-    reference: Columns | None = None
+    reference: Annotated[Columns, in_unit("g")] | None = None
     time: TimeColumn | None = None
-    sample_rate: Quantity | None = None
-    base_rate: Columns | None = None
-    temperature: ColumnTable | None = None
-    vibration: ColumnTable | None = None
+    sample_rate: Hertz | None = None
+    base_rate: Annotated[Columns, in_unit("rad/s")] | None = None
+    temperature: Annotated[ColumnTable, in_unit("K")] | None = None
+    vibration: Annotated[ColumnTable, in_unit("m/s^2")] | None = None
     segment: str | PositionColumn | None = None
     settle: Seconds | None = None
     delimiter: str | None = None
@@ -280,8 +287,8 @@ class ModelTable(TomlTable, frozen=True):
     compare: tuple[tuple[str, ...], ...] = ()
     phases: Phases = "shared"
     phase_source: PhaseSource = "output"
-    temperature_reference: Quantity = "20 degC"
-    scale_factor_tolerance: Quantity = "1 %"
+    temperature_reference: Annotated[Quantity, in_unit("K")] = "20 degC"
+    scale_factor_tolerance: Annotated[Quantity, in_unit("%")] = "1 %"
 
     @property
     def tolerance(self) -> float:
@@ -331,15 +338,15 @@ class UncertaintyTable(TomlTable, frozen=True):
     reference_id: str | None = None
     waived: dict[str, str] = {}
 
-    reference_scale: Quantity | Spread | None = None
-    reference_bias: Quantity | Spread | None = None
-    reference_misalignment: Quantity | Spread | None = None
-    gravity: Quantity | Spread | None = None
-    timing: Quantity | Spread | None = None
-    temperature: Quantity | Spread | None = None
-    vibration: Quantity | Spread | None = None
-    reference_repeatability: Quantity | Spread | None = None
-    mounting_repeatability: Quantity | Spread | None = None
+    reference_scale: _PartsPerMillion | None = None
+    reference_bias: _MicroG | None = None
+    reference_misalignment: _ArcSeconds | None = None
+    gravity: _MicroG | None = None
+    timing: _PartsPerMillion | None = None
+    temperature: Annotated[Quantity | Spread, in_unit("K")] | None = None
+    vibration: _MicroG | None = None
+    reference_repeatability: _PartsPerMillion | None = None
+    mounting_repeatability: _ArcSeconds | None = None
     levelling: Any = None
     angle_error: Any = None
     angle_harmonics: Any = None
@@ -356,12 +363,9 @@ class UncertaintyTable(TomlTable, frozen=True):
 
     def of_the_stand(self) -> dict[str, Any]:
         """The stand-specific entries of this table."""
-        own = msgspec.structs.asdict(self)
-        return {
-            name: value
-            for name, value in own.items()
-            if name not in (*UNCERTAINTY_UNITS, "reference_id", "waived") and value is not None
-        }
+        general = (*UNCERTAINTY_UNITS, "reference_id", "waived")
+        entries = msgspec.structs.asdict(self).items()
+        return {name: value for name, value in entries if name not in general and value is not None}
 
 
 class RunFile(TomlTable, frozen=True):
@@ -382,27 +386,7 @@ class RunFile(TomlTable, frozen=True):
         return "count/s" if self.data.output.counted else str(self.data.output.unit)
 
 
-_SERVO_UNITS = {
-    "integral_gain": "N m/(rad s)",
-    "proportional_gain": "N m/rad",
-    "rate_gain": "N m s/rad",
-    "damping": "N m s/rad",
-    "pendulosity": "kg m",
-    "angular_momentum": "kg m^2/s",
-}
-"""Unit in which each servo parameter is reported."""
-
-UNCERTAINTY_UNITS = {
-    "reference_scale": "ppm",
-    "reference_bias": "ug",
-    "reference_misalignment": "arcsec",
-    "gravity": "ug",
-    "timing": "ppm",
-    "temperature": "K",
-    "vibration": "ug",
-    "reference_repeatability": "ppm",
-    "mounting_repeatability": "arcsec",
-}
+UNCERTAINTY_UNITS = units_of(UncertaintyTable)
 """Unit in which each Type B entry is reported. ``timing`` is the relative error of the clock's rate."""
 
 Draw = Literal["reference", "run", "segment"]
@@ -448,6 +432,12 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
     return msgspec.structs.replace(run_file, model=run_file.model.of(run_file.unit))
 
 
+def _need(met: bool, message: str, remedy: str) -> None:
+    """Refuse a file in which this is not met."""
+    if not met:
+        raise RunFileError(message, remedy=remedy)
+
+
 def check_run_file(run_file: RunFile) -> None:
     """Check units, options that contradict each other, and terms.
 
@@ -459,53 +449,159 @@ def check_run_file(run_file: RunFile) -> None:
     if run_file.instrument.serial:
         check_label(run_file.instrument.serial, "[instrument] serial")
     _check_output(run_file)
-    _check_units(run_file)
-    _check_stand(run_file)
-    _check_faults(run_file)
+    _check_quantities(run_file)
+    stated = run_file.uncertainty.of_the_stand()
+    _need(
+        not stated or run_file.stand is not None,
+        f"[uncertainty] {next(iter(stated), '')}: belongs to a stand, but there is no [stand] table",
+        "add [stand] kind = '...', latitude = '...' and its positions or levels",
+    )
+    _check_rows(run_file.data)
     run_file.model.of(run_file.unit)
     for terms in run_file.model.compare:
         check_terms(terms, where="[model] compare", output=run_file.unit)
 
 
-def _check_units(run_file: RunFile) -> None:
-    data, estimation = run_file.data, run_file.estimation
-    what = "[instrument] scale_factor"
-    if scale_factor_in(run_file.instrument.scale_factor, run_file.unit, what) <= 0.0:
-        raise RunFileError(
-            "[instrument] scale_factor: must be positive",
-            remedy="use a positive value; reverse X0 in the reference",
+def _check_output(run_file: RunFile) -> None:
+    data, instrument, output = run_file.data, run_file.instrument, run_file.data.output
+    gyro = instrument.kind == "gyro"
+    if not gyro:
+        _check_direct(run_file)
+    elif output.counted:
+        counts = instrument.counts_per_revolution
+        _need(
+            counts is not None,
+            "[instrument] counts_per_revolution is missing, but [data] output is in counts",
+            "add it",
         )
-    if run_file.instrument.servo is not None:
-        run_file.instrument.servo.parameters()
+        _need(
+            counts is None or _LEAST_COUNTS <= counts <= _MOST_COUNTS,
+            f"[instrument] counts_per_revolution: must be positive, {_LEAST_COUNTS:g} to {_MOST_COUNTS:g}",
+            "correct it",
+        )
+    if output.counted:
+        _need(
+            output.unit in (None, "count", "counts", "1"),
+            f"[data] output: unit '{output.unit}' cannot be used with kind '{output.kind}'",
+            "leave the unit out, or set kind to 'angle' or 'rate'",
+        )
+    else:
+        like = "rad" if output.kind == "angle" else "rad/s"
+        unit = output.unit or ""
+        _need(bool(unit), f"[data] output: kind '{output.kind}' needs a unit", f"add unit = '{like}'")
+        if gyro:
+            conversion_factor(unit, like, what="[data] output")
+        else:
+            check_direct_unit(unit, "[data] output")
+    if output.wraps_at is not None:
+        _need(
+            output.kind == "angle",
+            "[data] output: wraps_at is for kind 'angle'",
+            "for counts give [instrument] counter_bits",
+        )
+        _need((output.fold or 0.0) > 0.0, "[data] output: wraps_at must be positive", "e.g. '360 deg'")
+    bits = instrument.counter_bits
+    _need(
+        bits is None or 1 <= bits <= 62,
+        f"[instrument] counter_bits: {bits} is outside 1 to 62",
+        "leave it out if it never wraps",
+    )
+    _need(
+        (data.time is None) != (data.sample_rate is None),
+        "[data] needs either time or sample_rate",
+        "e.g. time = { column = 't_s', unit = 's' }",
+    )
+    if data.sample_rate is not None:
+        hertz = to_si(data.sample_rate, "Hz", what="[data] sample_rate")
+        _need(hertz > 0.0, "[data] sample_rate: must be positive", "e.g. '100 Hz'")
+    _need(
+        data.decimal is None or data.decimal != data.delimiter,
+        "[data] decimal and delimiter are the same character",
+        "correct one of them",
+    )
+
+
+def _check_direct(run_file: RunFile) -> None:
+    """Refuse what belongs to the gimbal of a gyro accelerometer."""
+    data, instrument = run_file.data, run_file.instrument
+    belongs = {
+        "[instrument] counts_per_revolution": instrument.counts_per_revolution is not None,
+        "[instrument] servo": instrument.servo is not None,
+        "[data] base_rate": data.base_rate is not None,
+        "[data] output: kind 'angle'": data.output.kind == "angle",
+    }
+    for key, given in belongs.items():
+        _need(
+            not given,
+            f"{key} belongs to a gyro accelerometer, and [instrument] kind is 'direct'",
+            "kind = 'counts', or 'rate' with its unit" if "output" in key else "leave it out",
+        )
+
+
+def check_direct_unit(unit: str, what: str) -> None:
+    """Refuse a unit of the output rate that a direct instrument cannot have: an angle is that of a gimbal.
+
+    Raises
+    ------
+    RunFileError, UnitError
+        The message begins with ``what``.
+    """
+    _need(
+        not parse_unit(unit).dimension[2] and unit != GYRO,
+        f"{what}: unit '{unit}' is that of an angle, and a direct instrument has no gimbal",
+        "declare the unit of its output, e.g. 'V', 'mA' or 'Hz'; or leave [instrument] kind out",
+    )
+
+
+def _check_quantities(run_file: RunFile) -> None:
+    """Check each quantity of the tables, against the unit that its type declares."""
+    data, estimation, instrument = run_file.data, run_file.estimation, run_file.instrument
+    what = "[instrument] scale_factor"
+    _need(
+        scale_factor_in(instrument.scale_factor, run_file.unit, what) > 0.0,
+        f"{what}: must be positive",
+        "use a positive value; reverse X0 in the reference",
+    )
+    if instrument.servo is not None:
+        instrument.servo.parameters()
     if data.time is not None:
-        _check_time(data.time)
-    for name, table, like in (("reference", data.reference, "g"), ("base_rate", data.base_rate, "rad/s")):
-        if table is not None:
-            conversion_factor(table.unit, like, what=f"[data] {name}")
-    if data.temperature is not None:
-        conversion_factor(data.temperature.unit, "K", what="[data] temperature")
-    if data.vibration is not None:
-        conversion_factor(data.vibration.unit, "m/s^2", what="[data] vibration")
-    for name, like in UNCERTAINTY_UNITS.items():
-        value = getattr(run_file.uncertainty, name)
-        if value is not None:
-            standard_uncertainty(value, like, f"[uncertainty] {name}")
+        _need(
+            (data.time.unit is None) != (data.time.stamp is None),
+            "[data] time: give either unit or stamp",
+            "unit = 's' for numbers, stamp = 'iso' or 'DD.MM.YYYY hh:mm:ss.f' for time stamps",
+        )
+        if data.time.unit is not None:
+            conversion_factor(data.time.unit, "s", what="[data] time")
+    _check_table(data, "[data]")
+    _check_table(run_file.uncertainty, "[uncertainty]")
     check_waived(run_file.uncertainty)
-    to_si(run_file.model.temperature_reference, "K", what="[model] temperature_reference")
-    if not run_file.model.tolerance > 0.0:
-        raise RunFileError("[model] scale_factor_tolerance: must be positive", remedy='e.g. "2 %"')
+    _check_table(run_file.model, "[model]")
+    _need(run_file.model.tolerance > 0.0, "[model] scale_factor_tolerance: must be positive", 'e.g. "2 %"')
     count = integral_unit(run_file.unit)
     for name, like in (("angle_rms", count), ("angle_random_walk", f"{count}/sqrt(s)")):
         value = getattr(estimation, name)
-        if value is not None and to_si(value, like, what=f"[estimation] {name}") < 0.0:
-            raise RunFileError(
-                f"[estimation] {name}: '{value}' is negative", remedy="give a standard deviation"
-            )
-    if (estimation.angle_rms is None) != (estimation.angle_random_walk is None):
-        raise RunFileError(
-            "[estimation] angle_rms and angle_random_walk: one of them is missing",
-            remedy="add the other one; write '0 rad' or '0 rad/sqrt(s)' if there is no such noise",
+        _need(
+            value is None or to_si(value, like, what=f"[estimation] {name}") >= 0.0,
+            f"[estimation] {name}: '{value}' is negative",
+            "give a standard deviation",
         )
+    _need(
+        (estimation.angle_rms is None) == (estimation.angle_random_walk is None),
+        "[estimation] angle_rms and angle_random_walk: one of them is missing",
+        "add the other one; write '0 rad' or '0 rad/sqrt(s)' if there is no such noise",
+    )
+
+
+def _check_table(table: TomlTable, where: str) -> None:
+    """Check that each value of a table has a unit of the kind that its type declares (:func:`in_unit`)."""
+    for key, like in units_of(type(table)).items():
+        value, what = getattr(table, key), f"{where} {key}"
+        if isinstance(value, (Columns, ColumnTable)):
+            conversion_factor(value.unit, like, what=what)
+        elif isinstance(table, UncertaintyTable) and value is not None:
+            standard_uncertainty(value, like, what)
+        elif value is not None:
+            to_si(value, like, what=what)
 
 
 ASSUMED_SOURCES = ("earth_rate", "height", "servo")
@@ -520,162 +616,46 @@ def check_waived(uncertainty: UncertaintyTable) -> None:
     RunFileError
         The message names the source.
     """
-    where = "[uncertainty] waived"
-    entries = msgspec.structs.asdict(uncertainty)
-    known = [name for name in entries if name not in ("reference_id", "waived")]
+    where, entries = "[uncertainty] waived", msgspec.structs.asdict(uncertainty)
+    known = (*(name for name in entries if name not in ("reference_id", "waived")), *ASSUMED_SOURCES)
     for name, reason in uncertainty.waived.items():
-        if name not in (*known, *ASSUMED_SOURCES):
-            raise RunFileError(
-                f"{where}: there is no source '{name}'",
-                remedy=f"sources: {', '.join((*known, *ASSUMED_SOURCES))}",
-            )
-        if entries.get(name) is not None:
-            raise RunFileError(f"{where}: '{name}' is stated too", remedy="leave one of the two out")
-        if not reason.strip() or len(reason.splitlines()) > 1:
-            raise RunFileError(
-                f"{where}: '{name}' needs a reason in one line", remedy=f'e.g. waived = {{ {name} = "why" }}'
-            )
-
-
-def _check_time(time: TimeColumn) -> None:
-    if (time.unit is None) == (time.stamp is None):
-        raise RunFileError(
-            "[data] time: give either unit or stamp",
-            remedy="unit = 's' for numbers, stamp = 'iso' or 'DD.MM.YYYY hh:mm:ss.f' for time stamps",
-        )
-    if time.unit is not None:
-        conversion_factor(time.unit, "s", what="[data] time")
-
-
-def _check_output(run_file: RunFile) -> None:
-    data, instrument, output = run_file.data, run_file.instrument, run_file.data.output
-    gyro = instrument.kind == "gyro"
-    if not gyro:
-        _check_direct(run_file)
-    elif output.counted:
-        _check_revolution(instrument.counts_per_revolution)
-    if output.counted:
-        if output.unit not in (None, "count", "counts", "1"):
-            raise RunFileError(
-                f"[data] output: unit '{output.unit}' cannot be used with kind '{output.kind}'",
-                remedy="leave the unit out, or set kind to 'angle' or 'rate'",
-            )
-    else:
-        like = "rad" if output.kind == "angle" else "rad/s"
-        if output.unit is None:
-            raise RunFileError(
-                f"[data] output: kind '{output.kind}' needs a unit", remedy=f"add unit = '{like}'"
-            )
-        if gyro:
-            conversion_factor(output.unit, like, what="[data] output")
-        else:
-            check_direct_unit(output.unit, "[data] output")
-    if output.wraps_at is not None:
-        if output.kind != "angle":
-            raise RunFileError(
-                "[data] output: wraps_at is for kind 'angle'",
-                remedy="for counts give [instrument] counter_bits",
-            )
-        if output.fold is not None and output.fold <= 0.0:
-            raise RunFileError("[data] output: wraps_at must be positive", remedy="e.g. '360 deg'")
-    bits = instrument.counter_bits
-    if bits is not None and not 1 <= bits <= 62:
-        raise RunFileError(
-            f"[instrument] counter_bits: {bits} is outside 1 to 62", remedy="leave it out if it never wraps"
-        )
-    if (data.time is None) == (data.sample_rate is None):
-        raise RunFileError(
-            "[data] needs either time or sample_rate", remedy="e.g. time = { column = 't_s', unit = 's' }"
-        )
-    if data.sample_rate is not None and to_si(data.sample_rate, "Hz", what="[data] sample_rate") <= 0.0:
-        raise RunFileError("[data] sample_rate: must be positive", remedy="e.g. '100 Hz'")
-    if data.decimal is not None and data.decimal == data.delimiter:
-        raise RunFileError("[data] decimal and delimiter are the same character", remedy="correct one of them")
-
-
-def _check_revolution(counts: float | None) -> None:
-    if counts is None:
-        raise RunFileError(
-            "[instrument] counts_per_revolution is missing, but [data] output is in counts", remedy="add it"
-        )
-    if not _LEAST_COUNTS <= counts <= _MOST_COUNTS:
-        raise RunFileError(
-            f"[instrument] counts_per_revolution: must be positive, {_LEAST_COUNTS:g} to {_MOST_COUNTS:g}",
-            remedy="correct it",
+        _need(name in known, f"{where}: there is no source '{name}'", f"sources: {', '.join(known)}")
+        _need(entries.get(name) is None, f"{where}: '{name}' is stated too", "leave one of the two out")
+        _need(
+            bool(reason.strip()) and len(reason.splitlines()) == 1,
+            f"{where}: '{name}' needs a reason in one line",
+            f'e.g. waived = {{ {name} = "why" }}',
         )
 
 
-def _check_direct(run_file: RunFile) -> None:
-    """Refuse what belongs to the gimbal of a gyro accelerometer."""
-    data, instrument = run_file.data, run_file.instrument
-    belongs = {
-        "[instrument] counts_per_revolution": instrument.counts_per_revolution is not None,
-        "[instrument] servo": instrument.servo is not None,
-        "[data] base_rate": data.base_rate is not None,
-        "[data] output: kind 'angle'": data.output.kind == "angle",
-    }
-    for key, given in belongs.items():
-        if given:
-            raise RunFileError(
-                f"{key} belongs to a gyro accelerometer, and [instrument] kind is 'direct'",
-                remedy="kind = 'counts', or 'rate' with its unit" if "output" in key else "leave it out",
-            )
-
-
-def check_direct_unit(unit: str, what: str) -> None:
-    """Refuse a unit of the output rate that a direct instrument cannot have: an angle is that of a gimbal.
-
-    Raises
-    ------
-    RunFileError, UnitError
-        The message begins with ``what``.
-    """
-    if parse_unit(unit).dimension[2] or unit == GYRO:
-        raise RunFileError(
-            f"{what}: unit '{unit}' is that of an angle, and a direct instrument has no gimbal",
-            remedy="declare the unit of its output, e.g. 'V', 'mA' or 'Hz'; or leave [instrument] kind out",
-        )
-
-
-def _check_faults(run_file: RunFile) -> None:
-    data = run_file.data
+def _check_rows(data: DataTable) -> None:
+    """Check what says which rows are read and how."""
+    numbers = data.number_columns()
     for name, (low, high) in (data.range or {}).items():
-        if name not in data.number_columns():
-            raise RunFileError(
-                f"[data] range: '{name}' is not a column in use",
-                remedy=f"columns are: {', '.join(data.number_columns())}",
-            )
-        if not low < high:
-            raise RunFileError(f"[data] range: '{name}': {low:g} is not below {high:g}", remedy="swap them")
-    if data.settle is not None and not to_si(data.settle, "s", what="[data] settle") >= 0.0:
-        raise RunFileError("[data] settle: must be zero or more", remedy="e.g. '20 s'")
-    if data.label_column in data.number_columns():
-        raise RunFileError(
-            f"[data] segment: '{data.segment}' is a number column that is in use already",
-            remedy="name another column for the segments",
+        _need(
+            name in numbers,
+            f"[data] range: '{name}' is not a column in use",
+            f"columns are: {', '.join(numbers)}",
         )
-    if data.sequence is not None and data.sequence.wraps_at is not None and data.sequence.wraps_at < 2:
-        raise RunFileError("[data] sequence: wraps_at must be 2 or more", remedy="e.g. 65536")
+        _need(low < high, f"[data] range: '{name}': {low:g} is not below {high:g}", "swap them")
+    settle = 0.0 if data.settle is None else to_si(data.settle, "s", what="[data] settle")
+    _need(settle >= 0.0, "[data] settle: must be zero or more", "e.g. '20 s'")
+    _need(
+        data.label_column not in numbers,
+        f"[data] segment: '{data.segment}' is a number column that is in use already",
+        "name another column for the segments",
+    )
+    wraps_at = data.sequence.wraps_at if data.sequence else None
+    _need(wraps_at is None or wraps_at >= 2, "[data] sequence: wraps_at must be 2 or more", "e.g. 65536")
     for word in data.missing:
-        if _is_a_number(word):
-            raise RunFileError(
-                f"[data] missing: '{word}' is a number",
-                remedy="a number cannot mark a missing value: use range",
-            )
+        _need(
+            not _is_a_number(word),
+            f"[data] missing: '{word}' is a number",
+            "a number cannot mark a missing value: use range",
+        )
 
 
 def _is_a_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return word.strip().lower() not in ("nan", "inf", "-inf")
-
-
-def _check_stand(run_file: RunFile) -> None:
-    named = run_file.uncertainty.of_the_stand()
-    if named and run_file.stand is None:
-        raise RunFileError(
-            f"[uncertainty] {next(iter(named))}: belongs to a stand, but there is no [stand] table",
-            remedy="add [stand] kind = '...', latitude = '...' and its positions or levels",
-        )
+    with suppress(ValueError):
+        return math.isfinite(float(word))
+    return False

@@ -83,19 +83,16 @@ def scale_factor_in(value: str | float, unit: str, what: str = "scale_factor") -
     UnitError
         If the text has a unit of another kind.
     """
-    number = to_si(value, f"{unit}/g", what=what)
-    return number / parse_unit(unit).factor if isinstance(value, str) else number
+    return _in_unit(value, f"{unit}/g", unit, what)
 
 
 def level_in(value: str | float, unit: str, what: str = "noise") -> float:
-    """A level of the output in this unit, from text with any unit of its kind.
+    """A level of the output in this unit, from text with any unit of its kind. Raises as :func:`scale_factor_in`."""
+    return _in_unit(value, unit, unit, what)
 
-    Raises
-    ------
-    UnitError
-        If the text has a unit of another kind.
-    """
-    number = to_si(value, unit, what=what)
+
+def _in_unit(value: str | float, like: str, unit: str, what: str) -> float:
+    number = to_si(value, like, what=what)
     return number / parse_unit(unit).factor if isinstance(value, str) else number
 
 

@@ -98,9 +98,9 @@ _REMOVED = {
 
 def written_key(raw: bytes, table: str, key: str) -> str:
     """The name that a valid TOML file itself uses for a key: the former one if the file has it."""
-    entries = tomllib.loads(raw.decode("utf-8-sig")).get(table)
+    entries = tomllib.loads(raw.decode("utf-8-sig")).get(table, {})
     former = (old for (place, old), new in RENAMED.items() if (place, new) == (table, key))
-    return next((old for old in former if isinstance(entries, dict) and old in entries), key)
+    return next((old for old in former if old in entries), key)
 
 
 def _with_new_names(path: Path, document: dict[str, Any]) -> dict[str, Any]:
@@ -307,16 +307,10 @@ def toml_key(name: str) -> str:
 
 def toml_value(value: Any) -> str:
     """A value on one line."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(float(value))
+    if isinstance(value, (str, int, float)):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        if not math.isfinite(value):
-            return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
-        return repr(value)
     if isinstance(value, Mapping):
         inside = ", ".join(f"{toml_key(str(name))} = {toml_value(part)}" for name, part in value.items())
         return f"{{ {inside} }}" if inside else "{}"

@@ -15,7 +15,7 @@ import piga
 from piga.records.calibration import BudgetEntry, Diagnostics, Event, Quality
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.document import calibration_to_bytes
-from piga.records.calibration.verdict import THRESHOLDS, verdict
+from piga.records.calibration.verdict import SEPARATED, WELL_SEPARATED, verdict
 from piga.reports.calibration.page import page as calibration_page
 from piga.reports.render.page import page_html, page_text
 from piga.reports.trend import brief as trend_brief
@@ -216,7 +216,7 @@ def test_repr_hides_digits_beyond_the_uncertainty(sound):
 @pytest.mark.parametrize(
     ("change", "words", "grade"),
     [
-        ({"condition": 1.1 * THRESHOLDS.separated}, "hardly separates", "do not use"),
+        ({"condition": 1.1 * SEPARATED}, "hardly separates", "do not use"),
         ({"budget": ()}, TYPE_A_ONLY, "doubt"),
         ({"notes": ("odd",)}, "odd", "doubt"),
     ],
@@ -233,7 +233,7 @@ def test_each_doubt(change, words, grade):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"condition": 1.1 * THRESHOLDS.well_separated}, "hard to separate"),
+        ({"condition": 1.1 * WELL_SEPARATED}, "hard to separate"),
         (
             {"diagnostics": Diagnostics(variance=1.5, verdict="white", ljung_box_probability=0.5)},
             "root mean square of 1.225",

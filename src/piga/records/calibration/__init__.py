@@ -8,18 +8,14 @@ from piga.records.calibration.calibration import (
     RunRecord,
 )
 from piga.records.calibration.coefficient import (
-    LOOSE_PHASE,
     Amount,
     BudgetEntry,
     BudgetTable,
     Coefficient,
-    Level,
-    Number,
     SIValue,
     StandSource,
 )
 from piga.records.calibration.diagnostics import (
-    Count,
     Creep,
     Diagnostics,
     Event,
@@ -36,23 +32,19 @@ from piga.records.calibration.diagnostics import (
 )
 
 __all__ = [
-    "LOOSE_PHASE",
     "Amount",
     "BudgetEntry",
     "BudgetTable",
     "Calibration",
     "CalibrationPlots",
     "Coefficient",
-    "Count",
     "Creep",
     "Diagnostics",
     "Event",
     "Given",
-    "Level",
     "MissingTerm",
     "MonteCarlo",
     "MonteCarloCheck",
-    "Number",
     "Outlier",
     "Provenance",
     "Quality",

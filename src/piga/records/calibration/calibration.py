@@ -6,7 +6,7 @@ JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -263,30 +263,29 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     def table_columns(self) -> dict[str, Column]:
         """The coefficients as a table: one row each, in its own unit and in SI. Segment and run are empty where none is named."""
-        held = self.coefficients
-        texts = {
-            "coefficient": [c.key for c in held],
-            "name": [c.name for c in held],
-            "segment": [c.segment or "" for c in held],
-            "run": [c.run or "" for c in held],
-            "unit": [c.unit for c in held],
-            "unit_si": [c.si.unit for c in held],
+        texts: dict[str, Callable[[Coefficient], str]] = {
+            "coefficient": lambda c: c.key,
+            "name": lambda c: c.name,
+            "segment": lambda c: c.segment or "",
+            "run": lambda c: c.run or "",
+            "unit": lambda c: c.unit,
+            "unit_si": lambda c: c.si.unit,
         }
-        numbers = {
-            "value": [c.value for c in held],
-            "std": [c.std for c in held],
-            "expanded": [c.expanded for c in held],
-            "low": [c.limits[0] for c in held],
-            "high": [c.limits[1] for c in held],
-            "degrees_of_freedom": [c.degrees_of_freedom for c in held],
-            "value_si": [c.value_si for c in held],
-            "std_si": [c.si.std for c in held],
+        numbers: dict[str, tuple[Callable[[Coefficient], float], str]] = {
+            "value": (lambda c: c.value, "as in column unit"),
+            "std": (lambda c: c.std, "as in column unit"),
+            "expanded": (lambda c: c.expanded, "as in column unit"),
+            "low": (lambda c: c.limits[0], "as in column unit"),
+            "high": (lambda c: c.limits[1], "as in column unit"),
+            "degrees_of_freedom": (lambda c: c.degrees_of_freedom, "1"),
+            "value_si": (lambda c: c.value_si, "as in column unit_si"),
+            "std_si": (lambda c: c.si.std, "as in column unit_si"),
         }
-        columns = {name: np.array(values, dtype=object) for name, values in texts.items()}
-        columns |= {name: np.array(values, dtype=float) for name, values in numbers.items()}
-        row_unit = dict.fromkeys(("value", "std", "expanded", "low", "high"), "as in column unit")
-        row_unit |= dict.fromkeys(("value_si", "std_si"), "as in column unit_si")
-        return {name: Column(values, row_unit.get(name, "1")) for name, values in columns.items()}
+        rows = self.coefficients
+        columns = {name: Column(np.array([*map(of, rows)], dtype=object)) for name, of in texts.items()}
+        return columns | {
+            name: Column(np.array([*map(of, rows)], float), unit) for name, (of, unit) in numbers.items()
+        }
 
     def table_notes(self) -> tuple[str, ...]:
         """The remark that uncertainties are of Type A only, where it holds."""

@@ -81,30 +81,17 @@ def is_of_reference(source: str) -> bool:
     return not source.startswith(OF_THE_MODEL)
 
 
-@overload
-def coverage_factor(degrees_of_freedom: float, probability: float = PROBABILITY) -> float: ...
-
-
-@overload
-def coverage_factor(
-    degrees_of_freedom: NDArray[np.float64], probability: float = PROBABILITY
-) -> NDArray[np.float64]: ...
-
-
-def coverage_factor(
-    degrees_of_freedom: float | NDArray[np.float64], probability: float = PROBABILITY
-) -> float | NDArray[np.float64]:
-    """Student's t for a two-sided interval of this probability (JCGM 100, G.3), one number or an array.
+def coverage_factor(degrees_of_freedom: ArrayLike, probability: float = PROBABILITY) -> Any:
+    """Student's t for a two-sided interval of this probability (JCGM 100, G.3): a float, or an array for an array.
 
     Infinite degrees of freedom give the factor of the normal distribution. Zero or unknown degrees of freedom give nan.
     """
     from scipy.special import ndtri, stdtrit
 
-    tail = 0.5 * (1.0 + probability)
-    if isinstance(degrees_of_freedom, np.ndarray):
-        known = np.isinf(degrees_of_freedom)
-        return np.where(known, ndtri(tail), stdtrit(np.where(known, 1.0, degrees_of_freedom), tail))
-    return float(ndtri(tail) if math.isinf(degrees_of_freedom) else stdtrit(degrees_of_freedom, tail))
+    tail, nu = 0.5 * (1.0 + probability), np.asarray(degrees_of_freedom, dtype=float)
+    known = np.isinf(nu)
+    factor = np.where(known, ndtri(tail), stdtrit(np.where(known, 1.0, nu), tail))
+    return float(factor) if factor.ndim == 0 else factor
 
 
 def welch_satterthwaite(components: ArrayLike, degrees: ArrayLike) -> Any:
@@ -165,9 +152,10 @@ class SIValue(float):
         Standard uncertainty, half-width and ends of the 95 % interval, and the SI unit.
     """
 
-    __slots__ = ("_coefficient", "_factor")
-    _coefficient: Coefficient
-    _factor: float
+    std: float
+    expanded: float
+    limits: tuple[float, float]
+    unit: str
 
     def __repr__(self) -> str:
         return f"{float(self)!r} +- {self.std:.2g} {self.unit}"
@@ -176,27 +164,6 @@ class SIValue(float):
     def value(self) -> float:
         """The plain number."""
         return float(self)
-
-    @property
-    def std(self) -> float:
-        """Standard uncertainty."""
-        return self._coefficient.std * self._factor
-
-    @property
-    def expanded(self) -> float:
-        """Half-width of the 95 % interval."""
-        return self._coefficient.expanded * self._factor
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Ends of the 95 % interval."""
-        low, high = self._coefficient.limits
-        return low * self._factor, high * self._factor
-
-    @property
-    def unit(self) -> str:
-        """The SI unit."""
-        return si_unit_of(self._coefficient.name, self._coefficient.unit.removesuffix("/g"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,8 +205,10 @@ class Coefficient(ByValue, Shown):
         ``cal["scale_factor"].si`` compares with ``Run.scale_factor`` [(rad/s)/(m/s^2)].
         """
         factor = si_factor(self.name)
-        number = SIValue(self.value * factor)
-        number._coefficient, number._factor = self, factor
+        number, covered = SIValue(self.value * factor), self.coverage
+        number.std, number.expanded = self.std * factor, covered.half_width * factor
+        number.limits = covered.low * factor, covered.high * factor
+        number.unit = si_unit_of(self.name, self.unit.removesuffix("/g"))
         return number
 
     @property
@@ -417,13 +386,12 @@ class BudgetTable(ByValue, Shown, Tabular):
             "unit": [unit_of(key) for _, key, _ in rows],
         }
         columns = {name: Column(np.array(values, dtype=object)) for name, values in texts.items()}
-        size = np.array(
-            [math.nan if e.standard_uncertainty is None else e.standard_uncertainty.value for e, _, _ in rows]
-        )
-        units = [e.standard_uncertainty.unit if e.standard_uncertainty else "" for e, _, _ in rows]
+        sizes = [entry.standard_uncertainty or Amount(math.nan, "") for entry, _, _ in rows]
         contribution = np.array([value for _, _, value in rows], dtype=float)
         return columns | {
             "contribution": Column(contribution, "as in column unit"),
-            "standard_uncertainty": Column(size, "as in column unit_of_source"),
-            "unit_of_source": Column(np.array(units, dtype=object)),
+            "standard_uncertainty": Column(
+                np.array([size.value for size in sizes]), "as in column unit_of_source"
+            ),
+            "unit_of_source": Column(np.array([size.unit for size in sizes], dtype=object)),
         }

@@ -26,10 +26,10 @@ from piga.records.calibration import (
     Calibration,
     Coefficient,
     Given,
-    Level,
     Provenance,
     Quality,
 )
+from piga.records.calibration.coefficient import Level
 from piga.records.limits import check_label, read_whole
 from piga.records.run_file import PHASE_SOURCES, Method, Phases, PhaseSource, check_direct_unit
 from piga.records.terms import GYRO, check_name, integral_unit, scale_factor_in, si_factor, turns, unit_of

@@ -25,43 +25,23 @@ SLOW_COUNTS = "not white: the output turns by nearly whole counts from sample to
 """Verdict on whitened residuals that are not white where the error of the counts changes slowly."""
 
 
-@dataclass(frozen=True)
-class Thresholds:
-    """Limits of the figures of a calibration (own choices).
-
-    Attributes
-    ----------
-    well_separated, separated:
-        Largest condition numbers [1] of the column-scaled problem for "well separated" and for "separable".
-        The condition number is the largest amplification of relative errors of the reference.
-    residual_rms:
-        Largest deviation [1] of the whitened residual's root mean square from 1 that is called "of size one".
-    used:
-        Least share [1] of used rows that is not mentioned as small.
-    moves:
-        Share [1] of rows not used above which they could move a coefficient by more than u (95 %): the estimate with all
-        rows differs from that with a share 1 - q of them by ``sqrt(q) u`` rms, and ``2 sqrt(q) > 1``.
-    correlated:
-        Correlation [1] of neighbouring whitened residuals above which the variance of their mean is more than twice that of
-        white noise, ``(1 + r)/(1 - r) > 2``.
-    large_residual:
-        Root mean square of the residuals [rad] (one degree) above which a fit must explain something.
-    explains:
-        Ratio [1] of the residuals after and before the fit at which it explains half of their variance.
-    """
-
-    well_separated: float = 1e3
-    separated: float = 1e6
-    residual_rms: float = 0.1
-    used: float = 0.95
-    moves: float = 0.25
-    correlated: float = 1.0 / 3.0
-    large_residual: float = 0.01745
-    explains: float = 0.7071
-
-
-THRESHOLDS = Thresholds()
-
+WELL_SEPARATED, SEPARATED = 1e3, 1e6
+"""Largest condition numbers [1] of the column-scaled problem for "well separated" and for "separable" (own choices). The
+condition number is the largest amplification of relative errors of the reference."""
+RMS_FROM_ONE = 0.1
+"""Largest deviation [1] of the whitened residual's root mean square from 1 that is called "of size one" (own choice)."""
+_USED = 0.95
+"""Least share [1] of used rows that is not mentioned as small (own choice)."""
+_MOVES = 0.25
+"""Share [1] of rows not used above which they could move a coefficient by more than u (95 %): the estimate with all
+rows differs from that with a share 1 - q of them by ``sqrt(q) u`` rms, and ``2 sqrt(q) > 1``."""
+_CORRELATED = 1.0 / 3.0
+"""Correlation [1] of neighbouring whitened residuals above which the variance of their mean is more than twice that of
+white noise, ``(1 + r)/(1 - r) > 2``."""
+_LARGE_RESIDUAL = 0.01745
+"""Root mean square of the residuals [rad] (one degree) above which a fit must explain something (own choice)."""
+_EXPLAINS = 0.7071
+"""Ratio [1] of the residuals after and before the fit at which it explains half of their variance."""
 _NOISE_WORDS = ("drift", "scatter", "not white")
 """A doubt with one of these words warns of the noise of the record."""
 EXAMPLES = 3
@@ -157,15 +137,12 @@ def verdict(calibration: Calibration) -> Verdict:
     statements += _unstated(calibration)
     doubts = [item for item in statements if isinstance(item, Doubt)]
     doubts.sort(key=lambda doubt: not doubt.grave)
-    names = {
-        status: _names(calibration.sources, status) for status in ("stated", "bounded", "unstated", "assumed")
-    }
     return Verdict(
         doubts=tuple(doubts),
         tested=tuple(item for item in statements if isinstance(item, str)),
         not_tested=tuple(_not_tested(calibration)),
-        stated=(*names["stated"], *names["bounded"]),
-        unstated=(*names["unstated"], *names["assumed"]),
+        stated=_names(calibration.sources, "stated", "bounded"),
+        unstated=_names(calibration.sources, "unstated", "assumed"),
     )
 
 
@@ -203,8 +180,8 @@ def _nominal(calibration: Calibration) -> Iterator[str | Doubt]:
 
 def _explained(calibration: Calibration) -> Iterator[str | Doubt]:
     before, after = calibration.residual_rms_before, calibration.residual_rms
-    large = calibration.diagnostics.residual_kind != "angle" or after > THRESHOLDS.large_residual
-    if large and after > THRESHOLDS.explains * before:
+    large = calibration.diagnostics.residual_kind != "angle" or after > _LARGE_RESIDUAL
+    if large and after > _EXPLAINS * before:
         yield Doubt(
             "the fit leaves more than it explains: the reference and the output do not belong together",
             "check the times, the axes and the segments of both",
@@ -241,7 +218,7 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
             if calibration.direct
             else "look for lines in the residuals by revolution order, and for suggested terms"
         )
-        if within and abs(neighbours) > THRESHOLDS.correlated:
+        if within and abs(neighbours) > _CORRELATED:
             size = math.sqrt((1.0 + abs(neighbours)) / max(1.0 - abs(neighbours), 1e-3))
             yield Doubt(
                 f"{what}: intervals from the noise within one position are about {size:.2g} times too small",
@@ -249,7 +226,7 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
             )
         else:
             yield f"{what}: {contained}; {remedy}"
-    if abs(rms - 1.0) <= THRESHOLDS.residual_rms:
+    if abs(rms - 1.0) <= RMS_FROM_ONE:
         yield f"the whitened residuals are of size one ({rms:.3f})"
     elif _by_positions(calibration):
         yield f"the whitened residuals have a root mean square of {rms:.3f} instead of 1: {contained}"
@@ -275,9 +252,9 @@ def _separation(calibration: Calibration) -> Iterator[str | Doubt]:
     """Separation of the coefficients. What it magnifies is in u, or listed by source: only the limit of arithmetic is a doubt."""
     condition = calibration.condition
     shown = f"{condition:.2g}" if math.isfinite(condition) else "infinite"
-    if condition <= THRESHOLDS.well_separated:
+    if condition <= WELL_SEPARATED:
         yield f"the record separates the coefficients (condition number {shown})"
-    elif condition <= THRESHOLDS.separated:
+    elif condition <= SEPARATED:
         yield (
             f"some coefficients are hard to separate (condition number {shown}): the uncertainties contain this, and so do "
             "the effects of the sources; to narrow them leave terms out, or add positions, levels or another kind of run"
@@ -292,7 +269,7 @@ def _separation(calibration: Calibration) -> Iterator[str | Doubt]:
 
 def _rows(calibration: Calibration) -> Iterator[str | Doubt]:
     lost = calibration.quality.lost
-    if lost <= 1.0 - THRESHOLDS.used:
+    if lost <= 1.0 - _USED:
         share = "all" if lost == 0.0 else f"{100.0 * (1.0 - lost):.4g} % of the"
         yield f"{share} rows of the positions were used"
         return
@@ -300,11 +277,11 @@ def _rows(calibration: Calibration) -> Iterator[str | Doubt]:
         f"only {100.0 * (1.0 - lost):.3g} % of the rows were used: the others would move a coefficient by up to "
         f"{2.0 * math.sqrt(lost):.2g} u (95 %)"
     )
-    yield Doubt(what, "see the findings in the data") if lost > THRESHOLDS.moves else what
+    yield Doubt(what, "see the findings in the data") if lost > _MOVES else what
 
 
-def _names(sources: tuple[StandSource, ...], status: str) -> tuple[str, ...]:
-    return tuple(source.name for source in sources if source.status == status)
+def _names(sources: tuple[StandSource, ...], *statuses: str) -> tuple[str, ...]:
+    return tuple(source.name for status in statuses for source in sources if source.status == status)
 
 
 def _unstated(calibration: Calibration) -> Iterator[str | Doubt]:

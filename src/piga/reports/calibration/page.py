@@ -11,7 +11,14 @@ from pathlib import Path
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
-from piga.records.calibration.verdict import COUNTED, THRESHOLDS, Verdict, whitened_rms
+from piga.records.calibration.verdict import (
+    COUNTED,
+    RMS_FROM_ONE,
+    SEPARATED,
+    WELL_SEPARATED,
+    Verdict,
+    whitened_rms,
+)
 from piga.records.terms import integral_unit, meaning_of, shown_output, shown_unit
 from piga.reports.calibration.budget import budget_tables, sensitivity_tables, source_tables
 from piga.reports.calibration.figures import (
@@ -279,8 +286,8 @@ def _freedom_tile(cal: Calibration) -> Tile:
 
 def _condition_tile(cal: Calibration) -> Tile:
     verdicts: tuple[tuple[float, str, Tone], ...] = (
-        (THRESHOLDS.well_separated, "the coefficients are well separated", "good"),
-        (THRESHOLDS.separated, "some coefficients are hard to separate", "doubtful"),
+        (WELL_SEPARATED, "the coefficients are well separated", "good"),
+        (SEPARATED, "some coefficients are hard to separate", "doubtful"),
         (math.inf, "the record hardly separates the coefficients", "bad"),
     )
     words, tone = next((words, tone) for limit, words, tone in verdicts if not cal.condition > limit)
@@ -292,7 +299,7 @@ def _whiteness_tile(cal: Calibration) -> Tile | None:
     if math.isnan(rms):
         return None
     white = cal.diagnostics.verdict in ("white", COUNTED)
-    fits = abs(rms - 1.0) <= THRESHOLDS.residual_rms
+    fits = abs(rms - 1.0) <= RMS_FROM_ONE
     words = (
         "1 expected: the noise levels do not fit"
         if not fits
