@@ -46,7 +46,8 @@ def test_examples_have_the_type_of_their_key() -> None:
     """Each example is accepted by the type of its field."""
     from importlib import import_module
 
-    from piga.describe.draft import structs_in, words_of
+    from piga.describe.draft import words_of
+    from piga.records.text_files import structs_in
 
     def walk(struct: type[msgspec.Struct], seen: set[type]) -> None:
         if struct in seen:

@@ -53,7 +53,7 @@ def test_the_former_name_of_a_key_is_read(tmp_path: Path) -> None:
         (
             "counts_per_revolution = 72000",
             "counts_per_revolution = 72000\ncounter_bits = 99",
-            "outside 1 to 62",
+            r"\[instrument.counter_bits\]: expected a whole number <= 62",
         ),
         ('unit = "s"', 'unit = "deg"', r"\[data\] time: unit 'deg'"),
         ('unit = "g" }', 'unit = "furlong" }', r"\[data\] reference: unknown unit 'furlong'"),
@@ -131,7 +131,10 @@ def test_any_text_is_read_or_refused(tmp_path: Path, text: str) -> None:
         ({"data": "range = { speed = [0.0, 1.0] }"}, "range: 'speed' is not a column in use"),
         ({"data": "range = { fx = [1.0, 0.0] }"}, "range: 'fx': 1 is not below 0"),
         ({"data": 'segment = "fx"'}, "'fx' is a number column that is in use already"),
-        ({"data": 'sequence = { column = "k", wraps_at = 1 }'}, "wraps_at must be 2 or more"),
+        (
+            {"data": 'sequence = { column = "k", wraps_at = 1 }'},
+            r"\[data.sequence.wraps_at\]: expected a whole number >= 2",
+        ),
         ({"data": 'missing = ["-999"]'}, "'-999' is a number"),
         (
             {"model": '[estimation]\nangle_rms = "-1 urad"\nangle_random_walk = "0 rad/sqrt(s)"'},

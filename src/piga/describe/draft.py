@@ -17,7 +17,7 @@ from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from piga.errors import ArgumentError, UnitError
-from piga.records.text_files import toml_text, toml_value
+from piga.records.text_files import si_unit, structs_in, toml_text, toml_value
 from piga.units import to_si
 
 FILES: dict[str, tuple[str, str, str]] = {
@@ -123,15 +123,6 @@ def _below(file: str, struct: Any, path: str, depth: int) -> list[KeyPlace]:
     return result
 
 
-def structs_in(annotation: Any) -> list[Any]:
-    """All tables in a type."""
-    import msgspec
-
-    if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
-        return [annotation]
-    return [struct for part in get_args(annotation) for struct in structs_in(part)]
-
-
 def _default(entry: Any) -> str:
     import msgspec
 
@@ -144,12 +135,6 @@ def _default(entry: Any) -> str:
     if isinstance(entry.default, float) and (unit := si_unit(entry.type)):
         return f"{entry.default:.6g} {unit}".removesuffix(" 1")
     return json.dumps(entry.default, ensure_ascii=False)
-
-
-def si_unit(annotation: Any) -> str:
-    """The unit in which a type keeps a quantity; empty if it has none."""
-    notes = [note for part in (annotation, *get_args(annotation)) for note in getattr(part, "__metadata__", ())]
-    return next((note.extra["unit"] for note in notes if getattr(note, "extra", None)), "")
 
 
 _PLURALS = {

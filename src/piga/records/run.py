@@ -387,34 +387,31 @@ class Run(Result, Plotted, Reported, Tabular):
         (4, 9.80665)
         """
         si = units == "SI"
-        instrument = {
-            "serial": serial,
-            "scale_factor": _told(scale_factor, f"{unit}/(m/s^2)", si),
-            "counts_per_revolution": counts_per_revolution,
-            "counter_bits": counter_bits,
-            "kind": "gyro" if unit == GYRO else "direct",
-        }
-        columns = {
-            "time": None if sample_rate is not None else time,
-            "sample_rate": _told(sample_rate, "Hz", si),
-            "output": output,
-            "kind": kind,
-            "wraps_at": _told(wraps_at, "rad", si),
-            "reference": reference,
-            "base_rate": base_rate,
-            "temperature": temperature,
-            "segment": segment,
-            "unit": unit,
-        }
-        tables: dict[str, object] = {
-            "instrument": instrument,
-            "model": msgspec.to_builtins(_table("model", model, ModelTable).of(unit, "model terms")),
-            "estimation": msgspec.to_builtins(_table("estimation", estimation, EstimationTable)),
-            "uncertainty": msgspec.to_builtins(_table("uncertainty", uncertainty, UncertaintyTable)),
+        described = {
+            "instrument": {
+                "serial": serial,
+                "scale_factor": _told(scale_factor, f"{unit}/(m/s^2)", si),
+                "counts_per_revolution": counts_per_revolution,
+                "counter_bits": counter_bits,
+                "kind": "gyro" if unit == GYRO else "direct",
+            },
+            "data": {
+                "file": "table",
+                "output": {"column": output, "kind": kind, "wraps_at": _told(wraps_at, "rad", si)},
+                "time": None if time is None or sample_rate is not None else {"column": time},
+                "sample_rate": _told(sample_rate, "Hz", si),
+                "reference": None if reference is None else {"columns": reference},
+                "base_rate": None if base_rate is None else {"columns": base_rate},
+                "temperature": None if temperature is None else {"column": temperature},
+                "segment": segment,
+            },
+            "model": _table("model", model, ModelTable).of(unit, "model terms"),
+            "estimation": _table("estimation", estimation, EstimationTable),
+            "uncertainty": _table("uncertainty", uncertainty, UncertaintyTable),
             "stand": stand,
         }
         told = {} if units is None or isinstance(units, str) else dict(units)
-        return doors.run_reference().run_from_table(table, columns, tables, told, si=si)
+        return doors.run_reference().run_from_table(table, described, told, unit, si=si)
 
     def between(self, start: float | str, stop: float | str) -> Run:
         """The samples with ``start <= t <= stop`` [s; or text, e.g. ``"8 min"``], as a run.

@@ -19,7 +19,7 @@ from piga.output import check_results
 from piga.records.distribution import Given, GivenParameter, Spread, given_parameter, standard_uncertainty
 from piga.records.limits import check_label
 from piga.records.terms import GYRO, check_terms, integral_unit, scale_factor_in
-from piga.records.text_files import read_toml
+from piga.records.text_files import read_toml, si_unit
 from piga.units import conversion_factor, parse_unit, to_si
 
 Quantity = str | float | int
@@ -97,13 +97,7 @@ class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 @cache
 def units_of(table: type[TomlTable]) -> dict[str, str]:
     """Unit of each key whose type has one (:func:`in_unit`)."""
-    return {
-        entry.name: note.extra["unit"]
-        for entry in msgspec.structs.fields(table)
-        for part in (entry.type, *get_args(entry.type))
-        for note in getattr(part, "__metadata__", ())
-        if note.extra
-    }
+    return {entry.name: unit for entry in msgspec.structs.fields(table) if (unit := si_unit(entry.type))}
 
 
 class ServoTable(TomlTable, frozen=True):
@@ -157,7 +151,7 @@ class InstrumentTable(TomlTable, frozen=True):
     scale_factor: Quantity
     kind: Literal["gyro", "direct"] = "gyro"
     counts_per_revolution: float | None = None
-    counter_bits: int | None = None
+    counter_bits: Annotated[int, msgspec.Meta(ge=1, le=62)] | None = None
     servo: ServoTable | None = None
 
 
@@ -212,7 +206,7 @@ class SequenceColumn(TomlTable, frozen=True):
     """A sample number that increases by one. ``wraps_at`` is the value at which it returns to zero."""
 
     column: str
-    wraps_at: int | None = None
+    wraps_at: Annotated[int, msgspec.Meta(ge=2)] | None = None
 
 
 class Columns(TomlTable, frozen=True):
@@ -500,12 +494,6 @@ def _check_output(run_file: RunFile) -> None:
             "for counts give [instrument] counter_bits",
         )
         _need((output.fold or 0.0) > 0.0, "[data] output: wraps_at must be positive", "e.g. '360 deg'")
-    bits = instrument.counter_bits
-    _need(
-        bits is None or 1 <= bits <= 62,
-        f"[instrument] counter_bits: {bits} is outside 1 to 62",
-        "leave it out if it never wraps",
-    )
     _need(
         (data.time is None) != (data.sample_rate is None),
         "[data] needs either time or sample_rate",
@@ -645,8 +633,6 @@ def _check_rows(data: DataTable) -> None:
         f"[data] segment: '{data.segment}' is a number column that is in use already",
         "name another column for the segments",
     )
-    wraps_at = data.sequence.wraps_at if data.sequence else None
-    _need(wraps_at is None or wraps_at >= 2, "[data] sequence: wraps_at must be 2 or more", "e.g. 65536")
     for word in data.missing:
         _need(
             not _is_a_number(word),

@@ -39,13 +39,17 @@ def term_words(name: str) -> Term:
     KeyError
         If this is not a term.
     """
-    base = name.split("[", maxsplit=1)[0]
+    base = name.partition("[")[0]
+    if base in TERM_WORDS:
+        return TERM_WORDS[base]
     wave = harmonic(base)
     if wave is None:
-        return TERM_WORDS[base]
-    words = TERM_WORDS[f"{wave[0]}n"]
-    formula = f"{base} {words.formula.partition(' ')[2].replace('n psi', f'{wave[1]} psi')}"
-    return replace(words, formula=formula, meaning=meaning_of(base))
+        raise KeyError(base)
+    kind, order = wave
+    words = HARMONICS[f"{kind}n"]
+    formula = f"{base} {words.formula.partition(' ')[2].replace('n psi', f'{order} psi')}"
+    meaning = f"{'sine' if kind == 's' else 'cosine'} of {order} x output angle"
+    return replace(words, formula=formula, meaning=meaning)
 
 
 GYRO = "rad/s"
@@ -134,10 +138,7 @@ def shown_unit(name: str, unit: str) -> tuple[float, str]:
 
 def unit_of(name: str, output: str = GYRO) -> str:
     """Unit of a coefficient in files; ``name`` may carry a segment in brackets. ``output`` is the unit of the output rate."""
-    base = name.split("[", maxsplit=1)[0]
-    if base == "scale_factor":
-        return f"{output}/g"
-    return "g" if harmonic(base) else UNITS[base]
+    return f"{output}/g" if name.partition("[")[0] == "scale_factor" else term_words(name).unit
 
 
 def si_factor(name: str) -> float:
@@ -161,11 +162,7 @@ def check_name(name: str) -> bool:
 
 def meaning_of(name: str) -> str:
     """Meaning of the coefficient, in words."""
-    base = name.split("[", maxsplit=1)[0]
-    wave = harmonic(base)
-    if wave:
-        return f"{'sine' if wave[0] == 's' else 'cosine'} of {wave[1]} x output angle"
-    return TERMS[base].meaning
+    return term_words(name).meaning
 
 
 def term_names(terms: str | Iterable[str]) -> tuple[str, ...]:

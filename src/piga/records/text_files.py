@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import msgspec
 
@@ -256,17 +256,24 @@ def _field_names(kind: type[msgspec.Struct], keys: list[str], raw: object) -> li
             raw = raw[int(place)] if place.isdigit() and int(place) < len(raw) else None
         tag = raw.get("kind") if isinstance(raw, dict) else None
         fields = {field.encode_name: field.type for field in msgspec.structs.fields(current)}  # type: ignore[arg-type]
-        inside = _structs_of(fields.get(name))
+        inside = structs_in(fields.get(name))
         if not inside:
             return []
         current = next((struct for struct in inside if struct.__struct_config__.tag == tag), inside[0])
     return [field.encode_name for field in msgspec.structs.fields(current)]  # type: ignore[arg-type]
 
 
-def _structs_of(annotation: object) -> list[type[msgspec.Struct]]:
+def structs_in(annotation: Any) -> list[Any]:
+    """All tables in a type."""
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
         return [annotation]
-    return [struct for part in getattr(annotation, "__args__", ()) for struct in _structs_of(part)]
+    return [struct for part in get_args(annotation) for struct in structs_in(part)]
+
+
+def si_unit(annotation: Any) -> str:
+    """The unit that the type of a key declares (:func:`piga.records.run_file.in_unit`); empty if it has none."""
+    notes = [note for part in (annotation, *get_args(annotation)) for note in getattr(part, "__metadata__", ())]
+    return next((note.extra["unit"] for note in notes if getattr(note, "extra", None)), "")
 
 
 class JsonError(ValueError):

@@ -270,14 +270,7 @@ WHERE = Path("table")
 """Name of a table in memory, in messages."""
 REMEDIES = ("name a column of the table", "turn it into numbers first, e.g. with astype(float)")
 """Remedies for a column that is not there, and for one that holds no numbers."""
-SI = {
-    "time": "s",
-    "angle": "rad",
-    "rate": "rad/s",
-    "reference": "m/s^2",
-    "base_rate": "rad/s",
-    "temperature": "K",
-}
+_SI = {"time": "s", "reference": "m/s^2", "base_rate": "rad/s", "temperature": "K"}
 """SI unit of a column, by what it holds."""
 
 
@@ -307,12 +300,12 @@ def _as_arrow(table: object) -> Any:
 
 
 def run_from_table(
-    table: object, columns: dict[str, Any], tables: dict[str, Any], units: dict[str, str], *, si: bool
+    table: object, described: dict[str, Any], units: dict[str, str], unit: str, *, si: bool
 ) -> Run:
     """A run from a table: :meth:`piga.Run.from_dataframe`.
 
-    ``columns`` names the columns by their role, ``tables`` holds the other tables of a run file.
-    ``si``: columns without a unit are SI.
+    ``described`` holds the tables of a run file; the columns of ``[data]`` have no units yet. ``units`` are those of columns,
+    ``unit`` is that of the output rate. ``si``: columns without a unit are SI.
 
     Raises
     ------
@@ -322,24 +315,21 @@ def run_from_table(
         If the columns do not hold what the description says.
     """
     arrow = _as_arrow(table)
-    units_of_table = _stated_units(table, arrow)
-    at = arrow.schema.get_field_index(columns["time"] or "")
-    timed = at >= 0 and is_time(arrow.schema.field(at).type)
-    unknown = [name for name in units if name not in arrow.schema.names]
+    names = arrow.schema.names
+    unknown = [name for name in units if name not in names]
     if unknown:
         raise ArgumentError(
-            f"units: there is no column '{unknown[0]}'",
-            remedy=f"the columns are: {', '.join(arrow.schema.names)}",
+            f"units: there is no column '{unknown[0]}'", remedy=f"the columns are: {', '.join(names)}"
         )
-    if timed and units.get(columns["time"], "s") != "s":
-        raise ArgumentError(
-            f"units: column '{columns['time']}' holds dates or durations", remedy="leave its unit out"
-        )
-    units = units_of_table | units | ({columns["time"]: "s"} if timed else {})
+    time: str = (described["data"]["time"] or {}).get("column", "")
+    if time in names and is_time(arrow.schema.field(time).type):
+        if units.get(time, "s") != "s":
+            raise ArgumentError(f"units: column '{time}' holds dates or durations", remedy="leave its unit out")
+        units |= {time: "s"}
+    units = _stated_units(table, arrow) | units
     try:
-        run_file = msgspec.convert(
-            tables | {"data": _data(columns, units, () if si else arrow.schema.names)}, RunFile
-        )
+        _add_units(described["data"], unit, units, () if si else names)
+        run_file = msgspec.convert(described, RunFile)
         check_run_file(run_file)
         data = run_file.data
         stream = TableStream(WHERE, arrow, data.number_columns(), data.label_column, REMEDIES)
@@ -351,50 +341,43 @@ def run_from_table(
         raise ArgumentError(f"{WHERE}: {error.message}", remedy=error.remedy) from None
 
 
-def _data(columns: dict[str, Any], units: dict[str, str], stated: Sequence[str]) -> dict[str, Any]:
-    """The ``[data]`` table of a run file. The units of the columns ``stated`` must be in ``units``; others are SI."""
+def _add_units(data: dict[str, Any], output: str, units: dict[str, str], stated: Sequence[str]) -> None:
+    """Give the columns of a ``[data]`` table their units. Those of the columns ``stated`` must be in ``units``; others are SI.
 
-    def unit_of(role: str, names: Sequence[str], like: str) -> str:
-        unknown = [name for name in names if name in stated and name not in units and like != "s"]
-        if unknown:
-            raise ArgumentError(
-                f"units: that of column '{unknown[0]}' is not stated",
-                remedy=f"add units={{'{unknown[0]}': '{like}'}}, or units='SI' if all columns are in SI",
-            )
-        several = {units.get(name, like) for name in names}
-        if len(several) > 1:
-            raise ArgumentError(
-                f"{role}: its columns have several units: {', '.join(sorted(several))}", remedy="use one unit"
-            )
-        return several.pop()
-
-    _check_names(columns)
-    kind, name, unit = columns["kind"], columns["output"], columns["unit"]
-    output = {"column": name, "kind": kind, "wraps_at": columns["wraps_at"]}
-    if kind != "counts":
-        output["unit"] = unit_of(kind, [name], SI.get(kind, "rad")) if unit == GYRO else units.get(name, unit)
-    data: dict[str, Any] = {"file": str(WHERE), "output": output}
-    for role in ("time", "temperature"):
-        if columns[role] is not None:
-            data[role] = {"column": columns[role], "unit": unit_of(role, [columns[role]], SI[role])}
-    for role in ("reference", "base_rate"):
-        if columns[role] is not None:
-            data[role] = {"columns": list(columns[role]), "unit": unit_of(role, columns[role], SI[role])}
-    return data | {role: columns[role] for role in ("sample_rate", "segment") if columns[role] is not None}
-
-
-def _check_names(columns: dict[str, Any]) -> None:
-    """Refuse column names that are not text, and a reference or base rate that is not three columns."""
-    for role in ("time", "output", "temperature", "segment", "reference", "base_rate"):
-        names, three = columns[role], role in ("reference", "base_rate")
-        if names is None:
+    Refuses names that are not text, and a reference or base rate that is not three columns.
+    """
+    kind = data["output"]["kind"]
+    likes = {"output": "rad/s" if kind == "rate" else "rad", **_SI, "segment": ""}
+    for role, like in likes.items():
+        entry = data[role]
+        if entry is None:
             continue
+        names, three = entry, role in ("reference", "base_rate")
+        if isinstance(entry, dict):
+            names = entry["columns" if three else "column"]
         listed = [names] if isinstance(names, str) or not three else list(names)
         if len(listed) != (3 if three else 1) or not all(isinstance(name, str) for name in listed):
             raise ArgumentError(
                 f"{role}: {names!r} is not {'three names of columns' if three else 'the name of a column'}",
                 remedy="those along X0, Y0 and Z0, in order" if three else "names are text",
             )
+        if role == "segment" or (role == "output" and kind == "counts"):
+            continue
+        if role == "output" and output != GYRO:
+            entry["unit"] = units.get(names, output)
+            continue
+        unknown = [name for name in listed if name in stated and name not in units and like != "s"]
+        if unknown:
+            raise ArgumentError(
+                f"units: that of column '{unknown[0]}' is not stated",
+                remedy=f"add units={{'{unknown[0]}': '{like}'}}, or units='SI' if all columns are in SI",
+            )
+        several = {units.get(name, like) for name in listed}
+        if len(several) > 1:
+            raise ArgumentError(
+                f"{role}: its columns have several units: {', '.join(sorted(several))}", remedy="use one unit"
+            )
+        entry["unit"] = several.pop()
 
 
 def example_run() -> Run:

@@ -201,12 +201,7 @@ def read_with_digest(path: Path) -> tuple[Calibration, str]:
 def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     """Read a record from the bytes of its file; ``path`` names it in messages. Raises as :func:`read_calibration`."""
     try:
-        document = _decoded(raw)
-        calibration = _calibration(document)
-        wrong = next(_faults(calibration), None)
-        if wrong is not None:
-            raise CalibrationError(wrong, remedy="get the file from its author, or calibrate again")
-        return replace(calibration, covariance=_covariance(document.covariance, calibration))
+        return _calibration(_decoded(raw))
     except (JsonError, msgspec.ValidationError) as error:
         why = str(error).replace("phases", "phase")
         message, remedy = f"not a valid calibration record: {why}", "calibrate again"
@@ -254,21 +249,29 @@ def _tables(document: dict[str, Any], key: str) -> list[dict[str, Any]]:
 
 
 def _calibration(document: Any) -> Calibration:
-    """The record of a document, without its covariance. An output whose unit is an angle is that of a gyro accelerometer."""
+    """The record of a document, after its checks. An output whose unit is an angle is that of a gyro accelerometer."""
     output = document.instrument.scale_factor_nominal.unit.rpartition("/")[0]
     is_angle = not output or parse_unit(output).dimension == parse_unit(GYRO).dimension
     unit = GYRO if is_angle else output
-    units, values = _units(unit), {}
-    for field, (section, key, _) in _PLACES.items():
-        value = getattr(getattr(document, section) if section else document, key)
-        if value is msgspec.UNSET:
-            continue
-        same = field not in units or value.unit == units[field] or not units[field]
-        factor = 1.0 if same else conversion_factor(value.unit, units[field])
-        values[field] = value.value * factor if field in units else value
-    values["scale_factor_nominal"] *= si_factor("scale_factor")
+    stated = {
+        field: getattr(getattr(document, section) if section else document, key)
+        for field, (section, key, _) in _PLACES.items()
+    }
+    stated = {field: value for field, value in stated.items() if value is not msgspec.UNSET}
+    values = {field: value.value if _PLACES[field][2] else value for field, value in stated.items()}
     values["condition"] = math.inf if values["condition"] is None else values["condition"]
-    return Calibration(**values | {"covariance": np.empty((0, 0))}, unit=unit)
+    values["scale_factor_nominal"] *= si_factor("scale_factor")
+    calibration = Calibration(**values | {"covariance": np.empty((0, 0))}, unit=unit)
+    wrong = next(_faults(calibration), None)
+    if wrong is not None:
+        raise CalibrationError(wrong, remedy="get the file from its author, or calibrate again")
+    matrix = _covariance(document.covariance, calibration)
+    scaled = {
+        field: values[field] * conversion_factor(stated[field].unit, like)
+        for field, like in _units(unit).items()
+        if like and field in values and stated[field].unit != like
+    }
+    return replace(calibration, covariance=matrix, **scaled)
 
 
 def _faults(c: Calibration) -> Iterator[str]:
