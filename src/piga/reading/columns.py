@@ -1,7 +1,6 @@
 """The columns of a data file of any format as read, in the units of the file. All chunks are joined.
 
-:func:`open_stream` returns a :class:`~piga.formats.columns.RecordStream`. Its ``chunks()`` are the rows in order, in
-the units of the file. Text and Parquet are read piece by piece. Containers (HDF5, MATLAB, TDMS, XLSX) cannot unpack to
+Text and Parquet are read piece by piece. Containers (HDF5, MATLAB, TDMS, XLSX) cannot unpack to
 more than 2 GiB and are read whole. Results, events and errors do not depend on the size of the pieces.
 """
 
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError, Fix, Where
-from piga.formats.columns import FileChunk, RecordStream
+from piga.formats.columns import FileChunk, RecordStream, refusal
 from piga.records.arrays import ColumnWriter, scaled, stored, taken
 from piga.records.calibration import Event, counted
 from piga.records.limits import (
@@ -50,7 +49,7 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
     path, numeric, segment = folder / data.file, tuple(data.number_columns()), data.label_column
     kind, stamp = file_kind(path), data.time.stamp if data.time else None
     if data.sheet is not None and kind != ".xlsx":
-        raise DataError(f"{path}: [data] sheet is for .xlsx files", remedy="leave it out")
+        raise refusal(path, "[data] sheet is for .xlsx files", "leave it out")
     if kind in TEXT_SUFFIXES:
         from piga.formats.text.convention import HeadRows
 
@@ -69,12 +68,10 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
     units = data.units_row is not None
     for key, given in (("skip_rows", data.skip_rows), ("header_row", data.header_row), ("units_row", units)):
         if given:
-            raise DataError(f"{path}: [data] {key} is for text files", remedy="leave it out")
+            raise refusal(path, f"[data] {key} is for text files", "leave it out")
     if stamp is not None:
-        raise DataError(
-            f"{path}: [data] time: stamp is for text files",
-            remedy="give unit = 's': dates and time stamps of Parquet and XLSX are read as seconds; text in a cell is not",
-        )
+        remedy = "give unit = 's': dates and time stamps of Parquet and XLSX are read as seconds; text in a cell is not"
+        raise refusal(path, "[data] time: stamp is for text files", remedy)
     return columns_stream(path, numeric, segment, data.sheet, data.missing)
 
 
@@ -287,20 +284,13 @@ def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
 
 def _check_labels(path: Path, column: str, labels: Sequence[str]) -> None:
     """Refuse a segment column that does not hold segments."""
-    where = Where(path, columns=(column,))
     if len(labels) > MAX_SEGMENTS:
-        raise DataError(
-            f"{path}: column '{column}' has more than {MAX_SEGMENTS} different segments",
-            remedy="name the column that numbers the positions",
-            where=where,
-        )
+        words = f"column '{column}' has more than {MAX_SEGMENTS} different segments"
+        raise refusal(path, words, "name the column that numbers the positions", column)
     long = next((label for label in labels if len(label) > MOST_NAME_LETTERS), None)
     if long is not None:
-        raise DataError(
-            f"{path}: column '{column}': the label '{long[:40]}...' has {len(long)} characters",
-            remedy=f"use {MOST_NAME_LETTERS} or fewer",
-            where=where,
-        )
+        words = f"column '{column}': the label '{long[:40]}...' has {len(long)} characters"
+        raise refusal(path, words, f"use {MOST_NAME_LETTERS} or fewer", column)
 
 
 def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
@@ -329,9 +319,7 @@ def steady(path: Path, remedy: str) -> Iterator[None]:
     before = _state(path, remedy)
     yield
     if _state(path, remedy) != before:
-        raise DataError(
-            f"{path}: the file changed while it was read", remedy="stop what writes it, then try again"
-        )
+        raise refusal(path, "the file changed while it was read", "stop what writes it, then try again")
 
 
 def _state(path: Path, remedy: str) -> tuple[int, int, int, int]:

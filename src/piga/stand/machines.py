@@ -14,7 +14,7 @@ from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.records.arrays import BLOCK_ROWS
 from piga.results import Array, Result
-from piga.stand.profile import Imperfections, Segment, plan, plan_holds
+from piga.stand.profile import NONE, Imperfections, Segment, plan, plan_holds
 from piga.units import to_si
 
 
@@ -40,17 +40,28 @@ def _small_turn(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:
     return rotation_vector_to_matrix(np.array([x, y, z])).T
 
 
-def _horizontal_axis_frame(site: Site, azimuth: float) -> tuple[Array, Array]:
-    """Up and Earth rate [rad/s] in axes (up, z x up, z) with z horizontal at ``azimuth`` [rad] from north."""
+def _up_and_earth(site: Site, errors: Imperfections, azimuth: float | None) -> tuple[Array, Array]:
+    """Up and Earth rate [rad/s] in the axes of a stand with its levelling error. Its third axis is the one about which it turns.
+
+    ``azimuth`` [rad] from north is that of a horizontal axis z, with axes (up, z x up, z). None: axes (north, west, up).
+    """
     north, up = EARTH_RATE * math.cos(site.latitude), EARTH_RATE * math.sin(site.latitude)
+    if azimuth is None:
+        tilt = _small_turn(*errors.levelling)
+        return tilt @ np.array([0.0, 0.0, 1.0]), tilt @ np.array([north, 0.0, up])
+    tilt = _small_turn(0.0, *errors.levelling[::-1])
     rate = np.array([up, -math.sin(azimuth) * north, math.cos(azimuth) * north])
-    return np.array([1.0, 0.0, 0.0]), rate
+    return tilt @ np.array([1.0, 0.0, 0.0]), tilt @ rate
 
 
-def _vertical_axis_frame(site: Site) -> tuple[Array, Array]:
-    """Up and Earth rate [rad/s] in axes (north, west, up)."""
-    rate = EARTH_RATE * np.array([math.cos(site.latitude), 0.0, math.sin(site.latitude)])
-    return np.array([0.0, 0.0, 1.0]), rate
+def _turned_field(
+    site: Site, errors: Imperfections, azimuth: float | None, angle: Array, rate: Array
+) -> tuple[Array, Array]:
+    """Gravity [m/s^2] and inertial rate [rad/s] in axes that turn with a stand, (n, 3) each, at its ``angle`` and ``rate``."""
+    up, earth = _up_and_earth(site, errors, azimuth)
+    inertial = turned(earth, angle)
+    inertial[:, 2] += rate
+    return (site.local_gravity + errors.gravity) * turned(up, angle), inertial
 
 
 _ALONG_Z = {
@@ -155,12 +166,8 @@ class DividingHead:
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
         angle, rate = self.angle(t, errors)
-        up, earth = _horizontal_axis_frame(self.site, self.azimuth)
-        tilt = _small_turn(0.0, errors.levelling[1], errors.levelling[0])
+        force, base_rate = _turned_field(self.site, errors, self.azimuth, angle, rate)
         roll = axis_turn(0, self.roll)
-        force = (self.site.local_gravity + errors.gravity) * turned(tilt @ up, angle)
-        base_rate = turned(tilt @ earth, angle)
-        base_rate[:, 2] += rate
         return _in_axes(roll, force), _in_axes(roll, base_rate)
 
 
@@ -300,18 +307,14 @@ class Centrifuge(_Spinning):
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
         spin = self.spin.true(t, errors)
-        up, earth = (_small_turn(*errors.levelling) @ v for v in _vertical_axis_frame(self.site))
+        force, rate = _turned_field(self.site, errors, None, spin.angle, spin.rate)
+        earth = _up_and_earth(self.site, errors, None)[1]
         squared = spin.rate**2
         radius = (self.radius + errors.arm_radius) * (1.0 + (self.stretch + errors.arm_stretch) * squared)
-        earth_on_arm = turned(earth, spin.angle)
         coriolis = 2.0 * radius * spin.rate
-        force = np.zeros((t.size, 3))
-        force[:, 0] = radius * squared + coriolis * earth_on_arm[:, 2]
-        force[:, 1] = -radius * spin.acceleration
-        force[:, 2] = -coriolis * earth_on_arm[:, 0]
-        force += (self.site.local_gravity + errors.gravity) * turned(up, spin.angle)
-        rate = earth_on_arm.copy()
-        rate[:, 2] += spin.rate
+        force[:, 0] += radius * squared + coriolis * earth[2]
+        force[:, 1] -= radius * spin.acceleration
+        force[:, 2] -= coriolis * rate[:, 0]
         if self.counter_rotating:
             force, rate = turned(force.T, -spin.angle), np.tile(earth, (t.size, 1))
         turn = axis_turn(0, self.roll) @ axis_turn(2, math.pi if self.outward else 0.0)
@@ -375,28 +378,18 @@ class RateTable(_Spinning):
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
         spin = self.spin.true(t, errors)
-        frame = (
-            _horizontal_axis_frame(self.site, self.azimuth)
-            if self.horizontal
-            else _vertical_axis_frame(self.site)
-        )
-        tilt = (
-            _small_turn(*errors.levelling) if not self.horizontal else _small_turn(0.0, *errors.levelling[::-1])
-        )
-        up, earth = (tilt @ v for v in frame)
+        azimuth = self.azimuth if self.horizontal else None
+        force, rate = _turned_field(self.site, errors, azimuth, spin.angle, spin.rate)
         arm = self.offset + errors.arm_radius
-        force = (self.site.local_gravity + errors.gravity) * turned(up, spin.angle)
         force[:, 0] -= arm * spin.rate**2
         force[:, 1] += arm * spin.acceleration
-        rate = turned(earth, spin.angle)
-        rate[:, 2] += spin.rate
         turn = mount(self.along)
         return _in_axes(turn, force), _in_axes(turn, rate)
 
 
 # -- vibration table: sine dwells, sweeps and random vibration along one axis ------------------------------
 
-_UP_FIRST = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+_UP_FIRST = _ALONG_Z["Y0"]
 _LINES = 256
 
 
@@ -554,9 +547,8 @@ class VibrationTable:
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
         wave, wave_rate, peak = self._drive(t)
-        local_up, local_rate = _horizontal_axis_frame(self.site, 0.0)
         to_base = mount(self.up) @ _UP_FIRST @ _small_turn(0.0, *errors.levelling)
-        up, earth = to_base @ local_up, to_base @ local_rate
+        up, earth = (to_base @ vector for vector in _up_and_earth(self.site, NONE, 0.0))
         along, across = mount(self.axis)[:, 2], mount(self.axis)[:, 0]
         gravity = (self.site.local_gravity + errors.gravity) * up
         force = gravity + np.outer(wave, along + errors.transverse_motion * across)

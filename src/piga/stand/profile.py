@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, DataError, Where
+from piga.formats.columns import refusal
 from piga.frames import rotation_vector_to_matrix
 from piga.reading.columns import columns_stream
 from piga.records.run_file import Columns, ColumnTable
@@ -455,12 +456,11 @@ def _read_columns(path: Path, wanted: list[str]) -> dict[str, Array]:
         stream = columns_stream(path, tuple(wanted))
         chunks = list(stream.chunks())
     except DataError as error:
-        raise DataError(
-            error.message, remedy="[stand] file: give a file with columns of numbers", where=error.where
-        ) from None
+        remedy = "[stand] file: give a file with columns of numbers"
+        raise DataError(error.message, remedy=remedy, where=error.where) from None
     cut = [event for event in stream.events() if event.kind == "truncated-last-line"]
     if cut:
-        raise DataError(f"{path}: {cut[0].detail}", remedy="end the line, or delete it if it was cut off")
+        raise refusal(path, cut[0].detail, "end the line, or delete it if it was cut off")
     columns = {name: np.concatenate([chunk.numbers[name] for chunk in chunks]) for name in wanted}
     for name, values in columns.items():
         gaps = np.flatnonzero(~np.isfinite(values))

@@ -334,9 +334,6 @@ def scenario_of(path: Path, table: ScenarioTable) -> Scenario:
     try:
         if table.instrument.servo is not None:
             table.instrument.servo.parameters()
-    except (RunFileError, UnitError) as error:
-        raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
-    try:
         scenario = Scenario(
             path,
             table,
@@ -346,7 +343,7 @@ def scenario_of(path: Path, table: ScenarioTable) -> Scenario:
             _temperature(table),
         )
         scenario.imperfections(table.run.seed).require(scenario.stand.accepted, scenario.stand.kind)
-    except (ArgumentError, UnitError) as error:
+    except (ArgumentError, RunFileError, UnitError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
     return scenario
 
@@ -419,15 +416,9 @@ def _specimen(table: ScenarioTable) -> Specimen:
                 remedy="leave it out",
             )
         if name not in _MOTION and (name == "phi" or not check_name(name)):
-            keys = [
-                *_MOTION,
-                *(term for term in UNITS if term not in ("phi", *_MOTION)),
-                "s1",
-                "c1",
-                "s2",
-                "...",
-            ]
-            raise ArgumentError(f"[truth]: unknown key '{name}'", remedy=f"known keys: {', '.join(keys)}")
+            keys = dict.fromkeys([*_MOTION, *UNITS, "s1", "c1", "s2", "..."])
+            listed = ", ".join(key for key in keys if key != "phi")
+            raise ArgumentError(f"[truth]: unknown key '{name}'", remedy=f"known keys: {listed}")
     if "beta" in truth and "tan_beta" in truth:
         raise ArgumentError("[truth]: beta and tan_beta are the same thing", remedy="leave one out")
     tangent = to_si(truth.get("tan_beta", 0.0), "1", what="[truth] tan_beta")

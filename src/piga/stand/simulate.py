@@ -32,7 +32,7 @@ from piga.records.run import Run
 from piga.records.run_file import ModelTable
 from piga.records.terms import GYRO
 from piga.results import Array, Plotted, Reported, Result
-from piga.stand.profile import NONE, Imperfections, Profile, Segment, Stand, sample_stand
+from piga.stand.profile import NONE, Imperfections, Profile, Stand, sample_stand
 from piga.units import G0
 
 if TYPE_CHECKING:
@@ -210,7 +210,6 @@ def simulate_test(
     """
     steps = Steps(progress, 3)
     steps("motion of the stand")
-    temperature = temperature or Temperature()
     oversample = _oversample(stand, specimen, electronics, model, step)
     grid = electronics.interval / oversample
     profile = sample_stand(
@@ -222,26 +221,24 @@ def simulate_test(
     )
     steps("motion of the gimbal")
     streams = np.random.default_rng(seed).spawn(5)
-    kelvin = temperature.at(profile.t)
-    recorded = np.array([part.recorded for part in profile.segments])
-    number = np.where(recorded, np.cumsum(recorded) - 1, -1).astype(np.int32)
-    shaking = _vibration_of(number[profile.segment], vibration)
+    kelvin = (temperature or Temperature()).at(profile.t)
+    test, motion = _Felt(specimen, electronics, profile, kelvin, grid, streams), None
     if specimen.direct:
         if model == "twin":
             raise ArgumentError(
                 "model 'twin' is that of a gyro accelerometer, and the instrument is direct",
                 remedy='use model "quasi-steady"',
             )
-        motion = None
-        alpha, rate = _direct(specimen, electronics, profile, kelvin, shaking, grid, streams)
+        recorded = np.array([part.recorded for part in profile.segments])
+        number = np.where(recorded, np.cumsum(recorded) - 1, -1).astype(np.int32)
+        alpha, rate = test.direct(_vibration_of(number[profile.segment], vibration))
     elif model == "twin":
-        motion = _twin_motion(specimen, electronics, profile, kelvin, grid, streams, force=force)
+        motion = test.twin(force=force)
         alpha, rate = motion.alpha, motion.rate
     else:
-        motion = None
-        alpha, rate = _quasi_steady(specimen, electronics, profile, kelvin, grid, streams)
+        alpha, rate = test.quasi_steady()
     steps("reading the output")
-    log, phases = _read(electronics, profile, alpha, rate, kelvin, oversample, imperfections, streams[3])
+    log, phases = test.log(alpha, rate, oversample, imperfections)
     if vibration:
         log = replace(log, vibration=_vibration_of(log.segment, vibration))
     return SimulatedTest(
@@ -288,56 +285,6 @@ def _overshoot(stand: Stand, e: Electronics, errors: Imperfections, grid: float)
     return math.ceil(late / grid) if late > 0.0 else 0
 
 
-def _quasi_steady(
-    specimen: Specimen,
-    e: Electronics,
-    profile: Profile,
-    kelvin: Array,
-    grid: float,
-    streams: list[np.random.Generator],
-) -> tuple[Array, Array]:
-    """Exact motion. The random walk is exact, too: the transverse inputs are turned back by its angle."""
-    density = 0.0 if e.kind == "rate" else e.angle_random_walk
-    walk = random_walk(streams[0], profile.t.size, grid, density)
-    force, base_rate = straightened(profile.force), straightened(profile.base_rate)
-    wander = wandering_bias(e, streams[1], streams[4], profile.t.size, grid)
-    force[:, 0] += wander
-    felt = (force, base_rate)
-    true_force = profile.force.copy()
-    true_force[:, 0] += wander
-    if density:
-        force, base_rate = _walked(force, walk), _walked(base_rate, walk)
-    harmonic_rate = np.zeros(profile.t.size)
-    for _ in range(20):
-        shifted = base_rate.copy()
-        shifted[:, 0] -= harmonic_rate
-        alpha, rate = propagate(
-            specimen.instrument,
-            profile.t,
-            force,
-            shifted,
-            with_rate=True,
-            error_model=specimen.error_model,
-            temperature=kelvin,
-            between="linear",
-        )
-        alpha = alpha + walk
-        new_rate = specimen.instrument.scale_factor * _forces_of_angle(specimen, alpha, *felt)
-        if np.max(np.abs(new_rate - harmonic_rate)) < 1e-15:
-            inst, model = specimen.instrument, specimen.error_model
-            more = inst.scale_factor * (true_force - felt[0]) - (profile.base_rate - felt[1])
-            polynomial = model.specific_force(profile.t, true_force, kelvin) - model.specific_force(
-                profile.t, felt[0], kelvin
-            )
-            return alpha, rate + more[:, 0] + inst.scale_factor * polynomial + inst.tan_beta * (
-                more[:, 1] * np.sin(alpha) - more[:, 2] * np.cos(alpha)
-            )
-        harmonic_rate = new_rate
-    raise ArgumentError(
-        "harmonics or servo terms: too large to be simulated", remedy="they are small corrections, e.g. 1e-5 g"
-    )
-
-
 def _vibration_of(segment: NDArray[np.int32], levels: Sequence[float]) -> Array:
     """Root mean square of the vibration [m/s^2] in each row: the levels by segment, again and again; 0 outside of segments."""
     if not levels:
@@ -345,25 +292,144 @@ def _vibration_of(segment: NDArray[np.int32], levels: Sequence[float]) -> Array:
     return np.where(segment < 0, 0.0, np.array(levels)[segment % len(levels)])
 
 
-def _direct(
-    specimen: Specimen,
-    e: Electronics,
-    profile: Profile,
-    kelvin: Array,
-    shaking: Array,
-    grid: float,
-    streams: list[np.random.Generator],
-) -> tuple[Array, Array]:
-    """Running count and rate of a direct instrument [its unit], (n,) each."""
-    felt, size = profile.force.copy(), profile.t.size
-    felt[:, 0] += wandering_bias(e, streams[1], streams[4], size, grid)
-    force = felt[:, 0] + specimen.error_model.specific_force(profile.t, felt, kelvin)
-    force += specimen.k2v * shaking**2
-    rate = specimen.instrument.scale_factor * force
-    straight = straightened(rate[:, None])[:, 0]
-    count = np.concatenate(([0.0], np.cumsum(0.5 * grid * (straight[1:] + straight[:-1]))))
-    walk = random_walk(streams[0], size, grid, 0.0 if e.kind == "rate" else e.angle_random_walk)
-    return count + walk, rate
+@dataclass(frozen=True)
+class _Felt:
+    """What an instrument feels on the stand, on the grid of the simulation [s]. Its motion and its log are computed from it."""
+
+    specimen: Specimen
+    electronics: Electronics
+    profile: Profile
+    kelvin: Array
+    grid: float
+    streams: list[np.random.Generator]
+
+    def walk(self) -> Array:
+        """Random walk of the output, (n,); a rate has none."""
+        e = self.electronics
+        density = 0.0 if e.kind == "rate" else e.angle_random_walk
+        return random_walk(self.streams[0], self.profile.t.size, self.grid, density)
+
+    def wander(self) -> Array:
+        """Wandering bias along X0 [m/s^2], (n,)."""
+        return wandering_bias(
+            self.electronics, self.streams[1], self.streams[4], self.profile.t.size, self.grid
+        )
+
+    def quasi_steady(self) -> tuple[Array, Array]:
+        """Exact motion. The random walk is exact, too: the transverse inputs are turned back by its angle."""
+        specimen, profile, kelvin, walk = self.specimen, self.profile, self.kelvin, self.walk()
+        force, base_rate = straightened(profile.force), straightened(profile.base_rate)
+        wander = self.wander()
+        force[:, 0] += wander
+        felt = (force, base_rate)
+        true_force = profile.force.copy()
+        true_force[:, 0] += wander
+        if walk.any():
+            force, base_rate = _walked(force, walk), _walked(base_rate, walk)
+        harmonic_rate = np.zeros(profile.t.size)
+        for _ in range(20):
+            shifted = base_rate.copy()
+            shifted[:, 0] -= harmonic_rate
+            alpha, rate = propagate(
+                specimen.instrument,
+                profile.t,
+                force,
+                shifted,
+                with_rate=True,
+                error_model=specimen.error_model,
+                temperature=kelvin,
+                between="linear",
+            )
+            alpha = alpha + walk
+            new_rate = specimen.instrument.scale_factor * _forces_of_angle(specimen, alpha, *felt)
+            if np.max(np.abs(new_rate - harmonic_rate)) < 1e-15:
+                inst, model = specimen.instrument, specimen.error_model
+                more = inst.scale_factor * (true_force - felt[0]) - (profile.base_rate - felt[1])
+                polynomial = model.specific_force(profile.t, true_force, kelvin) - model.specific_force(
+                    profile.t, felt[0], kelvin
+                )
+                return alpha, rate + more[:, 0] + inst.scale_factor * polynomial + inst.tan_beta * (
+                    more[:, 1] * np.sin(alpha) - more[:, 2] * np.cos(alpha)
+                )
+            harmonic_rate = new_rate
+        raise ArgumentError(
+            "harmonics or servo terms: too large to be simulated",
+            remedy="they are small corrections, e.g. 1e-5 g",
+        )
+
+    def direct(self, shaking: Array) -> tuple[Array, Array]:
+        """Running count and rate of a direct instrument [its unit], (n,) each."""
+        specimen, felt = self.specimen, self.profile.force.copy()
+        felt[:, 0] += self.wander()
+        force = felt[:, 0] + specimen.error_model.specific_force(self.profile.t, felt, self.kelvin)
+        force += specimen.k2v * shaking**2
+        rate = specimen.instrument.scale_factor * force
+        straight = straightened(rate[:, None])[:, 0]
+        count = np.concatenate(([0.0], np.cumsum(0.5 * self.grid * (straight[1:] + straight[:-1]))))
+        return count + self.walk(), rate
+
+    def twin(self, *, force: bool) -> TwinMotion:
+        """Motion of rotor, float and servo."""
+        specimen, profile, size, step = self.specimen, self.profile, self.profile.t.size, self.grid
+        p = specimen.design
+        stable = force and analyse_loop(p).stable
+        if not force:
+            require_stable(p)
+            stable = True
+        terms = specimen.error_model
+        if specimen.servo or specimen.servo_damping:
+            raise ArgumentError(
+                "the terms servo and servo_damping cannot be prescribed to the twin: its servo makes them",
+                remedy='set integral_gain and damping in [twin], or use model "quasi-steady"',
+            )
+        if specimen.harmonics or terms.s1 or terms.c1:
+            raise ArgumentError(
+                "harmonics of the gimbal angle cannot be prescribed to the twin: it makes its own",
+                remedy='use model "quasi-steady", or leave s1, c1, s2, ... out',
+            )
+        felt = profile.force.copy()
+        felt[:, 0] += terms.specific_force(profile.t, profile.force, self.kelvin)
+        felt = straightened(felt)
+        felt[:, 0] += self.wander()
+        noise = np.zeros((size, 3))
+        noise[:, 0] = held_noise(self.streams[2], size, step, p.torque_noise)
+        noise[:-1, 1] = -p.angular_momentum * np.diff(self.walk()) / step
+        noise[:, 2] = held_noise(self.streams[2], size, step, p.pick_off_noise)
+        return run_twin(
+            p,
+            profile.t,
+            felt,
+            straightened(profile.base_rate),
+            noise=noise,
+            start=specimen.start if stable else "transient",
+        )
+
+    def log(
+        self, alpha: Array, rate: Array, oversample: int, errors: Imperfections
+    ) -> tuple[Log, tuple[float, ...]]:
+        """The log, and the phase of its output zero per segment."""
+        e, profile = self.electronics, self.profile
+        start = float(profile.t[0])
+        last = round((profile.segments[-1].stop - start) / e.interval)
+        rows = np.arange(last + 1) * oversample
+        rows = rows[profile.recorded[rows]]
+        t = profile.t[rows]
+        instants = sampling_times(e, t - start, errors.timing, self.streams[3]) + start
+        slope = np.gradient(rate, self.grid)
+        angle = interpolate(instants, start, self.grid, alpha, rate)
+        output = read_output(e, angle, interpolate(instants, start, self.grid, rate, slope), self.streams[3])
+        used, place = np.unique(profile.segment[rows], return_inverse=True)
+        segment, labels = place.astype(np.int32), tuple(profile.segments[int(k)].label for k in used)
+        log = Log(
+            t,
+            segment,
+            labels,
+            output,
+            profile.reference[rows],
+            profile.reference_rate[rows],
+            self.kelvin[rows] - errors.temperature,
+        )
+        return log, output_phases(e, angle, output, segment)
 
 
 def straightened(values: Array) -> Array:
@@ -411,91 +477,3 @@ def _harmonic_force(harmonics: Harmonics, alpha: Array) -> Array:
     for order, (sine, cosine) in harmonics.items():
         total += sine * np.sin(order * alpha) + cosine * np.cos(order * alpha)
     return total
-
-
-def _twin_motion(
-    specimen: Specimen,
-    e: Electronics,
-    profile: Profile,
-    kelvin: Array,
-    grid: float,
-    streams: list[np.random.Generator],
-    *,
-    force: bool,
-) -> TwinMotion:
-    p = specimen.design
-    stable = force and analyse_loop(p).stable
-    if not force:
-        require_stable(p)
-        stable = True
-    terms = specimen.error_model
-    if specimen.servo or specimen.servo_damping:
-        raise ArgumentError(
-            "the terms servo and servo_damping cannot be prescribed to the twin: its servo makes them",
-            remedy='set integral_gain and damping in [twin], or use model "quasi-steady"',
-        )
-    if specimen.harmonics or terms.s1 or terms.c1:
-        raise ArgumentError(
-            "harmonics of the gimbal angle cannot be prescribed to the twin: it makes its own",
-            remedy='use model "quasi-steady", or leave s1, c1, s2, ... out',
-        )
-    size = profile.t.size
-    felt = profile.force.copy()
-    felt[:, 0] += terms.specific_force(profile.t, profile.force, kelvin)
-    felt = straightened(felt)
-    felt[:, 0] += wandering_bias(e, streams[1], streams[4], size, grid)
-    noise = np.zeros((size, 3))
-    noise[:, 0] = held_noise(streams[2], size, grid, p.torque_noise)
-    if e.kind != "rate":
-        walk = random_walk(streams[0], size, grid, e.angle_random_walk)
-        noise[:-1, 1] = -p.angular_momentum * np.diff(walk) / grid
-    noise[:, 2] = held_noise(streams[2], size, grid, p.pick_off_noise)
-    return run_twin(
-        p,
-        profile.t,
-        felt,
-        straightened(profile.base_rate),
-        noise=noise,
-        start=specimen.start if stable else "transient",
-    )
-
-
-def _read(
-    e: Electronics,
-    profile: Profile,
-    alpha: Array,
-    rate: Array,
-    kelvin: Array,
-    oversample: int,
-    errors: Imperfections,
-    rng: np.random.Generator,
-) -> tuple[Log, tuple[float, ...]]:
-    """The log, and the phase of its output zero per segment."""
-    start, grid = float(profile.t[0]), e.interval / oversample
-    last = round((profile.segments[-1].stop - start) / e.interval)
-    rows = np.arange(last + 1) * oversample
-    rows = rows[profile.recorded[rows]]
-    t = profile.t[rows]
-    instants = sampling_times(e, t - start, errors.timing, rng) + start
-    slope = np.gradient(rate, grid)
-    angle = interpolate(instants, start, grid, alpha, rate)
-    output = read_output(e, angle, interpolate(instants, start, grid, rate, slope), rng)
-    labels, segment = _labels(profile.segments, profile.segment[rows])
-    log = Log(
-        t,
-        segment,
-        labels,
-        output,
-        profile.reference[rows],
-        profile.reference_rate[rows],
-        kelvin[rows] - errors.temperature,
-    )
-    return log, output_phases(e, angle, output, segment)
-
-
-def _labels(
-    segments: tuple[Segment, ...], index: NDArray[np.int32]
-) -> tuple[tuple[str, ...], NDArray[np.int32]]:
-    """Names of the segments that occur, and the index of each row among them."""
-    used, inverse = np.unique(index, return_inverse=True)
-    return tuple(segments[int(k)].label for k in used), inverse.astype(np.int32)
