@@ -31,8 +31,7 @@ class Alignment(Result):
     """Triad ``C_G^i`` (3, 3) at time zero, drift (3,) [rad/s] along triad axes, base ``C_b^n`` (3, 3).
 
     ``covariance`` (9, 9) in the order of :data:`UNKNOWNS`; ``noise`` per source; ``rms`` after the fit.
-    ``accelerometer_tilt`` [rad]: attitude error for an accelerometer bias of one micro-g. It is for judgement only,
-    because the alignment cannot observe biases.
+    The alignment cannot observe accelerometer biases.
     """
 
     place: Place

@@ -360,20 +360,16 @@ def line_budget(
 
 
 def _line_rows(scenario: PlatformScenario, source: str) -> Iterator[LineRow]:
-    run, knowledge = simulate(scenario), true_knowledge(scenario)
-    made = compensator("none", knowledge, run.readouts)
-    every = max(1, round(min(10.0, 0.05 * 2.0 * np.pi / max(case_rates(scenario))) / scenario.step))
-    shown = navigate(run.readouts, made, true_start(run.truth), damping_time=scenario.damping_time, every=every)
-    error, rates = errors(shown, run.truth, run.readouts), case_rates(scenario)
-    full = daily_lines(error, rates, scenario.place.latitude)
-    theory = theory_lines(scenario, "none", knowledge, day_slices(error.times), error.times)
-    pairs = ((theory.amplitude, full.amplitude), (theory.equatorial, full.equatorial))
-    for rate, (expected, seen) in zip(rates, pairs, strict=False):
-        if max(expected["heading"]) > 0.0:
-            yield LineRow(
-                source, 2.0 * np.pi / rate, {name: float(v[-1]) for name, v in expected.items()},
-                {name: float(v[-1]) for name, v in seen.items()},
-            )  # fmt: skip
+    run, rates = simulate(scenario), case_rates(scenario)
+    known = Preparation(true_knowledge(scenario), true_start(run.truth), None, None)
+    every = max(1, round(min(10.0, 0.05 * 2.0 * np.pi / max(rates)) / scenario.step))
+    ran = run_model(run, known, "none", every=every)
+    if ran.theory is not None:
+        pairs = ((ran.theory.amplitude, ran.lines.amplitude), (ran.theory.equatorial, ran.lines.equatorial))
+        for rate, lines in zip(rates, pairs, strict=False):
+            if max(lines[0]["heading"]) > 0.0:
+                last = ({name: float(v[-1]) for name, v in one.items()} for one in lines)
+                yield LineRow(source, 2.0 * np.pi / rate, *last)
 
 
 def line_budget_document(rows: Sequence[LineRow]) -> list[dict[str, Any]]:

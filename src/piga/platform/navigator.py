@@ -81,7 +81,7 @@ def compensator(
     Parameters
     ----------
     model:
-        ``none``; ``A`` redundancy angle held at ``known.eta0``; ``B`` followed; ``C`` followed and with
+        ``none``; ``A`` redundancy angle held at ``knowledge.eta0``; ``B`` followed; ``C`` followed and with
         the harmonics of the misalignments [He2014 for A and B; C is this project's own].
     knowledge:
         Misalignments, phases and redundancy angle to compensate.
