@@ -62,7 +62,8 @@ class Client:
         """Exchange the token for the cookie."""
         status, headers, _ = self.ask(f"/?token={self.token}")
         assert status == 303
-        self.cookie = headers["set-cookie"].partition(";")[0]
+        self.cookie, *flags = headers["set-cookie"].split("; ")
+        assert {"HttpOnly", "SameSite=strict", "Path=/", "Max-Age=43200"} == set(flags)
 
     def page(self, path: str, status: int = 200) -> str:
         """A page as text."""

@@ -111,6 +111,11 @@ def test_policies_of_pages_and_of_reports(client: Client) -> None:
     assert b"<script>" not in body
     assert b"onclick" not in body
     assert b" style=" not in body
+    assert headers["cache-control"] == "no-store"
+    status, headers, _ = client.ask("/assets/bench.js")
+    assert (status, headers["cache-control"]) == (200, "max-age=3600")
+    assert headers["content-type"].startswith("text/javascript")
+    assert headers["content-security-policy"] == policy
 
 
 FAULTY = [

@@ -11,7 +11,7 @@ import re
 import secrets
 import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -39,6 +39,8 @@ _MOST_RESULT = 200 << 20
 _LONGEST_NAME = 100
 """Most bytes of the name of a dropped file. The names of its results are longer; a file system takes 255."""
 CALIBRATION = "calibration.json"
+_VERSION = re.compile(r"(.+?)(?:-v(\d{1,6}))?", re.DOTALL)
+"""Folder of a kept calibration, and the number of an older version."""
 _UPLOAD_NAME = re.compile(r"[^\w.-]+")
 
 
@@ -63,10 +65,7 @@ class _Kept(msgspec.Struct):
 
 @dataclass(frozen=True)
 class Kept:
-    """A kept calibration: its folder, serial number, when it was made, and K with its standard uncertainty.
-
-    ``version`` is 0 for the newest of a record; older ones count down.
-    """
+    """A kept calibration: its folder, serial number, when it was made, and K with its standard uncertainty."""
 
     name: str
     serial: str
@@ -75,7 +74,16 @@ class Kept:
     u: float
     unit: str
     nominal: float
-    version: int = 0
+
+    @property
+    def record(self) -> str:
+        """Folder of the newest calibration of the same record."""
+        return _VERSION.fullmatch(self.name)[1]  # type: ignore[index]
+
+    @property
+    def version(self) -> int:
+        """0 for the newest of a record; older ones count down."""
+        return -int(_VERSION.fullmatch(self.name)[2] or 0)  # type: ignore[index]
 
     @property
     def ppm(self) -> float:
@@ -187,30 +195,35 @@ class Folder:
         parts = path.relative_to(self.root).parts
         if ".." in parts or not parts:
             raise OutsideError(f"{path.name}: is no file of this folder", remedy="choose a listed file")
-        flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-        opened: list[int] = []
         try:
-            if os.open in os.supports_dir_fd:
-                opened.append(os.open(self.root, os.O_RDONLY))
-                for part in parts[:-1]:
-                    opened.append(os.open(part, flags | os.O_DIRECTORY, dir_fd=opened[-1]))
-                opened.append(os.open(parts[-1], flags, dir_fd=opened[-1]))
-            else:
-                opened.append(os.open(self._checked(path), flags | getattr(os, "O_BINARY", 0)))
-            status = os.fstat(opened[-1])
-            if not stat.S_ISREG(status.st_mode) or status.st_size > most:
-                raise OutsideError(f"{path.name}: is no regular file, or too large", remedy="choose another")
-            with os.fdopen(os.dup(opened[-1]), "rb") as stream:
+            with open(path, "rb", opener=lambda *_: self._opened(path)) as stream:
+                status = os.fstat(stream.fileno())
+                if not stat.S_ISREG(status.st_mode) or status.st_size > most:
+                    raise OutsideError(
+                        f"{path.name}: is no regular file, or too large", remedy="choose another"
+                    )
                 return stream.read(most + 1)
         except FileNotFoundError:
             raise OutsideError(f"{path.name}: there is no such file", remedy="choose a listed file") from None
         except OSError as error:
-            raise OutsideError(
-                f"{path.name}: cannot be read ({error.strerror})", remedy="choose another"
-            ) from None
-        finally:
-            for number in opened:
-                os.close(number)
+            words = f"{path.name}: cannot be read ({error.strerror})"
+            raise OutsideError(words, remedy="choose another") from None
+
+    def _opened(self, path: Path) -> int:
+        """Number of an opened file below the folder. Each part of its path is opened in the one before, links are not."""
+        flags = os.O_RDONLY
+        for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"):
+            flags |= getattr(os, name, 0)
+        if os.open not in os.supports_dir_fd:
+            return os.open(self._checked(path), flags)
+        number = os.open(self.root, flags)
+        for part in path.relative_to(self.root).parts:
+            parent = number
+            try:
+                number = os.open(part, flags, dir_fd=parent)
+            finally:
+                os.close(parent)
+        return number
 
     def text(self, name: str) -> str:
         """The text of a TOML file of the folder."""
@@ -276,17 +289,23 @@ class Folder:
         """All records, the newest first: those with a run file, and logs without one."""
         files = list(self.files())
         results = {path.parent for path in files if path.name == CALIBRATION}
-        kept = [one for folder in sorted(results) if (one := self.kept(folder)) is not None]
+        kept: dict[str, list[Kept]] = {}
+        for one in filter(None, map(self.kept, sorted(results))):
+            kept.setdefault(one.record, []).append(one)
         files = [path for path in files if path.parent not in results]
         described: set[Path] = set()
         entries = []
         for path in (path for path in files if path.suffix == ".toml"):
-            document = self._once(path, lambda path=path: _toml_or_nothing(path))
+            document = self._once([path], _toml_or_nothing, path)
             if document is None or "data" in document:
                 data = _data_file(path, document)
                 described.update(data)
-                entry = self._once(path, lambda path=path, data=data: self._run_entry(path, data), *data)
-                entries.append(_with_kept(entry, kept, self.name(results_of(path))))
+                entry = self._once([path, *data], self._run_entry, path, data)
+                mine = sorted(
+                    kept.get(self.name(results_of(path)), ()), key=lambda one: (one.version != 0, one.version)
+                )
+                state = "kept" if mine and entry.state == "ready" else entry.state
+                entries.append(replace(entry, kept=tuple(mine), state=state))
         for path in files:
             if file_kind(path) in _LOG_SUFFIXES and path not in described:
                 status = path.stat()
@@ -302,7 +321,7 @@ class Folder:
 
     def kept(self, folder: Path) -> Kept | None:
         """The kept calibration of a folder; None if it cannot be read."""
-        kept: Kept | None = self._once(folder / CALIBRATION, lambda: self._read_kept(folder))
+        kept: Kept | None = self._once([folder / CALIBRATION], self._read_kept, folder)
         return kept
 
     def _read_kept(self, folder: Path) -> Kept | None:
@@ -311,10 +330,11 @@ class Folder:
             nominal = float(document.instrument["scale_factor_nominal"]["value"])
             values = {one.name: one for one in document.coefficients}
             K = values.get("scale_factor") or _replace_k1(values["k1"], nominal)
-            created = str(document.provenance.get("created", ""))[:19]
-            return Kept(
-                self.name(folder), str(document.instrument["serial"]), created, K.value, K.std, K.unit, nominal
+            serial, created = (
+                str(document.instrument["serial"]),
+                str(document.provenance.get("created", ""))[:19],
             )
+            return Kept(self.name(folder), serial, created, K.value, K.std, K.unit, nominal)
         except (PigaError, msgspec.MsgspecError, KeyError, TypeError, ValueError, ZeroDivisionError):
             return None
 
@@ -331,12 +351,11 @@ class Folder:
         status = data[0].stat()
         return Entry(name, "ready", serial, log, status.st_size, status.st_mtime)
 
-    def _once(self, path: Path, read: Any, *others: Path) -> Any:
-        """What was read from a file, read again only if it or one of the others has changed."""
-        key = (path, *others, read.__code__.co_firstlineno)
-        states: Any = tuple(_state(one) for one in (path, *others))
+    def _once(self, paths: list[Path], read: Callable[..., Any], *arguments: Any) -> Any:
+        """What was read from files, read again only if one of them has changed."""
+        key, states = (read.__name__, *paths), [_state(path) for path in paths]
         if self._seen.get(key, (None,))[0] != states:
-            self._seen[key] = (states, read())
+            self._seen[key] = (states, read(*arguments))
         return self._seen[key][1]
 
     def free_name(self, wanted: str) -> Path:
@@ -370,18 +389,6 @@ def _is_plain(name: str) -> bool:
     pure = PurePosixPath(name)
     wrong = "\\" in name or "\0" in name or len(name) > 4 * MAX_NAME or pure.is_absolute() or not pure.parts
     return not wrong and not any(part.startswith((".", "-")) for part in pure.parts)
-
-
-def _with_kept(entry: Entry, kept: list[Kept], result: str) -> Entry:
-    """The entry with its kept calibrations: those of its folder of results and of older versions of this folder."""
-    versions = [
-        (0 if one.name == result else -int(one.name.rpartition("-v")[2]), one)
-        for one in kept
-        if one.name == result or re.fullmatch(rf"{re.escape(result)}-v\d{{1,6}}", one.name)
-    ]
-    versions.sort(key=lambda item: (item[0] != 0, item[0]))
-    numbered = tuple(replace(one, version=number) for number, one in versions)
-    return replace(entry, kept=numbered, state="kept" if numbered and entry.state == "ready" else entry.state)
 
 
 def _state(path: Path) -> tuple[int, int]:

@@ -30,8 +30,8 @@ MOST_RUNNING = 4
 """Jobs that may run at the same time."""
 MOST_KEPT = 200
 """Jobs that are remembered. The oldest that have ended are forgotten."""
-_PATIENCE = 2.0
-"""Time [s] that a stopped job has to end by itself."""
+_PATIENCE, _LAST_PATIENCE = 2.0, 1.0
+"""Time [s] that a stopped job has to end by itself, and when the server ends."""
 _MOST_DOCUMENT = 20_000_000
 """Bytes of printed JSON that are read."""
 _MOST_TEXT = 200_000
@@ -210,7 +210,7 @@ class Jobs:
     def stop_all(self) -> None:
         """End all running jobs and remove what they printed (when the server ends)."""
         _close(self._spare.child)
-        self.stop(*self.all())
+        self.stop(*self.all(), patience=_LAST_PATIENCE)
         _kill(self._spare.child)
         shutil.rmtree(self._folder, ignore_errors=True)
 

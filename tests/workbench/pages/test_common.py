@@ -6,7 +6,7 @@ import pytest
 
 from piga.errors import UnitError
 from piga.units import to_si
-from piga.workbench.pages.common import quantity
+from piga.workbench.pages.common import Field, quantity
 
 
 @pytest.mark.parametrize(
@@ -42,3 +42,13 @@ def test_a_number_with_its_unit(written: str, unit: str, like: str, value: str) 
 def test_what_is_refused(written: str, unit: str, like: str, words: str) -> None:
     with pytest.raises(UnitError, match=words):
         quantity(written, unit, like, "x")
+
+
+def test_a_field_keeps_what_was_typed_and_says_why_it_is_refused() -> None:
+    field = Field("hours", like="s", units=("s", "h"), example="2130 s", needed=True)
+    assert field.with_sent({"hours": ["2,5"], "u:hours": ["h"]}).value == "2.5 h"
+    bare = field.with_sent({"hours": ["2.5"]})
+    assert (bare.typed, bare.refusal.partition(".")[0]) == ("2.5", "The unit is missing")
+    assert field.with_sent({"hours": [" "]}).refusal == "This is needed. E.g. 2130 s."
+    assert not Field("phase", like="rad").with_sent({}).refusal
+    assert Field("number").with_sent({"c:number": ["7"]}, "c:").value == "7"

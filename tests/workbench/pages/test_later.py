@@ -50,9 +50,20 @@ def test_a_draft_is_whole_and_own_entries_stand_in_it(bench: Bench) -> None:
     assert whole["laboratory"]["name"] == "Lab <b>"
     assert whole["calibration"]["begin"] == dt.date(2026, 5, 1)
     assert whole["traceability"]["standard"]
+    assert whole["method"]["documents"] == ["LAB-SOP-031, issue 4"]
+    documents = {"method.documents": "LAB-7, issue 4; LAB-8"}
+    assert tomllib.loads(_document(documents, whole=False))["method"]["documents"] == [
+        "LAB-7, issue 4",
+        "LAB-8",
+    ]
     assert tomllib.loads(_document(values, whole=False)).keys() == {"laboratory", "calibration"}
     (wrong,) = [one for one in _items(bench, {"calibration.begin": "May 1"}) if one.key == "calibration.begin"]
     assert "date" in wrong.refusal
+    table = "[[environment]]\nname = 'Air'\nvalue = '20 degC'\nuncertainty = '1 K'\n"
+    for text, refusal in (("x = 1", "not [[environment]] alone"), (f"x = 1\n{table}", "alone"), (table, "")):
+        (item,) = [one for one in _items(bench, {"environment": text}) if one.key == "environment"]
+        assert refusal in item.refusal
+        assert bool(item.refusal) == bool(refusal)
 
 
 def test_keys_and_certificates_are_told_apart(bench: Bench, tmp_path: Path) -> None:

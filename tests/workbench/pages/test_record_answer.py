@@ -17,7 +17,7 @@ from piga.workbench.jobs import Jobs
 from piga.workbench.pages.common import Bench
 from piga.workbench.pages.record import _answer, _cache_of
 from piga.workbench.security import Door
-from tests.workbench.conftest import shipped_record, wait_until
+from tests.workbench.conftest import Client, shipped_record, wait_until
 
 NAME, TERMS = "tumble-a.toml", ("scale_factor", "tan_beta", "k0")
 
@@ -67,3 +67,18 @@ def test_the_thinned_copy_is_answered_first_and_alone(tmp_path: Path, monkeypatc
         assert asked()[1].command[1] == NAME  # a thinned copy that cannot be fitted is no reason to wait
     finally:
         jobs.stop_all()
+
+
+@pytest.mark.long
+def test_a_term_that_is_ticked_again_is_answered(client: Client) -> None:
+    """Its first fit was stopped when another term was ticked."""
+    client.until("/picture/tumble-a.toml", lambda text: "data-drawn" in text)
+    k2, k3 = (f"/answer/tumble-a.toml?term=scale_factor&term={term}" for term in ("k2", "k3"))
+    assert "The fit runs" in client.page(k2)
+    assert "The fit runs" in client.page(k3)
+    client.page(k2)
+    answer = client.until(
+        "/answer/tumble-a.toml?terms=scale_factor,k2", lambda text: "The fit runs" not in text
+    )
+    assert "Full report" in answer
+    assert "No answer" not in answer

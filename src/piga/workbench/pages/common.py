@@ -162,7 +162,7 @@ def gone_page(_request: Request, _error: Exception) -> Response:
 
 def in_line(error: PigaError) -> str:
     """An error and its remedy beside a field."""
-    return f"{error.message}. {sentence(error.remedy)}." if error.remedy else error.message
+    return ". ".join(sentence(words) for words in (error.message, error.remedy) if words) + "."
 
 
 # --- forms ----------------------------------------------------------------------------------------
@@ -240,7 +240,7 @@ class Field:
         )
         try:
             if not made.typed and self.needed:
-                raise ArgumentError("is missing", remedy=f"e.g. {self.example}")
+                raise ArgumentError("this is needed", remedy=f"e.g. {self.example}")
             _ = made.value
         except PigaError as error:
             return replace(made, refusal=in_line(error))

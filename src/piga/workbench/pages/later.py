@@ -87,17 +87,17 @@ def _shown(value: Any) -> str:
     """An entry as it is typed."""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return "; ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _typed(key: str, text: str, example: Any) -> Any:
     """A typed entry in the type of the example."""
     if key in _TABLES:
         document: Any = toml_document(Path(CERTIFICATE), text.encode())
+        if list(_entries(document)) != [key]:
+            raise ArgumentError(f"is not [[{key}]] alone", remedy=f"write tables that begin with [[{key}]]")
         for name in key.split("."):
-            document = document.get(name) if isinstance(document, dict) else None
-        if not document:
-            raise ArgumentError(f"holds no [[{key}]]", remedy=f"begin with [[{key}]]")
+            document = document[name]
         return document
     if isinstance(example, bool):
         return text.lower() in ("yes", "true", "1")
@@ -106,7 +106,7 @@ def _typed(key: str, text: str, example: Any) -> Any:
             return dt.date.fromisoformat(text)
         except ValueError:
             raise ArgumentError("is not a date", remedy="write year-month-day, e.g. 2026-03-04") from None
-    return [part.strip() for part in text.split(",")] if isinstance(example, list) else text
+    return [part.strip() for part in text.split(";") if part.strip()] if isinstance(example, list) else text
 
 
 def _own(bench: Bench, kept: Kept | None) -> dict[str, str]:
@@ -145,9 +145,10 @@ def _items(bench: Bench, values: dict[str, str]) -> list[Field]:
             refusal = in_line(error)
         if key == "certificate.number" and value and _is_used(bench, value):
             refusal = f"this number was used; the next free one is {_next_number(bench)}"
+        note = notes.get(key, key) + (" Separate several by semicolons." if isinstance(example, list) else "")
         words = key.partition(".")[2].replace("_", " ").replace(".", ", ") or key
         rows = 7 if key in _TABLES else 0
-        items.append(Field(key, words, _shown(example), notes.get(key, key), value, refusal=refusal, rows=rows))
+        items.append(Field(key, words, _shown(example), note, value, refusal=refusal, rows=rows))
     return items
 
 
@@ -157,13 +158,13 @@ def _document(values: dict[str, str], *, whole: bool) -> str:
 
     document: dict[str, Any] = {}
     for key, example in _entries(_example()).items():
-        text = values.get(key, "").strip() or (_shown(example) if whole else "")
-        if text:
+        text = values.get(key, "").strip()
+        if text or whole:
             *path, last = key.split(".")
             table = document
             for part in path:
                 table = table.setdefault(part, {})
-            table[last] = _typed(key, text, example)
+            table[last] = _typed(key, text or example, example) if text or key in _TABLES else example
     return str(tomlkit.dumps(document))
 
 
@@ -316,7 +317,8 @@ def _plan(request: Request, sent: Sent | None = None) -> Response:
     if sent is None or time_field.refusal:
         words = (
             "Which positions of a dividing head, how long in each, and which uncertainty that gives. The plan begins "
-            "with example values of stand and instrument; every entry can be changed as text afterwards."
+            f"with example values of stand and instrument{', and with its serial number and K' if of else ''}; every entry "
+            "can be changed as text afterwards."
         )
         code = 200 if sent is None else 422
         return _form(request, "Plan the test", words, [time_field], code, link=f"/text?example={_PLAN}")

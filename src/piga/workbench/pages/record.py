@@ -443,7 +443,7 @@ def _show_answer(request: Request) -> Response:
     values: dict[str, Any] = {"entry": entry, "answer": None, "status": None, "message": "", "waits": ""}
     if entry.state in ("faulty", "log"):
         return render(request, "answer.html.jinja", **values, query=text)
-    for old in bench.jobs.all() if "again" in query else ():
+    for old in bench.jobs.all() if ticked or "again" in query else ():  # what was stopped is asked for again
         if (old.subject, old.title) == (name, "Fit"):
             bench.jobs.forget(old)
     try:
