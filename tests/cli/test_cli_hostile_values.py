@@ -74,6 +74,27 @@ def test_values_of_a_log(tmp_path: Path, value: str, column: int, capsys: pytest
     assert code == 2 or value.startswith("9")
 
 
+@pytest.mark.parametrize("arguments", [["{}"], ["calibrate", "{}"], ["init", "log.csv", "--set", "{}"]])
+def test_a_long_argument_is_not_repeated(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code(*(text.format("x" * 100_000) for text in arguments)) == 2
+    err = capsys.readouterr().err
+    assert "has 100000 characters" in err
+    assert len(err) < 500
+
+
+def test_a_long_text_of_a_file_is_not_repeated_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_log(tmp_path, lines())
+    path = write_run(tmp_path)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace(FILE, f'file = "{"run " * 250_000}.csv"'), encoding="utf-8")
+    assert exit_code("check", path) == 2
+    err = capsys.readouterr().err
+    assert "remedy: " in err
+    assert len(err) < 5000
+
+
 def test_units_beyond_use() -> None:
     assert parse_unit("rad/s/g").factor > 0.0
     with pytest.raises(Exception, match="not a finite number, or too large"):

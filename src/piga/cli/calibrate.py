@@ -18,6 +18,7 @@ from piga.cli.common import (
     deliver,
     files_named_in,
     names_in,
+    note,
     progress,
 )
 from piga.data import EXAMPLE, copy_example
@@ -186,6 +187,7 @@ def demo(
     force: ForceOption = False,
 ) -> None:
     """Calibrate and compensate the shipped record, with a report."""
+    note("demo of the shipped record; the first time takes up to a minute")
     from piga.compensation import compensate
     from piga.stand import read_run
 

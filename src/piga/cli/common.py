@@ -106,6 +106,10 @@ def say(text: str) -> None:
     _write_out(_fitted(text, sys.stdout) + "\n", needed=False)
 
 
+_LONGEST = 2000
+"""Most characters of a line on stderr; a longer one shows its begin and its end."""
+
+
 def _fitted(text: str, stream: Any) -> str:
     """Clean text, on a terminal in lines as wide as it; a name or a number is never broken."""
     lines = clean(text).split("\n")
@@ -120,8 +124,12 @@ def _fitted(text: str, stream: Any) -> str:
 
 def note(text: str) -> None:
     """Print a line for people on stderr (warnings, progress summaries)."""
+    lines = (
+        line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 4 :]}"
+        for line in text.split("\n")
+    )
     with suppress(OSError):  # stderr is closed: nobody reads the message
-        sys.stderr.write(_fitted(text, sys.stderr) + "\n")
+        sys.stderr.write(_fitted("\n".join(lines), sys.stderr) + "\n")
         sys.stderr.flush()
 
 

@@ -23,7 +23,7 @@ from piga.cli.init import init
 from piga.cli.simulate import plan, reproduce, simulate
 from piga.cli.ui import ui
 from piga.cli.words import completion, examples, methods, terms
-from piga.errors import EXTRAS, CalibrationWarning, PigaError, PigaWarning, missing_package
+from piga.errors import EXTRAS, ArgumentError, CalibrationWarning, PigaError, PigaWarning, missing_package
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """One BLAS thread, because the matrices are small. More threads would wait for each other, for seconds on a busy machine."""
@@ -32,6 +32,8 @@ RARELY = 100_000
 """New objects between two searches for garbage: most objects of a command are made at its start and stay."""
 _COMPLETE = "_PIGA_COMPLETE"
 """Environment variable by which a shell asks for completions."""
+_LONGEST = 4096
+"""Most characters of an argument: those of a path."""
 STOPPED = 130
 """Exit code of a command that was stopped with Ctrl-C, as shells have it."""
 _ROOM = "make room on the disk (TMPDIR names the folder for temporary files), then run the command again"
@@ -109,7 +111,18 @@ def main() -> None:
                 show(message, category, *where, **more)
 
         warnings.showwarning = one_line
-        guarded(lambda: app(standalone_mode=True, prog_name="piga"))
+        guarded(_run)
+
+
+def _run() -> None:
+    """Run the command of the arguments; one that is no name and no value is not repeated in a message."""
+    for number, argument in enumerate(sys.argv[1:], start=1):
+        if len(argument) > _LONGEST:
+            raise ArgumentError(
+                f"argument {number} has {len(argument)} characters, at most {_LONGEST} are allowed",
+                remedy="put a long text into a file, and name the file",
+            )
+    app(standalone_mode=True, prog_name="piga")
 
 
 def stopped_words(stop: KeyboardInterrupt) -> str:
