@@ -79,8 +79,10 @@ from __future__ import annotations
 
 from importlib import import_module
 from importlib.util import find_spec
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from piga import upper
 from piga._version import __version__
 from piga.errors import (
     ArgumentError,
@@ -190,6 +192,16 @@ _NEEDS = {
     "run_scenario": "pyarrow",
 }
 """Packages beyond the small core that a public name cannot do without."""
+
+
+def _doors() -> ModuleType:
+    """The rooms that show results; imported on first use."""
+    from piga import doors
+
+    return doors
+
+
+upper.HANDED[:] = [_doors]
 
 __all__ = [
     "ArgumentError",

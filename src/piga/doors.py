@@ -1,7 +1,7 @@
 """Doors to upper rooms: what a method of a result imports when it is called, and not before.
 
-Data are made on the lower floors and shown on the upper ones, so ``cal.report()`` has to reach upwards. These functions are
-the only upward imports of the package; the import contract names this module alone. A module that shows a kind of result
+Data are made on the lower floors and shown on the upper ones. Methods get this module through :mod:`piga.upper`. A module
+that shows a kind of result
 has ``page(result)`` for the report, ``brief(result)`` for terminal and notebook, and ``figures(result)``: functions by
 name, each of which makes one figure.
 """

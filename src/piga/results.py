@@ -19,8 +19,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from piga import doors
 from piga.errors import ArgumentError, needed
+from piga.upper import doors
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -85,7 +85,7 @@ class Shown:
 
     def _subject(self) -> ModuleType:
         """The module that shows this result. Here: names and values."""
-        return doors.pages()
+        return doors().pages()
 
     def heading(self) -> str:
         """The first line of what is shown."""
@@ -97,7 +97,7 @@ class Shown:
 
     def _repr_html_(self) -> str | None:
         try:
-            return doors.pages().card_html(self._subject().brief(self))
+            return doors().pages().card_html(self._subject().brief(self))
         except ImportError:  # without the packages of the report the notebook shows ``repr``
             return None
 
@@ -120,7 +120,7 @@ class Reported(Shown):
 
     def summary(self) -> str:
         """The summary that the command prints, as plain text."""
-        return doors.pages().page_text(self._subject().brief(self))
+        return doors().pages().page_text(self._subject().brief(self))
 
     def report(self, path: str | Path) -> Path:
         """Write the report page: one HTML file that opens offline. Returns its path.
@@ -137,7 +137,7 @@ class Reported(Shown):
             raise ArgumentError(f"report {target}: the name must end in .html", remedy="e.g. report.html")
         page = self._subject().page(self)
         return write_whole(
-            target, lambda part: doors.pages().write_page(page, part), remedy="choose another path"
+            target, lambda part: doors().pages().write_page(page, part), remedy="choose another path"
         )
 
 
@@ -146,7 +146,7 @@ def drawn(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
 
     ``ax`` is the axes to draw on, one for each panel of the figure. None: a new figure.
     """
-    return doors.drawing().draw(figure, ax)
+    return doors().drawing().draw(figure, ax)
 
 
 class Plotted(Shown):

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga import doors
 from piga.compensation.model import FLAGS, MEANING
 from piga.errors import ArgumentError
 from piga.progress import Progress, report
@@ -22,6 +21,7 @@ from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.run import Run
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular, number_column
 from piga.units import G0, MICRO_G
+from piga.upper import doors
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -221,7 +221,7 @@ class Compensated(Result, Plotted, Reported, Tabular):
         return "Compensated record"
 
     def _subject(self) -> ModuleType:
-        return doors.shown_compensation()
+        return doors().shown_compensation()
 
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the compensation."""
@@ -374,7 +374,7 @@ class CompensatedSet(Result, Plotted, Tabular):
     u_velocity: Array = field(default_factory=lambda: np.zeros(0))
 
     def _subject(self) -> ModuleType:
-        return doors.shown_compensation()
+        return doors().shown_compensation()
 
     def heading(self) -> str:
         """The first line in a notebook."""

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga import doors
 from piga.calibration.intervals import Repetition, sandwich
 from piga.calibration.model.reduction import Reduction
 from piga.errors import ArgumentError, DataError, IdentifiabilityError
 from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
 from piga.results import Array, Plotted, Reported, Result
+from piga.upper import doors
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
@@ -116,7 +116,7 @@ class SetCalibration(Result, Plotted, Reported):
         return _force(np.asarray(outputs, dtype=float), self.matrix, self.bias)
 
     def _subject(self) -> ModuleType:
-        return doors.shown_set()
+        return doors().shown_set()
 
     def heading(self) -> str:
         """The first line in a notebook."""

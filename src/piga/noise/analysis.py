@@ -12,7 +12,6 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga import doors
 from piga.errors import ArgumentError, DataError
 from piga.formats.columns import no_column
 from piga.noise.deviations import ORDERS, AllanDeviation, allan_deviation
@@ -20,6 +19,7 @@ from piga.noise.levels import ALLAN, FEWEST, NoiseLevel, NoiseSpectrum, noise_le
 from piga.records.run import examine_time
 from piga.records.run_file import DataTable
 from piga.results import Array, Plotted, Reported, Result
+from piga.upper import doors
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,7 +61,7 @@ class NoiseAnalysis(Result, Plotted, Reported):
     input_sha256: dict[str, str] = field(default_factory=dict)
 
     def _subject(self) -> ModuleType:
-        return doors.shown_noise()
+        return doors().shown_noise()
 
     def heading(self) -> str:
         """The first line in a notebook."""

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga import doors
 from piga.errors import ArgumentError
 from piga.results import Array, Plotted, Result
+from piga.upper import doors
 
 if TYPE_CHECKING:
     from piga.reports.render.figure import Figure
@@ -70,7 +70,7 @@ class AllanDeviation(Result, Plotted):
 
     def figure(self) -> Figure:
         """The deviation with its 68 % band."""
-        return doors.shown_noise().deviation_figure(self)
+        return doors().shown_noise().deviation_figure(self)
 
 
 def allan_deviation(

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from piga import doors
 from piga._version import __version__
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.planning.candidates import (
@@ -52,6 +51,7 @@ from piga.stand.scenario import DividingHeadTable
 from piga.stand.write_run import given_values
 from piga.threads import one_thread
 from piga.units import G0
+from piga.upper import doors
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -119,7 +119,7 @@ class Plan(Result, Plotted, Reported):
         return self.standard[-1]
 
     def _subject(self) -> ModuleType:
-        return doors.shown_plan()
+        return doors().shown_plan()
 
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the plan."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from piga import doors, earth
+from piga import earth
 from piga.frames import rotation_vector_to_matrix
 from piga.platform.alignment import Alignment, align
 from piga.platform.analysis import (
@@ -46,6 +46,7 @@ from piga.platform.simulate import PlatformRun, number_table, simulate
 from piga.progress import Progress, Steps
 from piga.results import Array, Plotted, Result, finite
 from piga.units import ARCMIN, ARCSEC, G0
+from piga.upper import doors
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -100,7 +101,7 @@ class ModelComparisonRun(Result, Plotted):
 
     def figure(self) -> Figure:
         """Lines at the case-rotation period against the day."""
-        return doors.platform_figures().lines_figure(self)
+        return doors().platform_figures().lines_figure(self)
 
     def in_brief(self) -> list[tuple[str, str]]:
         """Duration, and what each model leaves on the last day."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from piga import doors, earth
+from piga import earth
 from piga.errors import IdentifiabilityError
 from piga.platform.geometry import wrapped
 from piga.platform.navigator import Knowledge
@@ -25,6 +25,7 @@ from piga.progress import Progress, report
 from piga.results import Array, Plotted, Result, finite
 from piga.threads import one_thread
 from piga.units import ARCSEC
+from piga.upper import doors
 
 if TYPE_CHECKING:
     from piga.reports.render.figure import Figure
@@ -290,7 +291,7 @@ class GrowingIdentification(Result, Plotted):
 
     def figure(self) -> Figure:
         """Estimates against the length of the record."""
-        return doors.platform_figures().convergence_figure(self)
+        return doors().platform_figures().convergence_figure(self)
 
     def in_brief(self) -> list[tuple[str, str]]:
         """The result of the whole record."""

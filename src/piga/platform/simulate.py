@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from piga import doors, earth
+from piga import earth
 from piga._kernels.platform.motion import Base, Gyros, TrueRows, simulate_platform, solve_triad
 from piga.errors import ArgumentError, DataError
 from piga.frames import rotation_vector_to_matrix
@@ -28,6 +28,7 @@ from piga.platform.geometry import (
 )
 from piga.platform.scenario import MotionPlan, PigaSensors, PlatformScenario
 from piga.results import Array, Column, Plotted, Result, arrow_table
+from piga.upper import doors
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -307,7 +308,7 @@ class PlatformRun(Result, Plotted):
 
     def figure(self) -> Figure:
         """What is read on the platform."""
-        return doors.platform_figures().readouts_figure(self)
+        return doors().platform_figures().readouts_figure(self)
 
     def in_brief(self) -> list[tuple[str, str]]:
         """Place, time, motion and cases."""

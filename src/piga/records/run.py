@@ -17,7 +17,6 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga import doors
 from piga.errors import ArgumentError
 from piga.records.arrays import empty, stored
 from piga.records.calibration import Event, Quality, counted
@@ -33,6 +32,7 @@ from piga.records.terms import GYRO, integral_unit, scale_factor_in
 from piga.records.text_files import RENAMED
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular
 from piga.terms import LOGGED_TERMS
+from piga.upper import doors
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -162,7 +162,7 @@ class Run(Result, Plotted, Reported, Tabular):
         return columns | {"row": Column(self.row[part])}
 
     def _subject(self) -> ModuleType:
-        return doors.shown_record()
+        return doors().shown_record()
 
     def heading(self) -> str:
         """The first line in a notebook."""
@@ -283,7 +283,7 @@ class Run(Result, Plotted, Reported, Tabular):
         if f is None:
             if stand is None:
                 raise ArgumentError("f: there is neither a reference nor a stand", remedy="give f or stand")
-            force, rate = doors.run_reference().stand_reference(stand, Path(), t, places, names)
+            force, rate = doors().run_reference().stand_reference(stand, Path(), t, places, names)
             arrays["f"] = np.ascontiguousarray(force)
             if unit == GYRO:
                 arrays.setdefault("base_rate", np.ascontiguousarray(rate))
@@ -411,7 +411,7 @@ class Run(Result, Plotted, Reported, Tabular):
             "stand": stand,
         }
         told = {} if units is None or isinstance(units, str) else dict(units)
-        return doors.run_reference().run_from_table(table, described, told, unit, si=si)
+        return doors().run_reference().run_from_table(table, described, told, unit, si=si)
 
     def between(self, start: float | str, stop: float | str) -> Run:
         """The samples with ``start <= t <= stop`` [s; or text, e.g. ``"8 min"``], as a run.

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from piga import doors
 from piga.errors import ArgumentError
 from piga.instrument import ErrorModel, Instrument, propagate
 from piga.instrument.twin.electronics import (
@@ -34,6 +33,7 @@ from piga.records.terms import GYRO
 from piga.results import Array, Plotted, Reported, Result
 from piga.stand.profile import NONE, Imperfections, Profile, Stand, sample_stand
 from piga.units import G0
+from piga.upper import doors
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -134,7 +134,7 @@ class SimulatedTest(Result, Plotted, Reported):
     log: Log
 
     def _subject(self) -> ModuleType:
-        return doors.shown_test()
+        return doors().shown_test()
 
     def to_run(self, serial: str = "simulated", *, model: ModelTable | dict[str, object] | None = None) -> Run:
         """The log as a run, for :func:`piga.calibrate`. The nominal scale factor is the true one.

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from piga import doors
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration.coefficient import TYPE_A_ONLY, Coverage, coverage_factor, is_of_reference
@@ -36,6 +35,7 @@ from piga.trend.trend_line import (
     outlook,
     trend_model,
 )
+from piga.upper import doors
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -225,10 +225,10 @@ class Trend(Result, Reported):
 
     def plot(self, key: str = "", ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Values of the coefficient ``key`` (the first one) and its control chart. See :func:`piga.results.drawn`."""
-        return drawn(doors.shown_trend().figures(self)[key](), ax)
+        return drawn(doors().shown_trend().figures(self)[key](), ax)
 
     def _subject(self) -> ModuleType:
-        return doors.shown_trend()
+        return doors().shown_trend()
 
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the trend."""

@@ -16,7 +16,6 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike
 
-from piga import doors
 from piga.errors import ArgumentError, CalibrationError, needed
 from piga.records.calibration.coefficient import (
     TYPE_A_ONLY,
@@ -49,6 +48,7 @@ from piga.results import (
     first_lines,
     shortened,
 )
+from piga.upper import doors
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -114,7 +114,7 @@ class CalibrationPlots:
         self._calibration = calibration
 
     def _draw(self, name: str, ax: Axes | Sequence[Axes] | None) -> Figure:
-        return drawn(doors.shown_calibration().figures(self._calibration)[name](), ax)
+        return drawn(doors().shown_calibration().figures(self._calibration)[name](), ax)
 
     def residuals(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Residuals against time, before and after calibration: two panels."""
@@ -254,7 +254,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         return "\n  ".join([named, *(shortened(line) for line in lines)]) + ">"
 
     def _subject(self) -> ModuleType:
-        return doors.shown_calibration()
+        return doors().shown_calibration()
 
     @property
     def plot(self) -> CalibrationPlots:
@@ -363,7 +363,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         A scale factor that was not estimated is the nominal one. ``alpha0`` [rad] is the gimbal angle at the start. It belongs
         to a run, so a calibration does not know it.
         """
-        return doors.parameters().instrument_of(self, alpha0)
+        return doors().parameters().instrument_of(self, alpha0)
 
     def error_model(self) -> ErrorModel:
         """The other coefficients as an error model (SI), to propagate or simulate with.
@@ -374,7 +374,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
             If a coefficient has no place in the exact motion and is left out: a harmonic from the second on, or a term of
             the servo. The message names it.
         """
-        return doors.parameters().error_model_of(self)
+        return doors().parameters().error_model_of(self)
 
     @classmethod
     def from_coefficients(

@@ -13,9 +13,9 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from piga import doors
 from piga.records.calibration.coefficient import Number
 from piga.results import Array, Column, Plotted, Result, Tabular
+from piga.upper import doors
 
 if TYPE_CHECKING:
     from piga.reports.render.figure import Figure
@@ -121,7 +121,7 @@ class Residuals(Result, Plotted, Tabular):
 
     def figure(self) -> Figure:
         """Residuals against time, before and after."""
-        return doors.shown_calibration().residual_figure(self)
+        return doors().shown_calibration().residual_figure(self)
 
     def table_columns(self) -> dict[str, Column]:
         """One row for each used sample. ``segment`` and ``run`` are indices."""
