@@ -22,12 +22,13 @@ from piga.campaign.campaign_file import CampaignFile
 from piga.certificate.certificate_file import CertificateFile
 from piga.cli.main import app as command_line
 from piga.compensation.files import TriadFile
-from piga.describe.draft import si_unit, words_of
+from piga.describe.draft import words_of
 from piga.gravity_norm import SetFile
 from piga.planning.plan_file import PlanTable
 from piga.platform.scenario import ScenarioFile
 from piga.records.run_file import METHOD_WORDS, RunFile
 from piga.records.terms import TERM_WORDS, UNITS
+from piga.records.text_files import si_unit, structs_in
 from piga.stand.scenario import ScenarioTable
 
 EXAMPLES = Path(__file__).parents[1] / "reference" / "examples"
@@ -249,7 +250,8 @@ def type_text(annotation: Any) -> str:
         return "quantity"
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return "quantity" if si_unit(annotation) else type_text(parts[0])
+        plain = si_unit(annotation) and not structs_in(parts[0])
+        return "quantity" if plain else type_text(parts[0])
     if origin is Literal:
         return " \\| ".join(f'`"{part}"`' for part in parts)
     if origin in (Union, UnionType):
