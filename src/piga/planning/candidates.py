@@ -28,14 +28,13 @@ from piga.calibration.model.solution import asked_order, layout_of, name_coeffic
 from piga.calibration.servo import reduce_settled, with_mean_servo
 from piga.calibration.uncertainty import contributions
 from piga.calibration.weights import (
+    RATE,
+    Extra,
     Noise,
     Positions,
-    find_noise,
-    find_scatter,
     of_segments,
     reduce_positions,
     reduce_segments,
-    residual_increments,
     weighted_blocks,
     weighting_mode,
     with_scatter,
@@ -57,10 +56,8 @@ from piga.stand.scenario import (
 )
 from piga.stand.write_run import given_values
 
-_COUNTED_DEGREES = 120.0
-"""Degrees of freedom of the records with counts and noise together, whose stated uncertainties are those of a plan (own choice)."""
-_COUNTED_RECORDS = (8, 48)
-"""Fewest and most of these records."""
+_COUNTED_RECORDS = 24
+"""Records with counts and noise whose stated uncertainties are those of a plan (own choice)."""
 _STARTS = 4
 """Number of evenly spaced starting angles of the gimbal for the average of the information."""
 
@@ -384,10 +381,10 @@ def predict(
             ) from None
         return Prediction(name, visits, duration, refusal=error.message.replace("record", "plan", 1))
     named, covariance = name_coefficients(design, solution, solution.covariance)
-    degrees = interval.degrees[asked_order(layout, wish.terms, solution.phases.size)]
     if request.scenario.electronics.kind == "counts" and request.unit == GYRO:
-        stated = _stated_with_counts(request, design, solution.values, float(degrees.min()))
+        stated = _stated_with_counts(request, design, mode, noise)
         named = tuple(replace(c, std=float(u)) for c, u in zip(named, stated, strict=True))
+    degrees = interval.degrees[asked_order(layout, wish.terms, solution.phases.size)]
     coefficients = tuple(replace(c, degrees_of_freedom=float(nu)) for c, nu in zip(named, degrees, strict=True))
     base = np.array([c.value for c in coefficients])
 
@@ -400,27 +397,34 @@ def predict(
     return Prediction(name, visits, duration, coefficients, covariance, np.sqrt(squares))
 
 
-def _stated_with_counts(request: PlanRequest, design: Design, values: Array, degrees: float) -> Array:
+def _stated_with_counts(request: PlanRequest, design: Design, mode: str, noise: Noise) -> Array:
     """Root mean square of the Type A standard uncertainties that records with counts and noise state (file units).
 
-    Each record has its own levels of noise and its own scatter, as in a calibration. ``values`` are those of the noiseless
-    record. The fewer ``degrees`` of freedom a coefficient has, the more records there are.
+    What the counts add to the noiseless output of each record is one more column of the same reduction.
     """
     e, whole, positions = request.scenario.electronics, design.run, Positions.of(design.run)
     rng, count = np.random.default_rng(0), 2.0 * math.pi / e.counts_per_revolution
-    walk, mode = e.angle_random_walk * math.sqrt(whole.median_step), weighting_mode(design, "information")
-    stated = []
-    for _ in range(int(np.clip(_COUNTED_DEGREES / degrees, *_COUNTED_RECORDS))):
+    walk = e.angle_random_walk * math.sqrt(whole.median_step)
+    rows, changes = design.means, []
+    for _ in range(_COUNTED_RECORDS):
         noisy = whole.output + rng.uniform(0.0, count) + walk * np.cumsum(rng.standard_normal(whole.size))
         noisy += e.angle_noise * rng.standard_normal(whole.size)
-        own = design.of(replace(whole, output=np.round(noisy / count) * count, resolution=count))
-        noise = find_noise(own, *residual_increments(own, values), len(own.names), mode)
-        parts = reduce_positions(own, mode, noise, positions)
-        noise = find_scatter(parts, noise, own.local_names if own.has_phases else ())
-        solution = solve(own, of_segments(with_scatter(parts, noise), positions))
-        layout = layout_of(own, max(solution.phases.size, 1))
-        interval = find_interval(layout, solution, repetitions(own, noise, parts))
-        stated.append([c.std for c in name_coefficients(own, solution, interval.covariance)[0]])
+        added = np.round(noisy / count) * count - whole.output
+        changes.append(np.diff(rows.means_of(added), prepend=0.0))
+    columns = np.where(rows.run.begins, 0.0, changes)
+    names = tuple(f"record {k}" for k in range(_COUNTED_RECORDS))
+    extra = Extra(names, lambda block: columns[:, block.start : block.stop])
+    parts, stated = reduce_positions(design, mode, noise, positions, extra), []
+    model = (*design.names, RATE)
+    for k in range(_COUNTED_RECORDS):
+        matrix = np.zeros((len(model) + _COUNTED_RECORDS + 1, len(model) + 1))
+        matrix[: len(model), : len(model)] = np.eye(len(model))
+        matrix[[len(model) + k, -1], -1] = 1.0
+        record = [part.mixed(model, matrix) for part in parts]
+        solution = solve(design, of_segments(with_scatter(record, noise), positions))
+        layout = layout_of(design, max(solution.phases.size, 1))
+        interval = find_interval(layout, solution, repetitions(design, noise, record))
+        stated.append([c.std for c in name_coefficients(design, solution, interval.covariance)[0]])
     return np.asarray(np.sqrt(np.mean(np.square(stated), axis=0)))
 
 
