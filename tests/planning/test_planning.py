@@ -17,7 +17,7 @@ from piga.calibration.model.solution import name_coefficients
 from piga.errors import ArgumentError, CalibrationError, RunFileError
 from piga.planning.candidates import Visit, _without_phase, candidate_of, coefficient_names, predict, run_of
 from piga.planning.mounting import plan_mounting
-from piga.planning.plan import plan_test
+from piga.planning.plan import _ordered, plan_test
 from piga.planning.plan_file import read_plan, request_of
 from piga.stand import Composite, simulate_test
 from piga.units import G0
@@ -104,6 +104,19 @@ def test_positions_are_shuffled_unless_the_order_of_the_stand_is_asked_for(tmp_p
     assert len(labels[1]) > 4
     assert labels[0] != labels[1]
     assert shuffled.best.std("k0") == pytest.approx(ordered.best.std("k0"), rel=0.02)
+
+
+@pytest.mark.parametrize("count", [4, 5, 6, 8, 12, 24])
+def test_few_positions_are_shuffled_too(tmp_path: Path, count: int) -> None:
+    """Neither the order of the stand nor its reverse: few visits are neighbours of the one before."""
+    wish = request(tmp_path)
+    (table,) = wish.stands
+    places = [msgspec.structs.replace(table, positions=(f"{360.0 * k / count!r} deg",)) for k in range(count)]
+    ordered = _ordered(
+        wish, tuple(Visit(candidate_of(wish, str(k), table), 60.0) for k, table in enumerate(places))
+    )
+    step = np.abs(np.diff([int(visit.candidate.label) for visit in ordered]))
+    assert (np.minimum(step, count - step) <= 1).sum() <= count / 4
 
 
 @pytest.mark.long
