@@ -61,7 +61,7 @@ _STANDARD = (4, 6, 12, 24)
 """Numbers of evenly spaced positions in the standard plans."""
 _STRETCHES = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Durations in the figure, relative to the planned duration."""
-_GOLDEN = 0.618034
+_STRIDE = 0.381966
 """Step from one visit to the next in shuffled order, as a share of the visits (the golden section)."""
 _ATTEMPTS = 12
 """Most durations tried to reach a wanted uncertainty."""
@@ -411,15 +411,22 @@ def _finished(
 def _ordered(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Visit, ...]:
     """The visits of each stand in shuffled order, unless the plan asks for that of the stand.
 
-    A slow change of the bias then moves no coefficient but the bias: the next position lies about 0.62 of the stand's order
-    further on (the golden section). The same plan has the same order.
+    A slow change of the bias then moves no coefficient as a whole: the next position lies 0.38 of the test further on, as
+    near to the golden section as the number of visits allows. Where only neighbours have such a distance (4 and 6 visits), every
+    second visit comes first. The same plan has the same order.
     """
     if not request.settings.shuffle:
         return visits
     ordered: list[Visit] = []
     for _, group in groupby(visits, key=lambda visit: type(visit.candidate.table)):
         part = list(group)
-        ordered += [part[k] for k in np.argsort(np.argsort(_GOLDEN * np.arange(len(part)) % 1.0))]
+        step = max(round(_STRIDE * len(part)), 1)
+        while math.gcd(step, len(part)) > 1:
+            step += 1
+        if step < len(part) - 1:
+            ordered += [part[(step * k) % len(part)] for k in range(len(part))]
+        else:
+            ordered += [*part[::2], *part[1::2]]
     return tuple(ordered)
 
 
