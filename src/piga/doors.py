@@ -1,9 +1,8 @@
 """Doors to upper rooms: what a method of a result imports when it is called, and not before.
 
 Data are made on the lower floors and shown on the upper ones. Methods get this module through :mod:`piga.upper`. A module
-that shows a kind of result
-has ``page(result)`` for the report, ``brief(result)`` for terminal and notebook, and ``figures(result)``: functions by
-name, each of which makes one figure.
+that shows a kind of result has ``page(result)`` for the report, ``brief(result)`` for terminal and notebook, and
+``figures(result)``: functions by name, each of which makes one figure.
 """
 
 from __future__ import annotations

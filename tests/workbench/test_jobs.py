@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -186,3 +187,16 @@ def test_a_server_that_is_killed_in_an_upload_leaves_no_half_file(tmp_path: Path
     assert not list(parts.glob("*"))
     assert "three steps" in second.client.page("/")
     assert second.end() == (0, "")
+
+
+def test_a_full_disk_does_not_end_a_process_that_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It calibrates in advance to be fast; the command itself says what is wrong."""
+    from piga.cli import job
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    sent = iter(b'["terms"]\n')
+    monkeypatch.setattr(job.tempfile, "TemporaryDirectory", full)
+    monkeypatch.setattr(job.os, "read", lambda *_: bytes([next(sent)]))
+    assert job._asked() == ["terms"]
