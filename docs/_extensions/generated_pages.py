@@ -91,7 +91,10 @@ def api_pages() -> dict[str, str]:
         body = f"```{{eval-rst}}\n.. automodule:: piga.{room}\n   :members:\n{imported}```\n"
         shown = ""
         if (EXAMPLES / f"{room}.md").exists():
-            lead = "Each block runs as it stands here, one after the other, in a folder with the shipped `examples`."
+            lead = (
+                "Each block runs as it stands here, one after the other, in a folder with the shipped `examples`; "
+                "`run.toml` is a run file of yours."
+            )
             shown = f"## Examples\n\n{lead}\n\n```{{include}} ../examples/{room}.md\n```\n\n## Names\n\n"
         pages[f"api-{room.replace('_', '-')}"] = f"# piga.{room}\n\n{shown}{body}"
     return pages
