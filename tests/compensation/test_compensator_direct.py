@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.compensation import Compensator, identify_phase
-from piga.compensation.files import orthogonal_triad
+from piga.compensation import Compensator, Mounted, SetCompensator, identify_phase
 from piga.compensation.model import FLAGS
 from tests.calibration.direct import G, Tumble
 from tests.cli.runner import exit_code
@@ -96,8 +95,6 @@ def test_what_needs_a_gimbal_is_refused(tmp_path: Path) -> None:
         piga.compensate(run, other)
     with pytest.raises(piga.PigaError, match=r"phase at power-up: only for a gyro accelerometer"):
         identify_phase(run, own, 10.0)
-    with pytest.raises(piga.PigaError, match="compensation of a set: only for a gyro"):
-        piga.compensate_set([run] * 3, orthogonal_triad([own] * 3))
     with pytest.raises(piga.PigaError, match="motion of an instrument: only for a gyro"):
         own.instrument()
 
@@ -111,3 +108,69 @@ def test_a_stream_gives_what_the_record_gives(tmp_path: Path) -> None:
         for k in range(0, 700, 7)
     ]
     assert np.array_equal(np.concatenate(parts), whole.ax[:700])
+
+
+AXES = [
+    np.roll(np.eye(3), -i, axis=0) @ np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    for i in range(3)
+]
+SCALES = {"mA": 0.6, "V": 2.5, "LSB": 4e6}
+
+
+def members(t: np.ndarray, force: np.ndarray) -> tuple[list[piga.Run], list[Mounted]]:
+    """Direct instruments in turned axes, with what each of them logs [file units] of a specific force [g]."""
+    runs, mounted = [], []
+    for (unit, K), axes in zip(SCALES.items(), AXES, strict=True):
+        x, y, _ = axes @ force.T
+        c = TRUTH
+        output = K * (x + c["k0"] + c["k2"] * x**2 + c["k3"] * x**3 + c["m_Y"] * y)
+        runs.append(
+            piga.Run.from_arrays(
+                t, output, G * force, kind="rate", scale_factor=f"{K:g} {unit}/g", unit=unit, units="SI"
+            )
+        )
+        mounted.append(Mounted(given(unit, K, 1e-6 * K), axes))
+    return runs, mounted
+
+
+def test_a_set_gives_the_force_in_all_axes() -> None:
+    t = 0.01 * np.arange(500)
+    force = np.stack((np.cos(3.0 * t), 0.7 * np.sin(2.0 * t), 0.4 - 0.2 * t), axis=1)
+    runs, mounted = members(t, force)
+    result = piga.compensate_set(runs, mounted)
+    assert np.abs(result.f / G - force).max() < 1e-12
+    along = np.array([axes[0] for axes in AXES])
+    u = 1e-6 * G * np.abs(force @ along.T + TRUTH["k0"])
+    assert result.u_f == pytest.approx(np.sqrt(u**2 @ along**2), rel=2e-3, abs=2e-9)
+
+
+def test_a_gyro_accelerometer_and_direct_ones_make_a_set() -> None:
+    t = 0.01 * np.arange(500)
+    force = np.stack((0.2 + 0.1 * np.cos(3.0 * t), np.cos(t), 0.5 * np.sin(2.0 * t)), axis=1)
+    runs, mounted = members(t, force)
+    K = 2.0
+    gyro = piga.Calibration.from_coefficients({"scale_factor": K, "k0": 1e-3}, unit="rad/s")
+    rate = K * (AXES[0][0] @ force.T + 1e-3)
+    runs[0] = piga.Run.from_arrays(t, rate, G * force, kind="rate", scale_factor=f"{K:g} rad/s/g", units="SI")
+    mounted[0] = Mounted(gyro, AXES[0])
+    result = piga.compensate_set(runs, mounted)
+    assert np.abs(result.f / G - force).max() < 1e-9
+    assert (
+        np.abs(result.u_f[:, 0]).max() < 3e-6 * G
+    )  # that of the direct ones; the first sample of rates has one, too
+
+
+def test_a_set_without_uncertainties_has_none() -> None:
+    t = 0.01 * np.arange(20)
+    force = np.stack((1.0 + 0.0 * t, 0.3 * t, 0.0 * t), axis=1)
+    runs, mounted = members(t, force)
+    sure = [
+        Mounted(given(item.calibration.unit.split("/")[0], K), item.axes)
+        for item, K in zip(mounted, SCALES.values(), strict=True)
+    ]
+    assert piga.compensate_set(runs, sure).u_f.max() < 1e-8
+    stream = SetCompensator(mounted, sampled=True)
+    output = np.array([run.output for run in runs])
+    u = stream.push(t, np.zeros_like(output), rate=output).u_f
+    assert np.isnan(u[0]).all()  # no interval says how long a first sample stands for
+    assert (u[1:] < 1e-4).all()

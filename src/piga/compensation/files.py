@@ -67,6 +67,7 @@ def compensate_set(
     stream = SetCompensator(
         [replace(item, segment=item.segment or r.labels[0]) for r, item in zip(records, instruments, strict=True)],
         sampled=rates, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days, details=details,
+        step=(first.median_step or 1.0) if rates else None,
     )  # fmt: skip
     begins = np.logical_or.reduce([record.begins for record in records])
     angles = [integrated_rate(r.t, r.output, begins) if rates else r.output for r in records]

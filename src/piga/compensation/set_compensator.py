@@ -113,7 +113,7 @@ def _check_spread(axes: Array) -> None:
 
 
 class SetCompensator:
-    """Compensate a stream of three or more instruments in any mounting.
+    """Compensate a stream of three or more instruments in any mounting; direct instruments and gyro accelerometers may be mixed.
 
     The effective input axes of all instruments at their output angles determine the specific force of every row.
     With more than three instruments it is a least-squares solution. An instrument in its dead zone has less weight.
@@ -129,7 +129,7 @@ class SetCompensator:
         Whether these columns are computed.
     details:
         Whether misfits and flags of each instrument are kept (needs ``flags``).
-    max_age_days, limits:
+    max_age_days, limits, step:
         As for one instrument.
 
     Raises
@@ -148,17 +148,23 @@ class SetCompensator:
         details: bool = False,
         limits: Limits | None = None,
         max_age_days: float | None = None,
+        step: float | None = None,
     ) -> None:
-        for item in instruments:
-            item.calibration.require_gimbal("compensation of a set")
         self._axes = np.array([rotation(item.axes, i) for i, item in enumerate(instruments)])
         _check_spread(self._axes)
         self._sampled, self._uncertainty, self._flags = sampled, uncertainty, flags
         self._details = details and flags
         self._models = [
-            make_model(item.calibration, segment=item.segment, phase=item.phase, limits=limits)
+            make_model(
+                item.calibration,
+                segment=item.segment,
+                phase=item.phase,
+                limits=limits,
+                typical=math.nan if step is None else step,
+            )
             for item in instruments
         ]
+        self._scale = np.array([[model.scale] for model in self._models])
         self._flag = reduce(or_, (age_flag(item.calibration, max_age_days) for item in instruments), 0)
         self._count, self._calibrations = len(instruments), [item.calibration for item in instruments]
         self.notes = notes_on(*self._calibrations)
@@ -211,7 +217,8 @@ class SetCompensator:
         t:
             Time [s], (n,).
         output, rate:
-            Output angles psi [rad] and, for a sampled set, rates [rad/s], (N, n).
+            Output angles psi [rad] and, for a sampled set, rates [rad/s], (N, n). Of a direct instrument its running count
+            and its output.
         base_rate:
             Inertial rate of every instrument in its own axes [rad/s], (N, n, 3).
         temperature:
@@ -223,13 +230,13 @@ class SetCompensator:
         """
         time = np.atleast_1d(np.asarray(t, dtype=float))
         n, count = time.size, self._count
-        psi = _shaped("output", output, (count, n))
+        psi = self._scale * _shaped("output", output, (count, n))
         if self._sampled != (rate is not None):
             raise ArgumentError(
                 "rate: needed for a set that is sampled, and not allowed for a set of angles",
                 remedy="give rate, and create the set with sampled=True",
             )
-        rates = np.zeros((count, 0)) if rate is None else _shaped("rate", rate, (count, n))
+        rates = np.zeros((count, 0)) if rate is None else self._scale * _shaped("rate", rate, (count, n))
         omega = np.zeros((count, 0, 3)) if base_rate is None else _shaped("base_rate", base_rate, (count, n, 3))
         warm = np.zeros((count, 0)) if temperature is None else _shaped("temperature", temperature, (count, n))
         if any(model.needs_vibration for model in self._models):

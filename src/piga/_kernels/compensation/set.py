@@ -50,6 +50,8 @@ _EXACT_ROUNDS = 4
 _TERM_ROUNDS = 8
 """The same with an error model; each round leaves about ``2 k2 a_x`` of the misfit (0.4 % for 2e-3 per g at 1 g)."""
 _SAMPLE_ROUNDS = 2
+_SMALLEST_U = 1e-9
+"""Least uncertainty of an instrument in the weights [m/s^2]: 0.1 ng; an instrument without uncertainty has a weight, too."""
 PLAIN, _WEIGHTED = 0, 1
 """The solution with equal weights, from which the weights follow, and the one with weights."""
 
@@ -417,10 +419,10 @@ def _doubt_of_member(p: Instrument, axes: Array, past: Past, h: float, solution:
 
 @exact
 def weigh(p: Instrument, more: Covariance, x: Inputs, m: _Member, work: Array) -> float:
-    """Weight ``1/u^2`` of an instrument from the uncertainty of its indication, dead zone included."""
+    """Weight ``1/u^2`` of an instrument from the uncertainty of its indication, dead zone included; 1 if u is not known."""
     variance = variance_by_coefficients(more, p, x, m.a_x, work) + m.hidden * m.hidden
     u = uncertainty(p, x, variance, 1.0, dead_zone(p, x.a_Y, x.a_Z, m.a_x))
-    return 1.0 / (u * u) if u > 0.0 else 1.0
+    return 1.0 if math.isnan(u) else 1.0 / max(u, _SMALLEST_U) ** 2
 
 
 @exact
@@ -472,7 +474,8 @@ def compensate_set(
                 _invert_normal(members, solution)
             if wanted:
                 _add_velocities(instruments, all_of, members, h, doubts, work, solution.inverse, rows.sums)
-        _write_row(j, h, sampled, solution, last.force, rows)
+        known = h != 0.0 or not math.isnan(instruments[0].typical)
+        _write_row(j, h, sampled, known, solution, last.force, rows)
         _flag_row(
             j, h, sampled, base_flag, warm, instruments, axes, members, solution, threshold, detailed, rows
         )
@@ -511,8 +514,10 @@ def _covariance_of(all_of: SetCovariance, i: int) -> Covariance:
 
 
 @exact
-def _write_row(j: int, h: float, sampled: bool, solution: Solution, before: Array, rows: SetRows) -> None:
-    """Force, increment, uncertainty and residual; ``before`` is the force of the last row, updated."""
+def _write_row(
+    j: int, h: float, sampled: bool, known: bool, solution: Solution, before: Array, rows: SetRows
+) -> None:
+    """Force, increment, uncertainty if ``known``, and residual; ``before`` is the force of the last row, updated."""
     solved = sampled or h != 0.0
     for axis in range(3):
         f = solution.f[axis]
@@ -520,7 +525,9 @@ def _write_row(j: int, h: float, sampled: bool, solution: Solution, before: Arra
         rows.force[j, axis] = f if solved else math.nan
         rows.dv[j, axis] = mean * h if h != 0.0 else 0.0
         if rows.u.shape[0]:
-            rows.u[j, axis] = math.sqrt(max(solution.inverse[axis, axis], 0.0)) if solved else math.nan
+            rows.u[j, axis] = (
+                math.sqrt(max(solution.inverse[axis, axis], 0.0)) if solved and known else math.nan
+            )
         before[axis] = f if solved else 0.0
     rows.residual[j] = math.sqrt(solution.sums[0]) if solved else math.nan
 
