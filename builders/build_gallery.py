@@ -5,9 +5,6 @@ Run ``python builders/build_gallery.py`` after a change of a page or a figure.
 
 from __future__ import annotations
 
-import os
-import re
-import tempfile
 from pathlib import Path
 
 import piga
@@ -15,26 +12,22 @@ from piga.reports import write_figure
 from piga.reports.calibration.page import figures
 
 ROOT = Path(__file__).parents[1]
-PICTURES = {"ten-days": "comparison", "planning": "plan"}
-"""Result that is drawn, in the cells of each how-to."""
 
 
 def main() -> None:
-    """Run the cells of each page, and write the picture; and that of the shipped record."""
-    for name, result in PICTURES.items():
-        text = (ROOT / "docs" / "how-to" / f"{name}.md").read_text(encoding="utf-8")
-        cells = re.findall(r"```\{code-cell\} ipython3\n(.*?)```", text, flags=re.DOTALL)
-        names: dict[str, object] = {}
-        os.chdir(tempfile.mkdtemp())
-        for cell in cells:
-            exec(cell, names)
+    """The shipped plan, the ten days of the published platform, and the ripple of the shipped record."""
+    examples = ROOT / "examples"
+    made = {
+        "planning": piga.plan_test(piga.read_plan(examples / "plan-dividing-head.toml")).figure(),
+        "ten-days": piga.platform.compare(
+            piga.platform.load_scenario(examples / "platform-published.toml")
+        ).figure(),
+        "first-calibration": figures(piga.calibrate(piga.example_run()))["ripple"](),
+    }
+    for name, figure in made.items():
         target = ROOT / "docs" / "figures" / f"gallery-{name}.svg"
-        made = names[result]
-        write_figure(made.figure(), target)
+        write_figure(figure, target)
         print(f"wrote {target.relative_to(ROOT)}")
-    target = ROOT / "docs" / "figures" / "gallery-first-calibration.svg"
-    write_figure(figures(piga.calibrate(piga.example_run()))["ripple"](), target)
-    print(f"wrote {target.relative_to(ROOT)}")
 
 
 if __name__ == "__main__":

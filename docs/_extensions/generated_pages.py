@@ -5,8 +5,11 @@ They are written to ``docs/reference/generated``, which git ignores.
 
 from __future__ import annotations
 
+import ast
 import json
 import pkgutil
+import re
+import tomllib
 from collections.abc import Iterator
 from inspect import cleandoc
 from pathlib import Path
@@ -61,6 +64,7 @@ def write_pages(folder: Path) -> None:
         "json": json_page(),
         "terms": terms_page(),
         "methods": methods_page(),
+        "rooms": rooms_page(),
     }
     pages = api_pages() | own | file_pages()
     for old in folder.glob("*.md"):
@@ -93,11 +97,31 @@ def api_pages() -> dict[str, str]:
         if (EXAMPLES / f"{room}.md").exists():
             lead = (
                 "Each block runs as it stands here, one after the other, in a folder with the shipped `examples`; "
-                "`run.toml` is a run file of yours."
+                "`run.toml` and `calibration.json` are yours."
             )
             shown = f"## Examples\n\n{lead}\n\n```{{include}} ../examples/{room}.md\n```\n\n## Names\n\n"
         pages[f"api-{room.replace('_', '-')}"] = f"# piga.{room}\n\n{shown}{body}"
     return pages
+
+
+def rooms_page() -> str:
+    """What each room is for, in the order of the contract: the first sentence of the room itself."""
+    root = EXAMPLES.parents[2]
+    contract = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+    floors = [re.findall(r"\w+", floor) for floor in contract["contracts"][0]["layers"]]
+    lead = "A room imports only rooms of the floors below it; the contract is in `pyproject.toml`."
+    rows = ["| floor | room | what it is for |", "|---|---|---|"]
+    for number, floor in enumerate(reversed(floors), 1):
+        rows += [f"| {number} | `{room}` | {cell(first_sentence(room)).replace('``', '`')} |" for room in floor]
+    rows[2:] = reversed(rows[2:])
+    return f"# Rooms\n\n{lead}\n\n" + "\n".join(rows) + "\n"
+
+
+def first_sentence(room: str) -> str:
+    """First line of the module's text."""
+    source = Path(piga.__file__).parent / room / "__init__.py"
+    source = source if source.exists() else source.parent.with_suffix(".py")
+    return (ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or "").partition("\n")[0]
 
 
 # --- command line ------------------------------------------------------------------------------------

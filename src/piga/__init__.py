@@ -49,7 +49,7 @@ the library are SI; text such as ``"0.8884 rad/s/g"`` carries its unit.
 
 Tasks
 -----
-Each takes about five lines; the first page of the Python interface (docs/reference/api) has them all.
+Each takes about five lines: see docs/reference/api, and the code beside each command.
 
 ======================  ==============================================================================
 Calibrate a record      ``cal = piga.calibrate(piga.read_run("run.toml"))``; ``cal.summary()``

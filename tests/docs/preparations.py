@@ -125,6 +125,7 @@ PREPARATIONS: dict[str, tuple[Callable[[Runner], None], ...]] = {
     "docs/how-to/choosing-terms.md": (bench,),
     "README.md": (demo,),
     "docs/how-to/records.md": (bench,),
+    "docs/reference/examples/compensation.md": (bench,),
     "docs/reference/examples/ledger.md": (bench,),
     "docs/reference/examples/records.md": (bench,),
     "docs/reference/examples/stand.md": (bench,),
