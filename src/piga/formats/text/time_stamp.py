@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from datetime import date
 from functools import lru_cache
 from typing import Any
 
@@ -38,8 +39,9 @@ _TOKENS = {
     "ap": r"(?P<p>[AaPp][Mm])",
     "zz": r"(?P<z>Z|[+-]\d{2}:?\d{2})",
 }
+_AROUND = ' "\t'
+_EPOCH = date(1970, 1, 1).toordinal()
 _SPLIT = re.compile("|".join(sorted(map(re.escape, _TOKENS), key=len, reverse=True)))
-_LIMITS = {"M": (1, 12), "D": (1, 31), "h": (0, 24), "m": (0, 59), "s": (0, 60)}
 FORMS = (
     "iso",
     "YYYY/MM/DD hh:mm:ss.f",
@@ -63,25 +65,37 @@ FORMS = (
 
 @dataclass(frozen=True)
 class TimeStamp:
-    """A form of time stamps. ``dated``: the stamps hold a date, not only the time of day."""
+    """A form of time stamps, and its ``pattern``."""
 
     form: str
-    pattern: str
+    pattern: re.Pattern[str]
 
     @property
     def dated(self) -> bool:
-        """True if the form has a date."""
-        return "(?P<D>" in self.pattern
+        """True if the form has a date, not only the time of day."""
+        return "D" in self.pattern.groupindex
+
+    def parts(self, cell: str) -> tuple[int, float] | None:
+        """Days since 1970 (0 without a date) and seconds of the day of one stamp. None if it is not of this form."""
+        match = self.pattern.fullmatch(cell.strip(_AROUND))
+        if match is None:
+            return None
+        text = match.groupdict()
+        hour, minute, second = int(text["h"]), int(text["m"]), int(text.get("s") or 0)
+        if "p" in text:
+            if not 1 <= hour <= 12:
+                return None
+            hour = hour % 12 + 12 * (text["p"].upper() == "PM")
+        day = _day(text["Y"] if "Y" in text else f"20{text['y']}", text["M"], text["D"]) if "D" in text else 0
+        if day is None or hour > 24 or minute > 59 or second > 60:
+            return None
+        seconds = 3600 * hour + 60 * minute + second + float(f"0.{text.get('f') or 0}")
+        return day, seconds - _zone(text.get("z") or "Z")
 
     def seconds(self, cell: str) -> float | None:
         """Seconds of one stamp since 1970, or since midnight without a date. None if it is not of this form."""
-        match = re.fullmatch(self.pattern, cell.strip().strip('"').strip(), re.ASCII)
-        if match is None:
-            return None
-        parts = {name: np.array([text or ""]) for name, text in match.groupdict().items()}
-        days, seconds = _day_and_seconds(parts)
-        value = DAY * float(days[0]) + float(seconds[0])
-        return None if np.isnan(value) else value
+        parts = self.parts(cell)
+        return None if parts is None else DAY * parts[0] + parts[1]
 
 
 @lru_cache(maxsize=64)
@@ -94,7 +108,7 @@ def time_stamp(form: str) -> TimeStamp:
         If it lacks hours or minutes, has part of a date, or repeats a part.
     """
     if form == "iso":
-        return TimeStamp(form, ISO)
+        return TimeStamp(form, re.compile(ISO, re.ASCII))
     pattern, at, parts = "", 0, []
     for match in _SPLIT.finditer(form):
         pattern += re.escape(form[at : match.start()]) + _TOKENS[match.group()]
@@ -108,7 +122,7 @@ def time_stamp(form: str) -> TimeStamp:
             f"[data] time: stamp '{form[:80]}' is not a form of time stamps",
             remedy="write 'iso', 'DD.MM.YYYY hh:mm:ss.f', 'hh:mm:ss.f' or the like",
         )
-    return TimeStamp(form, pattern)
+    return TimeStamp(form, re.compile(pattern, re.ASCII))
 
 
 def forms_of(cells: list[str]) -> list[str]:
@@ -133,20 +147,13 @@ class StampClock:
     def convert(self, column: Any, missing: set[str | None]) -> Any | None:
         """The stamps of an Arrow column as an Arrow array of seconds. None if a cell is neither a stamp nor ``missing``."""
         import pyarrow as pa
-        import pyarrow.compute as pc
 
-        column = column.combine_chunks() if hasattr(column, "combine_chunks") else column
-        bare = pc.utf8_trim(column, characters=' "\t')
-        parts = pc.extract_regex(bare, pattern=f"^(?:{self.stamp.pattern})$")
-        texts = {
-            parts.type.field(k).name: np.asarray(pc.struct_field(parts, k).fill_null("").to_pylist(), dtype=str)
-            for k in range(parts.type.num_fields)
-        }
-        days, values = _day_and_seconds(texts)
-        bad = np.isnan(values)
-        if bad.any() and not missing.issuperset(bare.filter(pa.array(bad)).to_pylist()):
+        parts = [self.stamp.parts(cell or "") for cell in column.to_pylist()]
+        days, seconds = np.array([part or (np.nan, np.nan) for part in parts]).reshape(-1, 2).T
+        bad = np.isnan(seconds)
+        if any((column[k].as_py() or "").strip(_AROUND) not in missing for k in np.flatnonzero(bad).tolist()):
             return None
-        return pa.array(self._continued(days, values), mask=bad)
+        return pa.array(self._continued(days, seconds), mask=bad)
 
     def _continued(self, days: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
         valid = np.flatnonzero(~np.isnan(values))
@@ -165,48 +172,18 @@ class StampClock:
         return result
 
 
-def _day_and_seconds(parts: dict[str, NDArray[Any]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Days since 1970 (0 without a date) and seconds of the day, of stamps split into their parts.
-
-    Both are nan where a part is absent or out of its range.
-    """
-    count = parts["h"].size
-    good = parts["h"] != ""
-    value: dict[str, NDArray[np.float64]] = {}
-    for name in ("Y", "y", "M", "D", "h", "m", "s"):
-        if name in parts:
-            texts = parts[name]
-            value[name] = np.where(texts == "", "0", texts).astype(float)
-            low, high = _LIMITS.get(name, (0, 9999))
-            good &= (value[name] >= low) & (value[name] <= high)
-    hours = value["h"]
-    if "p" in parts:
-        late = np.char.upper(parts["p"]) == "PM"
-        good &= (hours >= 1) & (hours <= 12)
-        hours = np.where(hours == 12, 0.0, hours) + 12.0 * late
-    seconds = 3600.0 * hours + 60.0 * value["m"] + value.get("s", np.zeros(count))
-    if "f" in parts:
-        seconds = seconds + np.char.add(np.char.add("0.", parts["f"]), "0").astype(float)
-    if "z" in parts:
-        seconds = seconds - np.array([_zone(text) for text in parts["z"]])
-    days = np.zeros(count)
-    if "D" in value:
-        year = value["Y"] if "Y" in value else 2000.0 + value["y"]
-        days = _days(year, value["M"], value["D"])
-    return np.where(good, days, np.nan), np.where(good, seconds, np.nan)
+@lru_cache(maxsize=64)
+def _day(year: str, month: str, day: str) -> int | None:
+    """Days since 1970-01-01 of a date. A day beyond the end of its month counts on; None above 31."""
+    if not (int(year) and 1 <= int(month) <= 12 and 1 <= int(day) <= 31):
+        return None
+    return date(int(year), int(month), 1).toordinal() - _EPOCH + int(day) - 1
 
 
-def _days(
-    year: NDArray[np.float64], month: NDArray[np.float64], day: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Days since 1970-01-01 of dates in the Gregorian calendar. A day beyond the end of its month counts on."""
-    first = (12 * (year - 1970) + month - 1).astype(np.int64).astype("datetime64[M]").astype("datetime64[D]")
-    return first.astype(np.int64) + day - 1.0
-
-
+@lru_cache(maxsize=64)
 def _zone(text: str) -> float:
     """Offset of a zone from UTC [s]."""
-    if text in ("", "Z"):
+    if text == "Z":
         return 0.0
     digits = text[1:].replace(":", "")
     size = 3600.0 * int(digits[:2]) + 60.0 * int(digits[2:])
